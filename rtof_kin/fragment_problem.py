@@ -1,0 +1,367 @@
+"""The Cartesian energy of a fragment of N frames, as symbols: the paper's eqs. 2-7.
+
+::
+
+    E(X) = k_V E_V + k_I (k_A E_A + k_B E_B + k_S E_S) + E_L + E_P
+
+The state is X (N, J, 3), joint positions in world. Each term is the mean of its squared whitened
+residuals (a residual divided by its standard deviation), so that the k are what they claim to be however
+many residuals a term has. E_L and E_P are what the printed energy lacks (see `FragmentSettings`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import energies
+from rtof_kin.errors import ShapeError
+from rtof_kin.kinematics import children_of
+from rtof_kin.skeleton import SkeletonModel
+
+Array = NDArray[np.float64]
+TERMS = ("visual", "acceleration", "bone", "smooth", "length", "prior")
+
+
+@dataclass(frozen=True)
+class FragmentSettings:
+    """Weights and standard deviations of the Cartesian energy, and how fragments are cut.
+
+    The printed energy has no minimiser: the depth of unobserved joints is free, and everything shrinks
+    towards the camera. Two terms with names mend that: `sigma_length` ties the points of every rigid
+    segment to each other, and `sigma_prior` pulls weakly towards the starting poses (SF2).
+    """
+
+    k_V: float = 0.9
+    """Weight of the visual term."""
+    k_I: float = 0.1
+    """Weight of the inertial terms together."""
+    k_A: float = 0.5
+    """Weight of acceleration within them."""
+    k_B: float = 0.2
+    """Weight of bone vectors within them."""
+    k_S: float = 0.3
+    """Weight of smoothness within them."""
+    sigma_reprojection: float = 8.0
+    """[px] twice a good detector's error: its errors are correlated in time."""
+    huber_reprojection: float | None = 2.0
+    """[sigma] where the visual loss turns from square to linear; None for the paper's plain squares."""
+    sigma_acceleration: float = 1.0
+    """[m/s^2]"""
+    sigma_bone: float = 0.03
+    """[m]"""
+    sigma_jerk: float = 120.0
+    """[m/s^3]"""
+    jerk_target: str = "zero"
+    """'zero' on all joints, or 'sensor': the differentiated acceleration on joints that carry one
+    (the paper's E_S, which only adds differentiated noise)."""
+    sigma_length: float = 0.005
+    """[m] of `bone_lengths` = 'weighted'."""
+    prior: str = "bones"
+    """What is pulled to the start: 'bones' (the root and every bone vector, so that a root the start has
+    wrong does not bend the pose) or 'positions' (every joint on its own)."""
+    sigma_prior: float = 0.3
+    """[m] of the root, or of every position."""
+    sigma_prior_bone: float = 0.1
+    """[m] of a bone vector."""
+    bone_lengths: str = "weighted"
+    """'weighted' by sigma_length, 'constraint' (equalities), or 'free' (as printed)."""
+    blend: str = "tapered"
+    """'tapered' weights of overlapping fragments, or 'average' (the paper's plain mean)."""
+    padding: str = "masked"
+    """'masked': frames beyond the ends carry no observation; 'replicate': the paper's copies."""
+    refit_root: bool = True
+    """Whether the start's root is moved onto the rays (`root_position.refit_root`) first."""
+    tolerance: float = 1e-6
+    """IPOPT's convergence tolerance on the scaled gradient."""
+    max_iterations: int = 60
+    """IPOPT's iteration limit."""
+
+    def __post_init__(self) -> None:
+        allowed = {
+            "jerk_target": ("zero", "sensor"),
+            "bone_lengths": ("weighted", "constraint", "free"),
+            "prior": ("bones", "positions"),
+            "blend": ("tapered", "average"),
+            "padding": ("masked", "replicate"),
+        }
+        for field, values in allowed.items():
+            if getattr(self, field) not in values:
+                raise ShapeError(f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}")
+        for field in ("reprojection", "acceleration", "bone", "jerk", "length", "prior", "prior_bone"):
+            if not getattr(self, f"sigma_{field}") > 0:
+                raise ShapeError(f"sigma_{field} must be positive; leave a term out by its weight k")
+        for field in ("k_V", "k_I", "k_A", "k_B", "k_S"):
+            if not getattr(self, field) >= 0:
+                raise ShapeError(f"{field} must not be negative")
+
+    @classmethod
+    def paper(cls) -> FragmentSettings:
+        """The energy as printed: plain squares, free bone lengths, plain mean of replicated fragments,
+        the sensor's jerk as target; with the weak prior on positions that gives it a minimiser."""
+        return cls(
+            huber_reprojection=None,
+            jerk_target="sensor",
+            bone_lengths="free",
+            prior="positions",
+            blend="average",
+            padding="replicate",
+        )
+
+    def term_weights(self) -> dict[str, float]:
+        """Weight of each term in the total energy."""
+        return {
+            "visual": self.k_V,
+            "acceleration": self.k_I * self.k_A,
+            "bone": self.k_I * self.k_B,
+            "smooth": self.k_I * self.k_S,
+            "length": 1.0 if self.bone_lengths == "weighted" else 0.0,
+            "prior": 1.0,
+        }
+
+
+@dataclass(frozen=True)
+class _Term:
+    """Whitened residuals of one term with the weight of each in the mean."""
+
+    residual: Any
+    """(n,) SX."""
+    weight: Any
+    """(n,) SX, 0 where there is no observation; parameters of the problem."""
+    robust: float | None = None
+    """Pseudo-Huber threshold of residuals taken in pairs."""
+    curved: bool = False
+    """Whether the Hessian is exact instead of Gauss-Newton's. Gauss-Newton oscillates on the stiff
+    distances of bones parallel to the image plane, whose depth has no first-order effect."""
+
+
+class FragmentProblem:
+    """The fragment's nonlinear programme, built once; every call only passes numbers.
+
+    Attributes:
+        parameters: name -> shape of each parameter, in order.
+        solver: (x0, p) -> x, with IPOPT. energy: (x, p) -> one value per term of `TERMS` (weighted).
+        gradient: (x, p) -> dE/dx.
+    """
+
+    def __init__(
+        self,
+        skeleton: SkeletonModel,
+        frames: int,
+        sensor_joints: tuple[str, ...],
+        settings: FragmentSettings,
+    ) -> None:
+        self.skeleton, self.frames, self.settings = skeleton, frames, settings
+        self.sensor_bones = sensor_bones(skeleton, sensor_joints)
+        self.pairs = rigid_pairs(skeleton)
+        p = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
+        self.lengths = np.array([np.linalg.norm(p[b] - p[a]) for a, b in self.pairs])
+        J, N, B = len(skeleton.names), frames, len(self.sensor_bones)
+        self.X = ca.SX.sym("X", 3 * J, N)
+        self.parameters: dict[str, Any] = {
+            "R_camera_world": ca.SX.sym("R", 3, 3),
+            "t_camera_world": ca.SX.sym("t", 3),
+            "K": ca.SX.sym("K", 3, 3),
+            "rate_hz": ca.SX.sym("rate"),
+            "uv_px": ca.SX.sym("uv", 2, N * J),
+            "w_visual": ca.SX.sym("wV", N * J),
+            "a_world": ca.SX.sym("a", 3 * B, N - 2),
+            "w_acceleration": ca.SX.sym("wA", B, N - 2),
+            "b_world": ca.SX.sym("b", 3 * B, N),
+            "w_bone": ca.SX.sym("wB", B, N),
+            "w_smooth": ca.SX.sym("wS", N - 3),
+            "j_world": ca.SX.sym("j", 3 * J, N - 3 if settings.jerk_target == "sensor" else 0),
+            "w_length": ca.SX.sym("wL", N),
+            "lengths": ca.SX.sym("L", len(self.pairs)),
+            "p_prior": ca.SX.sym("P", 3 * J, N),
+        }
+        self.terms = self._terms()
+        self._build()
+
+    def pack(self, values: dict[str, Array]) -> Array:
+        """The parameter vector of the problem from named arrays (column-major, CasADi's order)."""
+        return np.concatenate([np.ravel(values[name], order="F") for name in self.parameters])
+
+    def _joint(self, name_or_index: int) -> Any:
+        return self.X[3 * name_or_index : 3 * name_or_index + 3, :]
+
+    def _terms(self) -> dict[str, _Term]:
+        P, s, J, N = self.parameters, self.settings, len(self.skeleton.names), self.frames
+        points = ca.reshape(self.X, 3, J * N)
+        camera = P["R_camera_world"] @ points + ca.repmat(P["t_camera_world"], 1, J * N)
+        visual = energies.reprojection(camera, P["uv_px"], P["K"]) / s.sigma_reprojection
+        accelerations, bones = [], []
+        for k, (joint, child, share) in enumerate(self.sensor_bones):
+            sensor = (1 - share) * self._joint(joint) + share * self._joint(child)
+            rows = slice(3 * k, 3 * k + 3)
+            accelerations.append(
+                energies.acceleration(sensor, P["a_world"][rows, :], P["rate_hz"])
+            )
+            bones.append(
+                energies.bone_vector(self._joint(joint), self._joint(child), P["b_world"][rows, :])
+            )
+        target = P["j_world"] if s.jerk_target == "sensor" else 0
+        smooth = energies.jerk(self.X, target, P["rate_hz"]) / s.sigma_jerk
+        lengths = [
+            energies.distance(self._joint(a), self._joint(b), P["lengths"][i])
+            for i, (a, b) in enumerate(self.pairs)
+        ]
+        return {
+            "visual": _Term(
+                ca.vec(visual), ca.vec(ca.repmat(P["w_visual"].T, 2, 1)), s.huber_reprojection
+            ),
+            "acceleration": _spread(accelerations, P["w_acceleration"], s.sigma_acceleration),
+            "bone": _spread(bones, P["w_bone"], s.sigma_bone),
+            "smooth": _Term(ca.vec(smooth), ca.vec(ca.repmat(P["w_smooth"].T, 3 * J, 1))),
+            "length": _Term(
+                ca.vec(ca.vertcat(*lengths)) / s.sigma_length,
+                ca.vec(ca.repmat(P["w_length"].T, len(lengths), 1)),
+                curved=True,
+            ),
+            "prior": _Term(ca.vec(self._prior()), ca.SX.ones(3 * J * N) / (3 * J * N)),
+        }
+
+    def _prior(self) -> Any:
+        """Root and bone vectors (or every position) minus those of the start, whitened (3J, N)."""
+        start, s = self.parameters["p_prior"], self.settings
+        if s.prior == "positions":
+            return energies.position(self.X, start) / s.sigma_prior
+        rows = [energies.position(self.X[:3, :], start[:3, :]) / s.sigma_prior]
+        for child, parent in enumerate(self.skeleton.parents):
+            if parent >= 0:
+                a, b = slice(3 * parent, 3 * parent + 3), slice(3 * child, 3 * child + 3)
+                observed = start[b, :] - start[a, :]
+                bone = energies.bone_vector(self.X[a, :], self.X[b, :], observed)
+                rows.append(bone / s.sigma_prior_bone)
+        return ca.vertcat(*rows)
+
+    def _build(self) -> None:
+        x, p = ca.vec(self.X), ca.vertcat(*(ca.vec(v) for v in self.parameters.values()))
+        values, hessian = [], ca.SX(x.numel(), x.numel())
+        weights = self.settings.term_weights()
+        for name in TERMS:
+            term, k = self.terms[name], weights[name]
+            if k == 0 or term.residual.numel() == 0:
+                values.append(ca.SX(0))
+                continue
+            value, curvature = _energy_and_curvature(term)
+            values.append(k * value)
+            if term.curved:
+                hessian += ca.hessian(k * value, x)[0]
+                continue
+            J_r = ca.jacobian(term.residual, x)
+            hessian += 2 * k * ca.mtimes(J_r.T, ca.diag(curvature) @ J_r)
+        energy = sum(values)
+        gradient = ca.gradient(energy, x)
+        self.energy = ca.Function("energy", [x, p], [ca.vertcat(*values)], ["x", "p"], ["terms"])
+        self.gradient = ca.Function("gradient", [x, p], [gradient], ["x", "p"], ["gradient"])
+        constraints = self._constraints()
+        self.constraints = ca.Function("constraints", [x, p], [constraints], ["x", "p"], ["g"])
+        self.constraint_gradient = self._constraint_gradient(x, p, constraints)
+        lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", constraints.numel())
+        lagrangian = lam_f * hessian
+        if constraints.numel():
+            lagrangian += ca.hessian(ca.dot(lam_g, constraints), x)[0]
+        hess_lag = ca.Function(
+            "hess_lag",
+            [x, p, lam_f, lam_g],
+            [ca.triu(lagrangian)],
+            ["x", "p", "lam_f", "lam_g"],
+            ["triu_hess_gamma_x_x"],
+        )
+        self.solver = ca.nlpsol(
+            "fragment",
+            "ipopt",
+            {"x": x, "p": p, "f": energy, "g": constraints},
+            self._options(hess_lag),
+        )
+
+    @staticmethod
+    def _constraint_gradient(x: Any, p: Any, constraints: Any) -> Any:
+        """(x, p, lam_g) -> derivative of lam_g . g, what constraints add to the Lagrangian's gradient."""
+        lam = ca.SX.sym("lam_g", constraints.numel())
+        return ca.Function(
+            "constraint_gradient", [x, p, lam], [ca.jtimes(constraints, x, lam, True)]
+        )
+
+    def _constraints(self) -> Any:
+        """Squared distances minus squared lengths, m^2, where bone lengths are equalities."""
+        if self.settings.bone_lengths != "constraint":
+            return ca.SX(0, 1)
+        rows = []
+        for i, (a, b) in enumerate(self.pairs):
+            bone = self._joint(b) - self._joint(a)
+            rows.append(ca.sum1(bone * bone) - self.parameters["lengths"][i] ** 2)
+        return ca.vec(ca.vertcat(*rows))
+
+    def _options(self, hess_lag: Any) -> dict[str, Any]:
+        return {
+            "hess_lag": hess_lag,
+            "print_time": False,
+            "error_on_fail": False,
+            "calc_lam_p": False,
+            "calc_lam_x": False,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "linear_solver": "mumps",
+                "tol": self.settings.tolerance,
+                "max_iter": self.settings.max_iterations,
+                "mumps_scaling": 0,
+                "mumps_permuting_scaling": 0,
+                "mumps_pivot_order": 0,
+                "nlp_scaling_method": "none",
+            },
+        }
+
+
+def sensor_bones(
+    skeleton: SkeletonModel, joints: tuple[str, ...]
+) -> tuple[tuple[int, int, float], ...]:
+    """(joint, child, share) of every bone whose segment carries a sensor.
+
+    The sensor stands a share of the bone from its joint: the projection of its usual lever arm on the
+    bone. Leaves (head, feet) have no bone here, so that a sensor there does not enter.
+    """
+    levers = {joint: offset for joint, offset in skeleton.sensors.values()}
+    bones = []
+    for name, joint in zip(joints, skeleton.index(*joints), strict=True):
+        for child in children_of(skeleton.parents, joint):
+            bone = skeleton.joint_offsets[child]
+            lever = levers.get(name, bone / 2)
+            share = float(np.clip(lever @ bone / (bone @ bone), 0, 1))
+            bones.append((joint, child, share))
+    return tuple(bones)
+
+
+def rigid_pairs(skeleton: SkeletonModel) -> tuple[tuple[int, int], ...]:
+    """Pairs of joints whose distance is constant: the bones, and siblings on one rigid segment."""
+    pairs = [(parent, child) for child, parent in enumerate(skeleton.parents) if parent >= 0]
+    for joint in range(len(skeleton.names)):
+        children = children_of(skeleton.parents, joint)
+        pairs += [(a, b) for i, a in enumerate(children) for b in children[i + 1 :]]
+    return tuple(pairs)
+
+
+def _spread(residuals: list[Any], weights: Any, sigma: float) -> _Term:
+    """One term of residuals (3, n) a sensor, whose weights (B, n) hold for all three components."""
+    if not residuals:
+        return _Term(ca.SX(0, 1), ca.SX(0, 1))
+    stacked = ca.vertcat(*residuals) / sigma
+    return _Term(ca.vec(stacked), ca.vec(ca.kron(weights, ca.SX.ones(3, 1))))
+
+
+def _energy_and_curvature(term: _Term) -> tuple[Any, Any]:
+    """Value of a term, and the weight of every residual in its Gauss-Newton Hessian."""
+    if term.robust is None:
+        return ca.dot(term.weight, term.residual**2), term.weight
+    pairs = ca.reshape(term.residual, 2, -1)
+    squared = ca.sum1(pairs**2)
+    per_pair = ca.reshape(term.weight, 2, -1)[0, :]
+    value = ca.dot(per_pair, energies.pseudo_huber(squared, term.robust))
+    factor = energies.pseudo_huber_weight(squared, term.robust)
+    return value, term.weight * ca.vec(ca.repmat(factor, 2, 1))

@@ -1,0 +1,138 @@
+"""SF2, single-frame sensor fusion: inertial-guided inverse kinematics (the paper's Algorithm 1).
+
+Read as the equations must mean: a rotation belongs to the segment that begins at its joint, so a sensor
+on the forearm corrects the bone ForeArm -> Hand; the angle theta is between the *rest* bone turned by the
+sensor and the observed bone; children keep their own observed directions when a parent is replaced.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import kinematics
+from rtof_kin import rotations as so3
+from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import BoneImuSequence, PoseSequence, Provenance
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class InertialGuidedIKSettings:
+    """When and how a sensor overrules the observed bone."""
+
+    threshold: float = 0.0
+    """theta_t [rad]: where sensor and observed bone differ by more, the sensor's orientation is taken;
+    below, the observed direction with the sensor's twist. 0 always takes the sensor, pi never."""
+    blend_angle: float | None = None
+    """[rad] Where given, no switch at all: the rotation nearest to v b^T + w R_imu, with the sensor's
+    weight ``w = 1 / (1 + (theta / blend_angle)^2)`` falling smoothly with the disagreement."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.threshold <= np.pi:
+            raise ShapeError(f"threshold: {self.threshold} rad is outside [0, pi]")
+        if self.blend_angle is not None and not self.blend_angle > 0:
+            raise ShapeError(f"blend_angle: {self.blend_angle} rad must be positive")
+
+
+class InertialGuidedIK:
+    """Corrects poses frame by frame with the orientations of IMUs; bone lengths become the model's."""
+
+    def __init__(
+        self, skeleton: SkeletonModel, settings: InertialGuidedIKSettings | None = None
+    ) -> None:
+        self.skeleton = skeleton
+        self.settings = settings or InertialGuidedIKSettings()
+
+    def refine(self, poses: PoseSequence, bone_imus: BoneImuSequence | None = None) -> PoseSequence:
+        """Poses with the skeleton's bone lengths, limb directions corrected by the sensors there are.
+
+        Args:
+            poses: (T, J) joints of this skeleton; only positions are used. Frames with NaN stay NaN.
+            bone_imus: any subset of segments, at any times (they are resampled to the poses'); samples
+                that are NaN leave the observed bone as it is. None for no sensors.
+
+        Returns:
+            Rigid poses at the same times, root position unchanged.
+
+        Raises:
+            UnknownNameError: the poses are of another skeleton, or a sensor sits on no joint of it.
+        """
+        skeleton = self.skeleton
+        if poses.names != skeleton.names:
+            raise UnknownNameError("joint", set(poses.names) ^ set(skeleton.names), skeleton.names)
+        p = poses.p_world_joint
+        known = np.isfinite(p).all(axis=(1, 2))
+        R_imu = self._sensor_rotations(poses, bone_imus)
+        R = np.full((*p.shape[:2], 3, 3), np.nan)
+        R[known] = self._solve(p[known], {j: matrices[known] for j, matrices in R_imu.items()})
+        sensed = np.zeros(p.shape[:2], dtype=bool)
+        for j, matrices in R_imu.items():
+            sensed[:, j] = np.isfinite(matrices[:, 0, 0])
+        return replace(
+            poses,
+            p_world_joint=kinematics.positions(
+                skeleton.parents, skeleton.joint_offsets, p[:, 0], R
+            ),
+            R_world_bone=R,
+            provenance=self._provenance(poses.provenance, sensed),
+            orientation_observed=sensed | skeleton.orientation_observed(),
+        )
+
+    def _sensor_rotations(
+        self, poses: PoseSequence, bone_imus: BoneImuSequence | None
+    ) -> dict[int, Array]:
+        """Joint index -> R_world_bone (T, 3, 3) of its sensor at the poses' times, NaN where missing."""
+        if bone_imus is None:
+            return {}
+        joints = self.skeleton.index(*bone_imus.joints)
+        if not np.array_equal(bone_imus.times, poses.times):
+            bone_imus = bone_imus.resample(poses.times)
+        return {j: bone_imus.R_world_bone[:, s] for s, j in enumerate(joints)}
+
+    def _solve(self, p: Array, R_imu: dict[int, Array]) -> Array:
+        parents, offsets = self.skeleton.parents, self.skeleton.joint_offsets
+        R = np.empty((*p.shape[:2], 3, 3))
+        for j, parent in enumerate(parents):
+            identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
+            R_parent = identity if parent < 0 else R[:, parent]
+            R[:, j] = kinematics.segment_rotation(parents, offsets, j, p, R_parent)
+            if j in R_imu:
+                has = np.isfinite(R_imu[j][:, 0, 0])
+                R[has, j] = self._correct(j, p[has], R[has, j], R_imu[j][has])
+        return R
+
+    def _correct(self, joint: int, p: Array, R_observed: Array, R_imu: Array) -> Array:
+        """One segment's orientation from what was observed and what its sensor says, (T, 3, 3)."""
+        children = kinematics.children_of(self.skeleton.parents, joint)
+        if not children:
+            return R_imu
+        if len(children) == 1:
+            rest = self.skeleton.joint_offsets[children[0]]
+            bone = p[:, children[0]] - p[:, joint]
+            R_observed = kinematics.swing(R_imu, rest, bone)  # the sensor's twist
+        theta = so3.angle_between(R_observed, R_imu)
+        blend = self.settings.blend_angle
+        if blend is None:
+            return np.where((theta > self.settings.threshold)[:, None, None], R_imu, R_observed)
+        weight = 1 / (1 + (theta / blend) ** 2)
+        observed = R_observed
+        if len(children) == 1:  # only the bone's direction was seen
+            unit = so3.unit(rest)
+            observed = np.einsum("ti,j->tij", R_observed @ unit, unit)
+        return so3.nearest_rotation(observed + weight[:, None, None] * R_imu)
+
+    def _provenance(self, before: NDArray[np.uint8], sensed: NDArray[np.bool_]) -> NDArray[np.uint8]:
+        """A joint whose parent's segment carries a sensor is seen by the IMU too."""
+        out = before.copy()
+        for j, parent in enumerate(self.skeleton.parents):
+            if parent >= 0:
+                by_imu = sensed[:, parent]
+                camera = before[:, j] == Provenance.CAMERA
+                out[by_imu & camera, j] = Provenance.CAMERA_AND_IMU
+                out[by_imu & (before[:, j] < Provenance.IMU), j] = Provenance.IMU
+        return out

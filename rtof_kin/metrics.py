@@ -1,0 +1,165 @@
+"""How far an estimate is from the truth: position, acceleration, jerk, joint angles.
+
+==================  =======================================================================  =========
+mpjpe_mm            mean per joint position error, absolute                                  mm
+mpjpe_rr_mm         the same relative to the root (whose own 0 counts)                       mm
+mpjpe_pa_mm         the same after the best similarity transform of every frame (Procrustes) mm
+mpjae               mean norm of the difference of second derivatives, per second            m/s^2
+mpjje               the same of third derivatives                                            m/s^3
+mpjae_frame_mm      the same differences per frame instead of per second                     mm/frame^2
+mpjje_frame_mm                                                                               mm/frame^3
+angle_deg           mean angle between estimated and true joint rotation (parent to child)   degrees
+flexion_deg         mean error of the knees' and elbows' flexion, from the bones             degrees
+coverage            share of joints and frames for which the estimate claims validity        1
+==================  =======================================================================  =========
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import kinematics, signals
+from rtof_kin import rotations as so3
+from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import PoseSequence
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Metrics(Mapping[str, float]):
+    """Pooled figures by name, as a mapping; per joint and over time besides."""
+
+    pooled: dict[str, float]
+    """Figure -> mean over frames and joints."""
+    per_joint: dict[str, dict[str, float]]
+    """Joint -> figure -> mean over frames."""
+    over_time: dict[str, Array]
+    """'mpjpe_mm' and 'mpjpe_rr_mm' -> (T,) mean over joints of each frame."""
+
+    def __getitem__(self, name: str) -> float:
+        return self.pooled[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.pooled)
+
+    def __len__(self) -> int:
+        return len(self.pooled)
+
+
+def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> Metrics:
+    """All figures of an estimate against the truth, over the frames both have.
+
+    Args:
+        estimate: (T, J) poses. truth: poses of the same joints at any times covering some of the
+            estimate's; brought to its times by interpolation. skeleton: names parents and hinges.
+
+    Raises:
+        UnknownNameError: joints differ. ShapeError: no common frames, or fewer than four.
+    """
+    if estimate.names != truth.names:
+        raise UnknownNameError("joint", set(estimate.names) ^ set(truth.names), truth.names)
+    truth = _at(truth, estimate.times)
+    both = np.isfinite(truth.p_world_joint).all(axis=(1, 2))
+    both &= np.isfinite(estimate.p_world_joint).all(axis=(1, 2))
+    if both.sum() < 4:
+        raise ShapeError("metrics: estimate and truth have fewer than four frames in common")
+    p, p_true = estimate.p_world_joint, truth.p_world_joint
+    error = np.linalg.norm(p - p_true, axis=-1) * 1000
+    relative = np.linalg.norm((p - p[:, :1]) - (p_true - p_true[:, :1]), axis=-1) * 1000
+    aligned = np.full_like(error, np.nan)
+    aligned[both] = np.linalg.norm(procrustes(p[both], p_true[both]) - p_true[both], axis=-1) * 1000
+    rate = estimate.rate_hz
+    acceleration = np.linalg.norm(signals.derivative(p - p_true, rate, 2), axis=-1)
+    jerk = np.linalg.norm(signals.derivative(p - p_true, rate, 3), axis=-1)
+    figures = {
+        "mpjpe_mm": error,
+        "mpjpe_rr_mm": relative,
+        "mpjpe_pa_mm": aligned,
+        "mpjae": acceleration,
+        "mpjje": jerk,
+        "mpjae_frame_mm": acceleration / rate**2 * 1000,
+        "mpjje_frame_mm": jerk / rate**3 * 1000,
+        "angle_deg": np.degrees(_angle_error(estimate, truth, skeleton)),
+        "flexion_deg": np.degrees(_flexion_error(p, p_true, skeleton)),
+    }
+    names = estimate.names
+    return Metrics(
+        pooled={n: float(np.nanmean(v)) for n, v in figures.items()}
+        | {"coverage": float(estimate.valid[both].mean())},
+        per_joint={
+            joint: {n: float(np.nanmean(v[:, j])) for n, v in figures.items() if _any(v[:, j])}
+            for j, joint in enumerate(names)
+        },
+        over_time={"mpjpe_mm": error.mean(axis=1), "mpjpe_rr_mm": relative.mean(axis=1)},
+    )
+
+
+def motionless(truth: PoseSequence) -> PoseSequence:
+    """The zero-motion row: the truth's mean position, standing still, in every frame."""
+    p = np.broadcast_to(np.nanmean(truth.p_world_joint, axis=0), truth.p_world_joint.shape)
+    return PoseSequence(truth.times, p, truth.R_world_bone, truth.names)
+
+
+def procrustes(p: Array, p_true: Array) -> Array:
+    """p (T, J, 3) after each frame's best rotation, scale and translation onto p_true (Umeyama 1991)."""
+    mean, mean_true = p.mean(axis=1, keepdims=True), p_true.mean(axis=1, keepdims=True)
+    a, b = p - mean, p_true - mean_true
+    R = so3.nearest_rotation(np.einsum("tji,tjk->tik", b, a))
+    turned = np.einsum("tik,tjk->tji", R, a)
+    scale = np.sum(turned * b, axis=(1, 2)) / np.sum(a * a, axis=(1, 2))
+    return np.asarray(scale[:, None, None] * turned + mean_true)
+
+
+def flexion(p: Array, skeleton: SkeletonModel) -> Array:
+    """Angle (T, J) in radians between the bones that meet at the knees and elbows; NaN elsewhere."""
+    out = np.full(p.shape[:2], np.nan)
+    for j in hinges(skeleton):
+        (child,) = kinematics.children_of(skeleton.parents, j)
+        before, after = p[:, j] - p[:, skeleton.parents[j]], p[:, child] - p[:, j]
+        cross = np.linalg.norm(np.cross(before, after), axis=-1)
+        out[:, j] = np.arctan2(cross, np.sum(before * after, axis=-1))
+    return out
+
+
+def hinges(skeleton: SkeletonModel) -> list[int]:
+    """Indices of the knees and elbows, by their clinical names."""
+    wanted = ("knee flexion", "elbow flexion")
+    return [
+        i
+        for i, joint in enumerate(skeleton.table.joints)
+        if any(dof.clinical.endswith(wanted) for dof in joint.dofs)
+    ]
+
+
+def _flexion_error(p: Array, p_true: Array, skeleton: SkeletonModel) -> Array:
+    return np.abs(flexion(p, skeleton) - flexion(p_true, skeleton))
+
+
+def _angle_error(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> Array:
+    """(T, J) radians; the root's rotation is against world."""
+    parents = skeleton.parents
+    return so3.angle_between(
+        kinematics.local_rotations(parents, estimate.R_world_bone),
+        kinematics.local_rotations(parents, truth.R_world_bone),
+    )
+
+
+def _at(truth: PoseSequence, times: Array) -> PoseSequence:
+    if np.array_equal(truth.times, times):
+        return truth
+    return PoseSequence(
+        times,
+        signals.interpolate(truth.times, truth.p_world_joint, times),
+        signals.interpolate_rotations(truth.times, truth.R_world_bone, times),
+        truth.names,
+    )
+
+
+def _any(values: Array) -> bool:
+    return bool(np.isfinite(values).any())

@@ -1,0 +1,457 @@
+"""The data that flows through the package, as frozen, validated records of read-only arrays.
+
+Axes are time, then element, then component: (T, J, 3). Missing is NaN in the value and 0 in the
+confidence, both. A different state of the data is a different type:
+`ImuSequence` -> `ImuCalibration.apply` -> `BoneImuSequence`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rtof_kin import rotations as so3
+from rtof_kin import signals
+from rtof_kin.errors import ShapeError, UnitError, UnknownNameError
+
+Array = NDArray[np.float64]
+STANDARD_GRAVITY = 9.81
+GRAVITY_WORLD = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+"""Gravity in world, m/s^2. An accelerometer at rest reads its opposite."""
+
+
+class Provenance(IntEnum):
+    """Who saw a joint at an instant."""
+
+    NOBODY = 0
+    PRIOR = 1
+    BRIDGED = 2
+    IMU = 3
+    CAMERA = 4
+    CAMERA_AND_IMU = 5
+
+
+def readonly(field: str, value: ArrayLike, shape: Sequence[int | str], dtype: Any = float) -> Any:
+    """A read-only copy of an array whose shape is checked against e.g. ``("T", 21, 3)``.
+
+    Raises:
+        ShapeError: the value is not numeric or its shape differs; letters match any length.
+    """
+    try:
+        array = np.array(value, dtype=dtype)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{field}: not an array of numbers ({error})") from error
+    fits = array.ndim == len(shape) and all(
+        isinstance(want, str) or want == have for want, have in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        want = ", ".join(map(str, shape))
+        raise ShapeError(f"{field}: expected shape ({want}), got {array.shape}")
+    array.setflags(write=False)
+    return array
+
+
+def checked_times(field: str, times: ArrayLike) -> Array:
+    """Read-only times (T,) in seconds, finite and strictly increasing."""
+    array: Array = readonly(field, times, ("T",))
+    if len(array) == 0:
+        raise ShapeError(f"{field}: empty; at least one sample is needed")
+    if not np.all(np.isfinite(array)):
+        first = int(np.flatnonzero(~np.isfinite(array))[0])
+        raise ShapeError(f"{field}: not finite at index {first}; every sample needs a time")
+    steps = np.diff(array)
+    if np.any(steps <= 0):
+        first = int(np.flatnonzero(steps <= 0)[0])
+        raise ShapeError(
+            f"{field}: time does not increase from index {first} ({array[first]:g} s) to "
+            f"{first + 1} ({array[first + 1]:g} s); sort the samples and drop duplicates"
+        )
+    return array
+
+
+def indices_of(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[int]:
+    """Positions of names in a list; `UnknownNameError` names those that are not there."""
+    unknown = [name for name in wanted if name not in known]
+    if unknown:
+        raise UnknownNameError(kind, unknown, known)
+    return [list(known).index(name) for name in wanted]
+
+
+def _checked_names(field: str, names: Sequence[str]) -> tuple[str, ...]:
+    names = tuple(map(str, names))
+    double = sorted({name for name in names if names.count(name) > 1})
+    if double:
+        raise ShapeError(f"{field}: {', '.join(double)} stands there more than once")
+    return names
+
+
+def _checked_rotations(field: str, R: Array) -> None:
+    """Each matrix is a rotation, or NaN as a whole."""
+    missing = np.isnan(R).any(axis=(-2, -1))
+    if np.any(missing & ~np.isnan(R).all(axis=(-2, -1))):
+        raise ShapeError(f"{field}: a matrix is partly NaN; missing ones are NaN as a whole")
+    if not so3.is_rotation(R[~missing], tolerance=1e-5):
+        error = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-2, -1))
+        worst = np.unravel_index(np.nanargmax(error), error.shape)
+        at = ", ".join(map(str, worst))
+        raise ShapeError(
+            f"{field}: not a rotation matrix at index ({at}); normalise quaternions before use"
+        )
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated pinhole camera, fixed in the world."""
+
+    K: Array
+    """(3, 3) intrinsic matrix, px."""
+    R_camera_world: Array
+    """(3, 3) rotation from world to camera axes."""
+    t_camera_world: Array
+    """(3,) world origin in camera coordinates, m: p_camera = R_camera_world p_world + t."""
+    width_px: int
+    """Image width, px."""
+    height_px: int
+    """Image height, px."""
+    distortion: Array = None  # type: ignore[assignment]
+    """(5,) OpenCV's k1, k2, p1, p2, k3; zeros where not given."""
+
+    def __post_init__(self) -> None:
+        distortion = np.zeros(5) if self.distortion is None else self.distortion
+        set_ = object.__setattr__
+        set_(self, "K", readonly("camera K", self.K, (3, 3)))
+        set_(self, "R_camera_world", readonly("camera R_camera_world", self.R_camera_world, (3, 3)))
+        set_(self, "t_camera_world", readonly("camera t_camera_world", self.t_camera_world, (3,)))
+        set_(self, "distortion", readonly("camera distortion", distortion, (5,)))
+        if not so3.is_rotation(self.R_camera_world, tolerance=1e-4):
+            raise ShapeError("camera R_camera_world: not a rotation matrix")
+        if not (self.K[0, 0] > 0 and self.K[1, 1] > 0 and np.allclose(self.K[2], [0, 0, 1])):
+            raise ShapeError(
+                "camera K: singular; it needs positive focal lengths on the diagonal and "
+                "0, 0, 1 as its last row"
+            )
+        if not np.all(np.isfinite(np.concatenate([self.K.ravel(), self.t_camera_world]))):
+            raise ShapeError("camera: K or t_camera_world is not finite")
+        if self.width_px <= 0 or self.height_px <= 0:
+            raise ShapeError("camera: width_px and height_px must be positive")
+
+    @classmethod
+    def looking_at(
+        cls,
+        position: ArrayLike,
+        target: ArrayLike,
+        focal_px: float,
+        width_px: int = 1920,
+        height_px: int = 1080,
+    ) -> Camera:
+        """An upright camera at `position` whose optical axis passes through `target` (world, m)."""
+        position = np.asarray(position, dtype=float)
+        forward = so3.unit(np.asarray(target, dtype=float) - position)
+        right = so3.unit(np.cross(forward, [0.0, 0.0, 1.0]))
+        R = np.stack([right, np.cross(forward, right), forward])
+        K = np.array([[focal_px, 0, width_px / 2], [0, focal_px, height_px / 2], [0, 0, 1.0]])
+        return cls(K, R, -R @ position, width_px, height_px)
+
+    @property
+    def center_world(self) -> Array:
+        """(3,) optical centre in world, m."""
+        return np.asarray(-self.R_camera_world.T @ self.t_camera_world)
+
+    def to_camera(self, p_world: ArrayLike) -> Array:
+        """World points (..., 3) in camera coordinates, m."""
+        return np.asarray(np.asarray(p_world) @ self.R_camera_world.T + self.t_camera_world)
+
+    def project(self, p_world: ArrayLike) -> Array:
+        """Pixels (..., 2) of world points (..., 3); NaN for points not in front of the camera."""
+        p = self.to_camera(p_world)
+        depth = p[..., 2:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            xy = np.where(depth > 1e-6, p[..., :2] / depth, np.nan)
+        return self._distort(xy) @ self.K[:2, :2].T + self.K[:2, 2]
+
+    def normalise(self, uv_px: ArrayLike) -> Array:
+        """Undistorted image-plane coordinates x/z, y/z (..., 2) of pixels (..., 2)."""
+        xy_distorted = (np.asarray(uv_px) - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
+        xy = xy_distorted
+        if np.any(self.distortion):
+            for _ in range(20):  # fixed point, as OpenCV does
+                xy = xy - (self._distort(xy) - xy_distorted)
+        return np.asarray(xy)
+
+    def rays_world(self, uv_px: ArrayLike) -> Array:
+        """Unit directions (..., 3) in world from the optical centre through pixels (..., 2)."""
+        xy = self.normalise(uv_px)
+        rays = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
+        return so3.unit(rays @ self.R_camera_world)
+
+    def undistorted(self) -> Camera:
+        """The same camera without distortion."""
+        return replace(self, distortion=np.zeros(5))
+
+    def _distort(self, xy: Array) -> Array:
+        if not np.any(self.distortion):
+            return xy
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = xy[..., 0], xy[..., 1]
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        x_d = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        y_d = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        return np.stack([x_d, y_d], axis=-1)
+
+
+@dataclass(frozen=True)
+class KeypointSequence:
+    """2D landmarks of one person seen by one camera."""
+
+    camera: Camera
+    """The camera that saw them."""
+    times: Array
+    """(T,) seconds, strictly increasing."""
+    uv_px: Array
+    """(T, L, 2) pixels; NaN where unseen."""
+    confidence: Array
+    """(T, L) in [0, 1]; 0 where unseen."""
+    names: tuple[str, ...]
+    """L landmark names."""
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "names", _checked_names("keypoint names", self.names))
+        set_(self, "times", checked_times("keypoint times", self.times))
+        T, L = len(self.times), len(self.names)
+        uv = np.array(readonly("keypoints uv_px", self.uv_px, (T, L, 2)))
+        confidence = np.array(readonly("keypoint confidence", self.confidence, (T, L)))
+        if np.any((confidence < 0) | (confidence > 1)):
+            raise ShapeError("keypoint confidence: outside [0, 1]; divide by the detector's maximum")
+        if np.any(np.isinf(uv)):
+            raise ShapeError("keypoints uv_px: infinite; write NaN where a landmark was not seen")
+        missing = np.isnan(uv).any(axis=-1) | ~(confidence > 0)
+        uv[missing], confidence[missing] = np.nan, 0.0
+        set_(self, "uv_px", readonly("keypoints uv_px", uv, (T, L, 2)))
+        set_(self, "confidence", readonly("keypoint confidence", confidence, (T, L)))
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __getitem__(self, frames: slice) -> Self:
+        return replace(
+            self,
+            times=self.times[frames],
+            uv_px=self.uv_px[frames],
+            confidence=self.confidence[frames],
+        )
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(T, L) whether a landmark was seen."""
+        return np.asarray(self.confidence > 0)
+
+    def select(self, names: Sequence[str]) -> Self:
+        """The landmarks named, in that order; those not present are NaN with confidence 0."""
+        uv = np.full((len(self), len(names), 2), np.nan)
+        confidence = np.zeros((len(self), len(names)))
+        for i, name in enumerate(names):
+            if name in self.names:
+                j = self.names.index(name)
+                uv[:, i], confidence[:, i] = self.uv_px[:, j], self.confidence[:, j]
+        return replace(self, uv_px=uv, confidence=confidence, names=tuple(names))
+
+
+@dataclass(frozen=True)
+class ImuSequence:
+    """Orientation and specific force of IMUs, as sensors give them."""
+
+    times: Array
+    """(T,) seconds, on the clock of the keypoints, strictly increasing."""
+    R_inertial_sensor: Array
+    """(T, S, 3, 3); NaN as a whole where missing."""
+    f_sensor: Array
+    """(T, S, 3) specific force in sensor axes, m/s^2, gravity included; NaN where missing."""
+    names: tuple[str, ...]
+    """S sensor names."""
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "names", _checked_names("IMU names", self.names))
+        set_(self, "times", checked_times("IMU times", self.times))
+        T, S = len(self.times), len(self.names)
+        R = readonly("IMU R_inertial_sensor", self.R_inertial_sensor, (T, S, 3, 3))
+        _checked_rotations("IMU R_inertial_sensor", R)
+        set_(self, "R_inertial_sensor", R)
+        set_(self, "f_sensor", readonly("IMU f_sensor", self.f_sensor, (T, S, 3)))
+        if np.any(np.isinf(self.f_sensor)):
+            raise ShapeError("IMU f_sensor: infinite; write NaN where a sample is missing")
+        self._check_unit()
+
+    def _check_unit(self) -> None:
+        """Over a recording the median specific force is near one gravity."""
+        norm = np.linalg.norm(self.f_sensor, axis=-1)
+        for s, name in enumerate(self.names):
+            if not np.any(np.isfinite(norm[:, s])):
+                continue
+            median = float(np.nanmedian(norm[:, s]))
+            if 0.5 < median < 2.0:
+                raise UnitError(
+                    f"IMU {name}: the median specific force is {median:.2f}, which is one gravity "
+                    f"in g; multiply by {STANDARD_GRAVITY} to get m/s^2"
+                )
+            if median < 4.0:
+                raise UnitError(
+                    f"IMU {name}: the median specific force is {median:.2f} m/s^2, so gravity was "
+                    "removed; give the raw accelerometer, which reads 9.81 upwards at rest"
+                )
+            if median > 30.0:
+                raise UnitError(
+                    f"IMU {name}: the median specific force is {median:.3g}, far above one gravity; "
+                    "give m/s^2 (9.81 at rest), not milli-g or raw counts"
+                )
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def select(self, names: Sequence[str]) -> Self:
+        """The sensors named, in that order."""
+        index = indices_of("sensor", names, self.names)
+        return replace(
+            self,
+            R_inertial_sensor=self.R_inertial_sensor[:, index],
+            f_sensor=self.f_sensor[:, index],
+            names=tuple(names),
+        )
+
+
+@dataclass(frozen=True)
+class BoneImuSequence:
+    """IMUs after calibration: orientation of the segment that carries each, acceleration in world."""
+
+    times: Array
+    """(T,) seconds, strictly increasing."""
+    R_world_bone: Array
+    """(T, S, 3, 3) orientation of the segment's link frame; NaN as a whole where missing."""
+    a_world: Array
+    """(T, S, 3) acceleration of the sensor in world, gravity removed, m/s^2; NaN where missing."""
+    p_bone_sensor: Array
+    """(S, 3) lever arm: position of the sensor in the segment's link frame, m."""
+    joints: tuple[str, ...]
+    """S names of the segments (by their proximal joint) that carry the sensors."""
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "joints", _checked_names("bone IMU joints", self.joints))
+        set_(self, "times", checked_times("bone IMU times", self.times))
+        T, S = len(self.times), len(self.joints)
+        R = readonly("bone IMU R_world_bone", self.R_world_bone, (T, S, 3, 3))
+        _checked_rotations("bone IMU R_world_bone", R)
+        set_(self, "R_world_bone", R)
+        set_(self, "a_world", readonly("bone IMU a_world", self.a_world, (T, S, 3)))
+        set_(self, "p_bone_sensor", readonly("bone IMU p_bone_sensor", self.p_bone_sensor, (S, 3)))
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __getitem__(self, frames: slice) -> Self:
+        return replace(
+            self,
+            times=self.times[frames],
+            R_world_bone=self.R_world_bone[frames],
+            a_world=self.a_world[frames],
+        )
+
+    def select(self, joints: Sequence[str]) -> Self:
+        """The sensors on the segments named, in that order."""
+        index = indices_of("IMU segment", joints, self.joints)
+        return replace(
+            self,
+            R_world_bone=self.R_world_bone[:, index],
+            a_world=self.a_world[:, index],
+            p_bone_sensor=self.p_bone_sensor[index],
+            joints=tuple(joints),
+        )
+
+    def resample(self, times: ArrayLike, max_gap: float = 0.1) -> Self:
+        """The same sensors at other times, usually those of the video.
+
+        Orientation is interpolated on the geodesic. Acceleration is averaged over +-1 frame with a
+        hat-shaped kernel: the central second difference of positions at the new rate is exactly that
+        average of the true acceleration, so the two can be compared ([1 4 1] / 6 at equal rates).
+
+        Args:
+            times: (T',) seconds.
+            max_gap: no value is interpolated across a gap longer than this, s: it becomes NaN.
+        """
+        times = checked_times("times to resample to", times)
+        step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / 60
+        return replace(
+            self,
+            times=times,
+            R_world_bone=signals.interpolate_rotations(
+                self.times, self.R_world_bone, times, max_gap
+            ),
+            a_world=signals.hat_average(self.times, self.a_world, times, step, max_gap),
+        )
+
+
+@dataclass(frozen=True)
+class PoseSequence:
+    """Joint positions and segment orientations of one person in world."""
+
+    times: Array
+    """(T,) seconds, strictly increasing."""
+    p_world_joint: Array
+    """(T, J, 3) m; NaN where unknown."""
+    R_world_bone: Array
+    """(T, J, 3, 3) orientation of each joint's segment; NaN where unknown."""
+    names: tuple[str, ...]
+    """J joint names."""
+    provenance: NDArray[np.uint8] = None  # type: ignore[assignment]
+    """(T, J) `Provenance` of each joint; NOBODY where not given."""
+    valid: NDArray[np.bool_] = None  # type: ignore[assignment]
+    """(T, J) whether the position is an estimate to rely on; where not given, whether it is finite."""
+    orientation_observed: NDArray[np.bool_] = None  # type: ignore[assignment]
+    """(T, J) whether all three angles of the segment were seen; where False, its twist follows the
+    parent. All False where not given."""
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "names", _checked_names("pose names", self.names))
+        set_(self, "times", checked_times("pose times", self.times))
+        T, J = len(self.times), len(self.names)
+        p = readonly("pose p_world_joint", self.p_world_joint, (T, J, 3))
+        R = readonly("pose R_world_bone", self.R_world_bone, (T, J, 3, 3))
+        _checked_rotations("pose R_world_bone", R)
+        known = np.isfinite(p).all(axis=-1)
+        provenance = np.zeros((T, J)) if self.provenance is None else self.provenance
+        valid = known if self.valid is None else np.asarray(self.valid, dtype=bool) & known
+        observed = self.orientation_observed
+        observed = np.zeros((T, J)) if observed is None else np.broadcast_to(observed, (T, J))
+        set_(self, "p_world_joint", p)
+        set_(self, "R_world_bone", R)
+        set_(self, "provenance", readonly("pose provenance", provenance, (T, J), np.uint8))
+        set_(self, "valid", readonly("pose valid", valid, (T, J), np.bool_))
+        observed = readonly("pose orientation_observed", observed, (T, J), np.bool_)
+        set_(self, "orientation_observed", observed)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __getitem__(self, frames: slice) -> Self:
+        return replace(
+            self,
+            times=self.times[frames],
+            p_world_joint=self.p_world_joint[frames],
+            R_world_bone=self.R_world_bone[frames],
+            provenance=self.provenance[frames],
+            valid=self.valid[frames],
+            orientation_observed=self.orientation_observed[frames],
+        )
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second, from the median step; 60 for a single frame."""
+        return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0
