@@ -1,0 +1,95 @@
+"""Human motion from one ordinary camera and a handful of IMUs.
+
+``from rtof_kin import SkeletonModel, FragmentSolver`` is the front door; `reconstruct` runs the whole
+pipeline. Importing the package loads neither torch nor a plotting library, and what is named below only
+when it is used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rtof_kin.calibration import ImuCalibration
+    from rtof_kin.errors import RtofError
+    from rtof_kin.fragment import FragmentSolution, FragmentSolver, SolverStatus
+    from rtof_kin.fragment_problem import FragmentSettings
+    from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+    from rtof_kin.metrics import Metrics, evaluate
+    from rtof_kin.pipeline import Reconstruction, ReconstructionSettings, reconstruct
+    from rtof_kin.recording import Recording
+    from rtof_kin.skeleton import MotionSequence, SkeletonModel
+    from rtof_kin.types import (
+        BoneImuSequence,
+        Camera,
+        ImuSequence,
+        KeypointSequence,
+        PoseSequence,
+        Provenance,
+    )
+
+_HOME = {
+    "BoneImuSequence": "types",
+    "Camera": "types",
+    "FragmentSettings": "fragment_problem",
+    "FragmentSolution": "fragment",
+    "FragmentSolver": "fragment",
+    "ImuCalibration": "calibration",
+    "ImuSequence": "types",
+    "InertialGuidedIK": "inertial_ik",
+    "InertialGuidedIKSettings": "inertial_ik",
+    "KeypointSequence": "types",
+    "Metrics": "metrics",
+    "MotionSequence": "skeleton",
+    "PoseSequence": "types",
+    "Provenance": "types",
+    "Reconstruction": "pipeline",
+    "ReconstructionSettings": "pipeline",
+    "Recording": "recording",
+    "RtofError": "errors",
+    "SkeletonModel": "skeleton",
+    "SolverStatus": "fragment",
+    "evaluate": "metrics",
+    "reconstruct": "pipeline",
+}
+__all__ = [
+    "BoneImuSequence",
+    "Camera",
+    "FragmentSettings",
+    "FragmentSolution",
+    "FragmentSolver",
+    "ImuCalibration",
+    "ImuSequence",
+    "InertialGuidedIK",
+    "InertialGuidedIKSettings",
+    "KeypointSequence",
+    "Metrics",
+    "MotionSequence",
+    "PoseSequence",
+    "Provenance",
+    "Reconstruction",
+    "ReconstructionSettings",
+    "Recording",
+    "RtofError",
+    "SkeletonModel",
+    "SolverStatus",
+    "evaluate",
+    "reconstruct",
+]
+
+try:
+    __version__ = version("rtof_kin")
+except PackageNotFoundError:  # a clone that was not installed
+    __version__ = "0+unknown"
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'rtof_kin' has no attribute {name!r}")
+    return getattr(import_module(f"rtof_kin.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -14,9 +14,9 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import signals
+from rtof_kin import kinematics, signals
 from rtof_kin.errors import ShapeError, SolverError, UnknownNameError
-from rtof_kin.fragment_problem import TERMS, FragmentProblem, FragmentSettings
+from rtof_kin.fragment_problem import TERMS, FragmentSettings, fragment_problem
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.root_position import refit_root
 from rtof_kin.skeleton import SkeletonModel
@@ -47,7 +47,9 @@ class FragmentReport:
     """Weighted energy per term at the returned point."""
     iterations: int
     seconds: float
-    """Time of the solver call."""
+    """Time of the solver."""
+    sigma_reprojection: float
+    """Standard deviation of a landmark that was used, px; given, or estimated from the fragment."""
     optimality: float
     """Largest derivative of the energy at the returned point, 1/m, measured there; with bone lengths as
     constraints, of the Lagrangian."""
@@ -119,7 +121,15 @@ class FragmentSolver:
         self.settings = settings or FragmentSettings()
         usual = tuple(joint for joint, _ in skeleton.sensors.values())
         self.sensor_joints = usual if sensor_joints is None else tuple(sensor_joints)
-        self._problem = FragmentProblem(skeleton, frames, self.sensor_joints, self.settings)
+        bones = [
+            (joint, child)
+            for joint in skeleton.index(*self.sensor_joints)
+            for child in kinematics.children_of(skeleton.parents, joint)
+        ]  # leaves (head, feet) have no bone here: a sensor there does not enter
+        self._problem = fragment_problem(skeleton.parents, frames, tuple(bones), self.settings)
+        p = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
+        a, b = np.array(self._problem.pairs).T
+        self._lengths = np.linalg.norm(p[b] - p[a], axis=1)
 
     def solve(
         self,
@@ -142,7 +152,7 @@ class FragmentSolver:
         Raises:
             ShapeError: start and keypoints differ in their times, a pose is not finite, or the person
                 is behind the camera. UnknownNameError: joints or sensors of another skeleton.
-            SolverError: nothing at all is observed.
+            SolverError: none of the landmarks is a joint.
         """
         blocks, reports = [], []
         for block, finished in self._run(start, keypoints, bone_imus, progress):
@@ -174,7 +184,7 @@ class FragmentSolver:
         """Blocks of N/2 frames with the reports that came in since the block before."""
         self._check(start, keypoints, bone_imus)
         if self.settings.refit_root:
-            start = refit_root(start, keypoints, self.settings.sigma_reprojection)
+            start = refit_root(start, keypoints)
         data = self._observations(start, keypoints, bone_imus)
         half, T = self.frames // 2, len(start)
         firsts = range(-half, T, half)
@@ -210,12 +220,29 @@ class FragmentSolver:
     def _solve_fragment(
         self, first: int, start: PoseSequence, data: dict[str, Array]
     ) -> tuple[Array, FragmentReport]:
-        problem, N = self._problem, self.frames
-        frame = np.arange(first, first + N)
+        """(N, J, 3) optimised positions, and what happened."""
+        frame = np.arange(first, first + self.frames)
         inside = (frame >= 0) & (frame < len(start))
         index = np.clip(frame, 0, len(start) - 1)
-        x0 = start.p_world_joint[index].reshape(N, -1).T.ravel(order="F")
-        p = problem.pack(self._fragment_values(index, inside, start, data))
+        x = start.p_world_joint[index].ravel()
+        values = self._fragment_values(index, inside, start, data)
+        sigma = self.settings.sigma_reprojection or self.settings.sigma_reprojection_first
+        x, report = self._call(x, values | {"sigma_reprojection": np.array([sigma])}, first)
+        if self.settings.sigma_reprojection is None and report.status is not SolverStatus.FAILED:
+            sigma = self._estimated_sigma(x, values, sigma)
+            x, again = self._call(x, values | {"sigma_reprojection": np.array([sigma])}, first)
+            report = replace(
+                again,
+                iterations=report.iterations + again.iterations,
+                seconds=report.seconds + again.seconds,
+            )
+        return x.reshape(self.frames, -1, 3), report
+
+    def _call(
+        self, x0: Array, values: dict[str, Array], first: int
+    ) -> tuple[Array, FragmentReport]:
+        """One call of IPOPT; everything in the report is measured at the point returned."""
+        problem, p = self._problem, self._problem.pack(values)
         began = perf_counter()
         bounds = 0.0 if self.settings.bone_lengths == "constraint" else ()
         result = problem.solver(x0=x0, p=p, lbg=bounds, ubg=bounds)
@@ -229,16 +256,30 @@ class FragmentSolver:
         g = np.asarray(problem.constraints(x, p)).ravel()
         if len(g):
             gradient = gradient + np.asarray(problem.constraint_gradient(x, p, result["lam_g"])).ravel()
-        report = FragmentReport(
+        return x, FragmentReport(
             first_frame=first,
             status=status,
             energy=dict(zip(TERMS, np.asarray(problem.energy(x, p)).ravel().tolist(), strict=True)),
             iterations=int(stats["iter_count"]),
             seconds=seconds,
+            sigma_reprojection=float(values["sigma_reprojection"][0]),
             optimality=float(np.abs(gradient).max()),
             infeasibility=float(np.abs(g).max(initial=0.0)),
         )
-        return x.reshape(N, -1, 3), report
+
+    def _estimated_sigma(self, x: Array, values: dict[str, Array], sigma: float) -> float:
+        """Twice the size of the reprojection residuals at x, px; `sigma` where hardly any are seen.
+
+        The median norm of a normal error in two dimensions is 1.177 of its standard deviation.
+        """
+        p_camera = values["R_camera_world"] @ x.reshape(-1, 3).T + values["t_camera_world"][:, None]
+        homogeneous = values["K"] @ p_camera
+        error = np.linalg.norm(homogeneous[:2] / homogeneous[2] - values["uv_px"], axis=0)
+        seen = values["w_visual"] > 0
+        if seen.sum() < 20:
+            return sigma
+        low, high = self.settings.sigma_reprojection_range
+        return float(np.clip(2 * np.median(error[seen]) / 1.177, low, high))
 
     # --- observations ----------------------------------------------------------------------------
 
@@ -278,20 +319,24 @@ class FragmentSolver:
         camera, seen = keypoints.camera, keypoints.select(self.skeleton.names)
         uv = camera.normalise(seen.uv_px) @ camera.K[:2, :2].T + camera.K[:2, 2]
         T, B = len(start), len(self._problem.sensor_bones)
+        shares = np.full(B, 0.5)
         a, b = np.full((T, B, 3), np.nan), np.full((T, B, 3), np.nan)
         if bone_imus is not None:
             if not np.array_equal(bone_imus.times, start.times):
                 bone_imus = bone_imus.resample(start.times)
-            for k, (joint, child, share) in enumerate(self._problem.sensor_bones):
+            for k, (joint, child) in enumerate(self._problem.sensor_bones):
                 if (name := self.skeleton.names[joint]) in bone_imus.joints:
                     s = bone_imus.joints.index(name)
                     R, rest = bone_imus.R_world_bone[:, s], self.skeleton.joint_offsets[child]
+                    lever = bone_imus.p_bone_sensor[s]
+                    shares[k] = np.clip(lever @ rest / (rest @ rest), 0, 1)
                     # What the lever arm has across the bone moves as the sensor says it turns.
-                    beside = R @ (bone_imus.p_bone_sensor[s] - share * rest)
+                    beside = R @ (lever - shares[k] * rest)
                     own = np.full((T, 3), np.nan)
                     own[1:-1] = signals.derivative(beside, start.rate_hz, 2)
                     b[:, k], a[:, k] = R @ rest, bone_imus.a_world[:, s] - own
         return {
+            "shares": shares,
             "uv_px": np.where(seen.seen[..., None], uv, 0.0),
             "w_visual": np.where(seen.seen, seen.confidence, 0.0),
             "a_world": np.nan_to_num(a),
@@ -329,6 +374,7 @@ class FragmentSolver:
             "rate_hz": np.array([start.rate_hz]),
             "uv_px": data["uv_px"][index].reshape(-1, 2).T,
             "w_visual": _mean(visual, 2).ravel(),
+            "shares": data["shares"],
             "a_world": a[:, 1:-1],
             "w_acceleration": _mean(acceleration, 3),
             "b_world": data["b_world"][index].reshape(columns).T,
@@ -336,20 +382,26 @@ class FragmentSolver:
             "w_smooth": _mean(smooth, 3 * J),
             "j_world": self._jerk_target(index, start, data),
             "w_length": _mean(length, len(self._problem.pairs)),
-            "lengths": self._problem.lengths,
+            "lengths": self._lengths,
             "p_prior": start.p_world_joint[index].reshape(columns).T,
         }
 
     def _jerk_target(
         self, index: NDArray[np.intp], start: PoseSequence, data: dict[str, Array]
     ) -> Array:
-        """(3J, N - 3) m/s^3: the differentiated acceleration of each joint that carries a sensor."""
+        """(3J, N - 3) m/s^3: the differentiated acceleration of each joint that carries a sensor.
+
+        Zero where one of the two accelerations is missing.
+        """
         J, N = len(self.skeleton.names), len(index)
         if self.settings.jerk_target != "sensor":
             return np.zeros((3 * J, 0))
+        a, known = data["a_world"][index][1:-1], data["w_acceleration"][index][1:-1] > 0
+        both = (known[1:] & known[:-1])[..., None]
+        jerk = np.where(both, np.diff(a, axis=0) * start.rate_hz, 0.0)
         target = np.zeros((N - 3, J, 3))
-        for k, (joint, _, _) in enumerate(self._problem.sensor_bones):
-            target[:, joint] = np.diff(data["a_world"][index][1:-1, k], axis=0) * start.rate_hz
+        for k, (joint, _) in enumerate(self._problem.sensor_bones):
+            target[:, joint] = jerk[:, k]
         return target.reshape(N - 3, -1).T
 
     def _with_orientations(

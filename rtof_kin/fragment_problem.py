@@ -12,6 +12,7 @@ many residuals a term has. E_L and E_P are what the printed energy lacks (see `F
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -21,7 +22,6 @@ from numpy.typing import NDArray
 from rtof_kin import energies
 from rtof_kin.errors import ShapeError
 from rtof_kin.kinematics import children_of
-from rtof_kin.skeleton import SkeletonModel
 
 Array = NDArray[np.float64]
 TERMS = ("visual", "acceleration", "bone", "smooth", "length", "prior")
@@ -46,8 +46,13 @@ class FragmentSettings:
     """Weight of bone vectors within them."""
     k_S: float = 0.3
     """Weight of smoothness within them."""
-    sigma_reprojection: float = 8.0
-    """[px] twice a good detector's error: its errors are correlated in time."""
+    sigma_reprojection: float | None = None
+    """[px] None: every fragment is solved with `sigma_reprojection_first`, then once more from there
+    with twice the size of its residuals (errors of a detector are correlated in time)."""
+    sigma_reprojection_first: float = 10.0
+    """[px] of the first of the two."""
+    sigma_reprojection_range: tuple[float, float] = (2.0, 20.0)
+    """[px] that the estimate is kept in."""
     huber_reprojection: float | None = 2.0
     """[sigma] where the visual loss turns from square to linear; None for the paper's plain squares."""
     sigma_acceleration: float = 1.0
@@ -69,7 +74,8 @@ class FragmentSettings:
     sigma_prior_bone: float = 0.1
     """[m] of a bone vector."""
     bone_lengths: str = "weighted"
-    """'weighted' by sigma_length, 'constraint' (equalities), or 'free' (as printed)."""
+    """'weighted' by sigma_length, 'constraint' (equalities in every fragment; blending two fragments
+    bends bones by about a millimetre again), or 'free' (as printed)."""
     blend: str = "tapered"
     """'tapered' weights of overlapping fragments, or 'average' (the paper's plain mean)."""
     padding: str = "masked"
@@ -92,18 +98,27 @@ class FragmentSettings:
         for field, values in allowed.items():
             if getattr(self, field) not in values:
                 raise ShapeError(f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}")
-        for field in ("reprojection", "acceleration", "bone", "jerk", "length", "prior", "prior_bone"):
+        if self.sigma_reprojection is not None and not self.sigma_reprojection > 0:
+            raise ShapeError("sigma_reprojection must be positive, or None to estimate it")
+        if not 0 < self.sigma_reprojection_range[0] <= self.sigma_reprojection_range[1]:
+            raise ShapeError("sigma_reprojection_range must be positive, the smaller one first")
+        for field in ("reprojection_first", "acceleration", "bone", "jerk", "length", "prior", "prior_bone"):
             if not getattr(self, f"sigma_{field}") > 0:
                 raise ShapeError(f"sigma_{field} must be positive; leave a term out by its weight k")
         for field in ("k_V", "k_I", "k_A", "k_B", "k_S"):
-            if not getattr(self, field) >= 0:
-                raise ShapeError(f"{field} must not be negative")
+            if not 0 <= getattr(self, field) < np.inf:
+                raise ShapeError(f"{field} must not be negative, and finite")
+        if self.huber_reprojection is not None and not self.huber_reprojection > 0:
+            raise ShapeError("huber_reprojection must be positive; None stands for plain squares")
+        if not (self.tolerance > 0 and self.max_iterations >= 0):
+            raise ShapeError("tolerance must be positive and max_iterations not negative")
 
     @classmethod
     def paper(cls) -> FragmentSettings:
         """The energy as printed: plain squares, free bone lengths, plain mean of replicated fragments,
         the sensor's jerk as target; with the weak prior on positions that gives it a minimiser."""
         return cls(
+            sigma_reprojection=10.0,
             huber_reprojection=None,
             jerk_target="sensor",
             bone_lengths="free",
@@ -150,25 +165,25 @@ class FragmentProblem:
 
     def __init__(
         self,
-        skeleton: SkeletonModel,
+        parents: tuple[int, ...],
         frames: int,
-        sensor_joints: tuple[str, ...],
+        sensor_bones: tuple[tuple[int, int], ...],
         settings: FragmentSettings,
     ) -> None:
-        self.skeleton, self.frames, self.settings = skeleton, frames, settings
-        self.sensor_bones = sensor_bones(skeleton, sensor_joints)
-        self.pairs = rigid_pairs(skeleton)
-        p = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
-        self.lengths = np.array([np.linalg.norm(p[b] - p[a]) for a, b in self.pairs])
-        J, N, B = len(skeleton.names), frames, len(self.sensor_bones)
+        """Build for a tree `parents` (J,), N `frames` and the (joint, child) `sensor_bones`."""
+        self.parents, self.frames, self.settings = parents, frames, settings
+        self.sensor_bones, self.pairs = sensor_bones, rigid_pairs(parents)
+        J, N, B = len(parents), frames, len(sensor_bones)
         self.X = ca.SX.sym("X", 3 * J, N)
         self.parameters: dict[str, Any] = {
             "R_camera_world": ca.SX.sym("R", 3, 3),
             "t_camera_world": ca.SX.sym("t", 3),
             "K": ca.SX.sym("K", 3, 3),
             "rate_hz": ca.SX.sym("rate"),
+            "sigma_reprojection": ca.SX.sym("sV"),
             "uv_px": ca.SX.sym("uv", 2, N * J),
             "w_visual": ca.SX.sym("wV", N * J),
+            "shares": ca.SX.sym("rho", B),
             "a_world": ca.SX.sym("a", 3 * B, N - 2),
             "w_acceleration": ca.SX.sym("wA", B, N - 2),
             "b_world": ca.SX.sym("b", 3 * B, N),
@@ -190,12 +205,13 @@ class FragmentProblem:
         return self.X[3 * name_or_index : 3 * name_or_index + 3, :]
 
     def _terms(self) -> dict[str, _Term]:
-        P, s, J, N = self.parameters, self.settings, len(self.skeleton.names), self.frames
+        P, s, J, N = self.parameters, self.settings, len(self.parents), self.frames
         points = ca.reshape(self.X, 3, J * N)
         camera = P["R_camera_world"] @ points + ca.repmat(P["t_camera_world"], 1, J * N)
-        visual = energies.reprojection(camera, P["uv_px"], P["K"]) / s.sigma_reprojection
+        visual = energies.reprojection(camera, P["uv_px"], P["K"]) / P["sigma_reprojection"]
         accelerations, bones = [], []
-        for k, (joint, child, share) in enumerate(self.sensor_bones):
+        for k, (joint, child) in enumerate(self.sensor_bones):
+            share = P["shares"][k]
             sensor = (1 - share) * self._joint(joint) + share * self._joint(child)
             rows = slice(3 * k, 3 * k + 3)
             accelerations.append(
@@ -231,7 +247,7 @@ class FragmentProblem:
         if s.prior == "positions":
             return energies.position(self.X, start) / s.sigma_prior
         rows = [energies.position(self.X[:3, :], start[:3, :]) / s.sigma_prior]
-        for child, parent in enumerate(self.skeleton.parents):
+        for child, parent in enumerate(self.parents):
             if parent >= 0:
                 a, b = slice(3 * parent, 3 * parent + 3), slice(3 * child, 3 * child + 3)
                 observed = start[b, :] - start[a, :]
@@ -319,30 +335,22 @@ class FragmentProblem:
         }
 
 
-def sensor_bones(
-    skeleton: SkeletonModel, joints: tuple[str, ...]
-) -> tuple[tuple[int, int, float], ...]:
-    """(joint, child, share) of every bone whose segment carries a sensor.
-
-    The sensor stands a share of the bone from its joint: the projection of its usual lever arm on the
-    bone. Leaves (head, feet) have no bone here, so that a sensor there does not enter.
-    """
-    levers = {joint: offset for joint, offset in skeleton.sensors.values()}
-    bones = []
-    for name, joint in zip(joints, skeleton.index(*joints), strict=True):
-        for child in children_of(skeleton.parents, joint):
-            bone = skeleton.joint_offsets[child]
-            lever = levers.get(name, bone / 2)
-            share = float(np.clip(lever @ bone / (bone @ bone), 0, 1))
-            bones.append((joint, child, share))
-    return tuple(bones)
+@lru_cache(maxsize=8)
+def fragment_problem(
+    parents: tuple[int, ...],
+    frames: int,
+    sensor_bones: tuple[tuple[int, int], ...],
+    settings: FragmentSettings,
+) -> FragmentProblem:
+    """The problem of a skeleton's tree, built once for all bodies that share it."""
+    return FragmentProblem(parents, frames, sensor_bones, settings)
 
 
-def rigid_pairs(skeleton: SkeletonModel) -> tuple[tuple[int, int], ...]:
+def rigid_pairs(parents: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
     """Pairs of joints whose distance is constant: the bones, and siblings on one rigid segment."""
-    pairs = [(parent, child) for child, parent in enumerate(skeleton.parents) if parent >= 0]
-    for joint in range(len(skeleton.names)):
-        children = children_of(skeleton.parents, joint)
+    pairs = [(parent, child) for child, parent in enumerate(parents) if parent >= 0]
+    for joint in range(len(parents)):
+        children = children_of(parents, joint)
         pairs += [(a, b) for i, a in enumerate(children) for b in children[i + 1 :]]
     return tuple(pairs)
 

@@ -15,7 +15,9 @@ from rtof_kin import rotations as so3
 
 Array = NDArray[np.float64]
 NEAR_OPPOSITE = 1 + np.cos(np.radians(170.0))
-"""Below this 1 + cos(angle) a minimal rotation is taken from the frame before, not from the parent."""
+"""Below this 1 + cos(angle) a swing keeps the twist of the frame before, not of the parent."""
+TWIST_RETURN = np.radians(5.0)
+"""Largest twist per frame, radians, by which a swing returns to the parent's after that."""
 
 
 def children_of(parents: Sequence[int], joint: int) -> list[int]:
@@ -79,15 +81,24 @@ def segment_rotation(
 def swing(R_parent: Array, rest: Array, observed: Array) -> Array:
     """The parent's orientation (T, 3, 3) turned so that a rest bone (3,) points as observed (T, 3).
 
-    The turn is the smallest one. Where it is nearly half a turn its axis is undefined; there the turn
-    continues the frame before (parallel transport) so that the twist does not jump about.
+    The turn is the smallest one. Where it is nearly half a turn its axis is undefined and the twist
+    about the bone with it; there the twist is carried over from the frame before (parallel transport),
+    and afterwards returns to the smallest turn's by at most `TWIST_RETURN` a frame: it never jumps.
     """
     expected = R_parent @ rest
     R = so3.minimal_rotation(expected, observed) @ R_parent
-    cos = np.sum(so3.unit(expected) * so3.unit(observed), axis=-1)
-    for t in np.flatnonzero(1 + cos < NEAR_OPPOSITE):
-        if t > 0:
-            R[t] = so3.minimal_rotation(R[t - 1] @ rest, observed[t]) @ R[t - 1]
+    opposite = 1 + np.sum(so3.unit(expected) * so3.unit(observed), axis=-1) < NEAR_OPPOSITE
+    behind = False
+    for t in range(int(np.argmax(opposite)) + 1, len(R)) if opposite.any() else ():
+        if not (opposite[t] or opposite[t - 1] or behind):
+            continue
+        carried = R_parent[t] @ R_parent[t - 1].T @ R[t - 1]
+        carried = so3.minimal_rotation(carried @ rest, observed[t]) @ carried
+        twist = so3.log(R[t] @ carried.T)
+        angle = float(np.linalg.norm(twist))
+        behind = bool(opposite[t]) or angle > TWIST_RETURN
+        if behind:
+            R[t] = so3.exp(twist * (0.0 if opposite[t] else TWIST_RETURN / angle)) @ carried
     return R
 
 

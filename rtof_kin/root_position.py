@@ -21,14 +21,15 @@ def refit_root(
 ) -> PoseSequence:
     """Move every frame's pose so that it fits its keypoints, shape and orientation kept.
 
-    A linear least squares per frame in the root's translation: each landmark's displacement across its
-    ray, in pixels, with Cauchy weights against outliers, and the pose's own root as a weak prior.
+    Gauss-Newton on each frame's reprojection error in the root's translation, with Cauchy weights against
+    outliers, and the pose's own root as a weak prior. (The linear equations with the observed rays in
+    the matrix are biased towards the camera: by 12 mm at 5 px and 4 m, by 50 mm at 10 px.)
 
     Args:
         poses: (T, J) rigid poses. keypoints: the same frames; landmarks that are joints are used.
         sigma_px: standard deviation of a landmark, px.
         sigma_depth: standard deviation of the given root, m.
-        iterations: re-weightings, each with the depths of the one before.
+        iterations: Gauss-Newton steps, each with the weights of the one before.
 
     Returns:
         The poses translated; frames without keypoints are unchanged.
@@ -43,10 +44,10 @@ def refit_root(
     for _ in range(iterations):
         moved = p + shift[:, None]
         depth = np.maximum(moved[..., 2], 0.3)
-        # Residual in px of a point at depth z: focal / z (x - z x_ray), linear in the translation.
+        # Residual of a point at depth z: focal / z (x - z x_ray), in sigmas.
         A = np.zeros((*p.shape[:2], 2, 3))
         A[..., 0, 0] = A[..., 1, 1] = 1.0
-        A[..., :, 2] = -xy
+        A[..., :, 2] = -moved[..., :2] / depth[..., None]
         scale = (focal / sigma_px / depth)[..., None]
         r = (moved[..., :2] - moved[..., 2:] * xy) * scale
         r = np.where(ok[..., None], r, 0.0)

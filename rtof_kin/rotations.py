@@ -84,29 +84,33 @@ def unit(v: ArrayLike) -> Array:
     return np.asarray(np.divide(v, norm, out=np.zeros_like(v), where=norm > 0))
 
 
-def minimal_rotation(a: ArrayLike, b: ArrayLike, eps: float = 1e-9) -> Array:
+def minimal_rotation(a: ArrayLike, b: ArrayLike) -> Array:
     """The rotation with the smallest angle that turns direction a into direction b.
 
+    Where the two are opposite the axis is arbitrary; one perpendicular to `a` is taken.
+    `kinematics.swing` chooses it over time.
+
     Args:
-        a, b: directions (..., 3); need not be unit vectors.
-        eps: below ``1 + cos(angle) < eps`` the two are opposite and the axis is arbitrary; the
-            axis is then taken perpendicular to `a`. `swing_continuous` chooses it over time.
+        a, b: directions (..., 3); need not be unit vectors. A zero vector gives the identity.
 
     Returns:
         Rotations (..., 3, 3).
     """
     a, b = np.broadcast_arrays(unit(a), unit(b))
-    cross = np.cross(a, b)
     cos = np.sum(a * b, axis=-1)
-    opposite = 1 + cos < eps
-    scale = 1 / np.where(opposite, 1.0, 1 + cos)
+    # Rodrigues' formula loses its digits near half a turn. Past a right angle: half a turn about the
+    # common normal takes a to -a, and the rest is less than a right angle.
+    far = cos < 0
+    cross = np.cross(np.where(far[..., None], -a, a), b)
     K = skew(cross)
-    R = np.eye(3) + K + scale[..., None, None] * (K @ K)
-    if np.any(opposite):
+    R = np.eye(3) + K + K @ K / (1 + np.abs(cos))[..., None, None]
+    if np.any(far):
         helper = np.where(np.abs(a[..., :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0])
-        axis = unit(np.cross(a, helper))
-        half_turn = 2 * axis[..., :, None] * axis[..., None, :] - np.eye(3)
-        R = np.where(opposite[..., None, None], half_turn, R)
+        opposite = np.linalg.norm(cross, axis=-1, keepdims=True) < 1e-12
+        normal = unit(np.where(opposite, np.cross(a, helper), cross))
+        normal = unit(normal - a * np.sum(a * normal, axis=-1, keepdims=True))
+        half_turn = 2 * normal[..., :, None] * normal[..., None, :] - np.eye(3)
+        R = np.where(far[..., None, None], R @ half_turn, R)
     return np.asarray(R)
 
 

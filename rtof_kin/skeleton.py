@@ -100,6 +100,14 @@ class SkeletonModel:
         return cls.from_urdf(model_path("human36m.urdf"), model_path("human36m.toml"))
 
     @classmethod
+    def named(cls, name: str) -> SkeletonModel:
+        """A shipped skeleton by its table's name: 'total_capture' or 'human36m'."""
+        shipped = {"total_capture": cls.default, "human36m": cls.human36m}
+        if name not in shipped:
+            raise UnknownNameError("skeleton", [name], list(shipped))
+        return shipped[name]()
+
+    @classmethod
     def from_urdf(cls, path: str | Path, table: str | Path | None = None) -> SkeletonModel:
         """Load a URDF that this package wrote (shipped or personalised).
 
@@ -317,11 +325,11 @@ class SkeletonModel:
 
     def check(self, q: ArrayLike) -> ConfigurationReport:
         """Singular postures and limit violations of configurations (T, nq)."""
-        q = readonly("q", q, ("T", self.nq))
-        singular = np.zeros((len(q), len(self.names)), dtype=bool)
-        middle = q[:, self._q_index[:, 1]]
+        rows: Array = readonly("q", q, ("T", self.nq))
+        singular: NDArray[np.bool_] = np.zeros((len(rows), len(self.names)), dtype=np.bool_)
+        middle = rows[:, self._q_index[:, 1]]
         singular[:, 1:] = np.abs(np.cos(middle)) < np.sin(SINGULAR_MARGIN)
-        angles = q[:, 7:]
+        angles = rows[:, 7:]
         excess = np.maximum(np.maximum(self.limits[:, 0] - angles, angles - self.limits[:, 1]), 0.0)
         return ConfigurationReport(singular, excess, self.dof_names)
 
@@ -345,7 +353,7 @@ class SkeletonModel:
         return np.asarray(p[:, joints] + np.einsum("tlij,lj->tli", R[:, joints], offsets))
 
     def orientation_observed(self, sensor_joints: tuple[str, ...] = ()) -> NDArray[np.bool_]:
-        """(J,) whether positions (and sensors on the segments named) fix all three angles of a segment."""
+        """(J,) whether positions (and sensors on the segments named) fix a segment's three angles."""
         count = np.bincount([p for p in self.parents if p >= 0], minlength=len(self.names))
         observed = count > 1
         observed[self.index(*sensor_joints)] = True

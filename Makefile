@@ -1,0 +1,36 @@
+# make demo: from a bare machine to the demo's numbers and figures. make test: everything CI checks.
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test lint bench speed wheel-check clean
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[dev]"
+	touch $(STAMP)
+
+demo: $(STAMP)
+	$(BIN)/rtof-kin demo -o out/demo --overwrite
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python models/build_urdf.py --check
+
+test: lint
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/python examples/quickstart.py models/demo out/quickstart
+	$(BIN)/python tests/check_wheel.py
+
+# The table of benchmarks/README.md; CORPUS is the folder of free motion described there.
+bench: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.harness --corpus $(CORPUS)
+
+speed: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.speed
+
+clean:
+	rm -rf $(VENV) out build dist

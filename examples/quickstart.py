@@ -1,0 +1,22 @@
+"""The whole pipeline in a few lines; run as ``python examples/quickstart.py [FOLDER] [OUT]``."""
+
+import sys
+
+from rtof_kin import FragmentSolver, InertialGuidedIK, Recording, SkeletonModel, reconstruct
+from rtof_kin.resources import model_path
+
+folder = sys.argv[1] if len(sys.argv) > 1 else model_path("demo")
+out = sys.argv[2] if len(sys.argv) > 2 else "out/quickstart"
+
+recording = Recording.load(folder)
+skeleton = SkeletonModel.default().with_offsets(recording.joint_offsets)
+result = reconstruct(recording, skeleton, mode="rtof")  # the shipped lifter, loaded only now
+if result.metrics is not None:  # None without truth
+    print(f"root-relative error: {result.metrics['mpjpe_rr_mm']:.1f} mm")
+print("configurations:", result.motion.q.shape)
+result.export(out, overwrite=True)
+
+# or each stage by hand:
+sf2 = InertialGuidedIK(skeleton).refine(result.stages["lift"], result.bone_imus)
+solution = FragmentSolver(skeleton, frames=50).solve(sf2, recording.keypoints, result.bone_imus)
+print(solution.status, solution.energy, solution.poses.p_world_joint.shape)

@@ -1,0 +1,167 @@
+"""A trained lifter as one file: weights, everything needed to use them, and where they come from.
+
+The file is written by `torch.save` and only ever read with ``weights_only=True``, so it cannot run
+code. A SHA-256 over the weights and the description finds damage.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from lifting.model import NetworkConfig, TemporalNetwork
+from lifting.windows import Body
+from rtof_kin.errors import FileFormatError
+
+FORMAT = "rtof-kin lifter"
+VERSION = 1
+ACKNOWLEDGEMENT = (
+    "The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with "
+    "funding from NSF EIA-0196217."
+)
+_MAX_CHANNELS, _MAX_JOINTS = 4096, 200
+
+
+@dataclass(frozen=True)
+class LifterDescription:
+    """Everything about a lifter but its weights."""
+
+    body: Body
+    """Joints, tree and nominal bone lengths."""
+    network: NetworkConfig
+    """Shape of the network."""
+    rate_hz: float = 60.0
+    """Frames per second of the windows it was trained on."""
+    recipe: dict[str, Any] = field(default_factory=dict)
+    """Settings of the training, as plain values."""
+    validation: dict[str, Any] = field(default_factory=dict)
+    """Errors on the validation subjects, mm."""
+    data: str = ACKNOWLEDGEMENT
+    """Where the motion came from, and what its licence asks to be said."""
+
+
+def save_checkpoint(
+    path: str | Path, network: TemporalNetwork, description: LifterDescription
+) -> Path:
+    """Write a lifter; the file appears whole or not at all."""
+    path = Path(path)
+    text = json.dumps(asdict(description), sort_keys=True)
+    weights = {k: v.detach().to("cpu").contiguous() for k, v in network.state_dict().items()}
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "description": text,
+        "weights": weights,
+        "sha256": _digest(text, weights),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".part")
+    torch.save(content, partial)
+    os.replace(partial, path)
+    return path
+
+
+def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescription]:
+    """Read a lifter, on the CPU and ready for use.
+
+    Raises:
+        FileFormatError: missing, not a lifter, written by another version, damaged or altered.
+    """
+    path = Path(path)
+    content = _read(path)
+    text, weights = content.get("description"), content.get("weights")
+    if not isinstance(text, str) or not isinstance(weights, dict):
+        raise FileFormatError(path, "this lifter lacks its description or weights; train it again")
+    if not all(isinstance(k, str) and isinstance(v, Tensor) for k, v in weights.items()):
+        raise FileFormatError(path, "the weights of this lifter are not tensors; train it again")
+    if _digest(text, weights) != content.get("sha256"):
+        raise FileFormatError(
+            path, "the checksum does not match: the file is damaged or was altered; copy it again"
+        )
+    description = _description(path, text)
+    network = TemporalNetwork(description.network)
+    try:
+        network.load_state_dict(weights)
+    except RuntimeError as error:
+        raise FileFormatError(
+            path, f"the weights do not fit the network described: {error}"
+        ) from error
+    if not all(bool(v.isfinite().all()) for v in weights.values()):
+        raise FileFormatError(path, "the weights are not finite: its training failed; train again")
+    return network.eval(), description
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise FileFormatError(path, "no such file; give the path of a trained lifter")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises many types on damaged archives
+        first = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise FileFormatError(
+            path, f"not a readable lifter ({first[:120]}); copy the file again or train a new one"
+        ) from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise FileFormatError(path, "a torch file, but not a lifter of this package")
+    if content.get("version") != VERSION:
+        raise FileFormatError(
+            path,
+            f"lifter format {content.get('version')}; this version of the package reads format "
+            f"{VERSION}: install the version that wrote it, or train again",
+        )
+    return content
+
+
+def _description(path: Path, text: str) -> LifterDescription:
+    try:
+        raw = json.loads(text)
+        body, network = raw.pop("body"), raw.pop("network")
+        description = LifterDescription(
+            body=Body(
+                tuple(map(str, body["names"])),
+                tuple(map(int, body["parents"])),
+                tuple(map(float, body["nominal_lengths"])),
+            ),
+            network=NetworkConfig(**{**network, "filter_widths": tuple(network["filter_widths"])}),
+            **raw,
+        )
+        _check(description)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise FileFormatError(path, f"the description of this lifter is wrong: {error}") from error
+    return description
+
+
+def _check(description: LifterDescription) -> None:
+    """Refuse what would build an absurd network."""
+    body, network = description.body, description.network
+    J = len(body.names)
+    tree = all(parent < j for j, parent in enumerate(body.parents)) and body.parents[:1] == (-1,)
+    if not 2 <= J <= _MAX_JOINTS or len(body.parents) != J or not tree:
+        raise ValueError("names and parents are no tree of joints")
+    if len(body.nominal_lengths) != len(body.bones) or min(body.nominal_lengths) <= 0:
+        raise ValueError("the nominal bone lengths do not fit the joints")
+    if (network.inputs, network.outputs) != (body.inputs, body.outputs):
+        raise ValueError("the network's inputs or outputs do not fit the joints")
+    if not 1 <= network.channels <= _MAX_CHANNELS:
+        raise ValueError(f"{network.channels} channels")
+    widths = network.filter_widths
+    if not 1 <= len(widths) <= 6 or not all(w in (1, 3, 5, 7) for w in widths):
+        raise ValueError(f"filter widths {widths}")
+    if not description.rate_hz > 0:
+        raise ValueError(f"a rate of {description.rate_hz} Hz")
+
+
+def _digest(text: str, weights: dict[str, Tensor]) -> str:
+    digest = hashlib.sha256(text.encode())
+    for name in sorted(weights):
+        tensor = weights[name].detach().contiguous()
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,243 @@
+"""From rays to network input and back: the gravity-aligned, root-centred, scaled representation.
+
+A window is W frames of rays from one camera to J landmarks. The *view* frame of a window looks along
+the ray to the root in its middle frame (x right, y down, z forward, no roll); the *ray* frame has the
+same azimuth but is level (x away from the camera, y left, z up). Both are upright in world, so the
+network sees gravity, and neither knows the camera's intrinsics, tilt, or heading.
+
+Per frame the network sees x/z and y/z of each landmark in the view frame, divided by `scale`, and
+whether it was seen; on every frame it also sees what holds for the window: the elevation of the
+root's ray, log scale, the camera's height over the floor, and bone lengths, the last two optional.
+It answers with root-relative joints in the ray frame (m), the root's shift from the window's centre in
+the scaled image, and log(distance x scale).
+
+Arrays are (B, component, W, J): one plane per component, so turning and chaining bones are large
+matrix products.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+MIN_FORWARD = 0.1
+"""Cosine to the view axis below which a ray counts as unseen."""
+MIN_SCALE = 1e-4
+LENGTH_GAIN = 10.0
+"""Bone lengths enter as (length / nominal - 1) x this gain."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """The joints a lifter knows: names, tree, and the usual bone lengths."""
+
+    names: tuple[str, ...]
+    """J joint names, root first, parents before children; sided ones begin with Left and Right."""
+    parents: tuple[int, ...]
+    """(J,) index of each joint's parent, -1 for the root."""
+    nominal_lengths: tuple[float, ...]
+    """(G,) usual length of each bone of `bones`, m."""
+
+    @cached_property
+    def bones(self) -> tuple[str, ...]:
+        """G bone names, by the joint at the far end, left and right as one."""
+        return tuple(bone_groups(self.names))
+
+    @cached_property
+    def mirrored(self) -> list[int]:
+        """(J,) index of each joint's counterpart on the other side, itself in the middle."""
+        swap = {"Left": "Right", "Right": "Left"}
+        return [
+            next(
+                (self.names.index(swap[s] + n[len(s) :]) for s in swap if n.startswith(s)),
+                self.names.index(n),
+            )
+            for n in self.names
+        ]
+
+    @cached_property
+    def hips(self) -> list[int]:
+        """Indices of the root's sided children: their mean stands in for an unseen root."""
+        return [
+            j
+            for j, parent in enumerate(self.parents)
+            if parent == 0 and self.names[j].startswith(("Left", "Right"))
+        ]
+
+    @property
+    def inputs(self) -> int:
+        """Features per frame of the network."""
+        return 3 * len(self.names) + 4 + len(self.bones) + 1
+
+    @property
+    def outputs(self) -> int:
+        """Values per estimated frame of the network."""
+        return 3 * len(self.names)
+
+    def bone_lengths(self, offsets: Tensor) -> Tensor:
+        """Lengths (..., G) in m, left and right averaged, of offsets or bone vectors (..., J, 3)."""
+        length = offsets.norm(dim=-1)
+        groups = bone_groups(self.names).values()
+        return torch.stack([length[..., group].mean(dim=-1) for group in groups], dim=-1)
+
+
+def bone_groups(joint_names: tuple[str, ...]) -> dict[str, list[int]]:
+    """Bones by the unsided name of the joint at their far end, each with the indices of its joints."""
+    groups: dict[str, list[int]] = {}
+    for j, name in enumerate(joint_names[1:], start=1):
+        groups.setdefault(name.removeprefix("Left").removeprefix("Right"), []).append(j)
+    return groups
+
+
+@dataclass(frozen=True)
+class EncodedWindows:
+    """Network input, and the frame in which its answer is to be read."""
+
+    features: Tensor
+    """(B, W, inputs)."""
+    R_view_world: Tensor
+    """(B, 3, 3)."""
+    R_ray_world: Tensor
+    """(B, 3, 3)."""
+    scale: Tensor
+    """(B,) RMS distance of the landmarks from each frame's mean, in units of focal length."""
+    image: Tensor
+    """(B, 2, J) scaled x/z and y/z of the middle frame; 0 where unseen."""
+
+
+def encode(
+    body: Body, rays_world: Tensor, seen: Tensor, lengths: Tensor, camera_height: Tensor
+) -> EncodedWindows:
+    """Network input of windows.
+
+    Args:
+        body: the joints.
+        rays_world: (B, 3, W, J) directions in world from the optical centre, of any finite length.
+        seen: (B, W, J) bool; unseen rays are not read.
+        lengths: (B, G) bone lengths in m; NaN in a row where they are unknown.
+        camera_height: (B,) height of the optical centre over the floor, m; NaN where unknown.
+    """
+    centre = _centre_ray(body, rays_world, seen)
+    elevation = torch.atan2(centre[:, 2], centre[:, :2].norm(dim=1))
+    azimuth = torch.atan2(centre[:, 1], centre[:, 0])
+    R_view, R_ray = _frames(azimuth, elevation)
+    view = torch.bmm(R_view, rays_world.flatten(2)).unflatten(2, rays_world.shape[2:])
+    x, y, z = view.unbind(dim=1)
+    seen = seen & (z > MIN_FORWARD)
+    weight = seen.to(view.dtype)
+    inverse = weight / torch.where(seen, z, 1.0)
+    x, y = x * inverse, y * inverse
+    scale = _scale(x, y, weight)
+    image = torch.cat([x, y], dim=2) / scale[:, None, None]
+    fixed = torch.cat(
+        [
+            elevation[:, None],
+            scale.log()[:, None],
+            _optional((camera_height * scale).clamp_min(1e-3).log()[:, None]),
+            _optional((lengths / lengths.new_tensor(body.nominal_lengths) - 1) * LENGTH_GAIN),
+        ],
+        dim=1,
+    )
+    frames = fixed[:, None].expand(-1, x.shape[1], -1)
+    image = image.clamp(-20, 20)
+    features = torch.cat([image, weight, frames], dim=2)
+    middle = image[:, x.shape[1] // 2].unflatten(1, (2, -1))
+    return EncodedWindows(features, R_view, R_ray, scale, middle)
+
+
+def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> tuple[Tensor, Tensor]:
+    """The network's answer in world axes.
+
+    Args:
+        body: the joints.
+        output: (B, outputs) of the network.
+        encoded: what it was computed from.
+
+    Returns:
+        Root-relative joints (B, 3, J) and the root's position from the optical centre (B, 3), m.
+    """
+    output = output.float()
+    pose_ray = output[:, :-3].unflatten(1, (3, len(body.names) - 1))
+    pose = torch.bmm(encoded.R_ray_world.transpose(1, 2), pose_ray)
+    import os
+    if os.environ.get('SKIP'):
+        K = output[:, -1].clamp(-4, 3).exp()
+        if os.environ.get('SKIP')=='2': K=K.detach()
+        pose = pose + K[:,None,None]*torch.bmm(encoded.R_view_world.transpose(1, 2)[:,:,:2], encoded.image[:,:,1:])
+    pose = torch.nn.functional.pad(pose, (1, 0))
+    shift = output[:, -3:-1] * encoded.scale[:, None]
+    direction = torch.nn.functional.normalize(torch.nn.functional.pad(shift, (0, 1), value=1.0))
+    distance = output[:, -1].clamp(-4, 3).exp() / encoded.scale
+    root_view = direction * distance[:, None]
+    return pose, torch.einsum("bji,bj->bi", encoded.R_view_world, root_view)
+
+
+def mirror_features(body: Body, features: Tensor) -> Tensor:
+    """Features (B, W, inputs) of the mirrored scene: left and right swapped, x negated."""
+    J = len(body.names)
+    x, y, seen, fixed = features.split([J, J, J, features.shape[-1] - 3 * J], dim=-1)
+    order = body.mirrored
+    return torch.cat([-x[..., order], y[..., order], seen[..., order], fixed], dim=-1)
+
+
+def mirror_output(body: Body, output: Tensor) -> Tensor:
+    """Answer (B, outputs) of the mirrored scene, or back."""
+    order = [j - 1 for j in body.mirrored[1:]]
+    pose = output[:, :-3].unflatten(1, (3, len(order)))[:, :, order]
+    pose = pose * pose.new_tensor([1.0, -1.0, 1.0])[:, None]
+    root = output[:, -3:] * output.new_tensor([-1.0, 1.0, 1.0])
+    return torch.cat([pose.flatten(1), root], dim=1)
+
+
+def _centre_ray(body: Body, rays: Tensor, seen: Tensor) -> Tensor:
+    """Direction (B, 3) that a window is centred on.
+
+    In the middle frame, or the nearest one with anything seen: the root, else the mean of the hips
+    seen, else the mean of everything seen; straight ahead (x) where nothing is.
+    """
+    B, W, _ = seen.shape
+    away = (torch.arange(W, device=seen.device) - W // 2).abs()
+    frame = (away + W * ~seen.any(dim=2)).argmin(dim=1)
+    rows = torch.arange(B, device=seen.device)
+    now, ray = seen[rows, frame].to(rays.dtype), rays[rows, :, frame]
+    hips = torch.zeros_like(now)
+    hips[:, body.hips] = now[:, body.hips]
+    weight = torch.where(hips.any(dim=1, keepdim=True), hips, now)
+    root = torch.zeros_like(now)
+    root[:, 0] = 1.0
+    weight = torch.where(now[:, :1] > 0, root, weight)
+    unit = torch.nn.functional.normalize(torch.where(now[:, None] > 0, ray, 0.0), dim=1)
+    centre = torch.einsum("bcj,bj->bc", unit, weight)
+    ahead = centre.new_tensor([1.0, 0.0, 0.0])
+    return torch.where(centre.norm(dim=1, keepdim=True) > 1e-6, centre, ahead)
+
+
+def _frames(azimuth: Tensor, elevation: Tensor) -> tuple[Tensor, Tensor]:
+    """R_view_world and R_ray_world (B, 3, 3)."""
+    cos_a, sin_a, cos_e, sin_e = azimuth.cos(), azimuth.sin(), elevation.cos(), elevation.sin()
+    zero, one = torch.zeros_like(azimuth), torch.ones_like(azimuth)
+    right = torch.stack([sin_a, -cos_a, zero], dim=1)
+    forward = torch.stack([cos_e * cos_a, cos_e * sin_a, sin_e], dim=1)
+    R_view = torch.stack([right, torch.linalg.cross(forward, right), forward], dim=1)
+    level = torch.stack([cos_a, sin_a, zero], dim=1)
+    R_ray = torch.stack([level, -right, torch.stack([zero, zero, one], dim=1)], dim=1)
+    return R_view, R_ray
+
+
+def _scale(x: Tensor, y: Tensor, weight: Tensor) -> Tensor:
+    """RMS distance (B,) of the points seen (B, W, J) from the mean of their frame."""
+    count = weight.sum(dim=2, keepdim=True).clamp_min(1.0)
+    square = weight * (
+        (x - x.sum(dim=2, keepdim=True) / count) ** 2 + (y - y.sum(dim=2, keepdim=True) / count) ** 2
+    )
+    mean = square.sum(dim=(1, 2)) / weight.sum(dim=(1, 2)).clamp_min(1.0)
+    return mean.sqrt().clamp_min(MIN_SCALE)
+
+
+def _optional(values: Tensor) -> Tensor:
+    """Values (B, n) and a flag (B, 1) that they are known; zeros where any in a row is NaN."""
+    known = values.isfinite().all(dim=1, keepdim=True)
+    return torch.cat([torch.where(known, values, 0.0), known.to(values.dtype)], dim=1)

@@ -1,0 +1,101 @@
+"""Everything a reconstruction leaves behind, in one folder.
+
+============================  ==================================================================
+motion.npz                    the motion with validity and provenance (`io.motion_npz`)
+skeleton.urdf                 the subject's skeleton
+joint_trajectory.csv, .json   configurations with named columns, and their units
+ros_joint_trajectory.json     trajectory_msgs/JointTrajectory
+ros_base_trajectory.json      trajectory_msgs/MultiDOFJointTrajectory of the free base
+summary.json                  mode, solver's report, limit violations, figures against the truth
+figures/*.png                 see `rtof_kin.figures`
+============================  ==================================================================
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rtof_kin.io.folder import new_folder
+from rtof_kin.io.joint_trajectory import write_joint_trajectory_csv, write_ros_trajectory
+from rtof_kin.io.motion_npz import write_motion_npz
+from rtof_kin.types import Provenance
+
+if TYPE_CHECKING:
+    from rtof_kin.pipeline import Reconstruction
+
+MARKER = "motion.npz"
+
+
+def export(
+    result: Reconstruction, folder: str | Path, overwrite: bool = False, figures: bool = True
+) -> Path:
+    """Write a reconstruction; the folder appears whole or not at all.
+
+    Args:
+        result: of `reconstruct`. folder: a new folder, or with `overwrite` one written here before.
+        figures: whether to draw figures too, which takes most of the time.
+
+    Returns:
+        The folder.
+
+    Raises:
+        OutputExistsError: something stands there that may not be replaced.
+    """
+    folder = Path(folder)
+    with new_folder(folder, MARKER, overwrite) as temporary:
+        write_motion_npz(
+            temporary / MARKER,
+            result.motion,
+            first_frame=result.recording.first_frame,
+            mode=result.mode,
+        )
+        urdf = result.motion.skeleton.to_urdf()
+        (temporary / "skeleton.urdf").write_text(urdf, encoding="utf-8")
+        write_joint_trajectory_csv(temporary / "joint_trajectory.csv", result.motion)
+        write_ros_trajectory(temporary, result.motion)
+        text = json.dumps(summary(result), indent=2)
+        (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
+        if figures:
+            from rtof_kin.figures import write_figures
+
+            write_figures(result, temporary / "figures")
+    return folder
+
+
+def summary(result: Reconstruction) -> dict[str, Any]:
+    """What happened, as plain data: solver, provenance shares, limits, errors against the truth."""
+    poses, report = result.motion.poses, result.motion.report
+    out: dict[str, Any] = {
+        "recording": result.recording.name,
+        "mode": result.mode,
+        "frames": len(poses),
+        "rate_hz": poses.rate_hz,
+        "skeleton": result.motion.skeleton.name,
+        "height_m": result.motion.skeleton.height,
+        "sensors": list(result.bone_imus.joints) if result.bone_imus else [],
+        "provenance": {
+            p.name.lower(): float(np.mean(poses.provenance == p)) for p in Provenance
+        },
+        "valid_share": float(poses.valid.mean()),
+        "limit_violations_deg": {k: float(np.degrees(v)) for k, v in report.violations.items()},
+        "singular_share": float(report.singular.mean()),
+    }
+    if result.solution is not None:
+        solution = result.solution
+        out["solver"] = {
+            "status": solution.status.name,
+            "meaning": solution.status.value,
+            "fragments": len(solution.fragments),
+            "iterations": solution.iterations,
+            "seconds": solution.seconds,
+            "optimality_per_m": solution.optimality,
+            "energy": solution.energy,
+        }
+    if result.stage_metrics:
+        out["metrics"] = {stage: dict(metrics) for stage, metrics in result.stage_metrics.items()}
+        out["metrics_per_joint"] = result.stage_metrics[result.mode].per_joint
+    return out

@@ -1,0 +1,154 @@
+"""Pictures of a reconstruction: skeletons over the truth, error over time, joint angles over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from rtof_kin import signals
+from rtof_kin.metrics import flexion, hinges
+from rtof_kin.types import PoseSequence
+
+if TYPE_CHECKING:
+    from rtof_kin.pipeline import Reconstruction
+
+Array = NDArray[np.float64]
+ESTIMATE, TRUTH = "#c0392b", "#2e8b57"
+STAGE_COLORS = {"lift": "#8c8c8c", "sf2": "#e69f00", "rto": "#0072b2", "rtof": "#c0392b"}
+
+
+def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
+    """Draw every figure there is data for into a folder, as PNG.
+
+    Returns:
+        The paths written.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = {"skeletons": skeletons(result), "joint_angles": joint_angles(result)}
+    if result.stage_metrics:
+        figures["error_over_time"] = error_over_time(result)
+    paths = []
+    for name, figure in figures.items():
+        path = folder / f"{name}.png"
+        FigureCanvasAgg(figure).print_png(str(path))
+        paths.append(path)
+    return paths
+
+
+def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
+    """The estimated skeleton (red) over the true one (green) at a few instants, from two sides.
+
+    Positions are relative to the estimate's root and seen from the camera's side and across.
+    """
+    poses, parents = result.motion.poses, result.motion.skeleton.parents
+    truth = _truth_at(result)
+    frames = np.linspace(0, len(poses) - 1, instants + 2).round().astype(int)[1:-1]
+    figure = Figure(figsize=(2.6 * instants, 6.4), layout="constrained")
+    axes = figure.subplots(2, instants, squeeze=False)
+    views = _views(result)
+    for column, frame in enumerate(frames):
+        root = poses.p_world_joint[frame, 0]
+        for row, (view, label) in enumerate(views):
+            ax = axes[row][column]
+            if truth is not None:
+                _draw(ax, (truth[frame] - root) @ view.T, parents, TRUTH, "truth")
+            _draw(ax, (poses.p_world_joint[frame] - root) @ view.T, parents, ESTIMATE, result.mode)
+            ax.set_aspect("equal")
+            ax.set_xlim(-1.1, 1.1)
+            ax.set_ylim(-1.2, 1.0)
+            ax.set_xlabel(f"{label} [m]")
+            ax.set_ylabel("up [m]" if column == 0 else "")
+            if row == 0:
+                ax.set_title(f"{poses.times[frame]:.2f} s")
+    axes[0][0].legend(loc="lower left", fontsize=8)
+    figure.suptitle(f"{result.recording.name}: from the camera (top), from its right (bottom)")
+    return figure
+
+
+def error_over_time(result: Reconstruction) -> Figure:
+    """Mean joint error of every stage, absolute and relative to the root, over time."""
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    axes = figure.subplots(2, 1, sharex=True)
+    titles = {"mpjpe_rr_mm": "relative to the root", "mpjpe_mm": "absolute"}
+    for ax, (key, title) in zip(axes, titles.items(), strict=True):
+        for stage, metrics in result.stage_metrics.items():
+            label = f"{stage}: mean {metrics[key]:.1f} mm"
+            times = result.stages[stage].times
+            ax.plot(times, metrics.over_time[key], color=STAGE_COLORS[stage], lw=1, label=label)
+        _shade_gaps(ax, result)
+        ax.set_ylabel(f"joint error, {title} [mm]")
+        ax.set_ylim(bottom=0)
+        ax.legend(loc="upper right", fontsize=8)
+        ax.grid(alpha=0.3)
+    axes[-1].set_xlabel("time [s]")
+    figure.suptitle(f"{result.recording.name}: mean per joint position error of each stage")
+    return figure
+
+
+def joint_angles(result: Reconstruction) -> Figure:
+    """Flexion of knees and elbows over time, with the truth where there is one."""
+    skeleton, poses = result.motion.skeleton, result.motion.poses
+    truth = _truth_at(result)
+    joints = hinges(skeleton)
+    estimated = np.degrees(flexion(poses.p_world_joint, skeleton))
+    true = None if truth is None else np.degrees(flexion(truth, skeleton))
+    figure = Figure(figsize=(11, 2.0 * len(joints)), layout="constrained")
+    axes = figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0]
+    for ax, j in zip(axes, joints, strict=True):
+        name = next(
+            dof.clinical.removeprefix("-")
+            for dof in skeleton.table.joints[j].dofs
+            if dof.clinical.endswith("flexion")
+        )
+        if true is not None:
+            error = float(np.nanmean(np.abs(estimated[:, j] - true[:, j])))
+            ax.plot(poses.times, true[:, j], color=TRUTH, lw=1.5, label="truth")
+            name += f" (error {error:.1f} deg)"
+        ax.plot(poses.times, estimated[:, j], color=ESTIMATE, lw=1, label=result.mode)
+        _shade_gaps(ax, result)
+        ax.set_title(name, fontsize=9)
+        ax.set_ylabel("[deg]")
+        ax.grid(alpha=0.3)
+    axes[0].legend(loc="upper right", fontsize=8)
+    axes[-1].set_xlabel("time [s]")
+    figure.suptitle(f"{result.recording.name}: flexion angles (0 = straight)")
+    return figure
+
+
+def _views(result: Reconstruction) -> list[tuple[Array, str]]:
+    """(2, 3) maps from world to a picture: as the camera sees it, and from the camera's right."""
+    forward = result.recording.keypoints.camera.R_camera_world[2].copy()
+    forward[2] = 0.0
+    forward /= np.linalg.norm(forward)
+    up = np.array([0.0, 0.0, 1.0])
+    right = np.cross(forward, up)
+    return [(np.stack([right, up]), "right"), (np.stack([forward, up]), "away from camera")]
+
+
+def _draw(ax: Any, points: Array, parents: Sequence[int], color: str, label: str) -> None:
+    for child, parent in enumerate(parents):
+        if parent >= 0:
+            x, y = points[[parent, child]].T
+            ax.plot(x, y, color=color, lw=2, alpha=0.85, label=label if child == 1 else None)
+
+
+def _truth_at(result: Reconstruction) -> Array | None:
+    """True joint positions (T, J, 3) at the motion's times, or None."""
+    truth: PoseSequence | None = result.recording.truth
+    if truth is None:
+        return None
+    return signals.interpolate(truth.times, truth.p_world_joint, result.motion.times)
+
+
+def _shade_gaps(ax: Any, result: Reconstruction) -> None:
+    """Grey where the motion is not valid, e.g. nobody was in the picture."""
+    times = result.motion.times
+    for start, stop in signals.runs(~result.motion.poses.valid.any(axis=1)):
+        ax.axvspan(times[start], times[stop - 1], color="0.85", zorder=0)

@@ -1,0 +1,258 @@
+"""Biovision hierarchy files (.bvh): a tree of joints and one line of channel values per frame.
+
+The format has no standard. As its readers agree: the order of a joint's CHANNELS is the order of
+intrinsic rotations, in degrees, and position channels replace the joint's OFFSET.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import rotations as so3
+from rtof_kin.errors import FileFormatError
+from rtof_kin.io.articulated import ArticulatedMotion
+
+Array = NDArray[np.float64]
+_CHANNELS = {f"{axis}{kind}": (kind, axis) for axis in "xyz" for kind in ("position", "rotation")}
+
+
+@dataclass
+class _Joint:
+    line: int
+    name: str
+    parent: int
+    offset: list[float] = field(default_factory=list)
+    channels: list[tuple[str, str]] = field(default_factory=list)
+    is_end: bool = False
+
+
+def read_bvh(path: str | Path) -> ArticulatedMotion:
+    """Read a BVH file, in its own axes and length unit.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The motion. `p_parent_joint` is set where joints other than the root have position channels.
+
+    Raises:
+        FileFormatError: anything that is not a complete BVH file of finite numbers; the message
+            names the line.
+        OSError: the file cannot be opened.
+    """
+    path = Path(path)
+    lines = _text_lines(path)
+    tokens = _Tokens(path, lines)
+    nodes = _read_hierarchy(tokens)
+    rate_hz, values = _read_motion(path, lines, tokens.line, sum(len(n.channels) for n in nodes))
+    return _assemble(nodes, values, rate_hz)
+
+
+def _text_lines(path: Path) -> list[str]:
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileFormatError(path, "not a text file; a BVH file begins with HIERARCHY") from error
+    if not text.strip():
+        raise FileFormatError(path, "empty; a BVH file begins with HIERARCHY", 1)
+    return text.splitlines()
+
+
+class _Tokens:
+    """Words of the hierarchy, each with its line."""
+
+    def __init__(self, path: Path, lines: list[str]):
+        self.path, self.line = path, 1
+        self._words = self._walk(lines)
+        self._last_line = len(lines)
+
+    @staticmethod
+    def _walk(lines: list[str]) -> Iterator[tuple[int, str]]:
+        for number, text in enumerate(lines, 1):
+            for word in text.replace("{", " { ").replace("}", " } ").split():
+                yield number, word
+
+    def fail(self, problem: str) -> FileFormatError:
+        return FileFormatError(self.path, problem, self.line)
+
+    def next(self, wanted: str) -> str:
+        """The next word; `wanted` says what should stand there, for the error message."""
+        try:
+            self.line, word = next(self._words)
+        except StopIteration:
+            self.line = self._last_line
+            raise self.fail(f"the file ends where {wanted} should stand") from None
+        return word
+
+    def expect(self, literal: str) -> None:
+        word = self.next(literal)
+        if word.upper() != literal.upper():
+            raise self.fail(f"expected {literal}, found {word[:40]!r}")
+
+    def number(self, wanted: str) -> float:
+        word = self.next(wanted)
+        try:
+            value = float(word)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            raise self.fail(f"expected {wanted}, found {word[:40]!r}")
+        return value
+
+    def name(self) -> str:
+        """Words up to the opening brace, which is consumed."""
+        words: list[str] = []
+        while (word := self.next("a joint name and {")) != "{":
+            if word == "}" or len(words) > 8:
+                raise self.fail(f"expected {{ after the joint name, found {word[:40]!r}")
+            words.append(word)
+        if not words:
+            raise self.fail("a joint has no name")
+        return " ".join(words)
+
+
+def _read_hierarchy(tokens: _Tokens) -> list[_Joint]:
+    """All nodes, end sites among them, depth first; consumes the word MOTION."""
+    tokens.expect("HIERARCHY")
+    tokens.expect("ROOT")
+    nodes = [_Joint(tokens.line, tokens.name(), -1)]
+    open_nodes = [0]
+    while open_nodes:
+        word = tokens.next("} or JOINT")
+        node = nodes[open_nodes[-1]]
+        match word.upper():
+            case "}":
+                _check_complete(tokens, node)
+                open_nodes.pop()
+            case "OFFSET":
+                node.offset = [tokens.number("three offset numbers") for _ in range(3)]
+            case "CHANNELS" if not node.is_end:
+                node.channels = _read_channels(tokens)
+            case "JOINT" | "END" if not node.is_end:
+                child = _Joint(tokens.line, tokens.name(), open_nodes[-1])
+                child.is_end = word.upper() == "END"
+                if not child.is_end and child.name in {n.name for n in nodes if not n.is_end}:
+                    raise tokens.fail(f"a second joint is named {child.name!r}; rename one")
+                open_nodes.append(len(nodes))
+                nodes.append(child)
+            case _:
+                raise tokens.fail(f"{word[:40]!r} does not belong in a joint; is a brace missing?")
+    tokens.expect("MOTION")
+    return nodes
+
+
+def _check_complete(tokens: _Tokens, node: _Joint) -> None:
+    if not node.offset:
+        raise tokens.fail(f"{node.name!r} (line {node.line}) has no OFFSET")
+
+
+def _read_channels(tokens: _Tokens) -> list[tuple[str, str]]:
+    count = tokens.number("the number of channels")
+    if count not in range(7):
+        raise tokens.fail(f"a joint has 0 to 6 channels, not {count:g}")
+    channels = []
+    for _ in range(int(count)):
+        word = tokens.next("a channel name")
+        if word.lower() not in _CHANNELS:
+            raise tokens.fail(f"unknown channel {word[:40]!r}; known: Xposition ... Zrotation")
+        channels.append(_CHANNELS[word.lower()])
+    if len(set(channels)) < len(channels):
+        raise tokens.fail("a channel stands there twice in one joint")
+    return channels
+
+
+def _read_motion(path: Path, lines: list[str], start: int, width: int) -> tuple[float, Array]:
+    """Rate in Hz and the channel values (T, width) of the lines after line `start`."""
+    filled = [(n, text) for n, text in enumerate(lines[start:], start + 1) if text.strip()]
+    frames, frame_time = (
+        _labelled_number(path, filled[i : i + 1], label, len(lines))
+        for i, label in enumerate(("Frames:", "Frame Time:"))
+    )
+    if frames < 1 or frames != int(frames):
+        raise FileFormatError(path, f"the number of frames is {frames:g}", filled[0][0])
+    if frame_time <= 0:
+        raise FileFormatError(path, f"the frame time is {frame_time:g} s", filled[1][0])
+    rows = filled[2:]
+    if len(rows) != frames:
+        raise FileFormatError(
+            path, f"{frames:g} frames are announced, {len(rows)} lines of values follow", len(lines)
+        )
+    return 1 / frame_time, _numbers(path, rows, width)
+
+
+def _labelled_number(path: Path, row: list[tuple[int, str]], label: str, last: int) -> float:
+    """The number after a label such as 'Frame Time:', whatever the spaces between."""
+    line, text = row[0] if row else (last, "")
+    head, _, tail = text.partition(":")
+    if " ".join(head.split()).lower() + ":" != label.lower():
+        raise FileFormatError(path, f"expected {label!r}, found {text.strip()[:40]!r}", line)
+    try:
+        value = float(tail)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise FileFormatError(path, f"no number follows {label!r}", line)
+    return value
+
+
+def _numbers(path: Path, rows: list[tuple[int, str]], width: int) -> Array:
+    """Values (T, width) of numbered lines; an error names the line."""
+    cells = [text.split() for _, text in rows]
+    for (line, _), row in zip(rows, cells, strict=True):
+        if len(row) != width:
+            raise FileFormatError(path, f"{len(row)} values, the channels are {width}", line)
+    try:
+        values = np.array(cells, dtype=float)
+    except ValueError:
+        values = np.array([[_float_or_nan(cell) for cell in row] for row in cells])
+    bad = ~np.isfinite(values)
+    if bad.any():
+        t, column = np.argwhere(bad)[0]
+        raise FileFormatError(
+            path,
+            f"value {column + 1} is {cells[t][column][:40]!r}, not a finite number",
+            rows[t][0],
+        )
+    return values
+
+
+def _float_or_nan(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return float("nan")
+
+
+def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> ArticulatedMotion:
+    joints = [n for n in nodes if not n.is_end]
+    number = {id(n): j for j, n in enumerate(joints)}
+    parents = [-1 if n.parent < 0 else number[id(nodes[n.parent])] for n in joints]
+    ends = [n for n in nodes if n.is_end]
+    T, J = len(values), len(joints)
+    R = np.broadcast_to(np.eye(3), (T, J, 3, 3)).copy()
+    p = np.broadcast_to([n.offset for n in joints], (T, J, 3)).copy()
+    column = 0
+    for j, node in enumerate(joints):
+        for kind, axis in node.channels:
+            if kind == "position":
+                p[:, j, "xyz".index(axis)] = values[:, column]
+            else:
+                R[:, j] = R[:, j] @ so3.about_axis(axis, np.deg2rad(values[:, column]))
+            column += 1
+    moves = any(kind == "position" for n in joints[1:] for kind, _ in n.channels)
+    return ArticulatedMotion(
+        names=tuple(n.name for n in joints),
+        parents=tuple(parents),
+        offsets=np.array([n.offset for n in joints]),
+        R_parent_joint=R,
+        p_root=p[:, 0],
+        rate_hz=rate_hz,
+        p_parent_joint=p if moves else None,
+        end_parents=tuple(number[id(nodes[n.parent])] for n in ends),
+        end_offsets=np.array([n.offset for n in ends]).reshape(-1, 3),
+    )

@@ -1,0 +1,133 @@
+"""URDF joint trajectories: CSV with a JSON sidecar of units, and ROS messages as JSON.
+
+ROS's JointTrajectory knows single-degree joints only, so the free base is a stream of its own, a
+``trajectory_msgs/MultiDOFJointTrajectory``. JSON is YAML, which is what ROS's tools read.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from rtof_kin.errors import FileFormatError
+from rtof_kin.skeleton import MotionSequence, SkeletonModel
+
+Array = NDArray[np.float64]
+BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qx", "base_qy", "base_qz", "base_qw")
+
+
+def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
+    """(T, nv) velocities by central differences on the configuration manifold, one-sided at the ends.
+
+    Pinocchio's convention: base linear and angular velocity in the root's frame, then rad/s.
+    """
+    if len(q) < 2:
+        return np.zeros((len(q), skeleton.nv))
+    steps = [pin.difference(skeleton.model, a, b) for a, b in zip(q[:-1], q[1:], strict=True)]
+    rates = np.array(steps) / np.diff(times)[:, None]
+    padded = np.concatenate([rates[:1], rates, rates[-1:]])
+    return np.asarray((padded[:-1] + padded[1:]) / 2)
+
+
+def write_joint_trajectory_csv(path: str | Path, motion: MotionSequence) -> None:
+    """Named columns: time, base pose, one angle per revolute; units in ``<name>.json`` beside it."""
+    path = Path(path)
+    columns = ("time", *BASE_COLUMNS, *motion.skeleton.dof_names)
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(columns)
+        for time, row in zip(motion.times, motion.q, strict=True):
+            writer.writerow([repr(float(value)) for value in (time, *row)])
+    path.with_suffix(".json").write_text(
+        json.dumps(_sidecar(path, motion.skeleton), indent=2) + "\n", encoding="utf-8"
+    )
+
+
+def _sidecar(path: Path, skeleton: SkeletonModel) -> dict[str, Any]:
+    units = {"time": "s"} | dict.fromkeys(BASE_COLUMNS[:3], "m") | dict.fromkeys(BASE_COLUMNS[3:], "1")
+    dofs = {dof.urdf: dof for joint in skeleton.table.joints for dof in joint.dofs}
+    return {
+        "file": path.name,
+        "urdf": "skeleton.urdf",
+        "frame": "world: z up, metres; base: pose of the root link in world, quaternion x y z w",
+        "units": units | dict.fromkeys(skeleton.dof_names, "rad"),
+        "names": {
+            name: {"clinical": dofs[name].clinical, "opensim": dofs[name].opensim}
+            for name in skeleton.dof_names
+        },
+        "sign": "a leading '-' of a clinical or OpenSim name: its sign is the opposite of the column's",
+        "limits": dict(zip(skeleton.dof_names, skeleton.limits.tolist(), strict=True)),
+    }
+
+
+def read_joint_trajectory_csv(path: str | Path) -> tuple[tuple[str, ...], Array]:
+    """Column names and numbers (T, columns) of a trajectory written here.
+
+    Raises:
+        FileFormatError: missing, not a table of numbers with a `time` column.
+    """
+    path = Path(path)
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            header = next(csv.reader(stream))
+            table = np.loadtxt(stream, delimiter=",", ndmin=2)
+    except (OSError, ValueError, StopIteration) as error:
+        raise FileFormatError(path, f"not a table of numbers with a header: {error}") from error
+    if header[:1] != ["time"] or table.shape[1] != len(header):
+        raise FileFormatError(path, "the first column is not 'time', or columns are missing")
+    return tuple(header), table
+
+
+def write_ros_trajectory(folder: str | Path, motion: MotionSequence) -> list[Path]:
+    """``ros_joint_trajectory.json`` (trajectory_msgs/JointTrajectory: angles and their velocities) and
+    ``ros_base_trajectory.json`` (trajectory_msgs/MultiDOFJointTrajectory: pose of the root link).
+
+    Returns:
+        The two paths.
+    """
+    folder = Path(folder)
+    skeleton, q = motion.skeleton, motion.q
+    velocities = joint_velocities(skeleton, q, motion.times)
+    stamps = [_duration(time - motion.times[0]) for time in motion.times]
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "world"}
+    joints = {
+        "header": header,
+        "joint_names": list(skeleton.dof_names),
+        "points": [
+            {"positions": angles, "velocities": rates, "time_from_start": stamp}
+            for angles, rates, stamp in zip(
+                q[:, 7:].tolist(), velocities[:, 6:].tolist(), stamps, strict=True
+            )
+        ],
+    }
+    base = {
+        "header": header,
+        "joint_names": [skeleton.root],
+        "points": [
+            {
+                "transforms": [
+                    {
+                        "translation": dict(zip("xyz", row[:3], strict=True)),
+                        "rotation": dict(zip("xyzw", row[3:7], strict=True)),
+                    }
+                ],
+                "time_from_start": stamp,
+            }
+            for row, stamp in zip(q.tolist(), stamps, strict=True)
+        ],
+    }
+    paths = [folder / "ros_joint_trajectory.json", folder / "ros_base_trajectory.json"]
+    for path, message in zip(paths, (joints, base), strict=True):
+        path.write_text(json.dumps(message) + "\n", encoding="utf-8")
+    return paths
+
+
+def _duration(seconds: float) -> dict[str, int]:
+    nanoseconds = round(float(seconds) * 1e9)
+    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}

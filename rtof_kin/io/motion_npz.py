@@ -1,0 +1,126 @@
+"""``motion.npz``: a reconstructed motion with everything needed to use it, arrays of a known schema."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.errors import FileFormatError, RtofError
+from rtof_kin.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.types import PoseSequence
+
+SCHEMA_VERSION = 1
+_LARGEST_BYTES = 8 * 2**30
+
+
+@dataclass(frozen=True)
+class MotionFile:
+    """What a ``motion.npz`` holds."""
+
+    q: NDArray[np.float64]
+    """(T, nq) configurations of the personalised URDF, Pinocchio's order."""
+    poses: PoseSequence
+    """Joint positions and segment orientations in world, validity and provenance."""
+    dof_names: tuple[str, ...]
+    """Names of q[:, 7:]; q[:, :7] are the root's position and quaternion x y z w."""
+    joint_offsets: NDArray[np.float64]
+    """(J, 3) m, of the skeleton."""
+    singular: NDArray[np.bool_]
+    """(T, J) within 5 degrees of a singular posture of the joint's three angles."""
+    first_frame: int
+    """Number of the first frame in the video the recording was cut from."""
+    mode: str
+    """How it was made: 'lift', 'sf2', 'rto' or 'rtof'."""
+    skeleton: str
+    """Name of the skeleton, see `SkeletonModel.named`."""
+
+    def motion(self) -> MotionSequence:
+        """The motion of the subject's skeleton that the file describes."""
+        skeleton = SkeletonModel.named(self.skeleton).with_offsets(self.joint_offsets)
+        return MotionSequence(skeleton, self.q, self.poses, skeleton.check(self.q))
+
+
+def write_motion_npz(
+    path: str | Path, motion: MotionSequence, *, first_frame: int = 0, mode: str = ""
+) -> None:
+    """Write a motion; every array is named after its field in `MotionFile` and `PoseSequence`."""
+    poses = motion.poses
+    np.savez_compressed(
+        path,
+        schema_version=np.array(SCHEMA_VERSION),
+        times=poses.times,
+        q=motion.q,
+        p_world_joint=poses.p_world_joint,
+        R_world_bone=poses.R_world_bone,
+        valid=poses.valid,
+        provenance=poses.provenance,
+        orientation_observed=poses.orientation_observed,
+        singular=motion.report.singular,
+        names=np.array(poses.names),
+        dof_names=np.array(motion.skeleton.dof_names),
+        joint_offsets=motion.skeleton.joint_offsets,
+        first_frame=np.array(first_frame),
+        mode=np.array(mode),
+        skeleton=np.array(motion.skeleton.name),
+    )
+
+
+def read_motion_npz(path: str | Path) -> MotionFile:
+    """Read a motion; nothing in the file is executed.
+
+    Raises:
+        FileFormatError: missing, damaged, of a newer schema, or an array is missing or of wrong shape.
+    """
+    data = _arrays(Path(path))
+    try:
+        version = int(data["schema_version"])
+        if version > SCHEMA_VERSION:
+            raise FileFormatError(
+                path, f"schema version {version} is newer than {SCHEMA_VERSION}; update rtof_kin"
+            )
+        poses = PoseSequence(
+            times=data["times"],
+            p_world_joint=data["p_world_joint"],
+            R_world_bone=data["R_world_bone"],
+            names=tuple(map(str, data["names"])),
+            provenance=data["provenance"],
+            valid=data["valid"],
+            orientation_observed=data["orientation_observed"],
+        )
+        dof_names = tuple(map(str, data["dof_names"]))
+        if data["q"].shape != (len(poses), 7 + len(dof_names)):
+            raise FileFormatError(path, f"q has shape {data['q'].shape}, which fits no names")
+        return MotionFile(
+            q=data["q"],
+            poses=poses,
+            dof_names=dof_names,
+            joint_offsets=data["joint_offsets"],
+            singular=data["singular"],
+            first_frame=int(data["first_frame"]),
+            mode=str(data["mode"]),
+            skeleton=str(data["skeleton"]),
+        )
+    except KeyError as error:
+        raise FileFormatError(path, f"the array {error} is missing") from error
+    except (RtofError, ValueError, TypeError) as error:
+        if isinstance(error, FileFormatError):
+            raise
+        raise FileFormatError(path, str(error)) from error
+
+
+def _arrays(path: Path) -> dict[str, Any]:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > _LARGEST_BYTES:
+                raise FileFormatError(path, "would fill more than 8 GiB of memory")
+        with np.load(path, allow_pickle=False) as archive_of_arrays:
+            return dict(archive_of_arrays)
+    except FileNotFoundError as error:
+        raise FileFormatError(path, "there is no such file") from error
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise FileFormatError(path, f"damaged, or no motion.npz ({error})") from error

@@ -1,0 +1,209 @@
+"""`reconstruct`: a recording in, a motion out, through the paper's three stages."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import kinematics, signals
+from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.fragment import FragmentSolution, FragmentSolver
+from rtof_kin.fragment_problem import FragmentSettings
+from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+from rtof_kin.metrics import Metrics, evaluate
+from rtof_kin.recording import Recording
+from rtof_kin.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence, Provenance
+
+if TYPE_CHECKING:
+    from lifting.predict import LiftedPoses
+
+Array = NDArray[np.float64]
+MODES = ("lift", "sf2", "rto", "rtof")
+"""lift: the network alone. sf2: corrected by IMUs frame by frame. rto: optimised, vision alone.
+rtof: sf2, then optimised with everything."""
+Progress = Callable[[str, int, int], None]
+"""Called with (stage, done, in all)."""
+_log = logging.getLogger(__name__)
+
+
+class LifterLike(Protocol):
+    """Anything that takes keypoints to 3D joints, e.g. `lifting.predict.Lifter`."""
+
+    def predict(
+        self, keypoints: KeypointSequence, joint_offsets: Array | None = None
+    ) -> LiftedPoses:
+        """Joint positions in world for each frame."""
+
+
+@dataclass(frozen=True)
+class ReconstructionSettings:
+    """Settings of all stages after the lifter."""
+
+    inertial_ik: InertialGuidedIKSettings = field(default_factory=InertialGuidedIKSettings)
+    fragment: FragmentSettings = field(default_factory=FragmentSettings)
+    frames: int = 50
+    """N, frames in a fragment."""
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """The result of `reconstruct`."""
+
+    recording: Recording
+    mode: str
+    motion: MotionSequence
+    """The motion of the subject's skeleton: configurations, poses, flags."""
+    stages: dict[str, PoseSequence]
+    """Poses after each stage that ran, by mode name; the last is what `motion` was made from."""
+    keypoints: KeypointSequence
+    """The keypoints as used, evenly spaced in time."""
+    bone_imus: BoneImuSequence | None
+    """The calibrated sensors at the keypoints' times, None where there are none."""
+    solution: FragmentSolution | None
+    """What the fragment solver reports, in the modes that use it."""
+    metrics: Metrics | None
+    """Against the recording's truth; None without one."""
+    stage_metrics: dict[str, Metrics]
+    """The same of every stage; empty without truth."""
+
+    def export(self, folder: str | Path, overwrite: bool = False) -> Path:
+        """Write the motion, its URDF, trajectories and figures; see `rtof_kin.export`.
+
+        Raises:
+            OutputExistsError: something stands there and overwriting was not asked for.
+        """
+        from rtof_kin.export import export
+
+        return export(self, folder, overwrite)
+
+
+def reconstruct(
+    recording: Recording,
+    skeleton: SkeletonModel | None = None,
+    mode: str = "rtof",
+    *,
+    lifter: LifterLike | None = None,
+    settings: ReconstructionSettings | None = None,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Reconstruct the motion of a recording.
+
+    Args:
+        recording: keypoints of one camera and, for sf2 and rtof, IMUs with their calibration.
+        skeleton: the subject's; from the recording where not given.
+        mode: one of `MODES`.
+        lifter: takes keypoints to 3D; the shipped one where not given, loaded only now.
+        settings: of SF2 and the fragment solver.
+        progress: told how far each stage is.
+
+    Raises:
+        UnknownNameError: no such mode. ShapeError: the mode needs IMUs and there are none; the person
+            is behind the camera. Errors of the stages pass through.
+    """
+    if mode not in MODES:
+        raise UnknownNameError("mode", [mode], MODES)
+    skeleton = skeleton or recording.skeleton
+    settings = settings or ReconstructionSettings()
+    keypoints = evenly_spaced(recording.keypoints)
+    bone_imus = _bone_imus(recording, keypoints) if mode in ("sf2", "rtof") else None
+    if mode in ("sf2", "rtof") and bone_imus is None:
+        raise ShapeError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
+    tell = progress or (lambda stage, done, total: None)
+    tell("lift", 0, 1)
+    lifted = _lift(skeleton, keypoints, lifter)
+    tell("lift", 1, 1)
+    stages, solution = {"lift": lifted}, None
+    if mode == "sf2" or mode == "rtof":
+        ik = InertialGuidedIK(skeleton, settings.inertial_ik)
+        stages["sf2"] = ik.refine(lifted, bone_imus)
+    if mode in ("rto", "rtof"):
+        solver = FragmentSolver(skeleton, settings.frames, settings.fragment)
+        start = stages["sf2"] if mode == "rtof" else InertialGuidedIK(skeleton).refine(lifted)
+        solution = solver.solve(start, keypoints, bone_imus, lambda i, n: tell(mode, i, n))
+        stages[mode] = solution.poses
+    motion = skeleton.motion(stages[mode])
+    stages[mode] = motion.poses if mode != "lift" else lifted
+    scores = _scores(recording, stages, skeleton)
+    return Reconstruction(
+        recording, mode, motion, stages, keypoints, bone_imus, solution, scores.get(mode), scores
+    )
+
+
+def evenly_spaced(keypoints: KeypointSequence) -> KeypointSequence:
+    """Keypoints at even steps of time, as differences over time need them.
+
+    Times that jitter by less than 1 % of a frame are kept. Otherwise positions are interpolated to the
+    median rate between neighbouring samples; where frames were dropped nothing is filled in: they are
+    NaN with confidence 0.
+    """
+    times = keypoints.times
+    if len(times) < 3:
+        return keypoints
+    step = float(np.median(np.diff(times)))
+    if np.all(np.abs(np.diff(times) - step) < 0.01 * step):
+        return keypoints
+    even = times[0] + step * np.arange(round((times[-1] - times[0]) / step) + 1)
+    even[-1] = min(even[-1], times[-1])
+    uv = signals.interpolate(times, keypoints.uv_px, even, max_gap=1.5 * step)
+    confidence = signals.interpolate(times, keypoints.confidence, even, max_gap=1.5 * step)
+    _log.warning(
+        "keypoint times are uneven: %d samples brought to %d even frames of %.1f ms",
+        len(times), len(even), 1000 * step,
+    )  # fmt: skip
+    return replace(
+        keypoints, times=even, uv_px=uv, confidence=np.clip(np.nan_to_num(confidence), 0, 1)
+    )
+
+
+def _bone_imus(recording: Recording, keypoints: KeypointSequence) -> BoneImuSequence | None:
+    return replace(recording, keypoints=keypoints).bone_imus()
+
+
+def _lift(
+    skeleton: SkeletonModel, keypoints: KeypointSequence, lifter: LifterLike | None
+) -> PoseSequence:
+    """The lifter's positions as poses: orientations from positions, and who saw what."""
+    if lifter is None:
+        lifter = _shipped_lifter()
+    result = lifter.predict(keypoints, skeleton.joint_offsets)
+    p = np.asarray(result.p_world_joint)
+    depth = keypoints.camera.to_camera(p)[..., 2]
+    if np.any(depth <= 0):
+        frame = int(np.argwhere(depth <= 0)[0][0])
+        raise ShapeError(f"lifted pose of frame {frame} is behind the camera; check its extrinsics")
+    R = kinematics.rotations_from_positions(skeleton.parents, skeleton.joint_offsets, p)
+    seen = keypoints.select(skeleton.names).seen
+    provenance = np.where(seen, Provenance.CAMERA, Provenance.PRIOR)
+    bridged = ~np.asarray(result.seen)
+    provenance[bridged] = Provenance.BRIDGED
+    valid = np.broadcast_to(~bridged[:, None], seen.shape)
+    return PoseSequence(
+        times=keypoints.times,
+        p_world_joint=p,
+        R_world_bone=R,
+        names=skeleton.names,
+        provenance=provenance.astype(np.uint8),
+        valid=valid,
+        orientation_observed=skeleton.orientation_observed(),
+    )
+
+
+def _shipped_lifter() -> Any:
+    from lifting.predict import Lifter
+
+    return Lifter.load()
+
+
+def _scores(
+    recording: Recording, stages: dict[str, PoseSequence], skeleton: SkeletonModel
+) -> dict[str, Metrics]:
+    if recording.truth is None:
+        return {}
+    return {name: evaluate(poses, recording.truth, skeleton) for name, poses in stages.items()}

@@ -1,0 +1,194 @@
+"""Reading .bvh files: peers, conventions, and files that are broken in every way."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from rtof_kin.errors import FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.io.articulated import ArticulatedMotion
+from rtof_kin.io.bvh import read_bvh
+
+EXCERPT = Path(__file__).parent / "data" / "mocap" / "02_01_excerpt.bvh"
+TWO_JOINTS = """HIERARCHY
+ROOT Base
+{
+  OFFSET 1.0 2.0 3.0
+  CHANNELS 6 Xposition Yposition Zposition Yrotation Xrotation Zrotation
+  JOINT Upper Arm
+  {
+    OFFSET 0.0 5.0 0.0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0.0 0.0 2.0
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.02
+0 0 0 0 0 0 0 0 0
+10 20 30 40 -50 60 70 15 -25
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write_file(text):
+        path = tmp_path / "motion.bvh"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return write_file
+
+
+def test_positions_agree_with_a_chain_of_scipy_rotations(write):
+    motion = read_bvh(write(TWO_JOINTS))
+    p, R = motion.forward_kinematics()
+    base = Rotation.from_euler("YXZ", [40, -50, 60], degrees=True)
+    upper = base * Rotation.from_euler("ZXY", [70, 15, -25], degrees=True)
+    np.testing.assert_allclose(p[1, 1], [10, 20, 30] + base.apply([0, 5, 0]), atol=1e-12)
+    np.testing.assert_allclose(R[1, 1], upper.as_matrix(), atol=1e-12)
+    end = p[1, 1] + upper.apply([0, 0, 2])
+    np.testing.assert_allclose(motion.end_positions()[1, 0], end, atol=1e-12)
+
+
+def test_names_tree_and_rate_are_those_of_the_file(write):
+    motion = read_bvh(write(TWO_JOINTS))
+    assert motion.names == ("Base", "Upper Arm")
+    assert motion.parents == (-1, 0)
+    assert motion.end_parents == (1,)
+    assert motion.rate_hz == pytest.approx(50)
+    assert motion.p_parent_joint is None
+    assert len(motion[1:]) == 1
+
+
+def test_position_channels_replace_the_offset_at_every_joint(write):
+    text = TWO_JOINTS.replace(
+        "CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS 3 Xposition Yposition Zrotation"
+    )
+    motion = read_bvh(write(text))
+    p, R = motion.forward_kinematics()
+    np.testing.assert_allclose(p[1, 1], [10, 20, 30] + R[1, 0] @ [70, 15, 0], atol=1e-12)
+    np.testing.assert_allclose(motion.offsets[1], [0, 5, 0])
+
+
+def test_a_root_without_position_channels_stays_at_its_offset(write):
+    text = TWO_JOINTS.replace("6 Xposition Yposition Zposition", "3")
+    text = text.replace("0 0 0 0 0 0 0 0 0", "0 0 0 0 0 0").replace("10 20 30 40", "40")
+    np.testing.assert_allclose(read_bvh(write(text)).p_root, [[1, 2, 3], [1, 2, 3]])
+
+
+def test_bones_of_a_recording_keep_their_length():
+    motion = read_bvh(EXCERPT)
+    p, _ = motion.forward_kinematics()
+    for j, parent in enumerate(motion.parents[1:], 1):
+        length = np.linalg.norm(p[:, j] - p[:, parent], axis=-1)
+        np.testing.assert_allclose(length, np.linalg.norm(motion.offsets[j]), atol=1e-9)
+
+
+def test_windows_line_ends_a_byte_order_mark_and_loose_spacing_do_not_matter(write):
+    plain = read_bvh(write(TWO_JOINTS))
+    text = TWO_JOINTS.replace("ROOT Base\n{", "root Base {").replace("Frames: 2", "Frames:\t2 ")
+    loose = read_bvh(write(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode() + b"\r\n\r\n"))
+    np.testing.assert_array_equal(loose.R_parent_joint, plain.R_parent_joint)
+    assert loose.names == plain.names
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "says"),
+    [
+        ("HIERARCHY", "HIERARCHIE", 1, "expected HIERARCHY"),
+        ("ROOT Base", "JOINT Base", 2, "expected ROOT"),
+        ("ROOT Base", "ROOT", 3, "no name"),
+        ("1.0 2.0 3.0", "1.0 2.0", 5, "three offset numbers, found 'CHANNELS'"),
+        ("1.0 2.0 3.0", "1.0 2.0 nan", 4, "three offset numbers"),
+        ("  OFFSET 1.0 2.0 3.0\n", "", 14, "'Base' (line 2) has no OFFSET"),
+        ("CHANNELS 3 Z", "CHANNELS 4 Z", 10, "unknown channel 'End'"),
+        ("CHANNELS 3 Z", "CHANNELS 2 Z", 9, "'Yrotation' does not belong"),
+        ("CHANNELS 3 Z", "CHANNELS 9 Z", 9, "0 to 6 channels"),
+        ("3 Zrotation X", "3 Wrotation X", 9, "unknown channel 'Wrotation'"),
+        ("3 Zrotation X", "3 Yrotation X", 9, "twice"),
+        ("JOINT Upper Arm", "JOINT Base", 7, "second joint is named 'Base'"),
+        ("    }\n  }\n}", "    }\n}", 15, "is a brace missing?"),
+        ("MOTION", "MOTIONS", 16, "expected MOTION"),
+        ("Frames: 2", "Frames: two", 17, "no number follows 'Frames:'"),
+        ("Frames: 2", "Frames: 0", 17, "number of frames is 0"),
+        ("Frames: 2", "Frames: 3", 20, "3 frames are announced, 2 lines"),
+        ("Frames: 2", "Frames: 1", 20, "1 frames are announced, 2 lines"),
+        ("Frame Time: 0.02", "Frame Time: 0", 18, "frame time is 0 s"),
+        ("Frame Time: 0.02", "Frame Tim: 0.02", 18, "expected 'Frame Time:'"),
+        ("10 20 30", "10 20", 20, "8 values, the channels are 9"),
+        ("40 -50", "40 NaN", 20, "value 5 is 'NaN'"),
+        ("40 -50", "1e999 -50", 20, "value 4 is '1e999'"),
+        ("40 -50", "40 x", 20, "value 5 is 'x'"),
+    ],
+)
+def test_a_broken_file_is_named_with_its_line(write, old, new, line, says):
+    path = write(TWO_JOINTS.replace(old, new, 1))
+    with pytest.raises(FileFormatError) as caught:
+        read_bvh(path)
+    assert str(caught.value).startswith(f"{path}, line {line}: ")
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "empty"),
+        (b" \n\n", "empty"),
+        (b"\x89PNG\r\n\x1a\n\xff\xfe\x00", "not a text file"),
+        (b"\x00" * 64, "expected HIERARCHY"),
+        (b"HIERARCHY\n" + b"ROOT a {\n" * 9, "does not belong"),
+    ],
+)
+def test_what_is_no_bvh_file_at_all_is_refused(write, content, says):
+    with pytest.raises(FileFormatError, match=says):
+        read_bvh(write(content))
+
+
+def test_a_file_cut_off_anywhere_is_refused(write):
+    whole = TWO_JOINTS.rstrip()
+    for length in range(len(whole) - 3):
+        with pytest.raises(FileFormatError):
+            read_bvh(write(whole[:length]))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, len(TWO_JOINTS) - 1), st.binary(min_size=1, max_size=3))
+def test_damage_is_refused_or_leaves_a_valid_motion(tmp_path_factory, at, junk):
+    path = tmp_path_factory.mktemp("damaged") / "motion.bvh"
+    path.write_bytes(TWO_JOINTS[:at].encode() + junk + TWO_JOINTS[at + 1 :].encode())
+    try:
+        motion = read_bvh(path)
+    except FileFormatError:
+        return
+    assert np.isfinite(motion.R_parent_joint).all()
+
+
+def test_a_motion_whose_parts_do_not_fit_together_is_refused():
+    good = dict(
+        names=("a", "b"),
+        parents=(-1, 0),
+        offsets=np.zeros((2, 3)),
+        R_parent_joint=np.tile(np.eye(3), (4, 2, 1, 1)),
+        p_root=np.zeros((4, 3)),
+        rate_hz=30.0,
+    )
+    assert len(ArticulatedMotion(**good)) == 4
+    with pytest.raises(ShapeError, match="parents before children"):
+        ArticulatedMotion(**{**good, "parents": (-1, 1)})
+    with pytest.raises(ShapeError, match=r"expected shape \(4, 2, 3, 3\)"):
+        ArticulatedMotion(**{**good, "R_parent_joint": np.tile(np.eye(3), (3, 2, 1, 1))})
+    with pytest.raises(ShapeError, match="not rotation matrices"):
+        ArticulatedMotion(**{**good, "R_parent_joint": np.ones((4, 2, 3, 3))})
+    with pytest.raises(ShapeError, match="more than once"):
+        ArticulatedMotion(**{**good, "names": ("a", "a")})
+    with pytest.raises(ShapeError, match="rate_hz"):
+        ArticulatedMotion(**{**good, "rate_hz": 0.0})
+    with pytest.raises(UnknownNameError, match="unknown joint 'c'"):
+        ArticulatedMotion(**good).index("c")
