@@ -24,10 +24,16 @@ from typing import Any
 import numpy as np
 from rich.progress import Progress
 
-from rtof_kin.mocap import MocapClip, read_corpus
+from rtof_kin.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.metrics import evaluate, motionless
 from rtof_kin.pipeline import MODES, reconstruct
-from rtof_kin.simulation import LIMB_SENSORS, SimulationSettings, simulate, standard_cameras
+from rtof_kin.simulation import (
+    LIMB_SENSORS,
+    SimulationSettings,
+    low_passed,
+    simulate,
+    standard_cameras,
+)
 
 HERE = Path(__file__).parent
 KEYPOINTS = {
@@ -73,7 +79,8 @@ def test_clips(corpus: Path) -> list[MocapClip]:
     """The benchmark's motions, cut to their middle."""
     rows = split()
     wanted, seconds = rows["benchmark"]["motions"], rows["benchmark"]["seconds"]
-    clips = {clip.name: clip for clip in read_corpus(corpus, rows["test"])}
+    found = read_corpus(corpus, rows["test"], output_rate_hz=120.0)
+    clips = {clip.name: resample_clip(low_passed(clip, 10.0), 60.0) for clip in found}
     missing = [name for name in wanted if name not in clips]
     if missing:
         sys.exit(f"error: {corpus} has no {', '.join(missing)}; see benchmarks/README.md")

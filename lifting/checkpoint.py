@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from lifting.model import NetworkConfig, TemporalNetwork
-from lifting.windows import Body
+from lifting.windows import Body, bone_groups
 from rtof_kin.errors import FileFormatError
 
 FORMAT = "rtof-kin lifter"
@@ -34,7 +34,7 @@ class LifterDescription:
     """Everything about a lifter but its weights."""
 
     body: Body
-    """Joints, tree and nominal bone lengths."""
+    """Joints, tree and nominal bones."""
     network: NetworkConfig
     """Shape of the network."""
     rate_hz: float = 60.0
@@ -127,7 +127,7 @@ def _description(path: Path, text: str) -> LifterDescription:
             body=Body(
                 tuple(map(str, body["names"])),
                 tuple(map(int, body["parents"])),
-                tuple(map(float, body["nominal_lengths"])),
+                tuple(map(float, body["nominal_bones"])),
             ),
             network=NetworkConfig(**{**network, "filter_widths": tuple(network["filter_widths"])}),
             **raw,
@@ -145,8 +145,8 @@ def _check(description: LifterDescription) -> None:
     tree = all(parent < j for j, parent in enumerate(body.parents)) and body.parents[:1] == (-1,)
     if not 2 <= J <= _MAX_JOINTS or len(body.parents) != J or not tree:
         raise ValueError("names and parents are no tree of joints")
-    if len(body.nominal_lengths) != len(body.bones) or min(body.nominal_lengths) <= 0:
-        raise ValueError("the nominal bone lengths do not fit the joints")
+    if len(body.nominal_bones) != 3 * len(bone_groups(body.names)):
+        raise ValueError("the nominal bones do not fit the joints")
     if (network.inputs, network.outputs) != (body.inputs, body.outputs):
         raise ValueError("the network's inputs or outputs do not fit the joints")
     if not 1 <= network.channels <= _MAX_CHANNELS:

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from lifting.windows import Body, bone_groups
+from lifting.windows import Body
 from rtof_kin import kinematics, mocap
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError, ShapeError
@@ -105,11 +106,11 @@ class Corpus:
         return [bodies[key] for key in sorted(frames, key=lambda k: -frames[k])[:at_most]]
 
     def body(self) -> Body:
-        """The joints and the median bone lengths of the training clips."""
+        """The joints, and the mean bones of the training clips."""
         offsets = self.joint_offsets[self.clips("train", required=False) or slice(None)]
-        length = np.median(np.linalg.norm(offsets, axis=-1), axis=0)
-        nominal = [float(length[group].mean()) for group in bone_groups(self.names).values()]
-        return Body(self.names, self.parents, tuple(nominal))
+        unknown = Body(self.names, self.parents, ())
+        nominal = unknown.bones_of(torch.from_numpy(offsets.mean(axis=0)))
+        return Body(self.names, self.parents, tuple(float(x) for x in nominal))
 
     def save(self, path: str | Path) -> Path:
         """Write an .npz file that `read_corpus` reads, orientations as quaternions."""

@@ -50,10 +50,10 @@ class AugmentConfig:
     """Share of windows on the skeleton of their own motion; the rest on another of the bank's."""
     recombine: float = 0.2
     """Share of windows whose upper body comes from another motion."""
-    hide_lengths: float = 0.2
-    """Share of windows that are not told the bone lengths."""
-    length_error: float = 0.01
-    """Standard deviation of the lengths the network is told, relative."""
+    hide_bones: float = 0.2
+    """Share of windows that are not told the bones."""
+    bone_error: float = 0.003
+    """Standard deviation per axis of the bones the network is told, m."""
     hide_height: float = 0.6
     """Share of windows that are not told the camera's height."""
     height_error: float = 0.02
@@ -65,7 +65,7 @@ def plain(noise: NoiseConfig | None = None) -> AugmentConfig:
     """Motion as recorded, from virtual cameras, lengths known exactly: what validation uses."""
     return AugmentConfig(
         mirror=0.0, tilt=0.0, warp=(1.0, 1.0), overall_scale=0.0, bone_scale=0.0, own_skeleton=1.0,
-        recombine=0.0, hide_lengths=0.0, length_error=0.0, hide_height=1.0, noise=noise or perfect(),
+        recombine=0.0, hide_bones=0.0, bone_error=0.0, hide_height=1.0, noise=noise or perfect(),
     )  # fmt: skip
 
 
@@ -77,8 +77,8 @@ class Batch:
     """(B, 3, W, J) directions from the optical centre."""
     seen: Tensor
     """(B, W, J) bool."""
-    lengths: Tensor
-    """(B, G) bone lengths, m; NaN rows where not told."""
+    bones: Tensor
+    """(B, 3 G) bones, m, see `Body.bones_of`; NaN rows where not told."""
     camera_height: Tensor
     """(B,) m; NaN where not told."""
     pose: Tensor
@@ -112,6 +112,9 @@ class MotionBank:
         self.bones = torch.stack(
             [torch.cat([_bones(corpus, clip, body) for clip in clips]) for body in bodies]
         ).to(device)
+        self.offsets = torch.stack(
+            [torch.stack([_offsets(corpus, clip, body) for clip in clips]) for body in bodies]
+        ).to(device)
         p_root, lowest, heading, first, last = [], [], [], [], []
         count = 0
         for clip in clips:
@@ -128,9 +131,11 @@ class MotionBank:
 
         self.roots, self.lowest, self.heading = tensor(p_root), tensor(lowest), tensor(heading)
         self.first, self.last = tensor(first, torch.long), tensor(last, torch.long)
+        self.clip = torch.searchsorted(self.first.unique(), self.first)
         self.chain = _chain(self.body).to(device)
         self.upper = _upper_body(self.body).to(device)
-        self.bone_of_joint = _bone_of_joint(self.body).to(device)
+        self.group_of_joint = _group_of_joint(self.body).to(device)
+        self.groups = len(bone_groups(self.body.names))
 
     def __len__(self) -> int:
         return len(self.roots)
@@ -155,11 +160,12 @@ class MotionBank:
         draw = _Draw(batch, generator, self.device)
         if frames is None:
             frames = draw.integers(len(self))
-        bones, root, lowest = self._motion(frames, window, config, draw)
+        bones, root, offsets = self._motion(frames, window, config, draw)
         scale = 1 + config.overall_scale * draw.normal(batch, 1)
-        scale = scale * (1 + config.bone_scale * draw.normal(batch, len(self.body.bones)))
-        factor = scale.clamp(0.6, 1.6)[:, self.bone_of_joint[1:]]
-        bones = bones * factor[:, None, None]
+        scale = scale * (1 + config.bone_scale * draw.normal(batch, self.groups))
+        factor = scale.clamp(0.6, 1.6)[:, self.group_of_joint]
+        bones = bones * factor[:, None, None, 1:]
+        told = self.body.bones_of(offsets * factor[:, :, None])
         mirrored = draw.uniform(batch) < config.mirror
         bones = torch.where(mirrored[:, None, None, None], self._mirror(bones), bones)
         root[:, 1] *= torch.where(mirrored, -1.0, 1.0)[:, None]
@@ -169,43 +175,41 @@ class MotionBank:
         pose = torch.matmul(bones, self.chain)
         middle = pose[:, :, window // 2].clone()
         # The lowest joint stays as high over the floor as it was recorded.
-        root_height = lowest - middle[:, 2].min(dim=1).values
+        root_height = self.lowest[frames] - middle[:, 2].min(dim=1).values
         height = draw.between(config.camera_height, batch)
         towards_root = torch.stack(
             [draw.between(config.distance, batch), torch.zeros_like(height), root_height - height], 1
         )
         p = pose.add_((root + towards_root[:, :, None])[..., None])
         rays, seen = self._observe(p, towards_root, config, draw)
-        lengths = self.body.bone_lengths(
-            torch.nn.functional.pad(bones[:, :, window // 2], (1, 0)).transpose(1, 2)
-        )
-        lengths = lengths * (1 + config.length_error * draw.normal(*lengths.shape))
-        lengths[draw.uniform(batch) < config.hide_lengths] = torch.nan
-        told = height + config.height_error * draw.normal(batch)
-        told = torch.where(draw.uniform(batch) < config.hide_height, torch.nan, told)
-        return Batch(rays, seen, lengths, told, middle, towards_root)
+        told = told + config.bone_error * draw.normal(*told.shape)
+        told[draw.uniform(batch) < config.hide_bones] = torch.nan
+        height = height + config.height_error * draw.normal(batch)
+        height[draw.uniform(batch) < config.hide_height] = torch.nan
+        return Batch(rays, seen, told, height, middle, towards_root)
 
     def _motion(
         self, frames: Tensor, window: int, config: AugmentConfig, draw: _Draw
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Bone vectors (B, 3, W, J-1), the root's path from the middle frame (B, 3, W) and the height
-        (B,) of the lowest joint over the floor, as recorded."""
+        """Bone vectors (B, 3, W, J-1), the root's path from the middle frame (B, 3, W), and the joint
+        offsets (B, J, 3) of who moves."""
         step = (torch.arange(window, device=self.device) - window // 2)[None]
         offset = step * draw.between(config.warp, len(frames))[:, None]
-        bones, root, heading = self._at(frames, offset, self._bodies(config, draw))
-        lowest = self.lowest[frames]
+        body = self._bodies(config, draw)
+        bones, root, heading = self._at(frames, offset, body)
+        offsets = self.offsets[body, self.clip[frames]]
         count = round(config.recombine * len(frames))
         if count:
-            rows = torch.arange(count, device=self.device)
-            other = draw.integers(len(self))[:count]
-            body = self._bodies(config, draw)[:count]
-            upper, _, other_heading = self._at(other, offset[rows], body)
-            turn = heading[rows] - other_heading
+            other, body = draw.integers(len(self))[:count], self._bodies(config, draw)[:count]
+            upper, _, other_heading = self._at(other, offset[:count], body)
+            turn = heading[:count] - other_heading
             c, s = turn.cos()[..., None], turn.sin()[..., None]
             x, y, z = upper.unbind(dim=1)
             upper = torch.stack([c * x - s * y, s * x + c * y, z], dim=1)
-            bones[rows] = torch.where(self.upper, upper, bones[rows])
-        return bones, root - root[:, :, window // 2, None], lowest
+            bones[:count] = torch.where(self.upper[1:], upper, bones[:count])
+            upper_offsets = self.offsets[body, self.clip[other]]
+            offsets[:count] = torch.where(self.upper[:, None], upper_offsets, offsets[:count])
+        return bones, root - root[:, :, window // 2, None], offsets
 
     def _bodies(self, config: AugmentConfig, draw: _Draw) -> Tensor:
         """(B,) whose skeleton each window is on, 0 for its own."""
@@ -261,12 +265,17 @@ class MotionBank:
         return world.unflatten(2, p.shape[2:]), seen
 
 
-def _bones(corpus: Corpus, clip: int, body: NDArray[np.float32] | None) -> Tensor:
-    """Bone vectors (T, 3, J-1) of a clip on its own skeleton, or on another scaled to its size."""
+def _offsets(corpus: Corpus, clip: int, body: NDArray[np.float32] | None) -> Tensor:
+    """Joint offsets (J, 3) of a clip, or of another body scaled to its size."""
     own = corpus.joint_offsets[clip]
     if body is not None:
-        body = body * (np.linalg.norm(own, axis=1).sum() / np.linalg.norm(body, axis=1).sum())
-    p = corpus.positions(clip, body)
+        own = body * (np.linalg.norm(own, axis=1).sum() / np.linalg.norm(body, axis=1).sum())
+    return torch.from_numpy(own)
+
+
+def _bones(corpus: Corpus, clip: int, body: NDArray[np.float32] | None) -> Tensor:
+    """Bone vectors (T, 3, J-1) in world of a clip on its own or another body."""
+    p = corpus.positions(clip, _offsets(corpus, clip, body).numpy())
     bones = p[:, 1:] - p[:, list(corpus.parents[1:])]
     return torch.from_numpy(np.ascontiguousarray(np.swapaxes(bones, 1, 2)))
 
@@ -322,18 +331,16 @@ def _chain(body: Body) -> Tensor:
 
 
 def _upper_body(body: Body) -> Tensor:
-    """(J-1,) bool: bones that hang on the trunk and not on the pelvis."""
-    sided_root_child = set(body.hips)
-    lower = {0} | {j for j, parent in enumerate(body.parents) if parent == 0}
-    below = set(sided_root_child)
+    """(J,) bool: joints whose bone hangs on the trunk, not on the pelvis or the legs."""
+    legs = set(body.hips)
     for j, parent in enumerate(body.parents):
-        if parent in below:
-            below.add(j)
-    return torch.tensor([j not in lower | below for j in range(1, len(body.names))])
+        if parent in legs:
+            legs.add(j)
+    return torch.tensor([j not in legs and parent > 0 for j, parent in enumerate(body.parents)])
 
 
-def _bone_of_joint(body: Body) -> Tensor:
-    """(J,) index into `body.bones` of the bone that ends at each joint; 0 for the root."""
+def _group_of_joint(body: Body) -> Tensor:
+    """(J,) which of `bone_groups` ends at each joint; 0 for the root."""
     index = torch.zeros(len(body.names), dtype=torch.long)
     for i, joints in enumerate(bone_groups(body.names).values()):
         index[joints] = i

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lifting.checkpoint import LifterDescription, load_checkpoint
 from lifting.model import TemporalNetwork
-from lifting.windows import decode, encode, mirror_features, mirror_output
+from lifting.windows import answer, decode, encode
 from rtof_kin import signals
 from rtof_kin.errors import ShapeError
 from rtof_kin.resources import model_path
@@ -121,7 +121,7 @@ class Lifter:
                 `floor_height` are wrong.
         """
         self._check_seen(keypoints)
-        lengths = self._bone_lengths(joint_offsets)
+        bones = self._bones(joint_offsets)
         height = np.nan
         if floor_height is not None:
             height = float(keypoints.camera.center_world[2] - floor_height)
@@ -135,7 +135,7 @@ class Lifter:
         for first in range(0, len(keypoints), CHUNK):
             times = keypoints.times[first : first + CHUNK]
             rays, seen = source.windows(times, self.receptive_field(), self.description.rate_hz)
-            parts.append(self._lift(rays, seen, lengths, height, flip))
+            parts.append(self._lift(rays, seen, bones, height, flip))
             enough.append(seen.any(axis=1).sum(axis=1) >= MIN_JOINTS)
             if progress:
                 progress(first + len(times), len(keypoints))
@@ -145,12 +145,11 @@ class Lifter:
             p = _smooth(keypoints.times, p)
         return LiftedPoses(keypoints.times, p, ok, self.names)
 
-    @torch.no_grad()
     def _lift(
         self,
         rays: NDArray[np.float32],
         seen: NDArray[np.bool_],
-        lengths: Array,
+        bones: Array,
         camera_height: float,
         flip: bool,
     ) -> Array:
@@ -160,14 +159,10 @@ class Lifter:
             body,
             torch.from_numpy(rays).permute(0, 3, 1, 2),
             torch.from_numpy(seen),
-            torch.from_numpy(lengths).float().expand(B, -1),
+            torch.from_numpy(bones).float().expand(B, -1),
             torch.full((B,), camera_height),
         )
-        output = self._network.forward_windows(encoded.features)
-        if flip:
-            mirrored = self._network.forward_windows(mirror_features(body, encoded.features))
-            output = (output + mirror_output(body, mirrored)) / 2
-        pose, root = decode(body, output, encoded)
+        pose, root = decode(body, answer(body, self._network, encoded, flip), encoded)
         p: Array = (pose + root[:, :, None]).transpose(1, 2).double().numpy()
         return p
 
@@ -183,10 +178,10 @@ class Lifter:
                 f"{', '.join(self.names)}: rename the detector's landmarks or use its adapter"
             )
 
-    def _bone_lengths(self, joint_offsets: ArrayLike | None) -> Array:
+    def _bones(self, joint_offsets: ArrayLike | None) -> Array:
         body = self.description.body
         if joint_offsets is None:
-            return np.full(len(body.bones), np.nan)
+            return np.full(len(body.nominal_bones), np.nan)
         offsets = readonly("joint_offsets", joint_offsets, (len(self.names), 3))
         length = np.linalg.norm(offsets[1:], axis=1)
         if not np.all(np.isfinite(offsets)) or np.any(length > 2) or not np.any(length > 0):
@@ -194,7 +189,7 @@ class Lifter:
                 f"joint_offsets: bone lengths from {np.min(length):.3g} to {np.max(length):.3g} m "
                 "are no human's; give metres, finite, root row zero"
             )
-        return np.asarray(body.bone_lengths(torch.from_numpy(offsets.copy())).numpy())
+        return np.asarray(body.bones_of(torch.from_numpy(offsets.copy())).numpy())
 
 
 @dataclass(frozen=True)

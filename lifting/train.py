@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from math import log
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,10 @@ from lifting.windows import decode, encode
 from rtof_kin.errors import FileFormatError, RtofError, ShapeError
 from rtof_kin.resources import model_path
 from rtof_kin.skeleton_table import read_skeleton_table
+
+USUAL_RADIUS = 0.4
+"""RMS distance of a person's joints from their mean across the line of sight, m: where distance
+estimates start."""
 
 Progress = Callable[[dict[str, Any]], None]
 """Called after every `TrainConfig.report_every` steps with the step, the share done, the loss, the
@@ -155,6 +160,8 @@ class _Run:
             config.dropout,
         )  # fmt: skip
         self.network = TemporalNetwork(shape).to(self.device)
+        with torch.no_grad():
+            self.network.shrink.bias[-1] = log(USUAL_RADIUS)
         self.averaged = TemporalNetwork(shape).to(self.device).eval()
         self.averaged.load_state_dict(self.network.state_dict())
         self.optimizer = torch.optim.AdamW(
@@ -187,7 +194,7 @@ class _Run:
             config.batch, self.network.receptive_field(), config.augment, self.generator
         )
         encoded = encode(
-            self.body, batch.rays_world, batch.seen, batch.lengths, batch.camera_height
+            self.body, batch.rays_world, batch.seen, batch.bones, batch.camera_height
         )
         with torch.autocast(self.device.type, torch.bfloat16, enabled=config.bfloat16):
             output = self.network.forward_windows(encoded.features)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
-from torch import Tensor
 
 from lifting.corpus import Corpus
 from lifting.data import Batch, MotionBank, plain
 from lifting.model import TemporalNetwork
 from lifting.noise import perfect, realistic
-from lifting.windows import Body, EncodedWindows, decode, encode, mirror_features, mirror_output
+from lifting.windows import answer, decode, encode
 
 WINDOWS = 4096
 """Windows per kind of 2D, evenly over the validation motion."""
@@ -32,7 +31,7 @@ class Validation:
         kinds = {
             "perfect": plain(perfect()),
             "realistic": plain(realistic()),
-            "perfect, lengths unknown": replace(plain(perfect()), hide_lengths=1.0),
+            "perfect, bones unknown": replace(plain(perfect()), hide_bones=1.0),
             "realistic, floor known": replace(plain(realistic()), hide_height=0.0),
         }
         for name, config in kinds.items():
@@ -49,7 +48,7 @@ class Validation:
         errors = {}
         for name, batch in self.batches.items():
             encoded = encode(
-                self.body, batch.rays_world, batch.seen, batch.lengths, batch.camera_height
+                self.body, batch.rays_world, batch.seen, batch.bones, batch.camera_height
             )
             pose, root = decode(self.body, answer(self.body, network, encoded, flip), encoded)
             error = pose - batch.pose
@@ -59,13 +58,3 @@ class Validation:
                 "abs_mm": round(1000 * float(absolute.norm(dim=1).mean()), 2),
             }
         return errors
-
-
-@torch.no_grad()
-def answer(body: Body, network: TemporalNetwork, encoded: EncodedWindows, flip: bool) -> Tensor:
-    """The network's output (B, outputs), averaged with that of the mirrored windows."""
-    output: Tensor = network.forward_windows(encoded.features)
-    if flip:
-        mirrored = network.forward_windows(mirror_features(body, encoded.features))
-        output = (output + mirror_output(body, mirrored)) / 2
-    return output

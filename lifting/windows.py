@@ -23,11 +23,15 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from lifting.model import TemporalNetwork
+
 MIN_FORWARD = 0.1
 """Cosine to the view axis below which a ray counts as unseen."""
 MIN_SCALE = 1e-4
-LENGTH_GAIN = 10.0
-"""Bone lengths enter as (length / nominal - 1) x this gain."""
+BONE_GAIN = 15.0
+"""Bones enter as their difference from the nominal ones, m, times this."""
+ANKLE_HEIGHT = 0.08
+"""Height of a Foot joint over the floor when standing, m."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +42,8 @@ class Body:
     """J joint names, root first, parents before children; sided ones begin with Left and Right."""
     parents: tuple[int, ...]
     """(J,) index of each joint's parent, -1 for the root."""
-    nominal_lengths: tuple[float, ...]
-    """(G,) usual length of each bone of `bones`, m."""
-
-    @cached_property
-    def bones(self) -> tuple[str, ...]:
-        """G bone names, by the joint at the far end, left and right as one."""
-        return tuple(bone_groups(self.names))
+    nominal_bones: tuple[float, ...]
+    """(3 G,) usual `bones_of` a person, m."""
 
     @cached_property
     def mirrored(self) -> list[int]:
@@ -67,21 +66,36 @@ class Body:
             if parent == 0 and self.names[j].startswith(("Left", "Right"))
         ]
 
+    @cached_property
+    def feet(self) -> list[int]:
+        """Indices of the joints that stand near the floor."""
+        return [j for j, name in enumerate(self.names) if name.endswith("Foot")]
+
     @property
     def inputs(self) -> int:
         """Features per frame of the network."""
-        return 3 * len(self.names) + 4 + len(self.bones) + 1
+        bones = 3 * len(bone_groups(self.names))
+        return 3 * len(self.names) + 2 * len(self.feet) + 2 + (1 + 1) + (bones + 1)
 
     @property
     def outputs(self) -> int:
         """Values per estimated frame of the network."""
         return 3 * len(self.names)
 
-    def bone_lengths(self, offsets: Tensor) -> Tensor:
-        """Lengths (..., G) in m, left and right averaged, of offsets or bone vectors (..., J, 3)."""
-        length = offsets.norm(dim=-1)
-        groups = bone_groups(self.names).values()
-        return torch.stack([length[..., group].mean(dim=-1) for group in groups], dim=-1)
+    def bones_of(self, offsets: Tensor) -> Tensor:
+        """What the network is told of a person: (..., 3 G) m, of joint offsets (..., J, 3).
+
+        One offset per bone in its parent's link frame, the two sides as one (the right one mirrored
+        and averaged with the left), those in the middle without their sideways part.
+        """
+        parts = []
+        for joints in bone_groups(self.names).values():
+            side = offsets.new_tensor(
+                [[1.0, -1.0 if self.names[j].startswith("Right") else 1.0, 1.0] for j in joints]
+            )
+            middle = offsets.new_tensor([1.0, float(len(joints) > 1), 1.0])
+            parts.append((offsets[..., joints, :] * side).mean(dim=-2) * middle)
+        return torch.cat(parts, dim=-1)
 
 
 def bone_groups(joint_names: tuple[str, ...]) -> dict[str, list[int]]:
@@ -104,12 +118,10 @@ class EncodedWindows:
     """(B, 3, 3)."""
     scale: Tensor
     """(B,) RMS distance of the landmarks from each frame's mean, in units of focal length."""
-    image: Tensor
-    """(B, 2, J) scaled x/z and y/z of the middle frame; 0 where unseen."""
 
 
 def encode(
-    body: Body, rays_world: Tensor, seen: Tensor, lengths: Tensor, camera_height: Tensor
+    body: Body, rays_world: Tensor, seen: Tensor, bones: Tensor, camera_height: Tensor
 ) -> EncodedWindows:
     """Network input of windows.
 
@@ -117,7 +129,7 @@ def encode(
         body: the joints.
         rays_world: (B, 3, W, J) directions in world from the optical centre, of any finite length.
         seen: (B, W, J) bool; unseen rays are not read.
-        lengths: (B, G) bone lengths in m; NaN in a row where they are unknown.
+        bones: (B, 3 G) m, see `Body.bones_of`; NaN in a row where they are unknown.
         camera_height: (B,) height of the optical centre over the floor, m; NaN where unknown.
     """
     centre = _centre_ray(body, rays_world, seen)
@@ -131,21 +143,17 @@ def encode(
     inverse = weight / torch.where(seen, z, 1.0)
     x, y = x * inverse, y * inverse
     scale = _scale(x, y, weight)
-    image = torch.cat([x, y], dim=2) / scale[:, None, None]
-    fixed = torch.cat(
-        [
-            elevation[:, None],
-            scale.log()[:, None],
-            _optional((camera_height * scale).clamp_min(1e-3).log()[:, None]),
-            _optional((lengths / lengths.new_tensor(body.nominal_lengths) - 1) * LENGTH_GAIN),
-        ],
-        dim=1,
-    )
-    frames = fixed[:, None].expand(-1, x.shape[1], -1)
-    image = image.clamp(-20, 20)
-    features = torch.cat([image, weight, frames], dim=2)
-    middle = image[:, x.shape[1] // 2].unflatten(1, (2, -1))
-    return EncodedWindows(features, R_view, R_ray, scale, middle)
+    image = (torch.cat([x, y], dim=2) / scale[:, None, None]).clamp(-20, 20)
+    feet = _standing(rays_world[..., body.feet], seen[..., body.feet], camera_height, scale)
+    fixed = [
+        elevation[:, None],
+        scale.log()[:, None],
+        _optional((camera_height * scale).clamp_min(1e-3).log()[:, None]),
+        _optional((bones - bones.new_tensor(body.nominal_bones)) * BONE_GAIN),
+    ]
+    frames = torch.cat(fixed, dim=1)[:, None].expand(-1, x.shape[1], -1)
+    features = torch.cat([image, weight, feet, frames], dim=2)
+    return EncodedWindows(features, R_view, R_ray, scale)
 
 
 def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> tuple[Tensor, Tensor]:
@@ -162,11 +170,6 @@ def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> tuple[Tensor,
     output = output.float()
     pose_ray = output[:, :-3].unflatten(1, (3, len(body.names) - 1))
     pose = torch.bmm(encoded.R_ray_world.transpose(1, 2), pose_ray)
-    import os
-    if os.environ.get('SKIP'):
-        K = output[:, -1].clamp(-4, 3).exp()
-        if os.environ.get('SKIP')=='2': K=K.detach()
-        pose = pose + K[:,None,None]*torch.bmm(encoded.R_view_world.transpose(1, 2)[:,:,:2], encoded.image[:,:,1:])
     pose = torch.nn.functional.pad(pose, (1, 0))
     shift = output[:, -3:-1] * encoded.scale[:, None]
     direction = torch.nn.functional.normalize(torch.nn.functional.pad(shift, (0, 1), value=1.0))
@@ -175,12 +178,25 @@ def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> tuple[Tensor,
     return pose, torch.einsum("bji,bj->bi", encoded.R_view_world, root_view)
 
 
+@torch.no_grad()
+def answer(body: Body, network: TemporalNetwork, encoded: EncodedWindows, flip: bool) -> Tensor:
+    """The network's output (B, outputs), averaged with that of the mirrored windows."""
+    output: Tensor = network.forward_windows(encoded.features)
+    if flip:
+        mirrored = network.forward_windows(mirror_features(body, encoded.features))
+        output = (output + mirror_output(body, mirrored)) / 2
+    return output
+
+
 def mirror_features(body: Body, features: Tensor) -> Tensor:
     """Features (B, W, inputs) of the mirrored scene: left and right swapped, x negated."""
-    J = len(body.names)
-    x, y, seen, fixed = features.split([J, J, J, features.shape[-1] - 3 * J], dim=-1)
+    J, F = len(body.names), len(body.feet)
+    sizes = [J, J, J, F, F, features.shape[-1] - 3 * J - 2 * F]
+    x, y, seen, away, stands, fixed = features.split(sizes, dim=-1)
     order = body.mirrored
-    return torch.cat([-x[..., order], y[..., order], seen[..., order], fixed], dim=-1)
+    feet = [body.feet.index(order[j]) for j in body.feet]
+    parts = [-x[..., order], y[..., order], seen[..., order], away[..., feet], stands[..., feet]]
+    return torch.cat([*parts, fixed], dim=-1)
 
 
 def mirror_output(body: Body, output: Tensor) -> Tensor:
@@ -235,6 +251,18 @@ def _scale(x: Tensor, y: Tensor, weight: Tensor) -> Tensor:
     )
     mean = square.sum(dim=(1, 2)) / weight.sum(dim=(1, 2)).clamp_min(1.0)
     return mean.sqrt().clamp_min(MIN_SCALE)
+
+
+def _standing(rays: Tensor, seen: Tensor, camera_height: Tensor, scale: Tensor) -> Tensor:
+    """Log(horizontal distance x scale) of each foot if it stands on the floor, and whether known.
+
+    (B, W, 2 F) of rays (B, 3, W, F): unknown where the height is, or the ray is near the horizon.
+    """
+    slope = -rays[:, 2] / rays[:, :2].norm(dim=1).clamp_min(1e-6)
+    height = (camera_height - ANKLE_HEIGHT)[:, None, None]
+    known = seen & (slope > 0.02) & (height > 0.05)
+    away = height * scale[:, None, None] / torch.where(known, slope, 1.0)
+    return torch.cat([torch.where(known, away.log(), 0.0), known.to(rays.dtype)], dim=2)
 
 
 def _optional(values: Tensor) -> Tensor:

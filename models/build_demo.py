@@ -8,8 +8,8 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from rtof_kin.mocap import read_mocap
-from rtof_kin.simulation import SimulationSettings, simulate, standard_cameras
+from rtof_kin.mocap import read_mocap, resample_clip
+from rtof_kin.simulation import SimulationSettings, low_passed, simulate, standard_cameras
 
 FIRST, STOP = 240, 1680
 CMU = (
@@ -20,7 +20,8 @@ CMU = (
 
 def main(corpus: Path) -> None:
     """Write models/demo."""
-    clip = read_mocap(corpus / "cmu_bvh" / "14_14.bvh")
+    clip = read_mocap(corpus / "cmu_bvh" / "14_14.bvh", output_rate_hz=None)
+    clip = resample_clip(low_passed(clip, 10.0), 60.0)
     poses = clip.poses[FIRST:STOP]
     poses = replace(poses, times=poses.times - poses.times[0])
     recording = simulate(

@@ -60,12 +60,13 @@ SEGMENTS = {
         (0.0137, 0.0129), (0.4415, 0.4014), ((0.257, 0.245, 0.124), (0.299, 0.279, 0.139))
     ),
 }
-_SEXES = {"male": [0], "female": [1], None: [0, 1]}
+SEXES = ("male", "female")
+_COLUMNS: dict[str | None, list[int]] = {"male": [0], "female": [1], None: [0, 1]}
 
 
 def mass_fraction(segment: str, sex: str | None) -> float:
     """Fraction of body mass of a segment; the mean of both sexes for None."""
-    return float(np.mean([SEGMENTS[segment].mass[i] for i in _SEXES[sex]]))
+    return float(np.mean([SEGMENTS[segment].mass[i] for i in _COLUMNS[sex]]))
 
 
 def inertia(segment: str, mass_kg: float, end: Array, sex: str | None) -> tuple[Array, Array]:
@@ -85,8 +86,8 @@ def inertia(segment: str, mass_kg: float, end: Array, sex: str | None) -> tuple[
         kg m^2: longitudinal about the link, the larger of the two others about both across.
     """
     entry = SEGMENTS[segment]
-    share = float(np.mean([entry.center[i] for i in _SEXES[sex]]))
-    radii = np.mean([entry.radii[i] for i in _SEXES[sex]], axis=0)
+    share = float(np.mean([entry.center[i] for i in _COLUMNS[sex]]))
+    radii = np.mean([entry.radii[i] for i in _COLUMNS[sex]], axis=0)
     length = float(np.linalg.norm(end))
     along = end / length
     center = (1 - share if entry.from_far_end else share) * end

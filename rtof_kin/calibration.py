@@ -60,8 +60,11 @@ class ImuCalibration:
                 if not so3.is_rotation(matrix, tolerance=1e-5):
                     raise CalibrationError(f"calibration of {name}: {field} is not a rotation")
             set_(self, field, R)
-        if not np.all(np.isfinite(self.p_bone_sensor)) or np.any(np.abs(self.p_bone_sensor) > 1):
-            raise CalibrationError("calibration: a lever arm is not finite or longer than 1 m")
+        for name, lever in zip(self.sensors, self.p_bone_sensor, strict=True):
+            if not np.linalg.norm(lever) <= 1:
+                raise CalibrationError(
+                    f"calibration of {name}: its lever arm is not finite or longer than 1 m; give metres"
+                )
 
     def select(self, sensors: tuple[str, ...]) -> Self:
         """The calibration of the sensors named, in that order."""

@@ -88,9 +88,11 @@ def swing(R_parent: Array, rest: Array, observed: Array) -> Array:
     expected = R_parent @ rest
     R = so3.minimal_rotation(expected, observed) @ R_parent
     opposite = 1 + np.sum(so3.unit(expected) * so3.unit(observed), axis=-1) < NEAR_OPPOSITE
-    behind = False
-    for t in range(int(np.argmax(opposite)) + 1, len(R)) if opposite.any() else ():
-        if not (opposite[t] or opposite[t - 1] or behind):
+    if not opposite.any():
+        return R
+    behind = bool(opposite[0])
+    for t in range(max(int(np.argmax(opposite)), 1), len(R)):
+        if not (opposite[t] or behind):
             continue
         carried = R_parent[t] @ R_parent[t - 1].T @ R[t - 1]
         carried = so3.minimal_rotation(carried @ rest, observed[t]) @ carried

@@ -8,7 +8,7 @@ A folder holds ``recording.toml`` and the arrays that it names. From arrays in m
     (folder / "recording.toml").write_text(text_as_below)
     recording = Recording.load(folder)
 
-``recording.toml``, where everything marked - may be left out (lengths m, times s, angles none)::
+``recording.toml``, where lines and tables marked - may be left out::
 
     schema_version = 1
     name = "walk"                        # - the folder's name where absent
@@ -20,7 +20,7 @@ A folder holds ``recording.toml`` and the arrays that it names. From arrays in m
     [skeleton]                           # -
     table = "total_capture"              # - 21 joints, or "human36m" with 17
     bone_lengths_m = {LeftLeg = 0.41}    # - some or all, by the child joint; over the height
-    joint_offsets_m = {Spine = [-0.04, 0.0, 0.07]}  # - all joints but the root, in the parent's frame
+    # joint_offsets_m = {Spine = [-0.04, 0.0, 0.07], ...}  # - all but the root, in the parent's frame
     [camera]
     width_px = 1920
     height_px = 1080
@@ -32,8 +32,8 @@ A folder holds ``recording.toml`` and the arrays that it names. From arrays in m
     file = "keypoints.npz"               # uv_px, - confidence, - times; or .csv
     rate_hz = 60.0                       # where the file has no times
     start_s = 0.0                        # - added to all times
-    landmarks = ["LeftArm", "Nose", ""]  # joints or landmarks of the skeleton, "" to leave one out;
-    layout = "joints"                    # or this: all joints of the skeleton in its order
+    landmarks = ["LeftArm", "Nose", ""]  # joints or landmarks of the skeleton, "" to leave one out
+    # layout = "joints"                  # instead of landmarks: all joints of the skeleton
     [imus]                               # -
     file = "imus.npz"                    # quat_wxyz or R_inertial_sensor, f_sensor, - times; or .csv
     rate_hz = 60.0                       # as for the keypoints; all times are on one clock
@@ -44,7 +44,7 @@ A folder holds ``recording.toml`` and the arrays that it names. From arrays in m
     R_world_inertial = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]  # or quat_wxyz_world_inertial
     quat_wxyz_sensor_bone = [1, 0, 0, 0]                  # or R_sensor_bone
     [truth]                              # -
-    file = "truth.npz"                   # times, p_world_joint, R_world_bone
+    file = "truth.npz"                   # times (T), p_world_joint (T, J, 3), R_world_bone
     [notes]                              # -
     acknowledgement = "Data by ..."      # - goes wherever the data go
     text = ""                            # -

@@ -13,7 +13,7 @@ CHECKOUT = Path(__file__).parent.parent / "models"
 
 
 def model_path(name: str) -> Path:
-    """The path of a shipped file, found the same way from an installation and from a checkout.
+    """The path of a shipped file or folder, found the same way from an installation and from a checkout.
 
     Args:
         name: file name inside the models folder, e.g. ``"skeleton.toml"``.
@@ -24,7 +24,7 @@ def model_path(name: str) -> Path:
     """
     for folder in (PACKAGED, CHECKOUT):
         path = folder / name
-        if path.is_file():
+        if path.exists():
             return path
     present = sorted(
         path.name for folder in (PACKAGED, CHECKOUT) if folder.is_dir() for path in folder.iterdir()

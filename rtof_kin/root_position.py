@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 def refit_root(
     poses: PoseSequence,
     keypoints: KeypointSequence,
-    sigma_px: float = 8.0,
-    sigma_depth: float = 0.15,
+    sigma_px: float = 15.0,
+    sigma_depth: float = 0.1,
     iterations: int = 4,
 ) -> PoseSequence:
     """Move every frame's pose so that it fits its keypoints, shape and orientation kept.
@@ -27,7 +27,7 @@ def refit_root(
 
     Args:
         poses: (T, J) rigid poses. keypoints: the same frames; landmarks that are joints are used.
-        sigma_px: standard deviation of a landmark, px.
+        sigma_px: standard deviation of a landmark and of the pose that it is compared with, px.
         sigma_depth: standard deviation of the given root, m.
         iterations: Gauss-Newton steps, each with the weights of the one before.
 

@@ -83,11 +83,10 @@ def hat_average(
         max_gap: longest step interpolated across, s.
 
     Returns:
-        (T', ...); NaN where the kernel touches a gap. At the two ends of the recording the kernel is
-        cut off and renormalised.
+        (T', ...); NaN outside the recording and where the kernel touches a gap. At the two ends of the
+        recording the kernel is cut off and renormalised.
     """
     at = np.asarray(at, dtype=float)
-    out = np.empty((len(at), *values.shape[1:]))
     low = np.searchsorted(times, at - half_width, side="right")
     high = np.searchsorted(times, at + half_width, side="left")
     count = int(np.max(high - low, initial=0))
@@ -109,8 +108,8 @@ def hat_average(
     product = np.where(weight > 0, weight * f, 0.0)
     total = weight.sum(axis=(0, 2))
     mean = product.sum(axis=(0, 2)) / np.where(total > 0, total, np.nan)
-    out[:] = mean.reshape(len(at), *values.shape[1:])
-    return out
+    mean[(at < times[0]) | (at > times[-1])] = np.nan
+    return mean.reshape(len(at), *values.shape[1:])
 
 
 def derivative(values: ArrayLike, rate_hz: float, order: int) -> Array:

@@ -160,7 +160,9 @@ def simulate_file(
     clip = read_mocap(path, rate_hz=rate_hz, unit_m=unit_m, output_rate_hz=None, asf=asf)
     clip = resample_clip(clip if smooth_hz is None else low_passed(clip, smooth_hz), video_rate_hz)
     if isinstance(camera, int):
-        camera = standard_cameras(clip.poses, seed)[camera]
+        cameras = {str(i): one for i, one in enumerate(standard_cameras(clip.poses, seed))}
+        indices_of("standard camera", [str(camera)], list(cameras))
+        camera = cameras[str(camera)]
     return simulate(
         clip.poses,
         clip.joint_offsets,

@@ -111,6 +111,8 @@ class SkeletonModel:
     def from_urdf(cls, path: str | Path, table: str | Path | None = None) -> SkeletonModel:
         """Load a URDF that this package wrote (shipped or personalised).
 
+        Bone offsets, limits and inertias are the file's, everything else the table's.
+
         Args:
             path: the URDF. table: its skeleton table; the 21-joint one where not given.
 
@@ -131,6 +133,14 @@ class SkeletonModel:
             offsets[i] = loaded.jointPlacements[index].translation
         if not np.allclose(offsets, facts.offsets, atol=1e-12):
             facts = facts.scaled_to(offsets)
+        own = cls(facts).model
+        for name in loaded.names[1:]:
+            if not _same_joint(name, loaded, own):
+                raise FileFormatError(
+                    path,
+                    f"the joint {name} has another parent, place or axis than in the skeleton table; "
+                    "give the table that this URDF was made from",
+                )
         return cls(facts, text)
 
     # --- names and sizes -------------------------------------------------------------------------
@@ -272,20 +282,20 @@ class SkeletonModel:
         Returns:
             p_world_joint (T, J, 3) m and R_world_bone (T, J, 3, 3).
         """
-        q = readonly("q", q, ("T", self.nq))
-        quat = q[:, 3:7]
+        rows: Array = readonly("q", q, ("T", self.nq))
+        quat = rows[:, 3:7]
         norm = np.linalg.norm(quat, axis=1)
         if np.any(np.abs(norm - 1) > 1e-3):
             bad = int(np.flatnonzero(np.abs(norm - 1) > 1e-3)[0])
             raise ShapeError(f"q: the root quaternion (x y z w) of frame {bad} has norm {norm[bad]:g}")
-        R_local = np.full((len(q), len(self.names), 3, 3), np.nan)
-        known = np.isfinite(q).all(axis=1)
+        R_local = np.full((len(rows), len(self.names), 3, 3), np.nan)
+        known = np.isfinite(rows).all(axis=1)
         R_local[known, 0] = Rotation.from_quat(quat[known]).as_matrix()
-        angles = q[:, self._q_index]
+        angles = rows[:, self._q_index]
         for order, joints in self._joints_by_axes.items():
             R_local[:, joints] = so3.euler_to_matrix(order, angles[:, np.array(joints) - 1])
         R = kinematics.world_rotations(self.parents, R_local)
-        return kinematics.positions(self.parents, self.joint_offsets, q[:, :3], R), R
+        return kinematics.positions(self.parents, self.joint_offsets, rows[:, :3], R), R
 
     def inverse_kinematics(self, p: ArrayLike, R: ArrayLike | None = None) -> Array:
         """Configurations of poses, on the branch of the angles nearest to the frame before.
@@ -297,25 +307,26 @@ class SkeletonModel:
         posture the outer angles may turn fast; `check` flags it, and limits, and nothing is clipped.
 
         Args:
-            p: (T, J, 3) m. R: (T, J, 3, 3) R_world_bone. Frames with NaN give NaN rows.
+            p: (T, J, 3) m; of use is the root's alone where R is given.
+            R: (T, J, 3, 3) R_world_bone. Frames with a NaN in what is used give NaN rows.
 
         Returns:
             (T, nq), angles and root quaternion continuous over time.
         """
         J = len(self.names)
-        p = readonly("p", p, ("T", J, 3))
+        points: Array = readonly("p", p, ("T", J, 3))
         if R is None:
-            R = kinematics.rotations_from_positions(self.parents, self.joint_offsets, p)
-        R = readonly("R", R, (len(p), J, 3, 3))
-        q = np.full((len(p), self.nq), np.nan)
-        known = np.isfinite(p[:, 0]).all(axis=1) & np.isfinite(R).all(axis=(1, 2, 3))
+            R = kinematics.rotations_from_positions(self.parents, self.joint_offsets, points)
+        R_world_bone: Array = readonly("R", R, (len(points), J, 3, 3))
+        q = np.full((len(points), self.nq), np.nan)
+        known = np.isfinite(points[:, 0]).all(axis=1) & np.isfinite(R_world_bone).all(axis=(1, 2, 3))
         if not known.any():
             return q
-        if not so3.is_rotation(R[known], tolerance=1e-5):
+        if not so3.is_rotation(R_world_bone[known], tolerance=1e-5):
             raise ShapeError("R: holds a matrix that is not a rotation")
-        R_local = kinematics.local_rotations(self.parents, R[known])
+        R_local = kinematics.local_rotations(self.parents, R_world_bone[known])
         rows = np.empty((int(known.sum()), self.nq))
-        rows[:, :3] = p[known, 0]
+        rows[:, :3] = points[known, 0]
         rows[:, 3:7] = np.roll(so3.to_quat_wxyz(R_local[:, 0]), -1, axis=-1)
         for order, joints in self._joints_by_axes.items():
             angles = _continuous(so3.matrix_to_euler(order, R_local[:, joints]))
@@ -339,7 +350,8 @@ class SkeletonModel:
         The root follows the poses' root; every other joint stands where this skeleton's bones put it.
         """
         if poses.names != self.names:
-            raise UnknownNameError("joint", set(poses.names) ^ set(self.names), self.names)
+            self.index(*poses.names)
+            raise ShapeError(f"poses: need all joints, in this order: {', '.join(self.names)}")
         q = self.inverse_kinematics(poses.p_world_joint, poses.R_world_bone)
         p, R = self.forward_kinematics(q)
         return MotionSequence(
@@ -365,6 +377,18 @@ class SkeletonModel:
         for i, joint in enumerate(self.table.joints[1:], start=1):
             groups.setdefault(joint.axes, []).append(i)
         return groups
+
+
+def _same_joint(name: str, a: Any, b: Any) -> bool:
+    """Whether two Pinocchio models have the same joint of that name."""
+    if not b.existJointName(name):
+        return False
+    i, j = a.getJointId(name), b.getJointId(name)
+    return bool(
+        a.names[a.parents[i]] == b.names[b.parents[j]]
+        and a.joints[i].shortname() == b.joints[j].shortname()
+        and a.jointPlacements[i].isApprox(b.jointPlacements[j], 1e-9)
+    )
 
 
 def _continuous(angles: Array) -> Array:

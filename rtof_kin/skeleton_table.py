@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.body_mass import SEGMENTS
+from rtof_kin.body_mass import SEGMENTS, SEXES
 from rtof_kin.errors import FileFormatError
 
 Array = NDArray[np.float64]
@@ -132,8 +132,9 @@ def read_skeleton_table(path: str | Path) -> SkeletonTable:
     """Read and check a skeleton table.
 
     Raises:
-        FileFormatError: not TOML, a field missing, a parent that does not stand before its child,
-            axes that are not three different ones, limits upside down, an unknown mass segment.
+        FileFormatError: not TOML, a field missing or of the wrong kind, a parent that does not stand
+            before its child, axes that are not three different ones, limits upside down, a segment of
+            no length, a name used twice, an unknown joint, sex or mass segment.
     """
     path = Path(path)
     try:
@@ -153,7 +154,13 @@ def read_skeleton_table(path: str | Path) -> SkeletonTable:
         )
     except KeyError as error:
         raise FileFormatError(path, f"the field {error} is missing") from error
-    _check(path, table)
+    except FileFormatError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise FileFormatError(path, f"a field is not of the right kind: {error}") from error
+    for i in range(len(table.joints)):
+        _check_joint(path, table, i)
+    _check_table(path, table)
     return table
 
 
@@ -161,44 +168,75 @@ def _joint(path: Path, entry: dict[str, Any]) -> Joint:
     name, axes = entry["name"], entry.get("axes", "")
     urdf = [f"{name}_{axis}" for axis in axes]
     clinical, opensim = entry.get("clinical", [""] * 3), entry.get("opensim", [""] * 3)
-    if "parent" in entry and sorted(axes) != ["x", "y", "z"]:
-        raise FileFormatError(path, f"joint {name}: axes '{axes}' are not x, y and z in some order")
+    if sorted(axes) != (["x", "y", "z"] if "parent" in entry else []):
+        raise FileFormatError(
+            path, f"joint {name}: axes '{axes}' are not x, y and z in some order (none for the root)"
+        )
+    if axes and not len(clinical) == len(opensim) == 3:
+        raise FileFormatError(path, f"joint {name}: needs three clinical and three OpenSim names")
     return Joint(
         name=name,
         parent=entry.get("parent"),
-        offset=np.array(entry.get("offset_mm", [0, 0, 0]), dtype=float) / 1000,
+        offset=_metres(entry.get("offset_mm", [0, 0, 0])),
         axes=axes,
         limits=np.radians(np.array(entry.get("limits_deg", []), dtype=float).reshape(-1, 2)),
         dofs=tuple(DofNames(*names) for names in zip(urdf, clinical, opensim, strict=False)),
         mass_shares=tuple((share["segment"], float(share["share"])) for share in entry["mass"]),
-        end=np.array(entry["end_mm"], dtype=float) / 1000,
+        end=_metres(entry["end_mm"]),
         radius=float(entry["radius_mm"]) / 1000,
     )
 
 
+def _metres(point_mm: Any) -> Array:
+    point = np.array(point_mm, dtype=float) / 1000
+    if point.shape != (3,) or not np.all(np.isfinite(point)):
+        raise ValueError(f"{point_mm} is no point x, y, z")
+    return point
+
+
 def _landmarks(entries: list[dict[str, Any]], field: str) -> tuple[Landmark, ...]:
-    return tuple(
-        Landmark(e["name"], e["joint"], np.array(e[field], dtype=float) / 1000) for e in entries
-    )
+    return tuple(Landmark(e["name"], e["joint"], _metres(e[field])) for e in entries)
 
 
-def _check(path: Path, table: SkeletonTable) -> None:
-    seen: set[str] = set()
-    for i, joint in enumerate(table.joints):
-        if (joint.parent is None) != (i == 0) or (i > 0 and joint.parent not in seen):
+def _check_joint(path: Path, table: SkeletonTable, i: int) -> None:
+    joint = table.joints[i]
+    before, where = table.names[:i], f"joint {joint.name}"
+    if (joint.parent is None) != (i == 0) or (i > 0 and joint.parent not in before):
+        raise FileFormatError(
+            path, f"{where}: its parent must stand before it; only the first has none"
+        )
+    if joint.name in before:
+        raise FileFormatError(path, f"{where} stands there twice")
+    if i > 0 and not (len(joint.limits) == 3 and np.all(joint.limits[:, 0] < joint.limits[:, 1])):
+        raise FileFormatError(path, f"{where}: limits are not three ranges low, high")
+    if not joint.end.any() or (i > 0 and not joint.offset.any()):
+        raise FileFormatError(path, f"{where}: end_mm or offset_mm is a bone of no length")
+    for segment, share in joint.mass_shares:
+        if segment not in SEGMENTS:
             raise FileFormatError(
-                path, f"joint {joint.name}: its parent must stand before it; only the first has none"
+                path, f"{where}: no segment '{segment}'; known: {', '.join(SEGMENTS)}"
             )
-        if joint.name in seen:
-            raise FileFormatError(path, f"joint {joint.name} stands there twice")
-        if i > 0 and (len(joint.limits) != 3 or np.any(joint.limits[:, 0] >= joint.limits[:, 1])):
-            raise FileFormatError(path, f"joint {joint.name}: limits are not three ranges low, high")
-        for segment, _ in joint.mass_shares:
-            if segment not in SEGMENTS:
-                raise FileFormatError(
-                    path, f"joint {joint.name}: no segment '{segment}'; known: {', '.join(SEGMENTS)}"
-                )
-        seen.add(joint.name)
-    for point in (*table.landmarks, *table.sensors):
-        if point.joint not in seen:
-            raise FileFormatError(path, f"landmark {point.name}: there is no joint {point.joint}")
+        if not share > 0:
+            raise FileFormatError(path, f"{where}: its share of the {segment} is not positive")
+    if not joint.mass_shares:
+        raise FileFormatError(path, f"{where}: carries no mass, which a simulator cannot use")
+
+
+def _check_table(path: Path, table: SkeletonTable) -> None:
+    if not table.joints:
+        raise FileFormatError(path, "there is no joint in it")
+    if not 0 < table.mass_kg < np.inf or table.sex not in (None, *SEXES):
+        raise FileFormatError(
+            path, f"mass_kg {table.mass_kg} must be positive and sex {table.sex!r} one of {SEXES}"
+        )
+    for kind, points in (("landmark", table.landmarks), ("sensor", table.sensors)):
+        names = [point.name for point in points] + list(table.names if kind == "landmark" else ())
+        for point in points:
+            if point.joint not in table.names:
+                raise FileFormatError(path, f"{kind} {point.name}: there is no joint {point.joint}")
+            if names.count(point.name) > 1:
+                raise FileFormatError(path, f"{kind} {point.name}: another has this name")
+    dofs = {dof.urdf for joint in table.joints for dof in joint.dofs}
+    for name in table.n_pose:
+        if name not in dofs:
+            raise FileFormatError(path, f"n_pose_deg: there is no revolute {name}")

@@ -96,9 +96,9 @@ def _checked_rotations(field: str, R: Array) -> None:
     if np.any(missing & ~np.isnan(R).all(axis=(-2, -1))):
         raise ShapeError(f"{field}: a matrix is partly NaN; missing ones are NaN as a whole")
     if not so3.is_rotation(R[~missing], tolerance=1e-5):
-        error = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-2, -1))
-        worst = np.unravel_index(np.nanargmax(error), error.shape)
-        at = ", ".join(map(str, worst))
+        known = np.argwhere(~missing)
+        first = next(i for i in known if not so3.is_rotation(R[tuple(i)], tolerance=1e-5))
+        at = ", ".join(map(str, first))
         raise ShapeError(
             f"{field}: not a rotation matrix at index ({at}); normalise quaternions before use"
         )
@@ -135,8 +135,9 @@ class Camera:
                 "camera K: singular; it needs positive focal lengths on the diagonal and "
                 "0, 0, 1 as its last row"
             )
-        if not np.all(np.isfinite(np.concatenate([self.K.ravel(), self.t_camera_world]))):
-            raise ShapeError("camera: K or t_camera_world is not finite")
+        for field in ("K", "t_camera_world", "distortion"):
+            if not np.all(np.isfinite(getattr(self, field))):
+                raise ShapeError(f"camera {field}: not finite")
         if self.width_px <= 0 or self.height_px <= 0:
             raise ShapeError("camera: width_px and height_px must be positive")
 
@@ -415,7 +416,7 @@ class PoseSequence:
     """(T, J) whether the position is an estimate to rely on; where not given, whether it is finite."""
     orientation_observed: NDArray[np.bool_] = None  # type: ignore[assignment]
     """(T, J) whether all three angles of the segment were seen; where False, its twist follows the
-    parent. All False where not given."""
+    parent. One row (J,) stands for all frames; all False where not given."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -427,9 +428,13 @@ class PoseSequence:
         _checked_rotations("pose R_world_bone", R)
         known = np.isfinite(p).all(axis=-1)
         provenance = np.zeros((T, J)) if self.provenance is None else self.provenance
-        valid = known if self.valid is None else np.asarray(self.valid, dtype=bool) & known
-        observed = self.orientation_observed
-        observed = np.zeros((T, J)) if observed is None else np.broadcast_to(observed, (T, J))
+        if not np.all(np.isin(provenance, list(Provenance))):
+            raise ShapeError(f"pose provenance: a value is none of {', '.join(map(repr, Provenance))}")
+        valid = known if self.valid is None else self.valid
+        valid = readonly("pose valid", valid, (T, J), np.bool_) & known
+        observed = np.zeros(J) if self.orientation_observed is None else self.orientation_observed
+        if np.ndim(observed) == 1:  # the same in all frames
+            observed = np.tile(observed, (T, 1))
         set_(self, "p_world_joint", p)
         set_(self, "R_world_bone", R)
         set_(self, "provenance", readonly("pose provenance", provenance, (T, J), np.uint8))

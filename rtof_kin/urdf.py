@@ -72,7 +72,10 @@ def _segment(link: ET.Element, joint: Joint, table: SkeletonTable) -> None:
     total = sum(mass for _, mass in masses)
     parts = [inertia(name, mass, joint.end, table.sex) for name, mass in masses]
     center = np.sum([m * c for (_, m), (c, _) in zip(masses, parts, strict=True)], axis=0) / total
-    matrix = sum((I for _, I in parts), np.zeros((3, 3)))
+    matrix = np.zeros((3, 3))
+    for (_, mass), (c, I) in zip(masses, parts, strict=True):
+        d = so3.skew(c - center)
+        matrix += I - mass * d @ d  # Steiner
     _inertial(link, total, center, matrix)
     length = float(np.linalg.norm(joint.end))
     turn = so3.minimal_rotation([0.0, 0.0, 1.0], joint.end)

@@ -51,7 +51,7 @@ def test_positions_agree_with_a_chain_of_scipy_rotations(write):
     p, R = motion.forward_kinematics()
     base = Rotation.from_euler("YXZ", [40, -50, 60], degrees=True)
     upper = base * Rotation.from_euler("ZXY", [70, 15, -25], degrees=True)
-    np.testing.assert_allclose(p[1, 1], [10, 20, 30] + base.apply([0, 5, 0]), atol=1e-12)
+    np.testing.assert_allclose(p[1, 1] - [10, 20, 30], base.apply([0, 5, 0]), atol=1e-12)
     np.testing.assert_allclose(R[1, 1], upper.as_matrix(), atol=1e-12)
     end = p[1, 1] + upper.apply([0, 0, 2])
     np.testing.assert_allclose(motion.end_positions()[1, 0], end, atol=1e-12)

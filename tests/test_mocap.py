@@ -74,7 +74,7 @@ def test_a_planted_angle_arrives_about_the_axis_of_its_joint(
     planted, bone, angles, joint, axis, degrees
 ):
     R = local(planted(**{bone: angles}))[0, index(joint)]
-    np.testing.assert_allclose(R, so3.about_axis(axis, np.radians(degrees)), atol=1e-9)
+    np.testing.assert_allclose(R, so3.about_axis(axis, np.radians(degrees)), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -83,9 +83,9 @@ def test_a_planted_angle_arrives_about_the_axis_of_its_joint(
 def test_the_legs_that_cmu_spreads_at_rest_are_spread_here_too(planted, bone, joint, spread):
     R = local(planted(**{bone: [-40, 0, 0]}))[0, index(joint + "UpLeg")]
     expected = so3.euler_to_matrix("xyz", np.radians([spread, -40, 0]))
-    np.testing.assert_allclose(R, expected, atol=1e-9)
+    np.testing.assert_allclose(R, expected, atol=1e-6)
     upright = local(planted(**{bone: [0, 0, -spread]}))[0, index(joint + "UpLeg")]
-    np.testing.assert_allclose(upright, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(upright, np.eye(3), atol=1e-6)
 
 
 def test_pronation_turns_the_hand_and_not_the_forearm(planted):
@@ -148,7 +148,8 @@ def test_positions_are_exactly_rigid_and_limbs_lie_on_their_axes(path):
             np.testing.assert_allclose(outward, [0, sign, 0], atol=1e-9)
         assert sign * offsets[index(side + "UpLeg"), 1] > 0.05
         assert 0.6 < -offsets[index(side + "Leg"), 2] - offsets[index(side + "Foot"), 2] < 1.0
-        assert 0.4 < sign * (offsets[index(side + "ForeArm")] + offsets[index(side + "Hand")])[1]
+        arm = offsets[index(side + "ForeArm")] + offsets[index(side + "Hand")]
+        assert sign * arm[1] > 0.4
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
@@ -177,12 +178,12 @@ def test_the_walk_flexes_knees_about_y_and_goes_where_the_pelvis_faces():
     way = np.arctan2(*(p[-1] - p[0])[[1, 0]])
     facing = so3.heading(clip.poses.R_world_bone[:, 0]) - way
     assert abs(np.degrees(np.angle(np.exp(1j * facing).mean()))) < 15
-    for joint in ("Hips", "Spine3", "Head"):
+    for joint, most in (("Hips", 10), ("Spine3", 10), ("Head", 30)):
         up = clip.poses.R_world_bone[:, index(joint), 2, 2]
-        assert np.degrees(np.arccos(up)).max() < 25
+        assert np.degrees(np.arccos(up)).max() < most
 
 
-# --- files -----------------------------------------------------------------------------------------
+# --- files --------------------------------------------------------------------------------
 
 
 def test_every_family_places_every_joint_once_and_none_is_taken_for_another():
@@ -230,7 +231,7 @@ def test_a_whole_ratio_of_rates_takes_every_nth_frame():
 def test_other_ratios_interpolate_between_the_frames_and_stay_rigid():
     source = mocap.read_mocap(WALK, output_rate_hz=None)
     clip = mocap.resample_clip(source, 75.0)
-    assert source.poses.rate_hz == 30.0
+    assert source.poses.rate_hz == pytest.approx(30.0, abs=1e-9)
     assert clip.poses.rate_hz == pytest.approx(75)
     shared = clip.poses.p_world_joint[::5]
     np.testing.assert_allclose(shared, source.poses.p_world_joint[::2][: len(shared)], atol=1e-9)
@@ -260,7 +261,7 @@ def test_unknown_files_and_skeletons_are_refused_with_what_is_known(tmp_path):
         mocap.read_mocap(tmp_path / "walk.fbx")
     text = WALK.read_text()
     (tmp_path / "a.bvh").write_text(text.replace("LHipJoint", "Hip"))
-    with pytest.raises(FileFormatError, match="unknown skeleton .*known families: cmu_bvh"):
+    with pytest.raises(FileFormatError, match=r"unknown skeleton .*known families: cmu_bvh"):
         mocap.read_mocap(tmp_path / "a.bvh")
     (tmp_path / "b.bvh").write_text(text.replace("JOINT RightFoot", "JOINT RFoot"))
     with pytest.raises(FileFormatError, match="family cmu_bvh without RightFoot"):
@@ -273,7 +274,7 @@ def test_a_clip_needs_an_offset_for_each_joint():
         replace(clip, joint_offsets=np.zeros((3, 3)))
 
 
-# --- the corpus ------------------------------------------------------------------------------------
+# --- the corpus ---------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -281,7 +282,9 @@ def corpus(tmp_path):
     """A folder of three recordings with an index."""
     (tmp_path / "cmu_amc").mkdir()
     shutil.copy(WALK, tmp_path / "walk.bvh")
-    shutil.copy(DATA / "16_15.amc", tmp_path / "cmu_amc" / "gs_backflip.amc")
+    header, frame = (DATA / "16_15.amc").read_text().split("\n2\n")[0].split("\n1\n")
+    still = "".join(f"\n{number}\n{frame}" for number in range(1, 13))
+    (tmp_path / "cmu_amc" / "gs_backflip.amc").write_text(header + still + "\n")
     shutil.copy(DATA / "16.asf", tmp_path / "cmu_amc" / "gs_backflip.asf")
     (tmp_path / "index.csv").write_text(
         "file,subject,tc_like,fps,quality,note\n"
@@ -304,10 +307,10 @@ def test_a_corpus_tells_subject_category_and_quality_of_each_clip(corpus):
 
 
 def test_the_rate_of_the_index_stands_above_the_files_and_corrections_above_it(corpus):
-    walk, flip = mocap.read_corpus(corpus)
+    walk, flip = mocap.read_corpus(corpus, min_seconds=0)
     frames = len(read_bvh(WALK)) - 1
     assert walk.poses.times[-1] == pytest.approx((frames - 1) / 15, abs=1 / 60)
-    assert len(flip.poses) == (DATA / "16_15.amc").read_text().count("root")  # 60 Hz, not 120
+    assert len(flip.poses) == 12  # all of them: 60 Hz, not 120
 
 
 def test_the_floor_lies_under_the_feet(corpus):
@@ -317,23 +320,40 @@ def test_the_floor_lies_under_the_feet(corpus):
 
 
 def test_a_subject_or_a_column_that_is_not_there_is_named(corpus):
-    with pytest.raises(UnknownNameError, match="unknown subject 'CMU003'. Did you mean 'CMU002'"):
+    with pytest.raises(UnknownNameError, match=r"unknown subject 'CMU003'\. Did you mean 'CMU002'"):
         list(mocap.read_corpus(corpus, ["CMU003"]))
     (corpus / "index.csv").write_text("file,subject,tc_like,quality\n")
     with pytest.raises(FileFormatError, match=r"index\.csv, line 1: no column fps"):
         list(mocap.read_corpus(corpus))
 
 
-def test_a_spike_is_cut_out_and_a_clean_clip_is_left_alone():
+@pytest.mark.parametrize("height", [0.37, 0.8])  # 11 and 24 m/s, where the knee makes 2
+def test_a_spike_is_cut_out_and_a_clean_clip_is_left_alone(height):
     clip = mocap.read_mocap(WALK, output_rate_hz=None)
     assert mocap.without_spikes(clip) == [clip]
     p = clip.poses.p_world_joint.copy()
-    p[20, index("LeftLeg")] += [0, 0, 0.8]
+    p[20, index("LeftLeg")] += [0, 0, height]
     spiked = replace(clip, poses=replace(clip.poses, p_world_joint=p))
     first, second = mocap.without_spikes(spiked)
     assert (first.name, second.name) == ("02_01_excerpt[0:18]", "02_01_excerpt[23:50]")
     np.testing.assert_array_equal(second.poses.p_world_joint, p[23:])
     assert second.poses.times[0] == 0
+
+
+def test_a_body_that_flies_is_cut_out_until_it_lands():
+    clip = mocap.read_mocap(WALK, output_rate_hz=None)
+    flight = np.interp(np.arange(len(clip.poses)), [15, 35], [0, 20 * 0.7])  # 21 m/s at 30 Hz
+    p = clip.poses.p_world_joint + flight[:, None, None] * [0, 1, 0]
+    pieces = mocap.without_spikes(replace(clip, poses=replace(clip.poses, p_world_joint=p)))
+    assert [len(piece.poses) for piece in pieces] == [14, 13]
+
+
+def test_a_segment_that_turns_faster_than_any_body_is_cut_out():
+    clip = mocap.read_mocap(WALK, output_rate_hz=None)
+    R = clip.poses.R_world_bone.copy()
+    R[20, index("Head")] = R[20, index("Head")] @ so3.about_axis("z", 2.5)
+    pieces = mocap.without_spikes(replace(clip, poses=replace(clip.poses, R_world_bone=R)))
+    assert [len(piece.poses) for piece in pieces] == [18, 27]
 
 
 def test_a_foot_that_is_turned_round_is_cut_out_but_a_hand_is_not():

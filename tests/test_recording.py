@@ -14,6 +14,7 @@ import numpy as np
 import planted
 import pytest
 
+import rtof_kin.recording
 from rtof_kin import rotations as so3
 from rtof_kin.errors import (
     CalibrationError,
@@ -202,6 +203,25 @@ def test_a_folder_written_by_hand_says_what_its_author_meant(tmp_path: Path) -> 
     assert recording.calibration.joints == ("LeftArm", "RightLeg")
     np.testing.assert_allclose(recording.calibration.R_sensor_bone[0] @ [1, 0, 0], [0, 1, 0])
     np.testing.assert_allclose(recording.calibration.p_bone_sensor[1], [0.05, 0.0, -0.16])
+
+
+def test_the_example_of_the_documentation_can_be_loaded(tmp_path: Path) -> None:
+    text = rtof_kin.recording.__doc__ or ""
+    example = text[text.index("    schema_version") : text.index("Missing is NaN")]
+    (tmp_path / INDEX).write_text(textwrap.dedent(example))
+    np.savez(tmp_path / "keypoints.npz", uv_px=UV[:, :3], confidence=np.ones((T, 3)))
+    np.savez(tmp_path / "imus.npz", quat_wxyz=QUAT[:, :1], f_sensor=FORCE[:, :1])
+    poses = planted.moving(SKELETON, T).poses
+    np.savez(
+        tmp_path / "truth.npz",
+        times=poses.times, p_world_joint=poses.p_world_joint, R_world_bone=poses.R_world_bone,
+    )  # fmt: skip
+    recording = Recording.load(tmp_path)
+    assert recording.name == "walk"
+    assert recording.keypoints.names == ("LeftArm", "Nose")
+    assert recording.skeleton.bone_lengths["LeftLeg"] == pytest.approx(0.41)
+    assert recording.bone_imus() is not None
+    assert recording.truth is not None
 
 
 def test_the_usual_lever_arm_of_a_known_sensor_is_that_of_the_subject(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from rtof_kin.simulation import (
     SimulationSettings,
     low_passed,
     simulate,
+    simulate_file,
     standard_cameras,
 )
 from rtof_kin.simulation_noise import ORIENTATION_MEDIAN_DEG, ImuNoise, KeypointNoise
@@ -88,10 +89,11 @@ def test_aligned_samples_give_exactly_the_central_differences_of_the_truth() -> 
 
 
 @pytest.mark.parametrize(
-    ("rate_hz", "start"), [(60.0, 0.5), (100.0, 0.3), (240.0, 0.9), (50.0, 0.2)]
+    ("rate_hz", "start", "largest"),
+    [(240.0, 0.9, 0.05), (100.0, 0.3, 0.15), (60.0, 0.5, 0.4), (50.0, 0.2, 0.4)],
 )
 def test_samples_at_other_instants_give_the_central_differences_nearly(
-    rate_hz: float, start: float
+    rate_hz: float, start: float, largest: float
 ) -> None:
     settings = replace(NOISELESS, imu_rate_hz=rate_hz, imu_start_frames=(start, start))
     recording = simulated(settings)
@@ -101,11 +103,12 @@ def test_samples_at_other_instants_give_the_central_differences_nearly(
     np.testing.assert_allclose(recording.imus.times[0], POSES.times[0] + start / rate_hz)
     np.testing.assert_allclose(np.diff(recording.imus.times), 1 / rate_hz)
     expected = sensor_accelerations(POSES, LIMB_SENSORS)
-    error = (bones.a_world[1:-1] - expected)[3:-3]
-    assert np.linalg.norm(error, axis=-1).max() < 0.05
-    assert np.linalg.norm(expected, axis=-1).max() > 3, "or else the test says nothing"
+    error = np.linalg.norm((bones.a_world[1:-1] - expected)[3:-3], axis=-1)
+    assert np.median(error) < 0.05
+    assert error.max() < largest
+    assert np.linalg.norm(expected, axis=-1).max() > 10, "or else the test says nothing"
     truth = POSES.R_world_bone[:, SKELETON.index(*bones.joints)]
-    assert np.nanmax(so3.angle_between(bones.R_world_bone, truth)[3:-3]) < np.radians(0.1)
+    assert np.nanmax(so3.angle_between(bones.R_world_bone, truth)[3:-3]) < np.radians(0.3)
 
 
 def test_the_lever_arm_is_felt() -> None:
@@ -166,7 +169,8 @@ def test_a_late_video_shows_what_happened_before_its_time_stamp() -> None:
 
 
 def test_the_lag_is_drawn_between_one_and_four_frames() -> None:
-    cuts = {simulated(SimulationSettings.realistic(), seed=seed).first_frame for seed in range(20)}
+    settings = replace(SimulationSettings.realistic(), sensors=())
+    cuts = {simulated(settings, POSES[:20], seed=seed).first_frame for seed in range(20)}
     assert cuts == {2, 3, 4}
 
 
@@ -264,16 +268,16 @@ def test_limbs_are_seen_worse_or_better_by_their_factors() -> None:
 
 
 def test_outliers_cover_their_share_of_the_frames_for_a_fifth_to_one_second() -> None:
-    uv = errors(replace(QUIET, outlier_share=(0.04, 0.04)), ["Hips"] * 100)
+    uv = errors(replace(QUIET, outlier_share=(0.04, 0.04)), ["Hips"] * 60)
     out = np.linalg.norm(uv, axis=-1) > 0
     assert out.mean() == pytest.approx(0.04, rel=0.1)
     displaced = np.linalg.norm(uv[out], axis=-1)
     assert np.median(displaced) == pytest.approx(80, rel=0.1)
     lengths = []
-    for j in range(100):
+    for j in range(60):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], out[1:-1, j], [0]]).astype(int)))
         lengths += list(np.diff(edges)[::2] / 60)
-    assert 0.2 - 1 / 60 <= np.quantile(lengths, 0.05)
+    assert np.quantile(lengths, 0.05) >= 0.2 - 1 / 60
     assert np.quantile(lengths, 0.95) < 1.1, "two may overlap, rarely"
 
 
@@ -299,7 +303,7 @@ def test_a_person_who_leaves_the_image_is_lost_for_a_while() -> None:
         assert not lost[2601:3000].any()
         assert lost[3000:3010].sum() == 10
         lengths.append(lost[1000:2000].all(axis=1).sum() / 60)
-    assert 0.5 <= min(lengths)
+    assert min(lengths) >= 0.5
     assert max(lengths) < 5.1
     assert 2.0 < np.mean(lengths) < 3.5
 
@@ -380,6 +384,28 @@ def test_the_slip_drifts_over_tens_of_seconds() -> None:
     assert np.degrees(np.abs(np.diff(twist)).mean()) < 0.5, "it creeps, it does not jump"
 
 
+def test_smooth_noise_has_unit_variance_whatever_its_smoothing() -> None:
+    noise = noises.smooth_noise(np.random.default_rng(0), SLOW, 2.0, (200,), smoothing=2.0)
+    assert noise[200:].std() == pytest.approx(1.0, rel=0.05)
+
+
+def test_slip_turns_the_sensor_about_the_bone_and_leaves_the_acceleration_true() -> None:
+    imu = replace(
+        FIXED_IMU, misalignment_deg=0, white=0, white_per_acceleration=0, coloured=0, bias=0
+    )
+    settings = replace(NOISELESS, imu=imu, sensors=("R_LowArm",))
+    along = []
+    for seed in range(8):
+        bones = simulated(settings, seed=seed).bone_imus()
+        assert bones is not None
+        truth = POSES.R_world_bone[:, SKELETON.index("RightForeArm")]
+        error = so3.log(np.swapaxes(truth, -1, -2) @ bones.R_world_bone)
+        along.append((error[..., 1] ** 2).sum() / (error**2).sum())
+        a_error = bones.a_world[1:-1] - sensor_accelerations(POSES, ("R_LowArm",))
+        assert np.abs(a_error).max() < 1e-8
+    assert np.mean(along) > 0.7, "a forearm lies along y of its link frame"
+
+
 def test_the_wobble_follows_the_motion_and_is_small_in_somebody_at_rest() -> None:
     noise = replace(FIXED_IMU, wobble_share=1.0)
     axis = np.array([0, 0, 1.0])
@@ -419,7 +445,7 @@ def test_accelerometer_errors_have_a_bias_a_colour_and_grow_with_the_acceleratio
     still = np.zeros((len(TIMES), 3))
     one = replace(ImuNoise.perfect(), white=0.4, white_per_acceleration=0.2)
     assert noises.accelerometer_errors(rng, TIMES, still, one).std() == pytest.approx(0.4, rel=0.05)
-    fast = still + [6.0, 0.0, 8.0]
+    fast = np.tile([6.0, 0.0, 8.0], (len(TIMES), 1))
     assert noises.accelerometer_errors(rng, TIMES, fast, one).std() == pytest.approx(2.4, rel=0.05)
     bias = replace(ImuNoise.perfect(), bias=0.1)
     samples = [noises.accelerometer_errors(rng, TIMES[:2], still[:2], bias) for _ in range(800)]
@@ -472,12 +498,49 @@ def test_low_passing_takes_away_jitter_and_leaves_bones_and_slow_motion() -> Non
     smooth = low_passed(clip, 8.0).poses
     before = so3.angle_between(R, POSES.R_world_bone).mean()
     assert so3.angle_between(smooth.R_world_bone, POSES.R_world_bone)[10:-10].mean() < 0.6 * before
-    assert np.linalg.norm(smooth.p_world_joint - POSES.p_world_joint, axis=-1)[10:-10].max() < 0.01
+    assert np.linalg.norm(smooth.p_world_joint - POSES.p_world_joint, axis=-1)[10:-10].max() < 0.02
     for j, parent in enumerate(SKELETON.parents[1:], start=1):
         bone = np.linalg.norm(smooth.p_world_joint[:, j] - smooth.p_world_joint[:, parent], axis=-1)
         np.testing.assert_allclose(bone, np.linalg.norm(SKELETON.joint_offsets[j]), atol=1e-12)
     with pytest.raises(ShapeError, match="40 Hz does not lie between 0 and half of 60 Hz"):
         low_passed(clip, 40.0)
+
+
+MOCAP = Path(__file__).parent / "data" / "mocap"
+
+
+@pytest.mark.parametrize(
+    ("name", "rate_hz", "smooth_hz"), [("02_01_excerpt.bvh", 30.0, 10.0), ("16_15.amc", 3.0, None)]
+)
+def test_a_motion_capture_file_becomes_a_recording(
+    name: str, rate_hz: float, smooth_hz: float | None
+) -> None:
+    def recorded(camera: Camera | int) -> Recording:
+        return simulate_file(
+            MOCAP / name, settings=SimulationSettings.perfect(), seed=5, camera=camera,
+            rate_hz=rate_hz, video_rate_hz=rate_hz, smooth_hz=smooth_hz, acknowledgement="CMU",
+        )  # fmt: skip
+
+    recordings = [recorded(0), recorded(1), recorded(CAMERA)]
+    for recording in recordings:
+        assert recording.name == Path(name).stem
+        assert recording.acknowledgement == "CMU"
+        assert recording.truth is not None
+        assert recording.truth.rate_hz == pytest.approx(rate_hz)
+        assert recording.imus is not None
+        assert np.median(np.diff(recording.imus.times)) == pytest.approx(1 / 60)
+        assert np.median(np.linalg.norm(recording.imus.f_sensor, axis=-1)) < 20
+        seen = recording.keypoints.camera.project(recording.truth.p_world_joint)
+        np.testing.assert_array_equal(recording.keypoints.uv_px, seen)
+    centres = np.array([recording.keypoints.camera.center_world for recording in recordings])
+    assert np.linalg.norm(centres[0] - centres[1]) > 2
+    np.testing.assert_array_equal(centres[2], CAMERA.center_world)
+
+
+def test_a_camera_that_does_not_exist_is_refused() -> None:
+    path = MOCAP / "02_01_excerpt.bvh"
+    with pytest.raises(UnknownNameError, match=r"unknown standard camera '4'\. Known: 0, 1, 2, 3"):
+        simulate_file(path, settings=NOISELESS, seed=0, camera=4)
 
 
 # --- what is refused -----------------------------------------------------------------------------

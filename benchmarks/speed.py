@@ -1,0 +1,111 @@
+"""Frames per second of the fragment solver, from SF2 output to blended output, on one core.
+
+``python -m benchmarks.speed``: the demo recording's first 20 s of poses, N = 50, N/2 new frames a solve,
+everything counted but the one-time build of the problem (its time is reported beside). Set
+OMP_NUM_THREADS=1. Median of several runs; a machine busy with other work shows lower numbers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+
+from rtof_kin.fragment import FragmentSolver
+from rtof_kin.fragment_problem import FragmentSettings
+from rtof_kin.inertial_ik import InertialGuidedIK
+from rtof_kin.recording import Recording
+from rtof_kin.resources import model_path
+from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
+
+SETTINGS = {
+    "unconstrained energy, as printed": FragmentSettings.paper(),
+    "the same, bone lengths weighted": replace(FragmentSettings.paper(), bone_lengths="weighted"),
+    "default": FragmentSettings(),
+    "default, sigma given": FragmentSettings(sigma_reprojection=10.0),
+    "default, bone lengths as constraints": FragmentSettings(bone_lengths="constraint"),
+}
+
+
+def start_of(recording: Recording) -> PoseSequence:
+    """Poses with a lifter's kind of error, so that the benchmark needs no network."""
+    truth = recording.truth
+    assert truth is not None
+    rng = np.random.default_rng(0)
+    smooth = np.array([np.convolve(row, np.ones(30) / 30, mode="same")
+                       for row in rng.standard_normal((63, len(truth)))]).T  # fmt: skip
+    error = 0.05 * smooth.reshape(len(truth), 21, 3) / smooth.std()
+    return replace(truth, p_world_joint=truth.p_world_joint + error)
+
+
+def measure(
+    settings: FragmentSettings,
+    start: PoseSequence,
+    keypoints: KeypointSequence,
+    imus: BoneImuSequence,
+    recording: Recording,
+    runs: int,
+) -> dict[str, Any]:
+    """Build once, solve several times."""
+    began = perf_counter()
+    solver = FragmentSolver(recording.skeleton, 50, settings, imus.joints)
+    build = perf_counter() - began
+    rates, cpu_rates = [], []
+    for _ in range(runs):
+        began, cpu = perf_counter(), process_time()
+        solution = solver.solve(start, keypoints, imus)
+        rates.append(len(start) / (perf_counter() - began))
+        cpu_rates.append(len(start) / (process_time() - cpu))
+    return {
+        "frames_per_second": median(rates),
+        "frames_per_cpu_second": median(cpu_rates),
+        "iterations_per_fragment": solution.iterations / len(solution.fragments),
+        "status": solution.status.name,
+        "build_seconds": build,
+    }
+
+
+def main() -> int:
+    """Command line; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.speed", description=__doc__)
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument(
+        "--out", type=Path, default=Path(__file__).parent / "results" / "speed.json"
+    )
+    options = parser.parse_args()
+    recording = Recording.load(model_path("demo"))
+    bone_imus = recording.bone_imus()
+    assert bone_imus is not None
+    frames = slice(0, 1200)
+    keypoints, imus = recording.keypoints[frames], bone_imus[frames]
+    start = start_of(recording)
+    start = replace(start, times=recording.keypoints.times)[frames]
+    sf2 = InertialGuidedIK(recording.skeleton).refine(start, imus)
+    rows = {}
+    print("| settings | frames/s | iterations | status | build s |\n|---|---|---|---|---|")
+    for name, settings in SETTINGS.items():
+        row = measure(settings, sf2, keypoints, imus, recording, options.runs)
+        rows[name] = row
+        print(
+            f"| {name} | {row['frames_per_second']:.0f} | {row['iterations_per_fragment']:.1f} | "
+            f"{row['status']} | {row['build_seconds']:.1f} |",
+            flush=True,
+        )
+    machine = {"processor": platform.processor(), "cores": os.cpu_count(), "N": 50}
+    result = {"command": "python -m benchmarks.speed", "machine": machine, "rows": rows}
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,39 @@
+"""What most tests need: the two shipped skeletons, a motion, a camera."""
+
+from __future__ import annotations
+
+import planted
+import pytest
+
+from rtof_kin.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.types import Camera
+
+
+@pytest.fixture(scope="session")
+def skeleton() -> SkeletonModel:
+    """The 21-joint Total Capture skeleton."""
+    return SkeletonModel.default()
+
+
+@pytest.fixture(scope="session")
+def human36m() -> SkeletonModel:
+    """Human3.6M's 17 joints."""
+    return SkeletonModel.human36m()
+
+
+@pytest.fixture(params=["total_capture", "human36m"], scope="session")
+def any_skeleton(request: pytest.FixtureRequest) -> SkeletonModel:
+    """Each shipped skeleton in turn."""
+    return SkeletonModel.named(request.param)
+
+
+@pytest.fixture(scope="session")
+def motion(skeleton: SkeletonModel) -> MotionSequence:
+    """One second of smooth random motion about standing at ease, 60 Hz."""
+    return planted.moving(skeleton, 60)
+
+
+@pytest.fixture(scope="session")
+def camera() -> Camera:
+    """One camera 4 m away at 1.5 m."""
+    return planted.camera()

@@ -1,0 +1,184 @@
+"""The command line: what it prints, writes, refuses and returns."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtof_kin.cli import main
+from rtof_kin.io.motion_npz import read_motion_npz
+from rtof_kin.recording import Recording
+from rtof_kin.resources import model_path
+
+COMMANDS = ("demo", "reconstruct", "evaluate", "simulate", "train", "export")
+MOCAP = Path(__file__).parent / "data" / "mocap"
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds of the demo as a recording folder."""
+    demo = Recording.load(model_path("demo"))
+    folder = tmp_path_factory.mktemp("recordings") / "short"
+    replace(demo, keypoints=demo.keypoints[600:720]).save(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def reconstructed(short: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The output folder of `reconstruct` on it."""
+    out = tmp_path_factory.mktemp("outputs") / "short"
+    assert main(["reconstruct", str(short), "-o", str(out), "--no-figures"]) == 0
+    return out
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_every_command_explains_it(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([command, "--help"])
+    assert stop.value.code == 0
+    text = capsys.readouterr().out
+    assert "usage: rtof-kin " + command in text
+    assert len(text) > 400
+
+
+def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    text = capsys.readouterr().out
+    assert all(f"\n    {command} " in text for command in COMMANDS)
+
+
+def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
+    names = {path.name for path in reconstructed.iterdir()}
+    assert names == {
+        "motion.npz",
+        "skeleton.urdf",
+        "joint_trajectory.csv",
+        "joint_trajectory.json",
+        "ros_joint_trajectory.json",
+        "ros_base_trajectory.json",
+        "summary.json",
+    }
+    summary = json.loads((reconstructed / "summary.json").read_text())
+    assert summary["mode"] == "rtof"
+    assert set(summary["metrics"]) == {"lift", "sf2", "rtof"}
+    assert summary["metrics"]["rtof"]["mpjpe_rr_mm"] < 90
+    assert len(read_motion_npz(reconstructed / "motion.npz").q) == 120
+
+
+def test_nothing_is_overwritten_unless_asked(
+    short: Path, reconstructed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (reconstructed / "motion.npz").read_bytes()
+    assert main(["reconstruct", str(short), "-o", str(reconstructed)]) == 2
+    assert "overwrite" in capsys.readouterr().err
+    assert (reconstructed / "motion.npz").read_bytes() == before
+
+
+def test_evaluate_prints_the_stage_beside_zero_motion(
+    short: Path, reconstructed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", str(reconstructed), "--truth", str(short)]) == 0
+    text = capsys.readouterr().out
+    assert "rtof" in text
+    assert "zero" in text
+    assert "LeftForeArm" in text
+
+
+def test_export_writes_only_what_was_asked(reconstructed: Path, tmp_path: Path) -> None:
+    out = tmp_path / "ros"
+    assert main(["export", str(reconstructed), "-o", str(out), "--formats", "ros"]) == 0
+    names = {path.name for path in out.iterdir()}
+    assert names == {"skeleton.urdf", "ros_joint_trajectory.json", "ros_base_trajectory.json"}
+
+
+def test_simulate_makes_a_recording_that_loads(tmp_path: Path) -> None:
+    motion = sorted(MOCAP.rglob("*.bvh"))[0]
+    out = tmp_path / "simulated"
+    arguments = ["simulate", str(motion), "-o", str(out), "--keypoints", "perfect"]
+    assert main([*arguments, "--sensors", "Pelvis,L_LowArm"]) == 0
+    recording = Recording.load(out)
+    assert recording.imus is not None
+    assert recording.imus.names == ("Pelvis", "L_LowArm")
+    assert recording.truth is not None
+
+
+def test_a_missing_recording_is_one_clear_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["reconstruct", str(tmp_path / "none"), "-o", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("error: ")
+    assert "recording.toml" in message
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_sensor_is_named_with_a_hint(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    motion = sorted(MOCAP.rglob("*.bvh"))[0]
+    out = tmp_path / "out"
+    assert main(["simulate", str(motion), "-o", str(out), "--sensors", "L_LowrArm"]) == 2
+    assert "Did you mean 'L_LowArm'?" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_corrupt_checkpoint_is_refused(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / "broken.pt"
+    broken.write_bytes(os.urandom(1000))
+    out = tmp_path / "out"
+    assert main(["reconstruct", str(short), "-o", str(out), "--lifter", str(broken)]) == 2
+    assert "broken.pt" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_corrupt_motion_file_is_refused(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / "motion.npz"
+    broken.write_bytes(b"PK\x03\x04 not a zip")
+    assert main(["evaluate", str(broken), "--truth", str(short)]) == 2
+    assert "motion.npz" in capsys.readouterr().err
+
+
+def test_acceleration_in_g_is_recognised(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = Recording.load(short)
+    assert recording.imus is not None
+    folder = tmp_path / "in_g"
+    recording.save(folder)
+    arrays = dict(np.load(folder / "imus.npz"))
+    arrays["f_sensor"] = arrays["f_sensor"] / 9.81
+    np.savez(folder / "imus.npz", **arrays)
+    assert main(["reconstruct", str(folder), "-o", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert "imus" in message.lower()
+    assert "9.81" in message
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unwritable_output_is_refused_before_the_work(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    assert main(["reconstruct", str(short), "-o", str(blocked / "out")]) == 2
+    assert "file" in capsys.readouterr().err
+
+
+def test_a_mode_that_needs_imus_says_so_without_them(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "camera_only"
+    replace(Recording.load(short), imus=None, calibration=None).save(folder)
+    assert main(["reconstruct", str(folder), "-o", str(tmp_path / "out")]) == 2
+    assert "'rto'" in capsys.readouterr().err
+    assert main(["reconstruct", str(folder), "-o", str(tmp_path / "out"), "--mode", "lift"]) == 0
