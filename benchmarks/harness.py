@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 from rich.progress import Progress
 
-from rtof_kin.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.metrics import evaluate, motionless
+from rtof_kin.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.pipeline import MODES, reconstruct
 from rtof_kin.simulation import (
     LIMB_SENSORS,

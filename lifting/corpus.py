@@ -20,6 +20,8 @@ from rtof_kin.errors import FileFormatError, ShapeError
 
 Array = NDArray[np.float32]
 RATE_HZ = 60.0
+BENCHMARK_SPLIT = Path(__file__).parent.parent / "benchmarks" / "split.toml"
+"""The split that every table of this package uses, in a checkout of its source."""
 SPLITS = ("train", "validation", "test", "excluded")
 
 
@@ -58,7 +60,9 @@ class Corpus:
             if have != want:
                 raise ShapeError(f"corpus {name}: expected shape {want}, got {have}")
         if C == 0 or self.start[0] != 0 or self.start[-1] != N or np.any(np.diff(self.start) < 1):
-            raise ShapeError("corpus start: does not cut the frames into clips of one or more frames")
+            raise ShapeError(
+                "corpus start: does not cut the frames into clips of one or more frames"
+            )
         for name in ("p_world_root", "R_world_bone", "joint_offsets"):
             if not np.all(np.isfinite(getattr(self, name))):
                 raise ShapeError(f"corpus {name}: not finite; leave gaps out of the clips")
@@ -159,25 +163,33 @@ def read_corpus(path: str | Path, split: str | Path | None = None) -> Corpus:
 
     Args:
         path: written by `Corpus.save`, or a folder with an ``index.csv``.
-        split: a TOML file, see `read_split`. Needed for a folder; an .npz file carries its own.
+        split: a TOML file, see `read_split`, by which a folder is split; where not given, the
+            folder's ``split.toml``, else the one of the benchmarks. An .npz file carries its own.
 
     Raises:
-        FileFormatError: the file is no corpus, or a split is needed.
+        FileFormatError: the file is no corpus, or there is no split.
     """
     path = Path(path)
     if path.is_dir():
-        if split is None:
-            raise FileFormatError(
-                path, "a folder of motion needs a split of its subjects; name the split's .toml file"
-            )
-        return make_corpus(mocap.read_corpus(path), read_split(split))
+        return make_corpus(mocap.read_corpus(path), read_split(split or _find_split(path)))
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             return _from_arrays(data)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise FileFormatError(
             path, f"not a corpus of motion ({error}); make one with Corpus.save, or name a folder"
         ) from error
+
+
+def _find_split(folder: Path) -> Path:
+    for path in (folder / "split.toml", BENCHMARK_SPLIT):
+        if path.is_file():
+            return path
+    raise FileFormatError(
+        folder / "split.toml",
+        "a folder of motion needs a split of its subjects: write lists of subjects named test and "
+        "validation there",
+    )
 
 
 def _from_arrays(data: Mapping[str, NDArray[Any]]) -> Corpus:
@@ -200,7 +212,8 @@ def _from_arrays(data: Mapping[str, NDArray[Any]]) -> Corpus:
 def read_split(path: str | Path) -> dict[str, str]:
     """The split of each subject that a TOML file lists; subjects it does not list train.
 
-    The file has lists of subjects named ``test``, ``validation`` and ``excluded``.
+    The file has lists of subjects named ``test``, ``validation`` and ``excluded``; its tables are not
+    read.
 
     Raises:
         FileFormatError: not TOML, an unknown list, or a subject in two lists.
@@ -212,6 +225,8 @@ def read_split(path: str | Path) -> dict[str, str]:
         raise FileFormatError(path, f"not a readable split: {error}") from error
     split_of: dict[str, str] = {}
     for split, subjects in table.items():
+        if isinstance(subjects, dict):
+            continue
         if split not in SPLITS or not isinstance(subjects, list):
             raise FileFormatError(path, f"'{split}' is no list of one of: {', '.join(SPLITS)}")
         for subject in map(str, subjects):

@@ -62,7 +62,7 @@ class AugmentConfig:
 
 
 def plain(noise: NoiseConfig | None = None) -> AugmentConfig:
-    """Motion as recorded, from virtual cameras, lengths known exactly: what validation uses."""
+    """Motion as recorded, from virtual cameras, bones known exactly: what validation uses."""
     return AugmentConfig(
         mirror=0.0, tilt=0.0, warp=(1.0, 1.0), overall_scale=0.0, bone_scale=0.0, own_skeleton=1.0,
         recombine=0.0, hide_bones=0.0, bone_error=0.0, hide_height=1.0, noise=noise or perfect(),
@@ -131,7 +131,7 @@ class MotionBank:
 
         self.roots, self.lowest, self.heading = tensor(p_root), tensor(lowest), tensor(heading)
         self.first, self.last = tensor(first, torch.long), tensor(last, torch.long)
-        self.clip = torch.searchsorted(self.first.unique(), self.first)
+        self.clip = torch.searchsorted(torch.unique(self.first), self.first)
         self.chain = _chain(self.body).to(device)
         self.upper = _upper_body(self.body).to(device)
         self.group_of_joint = _group_of_joint(self.body).to(device)
@@ -170,7 +170,7 @@ class MotionBank:
         bones = torch.where(mirrored[:, None, None, None], self._mirror(bones), bones)
         root[:, 1] *= torch.where(mirrored, -1.0, 1.0)[:, None]
         R = self._orientation(config, draw)
-        bones = torch.bmm(R, bones.flatten(2)).unflatten(2, bones.shape[2:])
+        bones = torch.bmm(R, bones.flatten(2)).reshape(bones.shape)
         root = torch.bmm(R, root)
         pose = torch.matmul(bones, self.chain)
         middle = pose[:, :, window // 2].clone()
@@ -178,14 +178,15 @@ class MotionBank:
         root_height = self.lowest[frames] - middle[:, 2].min(dim=1).values
         height = draw.between(config.camera_height, batch)
         towards_root = torch.stack(
-            [draw.between(config.distance, batch), torch.zeros_like(height), root_height - height], 1
+            [draw.between(config.distance, batch), torch.zeros_like(height), root_height - height],
+            1,
         )
         p = pose.add_((root + towards_root[:, :, None])[..., None])
         rays, seen = self._observe(p, towards_root, config, draw)
         told = told + config.bone_error * draw.normal(*told.shape)
-        told[draw.uniform(batch) < config.hide_bones] = torch.nan
+        told = torch.where(draw.uniform(batch, 1) < config.hide_bones, torch.nan, told)
         height = height + config.height_error * draw.normal(batch)
-        height[draw.uniform(batch) < config.hide_height] = torch.nan
+        height = torch.where(draw.uniform(batch) < config.hide_height, torch.nan, height)
         return Batch(rays, seen, told, height, middle, towards_root)
 
     def _motion(
@@ -218,9 +219,7 @@ class MotionBank:
             return torch.zeros(draw.batch, dtype=torch.long, device=self.device)
         return (1 + draw.integers(others)) * (draw.uniform(draw.batch) >= config.own_skeleton)
 
-    def _at(
-        self, frames: Tensor, offset: Tensor, body: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    def _at(self, frames: Tensor, offset: Tensor, body: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Bones (B, 3, W, J-1), root (B, 3, W) and heading (B, W) around frames, inside their clip."""
         at = frames[:, None] + offset
         at = at.clamp(self.first[frames][:, None].float(), self.last[frames][:, None].float())
@@ -256,13 +255,13 @@ class MotionBank:
         upright = torch.tensor([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]], device=self.device)
         roll = _about_z(config.roll * draw.normal(draw.batch))
         R_camera_world = roll @ upright @ _about_y(elevation) @ _about_z(-azimuth)
-        q = torch.bmm(R_camera_world, p.flatten(2)).unflatten(2, p.shape[2:])
+        q = torch.bmm(R_camera_world, p.flatten(2)).reshape(p.shape)
         seen = q[:, 2] > 0.2
         xy = q[:, :2] / q[:, 2:].clamp_min(0.2)
         xy, seen = add_noise(self.body, config.noise, xy, seen, draw.generator)
         ray = torch.cat([xy, torch.ones_like(xy[:, :1])], dim=1)
         world = torch.bmm(R_camera_world.transpose(1, 2), ray.flatten(2))
-        return world.unflatten(2, p.shape[2:]), seen
+        return world.reshape(p.shape), seen
 
 
 def _offsets(corpus: Corpus, clip: int, body: NDArray[np.float32] | None) -> Tensor:

@@ -10,12 +10,14 @@ ROOT_WEIGHT = 0.3
 
 def mean_joint_distance(pose: Tensor, truth: Tensor) -> Tensor:
     """Mean distance (B,) of root-relative joints (B, 3, J); the root's own 0 is not counted."""
-    return (pose - truth)[:, :, 1:].norm(dim=1).mean(dim=1)
+    distance: Tensor = (pose - truth)[:, :, 1:].norm(dim=1)
+    return distance.mean(dim=1)
 
 
 def root_distance(root: Tensor, truth: Tensor) -> Tensor:
     """Distance (B,) of root positions (B, 3)."""
-    return (root - truth).norm(dim=1)
+    distance: Tensor = (root - truth).norm(dim=1)
+    return distance
 
 
 def lifting_loss(pose: Tensor, root: Tensor, true_pose: Tensor, true_root: Tensor) -> Tensor:

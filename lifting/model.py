@@ -103,8 +103,8 @@ class _Layer(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         flat = self.norm(self.linear(x.flatten(0, 1)))
-        out: Tensor = self.dropout(torch.relu(flat)).unflatten(0, x.shape[:2])
-        return out
+        out: Tensor = self.dropout(torch.relu(flat))
+        return out.reshape(*x.shape[:2], -1)
 
 
 def _fold(x: Tensor, width: int, dilation: int, strided: bool) -> Tensor:

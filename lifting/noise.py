@@ -8,6 +8,7 @@ that lacks some joints, the edges of the image).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -132,9 +133,10 @@ def _realistic(
     return noisy, seen
 
 
-def _drift(body: Body, config: NoiseConfig, W: int, normal: object, like: Tensor) -> Tensor:
+def _drift(
+    body: Body, config: NoiseConfig, W: int, normal: Callable[..., Tensor], like: Tensor
+) -> Tensor:
     """Unit-variance Ornstein-Uhlenbeck paths (B, 2, W, J), from their leading eigenvectors."""
-    assert callable(normal)
     B, J = len(like), len(body.names)
     slow = _drift_basis(W, config.drift_memory).to(like)
     fast = _drift_basis(W, config.wrist_memory).to(like)
@@ -151,8 +153,9 @@ def _drift_basis(W: int, memory: float, rank: int = 8) -> Tensor:
     time = torch.arange(W) / RATE_HZ
     covariance = torch.exp(-(time[:, None] - time).abs() / memory)
     values, vectors = torch.linalg.eigh(covariance)
-    basis = vectors[:, -rank:] * values[-rank:].clamp_min(0).sqrt()
-    return basis / basis.norm(dim=1, keepdim=True)
+    basis: Tensor = vectors[:, -rank:] * values[-rank:].clamp_min(0).sqrt()
+    basis /= basis.norm(dim=1, keepdim=True)
+    return basis
 
 
 def _joint_factors(body: Body) -> Tensor:

@@ -168,9 +168,7 @@ class Lifter:
 
     def _check_seen(self, keypoints: KeypointSequence) -> None:
         known = [name for name in self.names if name in keypoints.names]
-        ever = [
-            name for name in known if keypoints.seen[:, keypoints.names.index(name)].any()
-        ]
+        ever = [name for name in known if keypoints.seen[:, keypoints.names.index(name)].any()]
         if len(ever) < MIN_JOINTS:
             raise ShapeError(
                 f"keypoints: the lifter needs at least {MIN_JOINTS} joints that are seen at some "
@@ -233,9 +231,7 @@ class _Rays:
         return rays, seen
 
 
-def _bridge(
-    times: Array, p: Array, enough: NDArray[np.bool_]
-) -> tuple[Array, NDArray[np.bool_]]:
+def _bridge(times: Array, p: Array, enough: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
     """Positions (T, J, 3) with frames that were not seen enough interpolated or held."""
     ok = enough & np.isfinite(p).all(axis=(1, 2))
     if not ok.any():

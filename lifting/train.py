@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from math import log
+from math import isfinite, log
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from lifting.data import AugmentConfig, MotionBank
 from lifting.model import NetworkConfig, TemporalNetwork
 from lifting.validation import Validation
 from lifting.windows import decode, encode
-from rtof_kin.errors import FileFormatError, RtofError, ShapeError
+from rtof_kin.errors import FileFormatError, RtofError, ShapeError, SolverError
 from rtof_kin.resources import model_path
 from rtof_kin.skeleton_table import read_skeleton_table
 
@@ -120,32 +120,30 @@ def train(
 
     Raises:
         ShapeError: the corpus has no training clip.
+        SolverError: the training diverged.
         FileFormatError: the corpus or the state to resume from cannot be read.
     """
     out = Path(out)
+    state_file = out.with_name(out.name + ".state")
     if not isinstance(corpus, Corpus):
         corpus = read_corpus(corpus)
     with _own_randomness():
         run = _Run(config, corpus)
-        state_file = out.with_name(out.name + ".state")
         if resume and state_file.exists():
             run.restore(state_file)
         try:
             while run.share_done < 1:
                 run.step()
                 report = run.report()
+                if report and "validation" in report:
+                    run.save(state_file)
                 if report and progress:
                     progress(report)
         finally:
             run.save(state_file)
-        description = LifterDescription(
-            run.body, run.network.config, RATE_HZ, _recipe(config, run),
-            run.history[-1]["validation"] if run.history else {},
-        )  # fmt: skip
-        save_checkpoint(out, run.averaged, description)
-    curves = {"recipe": _recipe(config, run), "history": run.history}
-    out.with_name(out.name + ".curves.json").write_text(json.dumps(curves, indent=1))
-    return out
+        curves = {"recipe": run.recipe(), "history": run.history}
+        out.with_name(out.name + ".curves.json").write_text(json.dumps(curves, indent=1))
+        return save_checkpoint(out, run.averaged, run.description())
 
 
 class _Run:
@@ -193,9 +191,7 @@ class _Run:
         batch = self.bank.draw(
             config.batch, self.network.receptive_field(), config.augment, self.generator
         )
-        encoded = encode(
-            self.body, batch.rays_world, batch.seen, batch.bones, batch.camera_height
-        )
+        encoded = encode(self.body, batch.rays_world, batch.seen, batch.bones, batch.camera_height)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=config.bfloat16):
             output = self.network.forward_windows(encoded.features)
         pose, root = decode(self.body, output, encoded)
@@ -226,6 +222,11 @@ class _Run:
         if not due and self.steps % config.report_every:
             return None
         loss = float(torch.stack(self.losses).mean())
+        if not isfinite(loss):
+            raise SolverError(
+                f"training diverged after {self.steps} steps (the loss is {loss}); delete the state "
+                "file and start afresh with a smaller learning rate"
+            )
         report: dict[str, Any] = {
             "step": self.steps, "windows": self.steps * config.batch,
             "share_done": min(self.share_done, 1.0), "seconds": self.seconds,
@@ -238,6 +239,21 @@ class _Run:
             self.history.append(report)
             self.losses = []
         return report
+
+    def recipe(self) -> dict[str, Any]:
+        """The settings, and what came of them, as plain values."""
+        return {
+            **json.loads(json.dumps(asdict(self.config))),
+            "windows_seen": self.steps * self.config.batch,
+            "seconds": round(self.seconds, 1),
+            "frames_of_motion": len(self.bank),
+            "torch": torch.__version__.split("+")[0],
+        }
+
+    def description(self) -> LifterDescription:
+        """What the lifter is, with the last errors measured."""
+        errors = self.history[-1]["validation"] if self.history else {}
+        return LifterDescription(self.body, self.network.config, RATE_HZ, self.recipe(), errors)
 
     def save(self, path: Path) -> None:
         """Write what a later run needs to go on as if it had not been interrupted."""
@@ -294,20 +310,9 @@ def _schedule(share: float, warm_up: float) -> float:
 def _fixed(config: TrainConfig) -> str:
     """The settings that a resumed training must share; how long it lasts may change."""
     settings = asdict(config)
-    for name in ("minutes", "device", "report_every", "validations"):
+    for name in ("windows", "minutes", "device", "report_every", "validations"):
         del settings[name]
     return json.dumps(settings, sort_keys=True)
-
-
-def _recipe(config: TrainConfig, run: _Run) -> dict[str, Any]:
-    settings = json.loads(json.dumps(asdict(config)))
-    return {
-        **settings,
-        "windows_seen": run.steps * config.batch,
-        "seconds": round(run.seconds, 1),
-        "frames_of_motion": len(run.bank),
-        "torch": torch.__version__.split("+")[0],
-    }
 
 
 @contextmanager

@@ -20,7 +20,9 @@ SEED = 20_000
 class Validation:
     """Fixed windows of the validation subjects; empty where the corpus has none."""
 
-    def __init__(self, corpus: Corpus, window: int, device: torch.device, split: str = "validation"):
+    def __init__(
+        self, corpus: Corpus, window: int, device: torch.device, split: str = "validation"
+    ):
         self.body = corpus.body()
         self.batches: dict[str, Batch] = {}
         clips = corpus.clips(split, required=False)

@@ -136,7 +136,7 @@ def encode(
     elevation = torch.atan2(centre[:, 2], centre[:, :2].norm(dim=1))
     azimuth = torch.atan2(centre[:, 1], centre[:, 0])
     R_view, R_ray = _frames(azimuth, elevation)
-    view = torch.bmm(R_view, rays_world.flatten(2)).unflatten(2, rays_world.shape[2:])
+    view = torch.bmm(R_view, rays_world.flatten(2)).reshape(rays_world.shape)
     x, y, z = view.unbind(dim=1)
     seen = seen & (z > MIN_FORWARD)
     weight = seen.to(view.dtype)
@@ -167,8 +167,8 @@ def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> tuple[Tensor,
     Returns:
         Root-relative joints (B, 3, J) and the root's position from the optical centre (B, 3), m.
     """
-    output = output.float()
-    pose_ray = output[:, :-3].unflatten(1, (3, len(body.names) - 1))
+    output = output.to(encoded.scale.dtype)  # bfloat16 in training
+    pose_ray = output[:, :-3].reshape(len(output), 3, -1)
     pose = torch.bmm(encoded.R_ray_world.transpose(1, 2), pose_ray)
     pose = torch.nn.functional.pad(pose, (1, 0))
     shift = output[:, -3:-1] * encoded.scale[:, None]
@@ -192,7 +192,7 @@ def mirror_features(body: Body, features: Tensor) -> Tensor:
     """Features (B, W, inputs) of the mirrored scene: left and right swapped, x negated."""
     J, F = len(body.names), len(body.feet)
     sizes = [J, J, J, F, F, features.shape[-1] - 3 * J - 2 * F]
-    x, y, seen, away, stands, fixed = features.split(sizes, dim=-1)
+    x, y, seen, away, stands, fixed = torch.split(features, sizes, dim=-1)
     order = body.mirrored
     feet = [body.feet.index(order[j]) for j in body.feet]
     parts = [-x[..., order], y[..., order], seen[..., order], away[..., feet], stands[..., feet]]
@@ -202,7 +202,7 @@ def mirror_features(body: Body, features: Tensor) -> Tensor:
 def mirror_output(body: Body, output: Tensor) -> Tensor:
     """Answer (B, outputs) of the mirrored scene, or back."""
     order = [j - 1 for j in body.mirrored[1:]]
-    pose = output[:, :-3].unflatten(1, (3, len(order)))[:, :, order]
+    pose = output[:, :-3].reshape(len(output), 3, -1)[:, :, order]
     pose = pose * pose.new_tensor([1.0, -1.0, 1.0])[:, None]
     root = output[:, -3:] * output.new_tensor([-1.0, 1.0, 1.0])
     return torch.cat([pose.flatten(1), root], dim=1)
@@ -247,7 +247,8 @@ def _scale(x: Tensor, y: Tensor, weight: Tensor) -> Tensor:
     """RMS distance (B,) of the points seen (B, W, J) from the mean of their frame."""
     count = weight.sum(dim=2, keepdim=True).clamp_min(1.0)
     square = weight * (
-        (x - x.sum(dim=2, keepdim=True) / count) ** 2 + (y - y.sum(dim=2, keepdim=True) / count) ** 2
+        (x - x.sum(dim=2, keepdim=True) / count) ** 2
+        + (y - y.sum(dim=2, keepdim=True) / count) ** 2
     )
     mean = square.sum(dim=(1, 2)) / weight.sum(dim=(1, 2)).clamp_min(1.0)
     return mean.sqrt().clamp_min(MIN_SCALE)

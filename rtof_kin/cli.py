@@ -15,18 +15,18 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 from rtof_kin.errors import RtofError
 
 _out, _err = Console(), Console(stderr=True)
 _COLUMNS = {
-    "mpjpe_rr_mm": "root-relative [mm]",
-    "mpjpe_mm": "absolute [mm]",
-    "mpjae": "MPJAE [m/s2]",
-    "mpjje": "MPJJE [m/s3]",
-    "angle_deg": "joint angle [deg]",
-    "flexion_deg": "flexion [deg]",
+    "mpjpe_rr_mm": "relative\nto root\n[mm]",
+    "mpjpe_mm": "absolute\n\n[mm]",
+    "mpjae": "MPJAE\n\n[m/s2]",
+    "mpjje": "MPJJE\n\n[m/s3]",
+    "angle_deg": "joint\nangle\n[deg]",
+    "flexion_deg": "flexion\n\n[deg]",
     "coverage": "valid",
 }
 
@@ -123,18 +123,18 @@ def _evaluate(options: argparse.Namespace) -> None:
         raise ShapeError(f"{options.truth}: the recording has no truth to compare with")
     metrics = evaluate(motion.poses, recording.truth, recording.skeleton)
     _print_scores(_with_zero_motion(recording) | {motion.mode or "motion": metrics})
-    table = Table("joint", *(label for key, label in _COLUMNS.items() if key != "coverage"))
+    columns = {key: label for key, label in _COLUMNS.items() if key != "coverage"}
+    table = Table(Column("joint", no_wrap=True), *columns.values())
     for joint, figures in metrics.per_joint.items():
-        cells = [_figure(key, figures.get(key)) for key in _COLUMNS if key != "coverage"]
-        table.add_row(joint, *cells)
+        table.add_row(joint, *(_figure(key, figures.get(key)) for key in columns))
     _out.print(table)
 
 
 def _simulate(options: argparse.Namespace) -> None:
     from dataclasses import replace
 
-    from rtof_kin.recording import INDEX
     from rtof_kin.io.folder import check_replaceable
+    from rtof_kin.recording import INDEX
     from rtof_kin.simulation import SimulationSettings, simulate_file
 
     check_replaceable(options.output, INDEX, options.overwrite)
@@ -230,7 +230,8 @@ def _with_zero_motion(recording: Any) -> dict[str, Any]:
 
 
 def _print_scores(scores: Mapping[str, Mapping[str, float]]) -> None:
-    table = Table("stage", *_COLUMNS.values(), title="error against the truth, mean over frames")
+    title = "error against the truth, mean over frames"
+    table = Table(Column("stage", no_wrap=True), *_COLUMNS.values(), title=title)
     for stage, metrics in scores.items():
         table.add_row(stage, *(_figure(key, metrics[key]) for key in _COLUMNS))
     _out.print(table)

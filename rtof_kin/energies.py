@@ -21,7 +21,7 @@ def reprojection(p_camera: Matrix, uv_px: Matrix, K: Matrix) -> Matrix:
     Args:
         p_camera: (3, n) camera coordinates, m. uv_px: (2, n) undistorted pixels. K: (3, 3) px.
     """
-    homogeneous = ca.mtimes(K, p_camera)
+    homogeneous: Matrix = ca.mtimes(K, p_camera)
     return ca.vertcat(*(homogeneous[i, :] / homogeneous[2, :] for i in range(2))) - uv_px
 
 

@@ -37,7 +37,8 @@ def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
     paths = []
     for name, figure in figures.items():
         path = folder / f"{name}.png"
-        FigureCanvasAgg(figure).print_png(str(path))
+        figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
+        figure.savefig(path)
         paths.append(path)
     return paths
 

@@ -215,7 +215,7 @@ class FragmentSolver:
         i = np.arange(self.frames)
         if self.settings.blend == "average":
             return np.ones(self.frames)
-        return np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
+        return np.asarray(np.minimum(i + 0.5, self.frames - i - 0.5) ** 2)
 
     def _solve_fragment(
         self, first: int, start: PoseSequence, data: dict[str, Array]

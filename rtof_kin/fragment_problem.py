@@ -100,13 +100,13 @@ class FragmentSettings:
         for field, values in allowed.items():
             if getattr(self, field) not in values:
                 raise ShapeError(f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}")
-        if self.sigma_reprojection is not None and not self.sigma_reprojection > 0:
-            raise ShapeError("sigma_reprojection must be positive, or None to estimate it")
         if not 0 < self.sigma_reprojection_range[0] <= self.sigma_reprojection_range[1]:
             raise ShapeError("sigma_reprojection_range must be positive, the smaller one first")
-        for field in ("reprojection_first", "acceleration", "bone", "jerk", "length", "prior", "prior_bone"):
-            if not getattr(self, f"sigma_{field}") > 0:
-                raise ShapeError(f"sigma_{field} must be positive; leave a term out by its weight k")
+        sigmas = [name for name in vars(self) if name.startswith("sigma_")]
+        for field in sigmas:
+            value = getattr(self, field)
+            if isinstance(value, float) and not value > 0:
+                raise ShapeError(f"{field} must be positive; leave a term out by its weight k")
         for field in ("k_V", "k_I", "k_A", "k_B", "k_S"):
             if not 0 <= getattr(self, field) < np.inf:
                 raise ShapeError(f"{field} must not be negative, and finite")
@@ -117,8 +117,11 @@ class FragmentSettings:
 
     @classmethod
     def paper(cls) -> FragmentSettings:
-        """The energy as printed, with its weights: plain squares, free bone lengths, plain mean of replicated fragments,
-        the sensor's jerk as target; with the weak prior on positions that gives it a minimiser."""
+        """The energy as printed, with its weights, and the weak prior that gives it a minimiser.
+
+        Plain squares, free bone lengths, the sensor's jerk as target, plain mean of fragments padded
+        with copies; the prior on positions.
+        """
         return cls(
             k_V=0.9,
             k_I=0.1,

@@ -36,7 +36,7 @@ class Metrics(Mapping[str, float]):
     """Pooled figures by name, as a mapping; per joint and over time besides."""
 
     pooled: dict[str, float]
-    """Figure -> mean over frames and joints."""
+    """Figure -> mean over frames and joints; NaN where there is nothing to take the mean of."""
     per_joint: dict[str, dict[str, float]]
     """Joint -> figure -> mean over frames."""
     over_time: dict[str, Array]
@@ -53,7 +53,7 @@ class Metrics(Mapping[str, float]):
 
 
 def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> Metrics:
-    """All figures of an estimate against the truth, over the frames both have.
+    """All figures of an estimate against the truth, over the frames in which both know every joint.
 
     Args:
         estimate: (T, J) poses. truth: poses of the same joints at any times covering some of the
@@ -65,15 +65,17 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
     if estimate.names != truth.names:
         raise UnknownNameError("joint", set(estimate.names) ^ set(truth.names), truth.names)
     truth = _at(truth, estimate.times)
-    both = np.isfinite(truth.p_world_joint).all(axis=(1, 2))
+    both = np.asarray(np.isfinite(truth.p_world_joint).all(axis=(1, 2)))
     both &= np.isfinite(estimate.p_world_joint).all(axis=(1, 2))
     if both.sum() < 4:
         raise ShapeError("metrics: estimate and truth have fewer than four frames in common")
-    p, p_true = estimate.p_world_joint, truth.p_world_joint
+    p = np.where(both[:, None, None], estimate.p_world_joint, np.nan)
+    p_true = np.where(both[:, None, None], truth.p_world_joint, np.nan)
     error = np.linalg.norm(p - p_true, axis=-1) * 1000
     relative = np.linalg.norm((p - p[:, :1]) - (p_true - p_true[:, :1]), axis=-1) * 1000
     aligned = np.full_like(error, np.nan)
     aligned[both] = np.linalg.norm(procrustes(p[both], p_true[both]) - p_true[both], axis=-1) * 1000
+    angle = np.where(both[:, None], _angle_error(estimate, truth, skeleton), np.nan)
     rate = estimate.rate_hz
     acceleration = np.linalg.norm(signals.derivative(p - p_true, rate, 2), axis=-1)
     jerk = np.linalg.norm(signals.derivative(p - p_true, rate, 3), axis=-1)
@@ -85,15 +87,15 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
         "mpjje": jerk,
         "mpjae_frame_mm": acceleration / rate**2 * 1000,
         "mpjje_frame_mm": jerk / rate**3 * 1000,
-        "angle_deg": np.degrees(_angle_error(estimate, truth, skeleton)),
+        "angle_deg": np.degrees(angle),
         "flexion_deg": np.degrees(_flexion_error(p, p_true, skeleton)),
     }
     names = estimate.names
     return Metrics(
-        pooled={n: float(np.nanmean(v)) for n, v in figures.items()}
+        pooled={n: _mean(v) for n, v in figures.items()}
         | {"coverage": float(estimate.valid[both].mean())},
         per_joint={
-            joint: {n: float(np.nanmean(v[:, j])) for n, v in figures.items() if _any(v[:, j])}
+            joint: {n: _mean(v[:, j]) for n, v in figures.items() if np.isfinite(v[:, j]).any()}
             for j, joint in enumerate(names)
         },
         over_time={"mpjpe_mm": error.mean(axis=1), "mpjpe_rr_mm": relative.mean(axis=1)},
@@ -102,8 +104,11 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
 
 def motionless(truth: PoseSequence) -> PoseSequence:
     """The zero-motion row: the truth's mean position, standing still, in every frame."""
-    p = np.broadcast_to(np.nanmean(truth.p_world_joint, axis=0), truth.p_world_joint.shape)
-    return PoseSequence(truth.times, p, truth.R_world_bone, truth.names)
+    p = truth.p_world_joint
+    mean = [[_mean(p[:, j, i]) for i in range(3)] for j in range(p.shape[1])]
+    return PoseSequence(
+        truth.times, np.broadcast_to(mean, p.shape), truth.R_world_bone, truth.names
+    )
 
 
 def procrustes(p: Array, p_true: Array) -> Array:
@@ -161,5 +166,6 @@ def _at(truth: PoseSequence, times: Array) -> PoseSequence:
     )
 
 
-def _any(values: Array) -> bool:
-    return bool(np.isfinite(values).any())
+def _mean(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")

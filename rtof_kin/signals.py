@@ -109,7 +109,7 @@ def hat_average(
     total = weight.sum(axis=(0, 2))
     mean = product.sum(axis=(0, 2)) / np.where(total > 0, total, np.nan)
     mean[(at < times[0]) | (at > times[-1])] = np.nan
-    return mean.reshape(len(at), *values.shape[1:])
+    return np.asarray(mean.reshape(len(at), *values.shape[1:]))
 
 
 def derivative(values: ArrayLike, rate_hz: float, order: int) -> Array:

@@ -14,9 +14,7 @@ TRUNK_AND_HEAD = ("head", "upper trunk", "middle trunk", "lower trunk")
 
 @pytest.mark.parametrize(("sex", "total"), [("male", 1.0000), ("female", 0.9999), (None, 0.99995)])
 def test_with_limbs_doubled_the_masses_sum_to_the_body(sex: str | None, total: float) -> None:
-    masses = [
-        mass_fraction(name, sex) * (1 if name in TRUNK_AND_HEAD else 2) for name in SEGMENTS
-    ]
+    masses = [mass_fraction(name, sex) * (1 if name in TRUNK_AND_HEAD else 2) for name in SEGMENTS]
     assert sum(masses) == pytest.approx(total, abs=1e-12)
 
 

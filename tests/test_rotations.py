@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import permutations, product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,7 +88,7 @@ def test_a_positive_turn_about_z_takes_x_to_y() -> None:
 
 
 def test_unit_leaves_the_zero_vector_and_makes_the_rest_one_long() -> None:
-    out = so3.unit([[0, 0, 0], [3, 0, 4], [1e-150, 0, 0]])
+    out = so3.unit(np.array([[0, 0, 0], [3, 0, 4], [1e-150, 0, 0]]))
     close(out, np.array([[0, 0, 0], [0.6, 0, 0.8], [1, 0, 0]]))
 
 
@@ -96,7 +97,7 @@ def test_unit_leaves_the_zero_vector_and_makes_the_rest_one_long() -> None:
 
 @given(VECTORS, VECTORS)
 def test_the_minimal_rotation_turns_a_to_b_by_the_angle_between_them(a: Array, b: Array) -> None:
-    a, b = a + [0, 0, 4.5], b + [4.5, 0, 0]
+    a, b = a + np.array([0, 0, 4.5]), b + np.array([4.5, 0, 0])  # neither is zero
     R = so3.minimal_rotation(a, b)
     assert so3.is_rotation(R, tolerance=1e-14)
     close(R @ so3.unit(a), so3.unit(b), 1e-15)
@@ -156,7 +157,9 @@ def test_a_reflection_becomes_a_rotation_not_a_reflection() -> None:
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-1.2, 1.2), st.floats(-1.2, 1.2))
-def test_the_heading_is_the_turn_about_z_that_is_nearest(yaw: float, pitch: float, roll: float) -> None:
+def test_the_heading_is_the_turn_about_z_that_is_nearest(
+    yaw: float, pitch: float, roll: float
+) -> None:
     R = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     best = so3.heading(R)
     own = so3.angle_between(so3.about_axis("z", best), R)
@@ -211,7 +214,8 @@ def test_euler_angles_agree_with_scipy_away_from_the_singular_postures(order: st
     angles = RNG.uniform([-3, -1.4, -3], [3, 1.4, 3], (40, 3))
     R = so3.euler_to_matrix(order, angles)
     close(so3.matrix_to_euler(order, R), angles, 1e-12)
-    close(Rotation.from_matrix(R).as_euler(order.upper()), angles, 1e-12)
+    upper: Any = order.upper()
+    close(Rotation.from_matrix(R).as_euler(upper), angles, 1e-12)
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -236,7 +240,9 @@ def test_a_singular_posture_gives_the_whole_turn_to_the_third_angle() -> None:
 
 
 @given(VECTORS, st.tuples(*[st.floats(-20, 20)] * 3).map(np.array))
-def test_the_nearest_angles_beat_every_other_name_of_the_rotation(angles: Array, near: Array) -> None:
+def test_the_nearest_angles_beat_every_other_name_of_the_rotation(
+    angles: Array, near: Array
+) -> None:
     best = so3.euler_near(angles, near)
     close(so3.euler_to_matrix("zyx", best), so3.euler_to_matrix("zyx", angles), 1e-12)
     turns = 2 * np.pi * np.array(list(product(range(-5, 6), repeat=3)))

@@ -66,7 +66,8 @@ def test_a_signal_without_any_valid_sample_gives_nothing() -> None:
 
 def test_one_sample_is_known_at_its_own_instant_only() -> None:
     np.testing.assert_array_equal(
-        signals.interpolate(np.array([1.0]), np.array([7.0]), [0.9, 1.0, 1.1]), [np.nan, 7.0, np.nan]
+        signals.interpolate(np.array([1.0]), np.array([7.0]), [0.9, 1.0, 1.1]),
+        [np.nan, 7.0, np.nan],
     )
 
 
@@ -188,7 +189,9 @@ def test_outside_the_recording_there_is_nothing() -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_differences_of_a_polynomial_are_its_derivative_and_shorten_by_the_order(order: int) -> None:
+def test_differences_of_a_polynomial_are_its_derivative_and_shorten_by_the_order(
+    order: int,
+) -> None:
     rate = 50.0
     t = np.arange(20) / rate
     p = np.polynomial.Polynomial(RNG.normal(size=order + 1))

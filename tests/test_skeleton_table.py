@@ -18,18 +18,22 @@ from rtof_kin.resources import model_path
 from rtof_kin.skeleton_table import Joint, SkeletonTable, read_skeleton_table
 
 Array = NDArray[np.float64]
-TABLES = {name: read_skeleton_table(model_path(f"{name}.toml")) for name in ("skeleton", "human36m")}
+TABLES = {
+    name: read_skeleton_table(model_path(f"{name}.toml")) for name in ("skeleton", "human36m")
+}
 TOTAL_CAPTURE = (
-    "Hips Spine Spine1 Spine2 Spine3 Neck Head RightShoulder RightArm RightForeArm RightHand "
-    "LeftShoulder LeftArm LeftForeArm LeftHand RightUpLeg RightLeg RightFoot LeftUpLeg LeftLeg LeftFoot"
-).split()
+    "Hips", "Spine", "Spine1", "Spine2", "Spine3", "Neck", "Head",
+    "RightShoulder", "RightArm", "RightForeArm", "RightHand",
+    "LeftShoulder", "LeftArm", "LeftForeArm", "LeftHand",
+    "RightUpLeg", "RightLeg", "RightFoot", "LeftUpLeg", "LeftLeg", "LeftFoot",
+)  # fmt: skip
 TOTAL_CAPTURE_PARENTS = (
     -1, 0, 1, 2, 3, 4, 5, 4, 7, 8, 9, 4, 11, 12, 13, 0, 15, 16, 0, 18, 19,
 )  # fmt: skip
 HUMAN36M = (
-    "Hip RHip RKnee RFoot LHip LKnee LFoot Spine Thorax Neck Head "
-    "LShoulder LElbow LWrist RShoulder RElbow RWrist"
-).split()
+    "Hip", "RHip", "RKnee", "RFoot", "LHip", "LKnee", "LFoot", "Spine", "Thorax", "Neck", "Head",
+    "LShoulder", "LElbow", "LWrist", "RShoulder", "RElbow", "RWrist",
+)  # fmt: skip
 GOOD = """
 name = "stick"
 mass_kg = 70
@@ -81,7 +85,7 @@ def test_a_table_is_read_in_metres_and_radians(tmp_path: Path) -> None:
     assert (table.name, table.mass_kg, table.sex) == ("stick", 70.0, "female")
     assert table.names == ("Base", "Rod")
     assert table.parents == (-1, 0)
-    np.testing.assert_allclose(table.offsets, [[0, 0, 0], [0, 0, 0.1]])
+    np.testing.assert_allclose(table.offsets, [[0.0, 0, 0], [0, 0, 0.1]])
     rod = table.joints[1]
     np.testing.assert_allclose(np.degrees(rod.limits), [[-10, 20], [-30, 30], [-40, 40]])
     assert [dof.urdf for dof in rod.dofs] == ["Rod_y", "Rod_x", "Rod_z"]
@@ -101,25 +105,25 @@ def test_a_table_is_read_in_metres_and_radians(tmp_path: Path) -> None:
         ("end_mm = [0, 0, 200]", "", "the field 'end_mm' is missing"),
         ('segment = "shank", ', "", "the field 'segment' is missing"),
         ("mass_kg = 70", 'mass_kg = "heavy"', "a field is not of the right kind: .*heavy"),
-        ("offset_mm = [0, 0, 100]", "offset_mm = [0, 100]", r"\[0, 100\] is no point x, y, z"),
-        ("lever_arm_mm = [10, 0, 50]", "lever_arm_mm = [nan, 0, 5]", "is no point x, y, z"),
+        ("offset_mm = [0, 0, 100]", "offset_mm = [0, 100]", r"a field .*: \[0, 100\] is no point"),
+        ("lever_arm_mm = [10, 0, 50]", "lever_arm_mm = [nan, 0, 5]", r"a field .* 0, 5\] is no point"),
         ("mass_kg = 70", "mass_kg = -1", "mass_kg -1.0 must be positive and sex 'female' one of"),
-        ('sex = "female"', 'sex = "f"', "mass_kg 70.0 must be positive and sex 'f' one of .'male', 'f"),
-        ('parent = "Base"', 'parent = "Rod"', "joint Rod: its parent must stand before it; only the f"),
+        ('sex = "female"', 'sex = "f"', ".* and sex 'f' one of .'male', 'female'"),
+        ('parent = "Base"', 'parent = "Rod"', "joint Rod: its parent must stand before it"),
         ('parent = "Base"', 'parent = "Sky"', "joint Rod: its parent must stand before it"),
         ('name = "Rod"', 'name = "Base"', "joint Base stands there twice"),
         ('axes = "yxz"', 'axes = "yxy"', "joint Rod: axes 'yxy' are not x, y and z in some order"),
         ('axes = "yxz"', "", "joint Rod: axes '' are not x, y and z"),
-        ('name = "Base"', 'name = "Base"\naxes = "xyz"', "joint Base: axes 'xyz' are not .*none for the"),
-        ('["rod flexion", "", ""]', '["rod flexion"]', "joint Rod: needs three clinical and three Open"),
+        ('name = "Base"', 'name = "Base"\naxes = "xyz"', "joint Base: axes 'xyz' .*none for the root"),
+        ('["rod flexion", "", ""]', '["rod flexion"]', "joint Rod: needs three clinical and three"),
         ("[[-10, 20]", "[[20, -10]", "joint Rod: limits are not three ranges low, high"),
         ("[[-10, 20]", "[[nan, 20]", "joint Rod: limits are not three ranges"),
         (", [-40, 40]", "", "joint Rod: limits are not three ranges"),
-        ("end_mm = [0, 0, 200]", "end_mm = [0, 0, 0]", "joint Rod: end_mm or offset_mm is a bone of no l"),
+        ("end_mm = [0, 0, 200]", "end_mm = [0, 0, 0]", "joint Rod: end_mm or offset_mm is a bone"),
         ("offset_mm = [0, 0, 100]", "", "joint Rod: end_mm or offset_mm is a bone of no length"),
         ('"shank"', '"shin"', "joint Rod: no segment 'shin'; known: head, upper trunk, .*foot"),
-        ('"shank", share = 1.0', '"shank", share = 0', "joint Rod: its share of the shank is not posit"),
-        ('[{ segment = "shank", share = 1.0 }]', "[]", "joint Rod: carries no mass, which a simulator"),
+        ('"shank", share = 1.0', '"shank", share = 0', "joint Rod: its share of the shank is not pos"),
+        ('[{ segment = "shank", share = 1.0 }]', "[]", "joint Rod: carries no mass"),
         ('name = "Tip"\njoint = "Rod"', 'name = "Tip"\njoint = "X"', "landmark Tip: there is no joint X"),
         ('name = "Tip"', 'name = "Base"', "landmark Base: another has this name"),
         ('name = "S1"\njoint = "Rod"', 'name = "S1"\njoint = "X"', "sensor S1: there is no joint X"),
@@ -139,7 +143,9 @@ def test_a_second_root_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_not_there_or_not_text_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="no.toml: not a readable skeleton table: .*No such file"):
+    with pytest.raises(
+        FileFormatError, match=r"no\.toml: not a readable skeleton table: .*No such"
+    ):
         read_skeleton_table(tmp_path / "no.toml")
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FileFormatError, match="not a readable skeleton table"):
@@ -194,9 +200,9 @@ def lever(table: SkeletonTable, sensor: str) -> Array:
 
 
 def test_the_joints_are_those_of_total_capture_and_human36m() -> None:
-    assert list(TABLES["skeleton"].names) == TOTAL_CAPTURE
+    assert TABLES["skeleton"].names == TOTAL_CAPTURE
     assert TABLES["skeleton"].parents == TOTAL_CAPTURE_PARENTS
-    assert list(TABLES["human36m"].names) == HUMAN36M
+    assert TABLES["human36m"].names == HUMAN36M
     assert TABLES["human36m"].parents == (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 9, 8, 11, 12, 8, 14, 15)
 
 
@@ -348,7 +354,8 @@ def test_the_sign_of_every_opensim_name_agrees_with_the_clinical_one(joint: Join
 
 
 def test_every_movement_is_somewhere_in_the_tables() -> None:
-    named = {movement(signed(p.values[0].dofs[p.values[1]].clinical)[1]) for p in DOFS}  # type: ignore[union-attr,index]
+    joints = [joint for table in TABLES.values() for joint in table.joints]
+    named = {movement(signed(dof.clinical)[1]) for joint in joints for dof in joint.dofs}
     assert named == set(MOVEMENTS)
 
 
@@ -413,7 +420,9 @@ def test_a_shipped_file_is_found_in_the_package_first_and_else_beside_it(
     monkeypatch.setattr(resources, "CHECKOUT", checkout)
     assert model_path("both.toml") == package / "both.toml"
     assert model_path("one.toml") == checkout / "one.toml"
-    with pytest.raises(FileFormatError, match=r"none.toml: no such file ships .*one.toml.*reinstall"):
+    with pytest.raises(
+        FileFormatError, match=r"none.toml: no such file ships .*one.toml.*reinstall"
+    ):
         model_path("none.toml")
     monkeypatch.setattr(resources, "PACKAGED", tmp_path / "gone")
     monkeypatch.setattr(resources, "CHECKOUT", tmp_path / "gone")

@@ -156,25 +156,25 @@ def test_records_are_frozen_and_their_arrays_read_only(make: Callable[[], Any]) 
     [
         (keypoints, {"times": TIMES[:-1]}, r"keypoints uv_px: expected shape \(5, 4, 2\)"),
         (keypoints, {"confidence": np.ones((T, 3))}, r"keypoint confidence: expected shape \(6, 4\)"),
-        (keypoints, {"names": ("a", "b", "b", "a")}, "keypoint names: a, b stands there more than on"),
-        (keypoints, {"confidence": np.full((T, L), 1.5)}, "keypoint confidence: outside .0, 1.; divi"),
+        (keypoints, {"names": ("a", "b", "b", "a")}, "keypoint names: a, b stands there more than"),
+        (keypoints, {"confidence": np.full((T, L), 1.5)}, "keypoint confidence: outside .0, 1.; divide"),
         (keypoints, {"confidence": np.full((T, L), -0.1)}, "keypoint confidence: outside"),
         (keypoints, {"uv_px": np.full((T, L, 2), np.inf)}, "keypoints uv_px: infinite; write NaN"),
         (imus, {"R_inertial_sensor": np.zeros((T, S, 3))}, r"IMU R_inertial_sensor: expected shape"),
         (imus, {"f_sensor": np.zeros((T, S))}, r"IMU f_sensor: expected shape \(6, 2, 3\), got \(6, 2\)"),
-        (imus, {"f_sensor": np.full((T, S, 3), np.inf)}, "IMU f_sensor: infinite; write NaN where a s"),
+        (imus, {"f_sensor": np.full((T, S, 3), np.inf)}, "IMU f_sensor: infinite; write NaN where"),
         (imus, {"names": ("a", "a")}, "IMU names: a stands there more than once"),
         (imus, {"times": TIMES[::-1]}, "IMU times: time does not increase from index 0"),
         (bone_imus, {"joints": ("Hips", "Hips")}, "bone IMU joints: Hips stands there more than once"),
         (bone_imus, {"a_world": np.zeros((T, 1, 3))}, r"bone IMU a_world: expected shape \(6, 2, 3\)"),
         (bone_imus, {"p_bone_sensor": np.zeros(3)}, r"bone IMU p_bone_sensor: expected shape \(2, 3\)"),
-        (bone_imus, {"times": [0.0]}, r"bone IMU R_world_bone: expected shape \(1, 2, 3, 3\), got \(6"),
-        (poses, {"p_world_joint": np.zeros((T, 2, 3))}, r"pose p_world_joint: expected shape \(6, 3, 3"),
-        (poses, {"R_world_bone": np.zeros((T, J, 9))}, r"pose R_world_bone: expected shape \(6, 3, 3, 3"),
+        (bone_imus, {"times": [0.0]}, r"bone IMU R_world_bone: expected shape \(1, 2"),
+        (poses, {"p_world_joint": np.zeros((T, 2, 3))}, r"pose p_world_joint: expected shape \(6, 3"),
+        (poses, {"R_world_bone": np.zeros((T, J, 9))}, r"pose R_world_bone: expected shape \(6, 3"),
         (poses, {"names": ("a", "b", "a")}, "pose names: a stands there more than once"),
         (poses, {"times": np.full(T, np.nan)}, "pose times: not finite at index 0"),
         (poses, {"provenance": np.zeros(T)}, r"pose provenance: expected shape \(6, 3\), got \(6,\)"),
-        (poses, {"provenance": np.full((T, J), 6)}, "pose provenance: a value is none of <Provenance.NO"),
+        (poses, {"provenance": np.full((T, J), 6)}, "pose provenance: a value is none of <Prov"),
         (poses, {"provenance": np.full((T, J), -1.0)}, "pose provenance: a value is none of"),
         (poses, {"valid": np.ones((T, 1))}, r"pose valid: expected shape \(6, 3\), got \(6, 1\)"),
         (poses, {"orientation_observed": np.ones((T, 2))}, r"pose orientation_observed: expected shape"),
@@ -197,7 +197,7 @@ def test_a_matrix_that_is_no_rotation_is_found_and_located(
 ) -> None:
     good = getattr(make(), field)
     skewed = with_value(good, (3, 1, 0, 0), 0.5)
-    with pytest.raises(ShapeError, match=rf"{field}: not a rotation matrix at index \(3, 1\); normal"):
+    with pytest.raises(ShapeError, match=rf"{field}: not a rotation matrix at index \(3, 1\)"):
         make(**{field: skewed})
     mirrored = np.array(good)
     mirrored[4, 1] = np.diag([1.0, 1, -1])
@@ -205,7 +205,7 @@ def test_a_matrix_that_is_no_rotation_is_found_and_located(
         make(**{field: mirrored})
     with pytest.raises(ShapeError, match=r"not a rotation matrix at index \(2, 0\)"):
         make(**{field: with_value(good, (2, 0), np.inf)})
-    with pytest.raises(ShapeError, match=rf"{field}: a matrix is partly NaN; missing ones are NaN as a"):
+    with pytest.raises(ShapeError, match=rf"{field}: a matrix is partly NaN; missing ones are NaN"):
         make(**{field: with_value(good, (2, 0, 1, 1), np.nan)})
     missing = make(**{field: with_value(good, (2, 0), np.nan)})
     assert np.isnan(getattr(missing, field)).sum() == 9
@@ -220,10 +220,13 @@ def test_a_matrix_that_is_no_rotation_is_found_and_located(
         ({"K": np.eye(2)}, r"camera K: expected shape \(3, 3\), got \(2, 2\)"),
         ({"R_camera_world": np.eye(3) * 1.1}, "camera R_camera_world: not a rotation matrix"),
         ({"R_camera_world": np.diag([1.0, 1, -1])}, "camera R_camera_world: not a rotation matrix"),
-        ({"R_camera_world": np.full((3, 3), np.nan)}, "camera R_camera_world: not a rotation matrix"),
+        (
+            {"R_camera_world": np.full((3, 3), np.nan)},
+            "camera R_camera_world: not a rotation matrix",
+        ),
         ({"t_camera_world": np.zeros((3, 1))}, r"camera t_camera_world: expected shape \(3\), got"),
         ({"t_camera_world": np.array([0, np.nan, 0])}, "camera t_camera_world: not finite"),
-        ({"K": with_value(K, (0, 0), 0.0)}, "camera K: singular; it needs positive focal lengths on"),
+        ({"K": with_value(K, (0, 0), 0.0)}, "camera K: singular; it needs positive focal lengths"),
         ({"K": with_value(K, (1, 1), -5.0)}, "camera K: singular"),
         ({"K": with_value(K, (2, 2), 0.0)}, "camera K: singular.*0, 0, 1 as its last row"),
         ({"K": with_value(K, (0, 0), np.inf)}, "camera K: not finite"),
@@ -273,12 +276,8 @@ def test_rays_pass_through_the_points_that_were_projected(distortion: Array) -> 
     np.testing.assert_allclose(rays, so3.unit(p - camera.center_world), atol=1e-9)
     xy = camera.normalise(camera.project(p))
     inside = camera.undistorted()
-    np.testing.assert_allclose(inside.project(p), xy @ K_of(inside)[:2, :2].T + K_of(inside)[:2, 2])
+    np.testing.assert_allclose(inside.project(p), xy @ inside.K[:2, :2].T + inside.K[:2, 2])
     assert not inside.distortion.any()
-
-
-def K_of(camera: Camera) -> Array:
-    return camera.K
 
 
 def test_distortion_is_opencv_s_formula_written_out() -> None:
@@ -323,10 +322,19 @@ def test_landmarks_are_chosen_by_name_and_those_not_there_are_unseen() -> None:
 @pytest.mark.parametrize(
     ("scale", "message"),
     [
-        (1 / 9.81, "IMU wrist: the median specific force is 1.00, which is one gravity in g; multiply b"),
-        (0.01, r"IMU wrist: the median specific force is 0.10 m/s\^2, so gravity was removed; give the"),
+        (
+            1 / 9.81,
+            "IMU wrist: the median specific force is 1.00, which is one gravity in g; multiply",
+        ),
+        (
+            0.01,
+            r"IMU wrist: the median specific force is 0.10 m/s\^2, so gravity was removed; give",
+        ),
         (0.3, r"the median specific force is 2.94 m/s\^2, so gravity was removed"),
-        (1000 / 9.81, r"specific force is 1e\+03, far above one gravity; give m/s\^2 \(9.81 at rest\)"),
+        (
+            1000 / 9.81,
+            r"specific force is 1e\+03, far above one gravity; give m/s\^2 \(9.81 at rest\)",
+        ),
     ],
 )
 def test_specific_force_in_another_unit_or_without_gravity_is_refused(
@@ -348,13 +356,13 @@ def test_sensors_are_chosen_by_name_in_the_order_asked() -> None:
     base = imus()
     out = base.select(["wrist", "chest"])
     np.testing.assert_array_equal(out.R_inertial_sensor, base.R_inertial_sensor[:, ::-1])
-    with pytest.raises(UnknownNameError, match="unknown sensor 'wrst'. Did you mean 'wrist'"):
+    with pytest.raises(UnknownNameError, match=r"unknown sensor 'wrst'\. Did you mean 'wrist'"):
         base.select(["wrst"])
     bones = bone_imus()
     chosen = bones.select(["LeftForeArm"])
     assert chosen.joints == ("LeftForeArm",)
     np.testing.assert_array_equal(chosen.a_world[:, 0], bones.a_world[:, 1])
-    with pytest.raises(UnknownNameError, match="unknown IMU segment 'Spine4'. Did you mean 'Spine3'"):
+    with pytest.raises(UnknownNameError, match=r"unknown IMU segment 'Spine4'\. Did you mean"):
         bones.select(["Spine4"])
 
 
@@ -371,7 +379,9 @@ def test_resampling_is_geodesic_for_orientation_and_hat_averaged_for_acceleratio
     sequence = BoneImuSequence(fast, R, a, np.zeros((2, 3)), ("Hips", "Head"))
     video = np.arange(3, 40) / 60
     out = sequence.resample(video)
-    np.testing.assert_allclose(out.R_world_bone[:, 0], so3.about_axis("x", rate * video), atol=1e-12)
+    np.testing.assert_allclose(
+        out.R_world_bone[:, 0], so3.about_axis("x", rate * video), atol=1e-12
+    )
     np.testing.assert_allclose(out.a_world[:, 0], video[:, None] * ramp + 0.5, atol=0.03)
     assert out.joints == sequence.joints
     np.testing.assert_array_equal(out.times, video)
@@ -395,9 +405,7 @@ def test_resampling_leaves_gaps_longer_than_allowed_open() -> None:
     np.testing.assert_array_equal(
         np.flatnonzero(np.isnan(out.R_world_bone[:, 0, 0, 0])), np.arange(20, 30)
     )
-    np.testing.assert_array_equal(
-        np.flatnonzero(np.isnan(out.a_world[:, 0, 0])), np.arange(19, 31)
-    )
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(out.a_world[:, 0, 0])), np.arange(19, 31))
     assert np.isfinite(sequence.resample(times, max_gap=0.2).R_world_bone).all()
     late = sequence.resample([0.5, 1.5])
     assert np.isnan(late.R_world_bone[1]).all()
@@ -420,9 +428,9 @@ def test_what_is_not_said_about_a_pose_is_assumed_modestly() -> None:
 def test_a_position_that_is_not_known_is_never_valid() -> None:
     base = poses()
     p = with_value(base.p_world_joint, (1, 2), np.nan)
-    out = replace(base, p_world_joint=p, valid=np.ones((T, J)))
+    out = replace(base, p_world_joint=p, valid=np.ones((T, J), dtype=bool))
     assert not out.valid[1, 2]
-    kept = replace(base, valid=with_value(np.ones((T, J)), (0, 0), 0.0))
+    kept = poses(valid=with_value(np.ones((T, J)), (0, 0), 0.0))
     assert not kept.valid[0, 0]
     assert kept.valid.sum() == T * J - 1
 

@@ -38,6 +38,8 @@ def new_folder(path: str | Path, marker: str, overwrite: bool = False) -> Iterat
         if path.exists():
             shutil.rmtree(path)
         temporary.rename(path)
+    except RtofError:  # some of them are OSErrors too
+        raise
     except OSError as error:
         raise RtofError(f"{path}: writing failed ({error})") from error
     finally:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError
+from rtof_kin.io.arrays import read_csv
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 
 Array = NDArray[np.float64]
@@ -29,7 +31,7 @@ def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
     """
     if len(q) < 2:
         return np.zeros((len(q), skeleton.nv))
-    steps = [pin.difference(skeleton.model, a, b) for a, b in zip(q[:-1], q[1:], strict=True)]
+    steps = [pin.difference(skeleton.model, a, b) for a, b in pairwise(q)]
     rates = np.array(steps) / np.diff(times)[:, None]
     padded = np.concatenate([rates[:1], rates, rates[-1:]])
     return np.asarray((padded[:-1] + padded[1:]) / 2)
@@ -72,16 +74,11 @@ def read_joint_trajectory_csv(path: str | Path) -> tuple[tuple[str, ...], Array]
     Raises:
         FileFormatError: missing, not a table of numbers with a `time` column.
     """
-    path = Path(path)
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            header = next(csv.reader(stream))
-            table = np.loadtxt(stream, delimiter=",", ndmin=2)
-    except (OSError, ValueError, StopIteration) as error:
-        raise FileFormatError(path, f"not a table of numbers with a header: {error}") from error
-    if header[:1] != ["time"] or table.shape[1] != len(header):
-        raise FileFormatError(path, "the first column is not 'time', or columns are missing")
-    return tuple(header), table
+    columns = read_csv(Path(path))
+    table = np.stack(list(columns.values()), axis=-1)
+    if next(iter(columns)) != "time" or len(table) == 0:
+        raise FileFormatError(path, "the first column is not 'time', or there are no rows")
+    return tuple(columns), table
 
 
 def write_ros_trajectory(folder: str | Path, motion: MotionSequence) -> list[Path]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.errors import FileFormatError, RtofError
+from rtof_kin.errors import FileFormatError, RtofError, ShapeError
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.types import PoseSequence
+from rtof_kin.types import PoseSequence, readonly
 
 SCHEMA_VERSION = 1
 _LARGEST_BYTES = 8 * 2**30
@@ -87,20 +88,19 @@ def read_motion_npz(path: str | Path) -> MotionFile:
             times=data["times"],
             p_world_joint=data["p_world_joint"],
             R_world_bone=data["R_world_bone"],
-            names=tuple(map(str, data["names"])),
+            names=_names("names", data["names"]),
             provenance=data["provenance"],
             valid=data["valid"],
             orientation_observed=data["orientation_observed"],
         )
-        dof_names = tuple(map(str, data["dof_names"]))
-        if data["q"].shape != (len(poses), 7 + len(dof_names)):
-            raise FileFormatError(path, f"q has shape {data['q'].shape}, which fits no names")
+        dof_names = _names("dof_names", data["dof_names"])
+        T, J = len(poses), len(poses.names)
         return MotionFile(
-            q=data["q"],
+            q=readonly("q", data["q"], (T, 7 + len(dof_names))),
             poses=poses,
             dof_names=dof_names,
-            joint_offsets=data["joint_offsets"],
-            singular=data["singular"],
+            joint_offsets=readonly("joint_offsets", data["joint_offsets"], (J, 3)),
+            singular=readonly("singular", data["singular"], (T, J), np.bool_),
             first_frame=int(data["first_frame"]),
             mode=str(data["mode"]),
             skeleton=str(data["skeleton"]),
@@ -113,14 +113,22 @@ def read_motion_npz(path: str | Path) -> MotionFile:
         raise FileFormatError(path, str(error)) from error
 
 
-def _arrays(path: Path) -> dict[str, Any]:
+def _names(field: str, value: NDArray[Any]) -> tuple[str, ...]:
+    if value.ndim != 1:
+        raise ShapeError(f"{field}: expected a list of names, got shape {value.shape}")
+    return tuple(map(str, value))
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
         with zipfile.ZipFile(path) as archive:
             if sum(member.file_size for member in archive.infolist()) > _LARGEST_BYTES:
                 raise FileFormatError(path, "would fill more than 8 GiB of memory")
         with np.load(path, allow_pickle=False) as archive_of_arrays:
-            return dict(archive_of_arrays)
+            return {name: np.asarray(array) for name, array in archive_of_arrays.items()}
     except FileNotFoundError as error:
         raise FileFormatError(path, "there is no such file") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (
+        OSError, ValueError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error
+    ) as error:  # fmt: skip
         raise FileFormatError(path, f"damaged, or no motion.npz ({error})") from error

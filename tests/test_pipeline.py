@@ -1,0 +1,393 @@
+"""`reconstruct` with a lifter whose errors are planted."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import planted
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
+from rtof_kin.fragment import SolverStatus
+from rtof_kin.fragment_problem import FragmentSettings
+from rtof_kin.inertial_ik import InertialGuidedIKSettings
+from rtof_kin.pipeline import (
+    MODES,
+    Reconstruction,
+    ReconstructionSettings,
+    evenly_spaced,
+    reconstruct,
+)
+from rtof_kin.recording import Recording
+from rtof_kin.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.types import KeypointSequence, Provenance
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+T = 40
+SETTINGS = ReconstructionSettings(frames=16)
+TRUNK = BODY.index("Hips", "Spine", "Spine1", "Neck", "Head", "LeftShoulder", "RightShoulder")
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """What a lifter returns, as far as the pipeline looks at it."""
+
+    p_world_joint: Array
+    seen: NDArray[np.bool_]
+
+
+class PlantedLifter:
+    """Answers with the truth and smooth errors, at whatever times it is asked for."""
+
+    def __init__(self, truth: MotionSequence, blind: slice = slice(0)) -> None:
+        self.times, self.p = truth.times, planted.lifted(truth)
+        self.blind = blind
+        self.asked: list[tuple[KeypointSequence, Array | None]] = []
+
+    def predict(self, keypoints: KeypointSequence, joint_offsets: Array | None = None) -> Any:
+        self.asked.append((keypoints, joint_offsets))
+        nearest = np.abs(self.times - keypoints.times[:, None]).argmin(axis=1)
+        seen = np.ones(len(keypoints), dtype=bool)
+        seen[self.blind] = False
+        return Lifted(self.p[nearest], seen)
+
+
+@pytest.fixture(scope="module")
+def truth() -> MotionSequence:
+    return planted.moving(BODY, T)
+
+
+@pytest.fixture(scope="module")
+def recording(truth: MotionSequence) -> Recording:
+    return planted.recording(truth, sigma_px=3.0, degrees=3.0)
+
+
+@pytest.fixture(scope="module")
+def results(truth: MotionSequence, recording: Recording) -> dict[str, Reconstruction]:
+    return {
+        mode: reconstruct(recording, mode=mode, lifter=PlantedLifter(truth), settings=SETTINGS)
+        for mode in MODES
+    }
+
+
+def run(recording: Recording, truth: MotionSequence, mode: str = "rtof", **how: Any) -> Reconstruction:
+    how = {"lifter": PlantedLifter(truth), "settings": SETTINGS} | how
+    return reconstruct(recording, mode=mode, **how)
+
+
+# --- the modes -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode, stages", [
+    ("lift", ["lift"]), ("sf2", ["lift", "sf2"]), ("rto", ["lift", "rto"]),
+    ("rtof", ["lift", "sf2", "rtof"]),
+])  # fmt: skip
+def test_a_mode_runs_its_stages_and_scores_them(
+    results: dict[str, Reconstruction], mode: str, stages: list[str]
+) -> None:
+    result = results[mode]
+    assert result.mode == mode
+    assert list(result.stages) == list(result.stage_metrics) == stages
+    assert result.metrics is result.stage_metrics[mode]
+    assert (result.solution is not None) == (mode in ("rto", "rtof"))
+    assert (result.bone_imus is not None) == (mode in ("sf2", "rtof"))
+
+
+def test_each_stage_is_better_than_the_one_before(results: dict[str, Reconstruction]) -> None:
+    score = {mode: result.stage_metrics[mode] for mode, result in results.items()}
+    assert score["rtof"]["mpjpe_rr_mm"] < 0.7 * score["sf2"]["mpjpe_rr_mm"]
+    assert score["sf2"]["mpjpe_rr_mm"] < 0.9 * score["lift"]["mpjpe_rr_mm"]
+    assert score["rto"]["mpjpe_rr_mm"] < 0.9 * score["lift"]["mpjpe_rr_mm"]
+    assert score["rtof"]["mpjpe_mm"] < 0.6 * score["lift"]["mpjpe_mm"]
+    assert score["rtof"]["flexion_deg"] < 0.6 * score["lift"]["flexion_deg"]
+    assert results["rtof"].solution is not None
+    assert results["rtof"].solution.status is SolverStatus.CONVERGED
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_motion_is_the_subjects_rigid_skeleton_at_the_keypoints_times(
+    results: dict[str, Reconstruction], recording: Recording, mode: str
+) -> None:
+    motion = results[mode].motion
+    assert motion.q.shape == (T, BODY.nq)
+    p, R = BODY.forward_kinematics(motion.q)
+    np.testing.assert_allclose(p, motion.poses.p_world_joint, atol=1e-9)
+    np.testing.assert_allclose(R, motion.poses.R_world_bone, atol=1e-9)
+    np.testing.assert_array_equal(motion.times, recording.keypoints.times)
+    assert np.abs(np.diff(motion.q, axis=0)).max() < 1.0
+    assert motion.poses.valid.all()
+
+
+@pytest.mark.parametrize("mode", ["sf2", "rto", "rtof"])
+def test_what_is_scored_is_the_motion_that_is_delivered(
+    results: dict[str, Reconstruction], mode: str
+) -> None:
+    result = results[mode]
+    assert result.stages[mode] is result.motion.poses
+
+
+def test_provenance_tells_who_saw_each_joint(results: dict[str, Reconstruction]) -> None:
+    (hand,) = BODY.index("LeftHand")
+    seen = {mode: result.motion.poses.provenance for mode, result in results.items()}
+    for mode in ("lift", "rto"):
+        assert np.all(seen[mode] == Provenance.CAMERA)
+    for mode in ("sf2", "rtof"):
+        assert np.all(seen[mode][:, hand] == Provenance.CAMERA_AND_IMU)
+        assert np.all(seen[mode][:, TRUNK] == Provenance.CAMERA)
+    observed = results["rtof"].motion.poses.orientation_observed
+    assert observed[:, BODY.index(*planted.LIMBS)].all()
+    assert not observed[:, hand].any()
+
+
+def test_equal_calls_give_equal_answers(
+    results: dict[str, Reconstruction], recording: Recording, truth: MotionSequence
+) -> None:
+    again = run(recording, truth)
+    np.testing.assert_array_equal(again.motion.q, results["rtof"].motion.q)
+
+
+def test_without_truth_there_are_no_scores(recording: Recording, truth: MotionSequence) -> None:
+    result = run(replace(recording, truth=None), truth, "sf2")
+    assert result.metrics is None
+    assert result.stage_metrics == {}
+
+
+def test_the_lifter_is_asked_once_with_keypoints_and_the_subjects_offsets(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    tall, lifter = BODY.with_height(1.9), PlantedLifter(truth)
+    result = run(recording, truth, "lift", skeleton=tall, lifter=lifter)
+    ((keypoints, offsets),) = lifter.asked
+    assert keypoints is recording.keypoints
+    np.testing.assert_array_equal(offsets, tall.joint_offsets)
+    assert result.motion.skeleton is tall
+
+
+def test_the_recordings_own_skeleton_is_used_where_none_is_given(truth: MotionSequence) -> None:
+    tall = BODY.with_height(1.9)
+    recording = replace(planted.recording(truth), joint_offsets=tall.joint_offsets)
+    result = run(recording, truth, "sf2")
+    np.testing.assert_allclose(
+        result.motion.skeleton.joint_offsets, tall.joint_offsets, atol=1e-12
+    )
+
+
+def test_settings_reach_the_stages(recording: Recording, truth: MotionSequence) -> None:
+    never = InertialGuidedIKSettings(threshold=np.pi)
+    careful = ReconstructionSettings(never, FragmentSettings(max_iterations=1), frames=8)
+    result = run(recording, truth, settings=careful)
+    assert result.solution is not None
+    assert len(result.solution.fragments) == T // 4 + 1
+    assert result.solution.status is SolverStatus.ITERATION_LIMIT
+    sf2, lift = result.stages["sf2"], result.stages["lift"]
+    arm, hand = BODY.index("LeftForeArm", "LeftHand")
+    for poses in (sf2, lift):
+        assert poses.p_world_joint.shape == (T, 21, 3)
+    bones = [poses.p_world_joint[:, hand] - poses.p_world_joint[:, arm] for poses in (sf2, lift)]
+    unit = [bone / np.linalg.norm(bone, axis=-1, keepdims=True) for bone in bones]
+    np.testing.assert_allclose(unit[0], unit[1], atol=1e-9)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_progress_tells_of_every_stage(
+    recording: Recording, truth: MotionSequence, mode: str
+) -> None:
+    told: list[tuple[str, int, int]] = []
+    run(recording, truth, mode, progress=lambda *at: told.append(at))
+    assert told[:2] == [("lift", 0, 1), ("lift", 1, 1)]
+    if mode in ("rto", "rtof"):
+        assert told[-1] == (mode, 6, 6)
+    assert all(done <= total for _, done, total in told)
+
+
+def test_the_other_skeleton_is_reconstructed_without_sensors() -> None:
+    small = SkeletonModel.human36m()
+    truth = planted.moving(small, 20)
+    recording = Recording(
+        "h36m", planted.keypoints(truth.poses, 3.0), skeleton_table="human36m", truth=truth.poses
+    )
+    result = run(recording, truth, "rto")
+    score = result.stage_metrics
+    assert score["rto"]["mpjpe_rr_mm"] < score["lift"]["mpjpe_rr_mm"]
+
+
+# --- gaps ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_frames_that_nobody_saw_are_bridged_and_not_valid(
+    recording: Recording, truth: MotionSequence, mode: str
+) -> None:
+    gap = slice(15, 24)
+    blind = replace(recording, keypoints=planted.unseen(recording.keypoints, gap))
+    result = run(blind, truth, mode, lifter=PlantedLifter(truth, gap))
+    poses = result.motion.poses
+    assert np.isfinite(poses.p_world_joint).all()
+    assert not poses.valid[gap].any()
+    assert poses.valid[:15].all()
+    assert poses.valid[24:].all()
+    assert np.all(poses.provenance[gap, TRUNK] == Provenance.BRIDGED)
+    limbs = BODY.index("LeftHand", "RightFoot")
+    by = Provenance.IMU if mode in ("sf2", "rtof") else Provenance.BRIDGED
+    assert np.all(poses.provenance[gap, limbs] == by)
+    assert result.metrics is not None
+    assert result.metrics["coverage"] == pytest.approx(1 - 9 / T)
+
+
+def test_a_joint_that_was_not_seen_in_a_frame_that_was_is_known_from_the_prior(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    hidden = planted.unseen(recording.keypoints, slice(5, 10), BODY.index("Head", "LeftHand"))
+    poses = run(replace(recording, keypoints=hidden), truth).motion.poses
+    head, hand = BODY.index("Head", "LeftHand")
+    assert np.all(poses.provenance[5:10, head] == Provenance.PRIOR)
+    assert np.all(poses.provenance[5:10, hand] == Provenance.IMU)
+    assert poses.valid.all()
+
+
+# --- uneven times --------------------------------------------------------------------------------
+
+
+def keypoints_at(times: Array) -> KeypointSequence:
+    """One landmark on a straight line: 100 px/s to the right, 40 px/s down."""
+    uv = 500 + np.asarray(times)[:, None, None] * np.array([100.0, 40.0])
+    return KeypointSequence(planted.camera(), times, uv, np.full((len(times), 1), 0.8), ("Head",))
+
+
+def test_times_that_are_even_are_left_alone() -> None:
+    rng = np.random.default_rng(0)
+    for times in (
+        np.arange(5) / 30,
+        np.arange(500) / 60 + rng.uniform(-4e-3, 4e-3, 500) / 60,
+        np.array([0.0, 1.0]),
+        np.array([3.0]),
+    ):
+        keypoints = keypoints_at(times)
+        assert evenly_spaced(keypoints) is keypoints
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    jitter=st.floats(0.02, 0.4), frames=st.integers(3, 400), rate=st.floats(5, 120),
+    seed=st.integers(0, 1000),
+)  # fmt: skip
+def test_jittering_times_become_even_and_positions_are_those_of_the_new_times(
+    jitter: float, frames: int, rate: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    times = (np.arange(frames) + rng.uniform(-jitter, jitter, frames)) / rate
+    even = evenly_spaced(keypoints_at(times))
+    steps = np.diff(even.times)
+    if len(even) > 1:
+        assert np.ptp(steps) < 1e-6 * steps.mean() or even.times is times or jitter < 0.03
+    assert even.times[0] == times[0]
+    assert even.times[-1] <= times[-1] + 1e-9
+    assert even.times[-1] > times[-1] - 1.01 * np.median(np.diff(times))
+    seen = even.seen[:, 0]
+    expected = 500 + even.times[seen, None] * np.array([100.0, 40.0])
+    np.testing.assert_allclose(even.uv_px[seen, 0], expected, atol=1e-6)
+    np.testing.assert_allclose(even.confidence[seen], 0.8)
+
+
+def test_dropped_frames_are_not_filled_in(caplog: pytest.LogCaptureFixture) -> None:
+    frames = np.delete(np.arange(40), [10, 11, 12, 25])
+    with caplog.at_level(logging.WARNING):
+        even = evenly_spaced(keypoints_at(frames / 60))
+    np.testing.assert_allclose(even.times, np.arange(40) / 60, atol=1e-12)
+    assert np.flatnonzero(~even.seen[:, 0]).tolist() == [10, 11, 12, 25]
+    assert np.isnan(even.uv_px[[10, 11, 12, 25]]).all()
+    assert "36 samples brought to 40 even frames of 16.7 ms" in caplog.text
+
+
+def test_a_landmark_that_is_missing_stays_missing_between_its_neighbours() -> None:
+    times = np.arange(30) / 60 + np.where(np.arange(30) % 2, 0.002, 0.0)
+    keypoints = keypoints_at(times)
+    uv = np.array(keypoints.uv_px)
+    uv[14] = np.nan
+    even = evenly_spaced(replace(keypoints, uv_px=uv))
+    missing = np.flatnonzero(~even.seen[:-1, 0])
+    assert 1 <= len(missing) <= 2
+    assert set(missing) <= {13, 14, 15}
+
+
+def test_a_video_with_jitter_and_dropped_frames_is_reconstructed(truth: MotionSequence) -> None:
+    long = planted.moving(BODY, 120)
+    rng = np.random.default_rng(1)
+    frames = np.delete(np.arange(10, 100, 2), [20, 21])
+    poses = long.poses
+    keypoints = replace(
+        planted.keypoints(poses),
+        times=poses.times + rng.uniform(-1.5e-3, 1.5e-3, 120),
+    )
+    picked = KeypointSequence(
+        keypoints.camera, keypoints.times[frames], keypoints.uv_px[frames],
+        keypoints.confidence[frames], keypoints.names,
+    )  # fmt: skip
+    result = run(replace(planted.recording(long), keypoints=picked), long)
+    assert len(result.keypoints) in (44, 45)
+    assert np.ptp(np.diff(result.motion.times)) < 1e-9
+    assert result.metrics is not None
+    assert result.metrics["mpjpe_rr_mm"] < 30
+    assert result.solution is not None
+    assert result.solution.status is SolverStatus.CONVERGED
+
+
+# --- what is refused -----------------------------------------------------------------------------
+
+
+def test_an_unknown_mode_is_refused_before_anything_runs(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    lifter = PlantedLifter(truth)
+    with pytest.raises(UnknownNameError, match=r"unknown mode 'rtoff'\. Did you mean 'rtof'\?"):
+        reconstruct(recording, mode="rtoff", lifter=lifter)
+    assert not lifter.asked
+
+
+@pytest.mark.parametrize("mode", ["sf2", "rtof"])
+def test_a_mode_that_needs_sensors_asks_for_them(
+    recording: Recording, truth: MotionSequence, mode: str
+) -> None:
+    lifter = PlantedLifter(truth)
+    blind = replace(recording, imus=None, calibration=None)
+    with pytest.raises(ShapeError, match=f"mode {mode} needs IMUs .*use 'lift' or 'rto'"):
+        run(blind, truth, mode, lifter=lifter)
+    assert not lifter.asked
+    assert run(blind, truth, "rto").metrics is not None
+
+
+def test_sensors_without_calibration_are_refused_where_they_are_needed(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    with pytest.raises(CalibrationError, match="have no calibration"):
+        run(replace(recording, calibration=None), truth)
+    assert run(replace(recording, calibration=None), truth, "lift").metrics is not None
+
+
+@pytest.mark.parametrize("mode", ["lift", "rtof"])
+def test_a_person_behind_the_camera_is_refused_with_the_frame(
+    recording: Recording, truth: MotionSequence, mode: str
+) -> None:
+    lifter = PlantedLifter(truth)
+    lifter.p[17] += [9.0, 0.0, 0.0]
+    with pytest.raises(ShapeError, match="pose of frame 17 is behind the camera; check its extrinsics"):
+        run(recording, truth, mode, lifter=lifter)
+
+
+def test_importing_the_pipeline_loads_neither_torch_nor_a_plotting_library() -> None:
+    code = (
+        "import sys, rtof_kin, rtof_kin.pipeline, rtof_kin.export\n"
+        "heavy = {'torch', 'matplotlib', 'yourdfpy', 'rich'} & set(sys.modules)\n"
+        "sys.exit(f'loaded {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
