@@ -71,6 +71,8 @@ class TrainConfig:
     """Largest norm of the gradient."""
     validations: int = 20
     """How often the validation subjects are measured, evenly over the training."""
+    validation_windows: int = 4096
+    """Windows per kind of 2D that they are measured on."""
     report_every: int = 20
     """Steps between progress reports."""
     seed: int = 0
@@ -167,7 +169,9 @@ class _Run:
         )
         others = corpus.skeletons("train", config.skeletons) + _shipped_skeleton(corpus)
         self.bank = MotionBank(corpus, corpus.clips("train"), self.device, others)
-        self.validation = Validation(corpus, self.network.receptive_field(), self.device)
+        self.validation = Validation(
+            corpus, self.network.receptive_field(), self.device, config.validation_windows
+        )
         self.generator = torch.Generator(self.device)
         self.steps, self.seconds, self.validated = 0, 0.0, 0
         self.losses: list[Tensor] = []
@@ -310,7 +314,14 @@ def _schedule(share: float, warm_up: float) -> float:
 def _fixed(config: TrainConfig) -> str:
     """The settings that a resumed training must share; how long it lasts may change."""
     settings = asdict(config)
-    for name in ("windows", "minutes", "device", "report_every", "validations"):
+    for name in (
+        "windows",
+        "minutes",
+        "device",
+        "report_every",
+        "validations",
+        "validation_windows",
+    ):
         del settings[name]
     return json.dumps(settings, sort_keys=True)
 

@@ -12,24 +12,28 @@ from lifting.model import TemporalNetwork
 from lifting.noise import perfect, realistic
 from lifting.windows import answer, decode, encode
 
-WINDOWS = 4096
-"""Windows per kind of 2D, evenly over the validation motion."""
 SEED = 20_000
 
 
 class Validation:
     """Fixed windows of the validation subjects; empty where the corpus has none."""
 
-    def __init__(
-        self, corpus: Corpus, window: int, device: torch.device, split: str = "validation"
-    ):
+    def __init__(self, corpus: Corpus, window: int, device: torch.device, count: int = 4096):
+        """Draw the windows.
+
+        Args:
+            corpus: the motion.
+            window: frames in each.
+            device: where they are kept.
+            count: how many of each kind, evenly over the motion.
+        """
         self.body = corpus.body()
         self.batches: dict[str, Batch] = {}
-        clips = corpus.clips(split, required=False)
+        clips = corpus.clips("validation", required=False)
         if not clips:
             return
         bank = MotionBank(corpus, clips, device)
-        frames = torch.linspace(0, len(bank) - 1, WINDOWS, device=device).long()
+        frames = torch.linspace(0, len(bank) - 1, count, device=device).long()
         kinds = {
             "perfect": plain(perfect()),
             "realistic": plain(realistic()),
@@ -38,7 +42,7 @@ class Validation:
         }
         for name, config in kinds.items():
             generator = torch.Generator(device).manual_seed(SEED)
-            self.batches[name] = bank.draw(WINDOWS, window, config, generator, frames)
+            self.batches[name] = bank.draw(count, window, config, generator, frames)
 
     def measure(self, network: TemporalNetwork, flip: bool = True) -> dict[str, dict[str, float]]:
         """Mean per joint position error in mm, root-relative (the root's 0 counted) and absolute.

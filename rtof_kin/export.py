@@ -14,6 +14,7 @@ figures/*.png                 see `rtof_kin.figures`
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,6 +72,7 @@ def summary(result: Reconstruction) -> dict[str, Any]:
     poses, report = result.motion.poses, result.motion.report
     out: dict[str, Any] = {
         "recording": result.recording.name,
+        "acknowledgement": result.recording.acknowledgement,
         "mode": result.mode,
         "frames": len(poses),
         "rate_hz": poses.rate_hz,
@@ -96,6 +98,11 @@ def summary(result: Reconstruction) -> dict[str, Any]:
             "energy": solution.energy,
         }
     if result.stage_metrics:
-        out["metrics"] = {stage: dict(metrics) for stage, metrics in result.stage_metrics.items()}
+        out["metrics"] = {stage: _plain(metrics) for stage, metrics in result.stage_metrics.items()}
         out["metrics_per_joint"] = result.stage_metrics[result.mode].per_joint
     return out
+
+
+def _plain(metrics: Mapping[str, float]) -> dict[str, float | None]:
+    """JSON knows no NaN: a figure that there is no data for is null."""
+    return {name: value if np.isfinite(value) else None for name, value in metrics.items()}

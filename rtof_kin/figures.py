@@ -125,7 +125,9 @@ def joint_angles(result: Reconstruction) -> Figure:
 
 def _views(result: Reconstruction) -> list[tuple[Array, str]]:
     """(2, 3) maps from world to a picture: as the camera sees it, and from the camera's right."""
-    forward = result.recording.keypoints.camera.R_camera_world[2].copy()
+    R = result.recording.keypoints.camera.R_camera_world
+    looks_down = np.hypot(*R[2, :2]) < 0.1  # then what is up in the picture lies ahead
+    forward = -R[1] if looks_down else R[2].copy()
     forward[2] = 0.0
     forward /= np.linalg.norm(forward)
     up = np.array([0.0, 0.0, 1.0])

@@ -65,7 +65,7 @@ class Reconstruction:
     keypoints: KeypointSequence
     """The keypoints as used, evenly spaced in time."""
     bone_imus: BoneImuSequence | None
-    """The calibrated sensors at the keypoints' times, None where there are none."""
+    """The calibrated sensors at the keypoints' times; None in the modes that use none."""
     solution: FragmentSolution | None
     """What the fragment solver reports, in the modes that use it."""
     metrics: Metrics | None
@@ -140,26 +140,35 @@ def evenly_spaced(keypoints: KeypointSequence) -> KeypointSequence:
     """Keypoints at even steps of time, as differences over time need them.
 
     Times that jitter by less than 1 % of a frame are kept. Otherwise positions are interpolated to the
-    median rate between neighbouring samples; where frames were dropped nothing is filled in: they are
-    NaN with confidence 0.
+    mean rate (dropped frames counted) between neighbouring samples; where frames were dropped nothing
+    is filled in: they are NaN with confidence 0.
     """
     times = keypoints.times
     if len(times) < 3:
         return keypoints
-    step = float(np.median(np.diff(times)))
-    if np.all(np.abs(np.diff(times) - step) < 0.01 * step):
+    steps = np.diff(times)
+    usual = np.median(steps)
+    if np.all(np.abs(steps - usual) < 0.01 * usual):
         return keypoints
-    even = times[0] + step * np.arange(round((times[-1] - times[0]) / step) + 1)
-    even[-1] = min(even[-1], times[-1])
+    frames = max(int(np.round(steps / usual).sum()), 1)
+    times_even, step = np.linspace(times[0], times[-1], frames + 1, retstep=True)
+    even = _snapped(times_even, times, 0.01 * step)
     uv = signals.interpolate(times, keypoints.uv_px, even, max_gap=1.5 * step)
     confidence = signals.interpolate(times, keypoints.confidence, even, max_gap=1.5 * step)
     _log.warning(
         "keypoint times are uneven: %d samples brought to %d even frames of %.1f ms",
         len(times), len(even), 1000 * step,
     )  # fmt: skip
-    return replace(
-        keypoints, times=even, uv_px=uv, confidence=np.clip(np.nan_to_num(confidence), 0, 1)
-    )
+    confidence = np.clip(np.nan_to_num(confidence), 0, 1)
+    return replace(keypoints, times=times_even, uv_px=uv, confidence=confidence)
+
+
+def _snapped(at: Array, times: Array, tolerance: float) -> Array:
+    """Instants, those that lie next to one of the times exactly there: rounding is no gap."""
+    right = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
+    left = right - 1
+    nearest = np.where(at - times[left] < times[right] - at, times[left], times[right])
+    return np.where(np.abs(nearest - at) < tolerance, nearest, at)
 
 
 def _bone_imus(recording: Recording, keypoints: KeypointSequence) -> BoneImuSequence | None:

@@ -103,8 +103,9 @@ def hat_average(
     hat = np.maximum(0.0, 1 - np.abs(points - at[:, None]) / half_width)[..., None]
     width = np.diff(knots, axis=1)[None, ..., None]
     simpson = np.array([1.0, 4.0, 1.0])[:, None, None, None] / 6
-    # Pieces of no width may touch a gap without entering it.
+    # Pieces of no width (or of rounding's) may touch a gap without entering it.
     weight = simpson * width * hat
+    weight[weight < 1e-9 * half_width] = 0.0
     product = np.where(weight > 0, weight * f, 0.0)
     total = weight.sum(axis=(0, 2))
     mean = product.sum(axis=(0, 2)) / np.where(total > 0, total, np.nan)

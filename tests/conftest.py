@@ -1,4 +1,4 @@
-"""What most tests need: the two shipped skeletons, a motion, a camera."""
+"""What many tests need: the shipped skeletons, a motion, a camera."""
 
 from __future__ import annotations
 
@@ -13,12 +13,6 @@ from rtof_kin.types import Camera
 def skeleton() -> SkeletonModel:
     """The 21-joint Total Capture skeleton."""
     return SkeletonModel.default()
-
-
-@pytest.fixture(scope="session")
-def human36m() -> SkeletonModel:
-    """Human3.6M's 17 joints."""
-    return SkeletonModel.human36m()
 
 
 @pytest.fixture(params=["total_capture", "human36m"], scope="session")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -133,6 +134,30 @@ def lifted(truth: MotionSequence, radians: float = 0.2, metres: float = 0.15, se
 def lifted_poses(truth: MotionSequence, radians: float = 0.2, metres: float = 0.15) -> PoseSequence:
     """`lifted` as poses; the orientations are of no use to anybody."""
     return replace(truth.poses, p_world_joint=lifted(truth, radians, metres))
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """What a lifter returns, as far as the pipeline looks at it."""
+
+    p_world_joint: Array
+    seen: NDArray[np.bool_]
+
+
+class PlantedLifter:
+    """Answers with the truth and smooth errors, at whatever times it is asked for."""
+
+    def __init__(self, truth: MotionSequence, blind: slice = slice(0)) -> None:
+        self.times, self.p = truth.times, lifted(truth)
+        self.blind = blind
+        self.asked: list[tuple[KeypointSequence, Array | None]] = []
+
+    def predict(self, keypoints: KeypointSequence, joint_offsets: Array | None = None) -> Any:
+        self.asked.append((keypoints, joint_offsets))
+        nearest = np.abs(self.times - keypoints.times[:, None]).argmin(axis=1)
+        seen = np.ones(len(keypoints), dtype=bool)
+        seen[self.blind] = False
+        return Lifted(self.p[nearest], seen)
 
 
 def recording(

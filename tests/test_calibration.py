@@ -175,6 +175,7 @@ def test_the_order_is_the_sensors_not_the_calibrations(planted_body: Planted) ->
     some = planted_body.calibration.apply(planted_body.imus.select(["Head", "L_LowArm"]))
     assert some.joints == ("Head", "LeftForeArm")
     np.testing.assert_array_equal(some.R_world_bone, whole.R_world_bone[:, [3, 0]])
+    np.testing.assert_array_equal(some.p_bone_sensor, whole.p_bone_sensor[[3, 0]])
     np.testing.assert_array_equal(some.a_world, whole.a_world[:, [3, 0]])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import planted
@@ -125,7 +126,7 @@ def documented(
     ({"prior": "positions", "huber_reprojection": None, "k_V": 0.3, "k_S": 0.1, "k_I": 0.9}, 2),
 ])  # fmt: skip
 def test_every_report_is_the_documented_energy_and_its_true_gradient(
-    change: dict[str, object], max_iterations: int
+    change: dict[str, Any], max_iterations: int
 ) -> None:
     s = Scene(SMALL, 12)
     confidence = np.random.default_rng(0).uniform(0.2, 1.0, s.seen.confidence.shape)
@@ -133,7 +134,7 @@ def test_every_report_is_the_documented_energy_and_its_true_gradient(
     R = np.array(s.imus.R_world_bone)
     R[7, 1] = np.nan
     s.imus = replace(s.imus, R_world_bone=R)
-    set_ = replace(PLAIN, **change, max_iterations=max_iterations)  # type: ignore[arg-type]
+    set_ = replace(PLAIN, **change, max_iterations=max_iterations)
     solver = Inspected(SMALL, 8, set_, SMALL_SENSORS)
     solver.answers = []
     reports = solver.solve(s.start, s.seen, s.imus).fragments
@@ -153,11 +154,11 @@ def test_every_report_is_the_documented_energy_and_its_true_gradient(
 
 @pytest.mark.parametrize("bone_lengths, off", [("free", None), ("weighted", 0.005)])
 def test_scipy_reaches_the_same_minimum(bone_lengths: str, off: float | None) -> None:
-    # Five frames in N = 10: either fragment holds them all, and padding is coupled to nothing. With
+    # Four frames in N = 8: either fragment holds them all, and padding is coupled to nothing. With
     # lengths there are several minima (a bone may lean to or from the camera): SciPy starts near.
-    s, set_ = Scene(SMALL, 5), replace(PLAIN, bone_lengths=bone_lengths)
-    solution = FragmentSolver(SMALL, 10, set_, SMALL_SENSORS).solve(s.start, s.seen, s.imus)
-    x, residuals = solution.poses.p_world_joint.ravel(), documented(s, set_, 10)
+    s, set_ = Scene(SMALL, 4), replace(PLAIN, bone_lengths=bone_lengths)
+    solution = FragmentSolver(SMALL, 8, set_, SMALL_SENSORS).solve(s.start, s.seen, s.imus)
+    x, residuals = solution.poses.p_world_joint.ravel(), documented(s, set_, 8)
     x0 = s.start.p_world_joint.ravel()
     assert np.abs(x - x0).max() > 0.02
     if off is not None:
@@ -222,7 +223,8 @@ def test_vision_alone_beats_the_lifter_and_sensors_add_to_it(
 @pytest.mark.parametrize("weight", ["k_V", "k_I", "k_A", "k_B", "k_S"])
 def test_a_weight_of_zero_leaves_its_term_out(weight: str) -> None:
     s = Scene(SMALL, 8)
-    off = replace(DEFAULT, **{weight: 0.0})
+    change: dict[str, Any] = {weight: 0.0}
+    off = replace(DEFAULT, **change)
     solution = FragmentSolver(SMALL, 8, off, SMALL_SENSORS).solve(s.start, s.seen, s.imus)
     gone = {
         "k_V": {"visual"}, "k_I": {"acceleration", "bone", "smooth"},
@@ -259,7 +261,7 @@ def test_a_lens_with_distortion_gives_the_same_answer(
     scene: Scene, solution: FragmentSolution
 ) -> None:
     seen = scene.seen
-    lens = replace(seen.camera, distortion=[-0.2, 0.05, 0.001, -0.002, 0.0])
+    lens = replace(seen.camera, distortion=np.array([-0.2, 0.05, 0.001, -0.002, 0.0]))
     rays = seen.camera.rays_world(seen.uv_px) + seen.camera.center_world
     bent = replace(seen, camera=lens, uv_px=lens.project(rays))
     assert np.abs(bent.uv_px - seen.uv_px).max() > 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -128,7 +129,7 @@ def central_differences(f: Callable[[Array], Array], x: Array, step: float) -> A
     return np.stack(columns, axis=-1)
 
 
-def hessian(problem: FragmentProblem, x: Array, p: Array, lam_g: object = ()) -> Array:
+def hessian(problem: FragmentProblem, x: Array, p: Array, lam_g: Any = ()) -> Array:
     """The full symmetric matrix that IPOPT is given, of the energy's Lagrangian."""
     upper = np.array(problem.solver.get_function("nlp_hess_l")(x, p, 1.0, ca.DM(lam_g)))
     return np.asarray(upper + np.triu(upper, 1).T)
@@ -227,7 +228,8 @@ def test_a_weight_scales_its_own_term_alone(field: str, term: str) -> None:
         zip(TERMS, np.array(problem_of(SETTINGS["default"]).energy(flat(X), p)).ravel(), strict=True)
     )
     for factor in (0.0, 2.0):
-        settings = replace(FragmentSettings(), **{field: factor * getattr(FragmentSettings(), field)})
+        change: dict[str, Any] = {field: factor * getattr(FragmentSettings(), field)}
+        settings = replace(FragmentSettings(), **change)
         energy = np.array(problem_of(settings).energy(flat(X), p)).ravel()
         for name, value in zip(TERMS, energy, strict=True):
             expected = default[name] * (factor if name == term else 1.0)
@@ -278,9 +280,9 @@ def test_rigid_pairs_keep_their_distance_in_any_motion_and_all_others_do_not() -
     ({"tolerance": 0.0}, "tolerance must be positive"),
     ({"max_iterations": -1}, "max_iterations not negative"),
 ])  # fmt: skip
-def test_settings_that_mean_nothing_are_refused(change: dict[str, object], message: str) -> None:
+def test_settings_that_mean_nothing_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ShapeError, match=message):
-        replace(FragmentSettings(), **change)  # type: ignore[arg-type]
+        replace(FragmentSettings(), **change)
 
 
 @pytest.mark.parametrize(
@@ -288,8 +290,9 @@ def test_settings_that_mean_nothing_are_refused(change: dict[str, object], messa
 )
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
 def test_a_sigma_that_is_not_positive_is_refused(field: str, value: float) -> None:
+    change: dict[str, Any] = {field: value}
     with pytest.raises(ShapeError, match=f"{field} must be positive"):
-        replace(FragmentSettings(), **{field: value})
+        replace(FragmentSettings(), **change)
 
 
 def test_the_papers_settings_are_the_printed_energy() -> None:

@@ -252,7 +252,8 @@ def test_a_blend_with_a_wide_angle_has_no_jump_where_a_threshold_switches(
     imus = sensors(truth, ("LeftLeg",))[:1]
 
     def direction(a: float, **how: float) -> Array:
-        return bone_directions(refine(poses, turned(imus, a), **how), "LeftLeg")[0]
+        out = refine(poses, turned(imus, a), **how)
+        return np.asarray(bone_directions(out, "LeftLeg")[0])
 
     def largest_step(**how: float) -> float:
         steps = np.diff([direction(a, **how) for a in wrong], axis=0)

@@ -192,7 +192,8 @@ def test_the_base_message_has_the_pose_of_the_root_link(
 def test_stamps_count_from_the_start_in_seconds_and_nanoseconds(
     tmp_path: Path, motion: MotionSequence
 ) -> None:
-    long = replace(motion, poses=replace(motion.poses, times=12.25 + 0.7 * np.arange(T)))
+    times = np.linspace(12.25, 12.25 + 0.7 * (T - 1), T)
+    long = replace(motion, poses=replace(motion.poses, times=times))
     for message in messages(tmp_path, long):
         stamps = [point["time_from_start"] for point in message["points"]]
         assert stamps[0] == {"sec": 0, "nanosec": 0}

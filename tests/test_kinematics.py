@@ -186,6 +186,16 @@ def test_a_first_frame_that_is_already_opposite_is_a_rotation_and_is_followed() 
     close((R @ so3.unit(DOWN)[:, None])[..., 0], observed)
 
 
+def test_the_twist_of_a_first_frame_that_is_opposite_is_carried_on_and_then_returns() -> None:
+    observed = passing(5.0)[83:]  # starts seven degrees from opposite and leaves
+    R = kinematics.swing(STILL[: len(observed)], DOWN, observed)
+    assert steps_deg(R).max() < 6.1
+    close(R[-1], so3.minimal_rotation(DOWN, observed[-1]))
+    leaving = passing(0.5)[[80, 100, 101]]  # one frame opposite, the next twenty degrees further
+    R = kinematics.swing(STILL[:3], DOWN, leaving)
+    assert steps_deg(R)[0] < 20 + 5 + 0.5
+
+
 def test_the_swing_is_the_same_whichever_way_the_whole_body_faces() -> None:
     observed, R_world = passing(5.0), random_rotations(1)[0]
     R = kinematics.swing(STILL, DOWN, observed)

@@ -43,7 +43,7 @@ def test_subjects_that_no_list_names_train() -> None:
 
 def test_clips_at_another_rate_are_refused() -> None:
     clip = read_mocap(EXCERPT, output_rate_hz=None)
-    with pytest.raises(ShapeError, match="is at 120 Hz; resample it to 60"):
+    with pytest.raises(ShapeError, match="is at 30 Hz; resample it to 60"):
         make_corpus([clip], {})
 
 

@@ -27,7 +27,7 @@ def motion() -> MotionSequence:
     motion = planted.moving(BODY, 12)
     poses = replace(
         motion.poses,
-        provenance=np.random.default_rng(0).integers(0, 6, (12, 21)),
+        provenance=np.random.default_rng(0).integers(0, 6, (12, 21), dtype=np.uint8),
         valid=np.broadcast_to(np.arange(12)[:, None] % 3 > 0, (12, 21)),
         orientation_observed=np.arange(21) % 2 == 0,
     )

@@ -123,7 +123,7 @@ def test_landmarks_that_are_no_joints_are_ignored(truth: MotionSequence) -> None
 
 def test_a_lens_with_distortion_leads_to_the_same_place(truth: MotionSequence) -> None:
     straight = planted.keypoints(truth.poses)
-    lens: Camera = replace(straight.camera, distortion=[-0.2, 0.05, 0.001, -0.002, 0.0])
+    lens: Camera = replace(straight.camera, distortion=np.array([-0.2, 0.05, 0.001, -0.002, 0.0]))
     bent = replace(straight, camera=lens, uv_px=lens.project(truth.poses.p_world_joint))
     start = moved(truth.poses, offsets())
     out = refit_root(start, bent)

@@ -268,6 +268,10 @@ def test_some_offsets_can_be_given_by_name() -> None:
     new = DEFAULT.with_offsets({"LeftUpLeg": [0.01, 0.1, -0.02]})
     close(new.joint_offsets[DEFAULT.index("LeftUpLeg")[0]], [0.01, 0.1, -0.02])
     close(np.delete(new.joint_offsets, 18, axis=0), np.delete(DEFAULT.joint_offsets, 18, axis=0))
+    rooted = DEFAULT.with_offsets(
+        DEFAULT.joint_offsets + [[0.1, 0, 0]] * (np.arange(21) == 0)[:, None]
+    )
+    close(rooted.joint_offsets, DEFAULT.joint_offsets, 0)  # the root's row is nobody's offset
 
 
 @pytest.mark.parametrize(

@@ -170,6 +170,9 @@ def test_other_offsets_scale_what_belongs_to_each_segment() -> None:
     np.testing.assert_array_equal(new.offsets, offsets)
     thigh = table.names.index("LeftUpLeg")
     np.testing.assert_array_equal(new.joints[thigh].end, offsets[knee])
+    offsets[knee] += [0.02, -0.01, 0.0]  # and one that is bowed: it ends where the knee is
+    np.testing.assert_array_equal(table.scaled_to(offsets).joints[thigh].end, offsets[knee])
+    offsets[knee] -= [0.02, -0.01, 0.0]
     np.testing.assert_allclose(lever(new, "L_UpLeg"), 1.2 * lever(table, "L_UpLeg"))
     np.testing.assert_array_equal(lever(new, "R_UpLeg"), lever(table, "R_UpLeg"))
     np.testing.assert_array_equal(new.joints[elbow].end, table.joints[elbow].end)

@@ -1,0 +1,205 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import lifting_support as support
+import numpy as np
+import pytest
+import torch
+
+from lifting import losses
+from lifting.checkpoint import load_checkpoint
+from lifting.corpus import Corpus
+from lifting.data import plain
+from lifting.predict import Lifter
+from lifting.train import TrainConfig, main, train
+from rtof_kin.errors import FileFormatError, ShapeError
+
+QUICK = TrainConfig(
+    windows=640, batch=32, channels=16, skeletons=1, report_every=1, validations=2,
+    validation_windows=64, bfloat16=False, augment=replace(plain(), mirror=0.5),
+)  # fmt: skip
+
+
+class Interruption(Exception):
+    """Raised by a progress callback."""
+
+
+@pytest.fixture(scope="module")
+def corpus() -> Corpus:
+    return support.tiny_corpus(frames=40)
+
+
+def weights(path: Path) -> dict[str, torch.Tensor]:
+    return load_checkpoint(path)[0].state_dict()
+
+
+def same(a: Path, b: Path) -> bool:
+    first, second = weights(a), weights(b)
+    return all(torch.equal(first[name], second[name]) for name in first)
+
+
+def test_losses_are_distances_in_metres() -> None:
+    truth, pose = torch.zeros(2, 3, 5), torch.zeros(2, 3, 5)
+    pose[:, 0, 1:], pose[:, 2, 1:] = 3.0, 4.0
+    torch.testing.assert_close(losses.mean_joint_distance(pose, truth), torch.full((2,), 5.0))
+    root = torch.tensor([[0.0, 2.0, 0.0], [0.0, 0.0, 4.0]])
+    torch.testing.assert_close(
+        losses.root_distance(root, torch.zeros(2, 3)), torch.tensor([2.0, 4.0])
+    )
+    total = losses.lifting_loss(pose, root, truth, torch.zeros(2, 3))
+    assert float(total) == pytest.approx(5.0 + 0.3 * 3.0)
+
+
+def test_training_learns_a_small_motion_by_heart(tmp_path: Path) -> None:
+    corpus = support.tiny_corpus(clips=2, frames=60)
+    corpus = replace(corpus, split=("train", "validation"))
+    twins = replace(
+        corpus,
+        p_world_root=np.tile(corpus.p_world_root[:60], (2, 1)),
+        R_world_bone=np.tile(corpus.R_world_bone[:60], (2, 1, 1, 1)),
+        joint_offsets=np.tile(corpus.joint_offsets[:1], (2, 1, 1)),
+    )
+    config = replace(  # fmt: skip
+        QUICK, windows=38_400, batch=128, channels=64, learning_rate=1e-2, ema=0.9, skeletons=0,
+        report_every=50,
+    )
+    errors: list[dict[str, Any]] = []
+
+    def progress(report: dict[str, Any]) -> None:
+        if "validation" in report:
+            errors.append(report["validation"]["perfect"])
+
+    path = train(config, twins, tmp_path / "lifter.pt", progress)
+    assert errors[-1]["rr_mm"] < 55
+    assert errors[-1]["abs_mm"] < 120
+    camera, p = support.side_camera(), corpus.positions(0).astype(float)
+    lifted = Lifter.load(path).predict(support.seen_by(camera, p), corpus.joint_offsets[0])
+    error = lifted.p_world_joint - p
+    assert np.linalg.norm(error - error[:, :1], axis=-1).mean() < 0.08
+    assert np.linalg.norm(error, axis=-1).mean() < 0.25
+
+
+def test_equal_seeds_give_equal_weights_and_others_do_not(corpus: Corpus, tmp_path: Path) -> None:
+    config = replace(QUICK, windows=96)
+    first = train(config, corpus, tmp_path / "1.pt")
+    torch.manual_seed(99)
+    second = train(config, corpus, tmp_path / "2.pt")
+    third = train(replace(config, seed=1), corpus, tmp_path / "3.pt")
+    assert same(first, second)
+    assert not same(first, third)
+
+
+def test_a_resumed_training_ends_as_an_uninterrupted_one(corpus: Corpus, tmp_path: Path) -> None:
+    config = replace(QUICK, dropout=0.2)
+    whole = train(config, corpus, tmp_path / "whole.pt")
+
+    def interrupt(report: dict[str, Any]) -> None:
+        if report["step"] == 9:
+            raise Interruption
+
+    parts = tmp_path / "parts.pt"
+    with pytest.raises(Interruption):
+        train(config, corpus, parts, interrupt)
+    assert not parts.exists()
+    steps: list[int] = []
+    train(config, corpus, parts, lambda report: steps.append(report["step"]), resume=True)
+    assert steps[0] == 10
+    assert same(whole, parts)
+    curves = [json.loads((tmp_path / f"{n}.pt.curves.json").read_text()) for n in ("whole", "parts")]
+    measured = [[row["validation"] for row in curve["history"]] for curve in curves]
+    assert measured[0] == measured[1]
+
+
+def test_without_resume_the_state_is_not_read(corpus: Corpus, tmp_path: Path) -> None:
+    config = replace(QUICK, windows=96)
+    path = train(config, corpus, tmp_path / "lifter.pt")
+    before = weights(path)
+    steps: list[int] = []
+    train(config, corpus, path, lambda report: steps.append(report["step"]))
+    assert steps[0] == 1
+    assert all(torch.equal(before[name], tensor) for name, tensor in weights(path).items())
+
+
+def test_states_of_other_settings_and_broken_states_are_refused(
+    corpus: Corpus, tmp_path: Path
+) -> None:
+    config = replace(QUICK, windows=64)
+    path = train(config, corpus, tmp_path / "lifter.pt")
+    with pytest.raises(FileFormatError, match="other settings; delete it or do not resume"):
+        train(replace(config, learning_rate=1e-4), corpus, path, resume=True)
+    (tmp_path / "lifter.pt.state").write_bytes(b"PK\x03\x04")
+    with pytest.raises(FileFormatError, match="not a readable training state"):
+        train(config, corpus, path, resume=True)
+
+
+def test_only_training_subjects_are_learnt_from(corpus: Corpus, tmp_path: Path) -> None:
+    R = corpus.R_world_bone.copy()
+    R[80:] = np.eye(3)  # the clips that validate and test
+    elsewhere = replace(corpus, R_world_bone=R)
+    config = replace(QUICK, windows=96)
+    first = train(config, corpus, tmp_path / "1.pt")
+    second = train(config, elsewhere, tmp_path / "2.pt")
+    assert same(first, second)
+    assert load_checkpoint(first)[1].validation != load_checkpoint(second)[1].validation
+
+
+def test_the_lifter_carries_its_recipe_and_errors(corpus: Corpus, tmp_path: Path) -> None:
+    path = train(replace(QUICK, windows=100), corpus, tmp_path / "lifter.pt")
+    description = load_checkpoint(path)[1]
+    assert description.recipe["windows_seen"] == 128
+    assert description.recipe["augment"]["distance"] == [1.8, 7.5]
+    assert description.recipe["frames_of_motion"] == 80
+    assert set(description.validation) >= {"perfect", "realistic"}
+    assert description.validation["perfect"]["abs_mm"] > 0
+
+
+def test_time_ends_a_training_too(corpus: Corpus, tmp_path: Path) -> None:
+    reports: list[dict[str, Any]] = []
+    config = replace(QUICK, windows=None, minutes=0.005)
+    train(config, corpus, tmp_path / "lifter.pt", reports.append)
+    assert reports[-1]["share_done"] == 1.0
+    assert 0.3 <= reports[-1]["seconds"] < 3.0
+
+
+def test_global_randomness_is_left_alone(corpus: Corpus, tmp_path: Path) -> None:
+    torch.manual_seed(7)
+    expected = torch.rand(3)
+    torch.manual_seed(7)
+    train(replace(QUICK, windows=32), corpus, tmp_path / "lifter.pt")
+    assert torch.equal(torch.rand(3), expected)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({}, "give a number of windows, of minutes, or both"),
+        ({"windows": 0}, "windows is 0; it must be positive"),
+        ({"minutes": -1.0}, "minutes is -1.0"),
+        ({"windows": 5, "batch": 0}, "batch is 0"),
+        ({"windows": 5, "learning_rate": float("nan")}, "learning_rate is nan"),
+    ],
+)
+def test_impossible_settings_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ShapeError, match=message):
+        TrainConfig(**settings)
+
+
+def test_a_corpus_without_training_clips_is_refused(corpus: Corpus, tmp_path: Path) -> None:
+    with pytest.raises(ShapeError, match="no clip is in the split 'train'"):
+        train(QUICK, replace(corpus, split=("test",) * 4), tmp_path / "lifter.pt")
+
+
+def test_the_module_runs_alone(
+    corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = corpus.save(tmp_path / "corpus.npz")
+    out = tmp_path / "lifter.pt"
+    options = ["--windows", "64", "--batch", "32", "--channels", "8"]
+    assert main(["--corpus", str(file), "--out", str(out), *options]) == 0
+    assert f"wrote {out}" in capsys.readouterr().out
+    assert main(["--corpus", str(tmp_path / "none.npz"), "--out", str(out), *options]) == 2
+    assert "error: " in capsys.readouterr().err
