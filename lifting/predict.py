@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lifting.checkpoint import LifterDescription, load_checkpoint
 from lifting.model import TemporalNetwork
+from lifting.threads import torch_threads
 from lifting.windows import answer, decode, encode
 from rtof_kin import signals
 from rtof_kin.errors import ShapeError
@@ -135,7 +136,8 @@ class Lifter:
         for first in range(0, len(keypoints), CHUNK):
             times = keypoints.times[first : first + CHUNK]
             rays, seen = source.windows(times, self.receptive_field(), self.description.rate_hz)
-            parts.append(self._lift(rays, seen, bones, height, flip))
+            with torch_threads(1):
+                parts.append(self._lift(rays, seen, bones, height, flip))
             enough.append(seen.any(axis=1).sum(axis=1) >= MIN_JOINTS)
             if progress:
                 progress(first + len(times), len(keypoints))
@@ -219,9 +221,11 @@ class _Rays:
         right = np.clip(np.searchsorted(self.times, at), 0, len(self.times) - 1)
         left = np.maximum(right - 1, 0)
         step = self.times[right] - self.times[left]
-        share = np.divide(at - self.times[left], step, out=np.ones_like(at), where=step > 0)
+        since, until = at - self.times[left], self.times[right] - at
+        share = np.divide(since, step, out=np.ones_like(at), where=step > 0)
         # Within a tenth of a frame of an image, that image alone stands.
-        share = np.where(share < 0.1, 0.0, np.where(share > 0.9, 1.0, share))
+        near = 0.1 / rate_hz
+        share = np.where(until < near, 1.0, np.where(since < near, 0.0, share))
         between = (share > 0) & (share < 1)
         weight = share[..., None, None].astype(np.float32)
         rays = (1 - weight) * self.rays[left] + weight * self.rays[right]

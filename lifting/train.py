@@ -28,6 +28,7 @@ from lifting.checkpoint import LifterDescription, save_checkpoint
 from lifting.corpus import RATE_HZ, Corpus, read_corpus
 from lifting.data import AugmentConfig, MotionBank
 from lifting.model import NetworkConfig, TemporalNetwork
+from lifting.threads import torch_threads
 from lifting.validation import Validation
 from lifting.windows import decode, encode
 from rtof_kin.errors import FileFormatError, RtofError, ShapeError, SolverError
@@ -79,6 +80,8 @@ class TrainConfig:
     """Of the initial weights and everything drawn."""
     device: str = "cpu"
     """'cpu' or 'cuda'."""
+    threads: int = 1
+    """Of the CPU."""
     bfloat16: bool = True
     """Multiply matrices in bfloat16."""
     skeletons: int = 12
@@ -91,7 +94,7 @@ class TrainConfig:
             raise ShapeError("training: give a number of windows, of minutes, or both")
         positive = {
             "windows": self.windows, "minutes": self.minutes, "batch": self.batch,
-            "learning_rate": self.learning_rate, "channels": self.channels,
+            "learning_rate": self.learning_rate, "channels": self.channels, "threads": self.threads,
         }  # fmt: skip
         for name, value in positive.items():
             if value is not None and not value > 0:
@@ -129,7 +132,7 @@ def train(
     state_file = out.with_name(out.name + ".state")
     if not isinstance(corpus, Corpus):
         corpus = read_corpus(corpus)
-    with _own_randomness():
+    with _own_randomness(), torch_threads(config.threads):
         run = _Run(config, corpus)
         if resume and state_file.exists():
             run.restore(state_file)
@@ -313,16 +316,9 @@ def _schedule(share: float, warm_up: float) -> float:
 
 def _fixed(config: TrainConfig) -> str:
     """The settings that a resumed training must share; how long it lasts may change."""
-    settings = asdict(config)
-    for name in (
-        "windows",
-        "minutes",
-        "device",
-        "report_every",
-        "validations",
-        "validation_windows",
-    ):
-        del settings[name]
+    free = {"windows", "minutes", "device", "threads"}
+    free |= {"report_every", "validations", "validation_windows"}
+    settings = {name: value for name, value in asdict(config).items() if name not in free}
     return json.dumps(settings, sort_keys=True)
 
 
@@ -349,6 +345,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--weight-decay", type=float, default=0.01)
     parser.add_argument("--ema", type=float, default=0.998)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=1, help="of the CPU")
+    parser.add_argument("--validation-windows", type=int, default=4096)
     parser.add_argument("--resume", action="store_true", help="go on from OUT.state")
     options = vars(parser.parse_args(arguments))
     corpus, out, resume = (options.pop(name) for name in ("corpus", "out", "resume"))

@@ -249,10 +249,11 @@ class SkeletonModel:
         return self.with_offsets(self.joint_offsets * (height / self.height))
 
     def with_mass(self, mass_kg: float, sex: str | None = None) -> SkeletonModel:
-        """The same skeleton with another body mass, kg, and de Leva's column ('male', 'female')."""
+        """The same skeleton with another body mass, kg; de Leva's column ('male', 'female') as it was
+        where not given."""
         if not (np.isfinite(mass_kg) and mass_kg > 0) or sex not in (None, "male", "female"):
             raise ShapeError(f"mass {mass_kg} kg must be positive and sex {sex!r} male, female or None")
-        return SkeletonModel(replace(self.table, mass_kg=float(mass_kg), sex=sex))
+        return SkeletonModel(replace(self.table, mass_kg=float(mass_kg), sex=sex or self.table.sex))
 
     def to_urdf(self) -> str:
         """The URDF of this body as XML text."""
@@ -335,12 +336,20 @@ class SkeletonModel:
         return q
 
     def check(self, q: ArrayLike) -> ConfigurationReport:
-        """Singular postures and limit violations of configurations (T, nq)."""
+        """Singular postures and limit violations of configurations (T, nq).
+
+        A joint that came round by a whole turn, or to the other branch of its angles, is judged by the
+        posture it is in.
+        """
         rows: Array = readonly("q", q, ("T", self.nq))
         singular: NDArray[np.bool_] = np.zeros((len(rows), len(self.names)), dtype=np.bool_)
         middle = rows[:, self._q_index[:, 1]]
         singular[:, 1:] = np.abs(np.cos(middle)) < np.sin(SINGULAR_MARGIN)
-        angles = rows[:, 7:]
+        # Limits are about postures: of the names a rotation has, the one nearest to their middle.
+        index = self._q_index - 7
+        angles = np.empty((len(rows), len(self.dof_names)))
+        middle_of_limits = self.limits.mean(axis=1)
+        angles[:, index] = so3.euler_near(rows[:, self._q_index], middle_of_limits[index])
         excess = np.maximum(np.maximum(self.limits[:, 0] - angles, angles - self.limits[:, 1]), 0.0)
         return ConfigurationReport(singular, excess, self.dof_names)
 

@@ -17,6 +17,7 @@ from rtof_kin.skeleton_table import read_skeleton_table
 from rtof_kin.types import Camera, KeypointSequence
 
 Array = NDArray[np.float64]
+torch.set_num_threads(1)
 TABLE = read_skeleton_table(model_path("skeleton.toml"))
 
 

@@ -63,7 +63,7 @@ def test_training_learns_a_small_motion_by_heart(tmp_path: Path) -> None:
         R_world_bone=np.tile(corpus.R_world_bone[:60], (2, 1, 1, 1)),
         joint_offsets=np.tile(corpus.joint_offsets[:1], (2, 1, 1)),
     )
-    config = replace(  # fmt: skip
+    config = replace(
         QUICK, windows=38_400, batch=128, channels=64, learning_rate=1e-2, ema=0.9, skeletons=0,
         report_every=50,
     )
@@ -199,6 +199,7 @@ def test_the_module_runs_alone(
     file = corpus.save(tmp_path / "corpus.npz")
     out = tmp_path / "lifter.pt"
     options = ["--windows", "64", "--batch", "32", "--channels", "8"]
+    options += ["--validation-windows", "16"]
     assert main(["--corpus", str(file), "--out", str(out), *options]) == 0
     assert f"wrote {out}" in capsys.readouterr().out
     assert main(["--corpus", str(tmp_path / "none.npz"), "--out", str(out), *options]) == 2
