@@ -7,7 +7,7 @@ a camera that exists only for it. Arrays are (B, 3, W, J), see `windows`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lifting.corpus import Corpus
+from lifting.draws import Draw, about_x, about_y, about_z
 from lifting.noise import HALF_HEIGHT, HALF_WIDTH, NoiseConfig, add_noise, perfect
 from lifting.windows import Body, bone_groups
 from rtof_kin import rotations as so3
@@ -157,7 +158,7 @@ class MotionBank:
             generator: the only source of randomness, on the bank's device.
             frames: (batch,) the middle frames; drawn where not given.
         """
-        draw = _Draw(batch, generator, self.device)
+        draw = Draw(batch, generator, self.device)
         if frames is None:
             frames = draw.integers(len(self))
         bones, root, offsets = self._motion(frames, window, config, draw)
@@ -190,7 +191,7 @@ class MotionBank:
         return Batch(rays, seen, told, height, middle, towards_root)
 
     def _motion(
-        self, frames: Tensor, window: int, config: AugmentConfig, draw: _Draw
+        self, frames: Tensor, window: int, config: AugmentConfig, draw: Draw
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Bone vectors (B, 3, W, J-1), the root's path from the middle frame (B, 3, W), and the joint
         offsets (B, J, 3) of who moves."""
@@ -212,7 +213,7 @@ class MotionBank:
             offsets[:count] = torch.where(self.upper[:, None], upper_offsets, offsets[:count])
         return bones, root - root[:, :, window // 2, None], offsets
 
-    def _bodies(self, config: AugmentConfig, draw: _Draw) -> Tensor:
+    def _bodies(self, config: AugmentConfig, draw: Draw) -> Tensor:
         """(B,) whose skeleton each window is on, 0 for its own."""
         others = len(self.bones) - 1
         if others == 0:
@@ -235,17 +236,17 @@ class MotionBank:
         order = [j - 1 for j in self.body.mirrored[1:]]
         return bones[..., order] * bones.new_tensor([1.0, -1.0, 1.0])[:, None, None]
 
-    def _orientation(self, config: AugmentConfig, draw: _Draw) -> Tensor:
+    def _orientation(self, config: AugmentConfig, draw: Draw) -> Tensor:
         """(B, 3, 3): any heading, and for some a tilt about a horizontal axis."""
         B = draw.batch
         tilted = draw.uniform(B) < config.tilt
         angle = torch.where(tilted, config.tilt_angle * draw.uniform(B), 0.0)
         axis, yaw = 2 * torch.pi * draw.uniform(B), 2 * torch.pi * draw.uniform(B)
-        tilt = _about_z(axis) @ _about_x(angle) @ _about_z(-axis)
-        return tilt @ _about_z(yaw)
+        tilt = about_z(axis) @ about_x(angle) @ about_z(-axis)
+        return tilt @ about_z(yaw)
 
     def _observe(
-        self, p: Tensor, towards_root: Tensor, config: AugmentConfig, draw: _Draw
+        self, p: Tensor, towards_root: Tensor, config: AugmentConfig, draw: Draw
     ) -> tuple[Tensor, Tensor]:
         """Rays (B, 3, W, J) in world and what is seen, by a camera that has the root in its image."""
         right = (2 * draw.uniform(draw.batch) - 1) * config.off_axis * HALF_WIDTH
@@ -253,8 +254,8 @@ class MotionBank:
         azimuth = torch.atan2(towards_root[:, 1], towards_root[:, 0]) + right.atan()
         elevation = torch.atan2(towards_root[:, 2], towards_root[:, :2].norm(dim=1)) + down.atan()
         upright = torch.tensor([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]], device=self.device)
-        roll = _about_z(config.roll * draw.normal(draw.batch))
-        R_camera_world = roll @ upright @ _about_y(elevation) @ _about_z(-azimuth)
+        roll = about_z(config.roll * draw.normal(draw.batch))
+        R_camera_world = roll @ upright @ about_y(elevation) @ about_z(-azimuth)
         q = torch.bmm(R_camera_world, p.flatten(2)).reshape(p.shape)
         seen = q[:, 2] > 0.2
         xy = q[:, :2] / q[:, 2:].clamp_min(0.2)
@@ -277,47 +278,6 @@ def _bones(corpus: Corpus, clip: int, body: NDArray[np.float32] | None) -> Tenso
     p = corpus.positions(clip, _offsets(corpus, clip, body).numpy())
     bones = p[:, 1:] - p[:, list(corpus.parents[1:])]
     return torch.from_numpy(np.ascontiguousarray(np.swapaxes(bones, 1, 2)))
-
-
-@dataclass(frozen=True)
-class _Draw:
-    """Random tensors of one batch."""
-
-    batch: int
-    generator: torch.Generator
-    device: torch.device
-
-    def uniform(self, *shape: int) -> Tensor:
-        return torch.rand(shape, generator=self.generator, device=self.device)
-
-    def normal(self, *shape: int) -> Tensor:
-        return torch.randn(shape, generator=self.generator, device=self.device)
-
-    def between(self, bounds: tuple[float, float], *shape: int) -> Tensor:
-        return bounds[0] + (bounds[1] - bounds[0]) * self.uniform(*shape)
-
-    def integers(self, below: int) -> Tensor:
-        return torch.randint(below, (self.batch,), generator=self.generator, device=self.device)
-
-
-def _axis_rotation(angle: Tensor, place: Callable[[Tensor, Tensor], list[list[Tensor]]]) -> Tensor:
-    rows = place(angle.cos(), angle.sin())
-    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
-
-
-def _about_x(angle: Tensor) -> Tensor:
-    o, i = torch.zeros_like(angle), torch.ones_like(angle)
-    return _axis_rotation(angle, lambda c, s: [[i, o, o], [o, c, -s], [o, s, c]])
-
-
-def _about_y(angle: Tensor) -> Tensor:
-    o, i = torch.zeros_like(angle), torch.ones_like(angle)
-    return _axis_rotation(angle, lambda c, s: [[c, o, s], [o, i, o], [-s, o, c]])
-
-
-def _about_z(angle: Tensor) -> Tensor:
-    o, i = torch.zeros_like(angle), torch.ones_like(angle)
-    return _axis_rotation(angle, lambda c, s: [[c, -s, o], [s, c, o], [o, o, i]])
 
 
 def _chain(body: Body) -> Tensor:

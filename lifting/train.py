@@ -280,7 +280,7 @@ class _Run:
     def restore(self, path: Path) -> None:
         """Go on from a state file."""
         try:
-            state = torch.load(path, map_location=self.device, weights_only=True)
+            state = torch.load(path, map_location="cpu", weights_only=True)
             if state["config"] != _fixed(self.config):
                 raise FileFormatError(
                     path, "belongs to a training with other settings; delete it or do not resume"

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import SolverStatus
 from rtof_kin.fragment_problem import FragmentSettings
-from rtof_kin.inertial_ik import InertialGuidedIKSettings
+from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.pipeline import (
     MODES,
     Reconstruction,
@@ -173,6 +173,24 @@ def test_settings_reach_the_stages(recording: Recording, truth: MotionSequence) 
     np.testing.assert_allclose(unit[0], unit[1], atol=1e-9)
 
 
+def test_the_optimiser_starts_from_sf2_with_sensors_and_from_rigid_poses_without(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    idle = FragmentSettings(max_iterations=0, refit_root=False)
+    settings_ = ReconstructionSettings(fragment=idle, frames=16)
+    start = {
+        "rtof": run(recording, truth, "sf2").stages["sf2"],
+        "rto": InertialGuidedIK(BODY).refine(run(recording, truth, "lift").stages["lift"]),
+    }
+    for mode, poses in start.items():
+        result = run(recording, truth, mode, settings=settings_)
+        assert result.solution is not None
+        np.testing.assert_allclose(
+            result.solution.poses.p_world_joint, poses.p_world_joint, atol=1e-9
+        )
+    assert np.abs(start["rto"].p_world_joint - start["rtof"].p_world_joint).max() > 0.05
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_progress_tells_of_every_stage(
     recording: Recording, truth: MotionSequence, mode: str
@@ -283,14 +301,18 @@ def test_times_rounded_to_milliseconds_have_the_mean_rate(milliseconds: list[int
     assert even.seen.all()
 
 
-def test_dropped_frames_are_not_filled_in(caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize("start", [0.0, 12.3, 1.7e9])
+@pytest.mark.parametrize("rate", [25.0, 29.97, 60.0, 100.0])
+def test_dropped_frames_are_not_filled_in_and_no_other_is_lost(
+    start: float, rate: float, caplog: pytest.LogCaptureFixture
+) -> None:
     frames = np.delete(np.arange(40), [10, 11, 12, 25])
     with caplog.at_level(logging.WARNING):
-        even = evenly_spaced(keypoints_at(frames / 60))
-    np.testing.assert_allclose(even.times, np.arange(40) / 60, atol=1e-12)
+        even = evenly_spaced(keypoints_at(start + frames / rate))
+    np.testing.assert_allclose(even.times, start + np.arange(40) / rate, atol=1e-6)
     assert np.flatnonzero(~even.seen[:, 0]).tolist() == [10, 11, 12, 25]
     assert np.isnan(even.uv_px[[10, 11, 12, 25]]).all()
-    assert "36 samples brought to 40 even frames of 16.7 ms" in caplog.text
+    assert f"36 samples brought to 40 even frames of {1000 / rate:.1f} ms" in caplog.text
 
 
 def test_a_landmark_that_is_missing_stays_missing_between_its_neighbours() -> None:

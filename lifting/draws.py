@@ -1,0 +1,57 @@
+"""Random numbers and rotations for batches of windows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Random tensors of one batch, all from one generator on one device."""
+
+    batch: int
+    generator: torch.Generator
+    device: torch.device
+
+    def uniform(self, *shape: int) -> Tensor:
+        """In [0, 1)."""
+        return torch.rand(shape, generator=self.generator, device=self.device)
+
+    def normal(self, *shape: int) -> Tensor:
+        """Of zero mean and unit variance."""
+        return torch.randn(shape, generator=self.generator, device=self.device)
+
+    def between(self, bounds: tuple[float, float], *shape: int) -> Tensor:
+        """Uniform between two bounds."""
+        return bounds[0] + (bounds[1] - bounds[0]) * self.uniform(*shape)
+
+    def integers(self, below: int) -> Tensor:
+        """(batch,) of 0 to below - 1."""
+        return torch.randint(below, (self.batch,), generator=self.generator, device=self.device)
+
+
+def _axis_rotation(angle: Tensor, place: Callable[[Tensor, Tensor], list[list[Tensor]]]) -> Tensor:
+    rows = place(angle.cos(), angle.sin())
+    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+
+
+def about_x(angle: Tensor) -> Tensor:
+    """Rotations (B, 3, 3) about x by angles (B,) in radians."""
+    o, i = torch.zeros_like(angle), torch.ones_like(angle)
+    return _axis_rotation(angle, lambda c, s: [[i, o, o], [o, c, -s], [o, s, c]])
+
+
+def about_y(angle: Tensor) -> Tensor:
+    """Rotations (B, 3, 3) about y by angles (B,) in radians."""
+    o, i = torch.zeros_like(angle), torch.ones_like(angle)
+    return _axis_rotation(angle, lambda c, s: [[c, o, s], [o, i, o], [-s, o, c]])
+
+
+def about_z(angle: Tensor) -> Tensor:
+    """Rotations (B, 3, 3) about z by angles (B,) in radians."""
+    o, i = torch.zeros_like(angle), torch.ones_like(angle)
+    return _axis_rotation(angle, lambda c, s: [[c, -s, o], [s, c, o], [o, o, i]])
