@@ -1,5 +1,5 @@
 # make demo: from a bare machine to the demo's numbers and figures. make test: everything CI checks.
-PYTHON ?= python3.11
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed

@@ -287,8 +287,7 @@ class FragmentSolver:
         self, start: PoseSequence, keypoints: KeypointSequence, bone_imus: BoneImuSequence | None
     ) -> None:
         names = self.skeleton.names
-        if start.names != names:
-            raise UnknownNameError("joint", set(start.names) ^ set(names), names)
+        self.skeleton.check_joints(start.names, "start")
         if not np.array_equal(start.times, keypoints.times):
             raise ShapeError("start and keypoints: must have the same times, one sample a frame")
         if not np.all(np.isfinite(start.p_world_joint)):
@@ -357,10 +356,9 @@ class FragmentSolver:
     ) -> dict[str, Array]:
         """The problem's parameters for the frames `index`, of which some lie in the padding."""
         present = np.ones_like(inside) if self.settings.padding == "replicate" else inside
-        # A copied frame stands still: no acceleration was measured there.
-        moving = np.convolve(inside, [1, 1, 1], mode="valid") == 3
         visual = data["w_visual"][index] * present[:, None]
-        acceleration = (data["w_acceleration"][index][1:-1] * moving[:, None]).T
+        # 0 at the recording's first and last frame, and so at their copies beyond the ends.
+        acceleration = data["w_acceleration"][index][1:-1].T
         bone = (data["w_bone"][index] * present[:, None]).T
         smooth = (np.convolve(present, [1] * 4, mode="valid") == 4).astype(float)
         length = present.astype(float)

@@ -102,10 +102,12 @@ class FragmentSettings:
                 raise ShapeError(f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}")
         if not 0 < self.sigma_reprojection_range[0] <= self.sigma_reprojection_range[1]:
             raise ShapeError("sigma_reprojection_range must be positive, the smaller one first")
+        low_high = tuple(map(float, self.sigma_reprojection_range))
+        object.__setattr__(self, "sigma_reprojection_range", low_high)
         sigmas = [name for name in vars(self) if name.startswith("sigma_")]
         for field in sigmas:
             value = getattr(self, field)
-            if isinstance(value, float) and not value > 0:
+            if isinstance(value, int | float) and not value > 0:
                 raise ShapeError(f"{field} must be positive; leave a term out by its weight k")
         for field in ("k_V", "k_I", "k_A", "k_B", "k_S"):
             if not 0 <= getattr(self, field) < np.inf:

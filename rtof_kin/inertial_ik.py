@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
-from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.errors import ShapeError
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, PoseSequence, Provenance
 
@@ -61,10 +61,10 @@ class InertialGuidedIK:
 
         Raises:
             UnknownNameError: the poses are of another skeleton, or a sensor sits on no joint of it.
+            ShapeError: joints are missing, or in another order.
         """
         skeleton = self.skeleton
-        if poses.names != skeleton.names:
-            raise UnknownNameError("joint", set(poses.names) ^ set(skeleton.names), skeleton.names)
+        skeleton.check_joints(poses.names)
         p = poses.p_world_joint
         known = np.isfinite(p).all(axis=(1, 2))
         R_imu = self._sensor_rotations(poses, bone_imus)

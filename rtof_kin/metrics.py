@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from rtof_kin import kinematics, signals
 from rtof_kin import rotations as so3
-from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.errors import ShapeError
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import PoseSequence
 
@@ -60,10 +60,10 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
             estimate's; brought to its times by interpolation. skeleton: names parents and hinges.
 
     Raises:
-        UnknownNameError: joints differ. ShapeError: no common frames, or fewer than four.
+        UnknownNameError, ShapeError: joints are not the skeleton's; fewer than four common frames.
     """
-    if estimate.names != truth.names:
-        raise UnknownNameError("joint", set(estimate.names) ^ set(truth.names), truth.names)
+    skeleton.check_joints(estimate.names, "estimate")
+    skeleton.check_joints(truth.names, "truth")
     truth = _at(truth, estimate.times)
     both = np.asarray(np.isfinite(truth.p_world_joint).all(axis=(1, 2)))
     both &= np.isfinite(estimate.p_world_joint).all(axis=(1, 2))

@@ -213,6 +213,12 @@ def _shipped_lifter() -> Any:
 def _scores(
     recording: Recording, stages: dict[str, PoseSequence], skeleton: SkeletonModel
 ) -> dict[str, Metrics]:
+    """Errors of every stage; none without truth, or with fewer than four frames of it."""
     if recording.truth is None:
+        return {}
+    first, last = recording.truth.times[[0, -1]]
+    times = next(iter(stages.values())).times
+    if np.count_nonzero((times >= first) & (times <= last)) < 4:
+        _log.warning("the truth covers fewer than four frames: nothing is scored")
         return {}
     return {name: evaluate(poses, recording.truth, skeleton) for name, poses in stages.items()}

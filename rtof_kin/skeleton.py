@@ -198,6 +198,16 @@ class SkeletonModel:
         """Indices of joints by name; raises `UnknownNameError`."""
         return indices_of("joint", names, self.names)
 
+    def check_joints(self, names: tuple[str, ...], what: str = "poses") -> None:
+        """Check that names are all joints of this skeleton, in its order.
+
+        Raises:
+            UnknownNameError: it has no such joint. ShapeError: some are missing, or the order differs.
+        """
+        if names != self.names:
+            self.index(*names)
+            raise ShapeError(f"{what}: need all joints, in this order: {', '.join(self.names)}")
+
     # --- other bodies ----------------------------------------------------------------------------
 
     def with_offsets(self, offsets: ArrayLike | Mapping[str, ArrayLike]) -> SkeletonModel:
@@ -358,9 +368,7 @@ class SkeletonModel:
 
         The root follows the poses' root; every other joint stands where this skeleton's bones put it.
         """
-        if poses.names != self.names:
-            self.index(*poses.names)
-            raise ShapeError(f"poses: need all joints, in this order: {', '.join(self.names)}")
+        self.check_joints(poses.names)
         q = self.inverse_kinematics(poses.p_world_joint, poses.R_world_bone)
         p, R = self.forward_kinematics(q)
         return MotionSequence(

@@ -732,6 +732,12 @@ def test_poses_of_another_skeleton_are_refused(scene: Scene) -> None:
         body().solve(other.start, scene.seen[:8])
 
 
+def test_joints_in_another_order_are_refused(scene: Scene) -> None:
+    names = (*scene.start.names[1:], scene.start.names[0])
+    with pytest.raises(ShapeError, match="start: need all joints, in this order: Hips, Spine, "):
+        body().solve(replace(scene.start, names=names), scene.seen)
+
+
 def test_start_and_keypoints_need_the_same_times(scene: Scene) -> None:
     with pytest.raises(ShapeError, match="start and keypoints: must have the same times"):
         body().solve(scene.start[:20], scene.seen[1:21])

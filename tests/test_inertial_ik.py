@@ -329,6 +329,12 @@ def test_poses_of_another_skeleton_are_refused_by_name() -> None:
         refine(other)
 
 
+def test_joints_in_another_order_are_refused(lifted: PoseSequence) -> None:
+    names = (*lifted.names[1:], lifted.names[0])
+    with pytest.raises(ShapeError, match="poses: need all joints, in this order: Hips, Spine, "):
+        refine(replace(lifted, names=names))
+
+
 def test_a_sensor_on_no_joint_of_the_skeleton_is_refused(
     truth: MotionSequence, lifted: PoseSequence
 ) -> None:

@@ -28,7 +28,7 @@ recording_files   mocap_families   simulation_noise
 recording_imus   mocap_mapping   simulation_sensors
 recording   mocap
 simulation
-lifting   lifting.losses   lifting.model
+lifting   lifting.draws   lifting.losses   lifting.model   lifting.threads
 lifting.windows
 lifting.checkpoint   lifting.corpus   lifting.noise
 lifting.data   lifting.predict

@@ -323,6 +323,12 @@ def test_poses_of_another_skeleton_are_refused(truth: PoseSequence) -> None:
         evaluate(other, truth)
 
 
+def test_joints_in_another_order_are_refused(truth: PoseSequence) -> None:
+    names = (*truth.names[1:], truth.names[0])
+    with pytest.raises(ShapeError, match="truth: need all joints, in this order: Hips, Spine, "):
+        evaluate(truth, replace(truth, names=names))
+
+
 @pytest.mark.parametrize("seconds", [100.0, (T - 3.5) / 60])
 def test_times_that_hardly_meet_are_refused(truth: PoseSequence, seconds: float) -> None:
     with pytest.raises(ShapeError, match="fewer than four frames in common"):
