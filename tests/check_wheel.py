@@ -1,12 +1,11 @@
 """Build the wheel, install it alone into a clean environment and run the demo from it.
 
-Run by ``make test``; not a pytest module, since it needs minutes. Dependencies are those of the calling
-environment, seen through a path file, so that only this package is installed anew.
+Run by ``make test``; not a pytest module, since it needs minutes. The wheel brings every dependency
+with it, so one that is not declared is noticed.
 """
 
 import subprocess
 import sys
-import sysconfig
 import tempfile
 import venv
 from pathlib import Path
@@ -27,13 +26,8 @@ def main() -> None:
         (wheel,) = folder.glob("*.whl")
         venv.create(folder / "env", with_pip=True)
         python = folder / "env" / "bin" / "python"
-        run(python, "-m", "pip", "install", "--quiet", "--no-deps", wheel, cwd=folder)
-        # The libraries of the calling environment, but not its editable install of this package.
-        query = [python, "-c", "import sysconfig; print(sysconfig.get_paths()['purelib'])"]
-        site = subprocess.run(query, capture_output=True, text=True, check=True).stdout.strip()
-        libraries = sysconfig.get_paths()["purelib"]
-        code = f"import sys; sys.path.append({libraries!r})\n"
-        (Path(site) / "libraries.pth").write_text(code, encoding="utf-8")
+        constraints = ROOT / "constraints.txt"
+        run(python, "-m", "pip", "install", "--quiet", "-c", constraints, wheel, cwd=folder)
         where = [python, "-c", "import rtof_kin; print(rtof_kin.__file__)"]
         found = subprocess.run(where, capture_output=True, text=True, check=True, cwd=folder).stdout
         assert str(folder) in found, f"the wheel's package is not the one imported: {found}"
