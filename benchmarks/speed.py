@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.fragment import FragmentSolver
-from rtof_kin.fragment_problem import FragmentSettings
+from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK
 from rtof_kin.recording import Recording
 from rtof_kin.resources import model_path

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rtof_kin.calibration import ImuCalibration
     from rtof_kin.errors import RtofError
     from rtof_kin.fragment import FragmentSolution, FragmentSolver, SolverStatus
-    from rtof_kin.fragment_problem import FragmentSettings
+    from rtof_kin.fragment_settings import FragmentSettings
     from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
     from rtof_kin.metrics import Metrics, evaluate
     from rtof_kin.pipeline import Reconstruction, ReconstructionSettings, reconstruct
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _HOME = {
     "BoneImuSequence": "types",
     "Camera": "types",
-    "FragmentSettings": "fragment_problem",
+    "FragmentSettings": "fragment_settings",
     "FragmentSolution": "fragment",
     "FragmentSolver": "fragment",
     "ImuCalibration": "calibration",

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from rtof_kin import kinematics, signals
 from rtof_kin.errors import ShapeError, SolverError, UnknownNameError
-from rtof_kin.fragment_problem import TERMS, FragmentSettings, fragment_problem
+from rtof_kin.fragment_problem import TERMS, fragment_problem
+from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.root_position import refit_root
 from rtof_kin.skeleton import SkeletonModel

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtof_kin import kinematics, signals
 from rtof_kin.errors import ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
-from rtof_kin.fragment_problem import FragmentSettings
+from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.metrics import Metrics, evaluate
 from rtof_kin.recording import Recording

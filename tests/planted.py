@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from rtof_kin import rotations as so3
 from rtof_kin.calibration import ImuCalibration
-from rtof_kin.fragment_problem import FragmentSettings
+from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.kinematics import children_of
 from rtof_kin.recording import Recording
 from rtof_kin.skeleton import MotionSequence, SkeletonModel

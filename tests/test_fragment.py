@@ -18,7 +18,8 @@ from scipy.optimize import least_squares
 from rtof_kin import rotations as so3
 from rtof_kin.errors import ShapeError, SolverError, UnknownNameError
 from rtof_kin.fragment import FragmentReport, FragmentSolution, FragmentSolver, SolverStatus
-from rtof_kin.fragment_problem import TERMS, FragmentSettings, rigid_pairs
+from rtof_kin.fragment_problem import TERMS, rigid_pairs
+from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence, Provenance

@@ -14,13 +14,8 @@ from numpy.typing import NDArray
 
 from rtof_kin import kinematics
 from rtof_kin.errors import ShapeError
-from rtof_kin.fragment_problem import (
-    TERMS,
-    FragmentProblem,
-    FragmentSettings,
-    fragment_problem,
-    rigid_pairs,
-)
+from rtof_kin.fragment_problem import TERMS, FragmentProblem, fragment_problem, rigid_pairs
+from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.skeleton import SkeletonModel
 
 Array = NDArray[np.float64]

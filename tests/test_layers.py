@@ -19,7 +19,7 @@ rotations   resources   body_mass
 signals   skeleton_table   kinematics
 types   urdf
 skeleton
-energies   calibration   metrics   inertial_ik   root_position
+energies   fragment_settings   calibration   metrics   inertial_ik   root_position
 fragment_problem
 fragment
 io   io.arrays   io.articulated   io.folder   io.section

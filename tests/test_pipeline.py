@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import SolverStatus
-from rtof_kin.fragment_problem import FragmentSettings
+from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.pipeline import (
     MODES,
