@@ -18,9 +18,10 @@ from lifting.model import TemporalNetwork
 from lifting.threads import torch_threads
 from lifting.windows import answer, decode, encode
 from rtof_kin import signals
+from rtof_kin.checks import checked_times, readonly
 from rtof_kin.errors import ShapeError
 from rtof_kin.resources import model_path
-from rtof_kin.types import KeypointSequence, checked_times, readonly
+from rtof_kin.types import KeypointSequence
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

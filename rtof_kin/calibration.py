@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import rotations as so3
+from rtof_kin.checks import indices_of, readonly
 from rtof_kin.errors import CalibrationError
-from rtof_kin.types import GRAVITY_WORLD, BoneImuSequence, ImuSequence, indices_of, readonly
+from rtof_kin.types import GRAVITY_WORLD, BoneImuSequence, ImuSequence
 
 Array = NDArray[np.float64]
 

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from rtof_kin import kinematics, signals
 from rtof_kin import rotations as so3
+from rtof_kin.checks import readonly
 from rtof_kin.io.articulated import ArticulatedMotion
 from rtof_kin.mocap_families import NAMES, PARENTS, Between, Family, restored_offsets
-from rtof_kin.types import PoseSequence, readonly
+from rtof_kin.types import PoseSequence
 
 Array = NDArray[np.float64]
 _R_WORLD_FILE = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

@@ -70,6 +70,7 @@ from numpy.typing import NDArray
 from rtof_kin import recording_files as files
 from rtof_kin import recording_imus
 from rtof_kin.calibration import ImuCalibration
+from rtof_kin.checks import readonly
 from rtof_kin.errors import (
     CalibrationError,
     FileFormatError,
@@ -81,7 +82,7 @@ from rtof_kin.io.arrays import write_npz
 from rtof_kin.io.folder import check_replaceable, new_folder
 from rtof_kin.io.section import Section
 from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import BoneImuSequence, ImuSequence, KeypointSequence, PoseSequence, readonly
+from rtof_kin.types import BoneImuSequence, ImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
 SCHEMA_VERSION = 1

@@ -18,18 +18,14 @@ from scipy.interpolate import CubicSpline
 from rtof_kin import kinematics, signals
 from rtof_kin import rotations as so3
 from rtof_kin import simulation_noise as noises
+from rtof_kin.checks import indices_of
 from rtof_kin.errors import ShapeError
 from rtof_kin.mocap import PARENTS, MocapClip, read_mocap, resample_clip
 from rtof_kin.recording import Recording
 from rtof_kin.simulation_noise import ImuNoise, KeypointNoise
 from rtof_kin.simulation_sensors import simulate_imus
 from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import (
-    Camera,
-    KeypointSequence,
-    PoseSequence,
-    indices_of,
-)
+from rtof_kin.types import Camera, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
 LIMB_SENSORS = (

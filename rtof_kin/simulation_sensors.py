@@ -21,10 +21,11 @@ from rtof_kin import kinematics, signals
 from rtof_kin import rotations as so3
 from rtof_kin import simulation_noise as noises
 from rtof_kin.calibration import ImuCalibration
+from rtof_kin.checks import indices_of
 from rtof_kin.errors import ShapeError, UnitError
 from rtof_kin.simulation_noise import ImuNoise
 from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import GRAVITY_WORLD, ImuSequence, PoseSequence, indices_of
+from rtof_kin.types import GRAVITY_WORLD, ImuSequence, PoseSequence
 
 Array = NDArray[np.float64]
 

@@ -19,10 +19,11 @@ from scipy.spatial.transform import Rotation
 
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
+from rtof_kin.checks import indices_of, readonly
 from rtof_kin.errors import FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.resources import model_path
 from rtof_kin.skeleton_table import SkeletonTable, read_skeleton_table
-from rtof_kin.types import PoseSequence, indices_of, readonly
+from rtof_kin.types import PoseSequence
 from rtof_kin.urdf import to_urdf
 
 Array = NDArray[np.float64]

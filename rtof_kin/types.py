@@ -10,14 +10,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin import rotations as so3
 from rtof_kin import signals
-from rtof_kin.errors import ShapeError, UnitError, UnknownNameError
+from rtof_kin.checks import (
+    checked_names,
+    checked_rotations,
+    checked_times,
+    indices_of,
+    readonly,
+)
+from rtof_kin.errors import ShapeError, UnitError
 
 Array = NDArray[np.float64]
 STANDARD_GRAVITY = 9.81
@@ -34,74 +41,6 @@ class Provenance(IntEnum):
     IMU = 3
     CAMERA = 4
     CAMERA_AND_IMU = 5
-
-
-def readonly(field: str, value: ArrayLike, shape: Sequence[int | str], dtype: Any = float) -> Any:
-    """A read-only copy of an array whose shape is checked against e.g. ``("T", 21, 3)``.
-
-    Raises:
-        ShapeError: the value is not numeric or its shape differs; letters match any length.
-    """
-    try:
-        array = np.array(value, dtype=dtype)
-    except (TypeError, ValueError) as error:
-        raise ShapeError(f"{field}: not an array of numbers ({error})") from error
-    fits = array.ndim == len(shape) and all(
-        isinstance(want, str) or want == have for want, have in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        want = ", ".join(map(str, shape))
-        raise ShapeError(f"{field}: expected shape ({want}), got {array.shape}")
-    array.setflags(write=False)
-    return array
-
-
-def checked_times(field: str, times: ArrayLike) -> Array:
-    """Read-only times (T,) in seconds, finite and strictly increasing."""
-    array: Array = readonly(field, times, ("T",))
-    if len(array) == 0:
-        raise ShapeError(f"{field}: empty; at least one sample is needed")
-    if not np.all(np.isfinite(array)):
-        first = int(np.flatnonzero(~np.isfinite(array))[0])
-        raise ShapeError(f"{field}: not finite at index {first}; every sample needs a time")
-    steps = np.diff(array)
-    if np.any(steps <= 0):
-        first = int(np.flatnonzero(steps <= 0)[0])
-        raise ShapeError(
-            f"{field}: time does not increase from index {first} ({array[first]:g} s) to "
-            f"{first + 1} ({array[first + 1]:g} s); sort the samples and drop duplicates"
-        )
-    return array
-
-
-def indices_of(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[int]:
-    """Positions of names in a list; `UnknownNameError` names those that are not there."""
-    unknown = [name for name in wanted if name not in known]
-    if unknown:
-        raise UnknownNameError(kind, unknown, known)
-    return [list(known).index(name) for name in wanted]
-
-
-def _checked_names(field: str, names: Sequence[str]) -> tuple[str, ...]:
-    names = tuple(map(str, names))
-    double = sorted({name for name in names if names.count(name) > 1})
-    if double:
-        raise ShapeError(f"{field}: {', '.join(double)} stands there more than once")
-    return names
-
-
-def _checked_rotations(field: str, R: Array) -> None:
-    """Each matrix is a rotation, or NaN as a whole."""
-    missing = np.isnan(R).any(axis=(-2, -1))
-    if np.any(missing & ~np.isnan(R).all(axis=(-2, -1))):
-        raise ShapeError(f"{field}: a matrix is partly NaN; missing ones are NaN as a whole")
-    if not so3.is_rotation(R[~missing], tolerance=1e-5):
-        known = np.argwhere(~missing)
-        first = next(i for i in known if not so3.is_rotation(R[tuple(i)], tolerance=1e-5))
-        at = ", ".join(map(str, first))
-        raise ShapeError(
-            f"{field}: not a rotation matrix at index ({at}); normalise quaternions before use"
-        )
 
 
 @dataclass(frozen=True)
@@ -223,7 +162,7 @@ class KeypointSequence:
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        set_(self, "names", _checked_names("keypoint names", self.names))
+        set_(self, "names", checked_names("keypoint names", self.names))
         set_(self, "times", checked_times("keypoint times", self.times))
         T, L = len(self.times), len(self.names)
         uv = np.array(readonly("keypoints uv_px", self.uv_px, (T, L, 2)))
@@ -279,11 +218,11 @@ class ImuSequence:
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        set_(self, "names", _checked_names("IMU names", self.names))
+        set_(self, "names", checked_names("IMU names", self.names))
         set_(self, "times", checked_times("IMU times", self.times))
         T, S = len(self.times), len(self.names)
         R = readonly("IMU R_inertial_sensor", self.R_inertial_sensor, (T, S, 3, 3))
-        _checked_rotations("IMU R_inertial_sensor", R)
+        checked_rotations("IMU R_inertial_sensor", R)
         set_(self, "R_inertial_sensor", R)
         set_(self, "f_sensor", readonly("IMU f_sensor", self.f_sensor, (T, S, 3)))
         if np.any(np.isinf(self.f_sensor)):
@@ -344,11 +283,11 @@ class BoneImuSequence:
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        set_(self, "joints", _checked_names("bone IMU joints", self.joints))
+        set_(self, "joints", checked_names("bone IMU joints", self.joints))
         set_(self, "times", checked_times("bone IMU times", self.times))
         T, S = len(self.times), len(self.joints)
         R = readonly("bone IMU R_world_bone", self.R_world_bone, (T, S, 3, 3))
-        _checked_rotations("bone IMU R_world_bone", R)
+        checked_rotations("bone IMU R_world_bone", R)
         set_(self, "R_world_bone", R)
         set_(self, "a_world", readonly("bone IMU a_world", self.a_world, (T, S, 3)))
         set_(self, "p_bone_sensor", readonly("bone IMU p_bone_sensor", self.p_bone_sensor, (S, 3)))
@@ -420,12 +359,12 @@ class PoseSequence:
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        set_(self, "names", _checked_names("pose names", self.names))
+        set_(self, "names", checked_names("pose names", self.names))
         set_(self, "times", checked_times("pose times", self.times))
         T, J = len(self.times), len(self.names)
         p = readonly("pose p_world_joint", self.p_world_joint, (T, J, 3))
         R = readonly("pose R_world_bone", self.R_world_bone, (T, J, 3, 3))
-        _checked_rotations("pose R_world_bone", R)
+        checked_rotations("pose R_world_bone", R)
         known = np.isfinite(p).all(axis=-1)
         provenance = np.zeros((T, J)) if self.provenance is None else self.provenance
         if not np.all(np.isin(provenance, list(Provenance))):

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 ROWS = """
 errors
 rotations   resources   body_mass
-signals   skeleton_table   kinematics
+signals   skeleton_table   kinematics   checks
 types   urdf
 skeleton
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin import rotations as so3
+from rtof_kin.checks import checked_times, indices_of, readonly
 from rtof_kin.errors import FileFormatError, RtofError, ShapeError, UnitError, UnknownNameError
 from rtof_kin.types import (
     GRAVITY_WORLD,
@@ -20,9 +21,6 @@ from rtof_kin.types import (
     KeypointSequence,
     PoseSequence,
     Provenance,
-    checked_times,
-    indices_of,
-    readonly,
 )
 
 Array = NDArray[np.float64]

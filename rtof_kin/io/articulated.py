@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import rotations as so3
+from rtof_kin.checks import indices_of, readonly
 from rtof_kin.errors import ShapeError
-from rtof_kin.types import indices_of, readonly
 
 Array = NDArray[np.float64]
 

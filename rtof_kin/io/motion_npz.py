@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.checks import readonly
 from rtof_kin.errors import FileFormatError, RtofError, ShapeError
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.types import PoseSequence, readonly
+from rtof_kin.types import PoseSequence
 
 SCHEMA_VERSION = 1
 _LARGEST_BYTES = 8 * 2**30
