@@ -27,7 +27,7 @@ def random_rotations(*shape: int, seed: int = 0) -> Array:
     return np.asarray(R).reshape(*shape, 3, 3)
 
 
-def close(a: Array, b: Array, tolerance: float = 1e-12) -> None:
+def assert_close(a: Array, b: Array, tolerance: float = 1e-12) -> None:
     np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
 
 
@@ -42,18 +42,18 @@ def test_children_are_in_order() -> None:
 def test_positions_hang_each_joint_on_its_parents_segment() -> None:
     R, root = random_rotations(7, 6), RNG.normal(size=(7, 3))
     p = kinematics.positions(PARENTS, OFFSETS, root, R)
-    close(p[:, 0], root)
+    assert_close(p[:, 0], root)
     for t in range(7):
         for child, parent in list(enumerate(PARENTS))[1:]:
-            close(p[t, child], p[t, parent] + R[t, parent] @ OFFSETS[child])
+            assert_close(p[t, child], p[t, parent] + R[t, parent] @ OFFSETS[child])
 
 
 def test_local_and_world_rotations_are_inverse_for_any_batch() -> None:
     R = random_rotations(4, 3, 6)
     local = kinematics.local_rotations(PARENTS, R)
-    close(kinematics.world_rotations(PARENTS, local), R)
-    close(local[..., 0, :, :], R[..., 0, :, :])
-    close(local[..., 5, :, :], np.swapaxes(R[..., 4, :, :], -1, -2) @ R[..., 5, :, :])
+    assert_close(kinematics.world_rotations(PARENTS, local), R)
+    assert_close(local[..., 0, :, :], R[..., 0, :, :])
+    assert_close(local[..., 5, :, :], np.swapaxes(R[..., 4, :, :], -1, -2) @ R[..., 5, :, :])
     assert kinematics.positions(PARENTS, OFFSETS, np.zeros((4, 3, 3)), R).shape == (4, 3, 6, 3)
 
 
@@ -66,31 +66,31 @@ def test_several_children_fix_a_segment_like_scipys_align_vectors() -> None:
     for t in range(5):
         bones = p[t, [2, 3]] - p[t, 1]
         expected, _ = Rotation.align_vectors(bones, OFFSETS[[2, 3]])
-        close(R[t], expected.as_matrix(), 1e-7)
+        assert_close(R[t], expected.as_matrix(), 1e-7)
 
 
 def test_one_child_gives_the_swing_and_the_twist_follows_the_parent() -> None:
     p, R_parent = RNG.normal(size=(50, 6, 3)), random_rotations(50)
     R = kinematics.segment_rotation(PARENTS, OFFSETS, 4, p, R_parent)
     bone = so3.unit(p[:, 5] - p[:, 4])
-    close((R @ so3.unit(OFFSETS[5])[:, None])[..., 0], bone)
+    assert_close((R @ so3.unit(OFFSETS[5])[:, None])[..., 0], bone)
     turn = so3.log(R @ np.swapaxes(R_parent, -1, -2))
     expected = R_parent @ so3.unit(OFFSETS[5])
     assert np.abs(np.sum(so3.unit(turn) * (expected + bone), axis=-1)).max() < 1e-6  # no twist
-    close(np.linalg.norm(turn, axis=-1), np.arccos(np.sum(expected * bone, axis=-1)), 1e-6)
+    assert_close(np.linalg.norm(turn, axis=-1), np.arccos(np.sum(expected * bone, axis=-1)), 1e-6)
 
 
 def test_a_leaf_copies_its_parent() -> None:
     R_parent = random_rotations(5)
     p = RNG.normal(size=(5, 6, 3))
-    close(kinematics.segment_rotation(PARENTS, OFFSETS, 5, p, R_parent), R_parent, 0)
+    assert_close(kinematics.segment_rotation(PARENTS, OFFSETS, 5, p, R_parent), R_parent, 0)
 
 
 @given(st.floats(0.2, 3.0))
 def test_bone_lengths_do_not_matter_to_orientations(factor: float) -> None:
     p = RNG.normal(size=(3, 6, 3))
     R = kinematics.rotations_from_positions(PARENTS, OFFSETS, p)
-    close(kinematics.rotations_from_positions(PARENTS, OFFSETS, factor * p), R, 1e-10)
+    assert_close(kinematics.rotations_from_positions(PARENTS, OFFSETS, factor * p), R, 1e-10)
 
 
 def test_positions_from_untwisted_rotations_give_them_back() -> None:
@@ -107,7 +107,7 @@ def test_positions_from_untwisted_rotations_give_them_back() -> None:
             local[:, j] = so3.exp(0.8 * so3.unit(axis) * RNG.normal(size=(T, 1)))
     R = kinematics.world_rotations(skeleton.parents, local)
     p = kinematics.positions(skeleton.parents, rest, RNG.normal(size=(T, 3)), R)
-    close(kinematics.rotations_from_positions(skeleton.parents, rest, p), R, 1e-9)
+    assert_close(kinematics.rotations_from_positions(skeleton.parents, rest, p), R, 1e-9)
 
 
 def test_a_frame_with_an_unknown_joint_is_nan_and_the_others_are_not_touched() -> None:
@@ -117,7 +117,7 @@ def test_a_frame_with_an_unknown_joint_is_nan_and_the_others_are_not_touched() -
     p[4] = np.inf
     R = kinematics.rotations_from_positions(PARENTS, OFFSETS, p)
     assert np.isnan(R[[2, 4]]).all()
-    close(R[[0, 1, 3, 5]], whole[[0, 1, 3, 5]])
+    assert_close(R[[0, 1, 3, 5]], whole[[0, 1, 3, 5]])
     p[:] = np.nan
     assert np.isnan(kinematics.rotations_from_positions(PARENTS, OFFSETS, p)).all()
 
@@ -143,7 +143,7 @@ STILL = np.tile(np.eye(3), (161, 1, 1))
 def test_a_bone_that_swings_past_its_opposite_does_not_flip(miss_deg: float) -> None:
     observed = passing(miss_deg)
     R = kinematics.swing(STILL, DOWN, observed)
-    close((R @ so3.unit(DOWN)[:, None])[..., 0], observed)
+    assert_close((R @ so3.unit(DOWN)[:, None])[..., 0], observed)
     # The bone turns by one degree a frame. Five more come from the returning twist, or, outside ten
     # degrees, tan(170 / 2) of them from the smallest turn itself, which has no jump there.
     assert steps_deg(R).max() < (
@@ -169,28 +169,28 @@ def test_afterwards_the_twist_returns_to_the_parents() -> None:
     R_parent = np.tile(np.eye(3), (len(observed), 1, 1))
     R = kinematics.swing(R_parent, DOWN, observed)
     smallest = so3.minimal_rotation(DOWN, observed)
-    close(R[-1], smallest[-1])
-    close(R[:60], smallest[:60])  # and before it never left it
+    assert_close(R[-1], smallest[-1])
+    assert_close(R[:60], smallest[:60])  # and before it never left it
 
 
 def test_away_from_the_opposite_the_swing_is_the_smallest_turn_in_every_frame() -> None:
     observed = passing(12.0)
-    close(kinematics.swing(STILL, DOWN, observed), so3.minimal_rotation(DOWN, observed))
+    assert_close(kinematics.swing(STILL, DOWN, observed), so3.minimal_rotation(DOWN, observed))
 
 
 def test_a_first_frame_that_is_already_opposite_is_a_rotation_and_is_followed() -> None:
     observed = np.repeat([[0.0, 0.0, 1.0]], 5, axis=0)
     R = kinematics.swing(STILL[:5], DOWN, observed)
     assert so3.is_rotation(R)
-    close(R[1:], R[:-1])
-    close((R @ so3.unit(DOWN)[:, None])[..., 0], observed)
+    assert_close(R[1:], R[:-1])
+    assert_close((R @ so3.unit(DOWN)[:, None])[..., 0], observed)
 
 
 def test_the_twist_of_a_first_frame_that_is_opposite_is_carried_on_and_then_returns() -> None:
     observed = passing(5.0)[83:]  # starts seven degrees from opposite and leaves
     R = kinematics.swing(STILL[: len(observed)], DOWN, observed)
     assert steps_deg(R).max() < 6.1
-    close(R[-1], so3.minimal_rotation(DOWN, observed[-1]))
+    assert_close(R[-1], so3.minimal_rotation(DOWN, observed[-1]))
     leaving = passing(0.5)[[80, 100, 101]]  # one frame opposite, the next twenty degrees further
     R = kinematics.swing(STILL[:3], DOWN, leaving)
     assert steps_deg(R)[0] < 20 + 5 + 0.5
@@ -200,7 +200,7 @@ def test_the_swing_is_the_same_whichever_way_the_whole_body_faces() -> None:
     observed, R_world = passing(5.0), random_rotations(1)[0]
     R = kinematics.swing(STILL, DOWN, observed)
     turned = kinematics.swing(R_world @ STILL, DOWN, observed @ R_world.T)
-    close(turned, R_world @ R, 1e-9)
+    assert_close(turned, R_world @ R, 1e-9)
 
 
 def test_a_parent_that_turns_carries_the_twist_along() -> None:
@@ -210,4 +210,4 @@ def test_a_parent_that_turns_carries_the_twist_along() -> None:
     observed = (R_parent @ observed[..., None])[..., 0]
     R = kinematics.swing(R_parent, DOWN, observed)
     relative = np.swapaxes(R_parent, -1, -2) @ R
-    close(relative, np.repeat(relative[:1], 60, axis=0), 1e-9)
+    assert_close(relative, np.repeat(relative[:1], 60, axis=0), 1e-9)

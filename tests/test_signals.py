@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 RNG = np.random.default_rng(1)
 
 
-def close(a: Array, b: Array, tolerance: float = 1e-12) -> None:
+def assert_close(a: Array, b: Array, tolerance: float = 1e-12) -> None:
     np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
 
 
@@ -27,7 +27,7 @@ def test_interpolation_is_exact_for_a_straight_line_and_keeps_the_shape() -> Non
     at = RNG.uniform(times[0], times[-1], 50)
     out = signals.interpolate(times, times[:, None, None] * slope, at)
     assert out.shape == (50, 2, 3)
-    close(out, at[:, None, None] * slope)
+    assert_close(out, at[:, None, None] * slope)
 
 
 def test_nothing_is_known_before_the_first_and_after_the_last_sample() -> None:
@@ -42,7 +42,7 @@ def test_a_gap_longer_than_allowed_stays_open_up_to_its_two_ends() -> None:
     np.testing.assert_array_equal(
         signals.interpolate(times, values, at, max_gap=3.9), [2.0, np.nan, np.nan, np.nan, 6.0]
     )
-    close(signals.interpolate(times, values, at, max_gap=4.0), np.array(at))
+    assert_close(signals.interpolate(times, values, at, max_gap=4.0), np.array(at))
 
 
 def test_a_gap_is_of_one_element_only() -> None:
@@ -81,12 +81,12 @@ def test_rotations_between_samples_agree_with_scipys_slerp() -> None:
     out = signals.interpolate_rotations(times, R, at)
     for s in range(2):
         expected = Slerp(times, Rotation.from_matrix(R[:, s]))(at).as_matrix()
-        close(out[:, s], expected)
+        assert_close(out[:, s], expected)
 
 
 def test_rotations_at_the_samples_are_the_samples() -> None:
     R = Rotation.random(9, rng=3).as_matrix()[:, None]
-    close(signals.interpolate_rotations(np.arange(9.0), R, np.arange(9.0)), R)
+    assert_close(signals.interpolate_rotations(np.arange(9.0), R, np.arange(9.0)), R)
 
 
 def test_a_rotation_in_a_gap_or_outside_is_nan_as_a_whole() -> None:
@@ -98,7 +98,7 @@ def test_a_rotation_in_a_gap_or_outside_is_nan_as_a_whole() -> None:
     np.testing.assert_array_equal(unknown, [True, False, False, True, False, True])
     assert np.isfinite(out[~unknown]).all()
     filled = signals.interpolate_rotations(times, R, [3.5], max_gap=3.0)
-    close(filled[0, 0], so3.about_axis("z", 0.35))
+    assert_close(filled[0, 0], so3.about_axis("z", 0.35))
 
 
 def test_a_single_rotation_or_none_is_no_error() -> None:
@@ -115,7 +115,7 @@ def test_at_equal_rates_the_kernel_is_1_4_1_over_6() -> None:
     times = np.arange(30) / 60
     x = RNG.normal(size=(30, 2, 3))
     out = signals.hat_average(times, x, times, 1 / 60)
-    close(out[1:-1], (x[:-2] + 4 * x[1:-1] + x[2:]) / 6)
+    assert_close(out[1:-1], (x[:-2] + 4 * x[1:-1] + x[2:]) / 6)
 
 
 def test_at_the_ends_the_kernel_is_cut_off_and_renormalised() -> None:
@@ -129,7 +129,7 @@ def test_at_the_ends_the_kernel_is_cut_off_and_renormalised() -> None:
 def test_a_straight_line_is_kept_at_any_rate(ratio: int) -> None:
     times = np.arange(0, 2, 1 / (60 * ratio))
     at = np.arange(0.1, 1.9, 1 / 60)
-    close(signals.hat_average(times, 3 * times - 1, at, 1 / 60), 3 * at - 1)
+    assert_close(signals.hat_average(times, 3 * times - 1, at, 1 / 60), 3 * at - 1)
 
 
 def test_it_is_the_central_second_difference_of_the_double_integral() -> None:
@@ -157,7 +157,7 @@ def test_a_cubic_acceleration_at_irregular_instants_is_integrated_piece_by_piece
             np.trapezoid(np.interp(t + fine, times, x) * hat, fine) / np.trapezoid(hat, fine)
             for t in at
         ]
-        close(signals.hat_average(times, x, at, h), np.array(brute), 1e-7)
+        assert_close(signals.hat_average(times, x, at, h), np.array(brute), 1e-7)
 
 
 def test_the_kernel_never_reaches_across_a_gap_and_stops_exactly_at_its_ends() -> None:
@@ -178,7 +178,7 @@ def test_gaps_are_not_filled_unless_they_may_be() -> None:
     x = np.ones(20)
     x[9] = np.nan
     assert np.isnan(signals.hat_average(times, x, times[[9]], 1 / 60, max_gap=1.5 / 60)).all()
-    close(signals.hat_average(times, x, times[[9]], 1 / 60, max_gap=2 / 60), np.ones(1))
+    assert_close(signals.hat_average(times, x, times[[9]], 1 / 60, max_gap=2 / 60), np.ones(1))
 
 
 def test_outside_the_recording_there_is_nothing() -> None:
@@ -200,12 +200,12 @@ def test_differences_of_a_polynomial_are_its_derivative_and_shorten_by_the_order
     p = np.polynomial.Polynomial(RNG.normal(size=order + 1))
     out = signals.derivative(p(t), rate, order)
     assert out.shape == (20 - order,)
-    close(out, np.full(20 - order, p.deriv(order)(0.0)), 1e-6)
+    assert_close(out, np.full(20 - order, p.deriv(order)(0.0)), 1e-6)
 
 
 def test_differences_run_along_time_only() -> None:
     x = np.arange(12.0).reshape(4, 3)
-    close(signals.derivative(x, 2.0, 1), np.full((3, 3), 6.0))
+    assert_close(signals.derivative(x, 2.0, 1), np.full((3, 3), 6.0))
 
 
 def test_the_low_pass_keeps_slow_kills_fast_and_does_not_delay() -> None:
@@ -216,7 +216,7 @@ def test_the_low_pass_keeps_slow_kills_fast_and_does_not_delay() -> None:
     middle = slice(200, 800)
     assert np.abs(out[middle, 0] - slow[middle]).max() < 2e-3
     assert np.abs(out[middle, 1]).max() < 5e-3
-    close(out[middle, 2], out[middle, 0] + 5, 1e-6)
+    assert_close(out[middle, 2], out[middle, 0] + 5, 1e-6)
 
 
 def test_the_gain_at_the_cut_off_is_half_since_the_filter_runs_both_ways() -> None:
@@ -227,7 +227,7 @@ def test_the_gain_at_the_cut_off_is_half_since_the_filter_runs_both_ways() -> No
 
 
 def test_a_signal_shorter_than_the_padding_can_be_filtered() -> None:
-    close(signals.low_pass(np.full((5, 2), 3.0), 60.0, 6.0), np.full((5, 2), 3.0), 1e-9)
+    assert_close(signals.low_pass(np.full((5, 2), 3.0), 60.0, 6.0), np.full((5, 2), 3.0), 1e-9)
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def oracle(skeleton: SkeletonModel, q: Array) -> tuple[Array, Array]:
     return p, R
 
 
-def close(a: Any, b: Any, tolerance: float = 1e-9) -> None:
+def assert_close(a: Any, b: Any, tolerance: float = 1e-9) -> None:
     np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
 
 
@@ -96,15 +96,15 @@ def test_limits_are_in_the_order_of_the_dof_names(any_skeleton: SkeletonModel) -
     by_name = dict(zip(any_skeleton.dof_names, any_skeleton.limits, strict=True))
     for joint in any_skeleton.table.joints:
         for dof, limits in zip(joint.dofs, joint.limits, strict=True):
-            close(by_name[dof.urdf], limits, 1e-11)
+            assert_close(by_name[dof.urdf], limits, 1e-11)
 
 
 def test_the_t_pose_faces_x_with_all_frames_parallel_and_arms_sideways(
     any_skeleton: SkeletonModel,
 ) -> None:
     p, R = any_skeleton.forward_kinematics(any_skeleton.t_pose()[None])
-    close(R, np.broadcast_to(np.eye(3), R.shape), 0)
-    close(p[0, 0], 0, 0)
+    assert_close(R, np.broadcast_to(np.eye(3), R.shape), 0)
+    assert_close(p[0, 0], 0, 0)
     by_name = dict(
         zip(any_skeleton.landmarks, any_skeleton.landmark_positions(p, R)[0], strict=True)
     )
@@ -131,8 +131,8 @@ def test_in_the_n_pose_the_arms_hang_straight_down_inside_the_limits(
             j = any_skeleton.index(hand)[0]
             upper = any_skeleton.parents[any_skeleton.parents[j]]
             along = p[0, j] - p[0, upper]
-            close(so3.unit(along), [0, 0, -1])
-            close(R[0, j] @ [1.0, 0, 0], [1, 0, 0])  # thumbs forward, palms to the thighs
+            assert_close(so3.unit(along), [0, 0, -1])
+            assert_close(R[0, j] @ [1.0, 0, 0], [1, 0, 0])  # thumbs forward, palms to the thighs
 
 
 def test_every_joint_is_a_landmark_and_heads_and_feet_have_more() -> None:
@@ -144,10 +144,10 @@ def test_every_joint_is_a_landmark_and_heads_and_feet_have_more() -> None:
     p, R = DEFAULT.forward_kinematics(q)
     points = DEFAULT.landmark_positions(p, R)
     assert points.shape == (4, len(DEFAULT.landmarks), 3)
-    close(points[:, :21], p)
+    assert_close(points[:, :21], p)
     joint, offset = DEFAULT.landmarks["Nose"]
     j = DEFAULT.index(joint)[0]
-    close(points[2, list(DEFAULT.landmarks).index("Nose")], p[2, j] + R[2, j] @ offset)
+    assert_close(points[2, list(DEFAULT.landmarks).index("Nose")], p[2, j] + R[2, j] @ offset)
     assert DEFAULT.sensors["L_LowArm"][0] == "LeftForeArm"
 
 
@@ -158,14 +158,14 @@ def test_forward_kinematics_are_pinocchios(any_skeleton: SkeletonModel) -> None:
     q = random_q(any_skeleton, 20, inside=False)
     p, R = any_skeleton.forward_kinematics(q)
     p_true, R_true = oracle(any_skeleton, q)
-    close(p, p_true, 1e-13)
-    close(R, R_true, 1e-13)
+    assert_close(p, p_true, 1e-13)
+    assert_close(R, R_true, 1e-13)
 
 
 def test_forward_kinematics_of_another_body_are_its_own_models() -> None:
     longer = DEFAULT.with_offsets(DEFAULT.joint_offsets * 1.1 + 0.01)
     q = random_q(longer, 5)
-    close(longer.forward_kinematics(q)[0], oracle(longer, q)[0], 1e-12)
+    assert_close(longer.forward_kinematics(q)[0], oracle(longer, q)[0], 1e-12)
 
 
 def test_an_unknown_frame_is_unknown_and_no_other() -> None:
@@ -175,8 +175,8 @@ def test_an_unknown_frame_is_unknown_and_no_other() -> None:
     p, R = DEFAULT.forward_kinematics(q)
     assert np.isnan(R[1:3]).all()
     assert np.isnan(p[1:3, 1:]).all()
-    close(p[[0, 3]], p_all[[0, 3]], 0)
-    close(R[[0, 3]], R_all[[0, 3]], 0)
+    assert_close(p[[0, 3]], p_all[[0, 3]], 0)
+    assert_close(R[[0, 3]], R_all[[0, 3]], 0)
     none, _ = DEFAULT.forward_kinematics(np.empty((0, DEFAULT.nq)))
     assert none.shape == (0, 21, 3)
 
@@ -214,13 +214,13 @@ def displaced(dof: str, degrees: float, joint: str) -> Array:
 @pytest.mark.parametrize("side", ["Left", "Right"])
 def test_a_positive_knee_angle_takes_the_foot_backwards(side: str) -> None:
     moved = displaced(f"{side}Leg_y", 90, f"{side}Foot")
-    close(moved, [-0.396, 0, 0.396])
+    assert_close(moved, [-0.396, 0, 0.396])
 
 
 @pytest.mark.parametrize("side", ["Left", "Right"])
 def test_a_negative_hip_angle_lifts_the_thigh_forward(side: str) -> None:
     moved = displaced(f"{side}UpLeg_y", -90, f"{side}Leg")
-    close(moved, [0.396, 0, 0.396])
+    assert_close(moved, [0.396, 0, 0.396])
 
 
 def test_both_elbows_bend_forward_and_the_trunk_bows() -> None:
@@ -237,7 +237,7 @@ def test_bone_lengths_are_changed_by_name_and_keep_their_direction() -> None:
     assert new.bone_lengths["LeftLeg"] == pytest.approx(0.5)
     assert new.bone_lengths["Neck"] == pytest.approx(0.3)
     assert DEFAULT.bone_lengths["LeftLeg"] == pytest.approx(0.396)
-    close(so3.unit(new.joint_offsets), so3.unit(DEFAULT.joint_offsets))
+    assert_close(so3.unit(new.joint_offsets), so3.unit(DEFAULT.joint_offsets))
     others = set(DEFAULT.bone_lengths) - {"LeftLeg", "Neck"}
     assert all(new.bone_lengths[n] == DEFAULT.bone_lengths[n] for n in others)
 
@@ -248,7 +248,7 @@ def test_a_height_is_reached_exactly_with_the_same_proportions(
 ) -> None:
     new = any_skeleton.with_height(height)
     assert new.height == pytest.approx(height, abs=1e-12)
-    close(new.joint_offsets / height, any_skeleton.joint_offsets / any_skeleton.height)
+    assert_close(new.joint_offsets / height, any_skeleton.joint_offsets / any_skeleton.height)
 
 
 def test_a_mass_and_a_sex_make_another_body() -> None:
@@ -266,12 +266,12 @@ def test_a_mass_and_a_sex_make_another_body() -> None:
 
 def test_some_offsets_can_be_given_by_name() -> None:
     new = DEFAULT.with_offsets({"LeftUpLeg": [0.01, 0.1, -0.02]})
-    close(new.joint_offsets[DEFAULT.index("LeftUpLeg")[0]], [0.01, 0.1, -0.02])
-    close(np.delete(new.joint_offsets, 18, axis=0), np.delete(DEFAULT.joint_offsets, 18, axis=0))
+    assert_close(new.joint_offsets[DEFAULT.index("LeftUpLeg")[0]], [0.01, 0.1, -0.02])
+    assert_close(np.delete(new.joint_offsets, 18, axis=0), np.delete(DEFAULT.joint_offsets, 18, axis=0))
     rooted = DEFAULT.with_offsets(
         DEFAULT.joint_offsets + [[0.1, 0, 0]] * (np.arange(21) == 0)[:, None]
     )
-    close(rooted.joint_offsets, DEFAULT.joint_offsets, 0)  # the root's row is nobody's offset
+    assert_close(rooted.joint_offsets, DEFAULT.joint_offsets, 0)  # the root's row is nobody's offset
 
 
 @pytest.mark.parametrize(
@@ -323,17 +323,17 @@ def test_a_personal_urdf_is_read_back_as_the_same_body(tmp_path: Path, seed: int
     path = tmp_path / "person.urdf"
     path.write_text(person.to_urdf())
     back = SkeletonModel.from_urdf(path)
-    close(back.joint_offsets, person.joint_offsets, 1e-12)
+    assert_close(back.joint_offsets, person.joint_offsets, 1e-12)
     q = random_q(person, 3)
-    close(back.forward_kinematics(q)[0], person.forward_kinematics(q)[0], 1e-11)
+    assert_close(back.forward_kinematics(q)[0], person.forward_kinematics(q)[0], 1e-11)
     assert back.height == pytest.approx(person.height, abs=1e-9)
     for name, (joint, offset) in person.landmarks.items():
         assert back.landmarks[name][0] == joint
-        close(back.landmarks[name][1], offset, 1e-11)
+        assert_close(back.landmarks[name][1], offset, 1e-11)
     for name, (_, lever) in person.sensors.items():
-        close(back.sensors[name][1], lever, 1e-11)
+        assert_close(back.sensors[name][1], lever, 1e-11)
     for a, b in zip(back.model.inertias, person.model.inertias, strict=True):
-        close(a.toDynamicParameters(), b.toDynamicParameters(), 1e-9)
+        assert_close(a.toDynamicParameters(), b.toDynamicParameters(), 1e-9)
 
 
 def test_a_urdf_keeps_its_own_limits_and_masses(tmp_path: Path) -> None:
@@ -350,7 +350,7 @@ def test_human36m_goes_through_the_same_code(tmp_path: Path) -> None:
     path = tmp_path / "h.urdf"
     path.write_text(person.to_urdf())
     back = SkeletonModel.from_urdf(path, model_path("human36m.toml"))
-    close(back.joint_offsets, person.joint_offsets, 1e-12)
+    assert_close(back.joint_offsets, person.joint_offsets, 1e-12)
 
 
 @pytest.mark.parametrize(
@@ -405,8 +405,8 @@ def test_fk_of_ik_reproduces_poses_of_the_same_offsets(any_skeleton: SkeletonMod
     p, R = any_skeleton.forward_kinematics(random_q(any_skeleton, 200, inside=False))
     q = any_skeleton.inverse_kinematics(p, R)
     p_again, R_again = any_skeleton.forward_kinematics(q)
-    close(p_again, p)
-    close(R_again, R)
+    assert_close(p_again, p)
+    assert_close(R_again, R)
 
 
 def test_smooth_angles_come_back_over_several_turns_and_past_singular_postures(
@@ -416,7 +416,7 @@ def test_smooth_angles_come_back_over_several_turns_and_past_singular_postures(
     assert any_skeleton.check(q).singular[:, 1:].any(axis=0).sum() > 10  # joints that pass one
     assert (np.ptp(q[:, 7:], axis=0) > 2 * np.pi).sum() > 20
     found = any_skeleton.inverse_kinematics(*any_skeleton.forward_kinematics(q))
-    close(found[:, 7:], q[:, 7:], 1e-8)
+    assert_close(found[:, 7:], q[:, 7:], 1e-8)
 
 
 def test_a_joint_driven_through_its_singular_posture_stays_on_the_smooth_branch() -> None:
@@ -429,7 +429,7 @@ def test_a_joint_driven_through_its_singular_posture_stays_on_the_smooth_branch(
         q[:, columns[0]], q[:, columns[2]] = 0.3, -0.2
         q[:, columns[1]] = np.linspace(0, 6 * np.pi, T) + 1e-4
         found = DEFAULT.inverse_kinematics(*DEFAULT.forward_kinematics(q))
-        close(found, q, 1e-6)
+        assert_close(found, q, 1e-6)
 
 
 def test_at_an_exactly_singular_posture_the_pose_is_still_exact() -> None:
@@ -438,8 +438,8 @@ def test_at_an_exactly_singular_posture_the_pose_is_still_exact() -> None:
     q[:, 7 + DEFAULT.dof_names.index("LeftArm_z")] = 0.4
     p, R = DEFAULT.forward_kinematics(q)
     p_again, R_again = DEFAULT.forward_kinematics(DEFAULT.inverse_kinematics(p, R))
-    close(p_again, p)
-    close(R_again, R)
+    assert_close(p_again, p)
+    assert_close(R_again, R)
 
 
 @settings(max_examples=15, deadline=None)
@@ -469,7 +469,7 @@ def test_frames_with_nan_give_nan_rows_and_the_branch_survives_the_gap() -> None
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(found).any(axis=1)), [100, 101, 102])
     assert np.isnan(found[100:103]).all()
     known = np.isfinite(found).all(axis=1)
-    close(found[known, 7:], q[known, 7:], 1e-8)
+    assert_close(found[known, 7:], q[known, 7:], 1e-8)
     nothing = DEFAULT.inverse_kinematics(np.full((3, 21, 3), np.nan))
     assert nothing.shape == (3, 67)
     assert np.isnan(nothing).all()
@@ -480,7 +480,7 @@ def test_with_orientations_given_only_the_roots_position_matters() -> None:
     p, R = DEFAULT.forward_kinematics(random_q(DEFAULT, 5))
     p_other = p.copy()
     p_other[:, 1:] = np.nan
-    close(DEFAULT.inverse_kinematics(p_other, R), DEFAULT.inverse_kinematics(p, R), 0)
+    assert_close(DEFAULT.inverse_kinematics(p_other, R), DEFAULT.inverse_kinematics(p, R), 0)
 
 
 def test_the_root_quaternion_is_continuous_over_several_turns() -> None:
@@ -502,15 +502,15 @@ def test_without_orientations_positions_are_reproduced_and_twist_follows_the_par
     ]
     for j in one_child:
         child = skeleton.parents.index(j)
-        close(so3.unit(p_again[:, child] - p_again[:, j]), so3.unit(p[:, child] - p[:, j]), 1e-9)
+        assert_close(so3.unit(p_again[:, child] - p_again[:, j]), so3.unit(p[:, child] - p[:, j]), 1e-9)
         turn = so3.log(R[:, j] @ np.swapaxes(R[:, skeleton.parents[j]], -1, -2))
         before = R[:, skeleton.parents[j]] @ skeleton.joint_offsets[child]
         between = so3.unit(before) + so3.unit(p[:, child] - p[:, j])
         assert np.abs(np.sum(turn * so3.unit(between), axis=-1)).max() < 1e-7
     for leaf in skeleton.index("Head", "LeftHand", "RightFoot"):
-        close(R[:, leaf], R[:, skeleton.parents[leaf]])
+        assert_close(R[:, leaf], R[:, skeleton.parents[leaf]])
     # Rigid triples (Hips, Spine3) make the positions come back exactly, whatever the twist.
-    close(p_again, p)
+    assert_close(p_again, p)
 
 
 def test_what_positions_cannot_tell_is_marked_unobserved() -> None:
@@ -550,13 +550,13 @@ def test_limit_violations_are_reported_and_nothing_is_clipped() -> None:
     q[:, knee] = np.radians([-12.0, 0.0, 165.0, 170.0])
     q[1, hip] = np.radians(-141.0)
     report = DEFAULT.check(q)
-    close(report.limit_excess[:, knee - 7], np.radians([2.0, 0, 0, 5.0]))
+    assert_close(report.limit_excess[:, knee - 7], np.radians([2.0, 0, 0, 5.0]))
     assert report.violations == {
         "LeftLeg_y": pytest.approx(np.radians(5)), "RightUpLeg_y": pytest.approx(np.radians(1)),
     }  # fmt: skip
     assert report.dof_names == DEFAULT.dof_names
     found = DEFAULT.inverse_kinematics(*DEFAULT.forward_kinematics(q))
-    close(found, q)
+    assert_close(found, q)
 
 
 def test_unknown_frames_violate_nothing() -> None:
@@ -576,21 +576,21 @@ def test_the_motion_of_poses_is_their_configurations_and_keeps_what_is_known_of_
     motion: MotionSequence,
 ) -> None:
     again = motion.skeleton.motion(motion.poses)
-    close(again.poses.p_world_joint, motion.poses.p_world_joint)
-    close(again.poses.R_world_bone, motion.poses.R_world_bone)
+    assert_close(again.poses.p_world_joint, motion.poses.p_world_joint)
+    assert_close(again.poses.R_world_bone, motion.poses.R_world_bone)
     np.testing.assert_array_equal(again.poses.provenance, motion.poses.provenance)
     np.testing.assert_array_equal(again.times, motion.times)
-    close(again.q, motion.q, 1e-8)
+    assert_close(again.q, motion.q, 1e-8)
     assert again.report.dof_names == motion.skeleton.dof_names
 
 
 def test_the_motion_of_another_body_has_its_own_bones(motion: MotionSequence) -> None:
     short = motion.skeleton.with_height(1.4)
     out = short.motion(motion.poses)
-    close(out.poses.p_world_joint[:, 0], motion.poses.p_world_joint[:, 0])
-    close(out.poses.R_world_bone, motion.poses.R_world_bone)
+    assert_close(out.poses.p_world_joint[:, 0], motion.poses.p_world_joint[:, 0])
+    assert_close(out.poses.R_world_bone, motion.poses.R_world_bone)
     lengths = np.linalg.norm(out.poses.p_world_joint[:, 3] - out.poses.p_world_joint[:, 2], axis=-1)
-    close(lengths, short.bone_lengths["Spine2"])
+    assert_close(lengths, short.bone_lengths["Spine2"])
 
 
 def test_a_motion_of_other_joints_or_in_another_order_is_refused(motion: MotionSequence) -> None:
