@@ -89,8 +89,9 @@ class FragmentProblem:
         """The parameter vector of the problem from named arrays (column-major, CasADi's order)."""
         return np.concatenate([np.ravel(values[name], order="F") for name in self.parameters])
 
-    def _joint(self, name_or_index: int) -> Any:
-        return self.X[3 * name_or_index : 3 * name_or_index + 3, :]
+    def _joint(self, index: int) -> Any:
+        """(3, N) path of one joint."""
+        return self.X[3 * index : 3 * index + 3, :]
 
     def _terms(self) -> dict[str, _Term]:
         P, s, J, N = self.parameters, self.settings, len(self.parents), self.frames

@@ -112,20 +112,21 @@ def reconstruct(
     skeleton = skeleton or recording.skeleton
     settings = settings or ReconstructionSettings()
     keypoints = evenly_spaced(recording.keypoints)
-    bone_imus = _bone_imus(recording, keypoints) if mode in ("sf2", "rtof") else None
-    if mode in ("sf2", "rtof") and bone_imus is None:
+    inertial = mode in ("sf2", "rtof")
+    bone_imus = replace(recording, keypoints=keypoints).bone_imus() if inertial else None
+    if inertial and bone_imus is None:
         raise ShapeError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
     tell = progress or (lambda stage, done, total: None)
     tell("lift", 0, 1)
     lifted = _lift(skeleton, keypoints, lifter)
     tell("lift", 1, 1)
     stages, solution = {"lift": lifted}, None
-    if mode == "sf2" or mode == "rtof":
+    if inertial:
         ik = InertialGuidedIK(skeleton, settings.inertial_ik)
         stages["sf2"] = ik.refine(lifted, bone_imus)
     if mode in ("rto", "rtof"):
         solver = FragmentSolver(skeleton, settings.frames, settings.fragment)
-        start = stages["sf2"] if mode == "rtof" else InertialGuidedIK(skeleton).refine(lifted)
+        start = stages["sf2"] if inertial else InertialGuidedIK(skeleton).refine(lifted)
         solution = solver.solve(start, keypoints, bone_imus, lambda i, n: tell(mode, i, n))
         stages[mode] = solution.poses
     motion = skeleton.motion(stages[mode])
@@ -169,10 +170,6 @@ def _snapped(at: Array, times: Array, tolerance: float) -> Array:
     left = right - 1
     nearest = np.where(at - times[left] < times[right] - at, times[left], times[right])
     return np.where(np.abs(nearest - at) < tolerance, nearest, at)
-
-
-def _bone_imus(recording: Recording, keypoints: KeypointSequence) -> BoneImuSequence | None:
-    return replace(recording, keypoints=keypoints).bone_imus()
 
 
 def _lift(

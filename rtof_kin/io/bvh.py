@@ -95,6 +95,7 @@ class _Tokens:
             raise self.fail(f"expected {literal}, found {word[:40]!r}")
 
     def number(self, wanted: str) -> float:
+        """The next word as a finite number; `FileFormatError` names what was wanted otherwise."""
         word = self.next(wanted)
         try:
             value = float(word)
