@@ -40,7 +40,8 @@ class Metrics(Mapping[str, float]):
     per_joint: dict[str, dict[str, float]]
     """Joint -> figure -> mean over frames."""
     over_time: dict[str, Array]
-    """'mpjpe_mm' and 'mpjpe_rr_mm' -> (T,) mean over joints of each frame."""
+    """'mpjpe_mm' and 'mpjpe_rr_mm' -> (T,) mean over joints of each frame; 'joint_mm' (absolute) and
+    'joint_angle_deg' -> (T, J) of each joint. NaN in frames that are not scored."""
 
     def __getitem__(self, name: str) -> float:
         return self.pooled[name]
@@ -55,6 +56,8 @@ class Metrics(Mapping[str, float]):
 def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> Metrics:
     """All figures of an estimate against the truth, over the frames in which both know every joint.
 
+    Frames in which the truth itself is not `valid` (glitches of the reference) are left out.
+
     Args:
         estimate: (T, J) poses. truth: poses of the same joints at any times covering some of the
             estimate's; brought to its times by interpolation. skeleton: names parents and hinges.
@@ -66,6 +69,7 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
     skeleton.check_joints(truth.names, "truth")
     truth = _at(truth, estimate.times)
     both = np.asarray(np.isfinite(truth.p_world_joint).all(axis=(1, 2)))
+    both &= truth.valid.all(axis=1)
     both &= np.isfinite(estimate.p_world_joint).all(axis=(1, 2))
     if both.sum() < 4:
         raise ShapeError("metrics: estimate and truth have fewer than four frames in common")
@@ -98,13 +102,18 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
             joint: {n: _mean(v[:, j]) for n, v in figures.items() if np.isfinite(v[:, j]).any()}
             for j, joint in enumerate(names)
         },
-        over_time={"mpjpe_mm": error.mean(axis=1), "mpjpe_rr_mm": relative.mean(axis=1)},
+        over_time={
+            "mpjpe_mm": error.mean(axis=1),
+            "mpjpe_rr_mm": relative.mean(axis=1),
+            "joint_mm": error,
+            "joint_angle_deg": figures["angle_deg"],
+        },
     )
 
 
 def motionless(truth: PoseSequence) -> PoseSequence:
     """The zero-motion row: the truth's mean position, standing still, in every frame."""
-    p = truth.p_world_joint
+    p = np.where(truth.valid[..., None], truth.p_world_joint, np.nan)
     mean = [[_mean(p[:, j, i]) for i in range(3)] for j in range(p.shape[1])]
     return PoseSequence(
         truth.times, np.broadcast_to(mean, p.shape), truth.R_world_bone, truth.names
@@ -158,9 +167,10 @@ def _angle_error(estimate: PoseSequence, truth: PoseSequence, skeleton: Skeleton
 def _at(truth: PoseSequence, times: Array) -> PoseSequence:
     if np.array_equal(truth.times, times):
         return truth
+    p = np.where(truth.valid[..., None], truth.p_world_joint, np.nan)
     return PoseSequence(
         times,
-        signals.interpolate(truth.times, truth.p_world_joint, times),
+        signals.interpolate(truth.times, p, times, max_gap=1.5 / truth.rate_hz),
         signals.interpolate_rotations(truth.times, truth.R_world_bone, times),
         truth.names,
     )

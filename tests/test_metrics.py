@@ -333,3 +333,24 @@ def test_joints_in_another_order_are_refused(truth: PoseSequence) -> None:
 def test_times_that_hardly_meet_are_refused(truth: PoseSequence, seconds: float) -> None:
     with pytest.raises(ShapeError, match="fewer than four frames in common"):
         evaluate(replace(truth, times=truth.times + seconds), truth)
+
+
+def test_frames_in_which_the_truth_is_not_valid_are_not_scored(skeleton: SkeletonModel) -> None:
+    """A glitch of the reference, 5 m for one joint: in no figure, at the truth's times or others."""
+    truth = planted.moving(skeleton, 60).poses
+    estimate = replace(truth, p_world_joint=truth.p_world_joint + [0.01, 0, 0])
+    p, valid = truth.p_world_joint.copy(), truth.valid.copy()
+    p[20:25, 3] += 5.0
+    valid[20:25] = False
+    glitched = replace(truth, p_world_joint=p, valid=valid)
+    for times in (truth.times, truth.times[:-1] + 0.25 * np.diff(truth.times)):
+        at = replace(estimate[: len(times)], times=times)
+        if times is not truth.times:
+            moved = [np.interp(times, truth.times, column)
+                     for column in estimate.p_world_joint.reshape(60, -1).T]  # fmt: skip
+            at = replace(at, p_world_joint=np.stack(moved, axis=1).reshape(len(times), -1, 3))
+        scores = metrics.evaluate(at, glitched, skeleton)
+        assert scores["mpjpe_mm"] == pytest.approx(10.0, abs=1e-6)
+        assert scores["mpjje"] == pytest.approx(0.0, abs=1e-6)
+        assert np.isnan(scores.over_time["joint_mm"][20:24]).all()
+    assert np.abs(metrics.motionless(glitched).p_world_joint[0, 3] - p[0, 3]).max() < 0.5
