@@ -1,0 +1,249 @@
+"""Commands on recordings and motions: demo, reconstruct, evaluate, simulate, export."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rich.table import Column, Table
+
+from rtof_kin.cli.terminal import (
+    SCORE_COLUMNS,
+    add_output,
+    command,
+    figure_text,
+    out,
+    print_files,
+    print_scores,
+    progress,
+    with_zero_motion,
+)
+
+
+def add_commands(commands: Any) -> None:
+    """Declare the commands of this module."""
+    _add_demo(commands)
+    _add_reconstruct(commands)
+    _add_evaluate(commands)
+    _add_simulate(commands)
+    _add_export(commands)
+
+
+# --- what they do --------------------------------------------------------------------------------
+
+
+def _demo(options: argparse.Namespace) -> None:
+    from rtof_kin.recording import Recording
+    from rtof_kin.resources import model_path
+
+    recording = Recording.load(model_path("demo"))
+    out.print(f"The demo recording: {recording.notes}", soft_wrap=True)
+    out.print(recording.acknowledgement, style="dim", soft_wrap=True)
+    result = _reconstruct_to(recording, "rtof", options)
+    scores = dict(result.stage_metrics)
+    if result.recording.truth is not None:
+        from rtof_kin.pipeline import reconstruct
+
+        with progress() as tell:
+            vision = reconstruct(recording, mode="rto", progress=tell)
+        scores = with_zero_motion(recording) | vision.stage_metrics | scores
+    print_scores(scores)
+    print_files(options.output)
+
+
+def _reconstruct(options: argparse.Namespace) -> None:
+    from rtof_kin.recording import Recording
+
+    recording = Recording.load(options.recording)
+    result = _reconstruct_to(recording, options.mode, options)
+    if result.stage_metrics:
+        print_scores(with_zero_motion(recording) | result.stage_metrics)
+    print_files(options.output)
+
+
+def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> Any:
+    """Reconstruct and export, asking first whether the output may be written."""
+    from rtof_kin.export import MARKER, export, summary
+    from rtof_kin.io.folder import check_replaceable
+    from rtof_kin.pipeline import ReconstructionSettings, reconstruct
+
+    check_replaceable(options.output, MARKER, options.overwrite)
+    settings = ReconstructionSettings(frames=options.frames)
+    lifter = None
+    if options.lifter is not None:
+        from lifting.predict import Lifter
+
+        lifter = Lifter.load(options.lifter)
+    with progress() as tell:
+        result = reconstruct(recording, mode=mode, lifter=lifter, settings=settings, progress=tell)
+    export(result, options.output, options.overwrite, figures=not options.no_figures)
+    facts = summary(result)
+    shares = {k: v for k, v in facts["provenance"].items() if v > 0}
+    out.print("who saw the joints: " + ", ".join(f"{k} {100 * v:.1f} %" for k, v in shares.items()))
+    if facts["limit_violations_deg"]:
+        worst = sorted(facts["limit_violations_deg"].items(), key=lambda item: -item[1])[:3]
+        out.print(
+            f"{len(facts['limit_violations_deg'])} angles leave their anatomical limits somewhere "
+            "(nothing is clipped), most: " + ", ".join(f"{k} by {v:.0f} deg" for k, v in worst)
+        )
+    if result.solution is not None:
+        out.print(f"solver: {result.solution.status.value}")
+    return result
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    from rtof_kin.errors import ShapeError
+    from rtof_kin.io.motion_npz import read_motion_npz
+    from rtof_kin.metrics import evaluate
+    from rtof_kin.recording import Recording
+
+    path = Path(options.motion)
+    motion = read_motion_npz(path / "motion.npz" if path.is_dir() else path)
+    recording = Recording.load(options.truth)
+    if recording.truth is None:
+        raise ShapeError(f"{options.truth}: the recording has no truth to compare with")
+    metrics = evaluate(motion.poses, recording.truth, recording.skeleton)
+    print_scores(with_zero_motion(recording) | {motion.mode or "motion": metrics})
+    columns = {key: label for key, label in SCORE_COLUMNS.items() if key != "coverage"}
+    table = Table(Column("joint", no_wrap=True), *columns.values())
+    for joint, figures in metrics.per_joint.items():
+        table.add_row(joint, *(figure_text(key, figures.get(key)) for key in columns))
+    out.print(table)
+
+
+def _simulate(options: argparse.Namespace) -> None:
+    from dataclasses import replace
+
+    from rtof_kin.io.folder import check_replaceable
+    from rtof_kin.recording import INDEX
+    from rtof_kin.simulation import SimulationSettings, simulate_file
+
+    check_replaceable(options.output, INDEX, options.overwrite)
+    make: Callable[[], SimulationSettings] = getattr(SimulationSettings, options.keypoints)
+    settings = make()
+    if options.sensors is not None:
+        names = tuple(name for name in options.sensors.split(",") if name)
+        settings = replace(settings, sensors=names)
+    recording = simulate_file(
+        options.motion,
+        settings=settings,
+        seed=options.seed,
+        camera=options.camera,
+        rate_hz=options.rate,
+        acknowledgement=options.acknowledgement,
+    )
+    recording.save(options.output, overwrite=options.overwrite)
+    seconds = recording.keypoints.times[-1] - recording.keypoints.times[0]
+    out.print(f"wrote {options.output}: {len(recording.keypoints)} frames, {seconds:.1f} s")
+
+
+def _export(options: argparse.Namespace) -> None:
+    from rtof_kin.io.folder import new_folder
+    from rtof_kin.io.joint_trajectory import write_joint_trajectory_csv, write_ros_trajectory
+    from rtof_kin.io.motion_npz import read_motion_npz
+
+    path = Path(options.motion)
+    motion = read_motion_npz(path / "motion.npz" if path.is_dir() else path).motion()
+    with new_folder(options.output, "skeleton.urdf", options.overwrite) as folder:
+        urdf = motion.skeleton.to_urdf()
+        (folder / "skeleton.urdf").write_text(urdf, encoding="utf-8")
+        if "csv" in options.formats:
+            write_joint_trajectory_csv(folder / "joint_trajectory.csv", motion)
+        if "ros" in options.formats:
+            write_ros_trajectory(folder, motion)
+    print_files(options.output)
+
+
+# --- their arguments ---
+
+
+def _add_demo(commands: Any) -> None:
+    parser = command(
+        commands, "demo", _demo, "reconstruct the recording that travels with the package",
+        "Real motion (CMU), with a simulated camera and eight simulated IMUs: prints the error of "
+        "each stage and writes the motion and its figures.",
+    )  # fmt: skip
+    add_output(parser, "out/demo", "folder to write")
+    _add_reconstruction(parser)
+
+
+def _add_reconstruct(commands: Any) -> None:
+    parser = command(
+        commands, "reconstruct", _reconstruct, "reconstruct the motion of a recording",
+        "RECORDING is a folder with recording.toml, keypoints and (for sf2 and rtof) IMUs; its "
+        "format is described in the README. OUT gets motion.npz, the URDF and its trajectory as "
+        "CSV and for ROS, a summary and figures.",
+    )  # fmt: skip
+    parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
+    add_output(parser, None, "folder to write")
+    parser.add_argument(
+        "--mode",
+        choices=["lift", "sf2", "rto", "rtof"],
+        default="rtof",
+        help="lift: network alone; sf2: + IMU orientations, frame by frame; rto: optimised, vision "
+        "alone; rtof: everything",
+    )
+    _add_reconstruction(parser)
+
+
+def _add_reconstruction(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--frames", type=int, default=50, metavar="N", help="frames in a fragment")
+    parser.add_argument(
+        "--lifter", type=Path, metavar="FILE", help="checkpoint to use instead of the shipped one"
+    )
+    parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
+
+
+def _add_evaluate(commands: Any) -> None:
+    parser = command(
+        commands, "evaluate", _evaluate, "compare a reconstructed motion with the truth",
+        "Prints position, acceleration, jerk and angle errors, pooled and per joint, beside a "
+        "predictor that never moves.",
+    )  # fmt: skip
+    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
+    parser.add_argument(
+        "--truth", required=True, metavar="RECORDING", help="folder of a recording with the truth"
+    )
+
+
+def _add_simulate(commands: Any) -> None:
+    parser = command(
+        commands, "simulate", _simulate, "make a recording from motion capture",
+        "A virtual camera and virtual IMUs watch a BVH or ASF/AMC file; the motion itself travels "
+        "along as the truth.",
+    )  # fmt: skip
+    parser.add_argument("motion", metavar="MOTION", help=".bvh or .amc file")
+    add_output(parser, None, "folder to write")
+    parser.add_argument(
+        "--keypoints",
+        choices=["perfect", "white", "realistic"],
+        default="realistic",
+        help="errors of the 2D: none; white noise of 5 px; as real detectors make them",
+    )
+    parser.add_argument(
+        "--sensors",
+        metavar="NAMES",
+        help="IMUs, separated by commas (e.g. Pelvis,L_LowArm); the eight limb sensors where not "
+        "given, '' for none",
+    )
+    parser.add_argument(
+        "--camera", type=int, choices=range(4), default=0, help="which of four around the motion"
+    )
+    parser.add_argument("--rate", type=float, metavar="HZ", help="true frame rate of the file")
+    parser.add_argument("--seed", type=int, default=0, help="of the camera and all errors")
+    parser.add_argument("--acknowledgement", default="", help="what the data's owner asks to print")
+
+
+def _add_export(commands: Any) -> None:
+    parser = command(
+        commands, "export", _export, "write a reconstructed motion in other formats",
+        "Always writes the subject's URDF, and with it the joint trajectory as CSV with units and "
+        "as ROS messages.",
+    )  # fmt: skip
+    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
+    add_output(parser, None, "folder to write")
+    parser.add_argument(
+        "--formats", nargs="+", choices=["csv", "ros"], default=["csv", "ros"], help="what to write"
+    )
