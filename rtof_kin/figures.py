@@ -53,10 +53,10 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
     frames = np.linspace(0, len(poses) - 1, instants + 2).round().astype(int)[1:-1]
     figure = Figure(figsize=(2.6 * instants, 6.4), layout="constrained")
     axes = figure.subplots(2, instants, squeeze=False)
-    views = _views(result)
+    sides = views(result.recording.keypoints.camera.R_camera_world)
     for column, frame in enumerate(frames):
         root = poses.p_world_joint[frame, 0]
-        for row, (view, label) in enumerate(views):
+        for row, (view, label) in enumerate(sides):
             ax = axes[row][column]
             if truth is not None:
                 _draw(ax, (truth[frame] - root) @ view.T, parents, TRUTH, "truth")
@@ -123,9 +123,9 @@ def joint_angles(result: Reconstruction) -> Figure:
     return figure
 
 
-def _views(result: Reconstruction) -> list[tuple[Array, str]]:
+def views(R_camera_world: Array) -> list[tuple[Array, str]]:
     """(2, 3) maps from world to a picture: as the camera sees it, and from the camera's right."""
-    R = result.recording.keypoints.camera.R_camera_world
+    R = R_camera_world
     looks_down = np.hypot(*R[2, :2]) < 0.1  # then what is up in the picture lies ahead
     forward = -R[1] if looks_down else R[2].copy()
     forward[2] = 0.0

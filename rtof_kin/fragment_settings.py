@@ -8,6 +8,9 @@ import numpy as np
 
 from rtof_kin.errors import ShapeError
 
+SPACES = ("cartesian",)
+"""Variables that `FragmentSolver` can optimise: 'cartesian', the positions of the joints."""
+
 
 @dataclass(frozen=True)
 class FragmentSettings:
@@ -81,7 +84,9 @@ class FragmentSettings:
         }
         for field, values in allowed.items():
             if getattr(self, field) not in values:
-                raise ShapeError(f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}")
+                raise ShapeError(
+                    f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}"
+                )
         if not 0 < self.sigma_reprojection_range[0] <= self.sigma_reprojection_range[1]:
             raise ShapeError("sigma_reprojection_range must be positive, the smaller one first")
         low_high = tuple(map(float, self.sigma_reprojection_range))

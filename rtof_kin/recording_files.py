@@ -137,7 +137,7 @@ def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) ->
     """The keypoints, with names that are landmarks of the skeleton."""
     path = data_path(section)
     is_csv = path.suffix.lower() == ".csv"
-    names, arrays = _keypoint_csv(path) if is_csv else _keypoint_npz(section, path, skeleton)
+    names, arrays = read_keypoint_csv(path) if is_csv else _keypoint_npz(section, path, skeleton)
     unknown = [name for name in names if name and name not in skeleton.landmarks]
     if unknown:
         where = str(path) if is_csv else f"{section.path}, {section.where('landmarks')}"
@@ -189,7 +189,8 @@ def _keypoint_npz(
     return names, arrays
 
 
-def _keypoint_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:
+def read_keypoint_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:
+    """Landmark names and the arrays ``uv_px``, ``confidence`` and, where it has them, ``times``."""
     columns = read_csv(path)
     arrays = {"times": columns.pop("time")} if "time" in columns else {}
     names = csv_names(path, list(columns), _KEYPOINT_COLUMNS, optional=1)

@@ -338,7 +338,7 @@ def test_times_that_hardly_meet_are_refused(truth: PoseSequence, seconds: float)
 def test_frames_in_which_the_truth_is_not_valid_are_not_scored(skeleton: SkeletonModel) -> None:
     """A glitch of the reference, 5 m for one joint: in no figure, at the truth's times or others."""
     truth = planted.moving(skeleton, 60).poses
-    estimate = replace(truth, p_world_joint=truth.p_world_joint + [0.01, 0, 0])
+    estimate = replace(truth, p_world_joint=truth.p_world_joint + np.array([0.01, 0, 0]))
     p, valid = truth.p_world_joint.copy(), truth.valid.copy()
     p[20:25, 3] += 5.0
     valid[20:25] = False

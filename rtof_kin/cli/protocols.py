@@ -1,0 +1,189 @@
+"""Commands that run a published protocol on a dataset which the user has."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Column
+from rich.table import Table as RichTable
+
+from rtof_kin.cli.terminal import add_output, command, err, out
+from rtof_kin.fragment_settings import SPACES
+
+if TYPE_CHECKING:
+    from rtof_kin.protocols.tables import Table
+
+
+def add_commands(commands: Any) -> None:
+    """Declare the commands of this module."""
+    _add_total_capture(commands)
+
+
+def _total_capture(options: argparse.Namespace) -> None:
+    from rtof_kin.protocols.pictures import write_pictures
+    from rtof_kin.protocols.tables import write_tables
+    from rtof_kin.protocols.total_capture import (
+        SENSOR_SETS,
+        TEST_TAKES,
+        TotalCaptureProtocol,
+        rows_of,
+        run,
+    )
+    from rtof_kin.protocols.total_capture_tables import all_tables
+    from rtof_kin.skeleton import SkeletonModel
+
+    sensors = SENSOR_SETS.get(options.sensors)
+    protocol = TotalCaptureProtocol(
+        options.root,
+        subjects=_names(options.subjects, str.upper),
+        takes=_names(options.takes or ",".join(TEST_TAKES), str.lower),
+        cameras=tuple(_integers("--cameras", options.cameras)),
+        keypoints=None if options.keypoints == "ground-truth" else Path(options.keypoints),
+        noise_px=options.noise_px,
+        sensors=_names(options.sensors) if sensors is None else sensors,
+        modes=_names(options.modes),
+        lifter=options.lifter,
+        studies=not options.no_studies,
+        seed=options.seed,
+        save=options.save,
+    )
+    with _job_progress() as tell:
+        outcome = run(
+            protocol,
+            options.output,
+            overwrite=options.overwrite,
+            workers=options.workers,
+            progress=tell,
+        )
+    tables = all_tables(protocol, outcome)
+    facts = {
+        "settings": protocol.settings(),
+        "rows": list(rows_of(outcome)),
+        "failed": outcome.failed,
+    }
+    written = write_tables(options.output, tables, facts, options.json)
+    skeleton = SkeletonModel.default()
+    written += write_pictures(outcome, options.output / "figures", skeleton.table, 60.0)
+    _print_tables(tables)
+    out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
+    _refuse_if_nothing(outcome.done, outcome.failed)
+
+
+def _refuse_if_nothing(done: dict[str, Any], failed: dict[str, str]) -> None:
+    """An error if every job failed."""
+    from rtof_kin.errors import RtofError
+
+    if failed and not done:
+        raise RtofError(f"nothing could be measured; first of all: {next(iter(failed.values()))}")
+
+
+# --- printing ------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _job_progress() -> Iterator[Callable[[int, int, str], None]]:
+    """A bar over jobs with the time that remains, and a line for each that fails."""
+    columns = (
+        TextColumn("measuring"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn("{task.fields[last]}"),
+    )  # fmt: skip
+    with Progress(*columns, console=err) as progress:
+        task = progress.add_task("jobs", total=None, last="")
+
+        def tell(done: int, total: int, last: str) -> None:
+            if " failed: " in last:
+                progress.console.print(last, markup=False, soft_wrap=True)
+                last = ""
+            progress.update(task, completed=done, total=total, last=last)
+
+        yield tell
+
+
+def _print_tables(tables: Sequence[Table]) -> None:
+    for table in tables:
+        first, *others = table.columns
+        columns = [Column(name, justify="right") for name in others]
+        shown = RichTable(Column(first, overflow="fold"), *columns, title=table.title)
+        for row in table.text():
+            shown.add_row(*row)
+        out.print(shown)
+        for note in table.notes:
+            out.print(f"  {note}", style="dim", markup=False, soft_wrap=True)
+
+
+# --- arguments -----------------------------------------------------------------------------------
+
+
+def _names(text: str, change: Callable[[str], str] = str) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(change(name.strip()) for name in text.split(",") if name.strip()))
+
+
+def _integers(option: str, text: str) -> list[int]:
+    from rtof_kin.errors import ShapeError
+
+    try:
+        return [int(number) for number in _names(text)]
+    except ValueError as error:
+        raise ShapeError(f"{option} {text}: give numbers separated by commas") from error
+
+
+def _add_run(parser: argparse.ArgumentParser, default: str) -> None:
+    """Arguments of every protocol."""
+    parser.add_argument(
+        "--lifter", type=Path, metavar="CHECKPOINT", help="instead of the shipped one"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of all noise; same seed, same table")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there as well")
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="processes; one per core if not given"
+    )
+    add_output(parser, default, "folder for tables, figures and what is done so far: the same "
+               "command goes on there after an interruption")  # fmt: skip
+
+
+def _add_total_capture(commands: Any) -> None:
+    parser = command(
+        commands, "total-capture", _total_capture, "the paper's protocol and tables on Total Capture",
+        "DIR is the dataset as its authors hand it out, unpacked in any layout. Every take is scored on "
+        "each camera by itself; tables stand beside the paper's, with the rows that calibrate its "
+        "acceleration and jerk errors.",
+    )  # fmt: skip
+    parser.add_argument(
+        "--root", type=Path, required=True, metavar="DIR", help="folder of the dataset"
+    )
+    parser.add_argument("--subjects", default="S1,S2,S3,S4,S5", help="separated by commas")
+    parser.add_argument(
+        "--takes", metavar="TAKES", help="the paper's three test takes if not given"
+    )
+    parser.add_argument(
+        "--cameras", default="1,3,4,5,6,7,8", help="numbers; camera 2 is miscalibrated"
+    )
+    parser.add_argument(
+        "--keypoints", default="ground-truth", metavar="DIR",
+        help="'ground-truth', or a folder with a detector's 2D (TC_S5_acting3_cam1.npz or .csv)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--noise-px", type=float, default=0.0, metavar="PX", help="white noise on ground-truth 2D"
+    )
+    parser.add_argument(
+        "--sensors", default="8", metavar="8|10|13|LIST", help="how many IMUs, or their names"
+    )
+    parser.add_argument(
+        "--space", choices=SPACES, default=SPACES[0], help="variables of the solver"
+    )
+    parser.add_argument("--modes", default="lift,rto,sf2,rtof", help="stages to measure")
+    parser.add_argument(
+        "--save",
+        type=Path,
+        metavar="DIR",
+        help="write DIR/S5/acting3/cam1/rtof/motion.npz and so on",
+    )
+    parser.add_argument(
+        "--no-studies", action="store_true", help="leave out the tables of fragment length and k_V"
+    )
+    _add_run(parser, "out/total_capture")

@@ -1,0 +1,1 @@
+"""Published evaluation protocols, run on a dataset that the user has, beside the published figures."""

@@ -1,0 +1,120 @@
+"""The paper's figures: error curves of the baseline against the fusion, skeletons over the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from rtof_kin.figures import STAGE_COLORS, TRUTH, views
+from rtof_kin.protocols.jobs import Outcome
+from rtof_kin.skeleton_table import SkeletonTable
+
+NAMES = {"lift": "baseline (lift)", "sf2": "sf2", "rto": "rto", "rtof": "rtof"}
+
+
+def write_pictures(
+    outcome: Outcome, folder: Path, table: SkeletonTable, rate_hz: float
+) -> list[Path]:
+    """Draw what there is data for.
+
+    Returns:
+        The paths written; none where no job has curves.
+    """
+    keys = _characters(outcome)
+    if not keys:
+        return []
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = {
+        "error_curves": error_curves(outcome, keys, rate_hz),
+        "skeletons": skeletons(outcome, keys[-1], table.parents, rate_hz),
+    }
+    paths = []
+    for name, figure in figures.items():
+        figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
+        paths.append(folder / f"{name}.png")
+        figure.savefig(paths[-1])
+    return paths
+
+
+def _characters(outcome: Outcome) -> list[str]:
+    """Jobs of two takes of different character: the steadiest and the liveliest that were measured.
+
+    Liveliness is the error of standing still in acceleration, where a take's own row has it; otherwise
+    the first job of each take in order.
+    """
+    first: dict[tuple[str, str], str] = {}
+    lively: dict[tuple[str, str], float] = {}
+    for key, facts in outcome.done.items():
+        take = (facts["subject"], facts["take"])
+        if facts["camera"] is not None:
+            first.setdefault(take, key)
+        elif "no motion" in facts["methods"]:
+            lively[take] = facts["methods"]["no motion"]["mpjae"]
+    takes = sorted(first, key=lambda take: lively.get(take, 0.0))
+    return [first[take] for take in dict.fromkeys([takes[0], takes[-1]])] if takes else []
+
+
+def error_curves(outcome: Outcome, keys: Sequence[str], rate_hz: float) -> Figure:
+    """Joint error (left) and the right knee's rotation error (right) over time, for each job."""
+    figure = Figure(figsize=(13, 3.4 * len(keys)), layout="constrained")
+    axes = figure.subplots(len(keys), 2, squeeze=False)
+    columns = {
+        "rr_mm": "joint error, root-relative [mm]",
+        "knee_deg": "right knee rotation error [deg]",
+    }
+    for row, key in zip(axes, keys, strict=True):
+        arrays, facts = outcome.arrays(key), outcome.done[key]
+        where = f"{facts['subject']} {facts['take']}, camera {facts['camera']}"
+        for ax, (suffix, label) in zip(row, columns.items(), strict=True):
+            for mode in ("lift", "rtof" if "rtof_rr_mm" in arrays else "rto"):
+                if f"{mode}_{suffix}" not in arrays:
+                    continue
+                curve = arrays[f"{mode}_{suffix}"]
+                mean = float(np.nanmean(curve))
+                text = f"{NAMES[mode]}: mean {mean:.1f}"
+                times = np.arange(len(curve)) / rate_hz
+                ax.plot(times, curve, color=STAGE_COLORS[mode], lw=0.9, label=text)
+            ax.set_title(where, fontsize=10)
+            ax.set_xlabel("time [s]")
+            ax.set_ylabel(label)
+            ax.set_ylim(bottom=0)
+            ax.grid(alpha=0.3)
+            ax.legend(loc="upper right", fontsize=8)
+    return figure
+
+
+def skeletons(outcome: Outcome, key: str, parents: Sequence[int], rate_hz: float) -> Figure:
+    """Each mode's skeleton over the truth (green) at a few instants of one job, root on root.
+
+    Seen from the camera's right, where errors in depth show.
+    """
+    arrays, facts = outcome.arrays(key), outcome.done[key]
+    view, label = views(arrays["R_camera_world"])[1]
+    modes = [mode for mode in NAMES if f"{mode}_snapshots" in arrays]
+    frames = arrays["snapshot_frames"].astype(int)
+    figure = Figure(figsize=(2.6 * len(frames), 2.9 * len(modes)), layout="constrained")
+    axes = figure.subplots(len(modes), len(frames), squeeze=False)
+    for row, mode in zip(axes, modes, strict=True):
+        for ax, frame, p, p_true in zip(
+            row, frames, arrays[f"{mode}_snapshots"], arrays["snapshot_truth"], strict=True
+        ):
+            for points, color in ((p_true, TRUTH), (p, STAGE_COLORS[mode])):
+                x, z = view @ (points - points[0]).T
+                for child, parent in enumerate(parents):
+                    if parent >= 0:
+                        ax.plot(
+                            x[[parent, child]], z[[parent, child]], color=color, lw=2, alpha=0.85
+                        )
+            ax.set_aspect("equal")
+            ax.set_xlim(-1.1, 1.1)
+            ax.set_ylim(-1.2, 1.0)
+            ax.set_xlabel(f"{label} [m]")
+            ax.set_ylabel(f"{NAMES[mode]}\nup [m]" if ax is row[0] else "")
+            ax.set_title(f"{frame / rate_hz:.1f} s", fontsize=9)
+    where = f"{facts['subject']} {facts['take']}, camera {facts['camera']}"
+    figure.suptitle(f"{where}: estimate over the truth (green), roots together")
+    return figure

@@ -1,0 +1,97 @@
+"""Tables of results: one type, written as Markdown and JSON, printed by the command line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Cell = str | float | None
+"""Text, a figure, or nothing where there is none."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Figures with what must be said about them."""
+
+    name: str
+    """Short name, as in file names."""
+    title: str
+    """What it shows."""
+    columns: tuple[str, ...]
+    """Heading of each column, with its unit."""
+    digits: tuple[int, ...]
+    """Digits after the point in each column; text ignores them."""
+    rows: tuple[tuple[Cell, ...], ...]
+    """Cells, a label first."""
+    notes: tuple[str, ...] = ()
+    """Sentences under the table."""
+
+    def text(self) -> list[list[str]]:
+        """The cells as text; '-' where there is nothing."""
+        return [
+            [self._cell(cell, digits) for cell, digits in zip(row, self.digits, strict=True)]
+            for row in self.rows
+        ]
+
+    @staticmethod
+    def _cell(cell: Cell, digits: int) -> str:
+        if isinstance(cell, str):
+            return cell
+        return "-" if cell is None or not np.isfinite(cell) else f"{cell:.{digits}f}"
+
+    def markdown(self) -> str:
+        """The table with its title and notes as Markdown."""
+        lines = [f"### {self.title}", "", "| " + " | ".join(self.columns) + " |"]
+        lines.append("|---" * len(self.columns) + "|")
+        lines += ["| " + " | ".join(row) + " |" for row in self.text()]
+        return "\n".join([*lines, "", *(f"- {note}" for note in self.notes)]) + "\n"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; figures unrounded."""
+        rows = [
+            [None if isinstance(c, float) and not np.isfinite(c) else c for c in row]
+            for row in self.rows
+        ]
+        return {"title": self.title, "columns": self.columns, "rows": rows, "notes": self.notes}
+
+
+def write_tables(
+    folder: Path, tables: Sequence[Table], facts: dict[str, Any], json_file: Path | None = None
+) -> list[Path]:
+    """Write ``tables.md`` and ``tables.json`` into a folder, and the JSON also elsewhere if asked.
+
+    Args:
+        facts: whatever else the JSON shall carry (settings, rows).
+
+    Returns:
+        The paths written.
+    """
+    text = "\n".join(table.markdown() for table in tables)
+    content = facts | {"tables": {table.name: table.as_dict() for table in tables}}
+    document = json.dumps(content, indent=1) + "\n"
+    paths = [folder / "tables.md", folder / "tables.json", *([json_file] if json_file else [])]
+    for path, content_text in zip(paths, [text, document, document], strict=False):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content_text, encoding="utf-8")
+    return paths
+
+
+def pooled(rows: Sequence[dict[str, Any]], figure: str, weight: str = "frames") -> float | None:
+    """Mean of a figure over rows, weighted by frames: the mean over all frames of all rows.
+
+    Rows in which the figure is missing or NaN do not count; None where there is no other.
+    """
+    known = [
+        (row[figure], row[weight])
+        for row in rows
+        if row.get(figure) is not None and np.isfinite(row[figure]) and row[weight] > 0
+    ]
+    if not known:
+        return None
+    values, weights = np.array(known, dtype=float).T
+    return float(np.average(values, weights=weights))

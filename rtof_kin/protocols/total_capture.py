@@ -1,0 +1,329 @@
+"""The paper's protocol on Total Capture: what is measured on every take and camera, and how.
+
+Every job is one take seen by one camera: all modes, and the studies of fragment length and k_V; beside
+them one job per take scores what needs no camera (no motion at all, the truth low-passed at 6 Hz) and
+checks the take's files. `rtof_kin.protocols.total_capture_tables` makes the tables of them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import signals
+from rtof_kin.checks import indices_of
+from rtof_kin.datasets.detections import read_detections
+from rtof_kin.datasets.total_capture import SUBJECTS, Take, TotalCapture
+from rtof_kin.datasets.total_capture_checks import check_keypoints, check_take
+from rtof_kin.errors import ShapeError
+from rtof_kin.fragment import FragmentSolver
+from rtof_kin.fragment_settings import FragmentSettings
+from rtof_kin.io.motion_npz import write_motion_npz
+from rtof_kin.metrics import evaluate, motionless
+from rtof_kin.pipeline import MODES, Reconstruction, reconstruct
+from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, own_folder, run_jobs
+from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
+from rtof_kin.recording import Recording
+from rtof_kin.resources import model_path
+from rtof_kin.simulation import LIMB_SENSORS
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import KeypointSequence, PoseSequence
+
+Array = NDArray[np.float64]
+TEST_TAKES = ("walking2", "acting3", "freestyle3")
+CAMERAS = (1, 3, 4, 5, 6, 7, 8)
+"""All but camera 2, which is miscalibrated."""
+SENSOR_SETS = {
+    "8": LIMB_SENSORS,
+    "10": (*LIMB_SENSORS, "Pelvis", "Sternum"),
+    "13": (*LIMB_SENSORS, "Pelvis", "Sternum", "Head", "L_Foot", "R_Foot"),
+}
+"""Sets of sensors by their usual names: the paper's eight on the limbs, with the trunk, all."""
+SIXTEEN = (
+    "Hips", "RightUpLeg", "RightLeg", "RightFoot", "LeftUpLeg", "LeftLeg", "LeftFoot", "Spine", "Neck",
+    "Head", "LeftArm", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm", "RightHand",
+)  # fmt: skip
+"""Joints of the multi-view papers (GeoFuse and those after it)."""
+SIXTEEN_CAMERAS, SIXTEEN_STEP = (1, 3, 5, 7), 16
+"""Their cameras; they score every 16th frame."""
+LOW_PASS_HZ = 6.0
+STILL, LOW_PASSED = "no motion", f"truth low-passed at {LOW_PASS_HZ:g} Hz"
+"""Names of the calibration rows."""
+SNAPSHOTS = 5
+KNEE = "RightLeg"
+
+
+@dataclass(frozen=True)
+class TotalCaptureProtocol:
+    """What is measured."""
+
+    root: Path
+    """Folder of the dataset."""
+    subjects: tuple[str, ...] = SUBJECTS
+    takes: tuple[str, ...] = TEST_TAKES
+    cameras: tuple[int, ...] = CAMERAS
+    keypoints: Path | None = None
+    """Folder with a detector's 2D; ground-truth 2D where not given."""
+    noise_px: float = 0.0
+    """Standard deviation of white noise added to ground-truth 2D, px per axis."""
+    sensors: tuple[str, ...] = LIMB_SENSORS
+    modes: tuple[str, ...] = MODES
+    lifter: Path | None = None
+    """Checkpoint; the shipped one where not given."""
+    studies: bool = True
+    """Whether fragment length and k_V are varied as well."""
+    seed: int = 0
+    """Of the noise."""
+    save: Path | None = None
+    """Folder for the motions of every take, camera and mode."""
+
+    def __post_init__(self) -> None:
+        indices_of("subject", self.subjects, SUBJECTS)
+        indices_of("mode", self.modes, MODES)
+        indices_of("sensor", self.sensors, list(SkeletonModel.default().sensors))
+        indices_of("camera", [str(c) for c in self.cameras], [str(c) for c in range(1, 9)])
+        if not self.sensors and {"sf2", "rtof"} & set(self.modes):
+            raise ShapeError("modes sf2 and rtof need sensors; name some, or only lift and rto")
+        if self.keypoints is not None and self.noise_px:
+            raise ShapeError("noise is added to ground-truth 2D only, not to a detector's")
+        if not self.noise_px >= 0:
+            raise ShapeError(f"noise_px: {self.noise_px:g} is not a standard deviation")
+
+    def settings(self) -> dict[str, Any]:
+        """Everything that the results depend on, as plain values."""
+        weights = self.lifter or model_path("lifter.pt")
+        return {
+            "dataset": str(self.root.resolve()),
+            "subjects": list(self.subjects), "takes": list(self.takes), "cameras": list(self.cameras),
+            "keypoints": str(self.keypoints.resolve()) if self.keypoints else "ground truth",
+            "noise_px": self.noise_px, "sensors": list(self.sensors), "modes": list(self.modes),
+            "lifter_sha256": hashlib.sha256(Path(weights).read_bytes()).hexdigest(),
+            "studies": self.studies, "seed": self.seed, "version": _version(),
+        }  # fmt: skip
+
+    def jobs(self) -> dict[str, Job]:
+        """All measurements by key, take by take."""
+        return {
+            f"{subject}_{take}" + (f"_cam{camera}" if camera else ""): Job(
+                self, subject, take, camera
+            )
+            for subject, take in self.pairs()
+            for camera in (None, *self.cameras)
+        }
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Subject and take of everything asked for that the dataset's protocol knows."""
+        return [(subject, take) for subject in self.subjects for take in self.takes]
+
+    def motion_file(self, job: Job, mode: str) -> Path | None:
+        """Where a mode's motion is saved, if it is."""
+        if self.save is None:
+            return None
+        return self.save / job.subject / job.take / f"cam{job.camera}" / mode / "motion.npz"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One take seen by one camera, or by none."""
+
+    protocol: TotalCaptureProtocol
+    subject: str
+    take: str
+    camera: int | None
+
+
+def run(
+    protocol: TotalCaptureProtocol,
+    folder: Path,
+    *,
+    overwrite: bool = False,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Outcome:
+    """Measure what has not been measured yet.
+
+    Args:
+        folder: for the results; goes on where an earlier run of the same settings stopped.
+        overwrite: whether results of other settings may be replaced.
+
+    Raises:
+        FileFormatError: there is no such dataset. OutputExistsError: see `own_folder`.
+    """
+    TotalCapture(protocol.root)  # says at once when there is nothing
+    settings = protocol.settings()
+    own_folder(folder, settings, overwrite, "runs/*.json")
+    if protocol.save is not None:
+        own_folder(protocol.save, settings, overwrite, "*/*/cam*/*/motion.npz")
+    jobs, runs = protocol.jobs(), folder / "runs"
+    runs.mkdir(exist_ok=True)
+    for key, job in jobs.items():  # measured before, but without the motions that are wanted now
+        files = [protocol.motion_file(job, mode) for mode in protocol.modes if job.camera]
+        if any(file is not None and not file.is_file() for file in files):
+            (runs / f"{key}.json").unlink(missing_ok=True)
+    return run_jobs(measure, jobs, runs, workers, progress)
+
+
+def measure(job: Job) -> JobResult:
+    """Everything about one take seen by one camera."""
+    take = _take(job.protocol.root, job.subject, job.take)
+    return _reference(take) if job.camera is None else _seen_by(take, job, job.camera)
+
+
+@lru_cache(maxsize=1)
+def _take(root: Path, subject: str, name: str) -> Take:
+    """Jobs come take by take, so the last one is kept."""
+    return TotalCapture(root).take(subject, name)
+
+
+def _reference(take: Take) -> JobResult:
+    """The rows that calibrate acceleration and jerk errors, and the state of the files."""
+    truth = take.truth
+    smooth = signals.low_pass(truth.p_world_joint, truth.rate_hz, LOW_PASS_HZ)
+    skeleton = SkeletonModel.default().with_offsets(take.joint_offsets)
+    rows = {
+        STILL: _scores(motionless(truth), truth, skeleton),
+        LOW_PASSED: _scores(replace(truth, p_world_joint=smooth), truth, skeleton),
+    }
+    failed = [check.message for check in check_take(take) if not check.passed]
+    return JobResult(
+        {"subject": take.subject, "take": take.name, "camera": None, "methods": rows,
+         "failed_checks": failed, "notes": [*take.notes, *take.missing]}
+    )  # fmt: skip
+
+
+def _seen_by(take: Take, job: Job, number: int) -> JobResult:
+    protocol = job.protocol
+    recording = take.recording(
+        number,
+        keypoints=_detected(take, job, number),
+        noise_px=protocol.noise_px,
+        seed=protocol.seed,
+        sensors=protocol.sensors,
+    )
+    truth, skeleton = recording.truth, recording.skeleton
+    assert truth is not None
+    results, methods = _reconstructions(recording, protocol), {}
+    arrays = {"R_camera_world": recording.keypoints.camera.R_camera_world}
+    frames = np.linspace(0, len(recording.keypoints) - 1, SNAPSHOTS + 2).round().astype(int)[1:-1]
+    arrays["snapshot_frames"] = frames.astype(float)
+    arrays["snapshot_truth"] = truth.p_world_joint[frames]
+    for mode, result in results.items():
+        poses = result.stages[mode]
+        seconds = result.solution.seconds if result.solution and result.mode == mode else None
+        methods[mode] = _scores(poses, truth, skeleton) | {"seconds": seconds}
+        over_time = result.stage_metrics[mode].over_time
+        arrays[f"{mode}_mm"] = over_time["mpjpe_mm"]
+        arrays[f"{mode}_rr_mm"] = over_time["mpjpe_rr_mm"]
+        arrays[f"{mode}_knee_deg"] = over_time["joint_angle_deg"][:, poses.names.index(KNEE)]
+        arrays[f"{mode}_snapshots"] = poses.p_world_joint[frames]
+        _save(result, mode, protocol.motion_file(job, mode))
+    if protocol.studies and "rtof" in results:
+        methods |= _studies(results["rtof"], truth)
+    failed = []
+    if protocol.keypoints is not None:
+        checks = check_keypoints(take, number, recording.keypoints)
+        failed = [check.message for check in checks if not check.passed]
+    return JobResult(
+        {"subject": take.subject, "take": take.name, "camera": number, "methods": methods,
+         "failed_checks": failed, "notes": []},
+        arrays,
+    )  # fmt: skip
+
+
+def _detected(take: Take, job: Job, number: int) -> KeypointSequence | None:
+    folder = job.protocol.keypoints
+    if folder is None:
+        return None
+    return read_detections(folder, job.subject, job.take, number, take.cameras[number])
+
+
+def _reconstructions(
+    recording: Recording, protocol: TotalCaptureProtocol
+) -> dict[str, Reconstruction]:
+    """For every mode asked for, the reconstruction that has it among its stages."""
+    from lifting.predict import Lifter
+
+    lifter = Lifter.load(protocol.lifter)
+    asked = set(protocol.modes) - ({"sf2", "rtof"} if recording.imus is None else set())
+    runs: dict[str, Reconstruction] = {}
+    for mode in ("rtof", "sf2", "rto", "lift"):
+        if mode in asked and mode not in runs:
+            result = reconstruct(recording, mode=mode, lifter=lifter)
+            runs |= {stage: result for stage in result.stages if stage not in runs}
+    return {mode: runs[mode] for mode in MODES if mode in asked}
+
+
+def _studies(result: Reconstruction, truth: PoseSequence) -> dict[str, dict[str, Any]]:
+    """The energy as printed, from SF2's poses, at other fragment lengths and weights k_V."""
+    printed = FragmentSettings.paper()
+    variants = {length_name(N): (N, printed) for N in FRAGMENT_LENGTH}
+    for k_V in VISUAL_WEIGHT:
+        if k_V != printed.k_V:
+            variants[weight_name(k_V)] = (50, replace(printed, k_V=k_V, k_I=round(1 - k_V, 6)))
+    rows = {}
+    skeleton = result.motion.skeleton
+    for name, (N, settings) in variants.items():
+        solver = FragmentSolver(skeleton, N, settings)
+        began = perf_counter()
+        solution = solver.solve(result.stages["sf2"], result.keypoints, result.bone_imus)
+        rows[name] = _scores(solution.poses, truth, skeleton) | {"seconds": perf_counter() - began}
+    return rows
+
+
+def length_name(N: int) -> str:
+    """Name of the method that solves fragments of N frames with the energy as printed."""
+    return f"as printed, N = {N}"
+
+
+def weight_name(k_V: float) -> str:
+    """Name of the method that weighs the visual term with k_V in the energy as printed."""
+    return length_name(50) if k_V == FragmentSettings.paper().k_V else f"as printed, k_V = {k_V:g}"
+
+
+def _scores(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> dict[str, Any]:
+    """Every figure, the number of frames scored, and the multi-view papers' error."""
+    metrics = evaluate(estimate, truth, skeleton)
+    error = metrics.over_time["joint_mm"]
+    sixteen = error[::SIXTEEN_STEP, skeleton.index(*SIXTEEN)]
+    scored = np.isfinite(sixteen).all(axis=1)
+    return dict(metrics) | {
+        "frames": int(np.isfinite(error).all(axis=1).sum()),
+        "sixteen_mm": float(sixteen[scored].mean()) if scored.any() else None,
+        "sixteen_frames": int(scored.sum()),
+    }
+
+
+def _save(result: Reconstruction, mode: str, path: Path | None) -> None:
+    if path is None:
+        return
+    motion = (
+        result.motion if mode == result.mode else result.motion.skeleton.motion(result.stages[mode])
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name("part.npz")
+    write_motion_npz(partial, motion, first_frame=result.recording.first_frame, mode=mode)
+    partial.replace(path)
+
+
+def _version() -> str:
+    try:
+        return version("rtof_kin")
+    except PackageNotFoundError:  # a clone that was not installed
+        return "0+unknown"
+
+
+def rows_of(outcome: Outcome) -> Iterator[dict[str, Any]]:
+    """One flat row for every take, camera and method that was measured."""
+    for facts in outcome.done.values():
+        about = {name: facts[name] for name in ("subject", "take", "camera")}
+        for method, figures in facts["methods"].items():
+            yield about | {"method": method} | figures
