@@ -383,6 +383,7 @@ class FragmentSolver:
             "w_length": _mean(length, len(self._problem.pairs)),
             "lengths": self._lengths,
             "p_prior": start.p_world_joint[index].reshape(columns).T,
+            "k": np.array([self.settings.term_weights()[term] for term in TERMS]),
         }
 
     def _jerk_target(

@@ -11,7 +11,7 @@ many residuals a term has. E_L and E_P are what the printed energy lacks (see `F
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -81,6 +81,7 @@ class FragmentProblem:
             "w_length": ca.SX.sym("wL", N),
             "lengths": ca.SX.sym("L", len(self.pairs)),
             "p_prior": ca.SX.sym("P", 3 * J, N),
+            "k": ca.SX.sym("k", len(TERMS)),
         }
         self.terms = self._terms()
         self._build()
@@ -147,10 +148,10 @@ class FragmentProblem:
     def _build(self) -> None:
         x, p = ca.vec(self.X), ca.vertcat(*(ca.vec(v) for v in self.parameters.values()))
         values, hessian = [], ca.SX(x.numel(), x.numel())
-        weights = self.settings.term_weights()
-        for name in TERMS:
-            term, k = self.terms[name], weights[name]
-            if k == 0 or term.residual.numel() == 0:
+        for i, name in enumerate(TERMS):
+            term, k = self.terms[name], self.parameters["k"][i]
+            free = name == "length" and self.settings.bone_lengths != "weighted"
+            if free or term.residual.numel() == 0:
                 values.append(ca.SX(0))
                 continue
             value, curvature = _energy_and_curvature(term)
@@ -225,15 +226,22 @@ class FragmentProblem:
         }
 
 
-@lru_cache(maxsize=8)
 def fragment_problem(
     parents: tuple[int, ...],
     frames: int,
     sensor_bones: tuple[tuple[int, int], ...],
     settings: FragmentSettings,
 ) -> FragmentProblem:
-    """The problem of a skeleton's tree, built once for all bodies that share it."""
-    return FragmentProblem(parents, frames, sensor_bones, settings)
+    """The problem of a skeleton's tree, built once for all bodies and weights k that share it."""
+    return _cached_problem(parents, frames, sensor_bones, replace(settings, **_ANY_WEIGHTS))
+
+
+_ANY_WEIGHTS = dict.fromkeys(("k_V", "k_I", "k_A", "k_B", "k_S"), 1.0)
+
+
+@lru_cache(maxsize=8)
+def _cached_problem(*what: Any) -> FragmentProblem:
+    return FragmentProblem(*what)
 
 
 def rigid_pairs(parents: tuple[int, ...]) -> tuple[tuple[int, int], ...]:

@@ -37,6 +37,7 @@ def _total_capture(options: argparse.Namespace) -> None:
     from rtof_kin.protocols.total_capture_tables import all_tables
     from rtof_kin.skeleton import SkeletonModel
 
+    folder = Path(options.output)
     sensors = SENSOR_SETS.get(options.sensors)
     protocol = TotalCaptureProtocol(
         options.root,
@@ -55,7 +56,7 @@ def _total_capture(options: argparse.Namespace) -> None:
     with _job_progress() as tell:
         outcome = run(
             protocol,
-            options.output,
+            folder,
             overwrite=options.overwrite,
             workers=options.workers,
             progress=tell,
@@ -66,9 +67,9 @@ def _total_capture(options: argparse.Namespace) -> None:
         "rows": list(rows_of(outcome)),
         "failed": outcome.failed,
     }
-    written = write_tables(options.output, tables, facts, options.json)
+    written = write_tables(folder, tables, facts, options.json)
     skeleton = SkeletonModel.default()
-    written += write_pictures(outcome, options.output / "figures", skeleton.table, 60.0)
+    written += write_pictures(outcome, folder / "figures", skeleton.table, 60.0)
     _print_tables(tables)
     out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
     _refuse_if_nothing(outcome.done, outcome.failed)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import rotations as so3
+from rtof_kin import signals
 from rtof_kin.datasets.total_capture import MISCALIBRATED, Take
 from rtof_kin.datasets.total_capture_truth import RIGID_MM
 from rtof_kin.types import BoneImuSequence, KeypointSequence
@@ -122,13 +123,14 @@ def _check_sensor(take: Take, imus: BoneImuSequence, sensor: int, subject: str) 
         yield Check(
             "median angle to the reference's segment", subject, value, IMU_DEG, "deg", advice
         )
-    a = imus.a_world[:count, sensor]
-    known = a[np.isfinite(a).all(axis=-1)]
+    a = np.full((count, 3), np.nan)
+    a[1:-1] = signals.derivative(truth.p_world_joint[:count, joint], truth.rate_hz, 2)
+    difference = imus.a_world[:count, sensor] - a
+    known = difference[np.asarray(np.isfinite(difference).all(axis=-1))]
     mean = float(np.linalg.norm(known.mean(axis=0))) if len(known) else float("nan")
-    advice = (
-        "Over a take it averages to nothing: is gravity in the data, in m/s2, and the frame right?"
-    )
-    yield Check("mean acceleration less gravity", subject, mean, ACCELERATION, "m/s2", advice)
+    name = "mean acceleration less gravity and the joint's own"
+    advice = "Is gravity in the data, in m/s2, and the calibration this take's?"
+    yield Check(name, subject, mean, ACCELERATION, "m/s2", advice)
 
 
 def _median(values: Array) -> float:
