@@ -61,7 +61,6 @@ MISCALIBRATED = {2: "camera 2 is miscalibrated: detections on its video lie (+20
 _STAMP_FRAMES = 10
 """A foot may be stamped in these first frames while the pose stands still."""
 _NEEDED = ("positions", "orientations", "sensors", "calib_bone", "calib_ref")
-_LENGTH_DIFFERENCE = 5
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,8 @@ class Take:
     spread_mm: float
     """Largest standard deviation of an offset, mm; NaN where orientations were derived."""
     imus: ImuSequence | None
-    """The sensors that have a calibration; None where there are none."""
+    """The sensors that have a calibration; None where there are none. Without acceleration in the first
+    ten frames, in which a foot may be stamped while the pose stands still."""
     calibration: ImuCalibration | None
     """Of those sensors, from the take's own files; lever arms are the skeleton's usual ones."""
     cameras: Mapping[int, Camera]
@@ -307,7 +307,7 @@ def _sequence(
     """The sensors named over the frames of the reference."""
     index = indices_of("sensor", names, table.names)
     count = len(table.quat_wxyz)
-    if abs(count - frames) > _LENGTH_DIFFERENCE:
+    if count != frames:
         notes.append(f"{path.name} has {count} frames, the reference {frames}")
     quat, f = table.quat_wxyz[:, index], table.f_sensor[:, index].copy()
     norm = np.linalg.norm(quat, axis=-1)

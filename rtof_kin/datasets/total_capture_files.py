@@ -34,7 +34,7 @@ KINDS = {
     "aux_sensors": "_xsens_auxfields.sensors",
     "calib_bone": "calib_imu_bone.txt",
     "calib_ref": "calib_imu_ref.txt",
-    "bvh": ".bvh",
+    "bvh": "_blenderzxy_ymz.bvh",
 }
 """How the names of a take's files end, by what they hold."""
 CAMERAS = "calibration.cal"

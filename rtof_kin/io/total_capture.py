@@ -79,8 +79,8 @@ def read_sensors(path: str | Path) -> SensorTable:
     whole, rest = divmod(len(lines) - 1, block)
     if S == 0 or whole != T or rest:
         raise FileFormatError(
-            path, f"announces {T} frames of {S} sensors and holds {whole} whole ones; {_AGAIN}",
-            len(lines) if whole < T else None,
+            path, f"announces {T} frames of {S} sensors and holds {whole} whole ones"
+            + (f"; {_AGAIN}" if whole < T else ""), len(lines) if whole < T else None,
         )  # fmt: skip
     rows = [line.split() for line in lines[1:]]
     heads = [row[0] if row else "" for row in rows]
@@ -94,10 +94,14 @@ def read_sensors(path: str | Path) -> SensorTable:
     cells = [row[1:8] for i, row in enumerate(rows) if i % block]
     try:
         values = np.array(cells, dtype=float).reshape(T, S, 7)
-    except ValueError as error:
+    except ValueError:
+        values = np.full((T, S, 7), np.nan)
+    if not np.isfinite(values).all():
         at = next(i for i, row in enumerate(rows) if i % block and not _are_numbers(row[1:8], 7))
-        message = f"expected a name and at least 7 numbers; {_AGAIN if at > len(rows) - 3 else ''}"
-        raise FileFormatError(path, message.rstrip("; "), at + 2) from error
+        cut = f"; {_AGAIN}" if at > len(rows) - 3 else ""
+        raise FileFormatError(
+            path, f"expected a name and at least 7 numbers{_odd(rows[at][1:8])}{cut}", at + 2
+        )
     return SensorTable(names, values[..., :4], values[..., 4:])
 
 
@@ -112,17 +116,22 @@ def read_imu_calibration(path: str | Path) -> dict[str, Array]:
     if not first.strip().isdigit():
         raise FileFormatError(path, "does not begin with the number of sensors", 1)
     quaternions: dict[str, Array] = {}
-    for number, line in enumerate(lines, start=2):
-        name, *cells = line.split()
+    filled = [(number, line.split()) for number, line in enumerate(lines, start=2) if line.strip()]
+    for number, (name, *cells) in filled:
         if not _are_numbers(cells, 4) or len(cells) != 4:
-            raise FileFormatError(path, "expected a sensor's name and four numbers", number)
+            raise FileFormatError(
+                path, f"expected a sensor's name and four numbers{_odd(cells)}", number
+            )
+        if name in quaternions:
+            raise FileFormatError(path, f"a second line for {name}", number)
         quaternion = np.array(cells, dtype=float)
         if abs(np.linalg.norm(quaternion) - 1) > 0.01:
             raise FileFormatError(path, f"the quaternion of {name} is not of unit norm", number)
         quaternions[name] = quaternion / np.linalg.norm(quaternion)
     if len(quaternions) != int(first):
+        cut = f"; {_AGAIN}" if len(quaternions) < int(first) else ""
         raise FileFormatError(
-            path, f"announces {int(first)} sensors and holds {len(quaternions)}; {_AGAIN}"
+            path, f"announces {int(first)} sensors and holds {len(quaternions)}{cut}"
         )
     return quaternions
 
@@ -135,15 +144,20 @@ def read_cameras(path: str | Path) -> dict[int, Camera]:
     """
     path = Path(path)
     cells = " ".join(_lines(path)).split()
-    if not _are_numbers(cells, 2) or not all(_is_number(cell) for cell in cells):
-        raise FileFormatError(path, "holds something else than numbers")
+    if not all(_is_number(cell) for cell in cells):
+        raise FileFormatError(path, f"holds something else than numbers{_odd(cells)}")
+    if len(cells) < 2 or not all(cell.isdigit() for cell in cells[:2]):
+        raise FileFormatError(
+            path, "does not begin with the numbers of cameras and distortion terms", 1
+        )
+    count, order = int(cells[0]), int(cells[1])
     numbers = np.array(cells, dtype=float)
-    count, order = int(numbers[0]), int(numbers[1])
     each = 4 + 4 + order + 9 + 3
     if not (0 < count < 1000 and 0 <= order <= 3) or len(numbers) != 2 + count * each:
         raise FileFormatError(
             path, f"announces {count} cameras with {order} distortion terms, which take "
-            f"{2 + count * each} numbers, and holds {len(numbers)}; {_AGAIN}",
+            f"{2 + count * each} numbers, and holds {len(numbers)}"
+            + (f"; {_AGAIN}" if len(numbers) < 2 + count * each else ""),
         )  # fmt: skip
     return {i + 1: _camera(path, i + 1, row, order) for i, row in
             enumerate(numbers[2:].reshape(count, each))}  # fmt: skip
@@ -186,9 +200,8 @@ def _numbers(path: Path, lines: list[str], columns: int, first: int, what: str) 
     tokens = " ".join(lines).split()
     try:
         values = np.array(tokens, dtype=float)
-        if len(values) == columns * len(lines) and all(
-            line.count("\t") == lines[0].count("\t") for line in lines
-        ):
+        even = all(line.count("\t") == lines[0].count("\t") for line in lines)
+        if even and len(values) == columns * len(lines) and np.isfinite(values).all():
             return values.reshape(len(lines), columns)
     except ValueError:
         pass
@@ -197,7 +210,7 @@ def _numbers(path: Path, lines: list[str], columns: int, first: int, what: str) 
         if len(cells) != columns or not _are_numbers(cells, columns):
             cut = f"; {i} frames before it are whole. {_AGAIN}" if i == len(lines) - 1 else ""
             raise FileFormatError(
-                path, f"expected {what}, found {len(cells)} cells{cut}", first + i
+                path, f"expected {what}, found {len(cells)} cells{_odd(cells)}{cut}", first + i
             )
     return np.array(tokens, dtype=float).reshape(len(lines), columns)
 
@@ -207,8 +220,14 @@ def _are_numbers(cells: list[str], at_least: int) -> bool:
 
 
 def _is_number(text: str) -> bool:
+    """Whether a word is a finite number: nothing else occurs in sound files."""
     try:
-        float(text)
+        return bool(np.isfinite(float(text)))
     except ValueError:
         return False
-    return True
+
+
+def _odd(cells: list[str]) -> str:
+    """What to say of the first of them that is no number, if there is one."""
+    odd = next((cell for cell in cells if not _is_number(cell)), None)
+    return "" if odd is None else f", among them {odd[:40]!r}"

@@ -1,0 +1,279 @@
+"""Human3.6M (Ionescu et al., TPAMI 2014) as `Recording`s: 17 joints, 50 Hz, four cameras, no IMUs.
+
+The data are handed out by their owners for academic use; nothing of them is in this package. What is read
+are the archives that VideoPose3D (Pavllo et al., CVPR 2019) makes of them, in one folder::
+
+    data_3d_h36m.npz              positions_3d: subject -> action -> (T, 32, 3) m, world z up
+    data_2d_h36m_<keypoints>.npz  positions_2d: subject -> action -> for each camera (T', 17, 2) px
+                                  metadata: num_joints, keypoints_symmetry, layout_name
+
+where ``<keypoints>`` is ``gt`` (the positions projected), ``cpn_ft_h36m_dbb`` or ``detectron_ft_h36m``
+(detected), and one file of cameras, see `rtof_kin.datasets.human36m_cameras`. Both count frames from the
+first; the 2D may have some more, and a recording ends with the shorter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import kinematics
+from rtof_kin.checks import readonly
+from rtof_kin.datasets.human36m_body import bone_lengths, measured_offsets
+from rtof_kin.datasets.human36m_cameras import CAMERA_IDS
+from rtof_kin.datasets.human36m_files import Archives, by_number
+from rtof_kin.errors import CalibrationError, FileFormatError, RtofError, UnitError
+from rtof_kin.recording import Recording
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import Camera, KeypointSequence, PoseSequence
+
+Array = NDArray[np.float64]
+SUBJECTS_TRAIN = ("S1", "S5", "S6", "S7", "S8")
+SUBJECTS_TEST = ("S9", "S11")
+RATE_HZ = 50.0
+"""Of positions and video alike."""
+ACTIONS = 30
+"""Actions of each subject; S11 has one less, whose video is corrupt."""
+LIMIT_GT_PX, LIMIT_DETECTED_PX = 3.0, 30.0
+"""The median reprojection error of a recording with projected and with detected keypoints."""
+ACKNOWLEDGEMENT = (
+    "Human3.6M: C. Ionescu, D. Papava, V. Olaru, C. Sminchisescu, 'Human3.6M: Large Scale Datasets and "
+    "Predictive Methods for 3D Human Sensing in Natural Environments', IEEE TPAMI 36(7), 2014. Academic "
+    "use only."
+)
+_PLAUSIBLE_THIGH = (0.2, 0.7)
+_CHECKED_FRAMES = 20
+_shipped = cache(SkeletonModel.human36m)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One action of one subject, as far as the archive of positions describes it."""
+
+    subject: str
+    """'S1' to 'S11'."""
+    action: str
+    """The archive's name for it, e.g. 'Directions 1'."""
+    p_world_joint: Array
+    """(T, 17, 3) m, world z up; NaN where the archive has no finite number."""
+    joint_offsets: Array
+    """(17, 3) m, the same in all of the subject's actions; see `human36m_body.measured_offsets`."""
+    rate_hz: float = RATE_HZ
+    """Frames per second."""
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "p_world_joint", readonly("p_world_joint", self.p_world_joint, ("T", 17, 3)))
+        set_(self, "joint_offsets", readonly("joint_offsets", self.joint_offsets, (17, 3)))
+
+
+class Human36M:
+    """The recordings of one folder. A file is read when something of it is first asked for.
+
+    Attributes:
+        root: the folder. skeleton: the 17-joint skeleton as it is shipped.
+    """
+
+    def __init__(
+        self, root: str | Path, cameras: str | Path | None = None, keypoints: str = "gt"
+    ) -> None:
+        """Name the files.
+
+        Args:
+            root: folder with ``data_3d_h36m.npz`` and ``data_2d_h36m_<keypoints>.npz``.
+            cameras: file of cameras; where not given, ``camera-parameters.json`` or
+                ``h36m_dataset.py`` in `root`.
+            keypoints: 'gt' for projected joints, else the detector's part of the file name.
+        """
+        self.root = Path(root)
+        self.skeleton = _shipped()
+        self._archives = Archives(self.root, None if cameras is None else Path(cameras), keypoints)
+        self._offsets: dict[str, Array] = {}
+
+    @property
+    def sequences(self) -> tuple[tuple[str, str], ...]:
+        """(subject, action) of every motion there is, subjects by number, actions by name."""
+        motions = self._archives.all_positions
+        return tuple(
+            (subject, a) for subject in by_number(motions) for a in sorted(motions[subject])
+        )
+
+    @property
+    def cameras(self) -> Mapping[str, Mapping[int, Camera]]:
+        """Cameras by subject and number, 0 to 3; world z up, m."""
+        return self._archives.all_cameras
+
+    def missing(self, subjects: Sequence[str] = SUBJECTS_TRAIN + SUBJECTS_TEST) -> list[str]:
+        """What keeps these subjects from being complete, one line each; empty where nothing does."""
+        unreadable = []
+        for part in ("all_positions", "all_keypoints", "all_cameras"):
+            try:
+                getattr(self._archives, part)
+            except RtofError as error:
+                unreadable.append(str(error))
+        return unreadable or [line for subject in subjects for line in self._missing_of(subject)]
+
+    def _missing_of(self, subject: str) -> Iterator[str]:
+        archives = self._archives
+        actions = archives.all_positions.get(subject, {})
+        expected = ACTIONS - (subject == "S11")
+        if len(actions) < expected:
+            yield f"{subject}: {len(actions)} of {expected} actions in {archives.path_3d.name}"
+        cameras = archives.all_cameras.get(subject, {})
+        lacking = ", ".join(str(i) for i in range(len(CAMERA_IDS)) if i not in cameras)
+        if lacking:
+            yield f"{subject}: no camera {lacking} in {archives.path_cameras.name}"
+        for action in sorted(actions):
+            try:
+                self.motion(subject, action)
+                for camera in range(len(CAMERA_IDS)):
+                    archives.keypoints(subject, action, camera)
+            except UnitError as error:  # of all of the subject's actions
+                yield str(error)
+                return
+            except RtofError as error:
+                yield str(error)
+
+    def motion(self, subject: str, action: str) -> Motion:
+        """The positions of an action and the subject's body.
+
+        Raises:
+            UnknownNameError: the archive has no such subject or action.
+            FileFormatError: this action is corrupt; others may still be read.
+            UnitError: positions that are not in metres.
+        """
+        p = self._archives.positions(subject, action)
+        offsets = self._offsets_of(subject)
+        own = bone_lengths(self.skeleton, _whole(p))
+        usual = np.linalg.norm(offsets, axis=-1)
+        wrong = np.flatnonzero(np.abs(own - usual) > np.maximum(0.05 * usual, 0.01))
+        if len(wrong):
+            bone = int(wrong[0])
+            raise FileFormatError(
+                self._archives.path_3d, f"{subject} {action!r}: the bone that ends at "
+                f"{self.skeleton.names[bone]} is {own[bone]:.3f} m long, but {usual[bone]:.3f} m in all "
+                "of the subject's actions together; get the archive again"
+            )  # fmt: skip
+        return Motion(subject, action, p, offsets)
+
+    def recording(self, subject: str, action: str, camera: int) -> Recording:
+        """What one camera saw of an action, and the truth; both end with the shorter.
+
+        The truth is one of positions; orientations follow from them and the subject's offsets
+        (`kinematics.rotations_from_positions`). Where detected keypoints do not fit one sequence, though
+        they fit the subject's others with the same camera, its truth is kept and `notes` says so: a few
+        sequences of S9 are known for it.
+
+        Args:
+            camera: 0 to 3; the serial numbers are `human36m_cameras.CAMERA_IDS`.
+
+        Raises:
+            UnknownNameError: no such subject, action or camera.
+            FileFormatError: a corrupt entry.
+            CalibrationError: the cameras do not belong to the keypoints and positions.
+        """
+        cam = self._archives.camera(subject, camera)
+        uv = self._archives.keypoints(subject, action, camera)
+        motion = self.motion(subject, action)
+        frames = min(len(uv), len(motion.p_world_joint))
+        truth, uv = self._poses(motion, frames), uv[:frames]
+        seen: Array = np.asarray(np.isfinite(uv).all(axis=-1), dtype=np.float64)
+        return Recording(
+            name=f"{subject} {action} cam{camera}",
+            keypoints=KeypointSequence(cam, truth.times, uv, seen, self.skeleton.names),
+            skeleton_table=self.skeleton.name,
+            joint_offsets=motion.joint_offsets,
+            truth=truth,
+            acknowledgement=ACKNOWLEDGEMENT,
+            notes=self._remark(
+                subject, action, camera, _reprojection(cam, truth.p_world_joint, uv)
+            ),
+        )
+
+    def _poses(self, motion: Motion, frames: int) -> PoseSequence:
+        """The first frames of a motion, with orientations from the positions."""
+        p, parents = motion.p_world_joint[:frames], self.skeleton.parents
+        return PoseSequence(
+            times=np.arange(frames) / motion.rate_hz,
+            p_world_joint=p,
+            R_world_bone=kinematics.rotations_from_positions(parents, motion.joint_offsets, p),
+            names=self.skeleton.names,
+            orientation_observed=self.skeleton.orientation_observed(),
+        )
+
+    def _remark(self, subject: str, action: str, camera: int, error_px: Array) -> str:
+        """What there is to say about reprojection errors; raises where the camera is a wrong one."""
+        archives, projected = self._archives, self._archives.kind == "gt"
+        limit = LIMIT_GT_PX if projected else LIMIT_DETECTED_PX
+        median = _median(error_px)
+        if median < limit:
+            return ""
+        what = f"{subject} {action}, camera {camera}: the truth projects {median:.1f} px beside"
+        others = np.inf if projected else _median(self._other_errors(subject, action, camera))
+        if others < limit:
+            return (
+                f"{what} the keypoints (median), that of the subject's other actions {others:.1f} px: "
+                "this truth stands in the wrong place, and only errors relative to the root mean anything"
+            )
+        raise CalibrationError(
+            f"{what} the keypoints in the median, more than {limit:g}: the cameras of "
+            f"{archives.path_cameras} do not belong to these keypoints ({archives.path_2d}), or a unit "
+            "is wrong (positions are in m, cameras in mm, keypoints in px of the whole image)"
+        )
+
+    def _other_errors(self, subject: str, action: str, camera: int) -> Array:
+        """Reprojection errors, px, of the subject's other actions, a few frames of each."""
+        cam, errors = self._archives.camera(subject, camera), [np.zeros(0)]
+        for other in self._archives.all_positions[subject]:
+            if other == action:
+                continue
+            try:
+                p = self._archives.positions(subject, other)
+                uv = self._archives.keypoints(subject, other, camera)
+            except RtofError:
+                continue
+            frames = min(len(p), len(uv))
+            every = slice(0, frames, max(frames // _CHECKED_FRAMES, 1))
+            errors.append(_reprojection(cam, p[every], uv[every]))
+        return np.concatenate(errors)
+
+    def _offsets_of(self, subject: str) -> Array:
+        """Joint offsets from all of a subject's frames; actions that cannot be read are left out."""
+        if subject not in self._offsets:
+            parts = []
+            for action in self._archives.all_positions[subject]:
+                try:
+                    parts.append(_whole(self._archives.positions(subject, action)))
+                except FileFormatError:
+                    continue
+            p = np.concatenate(parts)
+            thigh = float(bone_lengths(self.skeleton, p)[self.skeleton.index("RKnee")[0]])
+            low, high = _PLAUSIBLE_THIGH
+            if not low < thigh < high:
+                raise UnitError(
+                    f"{self._archives.path_3d}: {subject}: the right thigh is {thigh:.3g} m long; "
+                    "positions must be in metres"
+                )
+            self._offsets[subject] = measured_offsets(self.skeleton, p)
+        return self._offsets[subject]
+
+
+def _whole(p: Array) -> Array:
+    """The frames (T, J, 3) in which all joints are finite."""
+    return np.asarray(p[np.isfinite(p).all(axis=(1, 2))])
+
+
+def _reprojection(camera: Camera, p: Array, uv_px: Array) -> Array:
+    """Pixels between projected joints and keypoints, where both are known."""
+    error_px = np.linalg.norm(camera.project(p) - uv_px, axis=-1)
+    return np.asarray(error_px[np.isfinite(error_px)])
+
+
+def _median(values: Array) -> float:
+    """The median; infinite of nothing, as where every joint is behind the camera."""
+    return float(np.median(values)) if len(values) else np.inf

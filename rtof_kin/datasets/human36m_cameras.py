@@ -1,0 +1,229 @@
+"""Human3.6M's cameras, which the usual archives of its poses leave out, from one of two public files.
+
+* A JSON file with ``intrinsics`` (camera: ``calibration_matrix``, ``distortion`` in OpenCV's order) and
+  ``extrinsics`` (subject, camera: ``R``, ``t`` in mm; p_camera = R p_world + t).
+* VideoPose3D's source ``h36m_dataset.py``. Its two tables of literals are parsed; nothing of it is run.
+  ``orientation`` is a quaternion w x y z from camera to world, ``translation`` the camera's centre, mm.
+
+Both describe four cameras a subject, the same in all of its actions. Human3.6M writes the two tangential
+coefficients the other way round than OpenCV, and halves some of their terms: its own projection and
+OpenCV's differ by 0.1 px where people stand, by up to 1.4 px in the corners of the image.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import rotations as so3
+from rtof_kin.checks import readonly
+from rtof_kin.errors import FileFormatError, ShapeError, UnitError
+from rtof_kin.types import Camera
+
+Array = NDArray[np.float64]
+CAMERA_IDS = ("54138969", "55011271", "58860488", "60457274")
+"""The cameras' serial numbers, in the order in which the archives number them 0 to 3."""
+_SIZES_PX = ((1000, 1002), (1000, 1000), (1000, 1000), (1000, 1002))
+"""Width and height of their images."""
+_TABLES = ("h36m_cameras_intrinsic_params", "h36m_cameras_extrinsic_params")
+_LARGEST_FILE = 2**22
+_PLAUSIBLE_DISTANCE = (1.0, 30.0)
+"""A camera stands that far from the world's origin, m."""
+
+
+def read_cameras(path: str | Path) -> dict[str, dict[int, Camera]]:
+    """Cameras by subject ('S9') and number (0 to 3), world z up, metres.
+
+    Subjects and cameras of which the file says nothing are left out.
+
+    Raises:
+        FileFormatError: neither of the two kinds of file, or an entry that is missing or makes no camera.
+        UnitError: a camera that stands where none can: its position is not in millimetres.
+    """
+    path = Path(path)
+    readers = {".json": _read_json, ".py": _read_source}
+    if path.suffix.lower() not in readers:
+        raise FileFormatError(
+            path, "not a file of cameras; name the JSON file of camera parameters or VideoPose3D's "
+            "h36m_dataset.py"
+        )  # fmt: skip
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise FileFormatError(
+                path, f"larger than {_LARGEST_FILE >> 20} MiB, so no list of cameras"
+            )
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise FileFormatError(path, "there is no such file") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileFormatError(path, f"not readable as text: {error}") from error
+    cameras = readers[path.suffix.lower()](path, text)
+    if not cameras:
+        raise FileFormatError(path, "there is no camera of any subject in it")
+    return cameras
+
+
+# --- the JSON file -------------------------------------------------------------------------------
+
+
+def _read_json(path: Path, text: str) -> dict[str, dict[int, Camera]]:
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(path, f"not readable as JSON: {error}") from error
+    top = _table(path, "the file", data)
+    intrinsics = _table(path, "intrinsics", top.get("intrinsics"))
+    cameras: dict[str, dict[int, Camera]] = {}
+    for subject, entries in _table(path, "extrinsics", top.get("extrinsics")).items():
+        placed = _table(path, f"extrinsics of {subject}", entries)
+        found = {
+            i: _json_camera(
+                path, i, f"{subject}, camera {name}", intrinsics.get(name), placed[name]
+            )
+            for i, name in enumerate(CAMERA_IDS)
+            if placed.get(name)
+        }
+        if found:
+            cameras[subject] = found
+    return cameras
+
+
+def _json_camera(path: Path, number: int, where: str, intrinsic: Any, extrinsic: Any) -> Camera:
+    intrinsic = _table(path, f"{where}: intrinsics", intrinsic)
+    extrinsic = _table(path, f"{where}: extrinsics", extrinsic)
+    t_mm = _array(path, where, extrinsic, "t")
+    return _camera(
+        path,
+        where,
+        K=_array(path, where, intrinsic, "calibration_matrix", (3, 3)),
+        R_camera_world=_array(path, where, extrinsic, "R", (3, 3)),
+        t_mm=t_mm[:, 0] if t_mm.shape == (3, 1) else t_mm,
+        distortion=_array(path, where, intrinsic, "distortion", (5,)),
+        size_px=_SIZES_PX[number],
+    )
+
+
+# --- VideoPose3D's source ------------------------------------------------------------------------
+
+
+def _read_source(path: Path, text: str) -> dict[str, dict[int, Camera]]:
+    intrinsics, extrinsics = (_literal(path, text, name) for name in _TABLES)
+    if not isinstance(intrinsics, list) or len(intrinsics) != len(CAMERA_IDS):
+        raise FileFormatError(path, f"{_TABLES[0]} is not a list of four cameras")
+    inner = [_table(path, f"{_TABLES[0]}, camera {i}", entry) for i, entry in enumerate(intrinsics)]
+    ids = tuple(str(entry.get("id", CAMERA_IDS[i])) for i, entry in enumerate(inner))
+    if ids != CAMERA_IDS:
+        raise FileFormatError(path, f"cameras {', '.join(ids)}; expected {', '.join(CAMERA_IDS)}")
+    cameras: dict[str, dict[int, Camera]] = {}
+    for subject, entries in _table(path, _TABLES[1], extrinsics).items():
+        if not isinstance(entries, list) or len(entries) != len(CAMERA_IDS):
+            raise FileFormatError(path, f"{_TABLES[1]}: {subject} does not have four cameras")
+        found = {
+            i: _source_camera(path, f"{subject}, camera {i}", inner[i], entry)
+            for i, entry in enumerate(entries)
+            if entry
+        }
+        if found:
+            cameras[subject] = found
+    return cameras
+
+
+def _literal(path: Path, text: str, name: str) -> Any:
+    """The value that a module gives to a name at its top level, if that is written out in full."""
+    try:
+        for statement in ast.parse(text).body:
+            if isinstance(statement, ast.Assign) and any(
+                isinstance(target, ast.Name) and target.id == name for target in statement.targets
+            ):
+                return ast.literal_eval(statement.value)
+    except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError) as error:
+        raise FileFormatError(
+            path, f"{name} is not written out in numbers ({error}); it is read, never run"
+        ) from error
+    raise FileFormatError(
+        path, f"there is no {name} in it; name VideoPose3D's common/h36m_dataset.py"
+    )
+
+
+def _source_camera(path: Path, where: str, intrinsic: Mapping[str, Any], extrinsic: Any) -> Camera:
+    extrinsic = _table(path, where, extrinsic)
+    (fx, fy), (cx, cy) = (
+        _array(path, where, intrinsic, field, (2,)) for field in ("focal_length", "center")
+    )
+    quat_wxyz = _array(path, where, extrinsic, "orientation", (4,))
+    if abs(np.linalg.norm(quat_wxyz) - 1) > 1e-3:
+        raise FileFormatError(path, f"{where}: orientation is not a unit quaternion")
+    R_camera_world = so3.from_quat_wxyz(quat_wxyz).T
+    k1, k2, k3 = _array(path, where, intrinsic, "radial_distortion", (3,))
+    p_x, p_y = _array(path, where, intrinsic, "tangential_distortion", (2,))
+    width, height = (_array(path, where, intrinsic, field, ()) for field in ("res_w", "res_h"))
+    return _camera(
+        path,
+        where,
+        K=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
+        R_camera_world=R_camera_world,
+        t_mm=-R_camera_world @ _array(path, where, extrinsic, "translation", (3,)),
+        distortion=np.array([k1, k2, p_y, p_x, k3]),
+        size_px=(int(width), int(height)),
+    )
+
+
+# --- both ----------------------------------------------------------------------------------------
+
+
+def _table(path: Path, where: str, value: Any) -> Mapping[str, Any]:
+    if not isinstance(value, dict):
+        raise FileFormatError(path, f"{where}: missing, or not a table of names and values")
+    return value
+
+
+def _array(
+    path: Path,
+    where: str,
+    table: Mapping[str, Any],
+    field: str,
+    shape: tuple[int, ...] | None = None,
+) -> Array:
+    """A field's finite numbers, of that shape if one is given."""
+    try:
+        array = np.array(table[field], dtype=np.float64)
+    except KeyError as error:
+        raise FileFormatError(path, f"{where}: {field} is missing") from error
+    except (TypeError, ValueError) as error:
+        raise FileFormatError(path, f"{where}: {field} is not made of numbers ({error})") from error
+    if (shape is not None and array.shape != shape) or not np.all(np.isfinite(array)):
+        raise FileFormatError(
+            path, f"{where}: {field} is not finite, or not of shape {shape}: {array.shape}"
+        )
+    return array
+
+
+def _camera(
+    path: Path,
+    where: str,
+    *,
+    K: Array,
+    R_camera_world: Array,
+    t_mm: Array,
+    distortion: Array,
+    size_px: tuple[int, int],
+) -> Camera:
+    try:
+        t = readonly("t", t_mm, (3,)) / 1000
+        camera = Camera(K, R_camera_world, t, *size_px, distortion)
+    except ShapeError as error:
+        raise FileFormatError(path, f"{where}: {error}") from error
+    distance = float(np.linalg.norm(camera.center_world))
+    low, high = _PLAUSIBLE_DISTANCE
+    if not low < distance < high:
+        raise UnitError(
+            f"{path}: {where} would stand {distance:.3g} m from the middle of the room; its position "
+            "must be in millimetres"
+        )
+    return camera
