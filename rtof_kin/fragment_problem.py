@@ -236,7 +236,7 @@ def fragment_problem(
     return _cached_problem(parents, frames, sensor_bones, replace(settings, **_ANY_WEIGHTS))
 
 
-_ANY_WEIGHTS = dict.fromkeys(("k_V", "k_I", "k_A", "k_B", "k_S"), 1.0)
+_ANY_WEIGHTS: dict[str, Any] = dict.fromkeys(("k_V", "k_I", "k_A", "k_B", "k_S"), 1.0)
 
 
 @lru_cache(maxsize=8)

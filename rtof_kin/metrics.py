@@ -41,7 +41,7 @@ class Metrics(Mapping[str, float]):
     """Joint -> figure -> mean over frames."""
     over_time: dict[str, Array]
     """'mpjpe_mm' and 'mpjpe_rr_mm' -> (T,) mean over joints of each frame; 'joint_mm' (absolute) and
-    'joint_angle_deg' -> (T, J) of each joint. NaN in frames that are not scored."""
+    'joint_flexion_deg' (knees and elbows) -> (T, J) of each joint. NaN in frames that are not scored."""
 
     def __getitem__(self, name: str) -> float:
         return self.pooled[name]
@@ -106,7 +106,7 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
             "mpjpe_mm": error.mean(axis=1),
             "mpjpe_rr_mm": relative.mean(axis=1),
             "joint_mm": error,
-            "joint_angle_deg": figures["angle_deg"],
+            "joint_flexion_deg": figures["flexion_deg"],
         },
     )
 

@@ -22,16 +22,17 @@ if TYPE_CHECKING:
 def add_commands(commands: Any) -> None:
     """Declare the commands of this module."""
     _add_total_capture(commands)
+    _add_human36m(commands)
 
 
 def _total_capture(options: argparse.Namespace) -> None:
+    from rtof_kin.protocols.measures import rows_of
     from rtof_kin.protocols.pictures import write_pictures
     from rtof_kin.protocols.tables import write_tables
     from rtof_kin.protocols.total_capture import (
         SENSOR_SETS,
         TEST_TAKES,
         TotalCaptureProtocol,
-        rows_of,
         run,
     )
     from rtof_kin.protocols.total_capture_tables import all_tables
@@ -70,6 +71,44 @@ def _total_capture(options: argparse.Namespace) -> None:
     written = write_tables(folder, tables, facts, options.json)
     skeleton = SkeletonModel.default()
     written += write_pictures(outcome, folder / "figures", skeleton.table, 60.0)
+    _print_tables(tables)
+    out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
+    _refuse_if_nothing(outcome.done, outcome.failed)
+
+
+def _human36m(options: argparse.Namespace) -> None:
+    from rtof_kin.datasets.human36m import RATE_HZ
+    from rtof_kin.protocols import human36m
+    from rtof_kin.protocols.measures import rows_of
+    from rtof_kin.protocols.pictures import write_pictures
+    from rtof_kin.protocols.tables import write_tables
+    from rtof_kin.skeleton import SkeletonModel
+
+    folder = Path(options.output)
+    protocol = human36m.Human36MProtocol(
+        options.root,
+        options.lifter,
+        cameras_file=options.cameras_file,
+        keypoints=options.keypoints,
+        subjects=_names(options.subjects, str.upper),
+        actions=_names(options.actions or ""),
+        cameras=tuple(_integers("--cameras", options.cameras)),
+        modes=_names(options.modes),
+        save=options.save,
+    )
+    with _job_progress() as tell:
+        outcome = human36m.run(
+            protocol, folder, overwrite=options.overwrite, workers=options.workers, progress=tell
+        )
+    tables = human36m.all_tables(protocol, outcome)
+    facts = {
+        "settings": protocol.settings(),
+        "rows": list(rows_of(outcome)),
+        "failed": outcome.failed,
+    }
+    written = write_tables(folder, tables, facts, options.json)
+    table = SkeletonModel.human36m().table
+    written += write_pictures(outcome, folder / "figures", table, RATE_HZ)
     _print_tables(tables)
     out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
     _refuse_if_nothing(outcome.done, outcome.failed)
@@ -133,7 +172,7 @@ def _integers(option: str, text: str) -> list[int]:
         raise ShapeError(f"{option} {text}: give numbers separated by commas") from error
 
 
-def _add_run(parser: argparse.ArgumentParser, default: str) -> None:
+def _add_run(parser: argparse.ArgumentParser, default: str, save_example: str) -> None:
     """Arguments of every protocol."""
     parser.add_argument(
         "--lifter", type=Path, metavar="CHECKPOINT", help="instead of the shipped one"
@@ -179,12 +218,39 @@ def _add_total_capture(commands: Any) -> None:
     )
     parser.add_argument("--modes", default="lift,rto,sf2,rtof", help="stages to measure")
     parser.add_argument(
-        "--save",
-        type=Path,
-        metavar="DIR",
-        help="write DIR/S5/acting3/cam1/rtof/motion.npz and so on",
-    )
-    parser.add_argument(
         "--no-studies", action="store_true", help="leave out the tables of fragment length and k_V"
     )
-    _add_run(parser, "out/total_capture")
+    parser.add_argument(
+        "--lifter", type=Path, metavar="CHECKPOINT", help="instead of the shipped one"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of all noise; same seed, same table")
+    _add_run(parser, "out/total_capture", "DIR/S5/acting3/cam1/rtof/motion.npz")
+
+
+def _add_human36m(commands: Any) -> None:
+    parser = command(
+        commands, "human36m", _human36m, "the paper's protocol and table on Human3.6M",
+        "DIR holds the archives that VideoPose3D makes of the dataset (data_3d_h36m.npz and "
+        "data_2d_h36m_gt.npz or a detector's). Vision alone: lift and rto, 17 joints, S9 and S11.",
+    )  # fmt: skip
+    parser.add_argument(
+        "--root", type=Path, required=True, metavar="DIR", help="folder of the archives"
+    )
+    parser.add_argument(
+        "--lifter", type=Path, required=True, metavar="CHECKPOINT",
+        help="a 17-joint lifter: rtof-kin train --human36m DIR",
+    )  # fmt: skip
+    parser.add_argument(
+        "--cameras-file", type=Path, metavar="FILE",
+        help="camera-parameters.json or VideoPose3D's h36m_dataset.py; looked for in DIR otherwise",
+    )  # fmt: skip
+    parser.add_argument(
+        "--keypoints", default="gt", metavar="KIND", help="gt, cpn_ft_h36m_dbb, detectron_ft_h36m"
+    )
+    parser.add_argument("--subjects", default="S9,S11", help="separated by commas")
+    parser.add_argument(
+        "--actions", metavar="NAMES", help="such as Walking,Eating; all if not given"
+    )
+    parser.add_argument("--cameras", default="0,1,2,3", help="numbers")
+    parser.add_argument("--modes", default="lift,rto", help="stages to measure")
+    _add_run(parser, "out/human36m", "DIR/S9/Walking/cam0/rto/motion.npz")

@@ -12,7 +12,7 @@ import logging
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -61,7 +61,37 @@ Progress = Callable[[int, int, str], None]
 """Called with (jobs done, jobs in all, what happened last)."""
 
 
-def own_folder(folder: Path, settings: Mapping[str, Any], overwrite: bool, results: str) -> None:
+def open_runs(
+    folder: Path,
+    settings: Mapping[str, Any],
+    overwrite: bool,
+    save: Path | None,
+    motions: Mapping[str, Sequence[Path | None]],
+) -> Path:
+    """The folder for the results of jobs, and the one for their motions, made or gone on with.
+
+    A job measured before whose motions are wanted now and not there counts as not done.
+
+    Args:
+        folder, save: see `_own_folder`; motions lie in ``SUBJECT/TAKE/CAMERA/MODE`` of the second.
+        settings: all that the results depend on. overwrite: whether those of others may be removed.
+        motions: files by the key of the job that writes them.
+
+    Returns:
+        Where `run_jobs` shall keep its results.
+    """
+    _own_folder(folder, settings, overwrite, "runs/*.json")
+    if save is not None:
+        _own_folder(save, settings, overwrite, "*/*/*/*/motion.npz")
+    runs = folder / "runs"
+    runs.mkdir(exist_ok=True)
+    for key, files in motions.items():
+        if any(file is not None and not file.is_file() for file in files):
+            (runs / f"{key}.json").unlink(missing_ok=True)
+    return runs
+
+
+def _own_folder(folder: Path, settings: Mapping[str, Any], overwrite: bool, results: str) -> None:
     """Make a folder for the results of these settings, or go on in it.
 
     Args:
@@ -118,7 +148,7 @@ def run_jobs(
     Args:
         function: at the top level of a module; called with one job's argument.
         jobs: argument of each job by its key.
-        folder: where results lie; see `own_folder`.
+        folder: where results lie; see `open_runs`.
         workers: processes; 1 runs in this one. As many as cores where not given.
         progress: told after every job.
     """

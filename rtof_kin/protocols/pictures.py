@@ -59,12 +59,15 @@ def _characters(outcome: Outcome) -> list[str]:
 
 
 def error_curves(outcome: Outcome, keys: Sequence[str], rate_hz: float) -> Figure:
-    """Joint error (left) and the right knee's rotation error (right) over time, for each job."""
+    """Joint error (left) and the error of the right knee's rotation angle (right) over time.
+
+    The knee's angle is its flexion: in the reference skeleton it turns about one axis.
+    """
     figure = Figure(figsize=(13, 3.4 * len(keys)), layout="constrained")
     axes = figure.subplots(len(keys), 2, squeeze=False)
     columns = {
         "rr_mm": "joint error, root-relative [mm]",
-        "knee_deg": "right knee rotation error [deg]",
+        "knee_deg": "right knee flexion error [deg]",
     }
     for row, key in zip(axes, keys, strict=True):
         arrays, facts = outcome.arrays(key), outcome.done[key]

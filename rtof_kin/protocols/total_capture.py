@@ -7,11 +7,8 @@ checks the take's files. `rtof_kin.protocols.total_capture_tables` makes the tab
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -27,13 +24,11 @@ from rtof_kin.datasets.total_capture_checks import check_keypoints, check_take
 from rtof_kin.errors import ShapeError
 from rtof_kin.fragment import FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
-from rtof_kin.io.motion_npz import write_motion_npz
 from rtof_kin.metrics import evaluate, motionless
-from rtof_kin.pipeline import MODES, Reconstruction, reconstruct
-from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, own_folder, run_jobs
+from rtof_kin.pipeline import MODES, Reconstruction
+from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
+from rtof_kin.protocols.measures import curves, provenance, reconstructions, save_motion
 from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
-from rtof_kin.recording import Recording
-from rtof_kin.resources import model_path
 from rtof_kin.simulation import LIMB_SENSORS
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import KeypointSequence, PoseSequence
@@ -58,7 +53,6 @@ SIXTEEN_CAMERAS, SIXTEEN_STEP = (1, 3, 5, 7), 16
 LOW_PASS_HZ = 6.0
 STILL, LOW_PASSED = "no motion", f"truth low-passed at {LOW_PASS_HZ:g} Hz"
 """Names of the calibration rows."""
-SNAPSHOTS = 5
 KNEE = "RightLeg"
 
 
@@ -100,14 +94,12 @@ class TotalCaptureProtocol:
 
     def settings(self) -> dict[str, Any]:
         """Everything that the results depend on, as plain values."""
-        weights = self.lifter or model_path("lifter.pt")
-        return {
+        return provenance(self.lifter) | {
             "dataset": str(self.root.resolve()),
             "subjects": list(self.subjects), "takes": list(self.takes), "cameras": list(self.cameras),
             "keypoints": str(self.keypoints.resolve()) if self.keypoints else "ground truth",
             "noise_px": self.noise_px, "sensors": list(self.sensors), "modes": list(self.modes),
-            "lifter_sha256": hashlib.sha256(Path(weights).read_bytes()).hexdigest(),
-            "studies": self.studies, "seed": self.seed, "version": _version(),
+            "studies": self.studies, "seed": self.seed,
         }  # fmt: skip
 
     def jobs(self) -> dict[str, Job]:
@@ -159,16 +151,13 @@ def run(
         FileFormatError: there is no such dataset. OutputExistsError: see `own_folder`.
     """
     TotalCapture(protocol.root)  # says at once when there is nothing
-    settings = protocol.settings()
-    own_folder(folder, settings, overwrite, "runs/*.json")
-    if protocol.save is not None:
-        own_folder(protocol.save, settings, overwrite, "*/*/cam*/*/motion.npz")
-    jobs, runs = protocol.jobs(), folder / "runs"
-    runs.mkdir(exist_ok=True)
-    for key, job in jobs.items():  # measured before, but without the motions that are wanted now
-        files = [protocol.motion_file(job, mode) for mode in protocol.modes if job.camera]
-        if any(file is not None and not file.is_file() for file in files):
-            (runs / f"{key}.json").unlink(missing_ok=True)
+    jobs = protocol.jobs()
+    files = {
+        key: [protocol.motion_file(job, mode) for mode in protocol.modes]
+        for key, job in jobs.items()
+        if job.camera
+    }
+    runs = open_runs(folder, protocol.settings(), overwrite, protocol.save, files)
     return run_jobs(measure, jobs, runs, workers, progress)
 
 
@@ -211,21 +200,11 @@ def _seen_by(take: Take, job: Job, number: int) -> JobResult:
     )
     truth, skeleton = recording.truth, recording.skeleton
     assert truth is not None
-    results, methods = _reconstructions(recording, protocol), {}
-    arrays = {"R_camera_world": recording.keypoints.camera.R_camera_world}
-    frames = np.linspace(0, len(recording.keypoints) - 1, SNAPSHOTS + 2).round().astype(int)[1:-1]
-    arrays["snapshot_frames"] = frames.astype(float)
-    arrays["snapshot_truth"] = truth.p_world_joint[frames]
+    results = reconstructions(recording, protocol.modes, protocol.lifter)
+    methods: dict[str, Any] = {}
     for mode, result in results.items():
-        poses = result.stages[mode]
-        seconds = result.solution.seconds if result.solution and result.mode == mode else None
-        methods[mode] = _scores(poses, truth, skeleton) | {"seconds": seconds}
-        over_time = result.stage_metrics[mode].over_time
-        arrays[f"{mode}_mm"] = over_time["mpjpe_mm"]
-        arrays[f"{mode}_rr_mm"] = over_time["mpjpe_rr_mm"]
-        arrays[f"{mode}_knee_deg"] = over_time["joint_angle_deg"][:, poses.names.index(KNEE)]
-        arrays[f"{mode}_snapshots"] = poses.p_world_joint[frames]
-        _save(result, mode, protocol.motion_file(job, mode))
+        methods[mode] = _scores(result.stages[mode], truth, skeleton)
+        save_motion(result, mode, protocol.motion_file(job, mode))
     if protocol.studies and "rtof" in results:
         methods |= _studies(results["rtof"], truth)
     failed = []
@@ -235,7 +214,7 @@ def _seen_by(take: Take, job: Job, number: int) -> JobResult:
     return JobResult(
         {"subject": take.subject, "take": take.name, "camera": number, "methods": methods,
          "failed_checks": failed, "notes": []},
-        arrays,
+        curves(recording, results, KNEE),
     )  # fmt: skip
 
 
@@ -244,22 +223,6 @@ def _detected(take: Take, job: Job, number: int) -> KeypointSequence | None:
     if folder is None:
         return None
     return read_detections(folder, job.subject, job.take, number, take.cameras[number])
-
-
-def _reconstructions(
-    recording: Recording, protocol: TotalCaptureProtocol
-) -> dict[str, Reconstruction]:
-    """For every mode asked for, the reconstruction that has it among its stages."""
-    from lifting.predict import Lifter
-
-    lifter = Lifter.load(protocol.lifter)
-    asked = set(protocol.modes) - ({"sf2", "rtof"} if recording.imus is None else set())
-    runs: dict[str, Reconstruction] = {}
-    for mode in ("rtof", "sf2", "rto", "lift"):
-        if mode in asked and mode not in runs:
-            result = reconstruct(recording, mode=mode, lifter=lifter)
-            runs |= {stage: result for stage in result.stages if stage not in runs}
-    return {mode: runs[mode] for mode in MODES if mode in asked}
 
 
 def _studies(result: Reconstruction, truth: PoseSequence) -> dict[str, dict[str, Any]]:
@@ -300,30 +263,3 @@ def _scores(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel
         "sixteen_mm": float(sixteen[scored].mean()) if scored.any() else None,
         "sixteen_frames": int(scored.sum()),
     }
-
-
-def _save(result: Reconstruction, mode: str, path: Path | None) -> None:
-    if path is None:
-        return
-    motion = (
-        result.motion if mode == result.mode else result.motion.skeleton.motion(result.stages[mode])
-    )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name("part.npz")
-    write_motion_npz(partial, motion, first_frame=result.recording.first_frame, mode=mode)
-    partial.replace(path)
-
-
-def _version() -> str:
-    try:
-        return version("rtof_kin")
-    except PackageNotFoundError:  # a clone that was not installed
-        return "0+unknown"
-
-
-def rows_of(outcome: Outcome) -> Iterator[dict[str, Any]]:
-    """One flat row for every take, camera and method that was measured."""
-    for facts in outcome.done.values():
-        about = {name: facts[name] for name in ("subject", "take", "camera")}
-        for method, figures in facts["methods"].items():
-            yield about | {"method": method} | figures

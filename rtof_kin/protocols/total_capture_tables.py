@@ -8,6 +8,7 @@ from typing import Any
 from rtof_kin.pipeline import MODES
 from rtof_kin.protocols import published
 from rtof_kin.protocols.jobs import Outcome
+from rtof_kin.protocols.measures import rows_of
 from rtof_kin.protocols.tables import Cell, Table, pooled
 from rtof_kin.protocols.total_capture import (
     LOW_PASSED,
@@ -17,7 +18,6 @@ from rtof_kin.protocols.total_capture import (
     TEST_TAKES,
     TotalCaptureProtocol,
     length_name,
-    rows_of,
     weight_name,
 )
 
@@ -256,8 +256,14 @@ def _setup(protocol: TotalCaptureProtocol, rows: list[Row]) -> str:
     return (
         f"Ours: one camera at a time ({', '.join(map(str, cameras)) or 'none'}), pooled over all "
         f"{frames} frames of all cameras; {len(protocol.sensors)} IMUs where a mode uses them; 2D: "
-        f"{keypoints}; 21 joints, root included."
+        f"{keypoints}; 21 joints, root included. {_lifter(protocol)}"
     )
+
+
+def _lifter(protocol: TotalCaptureProtocol) -> str:
+    if protocol.lifter is not None:
+        return f"Lifter: {protocol.lifter.name}."
+    return "Lifter: the shipped one, trained on free motion alone, for which no subject is seen."
 
 
 def _incomplete(protocol: TotalCaptureProtocol, rows: list[Row]) -> list[str]:

@@ -1,0 +1,11 @@
+"""The paper's protocol on Human3.6M: ``python examples/human36m.py --root DIR --lifter FILE [...]``.
+
+The same as ``rtof-kin human36m``; ``--help`` lists the options, the README says how to get the data.
+"""
+
+import sys
+
+from rtof_kin.cli import main
+
+if __name__ == "__main__":  # the measurements run in processes of their own
+    sys.exit(main(["human36m", *sys.argv[1:]]))

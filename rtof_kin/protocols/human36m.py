@@ -1,0 +1,187 @@
+"""The paper's protocol on Human3.6M: 17 joints, 50 Hz, vision alone, subjects S9 and S11."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtof_kin.checks import indices_of
+from rtof_kin.datasets.human36m import SUBJECTS_TEST, Human36M
+from rtof_kin.errors import FileFormatError
+from rtof_kin.metrics import evaluate, motionless
+from rtof_kin.pipeline import MODES
+from rtof_kin.protocols import published
+from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
+from rtof_kin.protocols.measures import curves, provenance, reconstructions, rows_of, save_motion
+from rtof_kin.protocols.tables import Cell, Table, pooled
+
+CAMERAS = (0, 1, 2, 3)
+VISION = ("lift", "rto")
+STILL = "no motion"
+
+
+@dataclass(frozen=True)
+class Human36MProtocol:
+    """What is measured."""
+
+    root: Path
+    """Folder of the archives."""
+    lifter: Path
+    """Checkpoint of a 17-joint lifter; none is shipped."""
+    cameras_file: Path | None = None
+    """File of cameras; looked for in the folder where not given."""
+    keypoints: str = "gt"
+    """'gt', or the detector's part of the archive's name."""
+    subjects: tuple[str, ...] = SUBJECTS_TEST
+    actions: tuple[str, ...] = ()
+    """Names such as 'Walking', with or without their number; all where empty."""
+    cameras: tuple[int, ...] = CAMERAS
+    modes: tuple[str, ...] = VISION
+    save: Path | None = None
+    """Folder for the motions."""
+
+    def __post_init__(self) -> None:
+        indices_of("mode without sensors", self.modes, VISION)
+        indices_of("camera", [str(c) for c in self.cameras], [str(c) for c in CAMERAS])
+        if not self.lifter.is_file():
+            raise FileFormatError(
+                self.lifter,
+                "there is no such lifter; train one with: rtof-kin train --human36m DIR",
+            )
+
+    def settings(self) -> dict[str, Any]:
+        """Everything that the results depend on, as plain values."""
+        return provenance(self.lifter) | {
+            "dataset": str(self.root.resolve()), "keypoints": self.keypoints,
+            "cameras_file": str(self.cameras_file), "subjects": list(self.subjects),
+            "actions": list(self.actions), "cameras": list(self.cameras), "modes": list(self.modes),
+        }  # fmt: skip
+
+    def jobs(self) -> dict[str, Job]:
+        """All measurements by key.
+
+        Raises:
+            FileFormatError: the archive cannot be read, or has none of what is asked for.
+        """
+        dataset = _dataset(self.root, self.cameras_file, self.keypoints)
+        jobs = {
+            f"{subject}_{action}_cam{camera}".replace(" ", "_"): Job(self, subject, action, camera)
+            for subject, action in dataset.sequences
+            if subject in self.subjects
+            and (not self.actions or {action, action.rsplit(" ", 1)[0]} & set(self.actions))
+            for camera in self.cameras
+        }
+        if not jobs:
+            raise FileFormatError(
+                self.root, f"has none of the actions {', '.join(self.actions) or 'of any name'} by "
+                f"{', '.join(self.subjects)}",
+            )  # fmt: skip
+        return jobs
+
+    def motion_file(self, job: Job, mode: str) -> Path | None:
+        """Where a mode's motion is saved, if it is."""
+        if self.save is None:
+            return None
+        return self.save / job.subject / job.action / f"cam{job.camera}" / mode / "motion.npz"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One action seen by one camera."""
+
+    protocol: Human36MProtocol
+    subject: str
+    action: str
+    camera: int
+
+
+@lru_cache(maxsize=1)
+def _dataset(root: Path, cameras: Path | None, keypoints: str) -> Human36M:
+    return Human36M(root, cameras, keypoints)
+
+
+def run(
+    protocol: Human36MProtocol,
+    folder: Path,
+    *,
+    overwrite: bool = False,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Outcome:
+    """Measure what has not been measured yet; see `rtof_kin.protocols.total_capture.run`."""
+    jobs, settings = protocol.jobs(), protocol.settings()
+    files = {
+        key: [protocol.motion_file(job, mode) for mode in protocol.modes]
+        for key, job in jobs.items()
+    }
+    runs = open_runs(folder, settings, overwrite, protocol.save, files)
+    return run_jobs(measure, jobs, runs, workers, progress)
+
+
+def measure(job: Job) -> JobResult:
+    """Both modes of one action seen by one camera, and the row of no motion."""
+    protocol = job.protocol
+    dataset = _dataset(protocol.root, protocol.cameras_file, protocol.keypoints)
+    recording = dataset.recording(job.subject, job.action, job.camera)
+    truth, skeleton = recording.truth, recording.skeleton
+    assert truth is not None
+    results = reconstructions(recording, protocol.modes, protocol.lifter)
+    scores = {STILL: evaluate(motionless(truth), truth, skeleton)}
+    for mode, result in results.items():
+        scores[mode] = result.stage_metrics[mode]
+        save_motion(result, mode, protocol.motion_file(job, mode))
+    methods = {
+        name: dict(metrics) | {"frames": int(np.isfinite(metrics.over_time["mpjpe_mm"]).sum())}
+        for name, metrics in scores.items()
+    }
+    return JobResult(
+        {"subject": job.subject, "take": job.action, "camera": job.camera, "methods": methods,
+         "failed_checks": [], "notes": [recording.notes] if recording.notes else []},
+        curves(recording, results, "RKnee"),
+    )  # fmt: skip
+
+
+def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
+    """The paper's table beside ours, and what is missing or remarkable."""
+    rows = list(rows_of(outcome))
+    printed: list[tuple[Cell, ...]] = [
+        (name, mpjpe, mpjae, mpjje, None, None)
+        for name, (mpjpe, mpjae, mpjje) in published.HUMAN36M.items()
+    ]
+    figures = ("mpjpe_rr_mm", "mpjae_frame_mm", "mpjje_frame_mm", "mpjpe_pa_mm", "mpjpe_mm")
+    for name in (*[mode for mode in MODES if mode in protocol.modes], STILL):
+        own = [row for row in rows if row["method"] == name]
+        label = name if name == STILL else f"{name}, ours"
+        printed.append((label, *(pooled(own, figure) for figure in figures)))
+    frames = sum(row["frames"] for row in rows if row["method"] == STILL)
+    kind = "ground-truth 2D" if protocol.keypoints == "gt" else f"2D of {protocol.keypoints}"
+    notes = [
+        f"Ours: {', '.join(protocol.subjects)}, cameras {', '.join(map(str, protocol.cameras))}, "
+        f"{frames} frames, all pooled; {kind}; lifter: {protocol.lifter.name}. The printed rows have "
+        "detected 2D.",
+        *published.HUMAN36M_CAVEATS,
+    ]
+    if outcome.failed:
+        notes.insert(
+            1, f"INCOMPLETE, without {len(outcome.failed)} recordings: see the last table."
+        )
+    table = Table(
+        "human36m", "Human3.6M, vision alone",
+        ("method", "MPJPE, root-relative [mm]", "MPJAE [mm/frame2]", "MPJJE [mm/frame3]",
+         "Procrustes [mm]", "absolute [mm]"),
+        (0, 1, 2, 2, 1, 1), tuple(printed), tuple(notes),
+    )  # fmt: skip
+    state: list[tuple[Cell, ...]] = [
+        (key, "not measured", problem) for key, problem in outcome.failed.items()
+    ]
+    for key, facts in outcome.done.items():
+        state += [(key, "note", note) for note in facts["notes"]]
+    about = Table(
+        "state_of_data", "Human3.6M: missing, suspicious",
+        ("recording", "what", "message"), (0, 0, 0), tuple(state),
+    )  # fmt: skip
+    return [table, about] if state else [table]
