@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from benchmarks import total_capture_files as files
-from benchmarks.total_capture_standin import cameras
+from benchmarks.total_capture_motion import cameras
 from rtof_kin.errors import FileFormatError
 from rtof_kin.io.total_capture import (
     read_cameras,
@@ -62,7 +62,9 @@ def test_positions_and_orientations_come_back_as_written(paths: dict[str, Path])
 def test_a_table_by_hand_with_tabs_at_the_ends_and_numbers_in_scientific_notation(
     tmp_path: Path,
 ) -> None:
-    path = write(tmp_path / "p.txt", "Hips\tSpine\t\n1 -9.1e-05 3\t4 5.5E+1 -6\t\n7 8 9\t0 0 1e-12\t\n")
+    path = write(
+        tmp_path / "p.txt", "Hips\tSpine\t\n1 -9.1e-05 3\t4 5.5E+1 -6\t\n7 8 9\t0 0 1e-12\t\n"
+    )
     table = read_joints(path, 3)
     assert table.names == ("Hips", "Spine")
     np.testing.assert_array_equal(
@@ -183,6 +185,12 @@ def test_a_spoiled_sensors_file_is_refused_where_it_is_spoiled(
         read_sensors(paths["sensors"])
 
 
+def test_a_sensor_that_stands_twice_in_every_frame_is_refused(paths: dict[str, Path]) -> None:
+    support.edit(paths["sensors"], "Pelvis", "Head", count=-1)
+    with pytest.raises(FileFormatError, match="line 3: .*twice"):
+        read_sensors(paths["sensors"])
+
+
 def test_a_sensors_file_with_more_than_it_announces_is_not_called_incomplete(
     paths: dict[str, Path],
 ) -> None:
@@ -224,7 +232,9 @@ def test_a_calibration_by_hand_is_x_y_z_w(tmp_path: Path) -> None:
     text = "2\r\nHead -0.698693 -0.000693276 0.030256 0.714781 \r\n\r\nPelvis\t0 0 0 1\r\n"
     found = read_imu_calibration(write(tmp_path / "ref.txt", text))
     assert list(found) == ["Head", "Pelvis"]
-    np.testing.assert_allclose(found["Head"], [-0.698693, -0.000693276, 0.030256, 0.714781], atol=1e-5)
+    np.testing.assert_allclose(
+        found["Head"], [-0.698693, -0.000693276, 0.030256, 0.714781], atol=1e-5
+    )
     np.testing.assert_array_equal(found["Pelvis"], [0, 0, 0, 1])
 
 
@@ -283,7 +293,11 @@ def test_a_camera_by_hand(tmp_path: Path) -> None:
 def test_line_ends_and_breaks_between_numbers_do_not_matter(tmp_path: Path) -> None:
     text = one_camera()
     one = read_cameras(write(tmp_path / "a.cal", text))
-    for other in (text.replace("\r\n", "\n"), " ".join(text.split()), text.replace(" ", "\t") + "\r\n"):
+    for other in (
+        text.replace("\r\n", "\n"),
+        " ".join(text.split()),
+        text.replace(" ", "\t") + "\r\n",
+    ):
         two = read_cameras(write(tmp_path / "b.cal", other))
         np.testing.assert_array_equal(one[1].R_camera_world, two[1].R_camera_world)
         np.testing.assert_array_equal(one[1].t_camera_world, two[1].t_camera_world)
@@ -324,7 +338,13 @@ def test_a_camera_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", READERS)
 @pytest.mark.parametrize(
     "content",
-    [b"", b" \r\n\r\n", b"\x00\xff\xfe\x80" * 50, b"<!DOCTYPE html>\n<html>login</html>\n", b"13\n"],
+    [
+        b"",
+        b" \r\n\r\n",
+        b"\x00\xff\xfe\x80" * 50,
+        b"<!DOCTYPE html>\n<html>login</html>\n",
+        b"13\n",
+    ],
     ids=["empty", "blank", "bytes", "a web page", "a number"],
 )
 def test_what_is_no_such_file_at_all_is_refused_by_name(

@@ -13,6 +13,7 @@ import total_capture_support as support
 from scipy.spatial.transform import Rotation
 
 from benchmarks import total_capture_files as files
+from benchmarks import total_capture_motion as source
 from benchmarks import total_capture_standin as standin
 from rtof_kin.errors import OutputExistsError, ShapeError
 from rtof_kin.mocap import MocapClip
@@ -92,7 +93,9 @@ def test_the_skeleton_is_rigid_with_the_documented_offsets(paths: dict[str, Path
         np.testing.assert_allclose(offset, np.tile(offset_mm, (len(p), 1)), atol=0.01)
 
 
-def test_text_has_trailing_tabs_single_spaces_and_numbers_in_scientific_notation(tmp_path: Path) -> None:
+def test_text_has_trailing_tabs_single_spaces_and_numbers_in_scientific_notation(
+    tmp_path: Path,
+) -> None:
     values = np.full((2, 21, 3), 12.34567891)
     values[1, 3] = [-9.1e-5, 0, 1e-12]
     files.write_joints(tmp_path / "p.txt", values)
@@ -107,7 +110,9 @@ def test_text_has_trailing_tabs_single_spaces_and_numbers_in_scientific_notation
     assert "\t-9.1e-05 0 1e-12\t" in second
 
 
-def test_the_bvh_file_has_27_joints_with_six_channels_and_says_the_same(paths: dict[str, Path]) -> None:
+def test_the_bvh_file_has_27_joints_with_six_channels_and_says_the_same(
+    paths: dict[str, Path],
+) -> None:
     from rtof_kin.io.bvh import read_bvh
 
     text = paths["bvh"].read_text()
@@ -123,7 +128,9 @@ def test_the_bvh_file_has_27_joints_with_six_channels_and_says_the_same(paths: d
     R_expected = Rotation.from_quat(quat.reshape(-1, 4)).as_matrix().reshape(*quat.shape[:2], 3, 3)
     np.testing.assert_allclose(R[:, index], R_expected, atol=2e-5)
     assert {"RightHandEnd", "LeftHandThumb1", "RightToeBase"} <= set(motion.names)
-    left, right = (motion.offsets[motion.names.index(f"{side}HandEnd")] for side in ("Left", "Right"))
+    left, right = (
+        motion.offsets[motion.names.index(f"{side}HandEnd")] for side in ("Left", "Right")
+    )
     np.testing.assert_allclose(left, right * [-1, 1, 1])
 
 
@@ -213,7 +220,9 @@ def test_realistic_sensors_miss_by_degrees_and_equal_seeds_give_equal_takes() ->
 # --- cameras -------------------------------------------------------------------------------------
 
 
-def test_the_cameras_stand_where_the_document_says_and_see_the_middle(paths: dict[str, Path]) -> None:
+def test_the_cameras_stand_where_the_document_says_and_see_the_middle(
+    paths: dict[str, Path],
+) -> None:
     raw = paths["cameras"].read_bytes()
     rows = raw.decode().split("\r\n")
     assert raw.count(b"\n") == raw.count(b" \r\n") == 1 + 8 * 7
@@ -223,7 +232,7 @@ def test_the_cameras_stand_where_the_document_says_and_see_the_middle(paths: dic
         (1.19, 2.45, -4.70), (3.27, 2.48, -2.18), (3.00, 2.39, 2.30), (0.72, 2.37, 4.35),
         (-2.96, 2.30, 4.15), (-4.36, 2.28, 2.25), (-4.19, 2.34, -2.38), (-2.45, 2.37, -4.85),
     ]  # fmt: skip
-    for row, centre, camera in zip(numbers, centres, standin.cameras().values(), strict=True):
+    for row, centre, camera in zip(numbers, centres, source.cameras().values(), strict=True):
         fx, fy, cx, cy, k1 = row[4:9]
         R, t = row[9:18].reshape(3, 3), row[18:]
         np.testing.assert_allclose(-R.T @ t, centre, atol=1e-6)
@@ -233,7 +242,9 @@ def test_the_cameras_stand_where_the_document_says_and_see_the_middle(paths: dic
         for p_tc in ([0.0, 1.0, 0.0], [0.4, 1.6, -0.3]):
             x, y, z = R @ p_tc + t
             np.testing.assert_allclose(
-                camera.project(files.C_WORLD_TC @ p_tc), [fx * x / z + cx, fy * y / z + cy], atol=1e-2
+                camera.project(files.C_WORLD_TC @ p_tc),
+                [fx * x / z + cx, fy * y / z + cy],
+                atol=1e-2,
             )
         x, y, z = R @ [0, 1, 0] + t
         assert abs(x) < 1e-6
@@ -255,7 +266,9 @@ def test_every_layout_names_seven_different_files(layout: str, tmp_path: Path) -
     assert all(path.is_file() for path in [*one.values(), *two.values()])
 
 
-def test_the_vendor_layout_has_big_and_small_folders_and_the_split_one_a_folder_for_each_kind() -> None:
+def test_the_vendor_layout_has_big_and_small_folders_and_the_split_one_a_folder_for_each_kind() -> (
+    None
+):
     vendor = files.take_paths("vendor", "S1", "acting3")
     assert vendor["positions"] == Path("S1/acting3/gt_skel_gbl_pos.txt")
     assert vendor["sensors"] == Path("s1/s1_acting3_Xsens.sensors")
@@ -271,17 +284,17 @@ def test_what_is_not_wanted_is_not_written(tmp_path: Path) -> None:
 
 
 def test_bodies_differ_between_subjects_and_in_the_takes_of_another_size() -> None:
-    bodies = [standin.body(f"S{n}") for n in range(1, 6)]
+    bodies = [source.body(f"S{n}") for n in range(1, 6)]
     for one, two in pairwise(bodies):
         assert np.abs(one - two).max() > 0.005
-    np.testing.assert_allclose(standin.body("S1", "freestyle2"), 1.02 * bodies[0])
-    np.testing.assert_array_equal(standin.body("S1", "freestyle1"), bodies[0])
+    np.testing.assert_allclose(source.body("S1", "freestyle2"), 1.02 * bodies[0])
+    np.testing.assert_array_equal(source.body("S1", "freestyle1"), bodies[0])
     assert bodies[0][9] == pytest.approx([0, -0.2889, 0])  # RightForeArm: to the right
 
 
 def test_another_body_keeps_the_rotations_and_stands_on_the_floor() -> None:
     truth = support.motion("S1")
-    over = standin.carried_over(truth, standin.body("S3"))
+    over = source.carried_over(truth, source.body("S3"))
     np.testing.assert_array_equal(over.R_world_bone, truth.R_world_bone)
     feet = [truth.names.index("RightFoot"), truth.names.index("LeftFoot")]
     assert np.percentile(over.p_world_joint[:, feet, 2].min(axis=1), 5) == pytest.approx(0.07)
@@ -292,11 +305,11 @@ def test_another_body_keeps_the_rotations_and_stands_on_the_floor() -> None:
 def test_the_motion_comes_out_of_the_t_pose_smoothly_and_is_then_the_clip() -> None:
     skeleton = SkeletonModel.default()
     clip = planted.moving(skeleton, 90).poses
-    poses = standin.from_t_pose(clip, skeleton.joint_offsets)
-    assert np.array_equal(poses.p_world_joint[0], poses.p_world_joint[standin.STILL_FRAMES])
+    poses = source.from_t_pose(clip, skeleton.joint_offsets)
+    assert np.array_equal(poses.p_world_joint[0], poses.p_world_joint[source.STILL_FRAMES])
     a = np.linalg.norm(np.diff(poses.p_world_joint, n=2, axis=0) * 3600, axis=-1)
     assert a.max() < 60
-    length = len(poses) - standin.STILL_FRAMES - standin.BLEND_FRAMES
+    length = len(poses) - source.STILL_FRAMES - source.BLEND_FRAMES
     np.testing.assert_allclose(
         np.diff(poses.p_world_joint[-length:, :, 2], axis=0),
         np.diff(clip.p_world_joint[-length:, :, 2], axis=0),
@@ -311,7 +324,7 @@ def test_detections_follow_the_truth_late_and_camera_2_is_off(tmp_path: Path) ->
     take = support.take(frames=120)
     median = {}
     for number in (1, 2):
-        camera = standin.cameras()[number]
+        camera = source.cameras()[number]
         path = standin.write_detections(tmp_path, take, number, camera, seed=0)
         assert path.name == f"TC_S5_acting3_cam{number}.npz"
         found = np.load(path)
@@ -345,7 +358,7 @@ def clip(name: str, category: str, frames: int) -> MocapClip:
 def test_pieces_of_motion_are_used_once_long_ones_and_other_clips_first() -> None:
     clips = [clip("a", "acting", 130), clip("b", "acting", 60), clip("c", "walking", 60)]
     pairs = [("S1", "acting1"), ("S1", "acting2"), ("S1", "acting3"), ("S1", "walking1")]
-    chosen = standin.choose_clips(clips, pairs, seconds=1.0)
+    chosen = source.choose_clips(clips, pairs, seconds=1.0)
     assert [c.name for c in chosen.values()] == ["a", "b", "a", "c"]
     first, third = chosen["S1", "acting1"].poses, chosen["S1", "acting3"].poses
     assert third.times[0] == 0
@@ -354,9 +367,9 @@ def test_pieces_of_motion_are_used_once_long_ones_and_other_clips_first() -> Non
 
 def test_too_few_motions_of_a_kind_is_an_error_that_names_it() -> None:
     with pytest.raises(ShapeError, match="category rom or freestyle for S1 rom1"):
-        standin.choose_clips([clip("a", "acting", 60)], [("S1", "rom1")], 1.0)
+        source.choose_clips([clip("a", "acting", 60)], [("S1", "rom1")], 1.0)
     with pytest.raises(ShapeError, match="5 frames are too few"):
-        standin.from_t_pose(planted.moving(SkeletonModel.default(), 5).poses, standin.body("S1"))
+        source.from_t_pose(planted.moving(SkeletonModel.default(), 5).poses, source.body("S1"))
 
 
 def test_the_command_explains_itself_and_refuses_in_one_line(
@@ -383,15 +396,21 @@ def test_a_dataset_of_a_small_corpus_has_its_readme_and_all_files(
     corpus = tmp_path / "corpus"
     corpus.mkdir()
     rows = ["file,subject,tc_like,fps,quality"]
-    for name, fps, subject in (("02_01_excerpt.bvh", 30, "CMU002"), ("02_01_excerpt.bvh", 30, "CMU007")):
+    for name, fps, subject in (
+        ("02_01_excerpt.bvh", 30, "CMU002"),
+        ("02_01_excerpt.bvh", 30, "CMU007"),
+    ):
         (corpus / f"{subject}.bvh").write_bytes((MOCAP / name).read_bytes())
         rows.append(f"{subject}.bvh,{subject},walking,{fps},")
     (corpus / "index.csv").write_text("\n".join(rows))
-    monkeypatch.setattr(standin, "TAKES", {"S1": ("walking1", "walking2")})
+    monkeypatch.setattr(source, "TAKES", {"S1": ("walking1", "walking2")})
     seen = list(
         standin.write_dataset(corpus, tmp_path / "out", "vendor", detections=tmp_path / "detected")
     )
-    assert [line.split(" frames from ")[1] for line in seen] == ["CMU007 (walking)", "CMU002 (walking)"]
+    assert [line.split(" frames from ")[1] for line in seen] == [
+        "CMU007 (walking)",
+        "CMU002 (walking)",
+    ]
     text = (tmp_path / "out" / "README.txt").read_text()
     assert "not Total Capture" in text
     assert "mocap.cs.cmu.edu" in text

@@ -9,21 +9,17 @@ import numpy as np
 import planted
 
 from benchmarks import total_capture_files as files
-from benchmarks.total_capture_standin import (
-    StandInTake,
-    body,
-    cameras,
-    from_t_pose,
-    make_take,
-    write_take,
-)
+from benchmarks.total_capture_motion import body, cameras, from_t_pose
+from benchmarks.total_capture_standin import StandInTake, make_take, write_take
 from rtof_kin.simulation_noise import ImuNoise
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import PoseSequence
 
 
 @cache
-def motion(subject: str = "S5", name: str = "acting3", frames: int = 60, seed: int = 0) -> PoseSequence:
+def motion(
+    subject: str = "S5", name: str = "acting3", frames: int = 60, seed: int = 0
+) -> PoseSequence:
     """Somebody of a subject's body who comes out of a T-pose and waves everything a little."""
     offsets = body(subject, name)
     poses = planted.moving(SkeletonModel.default().with_offsets(offsets), frames, seed, 0.15).poses
@@ -52,7 +48,9 @@ def take(
     )
 
 
-def dataset(root: Path, *takes: StandInTake, layout: str = "one", **written: bool) -> dict[str, Path]:
+def dataset(
+    root: Path, *takes: StandInTake, layout: str = "one", **written: bool
+) -> dict[str, Path]:
     """Write cameras and takes; the paths of the last one's files by kind, and of 'cameras'."""
     paths: dict[str, Path] = {}
     for one in takes or (take(),):
