@@ -174,10 +174,7 @@ def _integers(option: str, text: str) -> list[int]:
 
 def _add_run(parser: argparse.ArgumentParser, default: str, save_example: str) -> None:
     """Arguments of every protocol."""
-    parser.add_argument(
-        "--lifter", type=Path, metavar="CHECKPOINT", help="instead of the shipped one"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of all noise; same seed, same table")
+    parser.add_argument("--save", type=Path, metavar="DIR", help=f"write {save_example} and so on")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there as well")
     parser.add_argument(
         "--workers", type=int, metavar="N", help="processes; one per core if not given"
