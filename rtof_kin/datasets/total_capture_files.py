@@ -1,7 +1,8 @@
 """Which takes Total Capture has, and where their files lie in somebody's folder.
 
 People unpack the archives in many ways, so files are found by name, case-insensitively, at any depth.
-Subject and take come from the file's own name, else from the nearest folder above that names them.
+Subject and take come from the file's own name, else from the nearest folder above that names them; a
+file of which neither says so is not used.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import filecmp
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +18,9 @@ from pathlib import Path
 from rtof_kin.errors import FileFormatError
 
 SUBJECTS = ("S1", "S2", "S3", "S4", "S5")
+CAMERAS = (1, 2, 3, 4, 5, 6, 7, 8)
+MISCALIBRATED = {2: "camera 2 is miscalibrated: detections on its video lie (+20, -8) px off"}
+"""Cameras whose calibration does not fit their video."""
 TRAIN = tuple(
     (subject, take)
     for subject in ("S1", "S2", "S3")
@@ -37,10 +42,12 @@ KINDS = {
     "bvh": "_blenderzxy_ymz.bvh",
 }
 """How the names of a take's files end, by what they hold."""
-CAMERAS = "calibration.cal"
-_TAKE = re.compile(r"(acting|freestyle|rom|walking)_?(\d)(?!\d)")
-_SUBJECT_IN_FILE = re.compile(r"(?:^|_)s(\d)_")
-_SUBJECT_FOLDER = re.compile(r"s(\d)(?![a-z0-9])")
+CAMERA_FILE = "calibration.cal"
+_TAKE = re.compile(r"(?<![a-z])(acting|freestyle|rom|walking)_?([1-3])(?!\d)")
+_SUBJECT_IN_FILE = re.compile(r"(?:^|_)s([1-5])(?=_)")
+_SUBJECT_IN_FOLDER = re.compile(r"(?<![a-z0-9])s([1-5])(?![a-z0-9])")
+_NAMES_OF_A_FOLDER = 4
+"""Under so many paths a folder is looked into at most; more than one only by symbolic links."""
 
 Take = tuple[str, str]
 """Subject and take, e.g. ('S5', 'acting3')."""
@@ -57,6 +64,8 @@ class FileIndex:
     """Candidates for the camera calibration."""
     unassigned: list[Path] = field(default_factory=list)
     """Files of the dataset's formats whose name and folders do not tell subject and take."""
+    unreadable: list[Path] = field(default_factory=list)
+    """Folders that cannot be looked into, and broken links."""
 
     def one(self, take: Take, kind: str) -> Path | None:
         """The file of a kind, or None.
@@ -73,9 +82,13 @@ def only_one(candidates: list[Path]) -> Path | None:
         return None
     first, *others = candidates
     for other in others:
-        if not filecmp.cmp(first, other, shallow=False):
+        try:
+            same = filecmp.cmp(first, other, shallow=False)
+        except OSError as error:
+            raise FileFormatError(first, f"cannot be compared with {other} ({error})") from error
+        if not same:
             raise FileFormatError(
-                first, f"{other} has the same name and other content; remove the wrong one"
+                first, f"{other} claims to be the same file and differs; remove the wrong one"
             )
     return first
 
@@ -90,50 +103,90 @@ def find_files(root: str | Path) -> FileIndex:
     if not root.is_dir():
         raise FileFormatError(root, "there is no such folder; name the one the dataset lies in")
     index = FileIndex(root)
-    for path in sorted(_walk(root)):
+    for path in sorted(walk(root, index.unreadable)):
         name = path.name.lower()
-        if name == CAMERAS:
-            index.cameras.append(path)
-            continue
         kind = next((kind for kind, end in KINDS.items() if name.endswith(end)), None)
-        if kind is None:
+        if kind is None and name != CAMERA_FILE:
             continue
         take = _take_of(path, root)
-        if take is None:
+        if not path.is_file():
+            index.unreadable.append(path)
+        elif kind is None:
+            index.cameras.append(path)
+        elif take is None:
             index.unassigned.append(path)
         else:
             index.files.setdefault(take, {}).setdefault(kind, []).append(path)
+    _forget_second_names(index)
     if not index.files:
+        problem = "holds no file of Total Capture (such as S1/acting1/gt_skel_gbl_pos.txt)"
+        if index.unassigned:
+            problem = f"subject and take of {index.unassigned[0]} are not to be told from its path"
         raise FileFormatError(
-            root, "holds no file of Total Capture (such as S1/acting1/gt_skel_gbl_pos.txt); name the "
-            "folder in which its archives were unpacked",
-        )  # fmt: skip
+            root, f"{problem}; name the folder in which the dataset's archives were unpacked"
+        )
     return index
 
 
-def _walk(root: Path) -> Iterator[Path]:
-    """Files below a folder; links to folders are followed once."""
-    been = set()
-    for folder, folders, files in os.walk(root, followlinks=True):
+def _forget_second_names(index: FileIndex) -> None:
+    """What a link shows under a name that says nothing needs no word if another path says it."""
+    known = {
+        os.path.realpath(path)
+        for kinds in index.files.values()
+        for paths in kinds.values()
+        for path in paths
+    }
+    index.unassigned[:] = [p for p in index.unassigned if os.path.realpath(p) not in known]
+
+
+def walk(root: Path, unreadable: list[Path]) -> Iterator[Path]:
+    """Paths of files below a folder, without hidden ones and macOS's doubles.
+
+    Links to folders are followed, but never back into a folder that leads there.
+
+    Args:
+        unreadable: folders that cannot be read are added to it.
+    """
+    folders: list[tuple[Path, tuple[str, ...]]] = [(root, ())]
+    visits: Counter[str] = Counter()
+    while folders:
+        folder, above = folders.pop()
         real = os.path.realpath(folder)
-        if real in been:
-            folders.clear()
+        visits[real] += 1
+        if real in above or visits[real] > _NAMES_OF_A_FOLDER:
             continue
-        been.add(real)
-        folders[:] = [name for name in folders if name != "__MACOSX" and not name.startswith(".")]
-        yield from (Path(folder, name) for name in files if not name.startswith("."))
+        try:
+            names = os.listdir(folder)
+        except OSError:
+            unreadable.append(folder)
+            continue
+        for name in names:
+            path = folder / name
+            if name.startswith(".") or name == "__MACOSX":
+                continue
+            if os.path.isdir(path):
+                folders.append((path, (*above, real)))
+            else:
+                yield path
 
 
 def _take_of(path: Path, root: Path) -> Take | None:
     """Subject and take of a file, from its name or the nearest folder that says so."""
-    folders = [part.lower() for part in (root.resolve().name, *path.relative_to(root).parts[:-1])]
+    above = (root.resolve().name, root.absolute().name)
+    folders = [part.lower() for part in (*above, *path.relative_to(root).parts[:-1])]
     name = path.name.lower()
-    take = _TAKE.search(name) or _nearest(_TAKE, folders)
-    subject = _SUBJECT_IN_FILE.search(name) or _nearest(_SUBJECT_FOLDER, folders)
+    take = _only_match(_TAKE, name) or _nearest(_TAKE, folders)
+    subject = _only_match(_SUBJECT_IN_FILE, name) or _nearest(_SUBJECT_IN_FOLDER, folders)
     if take is None or subject is None:
         return None
-    return f"S{subject[1]}", f"{take[1]}{take[2]}"
+    return f"S{subject[0]}", "".join(take)
 
 
-def _nearest(pattern: re.Pattern[str], folders: list[str]) -> re.Match[str] | None:
-    return next((match for name in reversed(folders) if (match := pattern.match(name))), None)
+def _nearest(pattern: re.Pattern[str], folders: list[str]) -> tuple[str, ...] | None:
+    return next((m for name in reversed(folders) if (m := _only_match(pattern, name))), None)
+
+
+def _only_match(pattern: re.Pattern[str], text: str) -> tuple[str, ...] | None:
+    """The groups of what a pattern finds; None where it finds nothing, or different things."""
+    found = {match.groups() for match in pattern.finditer(text)}
+    return found.pop() if len(found) == 1 else None

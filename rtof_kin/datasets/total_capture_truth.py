@@ -6,7 +6,7 @@ are x to the subject's right, y backward, z down, ours x forward, y left, z up.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
 from rtof_kin.checks import indices_of
-from rtof_kin.errors import FileFormatError, UnknownNameError
+from rtof_kin.errors import FileFormatError
 from rtof_kin.io.bvh import read_bvh
-from rtof_kin.io.total_capture import JointTable, read_joints
+from rtof_kin.io.total_capture import read_joints
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import PoseSequence
 
@@ -31,8 +31,11 @@ SEGMENT_OF_BONE = np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]])
 """Rotation from a bone (link) frame to the dataset's segment frame; its own inverse."""
 RIGID_MM = 1.0
 """A skeleton whose offsets spread more than this was read wrongly."""
+LENGTH_DIFFERENCE = 5
+"""By so many frames files of one take may differ in length; then the shorter one counts."""
 _SAME_MM = 5.0
-_LENGTH_DIFFERENCE = 5
+_SAME_BONES_MM = 1.0
+_QUARTER_TURNS_DEG = 10.0
 _GLITCHES = {
     ("S3", "freestyle1"): ((1936, 1961),),
     ("S4", "acting3"): ((655, 659), (2300, 2306)),
@@ -59,44 +62,43 @@ class Truth:
 def read_truth(
     take: tuple[str, str],
     find: Callable[[str], Path | None],
-    offsets_of_others: Callable[[], list[Array]],
+    others: Callable[[], Iterable[tuple[str, Array]]],
 ) -> Truth | None:
     """Positions and orientations of a take; None where there are neither positions nor a BVH file.
 
     Args:
         take: subject and take. find: the take's file of a kind, or None.
-        offsets_of_others: offsets of other takes of the subject, for a take without orientations.
+        others: name and joint offsets of other takes of the subject, for a take without orientations.
 
     Raises:
         FileFormatError: a file is damaged, its joints are wrong, files disagree, or the quaternions are
             in another order than x y z w.
     """
     skeleton = SkeletonModel.default()
-    positions, orientations, bvh = find("positions"), find("orientations"), find("bvh")
     notes: list[str] = []
-    p = R = None
+    p = R = bvh = None
+    positions, orientations = find("positions"), find("orientations")
     if positions is not None:
-        p = INCH * _ordered(positions, read_joints(positions, 3), skeleton.names) @ WORLD_OF_VICON.T
+        p = INCH * _ordered(positions, 3, skeleton, notes) @ WORLD_OF_VICON.T
     if orientations is not None:
-        quat = _ordered(orientations, read_joints(orientations, 4), skeleton.names)
-        R = _bone_rotations(orientations, quat, notes)
-    if (p is None or R is None) and bvh is not None:
+        R = _orientations(orientations, skeleton, notes)
+    if p is None or R is None:
+        bvh = find("bvh")
+    if bvh is not None:
         p, R = _from_bvh(bvh, p, R, skeleton, notes)
     if p is None:
         return None
-    observed: NDArray[np.bool_] = np.ones(len(skeleton.names), dtype=bool)
-    spread = np.nan
     if R is None:
-        offsets = _offsets_by_length(p, skeleton, offsets_of_others, notes)
+        offsets, spread = _offsets_by_length(p, skeleton, others, notes), np.nan
         R = kinematics.rotations_from_positions(skeleton.parents, offsets, p)
-        observed = skeleton.orientation_observed()
+        observed = np.zeros(len(skeleton.names), dtype=bool)
     else:
-        p, R = _same_length(positions or bvh, p, R, notes)
+        about = (orientations if bvh is None else bvh) or Path()
+        p, R = _same_length(about, p, R, notes)
         offsets, spread = _offsets(skeleton.parents, p, R)
         if spread > RIGID_MM:
-            raise FileFormatError(
-                orientations or bvh or Path(), _why_not_rigid(p, R, skeleton, spread)
-            )
+            raise FileFormatError(about, _why_not_rigid(p, R, skeleton, spread))
+        observed = np.ones(len(skeleton.names), dtype=bool)
     poses = PoseSequence(
         np.arange(len(p)) / RATE_HZ, p, R, skeleton.names,
         valid=_valid(take, p, notes), orientation_observed=observed,
@@ -109,28 +111,45 @@ def bone_rotations(R_vicon_segment: Array) -> Array:
     return np.asarray(WORLD_OF_VICON @ R_vicon_segment @ SEGMENT_OF_BONE)
 
 
-def _ordered(path: Path, table: JointTable, names: tuple[str, ...]) -> Array:
-    """Values in the skeleton's order of joints."""
-    try:
-        index = indices_of("joint", names, table.names)
-    except UnknownNameError as error:
-        raise FileFormatError(path, f"a joint is missing: {error}", 1) from error
+def _ordered(path: Path, width: int, skeleton: SkeletonModel, notes: list[str]) -> Array:
+    """A table's values (T, J, width) in the skeleton's order of joints."""
+    table = read_joints(path, width)
+    index = _indices(path, skeleton, table.names, 1)
+    further = [name for name in table.names if name not in skeleton.names]
+    if further:
+        notes.append(f"joints of {path.name} that the skeleton does not have: {', '.join(further)}")
     return table.values[:, index]
 
 
-def _bone_rotations(path: Path, quat_xyzw: Array, notes: list[str]) -> Array:
+def _indices(
+    path: Path, skeleton: SkeletonModel, names: tuple[str, ...], line: int | None = None
+) -> list[int]:
+    absent = [name for name in skeleton.names if name not in names]
+    if absent:
+        raise FileFormatError(
+            path, f"has no joint {', '.join(absent)}; its joints are {', '.join(names)}", line
+        )
+    return indices_of("joint", skeleton.names, names)
+
+
+def _orientations(path: Path, skeleton: SkeletonModel, notes: list[str]) -> Array | None:
+    """R_world_bone (T, J, 3, 3), NaN where the file has zeros; None if it has nothing else."""
+    quat_xyzw = _ordered(path, 4, skeleton, notes)
     norm = np.linalg.norm(quat_xyzw, axis=-1)
-    absent = ~np.isfinite(norm) | (norm < 1e-6)
+    absent = norm < 1e-6
     wrong = ~absent & (np.abs(norm - 1) > 0.01)
     if wrong.any():
         frame, joint = np.argwhere(wrong)[0]
         raise FileFormatError(
-            path, f"the quaternion of joint {joint + 1} has norm {norm[frame, joint]:.3g}, not 1",
+            path, f"the quaternion of {skeleton.names[joint]} has norm {norm[frame, joint]:.3g}, not 1",
             int(frame) + 2,
         )  # fmt: skip
+    if absent.all():
+        notes.append(f"{path.name} holds no orientation at all")
+        return None
     if absent.any():
         count = int(absent.any(axis=1).sum())
-        notes.append(f"{count} frames have no orientation in {path.name}: left open")
+        notes.append(f"{count} frames have joints without an orientation in {path.name}: left open")
     quat_wxyz = np.where(absent[..., None], [1.0, 0, 0, 0], np.roll(quat_xyzw, 1, axis=-1))
     R = bone_rotations(so3.from_quat_wxyz(quat_wxyz))
     R[absent] = np.nan
@@ -140,40 +159,47 @@ def _bone_rotations(path: Path, quat_xyzw: Array, notes: list[str]) -> Array:
 def _offsets(parents: tuple[int, ...], p: Array, R: Array) -> tuple[Array, float]:
     """Mean of each joint in its parent's frame (J, 3), m, and the largest spread, mm."""
     joints, above = np.arange(1, len(parents)), list(parents[1:])
-    bones = p[:, joints] - p[:, above]
-    local = np.einsum("tjba,tjb->tja", R[:, above], bones)
-    whole: NDArray[np.bool_] = np.asarray(np.isfinite(local).all(axis=(1, 2)))
-    local = local[whole]
+    local = np.einsum("tjba,tjb->tja", R[:, above], p[:, joints] - p[:, above])
+    known = np.isfinite(local).all(axis=-1, keepdims=True)
+    count = known.sum(axis=0)
     offsets = np.zeros((len(parents), 3))
-    if not len(local):
+    if not count.all():
         return offsets, np.inf
-    offsets[1:] = local.mean(axis=0)
-    return offsets, float(1000 * local.std(axis=0).max())
+    offsets[1:] = np.where(known, local, 0.0).sum(axis=0) / count
+    variance = np.where(known, local - offsets[1:], 0.0) ** 2
+    return offsets, float(1000 * np.sqrt(variance.sum(axis=0) / count).max())
 
 
 def _why_not_rigid(p: Array, R: Array, skeleton: SkeletonModel, spread_mm: float) -> str:
     """The likely reason why joints do not keep their place in their parents' frames."""
-    text = f"the skeleton is not rigid: offsets spread by {spread_mm:.0f} mm. "
+    if np.isinf(spread_mm):
+        return (
+            "there is no frame in which a joint's position and its parent's orientation are known"
+        )
+    text = (
+        f"the skeleton is not rigid: joints move by {spread_mm:.3g} mm in their parents' frames. "
+    )
     known: NDArray[np.bool_] = np.asarray(np.isfinite(R).all(axis=(2, 3)))
     segment = WORLD_OF_VICON.T @ np.where(known[..., None, None], R, np.eye(3)) @ SEGMENT_OF_BONE
-    wrong = so3.to_quat_wxyz(segment)  # what stood there was read as x y z w
-    as_wxyz = bone_rotations(so3.from_quat_wxyz(np.roll(wrong, -1, axis=-1)))
+    quat_read = so3.to_quat_wxyz(segment)  # what stands in the file was read as x y z w
+    as_wxyz = bone_rotations(so3.from_quat_wxyz(np.roll(quat_read, -1, axis=-1)))
+    as_wxyz[~known] = np.nan
     if _offsets(skeleton.parents, p, as_wxyz)[1] < RIGID_MM:
-        return text + "It would be if the quaternions stood there as w x y z: write them as x y z w"
-    return text + "Positions and orientations are probably of different takes"
+        return text + (
+            "This looks like quaternions w x y z, with which it is rigid; this file has x y z w"
+        )
+    return text + "Are positions and orientations of different takes?"
 
 
-def _same_length(path: Path | None, p: Array, R: Array, notes: list[str]) -> tuple[Array, Array]:
+def _same_length(path: Path, p: Array, R: Array, notes: list[str]) -> tuple[Array, Array]:
     """Both cut to the shorter where they differ by a few frames."""
     if len(p) != len(R):
-        if abs(len(p) - len(R)) > _LENGTH_DIFFERENCE:
+        text = f"{len(p)} frames of positions and {len(R)} of orientations"
+        if abs(len(p) - len(R)) > LENGTH_DIFFERENCE:
             raise FileFormatError(
-                path or Path(), f"{len(p)} frames of positions and {len(R)} of orientations: one of "
-                "the files is cut off or of another take",
-            )  # fmt: skip
-        notes.append(
-            f"{len(p)} frames of positions, {len(R)} of orientations: the shorter is taken"
-        )
+                path, f"{text}: one file is cut off or of another take; fetch and unpack both again"
+            )
+        notes.append(f"{text}: the shorter counts")
     count = min(len(p), len(R))
     return p[:count], R[:count]
 
@@ -187,55 +213,53 @@ def _from_bvh(
     nearest to the skeleton's (for the dataset's own files, that of its segment frames).
     """
     motion = read_bvh(path)
-    try:
-        index = indices_of("joint", skeleton.names, motion.names)
-    except UnknownNameError as error:
-        raise FileFormatError(path, f"a joint is missing: {error}") from error
+    index = _indices(path, skeleton, motion.names)
+    if abs(motion.rate_hz - RATE_HZ) > 1:
+        raise FileFormatError(path, f"has {motion.rate_hz:.4g} frames a second, not {RATE_HZ:g}")
     theirs, ours = motion.offsets[index][1:], skeleton.joint_offsets[1:]
     R_file_bone = so3.nearest_rotation(theirs.T @ ours)
     quarter_turns = np.round(R_file_bone)
-    if so3.is_rotation(quarter_turns) and so3.angle_between(R_file_bone, quarter_turns) < 0.18:
+    off_deg = np.degrees(so3.angle_between(R_file_bone, quarter_turns))
+    if so3.is_rotation(quarter_turns) and off_deg < _QUARTER_TURNS_DEG:
         R_file_bone = quarter_turns
     p_file, R_file = motion.forward_kinematics()
     p_bvh = INCH * p_file[:, index] @ WORLD_OF_VICON.T
     if p is not None:
         count = min(len(p), len(p_bvh))
-        apart = 1000 * np.linalg.norm(p[:count] - p_bvh[:count], axis=-1)
-        if np.median(apart) > _SAME_MM:
+        apart_mm = 1000 * np.linalg.norm(p[:count] - p_bvh[:count], axis=-1)
+        if np.median(apart_mm) > _SAME_MM:
             raise FileFormatError(
-                path, f"its joints are {np.median(apart):.0f} mm (median) away from those in the "
+                path, f"its joints are {np.median(apart_mm):.0f} mm (median) away from those in the "
                 "take's positions: a file of another take?",
             )  # fmt: skip
     if p is None:
-        notes.append(f"positions from {path.name}")
+        notes.append(f"no positions: taken from {path.name}")
         p = p_bvh
     if R is None:
-        notes.append(f"orientations from {path.name}")
+        notes.append(f"no orientations: taken from {path.name}")
         R = WORLD_OF_VICON @ R_file[:, index] @ R_file_bone
     return p, R
 
 
 def _offsets_by_length(
-    p: Array, skeleton: SkeletonModel, others: Callable[[], list[Array]], notes: list[str]
+    p: Array,
+    skeleton: SkeletonModel,
+    others: Callable[[], Iterable[tuple[str, Array]]],
+    notes: list[str],
 ) -> Array:
     """Offsets for a take that has positions alone: another take's of equal bones, else scaled ones."""
-    above = list(skeleton.parents[1:])
-    lengths = np.median(np.linalg.norm(p[:, 1:] - p[:, above], axis=-1), axis=0)
-    for offsets in others():
-        if np.abs(np.linalg.norm(offsets[1:], axis=-1) - lengths).max() < 0.001:
-            notes.append(
-                "no orientations: derived from the positions, with the offsets of another take of this "
-                "subject with the same bones; twist is not known"
-            )
-            return offsets
-    notes.append(
-        "no orientations: derived from the positions, with the usual skeleton scaled to the bones; "
-        "twist is not known"
+    lengths = np.median(
+        np.linalg.norm(p[:, 1:] - p[:, list(skeleton.parents[1:])], axis=-1), axis=0
     )
-    names = skeleton.names[1:]
-    return skeleton.with_bone_lengths(
-        dict(zip(names, map(float, lengths), strict=True))
-    ).joint_offsets
+    text = "no orientations: derived from the positions, twist unknown, with "
+    for name, offsets in others():
+        apart_mm = 1000 * np.abs(np.linalg.norm(offsets[1:], axis=-1) - lengths)
+        if apart_mm.max() < _SAME_BONES_MM:
+            notes.append(f"{text}the joint offsets of {name}, whose bones are equally long")
+            return offsets
+    notes.append(f"{text}the package's skeleton scaled to these bones")
+    bones = dict(zip(skeleton.names[1:], map(float, lengths), strict=True))
+    return skeleton.with_bone_lengths(bones).joint_offsets
 
 
 def _valid(take: tuple[str, str], p: Array, notes: list[str]) -> NDArray[np.bool_]:
@@ -243,6 +267,6 @@ def _valid(take: tuple[str, str], p: Array, notes: list[str]) -> NDArray[np.bool
     valid: NDArray[np.bool_] = np.asarray(np.isfinite(p).all(axis=-1))
     for first, last in _GLITCHES.get(take, ()):
         valid[max(first - _MARGIN, 0) : last + _MARGIN + 1] = False
-        if first < len(p):
-            notes.append(f"frames {first} to {last} are a glitch of the reference: not scored")
+        if first - _MARGIN < len(p):
+            notes.append(f"frames {first} to {last} are a glitch of the reference: not valid")
     return valid

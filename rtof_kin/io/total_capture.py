@@ -54,12 +54,16 @@ def read_joints(path: str | Path, width: int) -> JointTable:
     path = Path(path)
     header, *lines = _lines(path)
     names = tuple(header.split())
-    if len(set(names)) != len(names) or any(_is_number(name) for name in names):
-        raise FileFormatError(path, "does not begin with a line of joint names", 1)
+    if len(set(names)) != len(names) or any(map(_is_number, names)):
+        raise FileFormatError(path, "does not begin with a line of different joint names", 1)
     if not lines:
-        raise FileFormatError(path, f"holds names but no frame; {_AGAIN}")
-    columns = len(names) * width
-    values = _numbers(path, lines, columns, 2, f"{len(names)} joints of {width} numbers")
+        raise FileFormatError(path, f"holds names but no frame; {_AGAIN}", 1)
+    values = _table(path, [line.split() for line in lines], len(names), width)
+    if lines[0].endswith("\t") and not lines[-1].endswith("\t"):
+        raise FileFormatError(
+            path, f"is cut off in the last number of this line; {len(lines) - 1} frames before it are "
+            f"whole. {_AGAIN}", len(lines) + 1,
+        )  # fmt: skip
     return JointTable(names, values.reshape(len(lines), len(names), width))
 
 
@@ -67,42 +71,57 @@ def read_sensors(path: str | Path) -> SensorTable:
     """Orientation and specific force of all sensors; further columns (gyroscope, ...) are left out.
 
     Raises:
-        FileFormatError: unreadable, cut off, fewer frames than the file announces, sensors that change.
+        FileFormatError: unreadable, cut off, other frames than the file announces, sensors that change.
     """
     path = Path(path)
-    lines = _lines(path)
-    counts = lines[0].split()
-    if len(counts) != 2 or not all(count.isdigit() for count in counts):
+    first, *lines = _lines(path)
+    counts = first.split()
+    if len(counts) != 2 or not all(map(_is_count, counts)):
         raise FileFormatError(path, "does not begin with the numbers of sensors and frames", 1)
     S, T = map(int, counts)
-    block = S + 1
-    whole, rest = divmod(len(lines) - 1, block)
-    if S == 0 or whole != T or rest:
-        raise FileFormatError(
-            path, f"announces {T} frames of {S} sensors and holds {whole} whole ones"
-            + (f"; {_AGAIN}" if whole < T else ""), len(lines) if whole < T else None,
-        )  # fmt: skip
-    rows = [line.split() for line in lines[1:]]
-    heads = [row[0] if row else "" for row in rows]
-    names = tuple(heads[1:block])
-    expected = [name for frame in range(1, T + 1) for name in (str(frame), *names)]
-    if heads != expected:
-        at = next(i for i, (a, b) in enumerate(zip(heads, expected, strict=True)) if a != b)
-        raise FileFormatError(path, f"expected {expected[at]!r}, found {heads[at]!r}", at + 2)
-    if len(set(names)) < S:
-        raise FileFormatError(path, "a sensor stands twice in a frame", 3)
-    cells = [row[1:8] for i, row in enumerate(rows) if i % block]
-    try:
-        values = np.array(cells, dtype=float).reshape(T, S, 7)
-    except ValueError:
-        values = np.full((T, S, 7), np.nan)
-    if not np.isfinite(values).all():
-        at = next(i for i, row in enumerate(rows) if i % block and not _are_numbers(row[1:8], 7))
-        cut = f"; {_AGAIN}" if at > len(rows) - 3 else ""
-        raise FileFormatError(
-            path, f"expected a name and at least 7 numbers{_odd(rows[at][1:8])}{cut}", at + 2
+    if S == 0 or T == 0:
+        raise FileFormatError(path, f"announces {T} frames of {S} sensors", 1)
+    rows = [line.split() for line in lines]
+    names = _sensor_names(path, rows, S, T)
+    readings = [row[1:8] for i, row in enumerate(rows) if i % (S + 1)]
+    values = _numbers(readings, 7)
+    if values is None:
+        at = next(
+            i for i, row in enumerate(rows) if i % (S + 1) and _numbers([row[1:8]], 7) is None
         )
+        problem = f"expected a sensor's name and at least 7 numbers{_odd(rows[at][1:8])}"
+        raise FileFormatError(path, problem, at + 2)
+    values = values.reshape(T, S, 7)
     return SensorTable(names, values[..., :4], values[..., 4:])
+
+
+def _sensor_names(path: Path, rows: list[list[str]], S: int, T: int) -> tuple[str, ...]:
+    """The sensors, after checking that T whole frames follow each other, all of the same sensors."""
+    announced = f"announces {T} frames of {S} sensors"
+    heads = [row[0] if row else "" for row in rows]
+    names = tuple(heads[1 : S + 1])
+    if len(set(names)) < len(names):
+        raise FileFormatError(path, "a sensor stands twice in a frame", 3)
+    frames = len(rows) // (S + 1) + 1
+    expected = [head for frame in range(1, frames + 1) for head in (str(frame), *names)]
+    end = min(T * (S + 1), len(rows))
+    at = next((i for i in range(end) if heads[i] != expected[i]), end)
+    cut_there = at == len(rows) - 1 < T * (S + 1) - 1
+    if at < end and not cut_there:
+        raise FileFormatError(
+            path, f"{announced}, and where {expected[at]!r} should stand is {heads[at]!r}", at + 2
+        )
+    whole = len(rows) // (S + 1)
+    if len(rows) % (S + 1) == 0 and rows and len(rows[-1]) < max(8, len(rows[1])):
+        whole -= 1
+    if whole < T:
+        raise FileFormatError(
+            path, f"{announced} and is cut off here: it holds {whole} whole ones. {_AGAIN}",
+            len(rows) + 1,
+        )  # fmt: skip
+    if len(rows) > T * (S + 1):
+        raise FileFormatError(path, f"{announced} and holds {whole} whole ones", T * (S + 1) + 2)
+    return names
 
 
 def read_imu_calibration(path: str | Path) -> dict[str, Array]:
@@ -113,26 +132,27 @@ def read_imu_calibration(path: str | Path) -> dict[str, Array]:
     """
     path = Path(path)
     first, *lines = _lines(path)
-    if not first.strip().isdigit():
+    if not _is_count(first.strip()):
         raise FileFormatError(path, "does not begin with the number of sensors", 1)
     quaternions: dict[str, Array] = {}
-    filled = [(number, line.split()) for number, line in enumerate(lines, start=2) if line.strip()]
-    for number, (name, *cells) in filled:
-        if not _are_numbers(cells, 4) or len(cells) != 4:
-            raise FileFormatError(
-                path, f"expected a sensor's name and four numbers{_odd(cells)}", number
-            )
+    for number, cells in enumerate(map(str.split, lines), start=2):
+        if not cells:
+            continue
+        values = _numbers([cells[1:]], 4)
+        if values is None:
+            problem = f"expected a sensor's name and four numbers{_odd(cells[1:])}"
+            raise FileFormatError(path, problem, number)
+        name, norm = cells[0], np.linalg.norm(values[0])
         if name in quaternions:
-            raise FileFormatError(path, f"a second line for {name}", number)
-        quaternion = np.array(cells, dtype=float)
-        if abs(np.linalg.norm(quaternion) - 1) > 0.01:
-            raise FileFormatError(path, f"the quaternion of {name} is not of unit norm", number)
-        quaternions[name] = quaternion / np.linalg.norm(quaternion)
+            raise FileFormatError(path, f"a second line for {name}; remove one", number)
+        if not abs(norm - 1) < 0.01:
+            raise FileFormatError(
+                path, f"the quaternion of {name} has norm {norm:.3g}, not 1", number
+            )
+        quaternions[name] = values[0] / norm
     if len(quaternions) != int(first):
-        cut = f"; {_AGAIN}" if len(quaternions) < int(first) else ""
-        raise FileFormatError(
-            path, f"announces {int(first)} sensors and holds {len(quaternions)}{cut}"
-        )
+        problem = f"announces {int(first)} sensors and holds {len(quaternions)}"
+        raise FileFormatError(path, problem + _cut(len(quaternions) < int(first)))
     return quaternions
 
 
@@ -144,23 +164,22 @@ def read_cameras(path: str | Path) -> dict[int, Camera]:
     """
     path = Path(path)
     cells = " ".join(_lines(path)).split()
-    if not all(_is_number(cell) for cell in cells):
+    numbers = _numbers([cells], len(cells))
+    if numbers is None:
         raise FileFormatError(path, f"holds something else than numbers{_odd(cells)}")
-    if len(cells) < 2 or not all(cell.isdigit() for cell in cells[:2]):
-        raise FileFormatError(
-            path, "does not begin with the numbers of cameras and distortion terms", 1
-        )
+    if len(cells) < 2 or not all(map(_is_count, cells[:2])):
+        problem = "does not begin with the numbers of cameras and distortion terms"
+        raise FileFormatError(path, problem, 1)
     count, order = int(cells[0]), int(cells[1])
-    numbers = np.array(cells, dtype=float)
     each = 4 + 4 + order + 9 + 3
-    if not (0 < count < 1000 and 0 <= order <= 3) or len(numbers) != 2 + count * each:
+    wanted = 2 + count * each
+    if not (0 < count < 1000 and 0 <= order <= 3) or len(cells) != wanted:
         raise FileFormatError(
-            path, f"announces {count} cameras with {order} distortion terms, which take "
-            f"{2 + count * each} numbers, and holds {len(numbers)}"
-            + (f"; {_AGAIN}" if len(numbers) < 2 + count * each else ""),
+            path, f"announces {count} cameras with {order} distortion terms, which take {wanted} "
+            f"numbers, and holds {len(cells)}{_cut(len(cells) < wanted)}",
         )  # fmt: skip
     return {i + 1: _camera(path, i + 1, row, order) for i, row in
-            enumerate(numbers[2:].reshape(count, each))}  # fmt: skip
+            enumerate(numbers[0, 2:].reshape(count, each))}  # fmt: skip
 
 
 def _camera(path: Path, number: int, row: Array, order: int) -> Camera:
@@ -189,34 +208,39 @@ def _lines(path: Path) -> list[str]:
         raise FileFormatError(path, "there is no such file") from error
     except (OSError, UnicodeDecodeError) as error:
         raise FileFormatError(path, f"not readable as text ({error}); {_AGAIN}") from error
-    lines = text.rstrip().splitlines()
+    lines = text.splitlines()
+    while lines and not lines[-1].strip():
+        lines.pop()
     if not lines:
         raise FileFormatError(path, f"is empty; {_AGAIN}")
     return lines
 
 
-def _numbers(path: Path, lines: list[str], columns: int, first: int, what: str) -> Array:
-    """Numbers (len(lines), columns); the first of the lines has the number `first`."""
-    tokens = " ".join(lines).split()
+def _table(path: Path, rows: list[list[str]], joints: int, width: int) -> Array:
+    """Numbers (T, joints * width) of the rows, of which the first stands in line 2."""
+    columns = joints * width
+    values = _numbers(rows, columns)
+    if values is not None:
+        return values
+    at = next(i for i, row in enumerate(rows) if _numbers([row], columns) is None)
+    found = f"found {len(rows[at])} cells{_odd(rows[at])}"
+    if at == len(rows) - 1:
+        found += f": the file is cut off here; {at} frames before it are whole. {_AGAIN}"
+    raise FileFormatError(path, f"expected {joints} joints of {width} numbers, {found}", at + 2)
+
+
+def _numbers(rows: list[list[str]], columns: int) -> Array | None:
+    """Numbers (len(rows), columns); None if a row has another length or a cell is no finite number."""
     try:
-        values = np.array(tokens, dtype=float)
-        even = all(line.count("\t") == lines[0].count("\t") for line in lines)
-        if even and len(values) == columns * len(lines) and np.isfinite(values).all():
-            return values.reshape(len(lines), columns)
+        values = np.array(rows, dtype=float)
     except ValueError:
-        pass
-    for i, line in enumerate(lines):
-        cells = line.split()
-        if len(cells) != columns or not _are_numbers(cells, columns):
-            cut = f"; {i} frames before it are whole. {_AGAIN}" if i == len(lines) - 1 else ""
-            raise FileFormatError(
-                path, f"expected {what}, found {len(cells)} cells{_odd(cells)}{cut}", first + i
-            )
-    return np.array(tokens, dtype=float).reshape(len(lines), columns)
+        return None
+    fits = values.shape == (len(rows), columns) and np.isfinite(values).all()
+    return values if fits else None
 
 
-def _are_numbers(cells: list[str], at_least: int) -> bool:
-    return len(cells) >= at_least and all(_is_number(cell) for cell in cells[:at_least])
+def _is_count(text: str) -> bool:
+    return text.isascii() and text.isdigit()
 
 
 def _is_number(text: str) -> bool:
@@ -231,3 +255,7 @@ def _odd(cells: list[str]) -> str:
     """What to say of the first of them that is no number, if there is one."""
     odd = next((cell for cell in cells if not _is_number(cell)), None)
     return "" if odd is None else f", among them {odd[:40]!r}"
+
+
+def _cut(off: bool) -> str:
+    return f"; {_AGAIN}" if off else ""
