@@ -1,8 +1,7 @@
-"""Motion capture as a lifter's training needs it: many clips at 60 Hz, each in one split."""
+"""Motion capture as a lifter's training needs it: many clips at one rate, each in one split."""
 
 from __future__ import annotations
 
-import tomllib
 import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -13,16 +12,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from lifting.splits import SPLITS, find_split, read_split
 from lifting.windows import Body
-from rtof_kin import kinematics, mocap
+from rtof_kin import kinematics, mocap, signals
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError, ShapeError
 
 Array = NDArray[np.float32]
 RATE_HZ = 60.0
-BENCHMARK_SPLIT = Path(__file__).parent.parent / "benchmarks" / "split.toml"
-"""The split that every table of this package uses, in a checkout of its source."""
-SPLITS = ("train", "validation", "test", "excluded")
+"""Frames per second, unless a corpus says otherwise."""
+RIGID_M = 1e-3
+"""Joints that are further than this from where rigid segments would have them are kept as recorded."""
+_SAME_BODY_M = 1e-3
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Corpus:
     parents: tuple[int, ...]
     """(J,) index of each joint's parent, -1 for the root."""
     p_world_root: Array
-    """(N, 3) m, z up, floor at z = 0; N frames of all clips, at 60 Hz."""
+    """(N, 3) m, z up, floor at z = 0; N frames of all clips."""
     R_world_bone: Array
     """(N, J, 3, 3)."""
     joint_offsets: Array
@@ -45,6 +46,12 @@ class Corpus:
     """C subjects."""
     split: tuple[str, ...]
     """C of `SPLITS`."""
+    rate_hz: float = RATE_HZ
+    """Frames per second."""
+    beyond_rigid: Array | None = None
+    """(N, J, 3) m, what to add to forward kinematics for the joints as recorded; None for nothing."""
+    acknowledgement: str = ""
+    """Where the motion came from, and what its licence asks to be said; a lifter carries it on."""
 
     def __post_init__(self) -> None:
         N, J, C = len(self.p_world_root), len(self.names), len(self.subjects)
@@ -56,6 +63,10 @@ class Corpus:
             "split": ((len(self.split),), (C,)),
             "parents": ((len(self.parents),), (J,)),
         }
+        arrays = ["p_world_root", "R_world_bone", "joint_offsets"]
+        if self.beyond_rigid is not None:
+            shapes["beyond_rigid"] = (self.beyond_rigid.shape, (N, J, 3))
+            arrays.append("beyond_rigid")
         for name, (have, want) in shapes.items():
             if have != want:
                 raise ShapeError(f"corpus {name}: expected shape {want}, got {have}")
@@ -63,9 +74,11 @@ class Corpus:
             raise ShapeError(
                 "corpus start: does not cut the frames into clips of one or more frames"
             )
-        for name in ("p_world_root", "R_world_bone", "joint_offsets"):
+        for name in arrays:
             if not np.all(np.isfinite(getattr(self, name))):
                 raise ShapeError(f"corpus {name}: not finite; leave gaps out of the clips")
+        if not 1 <= self.rate_hz < np.inf:
+            raise ShapeError(f"corpus rate_hz: {self.rate_hz:g} frames per second; give at least 1")
         unknown = sorted(set(self.split) - set(SPLITS))
         if unknown:
             raise ShapeError(f"corpus split: no {', '.join(unknown)}; known: {', '.join(SPLITS)}")
@@ -89,25 +102,36 @@ class Corpus:
         return found
 
     def positions(self, clip: int, joint_offsets: Array | None = None) -> Array:
-        """Joints (T, J, 3) in world, m, of a clip by its number, on its own or another skeleton."""
+        """Joints (T, J, 3) in world, m, of a clip by its number, on its own or another skeleton.
+
+        Where segments are not rigid, another skeleton's joints are as far from forward kinematics as
+        the recorded ones.
+        """
         frames = self.frames(clip)
         offsets = self.joint_offsets[clip] if joint_offsets is None else joint_offsets
-        return kinematics.positions(
+        p = kinematics.positions(
             self.parents,
             offsets.astype(np.float64),
             self.p_world_root[frames].astype(np.float64),
             self.R_world_bone[frames].astype(np.float64),
-        ).astype(np.float32)
+        )
+        if self.beyond_rigid is not None:
+            p += self.beyond_rigid[frames]
+        return p.astype(np.float32)
 
     def skeletons(self, split: str, at_most: int) -> list[Array]:
         """Joint offsets (J, 3) of different bodies in a split, those with most frames first."""
-        frames: dict[bytes, int] = {}
-        bodies: dict[bytes, Array] = {}
+        bodies: list[Array] = []
+        frames: list[int] = []
         for c in self.clips(split):
-            key = np.round(self.joint_offsets[c], 3).tobytes()
-            frames[key] = frames.get(key, 0) + int(self.start[c + 1] - self.start[c])
-            bodies.setdefault(key, self.joint_offsets[c])
-        return [bodies[key] for key in sorted(frames, key=lambda k: -frames[k])[:at_most]]
+            own = self.joint_offsets[c]
+            same = (i for i, body in enumerate(bodies) if np.abs(body - own).max() < _SAME_BODY_M)
+            i = next(same, len(bodies))
+            if i == len(bodies):
+                bodies.append(own)
+                frames.append(0)
+            frames[i] += int(self.start[c + 1] - self.start[c])
+        return [bodies[i] for i in sorted(range(len(bodies)), key=lambda i: -frames[i])[:at_most]]
 
     def body(self) -> Body:
         """The joints, and the mean bones of the training clips."""
@@ -120,42 +144,111 @@ class Corpus:
         """Write an .npz file that `read_corpus` reads, orientations as quaternions."""
         path = Path(path)
         quat = so3.to_quat_wxyz(self.R_world_bone.reshape(-1, 1, 3, 3))
+        beyond: dict[str, Any] = {}
+        if self.beyond_rigid is not None:
+            beyond["beyond_rigid"] = self.beyond_rigid
         np.savez_compressed(
             path, joint_names=self.names, parents=self.parents, p_world_root=self.p_world_root,
             quat_wxyz=quat.reshape(-1, len(self.names), 4).astype(np.float32),
             offsets=self.joint_offsets, start=self.start, subjects=self.subjects, split=self.split,
+            rate_hz=self.rate_hz, acknowledgement=self.acknowledgement, **beyond,
         )  # fmt: skip
         return path
 
 
-def make_corpus(clips: Iterable[mocap.MocapClip], split_of: Mapping[str, str]) -> Corpus:
-    """Put clips together.
+def make_corpus(
+    clips: Iterable[mocap.MocapClip], split_of: Mapping[str, str], rate_hz: float = RATE_HZ
+) -> Corpus:
+    """Put clips of the package's 21 joints together, split by subject.
 
     Args:
-        clips: motion of the 21 joints at 60 Hz, z up, floor at z = 0.
+        clips: motion of any rate, z up, floor at z = 0.
         split_of: the split of each subject; those not named train.
+        rate_hz: frames per second of the corpus.
 
     Raises:
-        ShapeError: no clip, or one that is not at 60 Hz.
+        ShapeError: no clip, or clips with different joints.
     """
-    rows = list(clips)
-    if not rows:
-        raise ShapeError("corpus: there is no clip")
-    for row in rows:
-        if abs(row.poses.rate_hz / RATE_HZ - 1) > 1e-3:
+    pairs = ((clip, split_of.get(clip.subject, "train")) for clip in clips)
+    return join_clips(pairs, mocap.PARENTS, rate_hz)
+
+
+def join_clips(
+    clips: Iterable[tuple[mocap.MocapClip, str]],
+    parents: tuple[int, ...],
+    rate_hz: float = RATE_HZ,
+    acknowledgement: str = "",
+) -> Corpus:
+    """Put clips of any skeleton together.
+
+    Where positions differ from forward kinematics by more than `RIGID_M`, both are kept: what a
+    lifter learns is the positions.
+
+    Args:
+        clips: with one of `SPLITS` each; motion with the same joints, of any rate, z up, floor at
+            z = 0, finite.
+        parents: (J,) index of each joint's parent, -1 for the root.
+        rate_hz: frames per second of the corpus; clips of another rate are resampled.
+        acknowledgement: see `Corpus`.
+
+    Raises:
+        ShapeError: no clip, or clips with different joints.
+    """
+    names: tuple[str, ...] = ()
+    arrays: list[tuple[Array, Array, Array]] = []
+    offsets, subjects, splits = [], [], []
+    for clip, split in clips:
+        names = names or clip.poses.names
+        if clip.poses.names != names or len(names) != len(parents):
             raise ShapeError(
-                f"corpus: clip {row.name} is at {row.poses.rate_hz:g} Hz; resample it to {RATE_HZ:g}"
+                f"corpus: clip {clip.name} has the joints {', '.join(clip.poses.names)}, not the "
+                f"{len(parents)} that the others have; make a corpus of each skeleton"
             )
+        arrays.append(_at_rate(clip, parents, rate_hz))
+        offsets.append(clip.joint_offsets.astype(np.float32))
+        subjects.append(clip.subject)
+        splits.append(split)
+    if not arrays:
+        raise ShapeError("corpus: there is no clip")
+    p_root, R, beyond = (np.concatenate(parts) for parts in zip(*arrays, strict=True))
     return Corpus(
-        mocap.NAMES,
-        mocap.PARENTS,
-        np.concatenate([row.poses.p_world_joint[:, 0] for row in rows]).astype(np.float32),
-        np.concatenate([row.poses.R_world_bone for row in rows]).astype(np.float32),
-        np.stack([row.joint_offsets for row in rows]).astype(np.float32),
-        np.concatenate([[0], np.cumsum([len(row.poses) for row in rows])]),
-        tuple(row.subject for row in rows),
-        tuple(split_of.get(row.subject, "train") for row in rows),
+        names,
+        parents,
+        p_root,
+        R,
+        np.stack(offsets),
+        np.concatenate([[0], np.cumsum([len(part[0]) for part in arrays])]),
+        tuple(subjects),
+        tuple(splits),
+        rate_hz,
+        beyond if np.abs(beyond).max() > RIGID_M else None,
+        acknowledgement,
     )
+
+
+def _at_rate(
+    clip: mocap.MocapClip, parents: tuple[int, ...], rate_hz: float
+) -> tuple[Array, Array, Array]:
+    """Root (T, 3), orientations (T, J, 3, 3) and joints less forward kinematics (T, J, 3), resampled.
+
+    A whole ratio of rates takes every n-th frame; otherwise the segments' orientations in their
+    parents are interpolated on the geodesic and the rest linearly.
+    """
+    poses, offsets = clip.poses, clip.joint_offsets
+    p_root, R = poses.p_world_joint[:, 0], poses.R_world_bone
+    beyond = poses.p_world_joint - kinematics.positions(parents, offsets, p_root, R)
+    ratio = poses.rate_hz / rate_hz
+    if round(ratio) and abs(ratio / round(ratio) - 1) < 1e-3:
+        p_root, R, beyond = (x[:: round(ratio)] for x in (p_root, R, beyond))
+    else:
+        first, last = poses.times[[0, -1]]
+        steps = np.arange(int((last - first) * rate_hz * (1 + 1e-12)) + 1)
+        times = np.minimum(first + steps / rate_hz, last)
+        local = kinematics.local_rotations(parents, R)
+        local = signals.interpolate_rotations(poses.times, local, times)
+        R = kinematics.world_rotations(parents, local)
+        p_root, beyond = (signals.interpolate(poses.times, x, times) for x in (p_root, beyond))
+    return p_root.astype(np.float32), R.astype(np.float32), beyond.astype(np.float32)
 
 
 def read_corpus(path: str | Path, split: str | Path | None = None) -> Corpus:
@@ -163,7 +256,7 @@ def read_corpus(path: str | Path, split: str | Path | None = None) -> Corpus:
 
     Args:
         path: written by `Corpus.save`, or a folder with an ``index.csv``.
-        split: a TOML file, see `read_split`, by which a folder is split; where not given, the
+        split: a TOML file, see `lifting.splits`, by which a folder is split; where not given, the
             folder's ``split.toml``, else the one of the benchmarks. An .npz file carries its own.
 
     Raises:
@@ -171,7 +264,7 @@ def read_corpus(path: str | Path, split: str | Path | None = None) -> Corpus:
     """
     path = Path(path)
     if path.is_dir():
-        return make_corpus(mocap.read_corpus(path), read_split(split or _find_split(path)))
+        return make_corpus(mocap.read_corpus(path), read_split(split or find_split(path)))
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             return _from_arrays(data)
@@ -179,17 +272,6 @@ def read_corpus(path: str | Path, split: str | Path | None = None) -> Corpus:
         raise FileFormatError(
             path, f"not a corpus of motion ({error}); make one with Corpus.save, or name a folder"
         ) from error
-
-
-def _find_split(folder: Path) -> Path:
-    for path in (folder / "split.toml", BENCHMARK_SPLIT):
-        if path.is_file():
-            return path
-    raise FileFormatError(
-        folder / "split.toml",
-        "a folder of motion needs a split of its subjects: write lists of subjects named test and "
-        "validation there",
-    )
 
 
 def _from_arrays(data: Mapping[str, NDArray[Any]]) -> Corpus:
@@ -206,31 +288,7 @@ def _from_arrays(data: Mapping[str, NDArray[Any]]) -> Corpus:
         data["start"].astype(np.int64),
         tuple(str(subject) for subject in data["subjects"]),
         tuple(str(split) for split in data["split"]),
+        float(data["rate_hz"]) if "rate_hz" in data else RATE_HZ,
+        data["beyond_rigid"].astype(np.float32) if "beyond_rigid" in data else None,
+        str(data["acknowledgement"]) if "acknowledgement" in data else "",
     )
-
-
-def read_split(path: str | Path) -> dict[str, str]:
-    """The split of each subject that a TOML file lists; subjects it does not list train.
-
-    The file has lists of subjects named ``test``, ``validation`` and ``excluded``; its tables are not
-    read.
-
-    Raises:
-        FileFormatError: not TOML, an unknown list, or a subject in two lists.
-    """
-    path = Path(path)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FileFormatError(path, f"not a readable split: {error}") from error
-    split_of: dict[str, str] = {}
-    for split, subjects in table.items():
-        if isinstance(subjects, dict):
-            continue
-        if split not in SPLITS or not isinstance(subjects, list):
-            raise FileFormatError(path, f"'{split}' is no list of one of: {', '.join(SPLITS)}")
-        for subject in map(str, subjects):
-            if subject in split_of:
-                raise FileFormatError(path, f"subject {subject} stands in two lists")
-            split_of[subject] = split
-    return split_of

@@ -107,7 +107,7 @@ class MotionBank:
             skeletons: joint offsets (J, 3) of other bodies to carry every clip over to, m. A clip
                 scales them to its own size.
         """
-        self.body = corpus.body()
+        self.body, self.rate_hz = corpus.body(), corpus.rate_hz
         self.device = device
         bodies: list[NDArray[np.float32] | None] = [None, *skeletons]
         self.bones = torch.stack(
@@ -153,7 +153,7 @@ class MotionBank:
 
         Args:
             batch: how many windows.
-            window: frames in each, odd, at 60 Hz.
+            window: frames in each, odd, at the corpus' rate.
             config: what is drawn for each.
             generator: the only source of randomness, on the bank's device.
             frames: (batch,) the middle frames; drawn where not given.
@@ -259,7 +259,7 @@ class MotionBank:
         q = torch.bmm(R_camera_world, p.flatten(2)).reshape(p.shape)
         seen = q[:, 2] > 0.2
         xy = q[:, :2] / q[:, 2:].clamp_min(0.2)
-        xy, seen = add_noise(self.body, config.noise, xy, seen, draw.generator)
+        xy, seen = add_noise(self.body, config.noise, xy, seen, draw.generator, self.rate_hz)
         ray = torch.cat([xy, torch.ones_like(xy[:, :1])], dim=1)
         world = torch.bmm(R_camera_world.transpose(1, 2), ray.flatten(2))
         return world.reshape(p.shape), seen

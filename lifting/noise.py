@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from lifting.windows import Body
+from rtof_kin.errors import UnknownNameError
 
 FOCAL_PX = 1250.0
 HALF_WIDTH, HALF_HEIGHT = 960 / FOCAL_PX, 540 / FOCAL_PX
@@ -63,6 +64,26 @@ class NoiseConfig:
     """Share of realistic windows in which what is outside the image is unseen."""
 
 
+TRAINING_NOISE = {
+    "mixed": NoiseConfig(),
+    "perfect": NoiseConfig(clean=1.0, white=0.0),
+    "realistic": NoiseConfig(clean=0.0, white=0.0),
+}
+"""What 2D a lifter may be trained for, by name. perfect: no errors, for projected ground truth; 5-7 mm
+better there, and no good with a detector. realistic: detectors alone. mixed: both, and white noise."""
+
+
+def training_noise(kind: str) -> NoiseConfig:
+    """One of `TRAINING_NOISE`.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+    """
+    if kind not in TRAINING_NOISE:
+        raise UnknownNameError("noise of the keypoints", [kind], list(TRAINING_NOISE))
+    return TRAINING_NOISE[kind]
+
+
 def perfect() -> NoiseConfig:
     """No errors at all."""
     return NoiseConfig(clean=1.0, white=0.0)
@@ -75,7 +96,12 @@ def realistic() -> NoiseConfig:
 
 
 def add_noise(
-    body: Body, config: NoiseConfig, xy: Tensor, seen: Tensor, generator: torch.Generator
+    body: Body,
+    config: NoiseConfig,
+    xy: Tensor,
+    seen: Tensor,
+    generator: torch.Generator,
+    rate_hz: float = RATE_HZ,
 ) -> tuple[Tensor, Tensor]:
     """Detections made from exact image coordinates.
 
@@ -87,6 +113,7 @@ def add_noise(
         xy: (B, 2, W, J) exact x/z and y/z in the camera.
         seen: (B, W, J) bool.
         generator: source of randomness, on the device of `xy`.
+        rate_hz: frames per second of the windows.
 
     Returns:
         Noisy xy (B, 2, W, J) and seen (B, W, J).
@@ -101,14 +128,19 @@ def add_noise(
         parts.append(xy[clean:white] + sigma / FOCAL_PX * noise)
         masks.append(seen[clean:white])
     if white < B:
-        noisy, mask = _realistic(body, config, xy[white:], seen[white:], generator)
+        noisy, mask = _realistic(body, config, xy[white:], seen[white:], generator, rate_hz)
         parts.append(noisy)
         masks.append(mask)
     return torch.cat(parts), torch.cat(masks)
 
 
 def _realistic(
-    body: Body, config: NoiseConfig, xy: Tensor, seen: Tensor, generator: torch.Generator
+    body: Body,
+    config: NoiseConfig,
+    xy: Tensor,
+    seen: Tensor,
+    generator: torch.Generator,
+    rate_hz: float,
 ) -> tuple[Tensor, Tensor]:
     B, _, W, J = xy.shape
 
@@ -117,14 +149,14 @@ def _realistic(
 
     factor = _joint_factors(body).to(xy)
     bias = config.bias_px * normal(B, 2, 1, J)
-    drift = config.drift_px * _drift(body, config, W, normal, xy)
+    drift = config.drift_px * _drift(body, config, W, normal, xy, rate_hz)
     amplitude = _uniform((B, 1, 1, 1), config.amplitude, xy, generator)
     error = (bias + drift) * (amplitude * factor)
     error += config.jitter_px * normal(B, 2, W, J)
-    outlier = _runs(config, config.outlier_share, (B, W, J), xy, generator)
+    outlier = _runs(config, config.outlier_share, (B, W, J), xy, generator, rate_hz)
     error += outlier[:, None] * (config.outlier_px * normal(B, 2, 1, J))
     noisy = xy + error / FOCAL_PX
-    seen = seen & ~_runs(config, config.missing_share, (B, W, J), xy, generator)
+    seen = seen & ~_runs(config, config.missing_share, (B, W, J), xy, generator, rate_hz)
     seen &= ~_gaps(config, (B, W), xy, generator)[:, :, None]
     seen &= _landmark_set(body, config, B, xy, generator)[:, None]
     rand = torch.rand((B, 1, 1), generator=generator, device=xy.device)
@@ -134,23 +166,28 @@ def _realistic(
 
 
 def _drift(
-    body: Body, config: NoiseConfig, W: int, normal: Callable[..., Tensor], like: Tensor
+    body: Body,
+    config: NoiseConfig,
+    W: int,
+    normal: Callable[..., Tensor],
+    like: Tensor,
+    rate_hz: float,
 ) -> Tensor:
     """Unit-variance Ornstein-Uhlenbeck paths (B, 2, W, J), from their leading eigenvectors."""
     B, J = len(like), len(body.names)
-    slow = _drift_basis(W, config.drift_memory).to(like)
-    fast = _drift_basis(W, config.wrist_memory).to(like)
+    slow = _drift_basis(W, rate_hz, config.drift_memory).to(like)
+    fast = _drift_basis(W, rate_hz, config.wrist_memory).to(like)
     weights = normal(B, 2, slow.shape[1], J)
     drift = torch.matmul(slow, weights)
-    wrists = [j for j, name in enumerate(body.names) if name.endswith("Hand")]
+    wrists = [arm[-1] for arm in body.arms]
     drift[..., wrists] = torch.matmul(fast, weights[..., wrists])
     return drift
 
 
 @lru_cache(maxsize=8)
-def _drift_basis(W: int, memory: float, rank: int = 8) -> Tensor:
+def _drift_basis(W: int, rate_hz: float, memory: float, rank: int = 8) -> Tensor:
     """(W, rank) whose product with white noise has nearly the covariance exp(-|t| / memory)."""
-    time = torch.arange(W) / RATE_HZ
+    time = torch.arange(W) / rate_hz
     covariance = torch.exp(-(time[:, None] - time).abs() / memory)
     values, vectors = torch.linalg.eigh(covariance)
     basis: Tensor = vectors[:, -rank:] * values[-rank:].clamp_min(0).sqrt()
@@ -161,11 +198,9 @@ def _drift_basis(W: int, memory: float, rank: int = 8) -> Tensor:
 def _joint_factors(body: Body) -> Tensor:
     """(J,) errors are larger at wrists and elbows, smaller at knees and ankles."""
     factor = torch.ones(len(body.names))
-    for j, name in enumerate(body.names):
-        if name.endswith(("Hand", "ForeArm")):
-            factor[j] = 1.3
-        elif name.endswith(("tLeg", "Foot")):
-            factor[j] = 0.8
+    for limbs, size in ((body.arms, 1.3), (body.legs, 0.8)):
+        for limb in limbs:
+            factor[limb[1:]] = size
     return factor
 
 
@@ -175,10 +210,11 @@ def _runs(
     shape: tuple[int, int, int],
     like: Tensor,
     generator: torch.Generator,
+    rate_hz: float,
 ) -> Tensor:
     """(B, W, J) bool: runs of `run_s` seconds that cover `share` of all samples."""
     B, W, J = shape
-    low, high = (s * RATE_HZ for s in config.run_s)
+    low, high = (s * rate_hz for s in config.run_s)
     length = _uniform((B, 1, J), (low, high), like, generator)
     start = -length + (W + length) * torch.rand((B, 1, J), generator=generator, device=like.device)
     # A run of length L touches the window with probability proportional to W + L.
@@ -206,10 +242,9 @@ def _landmark_set(
     """(B, J) bool: the joints a detector has at all."""
     rand = torch.rand((B, len(body.names) + 1), generator=generator, device=like.device)
     which = rand[:, -1:]
-    limbs = torch.tensor(
-        [name.endswith(("Arm", "Hand", "Leg", "Foot", "Head")) for name in body.names],
-        device=like.device,
-    )
+    limbs = torch.zeros(len(body.names), dtype=torch.bool, device=like.device)
+    limbs[[j for limb in body.arms + body.legs for j in limb]] = True
+    limbs[[j for j in range(len(body.names)) if j not in body.parents]] = True  # the head
     poor = which < config.poor_share
     sparse = (which >= config.poor_share) & (which < config.poor_share + config.sparse_share)
     return (~poor | (rand[:, :-1] > 0.2)) & (~sparse | limbs)

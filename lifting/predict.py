@@ -5,6 +5,7 @@ This is the boundary between the package's float64 arrays and float32 tensors.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,9 +68,11 @@ class LiftedPoses:
 class Lifter:
     """A trained lifter, ready to predict. Equal calls give equal answers."""
 
-    def __init__(self, network: TemporalNetwork, description: LifterDescription):
+    def __init__(self, network: TemporalNetwork, description: LifterDescription, sha256: str = ""):
         """Take a network in evaluation mode and what it is; `load` reads both from a file."""
         self.description = description
+        self.sha256 = sha256
+        """Of the file that the lifter was read from, in hexadecimal; empty where there is none."""
         self._network = network
 
     @classmethod
@@ -79,7 +82,9 @@ class Lifter:
         Raises:
             FileFormatError: see `load_checkpoint`; or none ships.
         """
-        return cls(*load_checkpoint(model_path(SHIPPED) if path is None else path))
+        path = model_path(SHIPPED) if path is None else Path(path)
+        network, description = load_checkpoint(path)
+        return cls(network, description, hashlib.sha256(path.read_bytes()).hexdigest())
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -176,7 +181,8 @@ class Lifter:
             raise ShapeError(
                 f"keypoints: the lifter needs at least {MIN_JOINTS} joints that are seen at some "
                 f"time, and sees {len(ever)} ({', '.join(ever) or 'none'}); it knows "
-                f"{', '.join(self.names)}: rename the detector's landmarks or use its adapter"
+                f"{', '.join(self.names)}: rename the detector's landmarks, use its adapter, or give a "
+                "lifter trained for these joints"
             )
 
     def _bones(self, joint_offsets: ArrayLike | None) -> Array:

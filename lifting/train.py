@@ -24,13 +24,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lifting import losses
-from lifting.checkpoint import LifterDescription, save_checkpoint
-from lifting.corpus import RATE_HZ, Corpus, read_corpus
+from lifting.checkpoint import ACKNOWLEDGEMENT, LifterDescription, save_checkpoint
+from lifting.corpus import Corpus, read_corpus
 from lifting.data import AugmentConfig, MotionBank
 from lifting.model import NetworkConfig, TemporalNetwork
+from lifting.supply import Supply, step_seed
 from lifting.threads import torch_threads
 from lifting.validation import Validation
-from lifting.windows import decode, encode
+from lifting.windows import decode
 from rtof_kin.errors import FileFormatError, RtofError, ShapeError, SolverError
 from rtof_kin.resources import model_path
 from rtof_kin.skeleton_table import read_skeleton_table
@@ -38,6 +39,9 @@ from rtof_kin.skeleton_table import read_skeleton_table
 USUAL_RADIUS = 0.4
 """RMS distance of a person's joints from their mean across the line of sight, m: where distance
 estimates start."""
+
+SKELETONS = ("skeleton", "human36m")
+"""The package's skeleton tables."""
 
 Progress = Callable[[dict[str, Any]], None]
 """Called after every `TrainConfig.report_every` steps with the step, the share done, the loss, the
@@ -51,7 +55,7 @@ class TrainConfig:
     windows: int | None = None
     """How many windows to learn from."""
     minutes: float | None = None
-    """How long to train, minutes; resumed time counts."""
+    """How long to train and measure, minutes; resumed time counts, reading the corpus does not."""
     filter_widths: tuple[int, ...] = (3, 3, 3)
     """Frames seen by each convolution; the product is the receptive field."""
     channels: int = 256
@@ -80,8 +84,9 @@ class TrainConfig:
     """Of the initial weights and everything drawn."""
     device: str = "cpu"
     """'cpu' or 'cuda'."""
-    threads: int = 1
-    """Of the CPU."""
+    threads: int = 2
+    """1: windows are drawn and learnt from in turn. 2: the next ones are drawn meanwhile. The lifter is
+    the same."""
     bfloat16: bool = True
     """Multiply matrices in bfloat16."""
     skeletons: int = 12
@@ -99,6 +104,8 @@ class TrainConfig:
         for name, value in positive.items():
             if value is not None and not value > 0:
                 raise ShapeError(f"training: {name} is {value}; it must be positive")
+        if self.threads > 2:
+            raise ShapeError(f"training: {self.threads} threads; more than 2 gain nothing")
 
 
 def train(
@@ -132,18 +139,19 @@ def train(
     state_file = out.with_name(out.name + ".state")
     if not isinstance(corpus, Corpus):
         corpus = read_corpus(corpus)
-    with _own_randomness(), torch_threads(config.threads):
+    with _own_randomness(), torch_threads(1):
         run = _Run(config, corpus)
         if resume and state_file.exists():
             run.restore(state_file)
         try:
-            while run.share_done < 1:
-                run.step()
-                report = run.report()
-                if report and "validation" in report:
-                    run.save(state_file)
-                if report and progress:
-                    progress(report)
+            with run.supply:
+                while run.share_done < 1:
+                    run.step()
+                    report = run.report()
+                    if report and "validation" in report:
+                        run.save(state_file)
+                    if report and progress:
+                        progress(report)
         finally:
             run.save(state_file)
         curves = {"recipe": run.recipe(), "history": run.history}
@@ -155,7 +163,7 @@ class _Run:
     """The state of a training and one step of it."""
 
     def __init__(self, config: TrainConfig, corpus: Corpus):
-        self.config, self.body = config, corpus.body()
+        self.config, self.corpus, self.body = config, corpus, corpus.body()
         self.device = torch.device(config.device)
         torch.manual_seed(config.seed)
         shape = NetworkConfig(
@@ -175,7 +183,10 @@ class _Run:
         self.validation = Validation(
             corpus, self.network.receptive_field(), self.device, config.validation_windows
         )
-        self.generator = torch.Generator(self.device)
+        self.supply = Supply(
+            self.bank, config.batch, self.network.receptive_field(), config.augment, config.seed,
+            ahead=config.threads > 1,
+        )  # fmt: skip
         self.steps, self.seconds, self.validated = 0, 0.0, 0
         self.losses: list[Tensor] = []
         self.history: list[dict[str, Any]] = []
@@ -192,13 +203,8 @@ class _Run:
         """Learn from one batch."""
         start = time.perf_counter()
         config = self.config
-        # Everything drawn depends on the seed and the step alone, so a resumed run draws the same.
-        torch.manual_seed(config.seed * 1_000_003 + self.steps)
-        self.generator.manual_seed(config.seed * 1_000_003 + self.steps)
-        batch = self.bank.draw(
-            config.batch, self.network.receptive_field(), config.augment, self.generator
-        )
-        encoded = encode(self.body, batch.rays_world, batch.seen, batch.bones, batch.camera_height)
+        torch.manual_seed(step_seed(config.seed, self.steps))  # of dropout
+        batch, encoded = self.supply.batch(self.steps)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=config.bfloat16):
             output = self.network.forward_windows(encoded.features)
         pose, root = decode(self.body, output, encoded)
@@ -242,7 +248,9 @@ class _Run:
         }  # fmt: skip
         if due:
             self.validated = int(self.share_done * config.validations)
+            start = time.perf_counter()
             report["validation"] = self.validation.measure(self.averaged)
+            self.seconds += time.perf_counter() - start
             self.history.append(report)
             self.losses = []
         return report
@@ -260,7 +268,10 @@ class _Run:
     def description(self) -> LifterDescription:
         """What the lifter is, with the last errors measured."""
         errors = self.history[-1]["validation"] if self.history else {}
-        return LifterDescription(self.body, self.network.config, RATE_HZ, self.recipe(), errors)
+        return LifterDescription(
+            self.body, self.network.config, self.corpus.rate_hz, self.recipe(), errors,
+            self.corpus.acknowledgement or ACKNOWLEDGEMENT,
+        )  # fmt: skip
 
     def save(self, path: Path) -> None:
         """Write what a later run needs to go on as if it had not been interrupted."""
@@ -300,10 +311,10 @@ class _Run:
 
 
 def _shipped_skeleton(corpus: Corpus) -> list[NDArray[np.float32]]:
-    """Offsets of the package's skeleton, where it has the corpus' joints."""
-    table = read_skeleton_table(model_path("skeleton.toml"))
-    same = table.names == corpus.names and table.parents == corpus.parents
-    return [table.offsets.astype(np.float32)] if same else []
+    """Offsets of the package's skeleton that has the corpus' joints, where one has."""
+    tables = [read_skeleton_table(model_path(f"{name}.toml")) for name in SKELETONS]
+    joints = corpus.names, corpus.parents
+    return [t.offsets.astype(np.float32) for t in tables if (t.names, t.parents) == joints]
 
 
 def _schedule(share: float, warm_up: float) -> float:
@@ -345,7 +356,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--weight-decay", type=float, default=0.01)
     parser.add_argument("--ema", type=float, default=0.998)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--threads", type=int, default=1, help="of the CPU")
+    parser.add_argument("--threads", type=int, default=2, help="1 or 2")
     parser.add_argument("--validation-windows", type=int, default=4096)
     parser.add_argument("--resume", action="store_true", help="go on from OUT.state")
     options = vars(parser.parse_args(arguments))

@@ -17,6 +17,7 @@ matrix products.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,7 +32,8 @@ MIN_SCALE = 1e-4
 BONE_GAIN = 15.0
 """Bones enter as their difference from the nominal ones, m, times this."""
 ANKLE_HEIGHT = 0.08
-"""Height of a Foot joint over the floor when standing, m."""
+"""Height of an ankle over the floor when standing, m."""
+_SIDED = re.compile(r"(Left|Right|L|R)(?=[A-Z])")
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Body:
     """The joints a lifter knows: names, tree, and the usual bone lengths."""
 
     names: tuple[str, ...]
-    """J joint names, root first, parents before children; sided ones begin with Left and Right."""
+    """J joint names, root first, parents before children; for sided ones see `side_of`."""
     parents: tuple[int, ...]
     """(J,) index of each joint's parent, -1 for the root."""
     nominal_bones: tuple[float, ...]
@@ -48,28 +50,37 @@ class Body:
     @cached_property
     def mirrored(self) -> list[int]:
         """(J,) index of each joint's counterpart on the other side, itself in the middle."""
-        swap = {"Left": "Right", "Right": "Left"}
-        return [
-            next(
-                (self.names.index(swap[s] + n[len(s) :]) for s in swap if n.startswith(s)),
-                self.names.index(n),
-            )
-            for n in self.names
-        ]
+        sided = [side_of(name) for name in self.names]
+        index = {key: j for j, key in enumerate(sided)}
+        other = {"": "", "left": "right", "right": "left"}
+        return [index.get((other[side], rest), j) for j, (side, rest) in enumerate(sided)]
 
     @cached_property
     def hips(self) -> list[int]:
         """Indices of the root's sided children: their mean stands in for an unseen root."""
-        return [
-            j
-            for j, parent in enumerate(self.parents)
-            if parent == 0 and self.names[j].startswith(("Left", "Right"))
-        ]
+        return [j for j, p in enumerate(self.parents) if p == 0 and side_of(self.names[j])[0]]
+
+    @cached_property
+    def legs(self) -> list[list[int]]:
+        """Indices of hip, knee and ankle of each leg."""
+        return [limb for limb in self._limbs if limb[0] in self.hips]
+
+    @cached_property
+    def arms(self) -> list[list[int]]:
+        """Indices of shoulder, elbow and wrist of each arm."""
+        return [limb for limb in self._limbs if limb[0] not in self.hips]
 
     @cached_property
     def feet(self) -> list[int]:
-        """Indices of the joints that stand near the floor."""
-        return [j for j, name in enumerate(self.names) if name.endswith("Foot")]
+        """Indices of the joints that stand near the floor: the ankles."""
+        return [leg[-1] for leg in self.legs]
+
+    @cached_property
+    def _limbs(self) -> list[list[int]]:
+        """The last three joints on the way to every sided joint that nothing hangs on."""
+        parents = self.parents
+        ends = [j for j in range(len(parents)) if j not in parents and parents[j] > 0]
+        return [[parents[parents[j]], parents[j], j] for j in ends if side_of(self.names[j])[0]]
 
     @property
     def inputs(self) -> int:
@@ -91,7 +102,7 @@ class Body:
         parts = []
         for joints in bone_groups(self.names).values():
             side = offsets.new_tensor(
-                [[1.0, -1.0 if self.names[j].startswith("Right") else 1.0, 1.0] for j in joints]
+                [[1.0, -1.0 if side_of(self.names[j])[0] == "right" else 1.0, 1.0] for j in joints]
             )
             middle = offsets.new_tensor([1.0, float(len(joints) > 1), 1.0])
             parts.append((offsets[..., joints, :] * side).mean(dim=-2) * middle)
@@ -102,8 +113,19 @@ def bone_groups(joint_names: tuple[str, ...]) -> dict[str, list[int]]:
     """Bones by the unsided name of the joint at their far end, each with the indices of its joints."""
     groups: dict[str, list[int]] = {}
     for j, name in enumerate(joint_names[1:], start=1):
-        groups.setdefault(name.removeprefix("Left").removeprefix("Right"), []).append(j)
+        groups.setdefault(side_of(name)[1], []).append(j)
     return groups
+
+
+def side_of(joint_name: str) -> tuple[str, str]:
+    """A joint's side ('left', 'right', or '' in the middle) and its name without it.
+
+    Both ``LeftArm`` and ``LElbow`` are on the left.
+    """
+    found = _SIDED.match(joint_name)
+    if not found:
+        return "", joint_name
+    return ("left" if found[0].startswith("L") else "right"), joint_name[found.end() :]
 
 
 @dataclass(frozen=True)

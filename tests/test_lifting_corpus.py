@@ -7,9 +7,11 @@ import lifting_support as support
 import numpy as np
 import pytest
 
-from lifting.corpus import Corpus, make_corpus, read_corpus, read_split
+from lifting.corpus import Corpus, join_clips, make_corpus, read_corpus
+from rtof_kin import kinematics
 from rtof_kin.errors import FileFormatError, ShapeError
-from rtof_kin.mocap import read_mocap
+from rtof_kin.mocap import MocapClip, read_mocap
+from rtof_kin.types import PoseSequence
 
 EXCERPT = Path(__file__).parent / "data" / "mocap" / "02_01_excerpt.bvh"
 
@@ -41,10 +43,80 @@ def test_subjects_that_no_list_names_train() -> None:
     assert corpus.split == ("train",)
 
 
-def test_clips_at_another_rate_are_refused() -> None:
+def test_clips_at_another_rate_are_resampled() -> None:
     clip = read_mocap(EXCERPT, output_rate_hz=None)
-    with pytest.raises(ShapeError, match="is at 30 Hz; resample it to 60"):
-        make_corpus([clip], {})
+    assert clip.poses.rate_hz == pytest.approx(30)
+    corpus = make_corpus([clip, read_mocap(EXCERPT)], {})
+    assert corpus.rate_hz == 60
+    np.testing.assert_array_equal(
+        corpus.positions(0)[::2], make_corpus([clip], {}, 30).positions(0)
+    )
+    lengths = np.linalg.norm(corpus.positions(0)[:, 1:] - corpus.positions(0)[:, corpus.parents[1:]],
+                             axis=-1)  # fmt: skip
+    np.testing.assert_allclose(lengths, np.broadcast_to(lengths[:1], lengths.shape), atol=1e-5)
+    np.testing.assert_allclose(corpus.positions(0), corpus.positions(1), atol=1e-5)
+
+
+def test_a_whole_ratio_of_rates_takes_every_nth_frame() -> None:
+    clip = read_mocap(EXCERPT)
+    half = make_corpus([clip], {}, rate_hz=30)
+    np.testing.assert_allclose(half.positions(0), clip.poses.p_world_joint[::2], atol=1e-5)
+
+
+def seventeen(bend: float = 0.0, rate_hz: float = 50.0) -> MocapClip:
+    """A clip of the 17 joints whose left shoulder moves up and down by `bend`."""
+    table = support.TABLE_17
+    p_root, R = support.moving(3, 60, table, rate_hz)
+    p = kinematics.positions(table.parents, table.offsets, p_root, R)
+    times = np.arange(60) / rate_hz
+    left = [table.names.index(name) for name in ("LShoulder", "LElbow", "LWrist")]
+    p[:, left, 2] += bend * np.sin(20 * times)[:, None]
+    return MocapClip("seventeen", PoseSequence(times, p, R, table.names), table.offsets, "s")
+
+
+def test_clips_of_any_skeleton_make_a_corpus() -> None:
+    clip = seventeen()
+    corpus = join_clips([(clip, "train")], support.TABLE_17.parents, 50.0, "ask before use")
+    assert (corpus.names, corpus.rate_hz) == (support.TABLE_17.names, 50.0)
+    assert corpus.beyond_rigid is None
+    assert corpus.acknowledgement == "ask before use"
+    np.testing.assert_allclose(corpus.positions(0), clip.poses.p_world_joint, atol=1e-5)
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 60.0])
+def test_joints_that_no_rigid_body_has_stay_where_they_were_recorded(rate_hz: float) -> None:
+    clip = seventeen(bend=0.03)
+    corpus = join_clips([(clip, "train")], support.TABLE_17.parents, rate_hz)
+    assert corpus.beyond_rigid is not None
+    at = np.arange(0, 50, 5)  # tenths of a second
+    now = (at * rate_hz / 50).astype(int)
+    np.testing.assert_allclose(
+        corpus.positions(0)[now], clip.poses.p_world_joint[at], atol=1e-5 if rate_hz == 50 else 1e-3
+    )
+
+
+def test_what_is_not_rigid_moves_another_body_alike() -> None:
+    bent, rigid = (
+        join_clips([(seventeen(b), "train")], support.TABLE_17.parents, 50.0) for b in (0.03, 0.0)
+    )
+    other = (1.1 * support.TABLE_17.offsets).astype(np.float32)
+    shift = bent.positions(0, other) - rigid.positions(0, other)
+    np.testing.assert_allclose(shift, bent.positions(0) - rigid.positions(0), atol=1e-5)
+    assert np.abs(shift).max() > 0.029
+
+
+def test_a_corpus_that_is_not_rigid_survives_its_file(tmp_path: Path) -> None:
+    corpus = join_clips([(seventeen(0.03), "train")], support.TABLE_17.parents, 50.0, "ask")
+    back = read_corpus(corpus.save(tmp_path / "motion.npz"))
+    np.testing.assert_array_equal(back.beyond_rigid, corpus.beyond_rigid)
+    assert (back.rate_hz, back.acknowledgement) == (50.0, "ask")
+
+
+def test_clips_of_different_skeletons_are_refused() -> None:
+    with pytest.raises(ShapeError, match="clip seventeen has the joints Hip, RHip.*each skeleton"):
+        make_corpus([read_mocap(EXCERPT), seventeen()], {})
+    with pytest.raises(ShapeError, match="has the joints Hip, .*not the 21"):
+        make_corpus([seventeen()], {})
 
 
 def test_an_empty_corpus_is_refused() -> None:
@@ -61,7 +133,7 @@ def test_a_split_without_clips_names_the_subjects(corpus: Corpus) -> None:
 
 def test_different_bodies_are_listed_once_largest_first(corpus: Corpus) -> None:
     offsets = corpus.joint_offsets.copy()
-    offsets[1] = offsets[0]
+    offsets[1] = offsets[0] + 4e-4  # as measured twice
     twins = replace(corpus, joint_offsets=offsets, split=("train", "train", "train", "test"))
     bodies = twins.skeletons("train", at_most=5)
     assert len(bodies) == 2
@@ -76,6 +148,10 @@ def test_different_bodies_are_listed_once_largest_first(corpus: Corpus) -> None:
         ({"split": ("train", "train", "train", "holdout")}, "no holdout; known: train"),
         ({"subjects": ("a", "b")}, "joint_offsets: expected shape"),
         ({"parents": (-1, 0)}, "parents: expected shape"),
+        ({"rate_hz": 0.0}, "rate_hz: 0 frames per second"),
+        ({"rate_hz": np.nan}, "rate_hz: nan"),
+        ({"beyond_rigid": np.zeros((3, 21, 3))}, "beyond_rigid: expected shape"),
+        ({"beyond_rigid": np.full((360, 21, 3), np.nan)}, "beyond_rigid: not finite"),
     ],
 )
 def test_inconsistent_corpora_are_refused(corpus: Corpus, change: dict, message: str) -> None:
@@ -104,25 +180,3 @@ def test_a_missing_file_and_a_missing_field_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "half.npz", joint_names=["a"], parents=[-1])
     with pytest.raises(FileFormatError, match="quat_wxyz"):
         read_corpus(tmp_path / "half.npz")
-
-
-def test_a_split_is_read_by_subject(tmp_path: Path) -> None:
-    path = tmp_path / "split.toml"
-    path.write_text('test = ["a"]\nvalidation = ["b", "c"]\n[benchmark]\nseconds = 10.0\n')
-    assert read_split(path) == {"a": "test", "b": "validation", "c": "validation"}
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ('vaildation = ["a"]', "'vaildation' is no list of one of: train"),
-        ('test = "a"', "'test' is no list"),
-        ('test = ["a"]\nvalidation = ["a"]', "subject a stands in two lists"),
-        ("test = [", "not a readable split"),
-    ],
-)
-def test_wrong_splits_are_refused(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "split.toml"
-    path.write_text(text)
-    with pytest.raises(FileFormatError, match=message):
-        read_split(path)

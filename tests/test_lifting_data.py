@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import lifting_support as support
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -171,6 +172,32 @@ def test_every_share_hidden_or_none(bank: MotionBank) -> None:
     batch = draw(bank, replace(plain(), hide_bones=0.0, hide_height=0.0))
     assert batch.bones.isfinite().all()
     assert batch.camera_height.isfinite().all()
+
+
+def test_windows_of_17_joints_are_drawn_at_their_rate() -> None:
+    corpus = support.tiny_corpus(table=support.TABLE_17, rate_hz=50.0)
+    bank = MotionBank(corpus, [0, 1], CPU, [1.1 * corpus.joint_offsets[0]])
+    upper = {name for j, name in enumerate(corpus.names) if bank.upper[j]}
+    assert upper == {"Thorax", "Neck", "Head", "LShoulder", "LElbow", "LWrist", "RShoulder",
+                     "RElbow", "RWrist"}  # fmt: skip
+    batch = draw(bank, AugmentConfig())
+    assert batch.rays_world.shape == (B, 3, W, 17)
+    assert batch.rays_world.isfinite().all()
+    assert batch.pose.shape == (B, 3, 17)
+    frames = torch.arange(B)
+    plain_pose = draw(bank, plain(), frames=frames).pose
+    p = torch.from_numpy(corpus.positions(0)[:B]).transpose(1, 2)
+    torch.testing.assert_close(all_pairs(plain_pose), all_pairs(p), atol=1e-4, rtol=0)
+
+
+def test_joints_that_are_not_rigid_are_drawn_as_recorded() -> None:
+    corpus = support.tiny_corpus()
+    beyond = 0.03 * np.random.default_rng(0).normal(size=(360, 21, 3)).astype(np.float32)
+    beyond[:, 0] = 0.0
+    corpus = replace(corpus, beyond_rigid=beyond)
+    pose = draw(MotionBank(corpus, [0], CPU), plain(), frames=torch.arange(B)).pose
+    p = torch.from_numpy(corpus.positions(0)[:B]).transpose(1, 2)
+    torch.testing.assert_close(all_pairs(pose), all_pairs(p), atol=1e-4, rtol=0)
 
 
 def test_equal_seeds_draw_equal_windows(bank: MotionBank) -> None:

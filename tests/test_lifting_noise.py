@@ -8,8 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from lifting.noise import FOCAL_PX, NoiseConfig, add_noise, perfect, realistic
+from lifting.noise import FOCAL_PX, NoiseConfig, add_noise, perfect, realistic, training_noise
 from lifting.windows import Body
+from rtof_kin.errors import UnknownNameError
 
 B, W = 600, 27
 QUIET = replace(
@@ -25,11 +26,13 @@ def body() -> Body:
     return support.tiny_corpus().body()
 
 
-def noise_of(body: Body, config: NoiseConfig, seed: int = 0, rows: int = B) -> tuple[Tensor, Tensor]:
+def noise_of(
+    body: Body, config: NoiseConfig, seed: int = 0, rows: int = B, rate_hz: float = 60.0
+) -> tuple[Tensor, Tensor]:
     """Errors (B, 2, W, J) in px, and what is seen, of landmarks in the middle of the image."""
     xy = torch.zeros(rows, 2, W, len(body.names))
     seen = torch.ones(rows, W, len(body.names), dtype=torch.bool)
-    noisy, mask = add_noise(body, config, xy, seen, torch.Generator().manual_seed(seed))
+    noisy, mask = add_noise(body, config, xy, seen, torch.Generator().manual_seed(seed), rate_hz)
     return noisy * FOCAL_PX, mask
 
 
@@ -67,16 +70,20 @@ def test_the_bias_is_constant_in_a_window_and_scaled_by_joint(body: Body) -> Non
         assert sigma[body.names.index(name)] == pytest.approx(expected, rel=0.1), name
 
 
-@pytest.mark.parametrize(("joint", "memory"), [("Head", 0.5), ("LeftHand", 0.3)])
-def test_the_drift_forgets_exponentially(body: Body, joint: str, memory: float) -> None:
-    error, _ = noise_of(body, replace(QUIET, drift_px=5.0), rows=4000)
+@pytest.mark.parametrize(
+    ("joint", "memory", "rate_hz"), [("Head", 0.5, 60.0), ("LeftHand", 0.3, 60.0), ("Head", 0.5, 50.0)]
+)
+def test_the_drift_forgets_exponentially(
+    body: Body, joint: str, memory: float, rate_hz: float
+) -> None:
+    error, _ = noise_of(body, replace(QUIET, drift_px=5.0), rows=4000, rate_hz=rate_hz)
     path = error[..., body.names.index(joint)].reshape(-1, W)
     factor = 1.3 if joint.endswith("Hand") else 1.0
     assert path.std() == pytest.approx(5.0 * factor, rel=0.05)
     correlation = np.corrcoef(path.numpy().T)
     lag = np.array([6, 12, 20])
     measured = [np.diag(correlation, k).mean() for k in lag]
-    np.testing.assert_allclose(measured, np.exp(-lag / 60 / memory), atol=0.06)
+    np.testing.assert_allclose(measured, np.exp(-lag / rate_hz / memory), atol=0.06)
 
 
 @pytest.mark.parametrize("share", [0.03, 0.05, 0.2])
@@ -111,6 +118,34 @@ def test_sparse_detectors_lack_the_trunk_throughout(body: Body) -> None:
     lacking = {name for j, name in enumerate(body.names) if not seen[:, :, j].any()}
     trunk = {"Hips", "Spine", "Spine1", "Spine2", "Spine3", "Neck"}
     assert lacking == trunk | {"LeftShoulder", "RightShoulder"}
+
+
+def test_the_17_joints_have_the_same_wrists_knees_and_trunk() -> None:
+    body = support.tiny_corpus(table=support.TABLE_17).body()
+    sigma = noise_of(body, replace(QUIET, bias_px=6.0))[0][:, :, 0].std(dim=(0, 1))
+    for name, expected in {"Hip": 6.0, "LWrist": 7.8, "RElbow": 7.8, "RKnee": 4.8, "LFoot": 4.8,
+                           "RHip": 6.0, "LShoulder": 6.0, "Head": 6.0}.items():  # fmt: skip
+        assert sigma[body.names.index(name)] == pytest.approx(expected, rel=0.1), name
+    _, seen = noise_of(body, replace(QUIET, sparse_share=1.0))
+    lacking = {name for j, name in enumerate(body.names) if not seen[:, :, j].any()}
+    assert lacking == {"Hip", "Spine", "Thorax", "Neck"}
+
+
+def test_runs_last_as_long_at_any_rate(body: Body) -> None:
+    config = replace(QUIET, missing_share=0.2, run_s=(0.1, 0.1))
+    for rate_hz, frames in ((60.0, 6), (120.0, 12)):
+        _, seen = noise_of(body, config, rate_hz=rate_hz)
+        assert (~seen).sum(dim=1).max() in (frames, frames + 1)
+
+
+def test_what_a_lifter_is_trained_for_is_chosen_by_name(body: Body) -> None:
+    assert training_noise("mixed") == NoiseConfig()
+    assert noise_of(body, training_noise("perfect"))[0].abs().max() == 0
+    error, _ = noise_of(body, training_noise("realistic"))
+    one_step = (error[:, :, 1:] - error[:, :, :-1]).std(dim=(1, 2, 3))
+    assert (1 - (one_step / error.std(dim=(1, 2, 3))) ** 2 / 2).min() > 0.5
+    with pytest.raises(UnknownNameError, match="'real'.*Known: mixed, perfect, realistic"):
+        training_noise("real")
 
 
 def test_what_leaves_the_image_is_unseen(body: Body) -> None:

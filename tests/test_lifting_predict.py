@@ -1,20 +1,27 @@
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 
 import lifting_support as support
 import numpy as np
+import planted
 import pytest
 import torch
 from numpy.typing import NDArray
 
 from lifting import predict as module
+from lifting.checkpoint import save_checkpoint
 from lifting.predict import LiftedPoses, Lifter
 from lifting.threads import torch_threads
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.mocap import read_mocap
+from rtof_kin.pipeline import ReconstructionSettings, reconstruct
+from rtof_kin.recording import Recording
+from rtof_kin.simulation import SimulationSettings, simulate
+from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import Camera, KeypointSequence
 
 Array = NDArray[np.float64]
@@ -351,6 +358,54 @@ def test_the_shipped_lifter_lifts_a_scene_it_has_not_seen(
     error = lifted.p_world_joint - p
     assert np.linalg.norm(error - error[:, :1], axis=-1).mean() < 0.08
     assert np.linalg.norm(error, axis=-1).mean() < 0.25
+
+
+def test_a_lifter_knows_the_hash_of_its_file(lifter: Lifter, tmp_path: Path) -> None:
+    path = save_checkpoint(tmp_path / "lifter.pt", lifter._network, lifter.description)
+    assert Lifter.load(path).sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert len(Lifter.load().sha256) == 64
+    assert Lifter.load().sha256 != Lifter.load(path).sha256
+    assert lifter.sha256 == ""
+
+
+# --- another skeleton ----------------------------------------------------------------------------
+
+
+def recording_of_17(frames: int = 60) -> Recording:
+    """Somebody with Human3.6M's joints at 50 Hz, seen without error."""
+    skeleton = SkeletonModel.named("human36m")
+    poses = planted.moving(skeleton, frames).poses
+    poses = replace(poses, times=np.arange(frames) / 50)
+    settings = replace(SimulationSettings.perfect(), sensors=())
+    return simulate(poses, skeleton.joint_offsets, camera=support.side_camera(), settings=settings,
+                    seed=0, skeleton=skeleton)  # fmt: skip
+
+
+def test_a_lifter_of_17_joints_reconstructs_through_the_pipeline() -> None:
+    recording = recording_of_17(frames=24)
+    lifter = support.untrained_lifter(table=support.TABLE_17, rate_hz=50.0)
+    settings = ReconstructionSettings(frames=12)
+    result = reconstruct(recording, mode="rto", lifter=lifter, settings=settings)
+    assert recording.skeleton_table == "human36m"
+    assert result.motion.poses.names == support.TABLE_17.names
+    assert np.isfinite(result.motion.poses.p_world_joint).all()
+    assert result.stages["lift"].valid.all()
+
+
+def test_at_the_rate_of_the_lifter_frames_are_taken_as_they_are() -> None:
+    keypoints = recording_of_17().keypoints
+    lifter = support.untrained_lifter(table=support.TABLE_17, rate_hz=50.0)
+    rays, _ = module._Rays.of(keypoints).windows(keypoints.times[20:40], 27, 50.0)
+    at_frames = module._Rays.of(keypoints).rays[20:40]
+    np.testing.assert_array_equal(rays[:, 13], at_frames)
+    np.testing.assert_array_equal(rays[13:, 0], at_frames[:7])
+    at_60 = support.untrained_lifter(table=support.TABLE_17).predict(keypoints)
+    assert np.abs(at_60.p_world_joint - lifter.predict(keypoints).p_world_joint).max() > 1e-6
+
+
+def test_a_lifter_of_other_joints_says_what_to_do() -> None:
+    with pytest.raises(ShapeError, match=r"sees 3 \(Spine, Neck, Head\).*trained for these joints"):
+        reconstruct(recording_of_17(), mode="lift", lifter=support.untrained_lifter())
 
 
 def test_a_lifter_that_is_not_there_is_reported(tmp_path: Path) -> None:

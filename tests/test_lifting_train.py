@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from lifting.checkpoint import load_checkpoint
 from lifting.corpus import Corpus
 from lifting.data import plain
 from lifting.predict import Lifter
-from lifting.train import TrainConfig, main, train
+from lifting.train import TrainConfig, _shipped_skeleton, main, train
 from rtof_kin.errors import FileFormatError, ShapeError
 
 QUICK = TrainConfig(
@@ -91,6 +92,38 @@ def test_equal_seeds_give_equal_weights_and_others_do_not(corpus: Corpus, tmp_pa
     third = train(replace(config, seed=1), corpus, tmp_path / "3.pt")
     assert same(first, second)
     assert not same(first, third)
+
+
+def test_drawing_ahead_in_a_second_thread_changes_nothing(corpus: Corpus, tmp_path: Path) -> None:
+    config = replace(QUICK, windows=320, dropout=0.2, threads=1)
+    first = train(config, corpus, tmp_path / "1.pt")
+    second = train(replace(config, threads=2), corpus, tmp_path / "2.pt")
+    assert same(first, second)
+    assert not [t for t in threading.enumerate() if t.name.startswith("windows")]
+
+
+def test_progress_is_told_during_the_training(corpus: Corpus, tmp_path: Path) -> None:
+    shares: list[float] = []
+    train(QUICK, corpus, tmp_path / "lifter.pt", lambda report: shares.append(report["share_done"]))
+    assert shares == pytest.approx([k / 20 for k in range(1, 21)])
+
+
+def test_a_lifter_of_17_joints_at_50_hz_says_so(tmp_path: Path) -> None:
+    corpus = support.tiny_corpus(frames=40, table=support.TABLE_17, rate_hz=50.0)
+    corpus = replace(corpus, acknowledgement="of somebody who wants to be named")
+    description = load_checkpoint(train(QUICK, corpus, tmp_path / "lifter.pt"))[1]
+    assert description.body.names == support.TABLE_17.names
+    assert description.rate_hz == 50.0
+    assert description.data == "of somebody who wants to be named"
+    assert description.validation["perfect"]["rr_mm"] < 1000
+
+
+def test_motion_is_carried_over_to_the_shipped_body_with_the_same_joints() -> None:
+    for table in (support.TABLE, support.TABLE_17):
+        (body,) = _shipped_skeleton(support.tiny_corpus(table=table))
+        np.testing.assert_allclose(body, table.offsets, atol=1e-6)
+    renamed = replace(support.tiny_corpus(), names=tuple(f"{n}_" for n in support.TABLE.names))
+    assert _shipped_skeleton(renamed) == []
 
 
 def test_a_resumed_training_ends_as_an_uninterrupted_one(corpus: Corpus, tmp_path: Path) -> None:
@@ -180,6 +213,7 @@ def test_global_randomness_is_left_alone(corpus: Corpus, tmp_path: Path) -> None
         ({"windows": 0}, "windows is 0; it must be positive"),
         ({"minutes": -1.0}, "minutes is -1.0"),
         ({"windows": 5, "batch": 0}, "batch is 0"),
+        ({"windows": 5, "threads": 4}, "4 threads; more than 2 gain nothing"),
         ({"windows": 5, "learning_rate": float("nan")}, "learning_rate is nan"),
     ],
 )

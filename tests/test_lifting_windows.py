@@ -13,8 +13,11 @@ from lifting.windows import (
     encode,
     mirror_features,
     mirror_output,
+    side_of,
 )
+from rtof_kin import kinematics
 from rtof_kin import rotations as so3
+from rtof_kin.skeleton_table import SkeletonTable
 
 W = 27
 
@@ -22,6 +25,11 @@ W = 27
 @pytest.fixture(scope="module")
 def body() -> Body:
     return support.tiny_corpus().body()
+
+
+@pytest.fixture(scope="module")
+def body_17() -> Body:
+    return support.tiny_corpus(table=support.TABLE_17).body()
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +61,66 @@ def true_output(body: Body, scene: Tensor, encoded: object) -> Tensor:
     shift = root[:, :2] / root[:, 2:] / encoded.scale[:, None]
     distance = (root.norm(dim=1) * encoded.scale).log()
     return torch.cat([pose.flatten(1), shift, distance[:, None]], dim=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "rest"),
+    [
+        ("LeftArm", "left", "Arm"),
+        ("RightUpLeg", "right", "UpLeg"),
+        ("LElbow", "left", "Elbow"),
+        ("RHip", "right", "Hip"),
+        ("Hip", "", "Hip"),
+        ("Root", "", "Root"),
+        ("Lumbar", "", "Lumbar"),
+    ],
+)
+def test_both_ways_to_name_a_side_are_read(name: str, side: str, rest: str) -> None:
+    assert side_of(name) == (side, rest)
+
+
+@pytest.mark.parametrize(
+    ("table", "arms", "legs"),
+    [
+        (support.TABLE, "RightArm RightForeArm RightHand LeftArm LeftForeArm LeftHand",
+         "RightUpLeg RightLeg RightFoot LeftUpLeg LeftLeg LeftFoot"),
+        (support.TABLE_17, "LShoulder LElbow LWrist RShoulder RElbow RWrist",
+         "RHip RKnee RFoot LHip LKnee LFoot"),
+    ],
+)  # fmt: skip
+def test_limbs_are_found_in_both_skeletons(table: SkeletonTable, arms: str, legs: str) -> None:
+    body = Body(table.names, table.parents, ())
+    assert [body.names[j] for limb in body.arms for j in limb] == arms.split()
+    assert [body.names[j] for limb in body.legs for j in limb] == legs.split()
+    assert body.feet == [leg[2] for leg in body.legs]
+    assert body.hips == [leg[0] for leg in body.legs]
+
+
+def test_every_joint_of_the_17_has_its_counterpart(body_17: Body) -> None:
+    order = body_17.mirrored
+    assert [order[j] for j in order] == list(range(17))
+    for name, j in zip(body_17.names, order, strict=True):
+        swapped = {"L": "R", "R": "L"}.get(name[0], name[0]) + name[1:]
+        assert body_17.names[j] == swapped
+    assert len(bone_groups(body_17.names)) == 10  # 4 in the middle, 6 of two sides
+
+
+def test_a_joint_without_a_counterpart_is_its_own() -> None:
+    assert Body(("Hips", "LeftArm", "RightHand"), (-1, 0, 0), ()).mirrored == [0, 1, 2]
+
+
+def test_mirrored_scenes_of_17_joints_have_mirrored_features(body_17: Body) -> None:
+    p_root, R = support.moving(5, W, support.TABLE_17)
+    p = kinematics.positions(support.TABLE_17.parents, support.TABLE_17.offsets, p_root, R)
+    scene = torch.from_numpy(p + np.array([4.0, 0.7, -1.6])).permute(2, 0, 1)[None]
+    bones = body_17.bones_of(torch.from_numpy(support.TABLE_17.offsets))[None]
+    height = torch.full((1,), 1.6, dtype=torch.float64)
+    flip = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)[:, None, None]
+    here = encode(body_17, scene, everything(scene), bones, height)
+    there = encode(body_17, (scene * flip)[..., body_17.mirrored], everything(scene), bones, height)
+    assert here.features.shape[-1] == body_17.inputs
+    torch.testing.assert_close(mirror_features(body_17, here.features), there.features)
+    assert not torch.allclose(here.features, there.features)
 
 
 def test_left_and_right_bones_are_one(body: Body) -> None:
