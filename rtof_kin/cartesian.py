@@ -1,23 +1,22 @@
-"""`FragmentSolver`: the paper's temporal optimisation, in overlapping fragments of N frames.
+"""The paper's solver on joint positions, over the fragments of a recording; IPOPT solves each.
 
-Fragments begin every N/2 frames, so every frame is solved twice; the two answers are blended. The problem
-is built once (`fragment_problem`); solving only passes numbers, and two equal calls give equal answers.
+The problem is built once (`fragment_problem`); solving only passes numbers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import kinematics, signals
-from rtof_kin.errors import ShapeError, SolverError, UnknownNameError
+from rtof_kin.errors import SolverError
 from rtof_kin.fragment_problem import TERMS, fragment_problem
 from rtof_kin.fragment_settings import FragmentSettings
+from rtof_kin.fragment_solution import FragmentReport, SolverStatus
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.root_position import refit_root
 from rtof_kin.skeleton import SkeletonModel
@@ -28,100 +27,19 @@ Progress = Callable[[int, int], None]
 """Called with (fragments done, fragments in all)."""
 
 
-class SolverStatus(Enum):
-    """How a fragment's optimisation ended."""
-
-    CONVERGED = "The gradient at the returned point is below the tolerance."
-    ACCEPTABLE = "The solver stopped at a looser tolerance; see the optimality."
-    ITERATION_LIMIT = "The iteration limit was reached before the tolerance."
-    FAILED = "The solver gave up; the starting poses are returned for this fragment."
-
-
-@dataclass(frozen=True)
-class FragmentReport:
-    """What happened to one fragment."""
-
-    first_frame: int
-    """Index of its first frame; negative where it begins in the padding."""
-    status: SolverStatus
-    energy: dict[str, float]
-    """Weighted energy per term at the returned point."""
-    iterations: int
-    seconds: float
-    """Time of the solver."""
-    sigma_reprojection: float
-    """Standard deviation of a landmark that was used, px; given, or estimated from the fragment."""
-    optimality: float
-    """Largest derivative of the energy at the returned point, 1/m, measured there; with bone lengths as
-    constraints, of the Lagrangian."""
-    infeasibility: float
-    """Largest violation of a squared bone length, m^2; 0 without constraints."""
-
-
-@dataclass(frozen=True)
-class FragmentSolution:
-    """Optimised poses of a recording and how they came about."""
-
-    poses: PoseSequence
-    """Blended joint positions; orientations from them, twist from the sensors."""
-    fragments: tuple[FragmentReport, ...]
-    """One report for every fragment."""
-
-    @property
-    def status(self) -> SolverStatus:
-        """The worst status of all fragments."""
-        order = list(SolverStatus)
-        return max((f.status for f in self.fragments), key=order.index)
-
-    @property
-    def energy(self) -> dict[str, float]:
-        """Mean over the fragments of each weighted energy term."""
-        return {t: float(np.mean([f.energy[t] for f in self.fragments])) for t in TERMS}
-
-    @property
-    def optimality(self) -> float:
-        """Largest of the fragments' optimalities, 1/m."""
-        return max(f.optimality for f in self.fragments)
-
-    @property
-    def iterations(self) -> int:
-        """Iterations of all fragments together."""
-        return sum(f.iterations for f in self.fragments)
-
-    @property
-    def seconds(self) -> float:
-        """Solver time of all fragments together, s."""
-        return sum(f.seconds for f in self.fragments)
-
-
-class FragmentSolver:
-    """Optimises pose sequences of one skeleton with keypoints and any subset of its sensors."""
+class CartesianSolver:
+    """Optimises joint positions; see `rtof_kin.fragment.FragmentSolver`."""
 
     def __init__(
         self,
         skeleton: SkeletonModel,
-        frames: int = 50,
-        settings: FragmentSettings | None = None,
-        sensor_joints: tuple[str, ...] | None = None,
+        frames: int,
+        settings: FragmentSettings,
+        sensor_joints: tuple[str, ...],
     ) -> None:
-        """Build the problem.
-
-        Args:
-            skeleton: gives the joints and the bone lengths.
-            frames: N, even, at least 8.
-            settings: weights, sigmas, cropping and blending.
-            sensor_joints: segments whose sensors the problem has a place for; every segment that
-                usually carries one where not given. A recording may have any subset of them.
-
-        Raises:
-            ShapeError: N is odd or too small. UnknownNameError: a segment that does not exist.
-        """
-        if frames < 8 or frames % 2:
-            raise ShapeError(f"frames: N = {frames} must be even and at least 8")
-        self.skeleton, self.frames = skeleton, frames
-        self.settings = settings or FragmentSettings()
-        usual = tuple(joint for joint, _ in skeleton.sensors.values())
-        self.sensor_joints = usual if sensor_joints is None else tuple(sensor_joints)
+        """Build the problem, with a place for a sensor on each of the segments named."""
+        self.skeleton, self.frames, self.settings = skeleton, frames, settings
+        self.sensor_joints = sensor_joints
         bones = [
             (joint, child)
             for joint in skeleton.index(*self.sensor_joints)
@@ -132,50 +50,9 @@ class FragmentSolver:
         a, b = np.array(self._problem.pairs).T
         self._lengths = np.linalg.norm(p[b] - p[a], axis=1)
 
-    def solve(
-        self,
-        start: PoseSequence,
-        keypoints: KeypointSequence,
-        bone_imus: BoneImuSequence | None = None,
-        progress: Progress | None = None,
-    ) -> FragmentSolution:
-        """Optimise a whole sequence: RTOF with sensors, RTO (no E_A, no E_B) without.
-
-        Args:
-            start: finite poses of this skeleton, usually SF2's; also the weak prior's centre.
-            keypoints: one sample a frame of `start`, landmarks named like joints; NaN where unseen.
-            bone_imus: any subset of the sensors, at any times. None for vision alone.
-            progress: told after every fragment.
-
-        Returns:
-            The poses and a report for each fragment.
-
-        Raises:
-            ShapeError: start and keypoints differ in their times, a pose is not finite, or the person
-                is behind the camera. UnknownNameError: joints or sensors of another skeleton.
-            SolverError: none of the landmarks is a joint.
-        """
-        blocks, reports = [], []
-        for block, finished in self._run(start, keypoints, bone_imus, progress):
-            blocks.append(block)
-            reports += finished
-        joined = np.concatenate([block.p_world_joint for block in blocks])
-        poses = self._with_orientations(replace(start, p_world_joint=joined), bone_imus)
-        return FragmentSolution(poses, tuple(reports))
-
-    def stream(
-        self,
-        start: PoseSequence,
-        keypoints: KeypointSequence,
-        bone_imus: BoneImuSequence | None = None,
-    ) -> Iterator[PoseSequence]:
-        """The poses of `solve`, N/2 frames at a time, each as soon as both its fragments are solved."""
-        for block, _ in self._run(start, keypoints, bone_imus, None):
-            yield self._with_orientations(block, bone_imus)
-
     # --- the run over fragments ------------------------------------------------------------------
 
-    def _run(
+    def run(
         self,
         start: PoseSequence,
         keypoints: KeypointSequence,
@@ -183,7 +60,8 @@ class FragmentSolver:
         progress: Progress | None,
     ) -> Iterator[tuple[PoseSequence, list[FragmentReport]]]:
         """Blocks of N/2 frames with the reports that came in since the block before."""
-        self._check(start, keypoints, bone_imus)
+        if not set(keypoints.names) & set(self.skeleton.names):
+            raise SolverError("keypoints: none of the landmarks is a joint of the skeleton")
         if self.settings.refit_root:
             start = refit_root(start, keypoints)
         data = self._observations(start, keypoints, bone_imus)
@@ -204,10 +82,8 @@ class FragmentSolver:
                     weights[0][:, None, None] * previous[half:]
                     + weights[1][:, None, None] * X[:half]
                 ) / (weights[0] + weights[1])[:, None, None]
-                yield (
-                    replace(start[first:stop], p_world_joint=blended[: stop - first]),
-                    reports,
-                )
+                block = replace(start[first:stop], p_world_joint=blended[: stop - first])
+                yield block, reports
                 reports = []
             previous = X
 
@@ -283,34 +159,6 @@ class FragmentSolver:
         return float(np.clip(2 * np.median(error[seen]) / 1.177, low, high))
 
     # --- observations ----------------------------------------------------------------------------
-
-    def _check(
-        self, start: PoseSequence, keypoints: KeypointSequence, bone_imus: BoneImuSequence | None
-    ) -> None:
-        names = self.skeleton.names
-        self.skeleton.check_joints(start.names, "start")
-        if not np.array_equal(start.times, keypoints.times):
-            raise ShapeError("start and keypoints: must have the same times, one sample a frame")
-        if not np.all(np.isfinite(start.p_world_joint)):
-            frame = int(np.argwhere(~np.isfinite(start.p_world_joint))[0][0])
-            raise ShapeError(f"start: the pose of frame {frame} is not finite; bridge gaps first")
-        if len(start) > 1:
-            steps = np.diff(start.times) * start.rate_hz
-            if np.any(np.abs(steps - 1) > 0.1):
-                raise ShapeError("start: frames are not evenly spaced; resample the keypoints first")
-        if bone_imus is not None:
-            unknown = [j for j in bone_imus.joints if j not in self.sensor_joints]
-            if unknown:
-                raise UnknownNameError("IMU segment", unknown, self.sensor_joints)
-        if not set(keypoints.names) & set(names):
-            raise SolverError("keypoints: none of the landmarks is a joint of the skeleton")
-        depth = keypoints.camera.to_camera(start.p_world_joint)[..., 2]
-        if np.any(depth < 0.05):
-            frame = int(np.argwhere(depth < 0.05)[0][0])
-            raise ShapeError(
-                f"start: frame {frame} is behind the camera or in it; check R_camera_world, "
-                "t_camera_world (world to camera, metres) and the world's z axis"
-            )
 
     def _observations(
         self, start: PoseSequence, keypoints: KeypointSequence, bone_imus: BoneImuSequence | None
@@ -404,9 +252,7 @@ class FragmentSolver:
             target[:, joint] = jerk[:, k]
         return target.reshape(N - 3, -1).T
 
-    def _with_orientations(
-        self, poses: PoseSequence, bone_imus: BoneImuSequence | None
-    ) -> PoseSequence:
+    def oriented(self, poses: PoseSequence, bone_imus: BoneImuSequence | None) -> PoseSequence:
         """Orientations from the optimised positions, twist from the sensors; positions as they are."""
         never = InertialGuidedIKSettings(threshold=np.pi)
         oriented = InertialGuidedIK(self.skeleton, never).refine(poses, bone_imus)

@@ -67,3 +67,69 @@ def pseudo_huber(squared: Matrix, delta: float) -> Matrix:
 def pseudo_huber_weight(squared: Matrix, delta: float) -> Matrix:
     """Derivative of `pseudo_huber`: the weight of the residual in a Gauss-Newton Hessian."""
     return 1 / ca.sqrt(1 + squared / delta**2)
+
+
+# --- rotations, as quaternions w x y z (4, 1) ----------------------------------------------------
+
+
+def quat_multiply(a: Matrix, b: Matrix) -> Matrix:
+    """Product of two quaternions (4, 1): first turn by b, then by a."""
+    w, v, s, u = a[0], a[1:], b[0], b[1:]
+    return ca.vertcat(w * s - ca.dot(v, u), w * u + s * v + ca.cross(v, u))
+
+
+def quat_conjugate(q: Matrix) -> Matrix:
+    """Inverse of a unit quaternion (4, 1)."""
+    return ca.vertcat(q[0], -q[1:])
+
+
+def quat_matrix(q: Matrix) -> Matrix:
+    """Rotation matrix (3, 3) of a unit quaternion (4, 1)."""
+    w, x, y, z = (q[i] for i in range(4))
+    return ca.vertcat(
+        ca.horzcat(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        ca.horzcat(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def orientation(q: Matrix, q_measured: Matrix) -> Matrix:
+    """Measured to actual orientation of a segment, in the segment's axes, rad (3, 1).
+
+    ``2 sin(angle / 2)`` along the axis: the rotation vector where it is small, and smooth and monotone
+    up to half a turn. Swing and twist are its components across and along the bone.
+    """
+    error = quat_multiply(quat_conjugate(q_measured), q)
+    return 2 * ca.if_else(error[0] < 0, -1, 1) * error[1:]
+
+
+def rotation_vector(q: Matrix, q_mean: Matrix) -> Matrix:
+    """Rotation vector of a joint from its mean rotation, in the joint's axes, rad (3, 1)."""
+    error = quat_multiply(quat_conjugate(q_mean), q)
+    sign = ca.if_else(error[0] < 0, -1, 1)
+    sine = ca.sqrt(ca.sumsqr(error[1:]) + 1e-18)
+    return 2 * sign * ca.atan2(sine, sign * error[0]) / sine * error[1:]
+
+
+def step_jerk(steps: Matrix, rate_hz: Matrix) -> Matrix:
+    """Second difference of steps between frames, per s^3 (D, n - 2): jerk on tangent coordinates.
+
+    Args:
+        steps: (D, n) displacement (m) or rotation vector (rad) from each frame to the next.
+    """
+    return (steps[:, 2:] - 2 * steps[:, 1:-1] + steps[:, :-2]) * rate_hz**3
+
+
+def height(p: Matrix, floor: Matrix) -> Matrix:
+    """Height of a point over where it is when it stands on the floor, m (1, n)."""
+    return p[2, :] - floor
+
+
+def cauchy(squared: Matrix) -> Matrix:
+    """Robust loss log(1 + s) of a squared whitened residual: outliers hardly count."""
+    return ca.log(1 + squared)
+
+
+def cauchy_weight(squared: Matrix) -> Matrix:
+    """Derivative of `cauchy`."""
+    return 1 / (1 + squared)

@@ -8,8 +8,9 @@ import numpy as np
 
 from rtof_kin.errors import ShapeError
 
-SPACES = ("cartesian",)
-"""Variables that `FragmentSolver` can optimise: 'cartesian', the positions of the joints."""
+SPACES = ("joint", "cartesian")
+"""Variables that `FragmentSolver` can optimise, the default first: the skeleton's configuration, or the
+positions of its joints (the paper's)."""
 
 
 @dataclass(frozen=True)

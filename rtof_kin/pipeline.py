@@ -16,6 +16,7 @@ from rtof_kin.errors import ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import Metrics, evaluate
 from rtof_kin.recording import Recording
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
@@ -47,7 +48,8 @@ class ReconstructionSettings:
     """Settings of all stages after the lifter."""
 
     inertial_ik: InertialGuidedIKSettings = field(default_factory=InertialGuidedIKSettings)
-    fragment: FragmentSettings = field(default_factory=FragmentSettings)
+    fragment: JointSpaceSettings | FragmentSettings | None = None
+    """Of the fragment solver, and by their type its space; its defaults where not given."""
     frames: int = 50
     """N, frames in a fragment."""
 

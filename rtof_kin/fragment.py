@@ -1,0 +1,149 @@
+"""`FragmentSolver`: temporal optimisation in overlapping fragments of N frames.
+
+Fragments begin every N/2 frames, so every frame is solved twice; the two answers are blended. Two spaces
+of variables are offered: the configuration of the skeleton (``joint``, the default: rigid bones, whole
+orientations, limits) and the paper's joint positions (``cartesian``). Two equal calls give equal answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from rtof_kin.cartesian import CartesianSolver
+from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.fragment_settings import SPACES, FragmentSettings
+from rtof_kin.fragment_solution import FragmentReport, FragmentSolution, SolverStatus
+from rtof_kin.joint_space.prior import has_prior
+from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.joint_space.solver import JointSpaceSolver
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
+
+__all__ = ["FragmentReport", "FragmentSolution", "FragmentSolver", "SolverStatus"]
+
+Progress = Callable[[int, int], None]
+"""Called with (fragments done, fragments in all)."""
+
+
+class FragmentSolver:
+    """Optimises pose sequences of one skeleton with keypoints and any subset of its sensors."""
+
+    def __init__(
+        self,
+        skeleton: SkeletonModel,
+        frames: int = 50,
+        settings: FragmentSettings | JointSpaceSettings | None = None,
+        sensor_joints: tuple[str, ...] | None = None,
+        space: str | None = None,
+    ) -> None:
+        """Choose the problem.
+
+        Args:
+            skeleton: gives the joints, the bone lengths and the limits.
+            frames: N, even, at least 8.
+            settings: what the observations are worth; `JointSpaceSettings` or, for Cartesian space,
+                `FragmentSettings`.
+            sensor_joints: segments whose sensors the problem has a place for; every segment that
+                usually carries one where not given. A recording may have any subset of them.
+            space: one of `SPACES`; where not given, that of the settings, else 'joint' for a skeleton
+                that a pose prior is shipped for and 'cartesian' for others (Human3.6M's).
+
+        Raises:
+            ShapeError: N is odd or too small; settings of the other space. UnknownNameError: a segment
+                or a space that does not exist.
+        """
+        if frames < 8 or frames % 2:
+            raise ShapeError(f"frames: N = {frames} must be even and at least 8")
+        kinds = {"joint": JointSpaceSettings, "cartesian": FragmentSettings}
+        if space is None:
+            usual_space = "joint" if has_prior(skeleton.name) else "cartesian"
+            space = next((s for s in SPACES if isinstance(settings, kinds[s])), usual_space)
+        if space not in SPACES:
+            raise UnknownNameError("space", [space], SPACES)
+        settings = settings or kinds[space]()
+        self.skeleton, self.frames, self.space, self.settings = skeleton, frames, space, settings
+        usual = tuple(joint for joint, _ in skeleton.sensors.values())
+        self.sensor_joints = usual if sensor_joints is None else tuple(sensor_joints)
+        skeleton.index(*self.sensor_joints)
+        self._solver: CartesianSolver | JointSpaceSolver
+        if space == "joint" and isinstance(settings, JointSpaceSettings):
+            self._solver = JointSpaceSolver(skeleton, frames, settings, self.sensor_joints)
+        elif space == "cartesian" and isinstance(settings, FragmentSettings):
+            self._solver = CartesianSolver(skeleton, frames, settings, self.sensor_joints)
+        else:
+            raise ShapeError(f"settings: {type(settings).__name__} are not those of space {space!r}")
+
+    def solve(
+        self,
+        start: PoseSequence,
+        keypoints: KeypointSequence,
+        bone_imus: BoneImuSequence | None = None,
+        progress: Progress | None = None,
+    ) -> FragmentSolution:
+        """Optimise a whole sequence: RTOF with sensors, RTO without.
+
+        Args:
+            start: finite poses of this skeleton, usually SF2's; also the centre of weak priors.
+            keypoints: one sample a frame of `start`, landmarks named like joints (in joint space also
+                the skeleton's other landmarks); NaN where unseen.
+            bone_imus: any subset of the sensors, at any times. None for vision alone.
+            progress: told after every fragment.
+
+        Returns:
+            The poses and a report for each fragment.
+
+        Raises:
+            ShapeError: start and keypoints differ in their times, a pose is not finite, or the person
+                is behind the camera. UnknownNameError: joints or sensors of another skeleton.
+            SolverError: none of the landmarks is known.
+        """
+        self._check(start, keypoints, bone_imus)
+        blocks, reports = [], []
+        for block, finished in self._solver.run(start, keypoints, bone_imus, progress):
+            blocks.append(block)
+            reports += finished
+        joined = replace(
+            start,
+            p_world_joint=np.concatenate([block.p_world_joint for block in blocks]),
+            R_world_bone=np.concatenate([block.R_world_bone for block in blocks]),
+        )
+        return FragmentSolution(self._solver.oriented(joined, bone_imus), tuple(reports))
+
+    def stream(
+        self,
+        start: PoseSequence,
+        keypoints: KeypointSequence,
+        bone_imus: BoneImuSequence | None = None,
+    ) -> Iterator[PoseSequence]:
+        """The poses of `solve`, N/2 frames at a time, each as soon as both its fragments are solved."""
+        self._check(start, keypoints, bone_imus)
+        for block, _ in self._solver.run(start, keypoints, bone_imus, None):
+            yield self._solver.oriented(block, bone_imus)
+
+    def _check(
+        self, start: PoseSequence, keypoints: KeypointSequence, bone_imus: BoneImuSequence | None
+    ) -> None:
+        self.skeleton.check_joints(start.names, "start")
+        if not np.array_equal(start.times, keypoints.times):
+            raise ShapeError("start and keypoints: must have the same times, one sample a frame")
+        if not np.all(np.isfinite(start.p_world_joint)):
+            frame = int(np.argwhere(~np.isfinite(start.p_world_joint))[0][0])
+            raise ShapeError(f"start: the pose of frame {frame} is not finite; bridge gaps first")
+        if len(start) > 1:
+            steps = np.diff(start.times) * start.rate_hz
+            if np.any(np.abs(steps - 1) > 0.1):
+                raise ShapeError("start: frames are not evenly spaced; resample the keypoints first")
+        if bone_imus is not None:
+            unknown = [j for j in bone_imus.joints if j not in self.sensor_joints]
+            if unknown:
+                raise UnknownNameError("IMU segment", unknown, self.sensor_joints)
+        depth = keypoints.camera.to_camera(start.p_world_joint)[..., 2]
+        if np.any(depth < 0.05):
+            frame = int(np.argwhere(depth < 0.05)[0][0])
+            raise ShapeError(
+                f"start: frame {frame} is behind the camera or in it; check R_camera_world, "
+                "t_camera_world (world to camera, metres) and the world's z axis"
+            )

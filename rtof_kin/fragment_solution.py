@@ -1,0 +1,80 @@
+"""What a fragment solver gives back: poses, and what happened to every fragment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from rtof_kin.types import PoseSequence
+
+
+class SolverStatus(Enum):
+    """How a fragment's optimisation ended."""
+
+    CONVERGED = "The gradient at the returned point is below the tolerance."
+    ACCEPTABLE = "The solver stopped at a looser tolerance; see the optimality."
+    ITERATION_LIMIT = "The iteration limit was reached before the tolerance."
+    UNOBSERVED = "No landmark and no sensor was seen in the whole fragment: it shows the prior alone."
+    FAILED = "The solver gave up; the starting poses are returned for this fragment."
+
+
+@dataclass(frozen=True)
+class FragmentReport:
+    """What happened to one fragment."""
+
+    first_frame: int
+    """Index of its first frame; negative where it begins in the padding."""
+    status: SolverStatus
+    energy: dict[str, float]
+    """Weighted energy per term at the returned point."""
+    iterations: int
+    seconds: float
+    """Time of the solver."""
+    sigma_reprojection: float
+    """Standard deviation of a landmark that was used, px; given, or estimated from the fragment."""
+    optimality: float
+    """Largest derivative of the energy at the returned point, measured there, 1/m or 1/rad; with
+    constraints, of the Lagrangian."""
+    infeasibility: float
+    """Largest violation of a constraint there: of a squared bone length, m^2, or of a joint's limit, rad;
+    0 without constraints."""
+
+
+@dataclass(frozen=True)
+class FragmentSolution:
+    """Optimised poses of a recording and how they came about."""
+
+    poses: PoseSequence
+    """Blended poses. In joint space rigid and with whole orientations; in Cartesian space positions as
+    they were found, orientations from them, twist from the sensors."""
+    fragments: tuple[FragmentReport, ...]
+    """One report for every fragment."""
+
+    @property
+    def status(self) -> SolverStatus:
+        """The worst status of all fragments."""
+        order = list(SolverStatus)
+        return max((f.status for f in self.fragments), key=order.index)
+
+    @property
+    def energy(self) -> dict[str, float]:
+        """Mean over the fragments of each weighted energy term."""
+        terms = self.fragments[0].energy
+        return {t: float(np.mean([f.energy[t] for f in self.fragments])) for t in terms}
+
+    @property
+    def optimality(self) -> float:
+        """Largest of the fragments' optimalities."""
+        return max(f.optimality for f in self.fragments)
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of all fragments together."""
+        return sum(f.iterations for f in self.fragments)
+
+    @property
+    def seconds(self) -> float:
+        """Solver time of all fragments together, s."""
+        return sum(f.seconds for f in self.fragments)

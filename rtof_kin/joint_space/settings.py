@@ -1,0 +1,92 @@
+"""Settings of the joint-space fragment solver: a standard deviation with its unit for every residual."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtof_kin.errors import ShapeError
+
+
+@dataclass(frozen=True)
+class JointSpaceSettings:
+    """What each observation is worth, and how fragments are solved.
+
+    The energy is the negative logarithm of a posterior: half the sum of squared residuals, each divided
+    by its standard deviation, with a robust loss where outliers come.
+    """
+
+    sigma_reprojection: float | None = None
+    """[px] per axis. None: estimated in every fragment from the residuals, their correlation in time
+    included."""
+    sigma_reprojection_range: tuple[float, float] = (0.5, 25.0)
+    """[px] that the estimate is kept in."""
+    largest_correlation_factor: float = 2.5
+    """By how much errors that stay for long are counted as larger than they are."""
+    robust_reprojection: float = 2.0
+    """[sigma] where the loss of a landmark turns from square to linear."""
+    sigma_swing: float = np.radians(6.0)
+    """[rad] of a sensor's segment about axes across its bone."""
+    sigma_twist: float = np.radians(20.0)
+    """[rad] about the bone, where soft tissue rolls."""
+    robust_orientation: float = 3.0
+    """[sigma] where the loss of an orientation turns from square to linear."""
+    sigma_acceleration: float = 1.5
+    """[m/s^2] of a sensor."""
+    robust_acceleration: float = 2.0
+    """[sigma] where the loss of an acceleration turns from square to linear."""
+    jerk: float = 1.3
+    """[1] factor on the jerk of free motion (`PosePrior`), the standard deviation of the jerk's."""
+    prior_inflation: float = 2.0
+    """[1] factor on the standard deviations of the pose prior: frames are not independent."""
+    sigma_prior_least: float = np.radians(3.0)
+    """[rad] added (in squares) to each of the prior's."""
+    sigma_torso: float | None = np.radians(12.0)
+    """[rad] of pelvis and upper trunk about the start's orientation, with a Cauchy loss; only where no
+    sensor sits on them. None leaves it out."""
+    sigma_root: float | None = None
+    """[m] of the root about the start's position, with a Cauchy loss. None leaves it out."""
+    floor_height: float | None = None
+    """[m] of a flat floor in world; None where there is none or it is not known."""
+    ankle_height: float = 0.08
+    """[m] of the ankle over the floor it stands on."""
+    sigma_floor: float = 0.03
+    """[m] of an ankle that stands."""
+    floor_cutoff: float = 0.2
+    """[m] above which an ankle hardly feels the floor."""
+    hinges: bool = True
+    """Whether knees and elbows turn about one axis alone."""
+    limits: bool = True
+    """Whether the skeleton's anatomical limits hold."""
+    smooth_start_hz: float = 6.0
+    """[Hz] low-pass of the starting poses: a lifter's jitter is no start."""
+    annealing: int = 6
+    """Iterations after each of which the reprojection sigma is estimated anew; it is fixed after them."""
+    max_iterations: int = 30
+    """Iterations after the annealing."""
+    tolerance: float = 1e-4
+    """[1] The fragment is solved when a step would lower the energy by less than this share."""
+    backend: str = "realtime"
+    """'realtime' (Levenberg-Marquardt on the banded system) or 'ipopt'."""
+    compile: str = "auto"
+    """'auto' compiles the energy once where there is a C compiler and keeps it; 'never' interprets."""
+
+    def __post_init__(self) -> None:
+        for field, values in {"backend": ("realtime", "ipopt"), "compile": ("auto", "never")}.items():
+            if getattr(self, field) not in values:
+                raise ShapeError(f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}")
+        low, high = self.sigma_reprojection_range
+        if not 0 < low <= high:
+            raise ShapeError("sigma_reprojection_range must be positive, the smaller one first")
+        object.__setattr__(self, "sigma_reprojection_range", (float(low), float(high)))
+        positive = [name for name in vars(self) if name.startswith(("sigma_", "robust_"))]
+        positive += ["jerk", "prior_inflation", "floor_cutoff", "smooth_start_hz", "tolerance"]
+        for field in positive:
+            value = getattr(self, field)
+            if isinstance(value, int | float) and not 0 < value < np.inf:
+                raise ShapeError(f"{field} must be positive and finite")
+        if self.largest_correlation_factor < 1:
+            raise ShapeError("largest_correlation_factor must be at least 1")
+        if self.annealing < 0 or self.max_iterations < 0:
+            raise ShapeError("annealing and max_iterations must not be negative")

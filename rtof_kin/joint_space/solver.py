@@ -1,0 +1,341 @@
+"""The joint-space solver over a recording: fragments, their start, noise estimation, blending."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import lru_cache
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import kinematics, signals
+from rtof_kin import rotations as so3
+from rtof_kin.errors import SolverError
+from rtof_kin.fragment_solution import FragmentReport, SolverStatus
+from rtof_kin.joint_space.compiled import compiled
+from rtof_kin.joint_space.frame_energy import FEET, TORSO, FrameEnergy, Shape
+from rtof_kin.joint_space.levenberg_marquardt import LevenbergMarquardt, Solved
+from rtof_kin.joint_space.limits import Limits
+from rtof_kin.joint_space.prior import shipped_prior
+from rtof_kin.joint_space.problem import TERMS, FragmentData, JointProblem
+from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.joint_space.state import StateSpace
+from rtof_kin.root_position import refit_root
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
+
+Array = NDArray[np.float64]
+Block = tuple[PoseSequence, list[FragmentReport]]
+_NORMAL_MEDIAN = 1.177
+"""Median norm of a normal error in two dimensions, in standard deviations of an axis."""
+_FEWEST = 20
+
+
+class JointSpaceSolver:
+    """Optimises the configuration of a skeleton; see `rtof_kin.fragment.FragmentSolver`."""
+
+    def __init__(
+        self,
+        skeleton: SkeletonModel,
+        frames: int,
+        settings: JointSpaceSettings,
+        sensor_joints: tuple[str, ...],
+    ) -> None:
+        self.skeleton, self.frames, self.settings = skeleton, frames, settings
+        self.sensor_joints = sensor_joints
+        self.prior = shipped_prior(skeleton.names)
+
+    def run(
+        self,
+        start: PoseSequence,
+        keypoints: KeypointSequence,
+        bone_imus: BoneImuSequence | None,
+        progress: Callable[[int, int], None] | None,
+    ) -> Iterator[Block]:
+        """Blocks of N/2 frames with the reports that came in since the block before."""
+        if not set(keypoints.names) & set(self.skeleton.landmarks):
+            raise SolverError("keypoints: none of the landmarks is one of the skeleton")
+        data = _Observations(self, start, keypoints, bone_imus)
+        half, T = self.frames // 2, len(start)
+        i = np.arange(self.frames)
+        taper = np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
+        firsts, previous = range(-half, T, half), None
+        reports: list[FragmentReport] = []
+        for done, first in enumerate(firsts, start=1):
+            x, report = self._fragment(data, first)
+            reports.append(report)
+            if progress is not None:
+                progress(done, len(firsts))
+            if previous is not None:
+                stop = min(first + half, T)
+                blended = data.space.blend(previous[half:], x[:half], taper[half:], taper[:half])
+                p, R = data.space.poses(blended[: stop - first])
+                yield replace(start[first:stop], p_world_joint=p, R_world_bone=R), reports
+                reports = []
+            previous = x
+
+    def oriented(self, poses: PoseSequence, bone_imus: BoneImuSequence | None) -> PoseSequence:
+        """The poses as they are: their orientations are part of the solution."""
+        return poses
+
+    def _fragment(self, data: _Observations, first: int) -> tuple[Array, FragmentReport]:
+        """(N, 3 + 4A) states of the frames from `first`, and what happened."""
+        s, problem, backend = self.settings, data.problem, data.backend
+        index, inside, values = data.fragment(first)
+        began = perf_counter()
+        problem.bind(values)
+        x, seen = data.start[index], values.observation["w_visual"] > 0
+        sigma, iterations = s.sigma_reprojection or s.sigma_reprojection_range[1], 0
+        solved: Solved | None = None
+        if s.sigma_reprojection is None:
+            for _ in range(s.annealing):
+                sigma = self._sigma(problem.value(x)[1], seen, sigma)
+                problem.reweigh("w_visual", data.confidence[index] * seen / sigma**2)
+                solved = backend.solve(x, 1, 0.0, None if solved is None else solved.multipliers)
+                x, iterations = solved.x, iterations + solved.iterations
+        else:
+            problem.reweigh("w_visual", data.confidence[index] * seen / sigma**2)
+        multipliers = None if solved is None else solved.multipliers
+        solved = backend.solve(x, s.max_iterations, s.tolerance, multipliers)
+        seconds = perf_counter() - began
+        return solved.x, self._report(data, solved, first, sigma, iterations, seconds, inside)
+
+    def _sigma(self, residuals: Array, seen: NDArray[np.bool_], before: float) -> float:
+        """Standard deviation of a landmark per axis, px: size and correlation in time of residuals.
+
+        Errors that stay (biases, drifts) do not average out over a fragment; with a correlation r from
+        frame to frame they weigh like white ones that are sqrt((1 + r) / (1 - r)) times larger.
+        """
+        low, high = self.settings.sigma_reprojection_range
+        if seen.sum() < _FEWEST:
+            return before
+        norm = np.linalg.norm(residuals, axis=-1)
+        size = float(np.median(norm[seen])) / _NORMAL_MEDIAN
+        clipped = np.clip(residuals, -3 * size, 3 * size) * seen[..., None]
+        both = seen[1:] & seen[:-1]
+        product = np.sum(clipped[1:] * clipped[:-1], axis=-1)[both].mean() if both.any() else 0.0
+        square = np.sum(clipped**2, axis=-1)[seen].mean()
+        r = float(np.clip(product / max(square, 1e-12), 0.0, 0.99))
+        factor = min(np.sqrt((1 + r) / (1 - r)), self.settings.largest_correlation_factor)
+        return float(np.clip(size * factor, low, high))
+
+    def _report(
+        self, data: _Observations, solved: Solved, first: int, sigma: float, iterations: int,
+        seconds: float, inside: NDArray[np.bool_],
+    ) -> FragmentReport:  # fmt: skip
+        """Everything measured at the point returned."""
+        energy, _ = data.problem.value(solved.x)
+        gradient, infeasibility = data.problem.gradient(solved.x), 0.0
+        if data.limits is not None:
+            angles = data.limits.values(solved.x)
+            J = data.limits.jacobian(angles)
+            gradient = gradient + np.einsum("tm,tmd->td", solved.multipliers, J)
+            infeasibility = float(np.abs(data.limits.excess(angles)).max(initial=0.0))
+        status = SolverStatus.CONVERGED if solved.converged else SolverStatus.ITERATION_LIMIT
+        if not data.anything_seen(first, inside):
+            status = SolverStatus.UNOBSERVED
+        return FragmentReport(
+            first_frame=first,
+            status=status,
+            energy={term: energy[term] for term in TERMS},
+            iterations=iterations + solved.iterations,
+            seconds=seconds,
+            sigma_reprojection=sigma,
+            optimality=float(np.abs(gradient).max()),
+            infeasibility=infeasibility,
+        )
+
+
+class _Observations:
+    """A recording as the problem wants it, and the problem that fits what it has."""
+
+    def __init__(
+        self,
+        solver: JointSpaceSolver,
+        start: PoseSequence,
+        keypoints: KeypointSequence,
+        bone_imus: BoneImuSequence | None,
+    ) -> None:
+        skeleton, s = solver.skeleton, solver.settings
+        self.settings, self.frames, self.rate_hz = s, solver.frames, start.rate_hz
+        start = refit_root(start, keypoints)
+        known = skeleton.landmarks
+        extra = tuple(n for n in keypoints.names if n in known and n not in skeleton.names)
+        names = (*skeleton.names, *extra)
+        present = () if bone_imus is None else bone_imus.joints
+        sensors = tuple(j for j in skeleton.names if j in {*solver.sensor_joints, *present})
+        moving = [
+            name for j, name in enumerate(skeleton.names)
+            if kinematics.children_of(skeleton.parents, j) or name in present
+            or any(known[n][0] == name for n in extra)
+        ]  # fmt: skip
+        sensors = tuple(name for name in sensors if name in moving)
+        self.problem, self.limits, self.backend = _problem(
+            solver, tuple(moving), tuple((n, *known[n]) for n in names), sensors
+        )
+        self.space = self.problem.space
+        self._observe(solver, start, keypoints.select(names), bone_imus, sensors)
+        self.start = self.space.from_poses(*_smoothed(start, s.smooth_start_hz))
+
+    def _observe(
+        self, solver: JointSpaceSolver, start: PoseSequence, seen: KeypointSequence,
+        bone_imus: BoneImuSequence | None, sensors: tuple[str, ...],
+    ) -> None:  # fmt: skip
+        skeleton, s, camera, T = solver.skeleton, solver.settings, seen.camera, len(start)
+        uv = camera.normalise(seen.uv_px) @ camera.K[:2, :2].T + camera.K[:2, 2]
+        self.confidence = np.where(seen.seen, seen.confidence, 0.0)
+        quat, has, a, w, levers = _sensor_data(start, bone_imus, sensors, s)
+        torso = skeleton.index(*[name for name in TORSO if name in skeleton.names])
+        sensed = np.zeros(T, dtype=bool)
+        for j in torso:
+            if skeleton.names[j] in sensors:
+                sensed |= has[:, sensors.index(skeleton.names[j])] > 0
+        weight = 0.0 if s.sigma_torso is None else 1 / s.sigma_torso**2
+        rows = {
+            "uv_px": np.where(seen.seen[..., None], uv, 0.0),
+            "w_visual": seen.seen.astype(float),
+            "quat_sensor": quat,
+            "w_sensor": has,
+            "quat_torso": so3.to_quat_wxyz(start.R_world_bone[:, torso]),
+            "w_torso": np.where(sensed, 0.0, weight),
+            "p_root": start.p_world_joint[:, 0],
+            "w_root": np.full(T, 0.0 if s.sigma_root is None else 1 / s.sigma_root**2),
+            "w_floor": np.full(T, 0.0 if s.floor_height is None else 1 / s.sigma_floor**2),
+            "w_prior": np.ones(T),
+        }
+        self.rows = rows
+        self.a_world, self.w_acceleration = a, w
+        prior, moving = solver.prior, self.space.names[1:]
+        mean = prior.mean_quat_wxyz[[prior.joints.index(name) - 1 for name in moving]]
+        self.constant = {
+            "offsets": skeleton.joint_offsets.T,
+            "K": camera.K,
+            "R_camera_world": camera.R_camera_world,
+            "t_camera_world": camera.t_camera_world,
+            "whitening": _whitening(skeleton, sensors, s),
+            "levers": levers.T,
+            "quat_mean": mean.T,
+            "precision": prior.precision(moving, s.prior_inflation, s.sigma_prior_least),
+            "floor": np.array([(s.floor_height or 0.0) + s.ankle_height]),
+        }
+
+    def fragment(self, first: int) -> tuple[NDArray[np.intp], NDArray[np.bool_], FragmentData]:
+        """Indices of a fragment's frames, which of them exist, and their data."""
+        frame = np.arange(first, first + self.frames)
+        inside = (frame >= 0) & (frame < len(self.start))
+        index = np.clip(frame, 0, len(self.start) - 1)
+        observation = {name: values[index] for name, values in self.rows.items()}
+        for name in ("w_visual", "w_sensor", "w_torso", "w_root", "w_floor"):
+            observation[name] = (observation[name].T * inside).T
+        whole = inside[2:] & inside[1:-1] & inside[:-2]
+        return index, inside, FragmentData(
+            observation, self.constant, self.a_world[index][1:-1],
+            self.w_acceleration[index][1:-1] * whole[:, None],
+            (np.convolve(inside, np.ones(4), mode="valid") == 4).astype(float), self.rate_hz,
+        )  # fmt: skip
+
+    def anything_seen(self, first: int, inside: NDArray[np.bool_]) -> bool:
+        """Whether a landmark or a sensor says anything in a fragment."""
+        index = np.arange(first, first + self.frames)[inside]
+        return bool(self.rows["w_visual"][index].any() or self.rows["w_sensor"][index].any())
+
+
+def _sensor_data(
+    start: PoseSequence, bone_imus: BoneImuSequence | None, sensors: tuple[str, ...],
+    settings: JointSpaceSettings,
+) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
+    """Quaternions (T, S, 4), their weights (T, S), accelerations (T, S, 3), weights, levers (S, 3)."""
+    T, S = len(start), len(sensors)
+    quat = np.zeros((T, S, 4))
+    quat[..., 0] = 1.0
+    has, a, w, levers = np.zeros((T, S)), np.zeros((T, S, 3)), np.zeros((T, S)), np.zeros((S, 3))
+    if bone_imus is None:
+        return quat, has, a, w, levers
+    if not np.array_equal(bone_imus.times, start.times):
+        bone_imus = bone_imus.resample(start.times)
+    for k, joint in enumerate(sensors):
+        if joint not in bone_imus.joints:
+            continue
+        s = bone_imus.joints.index(joint)
+        R, known = bone_imus.R_world_bone[:, s], np.isfinite(bone_imus.R_world_bone[:, s, 0, 0])
+        quat[known, k] = so3.to_quat_wxyz(R[known])
+        has[:, k] = known
+        measured = np.isfinite(bone_imus.a_world[:, s]).all(axis=-1)
+        a[:, k] = np.nan_to_num(bone_imus.a_world[:, s])
+        w[:, k] = measured / settings.sigma_acceleration**2
+        levers[k] = bone_imus.p_bone_sensor[s]
+    return quat, has, a, w, levers
+
+
+def _whitening(skeleton: SkeletonModel, sensors: tuple[str, ...], s: JointSpaceSettings) -> Array:
+    """(9, S) column-major matrices from an orientation's error, rad, to swing and twist in sigmas.
+
+    Of a segment with several children or none, all three axes have the swing's sigma.
+    """
+    columns = []
+    for joint in skeleton.index(*sensors):
+        children = kinematics.children_of(skeleton.parents, joint)
+        W = np.eye(3) / s.sigma_swing
+        if len(children) == 1:
+            bone = so3.unit(skeleton.joint_offsets[children[0]])
+            along = np.outer(bone, bone)
+            W = (np.eye(3) - along) / s.sigma_swing + along / s.sigma_twist
+        columns.append(W.ravel(order="F"))
+    return np.array(columns).reshape(-1, 9).T
+
+
+def _smoothed(start: PoseSequence, cutoff_hz: float) -> tuple[Array, Array]:
+    """Root positions and orientations of the start without its jitter."""
+    p, R = start.p_world_joint[:, 0], start.R_world_bone
+    if len(start) < 4 or cutoff_hz >= start.rate_hz / 2:
+        return p, R
+    smooth = signals.low_pass(R, start.rate_hz, cutoff_hz)
+    return signals.low_pass(p, start.rate_hz, cutoff_hz), so3.nearest_rotation(smooth)
+
+
+def _problem(
+    solver: JointSpaceSolver, moving: tuple[str, ...], landmarks: tuple[Any, ...],
+    sensors: tuple[str, ...],
+) -> tuple[JointProblem, Limits | None, Any]:  # fmt: skip
+    """The problem for a set of joints, landmarks and sensors, and what solves it."""
+    skeleton, s = solver.skeleton, solver.settings
+    index = skeleton.names.index
+    shape = Shape(
+        landmarks=tuple(
+            (index(joint), None if name == joint else (float(place[0]), float(place[1]), float(place[2])))
+            for name, joint, place in landmarks
+        ),
+        sensors=tuple(map(index, sensors)),
+        torso=tuple(index(name) for name in TORSO if name in skeleton.names),
+        feet=tuple(index(name) for name in FEET if name in skeleton.names),
+        robust_reprojection=s.robust_reprojection,
+        robust_orientation=s.robust_orientation,
+        floor_cutoff=s.floor_cutoff,
+    )
+    space = StateSpace(skeleton, moving, s.hinges)
+    energy, functions = _functions(skeleton.name, shape, moving, s.hinges, s.compile)
+    sigma = solver.prior.sigma_jerk[[solver.prior.joints.index(name) for name in space.names]]
+    tangent = np.repeat(sigma, 3) @ (space.expand != 0)
+    sigma_jerk = s.jerk * np.concatenate([np.full(3, solver.prior.sigma_root_jerk), tangent])
+    problem = JointProblem(
+        space, functions, energy, solver.frames, sigma_jerk, s.robust_acceleration
+    )
+    limits = Limits(space) if s.limits else None
+    if s.backend == "ipopt":
+        from rtof_kin.joint_space.ipopt import Ipopt
+
+        return problem, limits, Ipopt(problem, limits)
+    return problem, limits, LevenbergMarquardt(problem, limits)
+
+
+@lru_cache(maxsize=8)
+def _functions(
+    name: str, shape: Shape, moving: tuple[str, ...], hinges: bool, compile: str
+) -> tuple[FrameEnergy, list[Any]]:
+    """A frame's functions, built (and compiled) once for all bodies."""
+    energy = FrameEnergy(StateSpace(SkeletonModel.named(name), moving, hinges), shape)
+    functions = energy.functions()
+    return energy, compiled(functions) if compile == "auto" else functions
