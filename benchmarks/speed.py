@@ -23,16 +23,20 @@ import numpy as np
 from rtof_kin.fragment import FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK
+from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.recording import Recording
 from rtof_kin.resources import model_path
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
-SETTINGS = {
-    "unconstrained energy, as printed": FragmentSettings.paper(),
-    "the same, bone lengths weighted": replace(FragmentSettings.paper(), bone_lengths="weighted"),
-    "default": FragmentSettings(),
-    "default, sigma given": FragmentSettings(sigma_reprojection=10.0),
-    "default, bone lengths as constraints": FragmentSettings(bone_lengths="constraint"),
+SETTINGS: dict[str, FragmentSettings | JointSpaceSettings] = {
+    "joint space": JointSpaceSettings(),
+    "joint space, interpreted": JointSpaceSettings(compile="never"),
+    "joint space, knees and elbows as ball joints": JointSpaceSettings(hinges=False),
+    "joint space, sigma given": JointSpaceSettings(sigma_reprojection=8.0),
+    "joint space, IPOPT": JointSpaceSettings(backend="ipopt"),
+    "cartesian, unconstrained energy as printed": FragmentSettings.paper(),
+    "cartesian": FragmentSettings(),
+    "cartesian, bone lengths as constraints": FragmentSettings(bone_lengths="constraint"),
 }
 
 
@@ -48,16 +52,17 @@ def start_of(recording: Recording) -> PoseSequence:
 
 
 def measure(
-    settings: FragmentSettings,
+    settings: FragmentSettings | JointSpaceSettings,
     start: PoseSequence,
     keypoints: KeypointSequence,
     imus: BoneImuSequence,
     recording: Recording,
     runs: int,
 ) -> dict[str, Any]:
-    """Build once, solve several times."""
+    """Build once (with one fragment solved), solve several times."""
     began = perf_counter()
     solver = FragmentSolver(recording.skeleton, 50, settings, imus.joints)
+    solver.solve(start[:26], keypoints[:26], imus)
     build = perf_counter() - began
     rates, cpu_rates = [], []
     for _ in range(runs):
@@ -78,6 +83,7 @@ def main() -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.speed", description=__doc__)
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--frames", type=int, default=1200, help="of the demo recording")
     parser.add_argument(
         "--out", type=Path, default=Path(__file__).parent / "results" / "speed.json"
     )
@@ -85,7 +91,7 @@ def main() -> int:
     recording = Recording.load(model_path("demo"))
     bone_imus = recording.bone_imus()
     assert bone_imus is not None
-    frames = slice(0, 1200)
+    frames = slice(0, options.frames)
     keypoints, imus = recording.keypoints[frames], bone_imus[frames]
     start = start_of(recording)
     start = replace(start, times=recording.keypoints.times)[frames]

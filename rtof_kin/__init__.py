@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rtof_kin.fragment import FragmentSolution, FragmentSolver, SolverStatus
     from rtof_kin.fragment_settings import FragmentSettings
     from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+    from rtof_kin.joint_space.settings import JointSpaceSettings
     from rtof_kin.metrics import Metrics, evaluate
     from rtof_kin.pipeline import Reconstruction, ReconstructionSettings, reconstruct
     from rtof_kin.recording import Recording
@@ -40,6 +41,7 @@ _HOME = {
     "ImuSequence": "types",
     "InertialGuidedIK": "inertial_ik",
     "InertialGuidedIKSettings": "inertial_ik",
+    "JointSpaceSettings": "joint_space.settings",
     "KeypointSequence": "types",
     "Metrics": "metrics",
     "MotionSequence": "skeleton",
@@ -64,6 +66,7 @@ __all__ = [
     "ImuSequence",
     "InertialGuidedIK",
     "InertialGuidedIKSettings",
+    "JointSpaceSettings",
     "KeypointSequence",
     "Metrics",
     "MotionSequence",

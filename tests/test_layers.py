@@ -16,27 +16,34 @@ ROOT = Path(__file__).parent.parent
 ROWS = """
 errors
 rotations   resources   body_mass
-signals   skeleton_table   kinematics   checks
+signals   skeleton_table   kinematics   checks   quaternions
 types   urdf
 skeleton
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position
-fragment_problem
-fragment
+fragment_problem   fragment_solution   joint_space   joint_space.settings
 io   io.arrays   io.articulated   io.folder   io.pickled   io.section
 io.asf_amc   io.bvh   io.joint_trajectory   io.motion_npz   io.object_npz   io.total_capture
+cartesian   joint_space.prior   joint_space.state
+joint_space.frame_energy   joint_space.limits   joint_space.compiled
+joint_space.problem
+joint_space.levenberg_marquardt
+joint_space.ipopt
+joint_space.solver
+fragment
 recording_files   mocap_families   simulation_noise
 recording_imus   mocap_mapping   simulation_sensors
 recording   mocap
-datasets   datasets.detections   datasets.total_capture_files   datasets.total_capture_truth
-datasets.human36m_cameras   datasets.human36m_body
-datasets.total_capture   datasets.human36m_files
+datasets   datasets.total_capture_files   datasets.human36m_cameras   datasets.human36m_body
+datasets.detections   datasets.total_capture_truth   datasets.human36m_files
 datasets.total_capture_checks   datasets.human36m
+datasets.total_capture_take
+datasets.total_capture
 simulation
-lifting   lifting.draws   lifting.losses   lifting.model   lifting.threads
+lifting   lifting.draws   lifting.losses   lifting.model   lifting.splits   lifting.threads
 lifting.windows
 lifting.checkpoint   lifting.corpus   lifting.noise
 lifting.data   lifting.predict
-lifting.validation
+lifting.datasets   lifting.supply   lifting.validation
 lifting.train
 pipeline
 figures
@@ -209,7 +216,8 @@ def test_each_heavy_package_is_imported_where_it_belongs() -> None:
                     users[package].add(name)
     assert all(name.startswith("lifting.") for name in users["torch"])
     assert users["pinocchio"] == {"skeleton", "io.joint_trajectory"}
-    assert users["casadi"] <= {"energies", "fragment_problem", "fragment"}
+    joint_space = {f"joint_space.{n}" for n in ("frame_energy", "compiled", "problem", "ipopt")}
+    assert users["casadi"] <= {"energies", "fragment_problem"} | joint_space
     assert users["matplotlib"] <= {"figures", "protocols.pictures"}
     assert not users["yourdfpy"]
 

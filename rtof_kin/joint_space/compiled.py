@@ -37,7 +37,9 @@ def compiled(functions: list[Any]) -> list[Any]:
     try:
         library = _library(functions, compiler)
     except (OSError, subprocess.SubprocessError) as error:
-        _log.warning("the energy could not be compiled (%s): it is interpreted, which is slower", error)
+        _log.warning(
+            "the energy could not be compiled (%s): it is interpreted, which is slower", error
+        )
         return functions
     if library is None:
         _log.warning("there is no C compiler: the energy is interpreted, which is slower")

@@ -31,8 +31,8 @@ FEET = ("LeftFoot", "RightFoot")
 class Shape:
     """What a frame's function is built for."""
 
-    landmarks: tuple[tuple[int, tuple[float, float, float] | None], ...]
-    """Joint index of each landmark and its place in the segment's frame, m; None for a joint."""
+    landmarks: tuple[tuple[int, bool], ...]
+    """Index of each landmark's segment, and whether it is the joint where that begins."""
     sensors: tuple[int, ...]
     """Joint index of each sensor's segment."""
     torso: tuple[int, ...]
@@ -117,6 +117,7 @@ class FrameEnergy:
             "offsets": ca.SX.sym("o", 3, len(names)), "K": ca.SX.sym("K", 3, 3),
             "R_camera_world": ca.SX.sym("R", 3, 3), "t_camera_world": ca.SX.sym("t", 3),
             "whitening": ca.SX.sym("W", 9, S), "levers": ca.SX.sym("l", 3, S),
+            "places": ca.SX.sym("c", 3, L),
             "quat_mean": ca.SX.sym("qm", 4, A - 1), "precision": ca.SX.sym("P", 3 * A - 3, 3 * A - 3),
             "floor": ca.SX.sym("f"),
         }  # fmt: skip
@@ -133,8 +134,8 @@ class FrameEnergy:
                 p[j] = p[parent] + R[parent] @ C["offsets"][:, j]
             R[j] = energies.quat_matrix(q[j]) if j in local else R[parent]
         residuals = []
-        for i, (j, place) in enumerate(shape.landmarks):
-            point = p[j] if place is None else p[j] + R[j] @ ca.DM(place)
+        for i, (j, is_joint) in enumerate(shape.landmarks):
+            point = p[j] if is_joint else p[j] + R[j] @ C["places"][:, i]
             camera = C["R_camera_world"] @ point + C["t_camera_world"]
             r = energies.reprojection(camera, O["uv_px"][:, i], C["K"])
             residuals.append(total.at_zero(r))
@@ -142,7 +143,9 @@ class FrameEnergy:
         for s, j in enumerate(shape.sensors):
             r = energies.orientation(q[j], O["quat_sensor"][:, s])
             white = ca.reshape(C["whitening"][:, s], 3, 3) @ r
-            total.add("orientation", white, O["w_sensor"][s], _pseudo_huber(shape.robust_orientation))
+            total.add(
+                "orientation", white, O["w_sensor"][s], _pseudo_huber(shape.robust_orientation)
+            )
         for i, j in enumerate(shape.torso):
             r = energies.orientation(q[j], O["quat_torso"][:, i])
             total.add("torso", r, O["w_torso"], _cauchy)

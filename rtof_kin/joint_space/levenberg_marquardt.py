@@ -75,22 +75,20 @@ class LevenbergMarquardt:
         """With fixed multipliers: the state, iterations, whether it converged."""
         problem, damping = self.problem, 1e-3
         factor: Factor | None = None
-        energy = problem.total(x) + self._penalty(x, m)
+        energy = np.inf
         for iteration in range(max_iterations):
             fresh = factor is None
             if factor is None:
-                _, gradient = problem.linearise(x)
+                value, gradient = problem.linearise(x)
                 gradient = gradient + self._add_penalty(x, m)
+                energy = value + self._penalty(x, m)
                 factor = problem.factorise(damping)
             else:
                 gradient = problem.gradient(x) + self._add_penalty(x, m, hessian=False)
             step = factor.solve(-gradient)
             predicted = -0.5 * float(np.sum(gradient * step))
             if predicted < tolerance * (1 + abs(energy)):
-                if fresh:
-                    return x, iteration, True
-                factor = None
-                continue
+                return x, iteration, True
             candidate = problem.space.retract(x, step)
             after = problem.total(candidate) + self._penalty(candidate, m)
             ratio = (energy - after) / predicted

@@ -50,7 +50,7 @@ class Limits:
             raise ShapeError(f"limits of {name} contradict each other: lower is not below upper")
 
     def values(self, x: Array) -> Array:
-        """Angles (T, M) of a state, rad: of their two sets, and of all turns, those nearest to the limits.
+        """Angles (T, M) of a state, rad: of their two sets and all turns, those nearest to the limits.
 
         Three angles say the same as (first + pi, pi - second, third + pi), and the limits of a shoulder
         reach into both sets.
@@ -63,7 +63,9 @@ class Limits:
             joints, first = (np.array(column) for column in zip(*places, strict=True))
             columns = first[:, None] + np.arange(3)
             one = so3.matrix_to_euler(order, so3.from_quat_wxyz(q[:, joints]))
-            other = np.stack([one[..., 0] + np.pi, np.pi - one[..., 1], one[..., 2] + np.pi], axis=-1)
+            other = np.stack(
+                [one[..., 0] + np.pi, np.pi - one[..., 1], one[..., 2] + np.pi], axis=-1
+            )
             one, other = self._near(one, columns), self._near(other, columns)
             better = np.abs(self._outside(other, columns)).sum(axis=-1) + 1e-9 < np.abs(
                 self._outside(one, columns)

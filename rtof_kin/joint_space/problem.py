@@ -59,10 +59,10 @@ class JointProblem:
             sigma_jerk: (D,) of every tangent coordinate, m/s^3 and rad/s^3.
         """
         self.space, self.energy, self.frames, self.sigma_jerk = space, energy, frames, sigma_jerk
-        full, value, gradient = (_Mapped(function, frames) for function in functions)
+        full, value, gradient = (_Buffered(function.map(frames)) for function in functions)
         self._full, self._value, self._gradient = full, value, gradient
-        self._temporal = _temporal(
-            3 * len(energy.shape.sensors), space.size, frames, robust_acceleration
+        self._temporal = _Buffered(
+            _temporal(3 * len(energy.shape.sensors), space.size, frames, robust_acceleration)
         )
         self._third = np.diff(np.eye(frames), n=3, axis=0)
         self._band = np.zeros((frames, space.size, 4 * space.size))
@@ -72,7 +72,9 @@ class JointProblem:
         self._data = data
         names, shape = self.energy.observation, (self.frames, -1)
         rows = np.concatenate([data.observation[n].reshape(shape) for n in names], axis=1)
-        fixed = np.concatenate([np.ravel(data.constant[n], order="F") for n in self.energy.constant])
+        fixed = np.concatenate(
+            [np.ravel(data.constant[n], order="F") for n in self.energy.constant]
+        )
         for mapped in (self._full, self._value, self._gradient):
             mapped.inputs[1][:] = rows.ravel()
             mapped.inputs[2].reshape(self.frames, -1)[:] = fixed
@@ -82,12 +84,19 @@ class JointProblem:
 
     def reweigh(self, name: str, weight: Array) -> None:
         """Replace the weights (N, ...) of one kind of observation."""
-        self._data.observation[name] = weight
-        self.bind(self._data)
+        first = 0
+        for other, symbol in self.energy.observation.items():
+            if other == name:
+                break
+            first += symbol.numel()
+        rows = weight.reshape(self.frames, -1)
+        for mapped in (self._full, self._value, self._gradient):
+            inputs = mapped.inputs[1].reshape(self.frames, -1)
+            inputs[:, first : first + rows.shape[1]] = rows
 
     def value(self, x: Array) -> tuple[dict[str, float], Array]:
         """Energy per term, and the reprojection residuals (N, L, 2), px."""
-        terms, points, residuals = self._value(x)
+        terms, points, residuals = self._value(x.ravel())
         steps = self._steps(x)
         acceleration, smooth, *_ = self._temporal_at(points, steps)
         values = [*terms.reshape(self.frames, -1).sum(axis=0).tolist(), acceleration, smooth]
@@ -99,16 +108,17 @@ class JointProblem:
 
     def gradient(self, x: Array) -> Array:
         """(N, D) of the energy in tangent coordinates at x."""
-        _, points, _ = self._value(x)
+        _, points, _ = self._value(x.ravel())
         steps = self._steps(x)
         _, _, force, pull, _ = self._temporal_at(points, steps)
-        (g,) = self._gradient(x, force.ravel())
+        self._gradient.inputs[3][:] = force.ravel()
+        (g,) = self._gradient(x.ravel())
         return np.asarray(g.reshape(self.frames, -1) + self._jerk_gradient(steps, pull))
 
     def linearise(self, x: Array) -> tuple[float, Array]:
         """Energy and gradient (N, D); the Hessian is kept for `solve`."""
         N, D = self.frames, self.space.size
-        terms, g, H, points, J, _ = self._full(x)
+        terms, g, H, points, J, _ = self._full(x.ravel())
         steps = self._steps(x)
         acceleration, smooth, force, pull, slope = self._temporal_at(points, steps)
         A = J.reshape(N, D, -1)
@@ -122,6 +132,12 @@ class JointProblem:
         """Add (N, D, D) to the diagonal blocks of the Hessian kept."""
         D = self.space.size
         self._band[:, :, :D] += np.swapaxes(blocks, 1, 2)
+
+    def lower_block(self, k: int) -> Array:
+        """(N - k, D, D) blocks k frames below the diagonal of the Hessian kept: [t, r, c]."""
+        D = self.space.size
+        block = np.swapaxes(self._band[: self.frames - k, :, k * D : (k + 1) * D], 1, 2)
+        return np.tril(block) + np.swapaxes(np.tril(block, -1), 1, 2) if k == 0 else block
 
     def factorise(self, damping: float) -> Factor:
         """Cholesky factor of the Hessian kept, plus `damping` on its diagonal."""
@@ -149,17 +165,15 @@ class JointProblem:
         return np.concatenate([steps[:, :3], steps[:, 3:] @ self.space.expand], axis=1)
 
     def _temporal_at(self, points: Array, steps: Array) -> tuple[float, float, Array, Array, Array]:
-        data, N = self._data, self.frames
-        S = data.a_world.shape[1]
+        """Energies of acceleration and jerk, derivatives by positions and steps, slopes of the loss."""
+        N, data = self.frames, self._data
         out = self._temporal(
-            points.reshape(N, -1).T, self._tangent(steps).T, data.a_world.reshape(N - 2, -1).T,
-            data.w_acceleration.T, data.w_jerk, data.rate_hz, self.sigma_jerk,
+            points, self._tangent(steps).ravel(), data.a_world.ravel(), data.w_acceleration.ravel(),
+            data.w_jerk, np.array([data.rate_hz]), self.sigma_jerk,
         )  # fmt: skip
-        acceleration, smooth, force, pull, slope = (np.array(v) for v in out)
-        return (
-            float(acceleration[0, 0]), float(smooth[0, 0]), np.ascontiguousarray(force.T),
-            np.ascontiguousarray(pull.T), slope.T.reshape(N - 2, S),
-        )  # fmt: skip
+        shapes = (N, N - 1, N - 2)
+        force, pull, slope = (v.reshape(n, -1) for v, n in zip(out[2:], shapes, strict=True))
+        return float(out[0][0]), float(out[1][0]), force, pull, slope
 
     def _jerk_gradient(self, steps: Array, pull: Array) -> Array:
         """(N, D) from the derivative with respect to the steps (N - 1, D)."""
@@ -178,17 +192,18 @@ class JointProblem:
     def _assemble(self, H: Array, A: Array, slope: Array) -> None:
         """Fill the band: [t, c, r] holds row r, counted from frame t, of column (t, c)."""
         N, D, band = self.frames, self.space.size, self._band
-        band[:] = 0.0
         band[:, :, :D] = H
-        if A.shape[2]:
-            w = np.zeros((N + 2, slope.shape[1]))
-            w[2:-2] = slope * self._data.rate_hz**4
-            spread = [w[2:] + 4 * w[1:-1] + w[:-2], -2 * (w[1:-2] + w[2:-1]), w[2:-2]]
-            for k, weight in enumerate(spread):
-                left = A[: N - k] * np.repeat(weight, 3, axis=1)[:, None, :]
-                band[: N - k, :, k * D : (k + 1) * D] += left @ np.swapaxes(A[k:], 1, 2)
+        w = np.zeros((N + 2, slope.shape[1]))
+        w[2:-2] = slope * self._data.rate_hz**4
+        spread = [w[2:] + 4 * w[1:-1] + w[:-2], -2 * (w[1:-2] + w[2:-1]), w[2:-2]]
         i = np.arange(D)
         for k, diagonal in enumerate(self._jerk):
+            if k < 3 and A.shape[2]:
+                left = A[: N - k] * np.repeat(spread[k], 3, axis=1)[:, None, :]
+                block = left @ np.swapaxes(A[k:], 1, 2)
+                band[: N - k, :, k * D : (k + 1) * D] = block + (H if k == 0 else 0.0)
+            elif k:
+                band[: N - k, i, k * D + i] = 0.0
             band[: N - k, i, k * D + i] += diagonal
 
 
@@ -207,23 +222,22 @@ class Factor:
         return np.asarray(x.reshape(self.shape))
 
 
-class _Mapped:
-    """A CasADi function over all frames on buffers of its own: no conversions, no copies."""
+class _Buffered:
+    """A CasADi function on buffers of its own: no conversions, no copies of what does not change."""
 
-    def __init__(self, function: Any, frames: int) -> None:
-        mapped = function.map(frames)
-        self._buffer, self._evaluate = mapped.buffer()
-        self._mapped = mapped
-        self.inputs = [np.zeros(mapped.nnz_in(i)) for i in range(mapped.n_in())]
-        self.outputs = [np.zeros(mapped.nnz_out(i)) for i in range(mapped.n_out())]
+    def __init__(self, function: Any) -> None:
+        self._buffer, self._evaluate = function.buffer()
+        self._function = function
+        self.inputs = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
+        self.outputs = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         for i, array in enumerate(self.inputs):
             self._buffer.set_arg(i, memoryview(array))  # type: ignore[arg-type]
         for i, array in enumerate(self.outputs):
             self._buffer.set_res(i, memoryview(array))  # type: ignore[arg-type]
 
-    def __call__(self, x: Array, *others: Array) -> list[Array]:
-        self.inputs[0][:] = x.ravel()
-        for array, value in zip(self.inputs[3:], others, strict=True):
+    def __call__(self, *values: Array) -> list[Array]:
+        """Evaluate with these as the first inputs; the outputs hold until the next call."""
+        for array, value in zip(self.inputs, values, strict=False):
             array[:] = value
         self._evaluate()
         return self.outputs
@@ -240,11 +254,15 @@ def _temporal(points: int, size: int, frames: int, robust: float) -> Any:
         rows = slice(3 * s, 3 * s + 3)
         r = energies.acceleration(p[rows, :], a[rows, :], rate)
         squared = w[s, :] * ca.sum1(r**2)
-        value += 0.5 * ca.sum2(energies.pseudo_huber(squared, robust))
+        own: Any = ca.sum2(energies.pseudo_huber(squared, robust))
+        value += 0.5 * own
         slopes.append(w[s, :] * energies.pseudo_huber_weight(squared, robust))
-    jerk = energies.step_jerk(steps, rate) / ca.repmat(sigma, 1, frames - 3)
-    smooth: Any = 0.5 * ca.dot(ca.sum1(jerk**2).T, w_jerk)
-    force = ca.reshape(ca.gradient(value, ca.vec(p)), points, frames) if points else ca.SX(0, frames)
+    jerk: Any = energies.step_jerk(steps, rate) / ca.repmat(sigma, 1, frames - 3)
+    squares: Any = ca.dot(ca.sum1(jerk**2).T, w_jerk)
+    smooth = 0.5 * squares
+    force = (
+        ca.reshape(ca.gradient(value, ca.vec(p)), points, frames) if points else ca.SX(0, frames)
+    )
     pull = ca.reshape(ca.gradient(smooth, ca.vec(steps)), size, frames - 1)
     slope = ca.vertcat(*slopes) if slopes else ca.SX(0, frames - 2)
     outputs = [value, smooth, force, pull, slope]

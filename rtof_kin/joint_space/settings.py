@@ -73,9 +73,14 @@ class JointSpaceSettings:
     """'auto' compiles the energy once where there is a C compiler and keeps it; 'never' interprets."""
 
     def __post_init__(self) -> None:
-        for field, values in {"backend": ("realtime", "ipopt"), "compile": ("auto", "never")}.items():
+        for field, values in {
+            "backend": ("realtime", "ipopt"),
+            "compile": ("auto", "never"),
+        }.items():
             if getattr(self, field) not in values:
-                raise ShapeError(f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}")
+                raise ShapeError(
+                    f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}"
+                )
         low, high = self.sigma_reprojection_range
         if not 0 < low <= high:
             raise ShapeError("sigma_reprojection_range must be positive, the smaller one first")

@@ -32,6 +32,8 @@ Block = tuple[PoseSequence, list[FragmentReport]]
 _NORMAL_MEDIAN = 1.177
 """Median norm of a normal error in two dimensions, in standard deviations of an axis."""
 _FEWEST = 20
+_SETTLED = 0.1
+"""Relative change below which the reprojection sigma is taken as found."""
 
 
 class JointSpaceSolver:
@@ -92,9 +94,12 @@ class JointSpaceSolver:
         solved: Solved | None = None
         if s.sigma_reprojection is None:
             for _ in range(s.annealing):
-                sigma = self._sigma(problem.value(x)[1], seen, sigma)
+                before, sigma = sigma, self._sigma(problem.value(x)[1], seen, sigma)
+                if iterations and abs(sigma / before - 1) < _SETTLED:
+                    break
                 problem.reweigh("w_visual", data.confidence[index] * seen / sigma**2)
-                solved = backend.solve(x, 1, 0.0, None if solved is None else solved.multipliers)
+                multipliers = None if solved is None else solved.multipliers
+                solved = data.annealer.solve(x, 1, 0.0, multipliers)
                 x, iterations = solved.x, iterations + solved.iterations
         else:
             problem.reweigh("w_visual", data.confidence[index] * seen / sigma**2)
@@ -173,10 +178,13 @@ class _Observations:
             or any(known[n][0] == name for n in extra)
         ]  # fmt: skip
         sensors = tuple(name for name in sensors if name in moving)
-        self.problem, self.limits, self.backend = _problem(
-            solver, tuple(moving), tuple((n, *known[n]) for n in names), sensors
+        self.space = StateSpace(skeleton, moving, s.hinges)
+        self.limits = Limits(self.space) if s.limits else None
+        self.problem = _problem(solver, tuple(moving), names, sensors)
+        self.annealer = LevenbergMarquardt(self.problem, self.limits)
+        self.backend = (
+            self.annealer if s.backend == "realtime" else _ipopt(self.problem, self.limits)
         )
-        self.space = self.problem.space
         self._observe(solver, start, keypoints.select(names), bone_imus, sensors)
         self.start = self.space.from_poses(*_smoothed(start, s.smooth_start_hz))
 
@@ -217,6 +225,7 @@ class _Observations:
             "t_camera_world": camera.t_camera_world,
             "whitening": _whitening(skeleton, sensors, s),
             "levers": levers.T,
+            "places": np.array([skeleton.landmarks[name][1] for name in seen.names]).T,
             "quat_mean": mean.T,
             "precision": prior.precision(moving, s.prior_inflation, s.sigma_prior_least),
             "floor": np.array([(s.floor_height or 0.0) + s.ankle_height]),
@@ -297,17 +306,14 @@ def _smoothed(start: PoseSequence, cutoff_hz: float) -> tuple[Array, Array]:
 
 
 def _problem(
-    solver: JointSpaceSolver, moving: tuple[str, ...], landmarks: tuple[Any, ...],
+    solver: JointSpaceSolver, moving: tuple[str, ...], names: tuple[str, ...],
     sensors: tuple[str, ...],
-) -> tuple[JointProblem, Limits | None, Any]:  # fmt: skip
-    """The problem for a set of joints, landmarks and sensors, and what solves it."""
+) -> JointProblem:  # fmt: skip
+    """The problem for some moving joints, landmarks and sensors."""
     skeleton, s = solver.skeleton, solver.settings
     index = skeleton.names.index
     shape = Shape(
-        landmarks=tuple(
-            (index(joint), None if name == joint else (float(place[0]), float(place[1]), float(place[2])))
-            for name, joint, place in landmarks
-        ),
+        landmarks=tuple((index(skeleton.landmarks[n][0]), n in skeleton.names) for n in names),
         sensors=tuple(map(index, sensors)),
         torso=tuple(index(name) for name in TORSO if name in skeleton.names),
         feet=tuple(index(name) for name in FEET if name in skeleton.names),
@@ -315,20 +321,31 @@ def _problem(
         robust_orientation=s.robust_orientation,
         floor_cutoff=s.floor_cutoff,
     )
-    space = StateSpace(skeleton, moving, s.hinges)
-    energy, functions = _functions(skeleton.name, shape, moving, s.hinges, s.compile)
-    sigma = solver.prior.sigma_jerk[[solver.prior.joints.index(name) for name in space.names]]
-    tangent = np.repeat(sigma, 3) @ (space.expand != 0)
-    sigma_jerk = s.jerk * np.concatenate([np.full(3, solver.prior.sigma_root_jerk), tangent])
-    problem = JointProblem(
-        space, functions, energy, solver.frames, sigma_jerk, s.robust_acceleration
-    )
-    limits = Limits(space) if s.limits else None
-    if s.backend == "ipopt":
-        from rtof_kin.joint_space.ipopt import Ipopt
+    return _cached_problem(
+        skeleton.name, shape, moving, solver.frames, s.hinges, s.compile, s.jerk,
+        s.robust_acceleration,
+    )  # fmt: skip
 
-        return problem, limits, Ipopt(problem, limits)
-    return problem, limits, LevenbergMarquardt(problem, limits)
+
+def _ipopt(problem: JointProblem, limits: Limits | None) -> Any:
+    from rtof_kin.joint_space.ipopt import Ipopt
+
+    return Ipopt(problem, limits)
+
+
+@lru_cache(maxsize=8)
+def _cached_problem(
+    name: str, shape: Shape, moving: tuple[str, ...], frames: int, hinges: bool, compile: str,
+    jerk: float, robust_acceleration: float,
+) -> JointProblem:  # fmt: skip
+    """The problem of a fragment, built once for all bodies and recordings that it fits."""
+    skeleton = SkeletonModel.named(name)
+    space, prior = StateSpace(skeleton, moving, hinges), shipped_prior(skeleton.names)
+    energy, functions = _functions(name, shape, moving, hinges, compile)
+    sigma = prior.sigma_jerk[[prior.joints.index(joint) for joint in space.names]]
+    tangent = np.repeat(sigma, 3) @ (space.expand != 0)
+    sigma_jerk = jerk * np.concatenate([np.full(3, prior.sigma_root_jerk), tangent])
+    return JointProblem(space, functions, energy, frames, sigma_jerk, robust_acceleration)
 
 
 @lru_cache(maxsize=8)

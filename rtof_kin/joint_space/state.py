@@ -41,7 +41,9 @@ class StateSpace:
         if hinged:
             for j in hinges(skeleton):
                 joint = skeleton.table.joints[j]
-                flexion = next(i for i, d in enumerate(joint.dofs) if d.clinical.endswith("flexion"))
+                flexion = next(
+                    i for i, d in enumerate(joint.dofs) if d.clinical.endswith("flexion")
+                )
                 self.hinge_axis[self.joints.index(j)] = XYZ.index(joint.axes[flexion])
         kept = [
             3 * a + c
