@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column
 from rich.table import Table as RichTable
@@ -17,6 +18,9 @@ from rtof_kin.fragment_settings import SPACES
 
 if TYPE_CHECKING:
     from rtof_kin.protocols.tables import Table
+
+_WIDEST_FIGURE = 10
+"""Columns of longer cells hold text."""
 
 
 def add_commands(commands: Any) -> None:
@@ -38,7 +42,7 @@ def _total_capture(options: argparse.Namespace) -> None:
     from rtof_kin.protocols.total_capture_tables import all_tables
     from rtof_kin.skeleton import SkeletonModel
 
-    folder = Path(options.output)
+    folder = _output(options)
     sensors = SENSOR_SETS.get(options.sensors)
     protocol = TotalCaptureProtocol(
         options.root,
@@ -48,6 +52,7 @@ def _total_capture(options: argparse.Namespace) -> None:
         keypoints=None if options.keypoints == "ground-truth" else Path(options.keypoints),
         noise_px=options.noise_px,
         sensors=_names(options.sensors) if sensors is None else sensors,
+        space=options.space,
         modes=_names(options.modes),
         lifter=options.lifter,
         studies=not options.no_studies,
@@ -72,7 +77,7 @@ def _total_capture(options: argparse.Namespace) -> None:
     skeleton = SkeletonModel.default()
     written += write_pictures(outcome, folder / "figures", skeleton.table, 60.0)
     _print_tables(tables)
-    out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
+    out.print("wrote " + ", ".join(map(str, written)), markup=False, soft_wrap=True)
     _refuse_if_nothing(outcome.done, outcome.failed)
 
 
@@ -84,7 +89,7 @@ def _human36m(options: argparse.Namespace) -> None:
     from rtof_kin.protocols.tables import write_tables
     from rtof_kin.skeleton import SkeletonModel
 
-    folder = Path(options.output)
+    folder = _output(options)
     protocol = human36m.Human36MProtocol(
         options.root,
         options.lifter,
@@ -110,15 +115,24 @@ def _human36m(options: argparse.Namespace) -> None:
     table = SkeletonModel.human36m().table
     written += write_pictures(outcome, folder / "figures", table, RATE_HZ)
     _print_tables(tables)
-    out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
+    out.print("wrote " + ", ".join(map(str, written)), markup=False, soft_wrap=True)
     _refuse_if_nothing(outcome.done, outcome.failed)
 
 
-def _refuse_if_nothing(done: dict[str, Any], failed: dict[str, str]) -> None:
-    """An error if every job failed."""
+def _output(options: argparse.Namespace) -> Path:
+    """The folder for the results; a file that could not be written is refused before the work."""
     from rtof_kin.errors import RtofError
 
-    if failed and not done:
+    if options.json is not None and options.json.is_dir():
+        raise RtofError(f"--json {options.json}: is a folder; name a file")
+    return Path(options.output)
+
+
+def _refuse_if_nothing(done: dict[str, Any], failed: dict[str, str]) -> None:
+    """An error if every job that has to do with a camera failed."""
+    from rtof_kin.errors import RtofError
+
+    if failed and not any(facts["camera"] is not None for facts in done.values()):
         raise RtofError(f"nothing could be measured; first of all: {next(iter(failed.values()))}")
 
 
@@ -132,28 +146,44 @@ def _job_progress() -> Iterator[Callable[[int, int, str], None]]:
         TextColumn("measuring"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
         TextColumn("{task.fields[last]}"),
     )  # fmt: skip
-    with Progress(*columns, console=err) as progress:
-        task = progress.add_task("jobs", total=None, last="")
+    progress = Progress(*columns, console=err)
+    task = progress.add_task("jobs", total=None, last="")
 
-        def tell(done: int, total: int, last: str) -> None:
-            if " failed: " in last:
-                progress.console.print(last, markup=False, soft_wrap=True)
-                last = ""
-            progress.update(task, completed=done, total=total, last=last)
+    def tell(done: int, total: int, last: str) -> None:
+        progress.start()  # not before there are jobs: an error stands alone
+        if " failed: " in last:
+            progress.console.print(last, markup=False, soft_wrap=True)
+            last = ""
+        progress.update(task, completed=done, total=total, last=last)
 
+    try:
         yield tell
+    finally:
+        if progress.live.is_started:
+            progress.stop()
 
 
 def _print_tables(tables: Sequence[Table]) -> None:
     for table in tables:
-        first, *others = table.columns
-        columns = [Column(name, justify="right") for name in others]
-        shown = RichTable(Column(first, overflow="fold"), *columns, title=table.title)
-        for row in table.text():
-            shown.add_row(*row)
-        out.print(shown)
+        rows = table.text()
+        columns = [_column(*texts) for texts in zip(table.columns, *rows, strict=True)]
+        shown = RichTable(*columns, title=escape(table.title))
+        for row in rows:
+            shown.add_row(*map(escape, row))
+        out.print(shown, crop=False)
         for note in table.notes:
             out.print(f"  {note}", style="dim", markup=False, soft_wrap=True)
+
+
+def _column(heading: str, *cells: str) -> Column:
+    """A column that is folded where it has text, but never so narrow that a figure is cut."""
+    widest = max(map(len, cells), default=0)
+    if widest > _WIDEST_FIGURE:
+        return Column(escape(heading), min_width=min(widest, 2 * _WIDEST_FIGURE), overflow="fold")
+    words = heading.split()
+    return Column(
+        escape("\n".join(words)), justify="right", min_width=max(widest, *map(len, words))
+    )
 
 
 # --- arguments -----------------------------------------------------------------------------------

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.checks import indices_of
-from rtof_kin.datasets.human36m import SUBJECTS_TEST, Human36M
-from rtof_kin.errors import FileFormatError
+from rtof_kin.datasets.human36m import SUBJECTS_TEST, SUBJECTS_TRAIN, Human36M
+from rtof_kin.errors import FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.metrics import evaluate, motionless
 from rtof_kin.pipeline import MODES
 from rtof_kin.protocols import published
@@ -45,6 +45,10 @@ class Human36MProtocol:
     """Folder for the motions."""
 
     def __post_init__(self) -> None:
+        for name in ("subjects", "cameras", "modes"):
+            if not getattr(self, name):
+                raise ShapeError(f"{name}: none are named, so there is nothing to measure")
+        indices_of("subject", self.subjects, SUBJECTS_TRAIN + SUBJECTS_TEST)
         indices_of("mode without sensors", self.modes, VISION)
         indices_of("camera", [str(c) for c in self.cameras], [str(c) for c in CAMERAS])
         if not self.lifter.is_file():
@@ -57,7 +61,8 @@ class Human36MProtocol:
         """Everything that the results depend on, as plain values."""
         return provenance(self.lifter) | {
             "dataset": str(self.root.resolve()), "keypoints": self.keypoints,
-            "cameras_file": str(self.cameras_file), "subjects": list(self.subjects),
+            "cameras_file": str(self.cameras_file.resolve()) if self.cameras_file else "found",
+            "subjects": list(self.subjects),
             "actions": list(self.actions), "cameras": list(self.cameras), "modes": list(self.modes),
         }  # fmt: skip
 
@@ -65,22 +70,24 @@ class Human36MProtocol:
         """All measurements by key.
 
         Raises:
-            FileFormatError: the archive cannot be read, or has none of what is asked for.
+            FileFormatError: the archive cannot be read, or has nothing of the subjects.
+            UnknownNameError: an action that no subject has.
         """
         dataset = _dataset(self.root, self.cameras_file, self.keypoints)
-        jobs = {
+        found = [(s, action) for s, action in dataset.sequences if s in self.subjects]
+        if not found:
+            raise FileFormatError(self.root, f"has no action by {', '.join(self.subjects)}")
+        short = [action.rsplit(" ", 1)[0] for _, action in found]
+        known = sorted({*short, *(action for _, action in found)})
+        unknown = [action for action in self.actions if action not in known]
+        if unknown:
+            raise UnknownNameError("action", unknown, known)
+        return {
             f"{subject}_{action}_cam{camera}".replace(" ", "_"): Job(self, subject, action, camera)
-            for subject, action in dataset.sequences
-            if subject in self.subjects
-            and (not self.actions or {action, action.rsplit(" ", 1)[0]} & set(self.actions))
+            for (subject, action), name in zip(found, short, strict=True)
+            if not self.actions or {action, name} & set(self.actions)
             for camera in self.cameras
         }
-        if not jobs:
-            raise FileFormatError(
-                self.root, f"has none of the actions {', '.join(self.actions) or 'of any name'} by "
-                f"{', '.join(self.subjects)}",
-            )  # fmt: skip
-        return jobs
 
     def motion_file(self, job: Job, mode: str) -> Path | None:
         """Where a mode's motion is saved, if it is."""
@@ -115,7 +122,7 @@ def run(
     """Measure what has not been measured yet; see `rtof_kin.protocols.total_capture.run`."""
     jobs, settings = protocol.jobs(), protocol.settings()
     files = {
-        key: [protocol.motion_file(job, mode) for mode in protocol.modes]
+        key: {mode: protocol.motion_file(job, mode) for mode in protocol.modes}
         for key, job in jobs.items()
     }
     runs = open_runs(folder, settings, overwrite, protocol.save, files)
@@ -138,6 +145,7 @@ def measure(job: Job) -> JobResult:
         name: dict(metrics) | {"frames": int(np.isfinite(metrics.over_time["mpjpe_mm"]).sum())}
         for name, metrics in scores.items()
     }
+    methods[STILL]["angle_deg"] = float("nan")  # it stands as the truth does
     return JobResult(
         {"subject": job.subject, "take": job.action, "camera": job.camera, "methods": methods,
          "failed_checks": [], "notes": [recording.notes] if recording.notes else []},
@@ -165,10 +173,12 @@ def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
         "detected 2D.",
         *published.HUMAN36M_CAVEATS,
     ]
-    if outcome.failed:
-        notes.insert(
-            1, f"INCOMPLETE, without {len(outcome.failed)} recordings: see the last table."
-        )
+    found = {job.subject for job in protocol.jobs().values()}
+    absent = [subject for subject in protocol.subjects if subject not in found]
+    if outcome.failed or absent:
+        lacking = [f"{len(outcome.failed)} recordings"] if outcome.failed else []
+        lacking += [f"any of {subject}" for subject in absent]
+        notes.insert(1, f"INCOMPLETE, without {' and '.join(lacking)}: see the last table.")
     table = Table(
         "human36m", "Human3.6M, vision alone",
         ("method", "MPJPE, root-relative [mm]", "MPJAE [mm/frame2]", "MPJJE [mm/frame3]",
@@ -176,8 +186,10 @@ def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
         (0, 1, 2, 2, 1, 1), tuple(printed), tuple(notes),
     )  # fmt: skip
     state: list[tuple[Cell, ...]] = [
-        (key, "not measured", problem) for key, problem in outcome.failed.items()
+        (subject, "not measured", "the archive of positions has no such subject")
+        for subject in absent
     ]
+    state += [(key, "not measured", problem) for key, problem in outcome.failed.items()]
     for key, facts in outcome.done.items():
         state += [(key, "note", note) for note in facts["notes"]]
     about = Table(

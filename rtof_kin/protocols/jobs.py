@@ -1,21 +1,22 @@
 """Many independent measurements on all cores, each kept as soon as it is done.
 
 A job's result is a pair of files, ``KEY.npz`` (arrays) and then ``KEY.json`` (facts): a job whose facts
-are there is not run again, so an interrupted run goes on where it stopped. A job that fails says why
-and does not stop the others; it is tried again in the next run.
+are there is not run again, so an interrupted run goes on where it stopped. A job that fails, even one
+that kills its process, says why and does not stop the others; it is tried again in the next run.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import math
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Generator, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,11 +24,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.errors import OutputExistsError, RtofError
+from rtof_kin.errors import OutputExistsError, RtofError, ShapeError
 from rtof_kin.io.arrays import read_npz
 
 Array = NDArray[np.float64]
 SETTINGS = "settings.json"
+_MADE_BY = {"made_by": "rtof_kin.protocols"}
+"""By this a folder of results is known from others that have a file of that name."""
+_KILLED = "its process was killed, also when it ran alone: is there too little memory for it?"
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _log = logging.getLogger(__name__)
 
@@ -37,7 +41,7 @@ class JobResult:
     """What one job measured."""
 
     facts: dict[str, Any]
-    """Plain values, as JSON carries them."""
+    """Plain values, as JSON carries them; NaN becomes None. 'methods' has what was measured by name."""
     arrays: dict[str, Array] = field(default_factory=dict)
     """Curves and poses, for pictures."""
 
@@ -66,74 +70,85 @@ def open_runs(
     settings: Mapping[str, Any],
     overwrite: bool,
     save: Path | None,
-    motions: Mapping[str, Sequence[Path | None]],
+    motions: Mapping[str, Mapping[str, Path | None]],
 ) -> Path:
     """The folder for the results of jobs, and the one for their motions, made or gone on with.
 
-    A job measured before whose motions are wanted now and not there counts as not done.
+    Both get a file ``settings.json``, by which they are known again. A job measured before whose motions
+    are wanted now and not there counts as not done.
 
     Args:
-        folder, save: see `_own_folder`; motions lie in ``SUBJECT/TAKE/CAMERA/MODE`` of the second.
-        settings: all that the results depend on. overwrite: whether those of others may be removed.
-        motions: files by the key of the job that writes them.
+        folder, save: the two; motions lie in ``SUBJECT/TAKE/CAMERA/MODE`` of the second.
+        settings: all that the results depend on, plain values.
+        overwrite: whether results of other settings may be removed.
+        motions: files by the key of the job that writes them and the method they are of.
 
     Returns:
         Where `run_jobs` shall keep its results.
-    """
-    _own_folder(folder, settings, overwrite, "runs/*.json")
-    if save is not None:
-        _own_folder(save, settings, overwrite, "*/*/*/*/motion.npz")
-    runs = folder / "runs"
-    runs.mkdir(exist_ok=True)
-    for key, files in motions.items():
-        if any(file is not None and not file.is_file() for file in files):
-            (runs / f"{key}.json").unlink(missing_ok=True)
-    return runs
-
-
-def _own_folder(folder: Path, settings: Mapping[str, Any], overwrite: bool, results: str) -> None:
-    """Make a folder for the results of these settings, or go on in it.
-
-    Args:
-        folder: gets a file ``settings.json``, by which it is known again.
-        settings: all that the results depend on, plain values.
-        overwrite: whether results of other settings may be removed.
-        results: pattern of the files that are results.
 
     Raises:
         OutputExistsError: other things are there, or results of other settings, and overwriting was
-            not asked for.
-        RtofError: it cannot be written.
+            not asked for. Then neither folder is touched.
+        RtofError: one of them cannot be written.
     """
-    text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
+    settings = _MADE_BY | dict(settings)
+    owned = {folder: "runs/*.json"} | ({save: "*/*/*/*/motion.npz"} if save else {})
+    changed = {path: _check_owned(path, settings, overwrite) for path in owned}
+    for path, results in owned.items():
+        _take_over(path, settings, results if changed[path] else None)
+    runs = folder / "runs"
+    runs.mkdir(exist_ok=True)
+    for key, files in motions.items():
+        measured = (_facts(runs, key) or {}).get("methods", ())
+        wanted = [file for method, file in files.items() if method in measured]
+        if any(file is not None and not file.is_file() for file in wanted):
+            (runs / f"{key}.json").unlink()
+    return runs
+
+
+def _check_owned(folder: Path, settings: Mapping[str, Any], overwrite: bool) -> bool:
+    """Whether a folder holds results of other settings, which may be removed."""
     mark = folder / SETTINGS
     try:
-        if folder.is_dir() and any(folder.iterdir()) and not mark.is_file():
+        if not folder.is_dir() or not any(folder.iterdir()):
+            return False
+        before = json.loads(mark.read_text(encoding="utf-8")) if mark.is_file() else {}
+        if not isinstance(before, dict) or any(before.get(k) != v for k, v in _MADE_BY.items()):
             raise OutputExistsError(f"{folder}: holds other things; name a new folder")
-        if mark.is_file() and mark.read_text(encoding="utf-8") != text:
-            if not overwrite:
-                raise OutputExistsError(
-                    f"{folder}: holds results of other settings ({_difference(mark, settings)}); "
-                    "name another folder, or overwrite it"
-                )
-            for path in folder.glob(results):
-                path.unlink()
-        folder.mkdir(parents=True, exist_ok=True)
-        mark.write_text(text, encoding="utf-8")
+    except ValueError as error:  # of JSON and of Unicode
+        raise OutputExistsError(f"{mark}: damaged ({error}); name a new folder") from error
     except RtofError:  # one of them is an OSError too
         raise
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise RtofError(f"{folder}: cannot be read ({error}); name another folder") from error
+    other = [k for k in sorted({*before, *settings}) if before.get(k) != settings.get(k)]
+    if other and not overwrite:
+        raise OutputExistsError(
+            f"{folder}: holds results of other settings ({', '.join(other)}); name another folder, "
+            "or overwrite it"
+        )
+    return bool(other)
+
+
+def _take_over(folder: Path, settings: Mapping[str, Any], results: str | None) -> None:
+    """Make a folder that is known by its settings, without files that match a pattern."""
+    try:
+        for path in folder.glob(results) if results else ():
+            path.unlink()
+        folder.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
+        (folder / SETTINGS).write_text(text, encoding="utf-8")
+    except OSError as error:
         raise RtofError(f"{folder}: cannot be written ({error}); name another folder") from error
 
 
-def _difference(mark: Path, settings: Mapping[str, Any]) -> str:
-    """Which settings differ, for a message."""
+def _facts(folder: Path, key: str) -> dict[str, Any] | None:
+    """What a job has found, if it is done; a damaged file counts as not done."""
     try:
-        before = json.loads(mark.read_text(encoding="utf-8"))
-        keys = [k for k in sorted({*before, *settings}) if before.get(k) != settings.get(k)]
-    except (ValueError, TypeError, AttributeError):
-        return f"{mark.name} is damaged"
-    return ", ".join(keys)
+        facts = json.loads((folder / f"{key}.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return facts if isinstance(facts, dict) else None
 
 
 def run_jobs(
@@ -150,50 +165,62 @@ def run_jobs(
         jobs: argument of each job by its key.
         folder: where results lie; see `open_runs`.
         workers: processes; 1 runs in this one. As many as cores where not given.
-        progress: told after every job.
+        progress: told after every job; without it, what fails is logged.
+
+    Raises:
+        ShapeError: fewer than one worker.
     """
+    if workers is not None and workers < 1:
+        raise ShapeError(f"workers: {workers} processes do no work; give 1 or more")
     tell = progress or (lambda done, total, text: None)
-    waiting = {k: v for k, v in jobs.items() if not (folder / f"{k}.json").is_file()}
+    waiting = {k: v for k, v in jobs.items() if _facts(folder, k) is None}
     failed: dict[str, str] = {}
     done = len(jobs) - len(waiting)
     tell(done, len(jobs), f"{done} of {len(jobs)} were done before" if done else "")
-    for key, problem in _results(function, waiting, folder, workers or os.cpu_count() or 1):
-        done += 1
-        if problem is not None:
-            failed[key] = problem
-            _log.warning("%s: %s", key, problem)
-        tell(done, len(jobs), key if problem is None else f"{key} failed: {problem}")
-    facts = {
-        key: json.loads((folder / f"{key}.json").read_text(encoding="utf-8"))
-        for key in jobs
-        if key not in failed
-    }
-    return Outcome(folder, facts, failed)
+    with closing(_results(function, waiting, folder, workers or os.cpu_count() or 1)) as results:
+        for key, problem in results:
+            done += 1
+            if problem is not None:
+                failed[key] = problem
+                if progress is None:
+                    _log.warning("%s: %s", key, problem)
+            tell(done, len(jobs), key if problem is None else f"{key} failed: {problem}")
+    facts = {key: _facts(folder, key) for key in jobs if key not in failed}
+    return Outcome(folder, {k: v for k, v in facts.items() if v is not None}, failed)
 
 
 def _results(
     function: Callable[[Any], JobResult], jobs: Mapping[str, Any], folder: Path, workers: int
-) -> Iterator[tuple[str, str | None]]:
+) -> Generator[tuple[str, str | None]]:
     """Each job's key as it ends, and why it failed or None."""
-    workers = min(workers, len(jobs))
-    if workers <= 1:
+    if workers == 1:
         for key, argument in jobs.items():
             yield key, _work(function, key, argument, folder)
         return
-    with _one_thread_each(), _pool(workers) as pool:
+    broken = []
+    for key, problem in _in_processes(function, jobs, folder, workers) if jobs else ():
+        if problem == _KILLED:
+            broken.append(key)
+        else:
+            yield key, problem
+    for key in broken:  # one of them ended the process of all: each gets one of its own
+        yield from _in_processes(function, {key: jobs[key]}, folder, 1)
+
+
+def _in_processes(
+    function: Callable[[Any], JobResult], jobs: Mapping[str, Any], folder: Path, workers: int
+) -> Generator[tuple[str, str | None]]:
+    """`_results` of a pool of processes; `_KILLED` of what was not done when one of them ended."""
+    with _one_thread_each(), _pool(min(workers, len(jobs))) as pool:
         futures = {
             pool.submit(_work, function, key, argument, folder): key
             for key, argument in jobs.items()
         }
         for future in as_completed(futures):
-            yield futures[future], _answer(future)
-
-
-def _answer(future: Future[str | None]) -> str | None:
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        return "its process was killed, probably for want of memory; use fewer workers"
+            try:
+                yield futures[future], future.result()
+            except BrokenProcessPool:
+                yield futures[future], _KILLED
 
 
 def _work(
@@ -202,28 +229,38 @@ def _work(
     """Run one job and write its files; why it failed, or None."""
     try:
         result = function(argument)
+        np.savez_compressed(folder / f"{key}.npz", **result.arrays)  # type: ignore[arg-type]
+        partial = folder / f"{key}.json.part"
+        partial.write_text(json.dumps(_plain(result.facts)) + "\n", encoding="utf-8")
+        partial.replace(folder / f"{key}.json")
     except RtofError as error:
         return str(error)
     except Exception as error:  # one bad take must not stop a night's work
         _log.exception("%s", key)
         return f"{type(error).__name__}: {error}"
-    np.savez_compressed(folder / f"{key}.npz", **result.arrays)  # type: ignore[arg-type]
-    partial = folder / f"{key}.json.part"
-    partial.write_text(json.dumps(result.facts) + "\n", encoding="utf-8")
-    partial.replace(folder / f"{key}.json")
     return None
+
+
+def _plain(value: Any) -> Any:
+    """A value that every reader of JSON understands: NaN and infinity are none of its numbers."""
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @contextmanager
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Fresh processes, which an exception in this one ends at once."""
+    others = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, context, _ignore_interrupt)
     try:
         yield pool
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
-        for process in multiprocessing.active_children():
+        for process in set(multiprocessing.active_children()) - others:
             process.terminate()
         raise
     pool.shutdown()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.io.motion_npz import write_motion_npz
-from rtof_kin.pipeline import MODES, Reconstruction, reconstruct
+from rtof_kin.pipeline import MODES, Reconstruction, ReconstructionSettings, reconstruct
 from rtof_kin.protocols.jobs import Outcome
 from rtof_kin.recording import Recording
 from rtof_kin.resources import model_path
@@ -22,14 +22,17 @@ _SNAPSHOTS = 5
 
 
 def reconstructions(
-    recording: Recording, modes: Iterable[str], lifter: Path | None
+    recording: Recording,
+    modes: Iterable[str],
+    lifter: Path | None,
+    settings: ReconstructionSettings | None = None,
 ) -> dict[str, Reconstruction]:
     """For every mode, in the order of `MODES`, a reconstruction that has it among its stages.
 
     Modes that need sensors are left out where the recording has none.
 
     Args:
-        lifter: checkpoint; the shipped one where not given.
+        lifter: checkpoint; the shipped one where not given. settings: of the stages after it.
     """
     from lifting.predict import Lifter
 
@@ -38,7 +41,7 @@ def reconstructions(
     runs: dict[str, Reconstruction] = {}
     for mode in ("rtof", "sf2", "rto", "lift"):
         if mode in asked and mode not in runs:
-            result = reconstruct(recording, mode=mode, lifter=network)
+            result = reconstruct(recording, mode=mode, lifter=network, settings=settings)
             runs |= {stage: result for stage in result.stages if stage not in runs}
     return {mode: runs[mode] for mode in MODES if mode in asked}
 

@@ -51,7 +51,8 @@ def _characters(outcome: Outcome) -> list[str]:
     for key, facts in outcome.done.items():
         take = (facts["subject"], facts["take"])
         if facts["camera"] is not None:
-            first.setdefault(take, key)
+            if set(NAMES) & set(facts["methods"]):
+                first.setdefault(take, key)
         elif "no motion" in facts["methods"]:
             lively[take] = facts["methods"]["no motion"]["mpjae"]
     takes = sorted(first, key=lambda take: lively.get(take, 0.0))
@@ -73,9 +74,8 @@ def error_curves(outcome: Outcome, keys: Sequence[str], rate_hz: float) -> Figur
         arrays, facts = outcome.arrays(key), outcome.done[key]
         where = f"{facts['subject']} {facts['take']}, camera {facts['camera']}"
         for ax, (suffix, label) in zip(row, columns.items(), strict=True):
-            for mode in ("lift", "rtof" if "rtof_rr_mm" in arrays else "rto"):
-                if f"{mode}_{suffix}" not in arrays:
-                    continue
+            best = [mode for mode in ("rtof", "rto", "sf2") if f"{mode}_{suffix}" in arrays][:1]
+            for mode in (["lift"] if f"lift_{suffix}" in arrays else []) + best:
                 curve = arrays[f"{mode}_{suffix}"]
                 mean = float(np.nanmean(curve))
                 text = f"{NAMES[mode]}: mean {mean:.1f}"

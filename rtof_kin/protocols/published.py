@@ -1,14 +1,15 @@
 """Published figures, as printed in the tables of the RTOF paper (Bao, Zhao, Qian, 2024).
 
 MPJPE in mm. MPJAE and MPJJE as the paper prints them: "per second" on Total Capture, "per frame" on
-Human3.6M; `total_capture_caveats` says what is known of their units.
+Human3.6M; `TOTAL_CAPTURE_CAVEATS` says what is known of their units.
 """
 
 from __future__ import annotations
 
 NAMES_1 = ("seen W2", "seen A3", "seen FS3", "unseen W2", "unseen A3", "unseen FS3", "average")
-"""Columns of table 1. Its average is over frames: the row's own cells, weighted by the frames of the
-takes, give it (23.2 and 33.7); a plain mean of the cells does not."""
+"""Columns of table 1. The average of the paper's own rows is over frames: their cells, weighted by the
+frames of the takes, give it (23.2; 33.64 for 33.7); a plain mean of the cells does not. Among the others
+IMUPVH's is a plain mean, and LSTM-AE's and VP3D's are neither."""
 
 TABLE_1: dict[str, tuple[float | None, ...]] = {
     "LSTM-AE (4 cameras)": (13.0, 23.0, 47.0, 21.8, 40.9, 68.5, 34.1),

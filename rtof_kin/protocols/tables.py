@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from rtof_kin.errors import RtofError
+
 Cell = str | float | None
 """Text, a figure, or nothing where there is none."""
 
@@ -48,7 +50,9 @@ class Table:
         """The table with its title and notes as Markdown."""
         lines = [f"### {self.title}", "", "| " + " | ".join(self.columns) + " |"]
         lines.append("|---" * len(self.columns) + "|")
-        lines += ["| " + " | ".join(row) + " |" for row in self.text()]
+        for row in self.text():  # a message may have lines and bars of its own
+            cells = (" ".join(cell.split()).replace("|", "\\|") for cell in row)
+            lines.append("| " + " | ".join(cells) + " |")
         return "\n".join([*lines, "", *(f"- {note}" for note in self.notes)]) + "\n"
 
     def as_dict(self) -> dict[str, Any]:
@@ -70,14 +74,20 @@ def write_tables(
 
     Returns:
         The paths written.
+
+    Raises:
+        RtofError: one of them cannot be written.
     """
     text = "\n".join(table.markdown() for table in tables)
     content = facts | {"tables": {table.name: table.as_dict() for table in tables}}
     document = json.dumps(content, indent=1) + "\n"
     paths = [folder / "tables.md", folder / "tables.json", *([json_file] if json_file else [])]
     for path, content_text in zip(paths, [text, document, document], strict=False):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(content_text, encoding="utf-8")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(content_text, encoding="utf-8")
+        except OSError as error:
+            raise RtofError(f"{path}: cannot be written ({error}); name another one") from error
     return paths
 
 

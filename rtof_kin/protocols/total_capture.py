@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 from rtof_kin import signals
 from rtof_kin.checks import indices_of
 from rtof_kin.datasets.detections import read_detections
-from rtof_kin.datasets.total_capture import SUBJECTS, Take, TotalCapture
-from rtof_kin.datasets.total_capture_checks import check_keypoints, check_take
-from rtof_kin.errors import ShapeError
+from rtof_kin.datasets.total_capture import SUBJECTS, TEST, TRAIN, Take, TotalCapture
+from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take
+from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.fragment import FragmentSolver
-from rtof_kin.fragment_settings import FragmentSettings
+from rtof_kin.fragment_settings import SPACES, FragmentSettings
+from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import evaluate, motionless
-from rtof_kin.pipeline import MODES, Reconstruction
+from rtof_kin.pipeline import MODES, Reconstruction, ReconstructionSettings
 from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.protocols.measures import curves, provenance, reconstructions, save_motion
 from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
@@ -70,6 +71,8 @@ class TotalCaptureProtocol:
     noise_px: float = 0.0
     """Standard deviation of white noise added to ground-truth 2D, px per axis."""
     sensors: tuple[str, ...] = LIMB_SENSORS
+    space: str = SPACES[0]
+    """Of the fragment solver, one of `SPACES`; the studies are as printed in any case."""
     modes: tuple[str, ...] = MODES
     lifter: Path | None = None
     """Checkpoint; the shipped one where not given."""
@@ -81,16 +84,27 @@ class TotalCaptureProtocol:
     """Folder for the motions of every take, camera and mode."""
 
     def __post_init__(self) -> None:
+        for name in ("subjects", "takes", "cameras", "modes"):
+            if not getattr(self, name):
+                raise ShapeError(f"{name}: none are named, so there is nothing to measure")
         indices_of("subject", self.subjects, SUBJECTS)
+        indices_of("take", self.takes, sorted({take for _, take in (*TRAIN, *TEST)}))
         indices_of("mode", self.modes, MODES)
+        indices_of("space", [self.space], SPACES)
         indices_of("sensor", self.sensors, list(SkeletonModel.default().sensors))
         indices_of("camera", [str(c) for c in self.cameras], [str(c) for c in range(1, 9)])
         if not self.sensors and {"sf2", "rtof"} & set(self.modes):
             raise ShapeError("modes sf2 and rtof need sensors; name some, or only lift and rto")
         if self.keypoints is not None and self.noise_px:
             raise ShapeError("noise is added to ground-truth 2D only, not to a detector's")
-        if not self.noise_px >= 0:
+        if not 0 <= self.noise_px < np.inf:
             raise ShapeError(f"noise_px: {self.noise_px:g} is not a standard deviation")
+        if self.seed < 0:
+            raise ShapeError(f"seed: {self.seed} is negative")
+        if self.keypoints is not None and not self.keypoints.is_dir():
+            raise FileFormatError(self.keypoints, "there is no such folder of detections")
+        if self.lifter is not None and not self.lifter.is_file():
+            raise FileFormatError(self.lifter, "there is no such lifter")
 
     def settings(self) -> dict[str, Any]:
         """Everything that the results depend on, as plain values."""
@@ -98,8 +112,8 @@ class TotalCaptureProtocol:
             "dataset": str(self.root.resolve()),
             "subjects": list(self.subjects), "takes": list(self.takes), "cameras": list(self.cameras),
             "keypoints": str(self.keypoints.resolve()) if self.keypoints else "ground truth",
-            "noise_px": self.noise_px, "sensors": list(self.sensors), "modes": list(self.modes),
-            "studies": self.studies, "seed": self.seed,
+            "noise_px": self.noise_px, "sensors": list(self.sensors), "space": self.space,
+            "modes": list(self.modes), "studies": self.studies, "seed": self.seed,
         }  # fmt: skip
 
     def jobs(self) -> dict[str, Job]:
@@ -113,7 +127,7 @@ class TotalCaptureProtocol:
         }
 
     def pairs(self) -> list[tuple[str, str]]:
-        """Subject and take of everything asked for that the dataset's protocol knows."""
+        """Subject and take of everything asked for."""
         return [(subject, take) for subject in self.subjects for take in self.takes]
 
     def motion_file(self, job: Job, mode: str) -> Path | None:
@@ -148,12 +162,12 @@ def run(
         overwrite: whether results of other settings may be replaced.
 
     Raises:
-        FileFormatError: there is no such dataset. OutputExistsError: see `own_folder`.
+        FileFormatError: there is no such dataset. OutputExistsError: see `open_runs`.
     """
     TotalCapture(protocol.root)  # says at once when there is nothing
     jobs = protocol.jobs()
     files = {
-        key: [protocol.motion_file(job, mode) for mode in protocol.modes]
+        key: {mode: protocol.motion_file(job, mode) for mode in protocol.modes}
         for key, job in jobs.items()
         if job.camera
     }
@@ -175,13 +189,13 @@ def _take(root: Path, subject: str, name: str) -> Take:
 
 def _reference(take: Take) -> JobResult:
     """The rows that calibrate acceleration and jerk errors, and the state of the files."""
-    truth = take.truth
-    smooth = signals.low_pass(truth.p_world_joint, truth.rate_hz, LOW_PASS_HZ)
-    skeleton = SkeletonModel.default().with_offsets(take.joint_offsets)
+    truth, skeleton = take.truth, take.skeleton
+    smooth = signals.low_pass(_without_glitches(truth), truth.rate_hz, LOW_PASS_HZ)
     rows = {
         STILL: _scores(motionless(truth), truth, skeleton),
         LOW_PASSED: _scores(replace(truth, p_world_joint=smooth), truth, skeleton),
     }
+    rows = {name: scores | {"angle_deg": None} for name, scores in rows.items()}  # the truth's own
     failed = [check.message for check in check_take(take) if not check.passed]
     return JobResult(
         {"subject": take.subject, "take": take.name, "camera": None, "methods": rows,
@@ -189,31 +203,45 @@ def _reference(take: Take) -> JobResult:
     )  # fmt: skip
 
 
+def _without_glitches(truth: PoseSequence) -> Array:
+    """Positions (T, J, 3) m, interpolated where they are not valid: a filter would smear them."""
+    p = np.array(truth.p_world_joint)
+    for j, valid in enumerate(truth.valid.T):
+        for i in range(3 if valid.any() else 0):
+            p[:, j, i] = np.interp(truth.times, truth.times[valid], p[valid, j, i])
+    return p
+
+
 def _seen_by(take: Take, job: Job, number: int) -> JobResult:
-    protocol = job.protocol
+    protocol, notes = job.protocol, []
+    absent = [s for s in protocol.sensors if take.imus is None or s not in take.imus.names]
+    if absent and {"sf2", "rtof"} & set(protocol.modes):
+        notes.append(f"sf2 and rtof are left out, without the sensors {', '.join(absent)}")
     recording = take.recording(
         number,
         keypoints=_detected(take, job, number),
         noise_px=protocol.noise_px,
         seed=protocol.seed,
-        sensors=protocol.sensors,
+        sensors=() if absent else protocol.sensors,
     )
     truth, skeleton = recording.truth, recording.skeleton
     assert truth is not None
-    results = reconstructions(recording, protocol.modes, protocol.lifter)
+    solver = JointSpaceSettings() if protocol.space == "joint" else FragmentSettings()
+    settings = ReconstructionSettings(fragment=solver)
+    results = reconstructions(recording, protocol.modes, protocol.lifter, settings)
     methods: dict[str, Any] = {}
     for mode, result in results.items():
         methods[mode] = _scores(result.stages[mode], truth, skeleton)
         save_motion(result, mode, protocol.motion_file(job, mode))
     if protocol.studies and "rtof" in results:
         methods |= _studies(results["rtof"], truth)
-    failed = []
+    checks = check_camera(number)
     if protocol.keypoints is not None:
-        checks = check_keypoints(take, number, recording.keypoints)
-        failed = [check.message for check in checks if not check.passed]
+        checks += check_keypoints(take, number, recording.keypoints)
+    failed = [check.message for check in checks if not check.passed]
     return JobResult(
         {"subject": take.subject, "take": take.name, "camera": number, "methods": methods,
-         "failed_checks": failed, "notes": []},
+         "failed_checks": failed, "notes": notes},
         curves(recording, results, KNEE),
     )  # fmt: skip
 

@@ -256,7 +256,7 @@ def _setup(protocol: TotalCaptureProtocol, rows: list[Row]) -> str:
     return (
         f"Ours: one camera at a time ({', '.join(map(str, cameras)) or 'none'}), pooled over all "
         f"{frames} frames of all cameras; {len(protocol.sensors)} IMUs where a mode uses them; 2D: "
-        f"{keypoints}; 21 joints, root included. {_lifter(protocol)}"
+        f"{keypoints}; 21 joints, root included; solved in {protocol.space} space. {_lifter(protocol)}"
     )
 
 
@@ -267,17 +267,20 @@ def _lifter(protocol: TotalCaptureProtocol) -> str:
 
 
 def _incomplete(protocol: TotalCaptureProtocol, rows: list[Row]) -> list[str]:
-    """A sentence that names the takes and cameras of the protocol without a result, if any."""
-    done = {(row["subject"], row["take"], row["camera"]) for row in rows}
-    missing = [job for job in protocol.jobs().values()
-               if (job.subject, job.take, job.camera) not in done and job.camera]  # fmt: skip
-    if not missing:
-        return []
-    takes: dict[str, list[str]] = {}
-    for job in missing:
-        takes.setdefault(f"{job.subject} {job.take}", []).append(str(job.camera))
-    names = [
-        name if len(cameras) == len(protocol.cameras) else f"{name} (camera {', '.join(cameras)})"
-        for name, cameras in takes.items()
-    ]
-    return [f"INCOMPLETE, without: {'; '.join(names)}. The last table says why."]
+    """A sentence that names the takes, cameras and modes of the protocol without a result, if any."""
+    done = {(row["subject"], row["take"], row["camera"], row["method"]) for row in rows}
+    names = []
+    for take in protocol.pairs():
+        cameras_of: dict[tuple[str, ...], list[str]] = {}
+        for camera in protocol.cameras:
+            modes = tuple(m for m in protocol.modes if (*take, camera, m) not in done)
+            cameras_of.setdefault(modes, []).append(str(camera))
+        for modes, cameras in cameras_of.items():
+            parts = [] if modes == protocol.modes else [*modes]
+            if len(cameras) < len(protocol.cameras):
+                parts.append(f"camera {', '.join(cameras)}")
+            if modes:
+                names.append(" ".join(take) + (f" ({', '.join(parts)})" if parts else ""))
+        if (*take, None, STILL) not in done and list(cameras_of) != [protocol.modes]:
+            names.append(f"{' '.join(take)} ({STILL}, {LOW_PASSED})")
+    return [f"INCOMPLETE, without: {'; '.join(names)}. The last table says why."] if names else []
