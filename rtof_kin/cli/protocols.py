@@ -44,41 +44,51 @@ def _total_capture(options: argparse.Namespace) -> None:
 
     folder = _output(options)
     sensors = SENSOR_SETS.get(options.sensors)
-    protocol = TotalCaptureProtocol(
-        options.root,
-        subjects=_names(options.subjects, str.upper),
-        takes=_names(options.takes or ",".join(TEST_TAKES), str.lower),
-        cameras=tuple(_integers("--cameras", options.cameras)),
-        keypoints=None if options.keypoints == "ground-truth" else Path(options.keypoints),
-        noise_px=options.noise_px,
-        sensors=_names(options.sensors) if sensors is None else sensors,
-        space=options.space,
-        modes=_names(options.modes),
-        lifter=options.lifter,
-        studies=not options.no_studies,
-        seed=options.seed,
-        save=options.save,
-    )
-    with _job_progress() as tell:
-        outcome = run(
-            protocol,
-            folder,
-            overwrite=options.overwrite,
-            workers=options.workers,
-            progress=tell,
+    spaces = SPACES if options.space == "both" else (options.space,)
+    outcomes: list[Any] = []
+    for space in spaces:
+        # With both, each has folders of its own, and the JSON file gets its name.
+        name = space if len(spaces) > 1 else ""
+        protocol = TotalCaptureProtocol(
+            options.root,
+            subjects=_names(options.subjects, str.upper),
+            takes=_names(options.takes or ",".join(TEST_TAKES), str.lower),
+            cameras=tuple(_integers("--cameras", options.cameras)),
+            keypoints=None if options.keypoints == "ground-truth" else Path(options.keypoints),
+            noise_px=options.noise_px,
+            sensors=_names(options.sensors) if sensors is None else sensors,
+            space=space,
+            modes=_names(options.modes),
+            lifter=options.lifter,
+            studies=space == "cartesian" and not options.no_studies,
+            seed=options.seed,
+            save=options.save and options.save / name,
         )
-    tables = all_tables(protocol, outcome)
-    facts = {
-        "settings": protocol.settings(),
-        "rows": list(rows_of(outcome)),
-        "failed": outcome.failed,
-    }
-    written = write_tables(folder, tables, facts, options.json)
-    skeleton = SkeletonModel.default()
-    written += write_pictures(outcome, folder / "figures", skeleton.table, 60.0)
-    _print_tables(tables)
-    out.print("wrote " + ", ".join(map(str, written)), markup=False, soft_wrap=True)
-    _refuse_if_nothing(outcome.done, outcome.failed)
+        with _job_progress() as tell:
+            outcome = run(
+                protocol,
+                folder / name,
+                overwrite=options.overwrite,
+                workers=options.workers,
+                progress=tell,
+            )
+        tables = all_tables(protocol, outcome)
+        facts = {
+            "settings": protocol.settings(),
+            "rows": list(rows_of(outcome)),
+            "failed": outcome.failed,
+        }
+        json_file = options.json
+        if json_file is not None and name:
+            json_file = json_file.with_name(f"{json_file.stem}_{space}{json_file.suffix}")
+        written = write_tables(folder / name, tables, facts, json_file)
+        table = SkeletonModel.default().table
+        written += write_pictures(outcome, folder / name / "figures", table, 60.0)
+        _print_tables(tables)
+        out.print("wrote " + ", ".join(map(str, written)), markup=False, soft_wrap=True)
+        outcomes.append(outcome)
+    for outcome in outcomes:
+        _refuse_if_nothing(outcome.done, outcome.failed)
 
 
 def _human36m(options: argparse.Namespace) -> None:
@@ -241,7 +251,11 @@ def _add_total_capture(commands: Any) -> None:
         "--sensors", default="8", metavar="8|10|13|LIST", help="how many IMUs, or their names"
     )
     parser.add_argument(
-        "--space", choices=SPACES, default=SPACES[0], help="variables of the solver"
+        "--space",
+        choices=[*SPACES, "both"],
+        default=SPACES[0],
+        help="variables of the solver; fragment length and k_V are varied in cartesian space, where "
+        "they are defined",
     )
     parser.add_argument("--modes", default="lift,rto,sf2,rtof", help="stages to measure")
     parser.add_argument(

@@ -16,6 +16,8 @@ import casadi as ca
 _log = logging.getLogger(__name__)
 _OPTIONS = ("-O1", "-shared", "-fPIC")
 COMPILERS = ("cc", "gcc", "clang")
+SWITCH = "RTOF_KIN_COMPILE"
+"""Environment variable that turns compilation off where it is 'never'."""
 
 
 def cache_folder() -> Path:
@@ -30,9 +32,11 @@ def cache_folder() -> Path:
 def compiled(functions: list[Any]) -> list[Any]:
     """The same functions compiled together, from the cache where they are there.
 
-    A first compilation takes 10 to 30 s. Where it cannot be done the functions come back as they are,
-    and are interpreted: the same numbers, several times slower.
+    A first compilation takes 10 to 30 s. Where it cannot be done, or ``RTOF_KIN_COMPILE`` is 'never',
+    the functions come back as they are and are interpreted: the same numbers, several times slower.
     """
+    if os.environ.get(SWITCH) == "never":
+        return functions
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     try:
         library = _library(functions, compiler)

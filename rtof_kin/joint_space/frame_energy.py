@@ -20,7 +20,7 @@ from rtof_kin import energies
 from rtof_kin.joint_space.state import StateSpace
 
 Array = NDArray[np.float64]
-TERMS = ("visual", "orientation", "torso", "root", "floor", "prior")
+TERMS = ("visual", "orientation", "torso", "bone", "root", "floor", "prior")
 """Energy terms of a single frame."""
 TORSO = ("Hips", "Spine3")
 """Segments whose orientation may be anchored to the start's."""
@@ -36,6 +36,9 @@ class Shape:
     sensors: tuple[int, ...]
     """Joint index of each sensor's segment."""
     torso: tuple[int, ...]
+    """Segments whose orientation may be anchored to the start's."""
+    bones: tuple[tuple[int, int], ...]
+    """Joint and child of the bones without a sensor, which may be anchored to the start's."""
     feet: tuple[int, ...]
     robust_reprojection: float
     robust_orientation: float
@@ -88,7 +91,7 @@ class FrameEnergy:
     """CasADi functions of one frame.
 
     Attributes:
-        full: (state, observation, constant) -> energies (6), gradient (D), Hessian (D, D, lower part),
+        full: (state, observation, constant) -> energies (7), gradient (D), Hessian (D, D, lower part),
             sensors' positions (3S), their Jacobian (3S, D), reprojection residuals (2L) in px.
         value: the same inputs -> energies, sensors' positions, reprojection residuals.
         gradient: and the force on the sensors' positions (3S) -> gradient with it.
@@ -110,6 +113,7 @@ class FrameEnergy:
             "uv_px": ca.SX.sym("uv", 2, L), "w_visual": ca.SX.sym("wv", L),
             "quat_sensor": ca.SX.sym("qs", 4, S), "w_sensor": ca.SX.sym("ws", S),
             "quat_torso": ca.SX.sym("qt", 4, len(shape.torso)), "w_torso": ca.SX.sym("wt"),
+            "b_world": ca.SX.sym("b", 3, len(shape.bones)), "w_bone": ca.SX.sym("wb"),
             "p_root": ca.SX.sym("pr", 3), "w_root": ca.SX.sym("wr"), "w_floor": ca.SX.sym("wf"),
             "w_prior": ca.SX.sym("wp"),
         }  # fmt: skip
@@ -149,6 +153,9 @@ class FrameEnergy:
         for i, j in enumerate(shape.torso):
             r = energies.orientation(q[j], O["quat_torso"][:, i])
             total.add("torso", r, O["w_torso"], _cauchy)
+        for i, (j, child) in enumerate(shape.bones):
+            r = energies.bone_vector(p[j], p[child], O["b_world"][:, i])
+            total.add("bone", r, O["w_bone"], _cauchy)
         total.add("root", energies.position(p[0], O["p_root"]), O["w_root"], _cauchy)
         for j in shape.feet:
             r = energies.height(p[j], C["floor"])

@@ -5,8 +5,8 @@
     E = sum over frames of E_frame + 1/2 sum rho(|a - a_imu|^2 / sigma_A^2) + 1/2 sum |jerk|^2 / sigma_J^2
 
 Single frames come from `FrameEnergy`. The acceleration of a sensor reaches one frame to each side, so its
-blocks of the Hessian lie up to two frames off the diagonal. Jerk is that of the tangent coordinates and
-reaches three frames, but couples each coordinate with itself alone: half the bandwidth of blocks.
+blocks of the Hessian lie up to two frames off the diagonal. Jerk (`jerk`) is that of the tangent
+coordinates and reaches three frames, but couples each joint with itself alone: half the bandwidth of blocks.
 """
 
 from __future__ import annotations
@@ -20,13 +20,15 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from rtof_kin import energies
-from rtof_kin import quaternions as quat
 from rtof_kin.errors import SolverError
 from rtof_kin.joint_space import frame_energy
+from rtof_kin.joint_space.jerk import Jerk
 from rtof_kin.joint_space.state import StateSpace
 
 Array = NDArray[np.float64]
 TERMS = (*frame_energy.TERMS, "acceleration", "smooth")
+_BEYOND = 2
+"""Rows below the third block's diagonal that the axes of a joint reach."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +61,13 @@ class JointProblem:
             sigma_jerk: (D,) of every tangent coordinate, m/s^3 and rad/s^3.
         """
         self.space, self.energy, self.frames, self.sigma_jerk = space, energy, frames, sigma_jerk
+        self._jerk = Jerk(space, frames, sigma_jerk)
         full, value, gradient = (_Buffered(function.map(frames)) for function in functions)
         self._full, self._value, self._gradient = full, value, gradient
         self._temporal = _Buffered(
             _temporal(3 * len(energy.shape.sensors), space.size, frames, robust_acceleration)
         )
-        self._third = np.diff(np.eye(frames), n=3, axis=0)
-        self._band = np.zeros((frames, space.size, 4 * space.size))
+        self._band = np.zeros((frames, space.size, 4 * space.size + _BEYOND))
 
     def bind(self, data: FragmentData) -> None:
         """Take the data of the fragment that is asked about from now on."""
@@ -78,9 +80,7 @@ class JointProblem:
         for mapped in (self._full, self._value, self._gradient):
             mapped.inputs[1][:] = rows.ravel()
             mapped.inputs[2].reshape(self.frames, -1)[:] = fixed
-        third = np.sqrt(data.w_jerk)[:, None] * self._third * data.rate_hz**3
-        square = third.T @ third
-        self._jerk = [np.diag(square, -k)[:, None] / self.sigma_jerk**2 for k in range(4)]
+        self._jerk.bind(data.w_jerk, data.rate_hz)
 
     def reweigh(self, name: str, weight: Array) -> None:
         """Replace the weights (N, ...) of one kind of observation."""
@@ -113,7 +113,7 @@ class JointProblem:
         _, _, force, pull, _ = self._temporal_at(points, steps)
         self._gradient.inputs[3][:] = force.ravel()
         (g,) = self._gradient(x.ravel())
-        return np.asarray(g.reshape(self.frames, -1) + self._jerk_gradient(steps, pull))
+        return np.asarray(g.reshape(self.frames, -1) + self._jerk.gradient(steps, pull))
 
     def linearise(self, x: Array) -> tuple[float, Array]:
         """Energy and gradient (N, D); the Hessian is kept for `solve`."""
@@ -122,10 +122,11 @@ class JointProblem:
         steps = self._steps(x)
         acceleration, smooth, force, pull, slope = self._temporal_at(points, steps)
         A = J.reshape(N, D, -1)
-        gradient = g.reshape(N, D) + self._jerk_gradient(steps, pull)
+        gradient = g.reshape(N, D) + self._jerk.gradient(steps, pull)
         if A.shape[2]:
             gradient += np.matmul(A, force[:, :, None])[..., 0]
         self._assemble(H.reshape(N, D, D), A, slope)
+        self._jerk.add_hessian(steps, self._band)
         return float(terms.sum()) + acceleration + smooth, gradient
 
     def add_to_diagonal(self, blocks: Array) -> None:
@@ -145,9 +146,9 @@ class JointProblem:
         frame, column, row = self._band.strides
         # Column c of a block begins at its diagonal: row c of the block.
         shifted = np.lib.stride_tricks.as_strided(
-            self._band, (N, D, 3 * D + 1), (frame, column + row, row)
+            self._band, (N, D, 3 * D + 1 + _BEYOND), (frame, column + row, row)
         )
-        band = np.ascontiguousarray(shifted).reshape(N * D, 3 * D + 1)
+        band = np.ascontiguousarray(shifted).reshape(N * D, -1)
         band[:, 0] += damping
         factor, info = lapack.dpbtrf(band.T, lower=1, overwrite_ab=1)
         if info:
@@ -175,20 +176,6 @@ class JointProblem:
         force, pull, slope = (v.reshape(n, -1) for v, n in zip(out[2:], shapes, strict=True))
         return float(out[0][0]), float(out[1][0]), force, pull, slope
 
-    def _jerk_gradient(self, steps: Array, pull: Array) -> Array:
-        """(N, D) from the derivative with respect to the steps (N - 1, D)."""
-        g = np.zeros((self.frames, self.space.size))
-        g[1:, :3] += pull[:, :3]
-        g[:-1, :3] -= pull[:, :3]
-        turns = steps[:, 3:].reshape(len(steps), -1, 3)
-        torque = (pull[:, 3:] @ self.space.expand.T).reshape(turns.shape)
-        inverse = quat.right_jacobian_inverse(turns)
-        later = np.einsum("taij,tai->taj", inverse, torque).reshape(len(steps), -1)
-        earlier = np.einsum("taij,taj->tai", inverse, torque).reshape(len(steps), -1)
-        g[1:, 3:] += later @ self.space.expand
-        g[:-1, 3:] -= earlier @ self.space.expand
-        return g
-
     def _assemble(self, H: Array, A: Array, slope: Array) -> None:
         """Fill the band: [t, c, r] holds row r, counted from frame t, of column (t, c)."""
         N, D, band = self.frames, self.space.size, self._band
@@ -196,15 +183,10 @@ class JointProblem:
         w = np.zeros((N + 2, slope.shape[1]))
         w[2:-2] = slope * self._data.rate_hz**4
         spread = [w[2:] + 4 * w[1:-1] + w[:-2], -2 * (w[1:-2] + w[2:-1]), w[2:-2]]
-        i = np.arange(D)
-        for k, diagonal in enumerate(self._jerk):
-            if k < 3 and A.shape[2]:
-                left = A[: N - k] * np.repeat(spread[k], 3, axis=1)[:, None, :]
-                block = left @ np.swapaxes(A[k:], 1, 2)
-                band[: N - k, :, k * D : (k + 1) * D] = block + (H if k == 0 else 0.0)
-            elif k:
-                band[: N - k, i, k * D + i] = 0.0
-            band[: N - k, i, k * D + i] += diagonal
+        band[:, :, D:] = 0.0
+        for k in range(3 if A.shape[2] else 0):
+            left = A[: N - k] * np.repeat(spread[k], 3, axis=1)[:, None, :]
+            band[: N - k, :, k * D : (k + 1) * D] += left @ np.swapaxes(A[k:], 1, 2)
 
 
 @dataclass(frozen=True)

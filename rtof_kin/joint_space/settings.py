@@ -45,8 +45,12 @@ class JointSpaceSettings:
     sigma_torso: float | None = np.radians(12.0)
     """[rad] of pelvis and upper trunk about the start's orientation, with a Cauchy loss; only where no
     sensor sits on them. None leaves it out."""
-    sigma_root: float | None = None
-    """[m] of the root about the start's position, with a Cauchy loss. None leaves it out."""
+    sigma_bone: float | None = 0.08
+    """[m] of the end of a limb's bone that carries no sensor about where the start has it, with a Cauchy
+    loss. None leaves it out."""
+    sigma_root: float | None = 0.15
+    """[m] of the root about the start's position, with a Cauchy loss; only where there is no sensor at
+    all, whose acceleration would know its path better. None leaves it out."""
     floor_height: float | None = None
     """[m] of a flat floor in world; None where there is none or it is not known."""
     ankle_height: float = 0.08

@@ -171,7 +171,7 @@ class _Observations:
         extra = tuple(n for n in keypoints.names if n in known and n not in skeleton.names)
         names = (*skeleton.names, *extra)
         present = () if bone_imus is None else bone_imus.joints
-        sensors = tuple(j for j in skeleton.names if j in {*solver.sensor_joints, *present})
+        sensors = tuple(name for name in skeleton.names if name in present)
         moving = [
             name for j, name in enumerate(skeleton.names)
             if kinematics.children_of(skeleton.parents, j) or name in present
@@ -209,8 +209,10 @@ class _Observations:
             "w_sensor": has,
             "quat_torso": so3.to_quat_wxyz(start.R_world_bone[:, torso]),
             "w_torso": np.where(sensed, 0.0, weight),
+            "b_world": _bone_vectors(start, _bones(skeleton, sensors)),
+            "w_bone": np.full(T, 0.0 if s.sigma_bone is None else 1 / s.sigma_bone**2),
             "p_root": start.p_world_joint[:, 0],
-            "w_root": np.full(T, 0.0 if s.sigma_root is None else 1 / s.sigma_root**2),
+            "w_root": np.full(T, 0.0 if s.sigma_root is None or sensors else 1 / s.sigma_root**2),
             "w_floor": np.full(T, 0.0 if s.floor_height is None else 1 / s.sigma_floor**2),
             "w_prior": np.ones(T),
         }
@@ -237,7 +239,7 @@ class _Observations:
         inside = (frame >= 0) & (frame < len(self.start))
         index = np.clip(frame, 0, len(self.start) - 1)
         observation = {name: values[index] for name, values in self.rows.items()}
-        for name in ("w_visual", "w_sensor", "w_torso", "w_root", "w_floor"):
+        for name in ("w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor"):
             observation[name] = (observation[name].T * inside).T
         whole = inside[2:] & inside[1:-1] & inside[:-2]
         return index, inside, FragmentData(
@@ -279,6 +281,25 @@ def _sensor_data(
     return quat, has, a, w, levers
 
 
+def _bones(skeleton: SkeletonModel, sensors: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
+    """Joint and child of the limbs' bones that carry no sensor: those of the usual sensors' segments."""
+    usual = {joint for joint, _ in skeleton.sensors.values()} - {*sensors, *TORSO}
+    pairs = [
+        (joint, kinematics.children_of(skeleton.parents, joint)) for joint in skeleton.index(*usual)
+    ]
+    return tuple(sorted((joint, children[0]) for joint, children in pairs if len(children) == 1))
+
+
+def _bone_vectors(start: PoseSequence, bones: tuple[tuple[int, int], ...]) -> Array:
+    """(T, B, 3) of the start, m."""
+    p = start.p_world_joint
+    return (
+        np.stack([p[:, child] - p[:, joint] for joint, child in bones], axis=1)
+        if bones
+        else (np.zeros((len(p), 0, 3)))
+    )
+
+
 def _whitening(skeleton: SkeletonModel, sensors: tuple[str, ...], s: JointSpaceSettings) -> Array:
     """(9, S) column-major matrices from an orientation's error, rad, to swing and twist in sigmas.
 
@@ -316,6 +337,7 @@ def _problem(
         landmarks=tuple((index(skeleton.landmarks[n][0]), n in skeleton.names) for n in names),
         sensors=tuple(map(index, sensors)),
         torso=tuple(index(name) for name in TORSO if name in skeleton.names),
+        bones=_bones(skeleton, sensors),
         feet=tuple(index(name) for name in FEET if name in skeleton.names),
         robust_reprojection=s.robust_reprojection,
         robust_orientation=s.robust_orientation,
