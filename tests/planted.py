@@ -13,7 +13,9 @@ from scipy.ndimage import gaussian_filter1d
 from rtof_kin import rotations as so3
 from rtof_kin.calibration import ImuCalibration
 from rtof_kin.fragment_settings import FragmentSettings
-from rtof_kin.kinematics import children_of
+from rtof_kin.joint_space.prior import shipped_prior
+from rtof_kin.kinematics import children_of, world_rotations
+from rtof_kin.metrics import hinges
 from rtof_kin.recording import Recording
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import (
@@ -54,6 +56,34 @@ def moving(skeleton: SkeletonModel, frames: int, seed: int = 0, radians: float =
         smooth_noise(seed + 2, (frames, 3), 30, 0.1)
     )
     q[:, 3:7] = np.roll(so3.to_quat_wxyz(turn), -1, axis=-1)
+    p, R = skeleton.forward_kinematics(q)
+    poses = PoseSequence(
+        np.arange(frames) / RATE_HZ, p, R, skeleton.names,
+        provenance=np.full(p.shape[:2], Provenance.CAMERA),
+    )  # fmt: skip
+    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+
+
+def human(skeleton: SkeletonModel, frames: int, seed: int = 0, size: float = 1.0) -> MotionSequence:
+    """Somebody who moves as people do: drawn from the pose prior, hinges and limits kept.
+
+    Args:
+        size: of the poses about the mean one, in the prior's standard deviations.
+    """
+    prior = shipped_prior(skeleton.names)
+    root = np.linalg.cholesky(prior.covariance + 1e-12 * np.eye(len(prior.covariance)))
+    rotvec = size * smooth_noise(seed, (frames, len(root)), 20, 1.0) @ root.T
+    local = so3.from_quat_wxyz(prior.mean_quat_wxyz) @ so3.exp(rotvec.reshape(frames, -1, 3))
+    turn = so3.exp(smooth_noise(seed + 1, (frames, 1, 3), 40, 0.15)) @ so3.about_axis("z", 0.3)
+    R = world_rotations(skeleton.parents, np.concatenate([turn, local], axis=1))
+    p = smooth_noise(seed + 2, (frames, 1, 3), 60, 0.1) + np.array([0.0, 0.0, 0.95])
+    q = skeleton.inverse_kinematics(np.repeat(p, R.shape[1], axis=1), R)
+    for j in hinges(skeleton):
+        for dof in skeleton.table.joints[j].dofs:
+            if not dof.clinical.endswith("flexion"):
+                q[:, 7 + skeleton.dof_names.index(dof.urdf)] = 0.0
+    low, high = skeleton.limits.T
+    q[:, 7:] = np.clip(q[:, 7:], 0.98 * low, 0.98 * high)
     p, R = skeleton.forward_kinematics(q)
     poses = PoseSequence(
         np.arange(frames) / RATE_HZ, p, R, skeleton.names,

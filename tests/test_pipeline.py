@@ -39,7 +39,7 @@ TRUNK = BODY.index("Hips", "Spine", "Spine1", "Neck", "Head", "LeftShoulder", "R
 
 @pytest.fixture(scope="module")
 def truth() -> MotionSequence:
-    return planted.moving(BODY, T)
+    return planted.human(BODY, T)
 
 
 @pytest.fixture(scope="module")
@@ -327,7 +327,7 @@ def test_a_landmark_that_is_missing_stays_missing_between_its_neighbours() -> No
 
 
 def test_a_video_with_jitter_and_dropped_frames_is_reconstructed(truth: MotionSequence) -> None:
-    long = planted.moving(BODY, 120)
+    long = planted.human(BODY, 120)
     rng = np.random.default_rng(1)
     frames = np.delete(np.arange(10, 100, 2), [20, 21])
     poses = long.poses

@@ -33,7 +33,9 @@ def add_commands(commands: Any) -> None:
     parser.add_argument("--human36m", metavar="DIR", help="folder of Human3.6M's archives, instead")
     parser.add_argument("-o", "--output", default="lifter.pt", help="checkpoint to write")
     parser.add_argument(
-        "--minutes", type=float, help=f"stop after so many; on a dataset {DATASET_MINUTES:g} if not given"
+        "--minutes",
+        type=float,
+        help=f"stop after so many; on a dataset {DATASET_MINUTES:g} if not given",
     )
     parser.add_argument("--windows", type=int, help="stop after so many windows")
     parser.add_argument("--batch", type=int, default=512, help="windows in a step")

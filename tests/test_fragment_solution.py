@@ -1,0 +1,45 @@
+"""What a fragment solver gives back."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from rtof_kin.fragment_solution import FragmentReport, FragmentSolution, SolverStatus
+from rtof_kin.types import PoseSequence
+
+POSES = PoseSequence(np.zeros(1), np.zeros((1, 1, 3)), np.eye(3)[None, None], ("Hips",))
+
+
+def report(status: SolverStatus = SolverStatus.CONVERGED, k: float = 1.0) -> FragmentReport:
+    return FragmentReport(
+        first_frame=0, status=status, energy={"visual": k, "smooth": 2 * k}, iterations=int(k),
+        seconds=0.1 * k, sigma_reprojection=4.0, optimality=k, infeasibility=0.0,
+    )  # fmt: skip
+
+
+def test_a_solution_sums_up_its_fragments() -> None:
+    solution = FragmentSolution(POSES, (report(k=1), report(k=6), report(k=2)))
+    assert solution.iterations == 9
+    assert solution.seconds == pytest.approx(0.9)
+    assert solution.optimality == 6
+    assert solution.energy == pytest.approx({"visual": 3.0, "smooth": 6.0})
+
+
+@pytest.mark.parametrize("better, worse", list(pairwise(SolverStatus)))
+def test_the_status_of_a_solution_is_its_worst_fragments(
+    better: SolverStatus, worse: SolverStatus
+) -> None:
+    reports = (report(better), report(worse), report(better), report())
+    assert FragmentSolution(POSES, reports).status is worse
+
+
+def test_the_states_are_sentences_from_good_to_bad() -> None:
+    assert [status.name for status in SolverStatus] == [
+        "CONVERGED", "ACCEPTABLE", "ITERATION_LIMIT", "UNOBSERVED", "FAILED",
+    ]  # fmt: skip
+    assert all(status.value.endswith(".") for status in SolverStatus)
+    assert "starting poses" in SolverStatus.FAILED.value
+    assert "prior alone" in SolverStatus.UNOBSERVED.value
