@@ -1,6 +1,6 @@
 """Frames per second of the fragment solver, from SF2 output to blended output, on one core.
 
-``python -m benchmarks.speed``: the demo recording's first 20 s of poses, N = 50, N/2 new frames a solve,
+``python -m benchmarks.speed``: the demo recording's first 20 s, N = 50, N/2 new frames a solve,
 everything counted but the one-time build of the problem (its time is reported beside). Set
 OMP_NUM_THREADS=1. Median of several runs; a machine busy with other work shows lower numbers.
 """
@@ -12,18 +12,15 @@ import json
 import os
 import platform
 import sys
-from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from time import perf_counter, process_time
 from typing import Any
 
-import numpy as np
-
 from rtof_kin.fragment import FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
-from rtof_kin.inertial_ik import InertialGuidedIK
 from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.pipeline import reconstruct
 from rtof_kin.recording import Recording
 from rtof_kin.resources import model_path
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
@@ -33,22 +30,11 @@ SETTINGS: dict[str, FragmentSettings | JointSpaceSettings] = {
     "joint space, interpreted": JointSpaceSettings(compile="never"),
     "joint space, knees and elbows as ball joints": JointSpaceSettings(hinges=False),
     "joint space, sigma given": JointSpaceSettings(sigma_reprojection=8.0),
-    "joint space, IPOPT": JointSpaceSettings(backend="ipopt"),
+    "joint space, without limits": JointSpaceSettings(limits=False),
     "cartesian, unconstrained energy as printed": FragmentSettings.paper(),
     "cartesian": FragmentSettings(),
     "cartesian, bone lengths as constraints": FragmentSettings(bone_lengths="constraint"),
 }
-
-
-def start_of(recording: Recording) -> PoseSequence:
-    """Poses with a lifter's kind of error, so that the benchmark needs no network."""
-    truth = recording.truth
-    assert truth is not None
-    rng = np.random.default_rng(0)
-    smooth = np.array([np.convolve(row, np.ones(30) / 30, mode="same")
-                       for row in rng.standard_normal((63, len(truth)))]).T  # fmt: skip
-    error = 0.05 * smooth.reshape(len(truth), 21, 3) / smooth.std()
-    return replace(truth, p_world_joint=truth.p_world_joint + error)
 
 
 def measure(
@@ -93,9 +79,7 @@ def main() -> int:
     assert bone_imus is not None
     frames = slice(0, options.frames)
     keypoints, imus = recording.keypoints[frames], bone_imus[frames]
-    start = start_of(recording)
-    start = replace(start, times=recording.keypoints.times)[frames]
-    sf2 = InertialGuidedIK(recording.skeleton).refine(start, imus)
+    sf2 = reconstruct(recording, mode="sf2").stages["sf2"][frames]
     rows = {}
     print("| settings | frames/s | iterations | status | build s |\n|---|---|---|---|---|")
     for name, settings in SETTINGS.items():

@@ -52,8 +52,8 @@ class FragmentSolver:
                 that a pose prior is shipped for and 'cartesian' for others (Human3.6M's).
 
         Raises:
-            ShapeError: N is odd or too small; settings of the other space. UnknownNameError: a segment
-                or a space that does not exist.
+            ShapeError: N is odd or too small; settings of the other space; joint space without a pose
+                prior. UnknownNameError: a segment or a space that does not exist.
         """
         if frames < 8 or frames % 2:
             raise ShapeError(f"frames: N = {frames} must be even and at least 8")
@@ -63,6 +63,10 @@ class FragmentSolver:
             space = next((s for s in SPACES if isinstance(settings, kinds[s])), usual_space)
         if space not in SPACES:
             raise UnknownNameError("space", [space], SPACES)
+        if space == "joint" and not has_prior(skeleton.name):
+            raise ShapeError(
+                f"space 'joint': no pose prior is shipped for {skeleton.name!r}; use 'cartesian'"
+            )
         settings = settings or kinds[space]()
         self.skeleton, self.frames, self.space, self.settings = skeleton, frames, space, settings
         usual = tuple(joint for joint, _ in skeleton.sensors.values())
@@ -129,8 +133,11 @@ class FragmentSolver:
         self.skeleton.check_joints(start.names, "start")
         if not np.array_equal(start.times, keypoints.times):
             raise ShapeError("start and keypoints: must have the same times, one sample a frame")
-        if not np.all(np.isfinite(start.p_world_joint)):
-            frame = int(np.argwhere(~np.isfinite(start.p_world_joint))[0][0])
+        finite = np.isfinite(start.p_world_joint).all(axis=(1, 2))
+        if self.space == "joint":  # the paper's positions have no use for orientations
+            finite &= np.isfinite(start.R_world_bone).all(axis=(1, 2, 3))
+        if not finite.all():
+            frame = int(np.argmin(finite))
             raise ShapeError(f"start: the pose of frame {frame} is not finite; bridge gaps first")
         if len(start) > 1:
             steps = np.diff(start.times) * start.rate_hz

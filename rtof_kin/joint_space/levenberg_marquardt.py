@@ -21,7 +21,7 @@ _TRUSTED = (0.7, 1.4)
 """Actual over predicted decrease within which the factor is used once more."""
 _STIFFNESS = 1 / np.radians(1.0) ** 2
 """Of the limits' penalty, 1/rad^2; multipliers make them exact."""
-_LIMIT_TOLERANCE = np.radians(0.05)
+_LIMIT_TOLERANCE = np.radians(0.1)
 _ROUNDS = 8
 
 

@@ -6,7 +6,7 @@
 
 Single frames come from `FrameEnergy`. The acceleration of a sensor reaches one frame to each side, so its
 blocks of the Hessian lie up to two frames off the diagonal. Jerk (`jerk`) is that of the tangent
-coordinates and reaches three frames, but couples each joint with itself alone: half the bandwidth of blocks.
+coordinates and reaches three frames, but couples each joint with itself alone.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class JointProblem:
         steps = self._steps(x)
         acceleration, smooth, *_ = self._temporal_at(points, steps)
         values = [*terms.reshape(self.frames, -1).sum(axis=0).tolist(), acceleration, smooth]
-        return dict(zip(TERMS, values, strict=True)), residuals.reshape(self.frames, -1, 2)
+        return dict(zip(TERMS, values, strict=True)), residuals.reshape(self.frames, -1, 2).copy()
 
     def total(self, x: Array) -> float:
         """The energy."""

@@ -39,7 +39,7 @@ class StateSpace:
         self.names = tuple(skeleton.names[j] for j in self.joints)
         self.hinge_axis = np.full(len(self.joints), -1)
         if hinged:
-            for j in hinges(skeleton):
+            for j in set(hinges(skeleton)) & set(self.joints):
                 joint = skeleton.table.joints[j]
                 flexion = next(
                     i for i, d in enumerate(joint.dofs) if d.clinical.endswith("flexion")
