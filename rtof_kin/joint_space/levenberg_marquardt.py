@@ -59,15 +59,14 @@ class LevenbergMarquardt:
         """
         M = 0 if self.limits is None else len(self.limits.names)
         m = np.zeros((len(x), M)) if multipliers is None else multipliers
-        iterations, converged = 0, False
+        iterations, converged, outside = 0, False, 0.0
         for _ in range(_ROUNDS):
             x, used, converged = self._minimise(x, m, max_iterations - iterations, tolerance)
             iterations += used
             m, outside = self._updated(x, m)
             if outside <= _LIMIT_TOLERANCE or iterations >= max_iterations:
-                converged &= outside <= _LIMIT_TOLERANCE
                 break
-        return Solved(x, iterations, converged, m)
+        return Solved(x, iterations, converged and outside <= _LIMIT_TOLERANCE, m)
 
     def _minimise(
         self, x: Array, m: Array, max_iterations: int, tolerance: float
@@ -134,9 +133,12 @@ class LevenbergMarquardt:
         return np.asarray(_STIFFNESS * np.einsum("tm,tmd->td", pushed, J))
 
     def _updated(self, x: Array, m: Array) -> tuple[Array, float]:
-        """Multipliers after a minimisation, and the largest violation, rad."""
+        """Multipliers after a minimisation, and how far limits or their multipliers are off, rad.
+
+        A multiplier changes by the stiffness times the violation of its limit, or times the slack of a
+        limit that is not reached though it still pushes.
+        """
         if self.limits is None:
             return m, 0.0
-        values = self.limits.values(x)
-        excess = self.limits.excess(values)
-        return _STIFFNESS * self._violation(values, m), float(np.abs(excess).max(initial=0.0))
+        new = _STIFFNESS * self._violation(self.limits.values(x), m)
+        return new, float(np.abs(new - m).max(initial=0.0)) / _STIFFNESS
