@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
+import platform
 import shutil
 import subprocess
 import tempfile
@@ -39,27 +40,38 @@ def compiled(functions: list[Any]) -> list[Any]:
         return functions
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     try:
-        library = _library(functions, compiler)
-    except (OSError, subprocess.SubprocessError) as error:
+        library = _library(functions)
+        if not library.is_file():
+            _compile(functions, library, compiler)
+        try:
+            return _loaded(functions, library)
+        except RuntimeError:  # damaged, or of another machine: CasADi says so with this
+            library.unlink(missing_ok=True)
+            _compile(functions, library, compiler)
+            return _loaded(functions, library)
+    except (OSError, RuntimeError, subprocess.SubprocessError) as error:
         _log.warning(
             "the energy could not be compiled (%s): it is interpreted, which is slower", error
         )
         return functions
-    if library is None:
-        _log.warning("there is no C compiler: the energy is interpreted, which is slower")
-        return functions
+
+
+def _loaded(functions: list[Any], library: Path) -> list[Any]:
     return [ca.external(function.name(), str(library)) for function in functions]
 
 
-def _library(functions: list[Any], compiler: str | None) -> Path | None:
-    """The shared library of some functions, compiled if it is not in the cache."""
+def _library(functions: list[Any]) -> Path:
+    """Where the shared library of some functions is, or will be."""
     text = "".join(function.serialize() for function in functions)
-    key = hashlib.sha256(f"{ca.CasadiMeta.version()} {_OPTIONS} {text}".encode()).hexdigest()[:24]
-    library = cache_folder() / f"energy_{key}.so"
-    if library.is_file():
-        return library
+    made = f"{ca.CasadiMeta.version()} {platform.system()} {platform.machine()} {_OPTIONS}"
+    key = hashlib.sha256(f"{made} {text}".encode()).hexdigest()[:24]
+    return cache_folder().absolute() / f"energy_{key}.so"
+
+
+def _compile(functions: list[Any], library: Path, compiler: str | None) -> None:
+    """Make the shared library of some functions."""
     if compiler is None:
-        return None
+        raise OSError("there is no C compiler")
     library.parent.mkdir(parents=True, exist_ok=True)
     _log.warning("compiling the energy, once for this kind of recording: 10 to 30 s ...")
     with tempfile.TemporaryDirectory(dir=library.parent) as name:
@@ -73,4 +85,3 @@ def _library(functions: list[Any], compiler: str | None) -> Path | None:
             check=True, capture_output=True, timeout=300,
         )  # fmt: skip
         built.replace(library)  # whole or not at all, also with several processes
-    return library

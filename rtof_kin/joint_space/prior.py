@@ -43,8 +43,14 @@ class PosePrior:
         size = 3 * (J - 1)
         set_(self, "covariance", readonly("prior covariance", self.covariance, (size, size)))
         set_(self, "sigma_jerk", readonly("prior sigma_jerk", self.sigma_jerk, (J,)))
-        if np.linalg.eigvalsh(self.covariance)[0] < -1e-9:
-            raise ShapeError("prior covariance: not positive semidefinite")
+        if not np.allclose(np.linalg.norm(self.mean_quat_wxyz, axis=-1), 1.0, atol=1e-6):
+            raise ShapeError("prior mean: not unit quaternions")
+        symmetric = np.allclose(self.covariance, self.covariance.T, rtol=0, atol=1e-9)
+        if not symmetric or np.linalg.eigvalsh(self.covariance)[0] < -1e-9:
+            raise ShapeError("prior covariance: not symmetric and positive semidefinite")
+        sigmas = np.append(self.sigma_jerk, self.sigma_root_jerk)
+        if not np.all((sigmas > 0) & (sigmas < np.inf)):
+            raise ShapeError("prior: the standard deviations of jerk must be positive and finite")
 
     @classmethod
     def load(cls, joints: Sequence[str], path: str | Path | None = None) -> PosePrior:
@@ -61,7 +67,7 @@ class PosePrior:
                 arrays["mean_quat_wxyz"],
                 arrays["covariance"],
                 arrays["sigma_jerk"],
-                float(arrays["sigma_root_jerk"]),
+                float(readonly("prior sigma_root_jerk", arrays["sigma_root_jerk"], ())),
             )
         except (KeyError, ShapeError) as error:
             raise FileFormatError(
