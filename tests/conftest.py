@@ -11,7 +11,7 @@ from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import Camera
 
 os.environ.setdefault("RTOF_KIN_COMPILE", "never")
-"""Compiling takes longer than what the tests solve; `test_joint_space_compiled` turns it on."""
+"""Compiling takes longer than what the tests solve; `test_compiled` turns it on."""
 
 
 @pytest.fixture(scope="session")

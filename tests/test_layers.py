@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 ROWS = """
 errors
 rotations   resources   body_mass
-signals   skeleton_table   kinematics   checks   quaternions
+signals   skeleton_table   kinematics   checks   quaternions   banded   compiled
 types   urdf
 skeleton
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position
@@ -24,7 +24,7 @@ fragment_problem   fragment_solution   joint_space   joint_space.settings
 io   io.arrays   io.articulated   io.folder   io.pickled   io.section
 io.asf_amc   io.bvh   io.joint_trajectory   io.motion_npz   io.object_npz   io.total_capture
 cartesian   joint_space.prior   joint_space.state
-joint_space.frame_energy   joint_space.limits   joint_space.compiled   joint_space.jerk
+joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem
 joint_space.levenberg_marquardt
 joint_space.ipopt
@@ -216,8 +216,8 @@ def test_each_heavy_package_is_imported_where_it_belongs() -> None:
                     users[package].add(name)
     assert all(name.startswith("lifting.") for name in users["torch"])
     assert users["pinocchio"] == {"skeleton", "io.joint_trajectory"}
-    joint_space = {f"joint_space.{n}" for n in ("frame_energy", "compiled", "problem", "ipopt")}
-    assert users["casadi"] <= {"energies", "fragment_problem"} | joint_space
+    joint_space = {f"joint_space.{n}" for n in ("frame_energy", "limits", "problem", "ipopt")}
+    assert users["casadi"] <= {"energies", "compiled", "fragment_problem"} | joint_space
     assert users["matplotlib"] <= {"figures", "protocols.pictures"}
     assert not users["yourdfpy"]
 

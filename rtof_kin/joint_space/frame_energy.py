@@ -4,12 +4,19 @@ Everything that looks at one instant alone is here; acceleration and jerk, which
 `problem`, from the sensors' positions that this function gives. All derivatives are at the state itself
 (tangent zero), where they are simplest. One function for a frame, mapped over the fragment: never the
 whole fragment as one graph.
+
+A residual on a segment depends on the twist (v, w) of that segment in world: a point p of it moves by
+v + w x (p - p_root). With G its derivative by the twist, it adds G^T G to the segment's 6 x 6 stiffness
+and G^T r to its force. A joint moves everything beyond it, so it sees the sums over its subtree; with S_i
+the twist of joint i, the Hessian's block of joints i and j (j beyond i) is S_i^T K_j S_j: the
+composite-rigid-body algorithm (Featherstone 2008, ch. 6), with stiffness in place of inertia. It needs a
+fraction of the products that Jacobians of single residuals would.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -20,6 +27,10 @@ from rtof_kin import energies
 from rtof_kin.joint_space.state import StateSpace
 
 Array = NDArray[np.float64]
+Loss = Callable[[Any], tuple[Any, Any]]
+"""Weighted squares -> their robust loss and its derivative."""
+Residual = Callable[[Any], Any]
+"""Of a point, or of a small rotation vector."""
 TERMS = ("visual", "orientation", "torso", "bone", "root", "floor", "prior")
 """Energy terms of a single frame."""
 TORSO = ("Hips", "Spine3")
@@ -45,46 +56,50 @@ class Shape:
     floor_cutoff: float
 
 
-@dataclass
-class _Sum:
-    """Energy, gradient and Hessian as residuals are added."""
+class _Composite:
+    """Energy, and stiffness and force of every segment's subtree, as residuals are added."""
 
-    delta: Any
-    values: dict[str, Any] = field(default_factory=lambda: dict.fromkeys(TERMS, ca.SX(0)))
-    gradient: Any = None
-    hessian: Any = None
+    def __init__(self, parents: Sequence[int], p: list[Any], R: list[Any]) -> None:
+        self._parents, self._p, self._R = parents, p, R
+        self.values: dict[str, Any] = dict.fromkeys(TERMS, ca.SX(0))
+        self.stiffness = [ca.SX(6, 6) for _ in parents]
+        self.force = [ca.SX(6, 1) for _ in parents]
 
-    def __post_init__(self) -> None:
-        n = self.delta.numel()
-        self.gradient, self.hessian = ca.SX(n, 1), ca.SX(n, n)
+    def point(self, j: int, point: Any) -> Any:
+        """(3, 6) derivative of a point of segment j by the segment's twist."""
+        return ca.horzcat(ca.SX.eye(3), -ca.skew(point - self._p[0]))
 
-    def at_zero(self, expression: Any) -> Any:
-        return ca.substitute(expression, self.delta, ca.SX.zeros(self.delta.numel(), 1))
+    def add_point(
+        self, term: str, j: int, point: Any, residual: Residual, weight: Any, loss: Loss
+    ) -> Any:
+        """A residual of a point of segment j; gives it back."""
+        r, P = _derivative(lambda e: residual(point + e), 3)
+        self._add(term, j, r, P @ self.point(j, point), weight, loss)
+        return r
 
-    def jacobian(self, residual: Any) -> Any:
-        return ca.sparsify(self.at_zero(ca.jacobian(residual, self.delta)))
-
-    def add(
-        self,
-        term: str,
-        residual: Any,
-        weight: Any,
-        loss: Callable[[Any], tuple[Any, Any]] = lambda s: (s, 1),
+    def add_turn(
+        self, term: str, j: int, residual: Residual, weight: Any, loss: Loss
     ) -> None:
-        """Add half of `loss` of a residual's weighted square."""
-        r, J = self.at_zero(residual), self.jacobian(residual)
+        """A residual of segment j turned by a small rotation vector in its own axes."""
+        r, Q = _derivative(residual, 3)
+        self._add(term, j, r, ca.horzcat(ca.SX(r.numel(), 3), Q @ self._R[j].T), weight, loss)
+
+    def _add(self, term: str, j: int, r: Any, G: Any, weight: Any, loss: Loss) -> None:
+        """Half of `loss` of a residual's weighted square."""
         value, slope = loss(weight * ca.sumsqr(r))
         self.values[term] += 0.5 * value
-        self.gradient += J.T @ (weight * slope * r)
-        self.hessian += ca.tril((J.T * (weight * slope)) @ J)
+        self.force[j] += G.T @ (weight * slope * r)
+        self.stiffness[j] += ca.tril2symm(ca.tril((G.T * (weight * slope)) @ G))
 
-    def add_quadratic(self, term: str, residual: Any, precision: Any) -> None:
-        """Add half of a quadratic form with a full matrix."""
-        r, J = self.at_zero(residual), self.jacobian(residual)
-        force = precision @ r
-        self.values[term] += 0.5 * ca.dot(r, force)
-        self.gradient += J.T @ force
-        self.hessian += ca.tril(J.T @ (precision @ J))
+    def collect(self, extra: dict[int, Any]) -> tuple[list[Any], list[Any]]:
+        """Stiffness and force of whole subtrees; `extra` forces on segments come on top."""
+        stiffness, force = list(self.stiffness), list(self.force)
+        for j, more in extra.items():
+            force[j] = force[j] + more
+        for j in range(len(self._parents) - 1, 0, -1):
+            stiffness[self._parents[j]] = stiffness[self._parents[j]] + stiffness[j]
+            force[self._parents[j]] = force[self._parents[j]] + force[j]
+        return stiffness, force
 
 
 class FrameEnergy:
@@ -98,17 +113,11 @@ class FrameEnergy:
     """
 
     def __init__(self, space: StateSpace, shape: Shape) -> None:
-        """Build; takes about a second."""
+        """Build; takes about half a second."""
         self.space, self.shape = space, shape
         names, parents = space.skeleton.names, space.skeleton.parents
         A, L, S = len(space.joints), len(shape.landmarks), len(shape.sensors)
         p_root, quats = ca.SX.sym("p", 3), ca.SX.sym("q", 4, A)
-        delta = ca.SX.sym("d", space.size)
-        turns = ca.reshape(ca.DM(space.expand) @ delta[3:], 3, A)
-        local = {
-            j: energies.quat_multiply(quats[:, a], ca.vertcat(1, turns[:, a] / 2))
-            for a, j in enumerate(space.joints)
-        }
         self.observation = {
             "uv_px": ca.SX.sym("uv", 2, L), "w_visual": ca.SX.sym("wv", L),
             "quat_sensor": ca.SX.sym("qs", 4, S), "w_sensor": ca.SX.sym("ws", S),
@@ -125,74 +134,175 @@ class FrameEnergy:
             "quat_mean": ca.SX.sym("qm", 4, A - 1), "precision": ca.SX.sym("P", 3 * A - 3, 3 * A - 3),
             "floor": ca.SX.sym("f"),
         }  # fmt: skip
-        O, C = self.observation, self.constant
-        total = _Sum(delta)
-        q: dict[int, Any] = {}
-        R: dict[int, Any] = {}
-        p: dict[int, Any] = {}
-        for j, parent in enumerate(parents):
-            if parent < 0:
-                q[j], p[j] = local[j], p_root + delta[:3]
-            else:
-                q[j] = energies.quat_multiply(q[parent], local[j]) if j in local else q[parent]
-                p[j] = p[parent] + R[parent] @ C["offsets"][:, j]
-            R[j] = energies.quat_matrix(q[j]) if j in local else R[parent]
-        residuals = []
-        for i, (j, is_joint) in enumerate(shape.landmarks):
-            point = p[j] if is_joint else p[j] + R[j] @ C["places"][:, i]
-            camera = C["R_camera_world"] @ point + C["t_camera_world"]
-            r = energies.reprojection(camera, O["uv_px"][:, i], C["K"])
-            residuals.append(total.at_zero(r))
-            total.add("visual", r, O["w_visual"][i], _pseudo_huber(shape.robust_reprojection))
-        for s, j in enumerate(shape.sensors):
-            r = energies.orientation(q[j], O["quat_sensor"][:, s])
-            white = ca.reshape(C["whitening"][:, s], 3, 3) @ r
-            total.add(
-                "orientation", white, O["w_sensor"][s], _pseudo_huber(shape.robust_orientation)
-            )
-        for i, j in enumerate(shape.torso):
-            r = energies.orientation(q[j], O["quat_torso"][:, i])
-            total.add("torso", r, O["w_torso"], _cauchy)
-        for i, (j, child) in enumerate(shape.bones):
-            r = energies.bone_vector(p[j], p[child], O["b_world"][:, i])
-            total.add("bone", r, O["w_bone"], _cauchy)
-        total.add("root", energies.position(p[0], O["p_root"]), O["w_root"], _cauchy)
-        for j in shape.feet:
-            r = energies.height(p[j], C["floor"])
-            total.add("floor", r, O["w_floor"], _cut_off(O["w_floor"], shape.floor_cutoff))
-        vectors = [
-            energies.rotation_vector(local[j], C["quat_mean"][:, a])
-            for a, j in enumerate(space.joints[1:])
+        self._local = [quats[:, a] for a in range(A)]
+        self._forward(p_root)
+        self._total = _Composite(parents, self._p, self._R)
+        residuals = self._observed()
+        sensors = [
+            self._p[j] + self._R[j] @ self.constant["levers"][:, s]
+            for s, j in enumerate(shape.sensors)
         ]
-        total.add_quadratic("prior", ca.vertcat(*vectors), O["w_prior"] * C["precision"])
-        sensors = [p[j] + R[j] @ C["levers"][:, s] for s, j in enumerate(shape.sensors)]
-        points = ca.vertcat(*sensors) if sensors else ca.SX(0, 1)
+        force = ca.SX.sym("force", 3 * S)
+        forces: dict[int, Any] = {}
+        for s, j in enumerate(shape.sensors):
+            pull = self._total.point(j, sensors[s]).T @ force[3 * s : 3 * s + 3]
+            forces[j] = forces.get(j, 0) + pull
+        gradient, hessian, twists = self._composed({})
         inputs = [
             ca.vertcat(p_root, ca.vec(quats)),
-            ca.vertcat(*(ca.vec(v) for v in O.values())),
-            ca.vertcat(*(ca.vec(v) for v in C.values())),
+            ca.vertcat(*(ca.vec(v) for v in self.observation.values())),
+            ca.vertcat(*(ca.vec(v) for v in self.constant.values())),
         ]
-        energy = ca.vertcat(*(total.values[term] for term in TERMS))
-        outputs = [ca.densify(v) for v in (energy, total.at_zero(points), ca.vertcat(*residuals))]
-        force = ca.SX.sym("force", 3 * S)
-        J = total.jacobian(points)
+        points = ca.vertcat(*sensors) if sensors else ca.SX(0, 1)
+        energy = ca.vertcat(*(self._total.values[term] for term in TERMS))
+        outputs = [ca.densify(v) for v in (energy, points, ca.vertcat(*residuals))]
+        J = self._sensor_jacobian(sensors, twists)
         option = {"cse": True}
         self.full = ca.Function(
             "full", inputs,
-            [outputs[0], ca.densify(total.gradient), ca.densify(total.hessian), outputs[1],
-             ca.densify(J), outputs[2]], option,
+            [outputs[0], *(ca.densify(v) for v in (gradient, hessian)), outputs[1], ca.densify(J),
+             outputs[2]], option,
         )  # fmt: skip
         self.value = ca.Function("value", inputs, outputs, option)
-        self.gradient = ca.Function(
-            "gradient", [*inputs, force], [ca.densify(total.gradient + J.T @ force)], option
-        )
+        pulled = ca.densify(self._composed(forces)[0])
+        self.gradient = ca.Function("gradient", [*inputs, force], [pulled], option)
 
     def functions(self) -> list[Any]:
         """All functions, in the order in which they are compiled together."""
         return [self.full, self.value, self.gradient]
 
+    # --- parts -----------------------------------------------------------------------------------
 
-def _pseudo_huber(delta: float) -> Callable[[Any], tuple[Any, Any]]:
+    def _forward(self, p_root: Any) -> None:
+        """Quaternions, rotations and positions of all segments in world."""
+        space, offsets = self.space, self.constant["offsets"]
+        local = dict(zip(space.joints, self._local, strict=True))
+        self._q: list[Any] = []
+        self._R: list[Any] = []
+        self._p: list[Any] = []
+        for j, parent in enumerate(space.skeleton.parents):
+            if parent < 0:
+                q, p = local[j], p_root
+            else:
+                q = energies.quat_multiply(self._q[parent], local[j]) if j in local else self._q[parent]
+                p = self._p[parent] + self._R[parent] @ offsets[:, j]
+            self._q.append(q)
+            self._p.append(p)
+            self._R.append(energies.quat_matrix(q) if j in local else self._R[parent])
+
+    def _observed(self) -> list[Any]:
+        """Add everything observed; the reprojection residuals."""
+        O, C, shape, total = self.observation, self.constant, self.shape, self._total
+        p, R, q = self._p, self._R, self._q
+
+        def pixels(i: int) -> Residual:
+            def residual(point: Any) -> Any:
+                camera = C["R_camera_world"] @ point + C["t_camera_world"]
+                return energies.reprojection(camera, O["uv_px"][:, i], C["K"])
+
+            return residual
+
+        def orientation(j: int, measured: Any, W: Any) -> Residual:
+            return lambda e: W @ energies.orientation(_turned(q[j], e), measured)
+
+        def bone(j: int, child: int, i: int) -> Residual:
+            b, start = C["offsets"][:, child], O["b_world"][:, i]
+            return lambda e: energies.bone_vector(ca.SX(3, 1), R[j] @ (b + ca.cross(e, b)), start)
+
+        visual, robust = [], _pseudo_huber(shape.robust_reprojection)
+        for i, (j, is_joint) in enumerate(shape.landmarks):
+            point = p[j] if is_joint else p[j] + R[j] @ C["places"][:, i]
+            weight = O["w_visual"][i]
+            visual.append(total.add_point("visual", j, point, pixels(i), weight, robust))
+        robust = _pseudo_huber(shape.robust_orientation)
+        for s, j in enumerate(shape.sensors):
+            W, measured = ca.reshape(C["whitening"][:, s], 3, 3), O["quat_sensor"][:, s]
+            turn = orientation(j, measured, W)
+            total.add_turn("orientation", j, turn, O["w_sensor"][s], robust)
+        for i, j in enumerate(shape.torso):
+            turn = orientation(j, O["quat_torso"][:, i], ca.DM.eye(3))
+            total.add_turn("torso", j, turn, O["w_torso"], _cauchy)
+        for i, (j, child) in enumerate(shape.bones):
+            total.add_turn("bone", j, bone(j, child, i), O["w_bone"], _cauchy)
+        total.add_point(
+            "root", 0, p[0], lambda x: energies.position(x, O["p_root"]), O["w_root"], _cauchy
+        )
+        for j in shape.feet:
+            total.add_point(
+                "floor", j, p[j], lambda x: energies.height(x, C["floor"]), O["w_floor"],
+                _cut_off(O["w_floor"], shape.floor_cutoff),
+            )  # fmt: skip
+        return visual
+
+    def _composed(self, forces: dict[int, Any]) -> tuple[Any, Any, dict[int, Any]]:
+        """Gradient, lower Hessian, and the twist (6, width) that each moving joint gives."""
+        space, parents, total = self.space, self.space.skeleton.parents, self._total
+        stiffness, force = total.collect(forces)
+        gradient, hessian = ca.SX(space.size, 1), ca.SX(space.size, space.size)
+        twists: dict[int, Any] = {}
+        for a, j in enumerate(space.joints):
+            turn = self._R[j] @ ca.DM(space.axes(a))
+            twists[j] = ca.vertcat(ca.skew(self._p[j] - self._p[0]) @ turn, turn)
+            if j == 0:
+                twists[j] = ca.horzcat(ca.vertcat(ca.SX.eye(3), ca.SX(3, 3)), twists[j])
+        for j, twist in twists.items():
+            rows, pushed = space.columns(j), stiffness[j] @ twist
+            gradient[rows] = twist.T @ force[j]
+            i = j
+            while i >= 0:
+                if i in twists:
+                    block = pushed.T @ twists[i]
+                    hessian[rows, space.columns(i)] = ca.tril(block) if i == j else block
+                i = parents[i]
+        self._add_prior(gradient, hessian)
+        return gradient, hessian, twists
+
+    def _add_prior(self, gradient: Any, hessian: Any) -> None:
+        """The quadratic form of all joints' rotations together."""
+        space, C = self.space, self.constant
+        precision = self.observation["w_prior"] * C["precision"]
+        vectors, slopes = [], []
+        for a, q in enumerate(self._local[1:], start=1):
+            mean, axes = C["quat_mean"][:, a - 1], ca.DM(space.axes(a))
+            r, B = _derivative(_from_mean(q, mean, axes), axes.shape[1])
+            vectors.append(r)
+            slopes.append(B)
+        J = ca.diagcat(*slopes)
+        force = precision @ ca.vertcat(*vectors)
+        self._total.values["prior"] = 0.5 * ca.dot(ca.vertcat(*vectors), force)
+        gradient[6:] += J.T @ force
+        hessian[6:, 6:] += ca.tril(J.T @ (precision @ J))
+
+    def _sensor_jacobian(self, sensors: list[Any], twists: dict[int, Any]) -> Any:
+        """(3S, D) of the sensors' positions."""
+        J, parents = ca.SX(3 * len(sensors), self.space.size), self.space.skeleton.parents
+        for s, j in enumerate(self.shape.sensors):
+            i, moved = j, self._total.point(j, sensors[s])
+            while i >= 0:
+                if i in twists:
+                    J[3 * s : 3 * s + 3, self.space.columns(i)] = moved @ twists[i]
+                i = parents[i]
+        return J
+
+
+def _turned(q: Any, e: Any) -> Any:
+    """A quaternion after a small rotation vector in its own axes, to first order."""
+    return energies.quat_multiply(q, ca.vertcat(1, e / 2))
+
+
+def _from_mean(q: Any, mean: Any, axes: Any) -> Residual:
+    return lambda e: energies.rotation_vector(_turned(q, axes @ e), mean)
+
+
+def _derivative(residual: Residual, size: int) -> tuple[Any, Any]:
+    """A residual and its Jacobian at 0."""
+    e = ca.SX.sym("e", size)
+    r = residual(e)
+    zero = ca.SX.zeros(size, 1)
+    return ca.substitute(r, e, zero), ca.sparsify(ca.substitute(ca.jacobian(r, e), e, zero))
+
+
+def _pseudo_huber(delta: float) -> Loss:
     return lambda s: (energies.pseudo_huber(s, delta), energies.pseudo_huber_weight(s, delta))
 
 
@@ -200,7 +310,7 @@ def _cauchy(s: Any) -> tuple[Any, Any]:
     return energies.cauchy(s), energies.cauchy_weight(s)
 
 
-def _cut_off(weight: Any, cutoff: float) -> Callable[[Any], tuple[Any, Any]]:
+def _cut_off(weight: Any, cutoff: float) -> Loss:
     """Cauchy's loss with its scale at a distance instead of at one sigma."""
 
     def loss(s: Any) -> tuple[Any, Any]:

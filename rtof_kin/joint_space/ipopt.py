@@ -91,8 +91,7 @@ class _Point:
         if limits is not None:
             rng = np.random.default_rng(0)
             d = rng.normal(size=(N, D)) * 0.3
-            values = limits.values(problem.space.retract(self.start, d))
-            J = limits.jacobian(values) @ self._tangent(d)
+            J = limits.jacobian(problem.space.retract(self.start, d)) @ self._tangent(d)
             self._jacobian_mask = (J != 0).any(axis=0)
 
     def state(self, d: Array) -> Array:
@@ -127,7 +126,7 @@ class _Point:
         """Nonzeros of the limits' Jacobian, column by column."""
         if self.limits is None:
             return np.zeros(0)
-        J = self.limits.jacobian(self.limits.values(self.state(d))) @ self._tangent(d)
+        J = self.limits.jacobian(self.state(d)) @ self._tangent(d)
         return np.asarray(np.swapaxes(J, 1, 2)[:, self._jacobian_mask.T]).ravel()
 
     def jacobian_sparsity(self) -> Any:

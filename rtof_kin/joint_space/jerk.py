@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import quaternions as quat
 from rtof_kin.joint_space.state import StateSpace
 
 Array = NDArray[np.float64]
@@ -30,8 +29,7 @@ class Jerk:
         self.space, self.frames, self.sigma = space, frames, sigma
         ball = space.hinge_axis < 0
         self._balls = np.flatnonzero(ball)
-        first = 3 + np.cumsum(np.where(ball, 3, 1)) - np.where(ball, 3, 1)
-        self._columns = first[self._balls][:, None] + np.arange(3)
+        self._columns = space.first[self._balls][:, None] + np.arange(3)
         self._straight = np.setdiff1d(np.arange(space.size), self._columns)
         self._precision = 1 / sigma[self._columns[:, 0]] ** 2
 
@@ -49,27 +47,30 @@ class Jerk:
         square = third.T @ third
         self._plain = [np.diag(square, -k)[:, None] / self.sigma**2 for k in range(LAGS)]
 
-    def gradient(self, steps: Array, pull: Array) -> Array:
-        """(N, D) from the derivative with respect to the steps (N - 1, D)."""
+    def gradient(self, inverse: Array, pull: Array) -> Array:
+        """(N, D) from the derivative with respect to the steps (N - 1, D).
+
+        Args:
+            inverse: (N - 1, A, 3, 3) inverse right Jacobians of the steps.
+        """
         g = np.zeros((self.frames, self.space.size))
         g[1:, :3] += pull[:, :3]
         g[:-1, :3] -= pull[:, :3]
-        turns = steps[:, 3:].reshape(len(steps), -1, 3)
-        torque = (pull[:, 3:] @ self.space.expand.T).reshape(turns.shape)
-        inverse = quat.right_jacobian_inverse(turns)
-        later = np.einsum("taij,tai->taj", inverse, torque).reshape(len(steps), -1)
-        earlier = np.einsum("taij,taj->tai", inverse, torque).reshape(len(steps), -1)
+        torque = (pull[:, 3:] @ self.space.expand.T).reshape(inverse.shape[:-1])
+        later = np.einsum("taij,tai->taj", inverse, torque).reshape(len(pull), -1)
+        earlier = np.einsum("taij,taj->tai", inverse, torque).reshape(len(pull), -1)
         g[1:, 3:] += later @ self.space.expand
         g[:-1, 3:] -= earlier @ self.space.expand
         return g
 
-    def add_hessian(self, steps: Array, band: Array) -> None:
-        """Add to a band (N, D, >= 4D), where [t, c, k D + r] is row r of frame t + k, column c of t.
+    def add_hessian(self, inverse: Array, band: Array) -> None:
+        """Add to a band (N, D, >= 4D), where [t, c, k D + r] is row r of frame t + k, column c of t;
+        what is three frames apart is set, for nothing else is there.
 
         Displacements and hinges turn about one axis: their L is 1.
         """
         N, D, s = self.frames, self.space.size, self._straight
-        L = quat.right_jacobian_inverse(steps[:, 3:].reshape(N - 1, -1, 3)[:, self._balls])
+        L = inverse[:, self._balls]
         later, earlier = np.zeros((2, N, len(self._balls), 3, 3))
         later[1:], earlier[:-1] = L, np.swapaxes(L, -1, -2)
         scaled = self._precision[:, None, None] * np.stack([later, earlier])
@@ -83,5 +84,10 @@ class Jerk:
             block = later_T[k:] @ SJ[k][: N - k]
             if k + 1 < LAGS:
                 block -= earlier_T[k:] @ SJ[k + 1][: N - k]
-            band[: N - k, columns, k * D + rows] += np.swapaxes(block, -1, -2)
-            band[: N - k, s, k * D + s] += self._plain[k][:, s]
+            block = np.swapaxes(block, -1, -2)
+            if k + 1 < LAGS:
+                band[: N - k, columns, k * D + rows] += block
+                band[: N - k, s, k * D + s] += self._plain[k][:, s]
+            else:  # nothing else couples frames that far apart
+                band[: N - k, columns, k * D + rows] = block
+                band[: N - k, s, k * D + s] = self._plain[k][:, s]

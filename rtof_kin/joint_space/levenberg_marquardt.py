@@ -2,27 +2,33 @@
 
 Damping is absolute and small: one relative to the diagonal would freeze the root's depth, because jerk
 makes the diagonal huge. Where the last step came out as the model said it would, the next one uses the
-factor that is there (a gradient costs a fifth of a Hessian with its factor).
+factor that is there (a gradient costs a quarter of a Hessian with its factor), also when multipliers or
+weights have changed meanwhile: the next step's outcome tells whether it still serves.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.errors import SolverError
 from rtof_kin.joint_space.limits import Limits
-from rtof_kin.joint_space.problem import Factor, JointProblem
+from rtof_kin.joint_space.problem import JointProblem
 
 Array = NDArray[np.float64]
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e6
-_TRUSTED = (0.7, 1.4)
+_TRUSTED = (0.5, 2.0)
 """Actual over predicted decrease within which the factor is used once more."""
+_SLOW = 0.5
+"""Share of the decrease promised before that a step on an old factor may promise at most."""
 _STIFFNESS = 1 / np.radians(1.0) ** 2
 """Of the limits' penalty, 1/rad^2; multipliers make them exact."""
 _LIMIT_TOLERANCE = np.radians(0.1)
-_ROUNDS = 8
+_EARLY = 10.0
+"""Multipliers are updated when a step promises less than this many tolerances."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,7 @@ class LevenbergMarquardt:
 
     def __init__(self, problem: JointProblem, limits: Limits | None) -> None:
         self.problem, self.limits = problem, limits
+        self._angles: tuple[Array, Array] | None = None
 
     def solve(
         self,
@@ -50,87 +57,95 @@ class LevenbergMarquardt:
         max_iterations: int,
         tolerance: float,
         multipliers: Array | None = None,
+        reweigh: Callable[[Array], bool] | None = None,
     ) -> Solved:
         """Minimise from a state.
 
         Args:
             tolerance: relative decrease of the energy, predicted for a step, below which it ends.
             multipliers: of an earlier solution, to go on with.
+            reweigh: called with the start and every new state, until it returns False; may change the
+                problem's weights (and returns True then).
+
+        Raises:
+            SolverError: the energy of the start is not finite.
         """
+        problem, damping, factor, updated = self.problem, 1e-3, None, False
         M = 0 if self.limits is None else len(self.limits.names)
         m = np.zeros((len(x), M)) if multipliers is None else multipliers
-        iterations, converged, outside = 0, False, 0.0
-        for _ in range(_ROUNDS):
-            x, used, converged = self._minimise(x, m, max_iterations - iterations, tolerance)
-            iterations += used
-            m, outside = self._updated(x, m)
-            if outside <= _LIMIT_TOLERANCE or iterations >= max_iterations:
-                break
-        return Solved(x, iterations, converged and outside <= _LIMIT_TOLERANCE, m)
-
-    def _minimise(
-        self, x: Array, m: Array, max_iterations: int, tolerance: float
-    ) -> tuple[Array, int, bool]:
-        """With fixed multipliers: the state, iterations, whether it converged."""
-        problem, damping = self.problem, 1e-3
-        factor: Factor | None = None
-        energy = np.inf
+        promised = np.inf
+        weighing = reweigh is not None and reweigh(x)
+        energy = self._energy(x, m)
+        if not np.isfinite(energy):
+            raise SolverError("the energy of the starting state is not finite")
         for iteration in range(max_iterations):
             fresh = factor is None
+            gradient = self._linearise(x, m) if factor is None else self._gradient(x, m)
             if factor is None:
-                value, gradient = problem.linearise(x)
-                gradient = gradient + self._add_penalty(x, m)
-                energy = value + self._penalty(x, m)
                 factor = problem.factorise(damping)
-            else:
-                gradient = problem.gradient(x) + self._add_penalty(x, m, hessian=False)
             step = factor.solve(-gradient)
             predicted = -0.5 * float(np.sum(gradient * step))
-            if predicted < tolerance * (1 + abs(energy)):
-                return x, iteration, True
+            small = predicted / (tolerance * (1 + abs(energy)) + 1e-300)
+            if small < _EARLY and not weighing and not updated:
+                new, outside = self._updated(x, m)
+                if small < 1 and outside <= _LIMIT_TOLERANCE:
+                    return Solved(x, iteration, True, new)
+                updated = outside > _LIMIT_TOLERANCE
+                if updated:
+                    m, energy = new, self._energy(x, new)
+                    continue
             candidate = problem.space.retract(x, step)
-            after = problem.total(candidate) + self._penalty(candidate, m)
+            after = self._energy(candidate, m)
             ratio = (energy - after) / predicted
-            if ratio > 1e-3:
-                x, energy = candidate, after
-                if not _TRUSTED[0] < ratio < _TRUSTED[1]:
-                    factor = None
-                if fresh and ratio > 0.5:
-                    damping = max(damping / 10, _LEAST_DAMPING)
+            if not ratio > 1e-3:
+                factor = None
+                if fresh:
+                    damping = max(damping, 1e-2) * 8
+                    if damping > _MOST_DAMPING:
+                        break
                 continue
-            factor = None
-            if fresh:
-                damping = max(damping, 1e-2) * 8
-                if damping > _MOST_DAMPING:
-                    return x, iteration, False
-        return x, max_iterations, False
+            x, energy, updated = candidate, after, False
+            if not _TRUSTED[0] < ratio < _TRUSTED[1] or (not fresh and predicted > _SLOW * promised):
+                factor = None
+            promised = predicted
+            if fresh and ratio > 0.5:
+                damping = max(damping / 10, _LEAST_DAMPING)
+            if weighing and reweigh is not None:
+                weighing, factor = reweigh(x), None
+                energy = self._energy(x, m)
+        new, _ = self._updated(x, m)
+        return Solved(x, max_iterations, False, new)
 
     # --- limits ----------------------------------------------------------------------------------
 
-    def _violation(self, values: Array, m: Array) -> Array:
-        """(N, M) excess shifted by the multipliers: what the penalty acts on."""
+    def _pushed(self, x: Array, m: Array) -> Array:
+        """(N, M) excess of the angles shifted by the multipliers: what the penalty acts on."""
         assert self.limits is not None
-        shifted = values + m / _STIFFNESS
-        return self.limits.excess(shifted)
+        if self._angles is None or self._angles[0] is not x:
+            self._angles = x, self.limits.values(x)
+        return self.limits.excess(self._angles[1] + m / _STIFFNESS)
 
-    def _penalty(self, x: Array, m: Array) -> float:
+    def _energy(self, x: Array, m: Array) -> float:
+        energy = self.problem.total(x)
         if self.limits is None:
-            return 0.0
-        pushed = self._violation(self.limits.values(x), m)
-        return float(0.5 * _STIFFNESS * np.sum(pushed**2) - 0.5 / _STIFFNESS * np.sum(m**2))
+            return energy
+        pushed = self._pushed(x, m)
+        return energy + float(0.5 * _STIFFNESS * np.sum(pushed**2) - 0.5 / _STIFFNESS * np.sum(m**2))
 
-    def _add_penalty(self, x: Array, m: Array, hessian: bool = True) -> Array | float:
-        """Its gradient; its Hessian goes onto the problem's diagonal blocks."""
-        if self.limits is None:
-            return 0.0
-        values = self.limits.values(x)
-        pushed = self._violation(values, m)
-        if not pushed.any():
-            return 0.0
-        J = np.where((pushed != 0)[..., None], self.limits.jacobian(values), 0.0)
-        if hessian:
-            self.problem.add_to_diagonal(_STIFFNESS * np.swapaxes(J, 1, 2) @ J)
-        return np.asarray(_STIFFNESS * np.einsum("tm,tmd->td", pushed, J))
+    def _linearise(self, x: Array, m: Array) -> Array:
+        """Gradient (N, D); the Hessian is kept by the problem."""
+        _, gradient = self.problem.linearise(x)
+        if self.limits is None or not (pushed := self._pushed(x, m)).any():
+            return gradient
+        frames, rows, columns, squares = self.limits.curvature(x, pushed != 0)
+        self.problem.add_to_diagonal(frames, rows, columns, _STIFFNESS * squares)
+        return np.asarray(gradient + _STIFFNESS * self.limits.force(x, pushed))
+
+    def _gradient(self, x: Array, m: Array) -> Array:
+        gradient = self.problem.gradient(x)
+        if self.limits is None or not (pushed := self._pushed(x, m)).any():
+            return gradient
+        return np.asarray(gradient + _STIFFNESS * self.limits.force(x, pushed))
 
     def _updated(self, x: Array, m: Array) -> tuple[Array, float]:
         """Multipliers after a minimisation, and how far limits or their multipliers are off, rad.
@@ -140,5 +155,5 @@ class LevenbergMarquardt:
         """
         if self.limits is None:
             return m, 0.0
-        new = _STIFFNESS * self._violation(self.limits.values(x), m)
+        new = _STIFFNESS * self._pushed(x, m)
         return new, float(np.abs(new - m).max(initial=0.0)) / _STIFFNESS

@@ -1,16 +1,26 @@
-"""Anatomical limits of the state: the URDF's angles of every moving joint, and their derivatives."""
+"""Anatomical limits of the state: the URDF's angles of every moving joint, and their derivatives.
+
+Where the middle one of a joint's three angles nears a right angle, the first and the third become one and
+the same turn and mean nothing apart. So what is bounded are the angles themselves but for singular
+postures: from 15 to 5 degrees before, the first and the third fade to the middle of their limits.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import rotations as so3
+from rtof_kin import energies
+from rtof_kin.compiled import Buffered
 from rtof_kin.errors import ShapeError
 from rtof_kin.joint_space.state import XYZ, StateSpace
 
 Array = NDArray[np.float64]
-_SINGULAR = np.sin(np.radians(5.0))
+Index = NDArray[np.intp]
+_SINGULAR = np.sin(np.radians([5.0, 15.0]))
 
 
 class Limits:
@@ -18,6 +28,8 @@ class Limits:
 
     Attributes:
         names: M URDF joints. lower, upper: (M,) rad.
+        functions: CasADi's, of one frame: (state, lower, upper) -> bounded angles (M); and with their
+            derivatives by the rotation vector of the joint they belong to (3M).
     """
 
     def __init__(self, space: StateSpace) -> None:
@@ -30,89 +42,128 @@ class Limits:
         joints = space.skeleton.table.joints
         names: list[str] = []
         bounds: list[tuple[float, float]] = []
-        self._balls: dict[str, list[tuple[int, int]]] = {}
-        self._hinges: list[tuple[int, int, int]] = []
+        self._of: list[int] = []
         for a, j in enumerate(space.joints[1:], start=1):
             axis = int(space.hinge_axis[a])
-            if axis < 0:
-                self._balls.setdefault(joints[j].axes, []).append((a, len(names)))
-            else:
-                self._hinges.append((a, axis, len(names)))
             for i, dof in enumerate(joints[j].dofs):
                 if axis < 0 or XYZ.index(joints[j].axes[i]) == axis:
                     names.append(dof.urdf)
                     bounds.append((float(joints[j].limits[i, 0]), float(joints[j].limits[i, 1])))
+                    self._of.append(a)
         self.names = tuple(names)
         self.lower, self.upper = np.array(bounds).reshape(-1, 2).T
         wrong = np.flatnonzero(~(self.lower < self.upper))
         if len(wrong):
             name = names[int(wrong[0])]
             raise ShapeError(f"limits of {name} contradict each other: lower is not below upper")
+        self._ball = space.hinge_axis[self._of] < 0
+        self._columns = space.first[self._of][:, None] + np.arange(3) * self._ball[:, None]
+        self.use(self._functions())
+
+    def use(self, functions: list[Any]) -> None:
+        """Take other functions that give the same, such as compiled ones."""
+        self.functions = functions
+        self._mapped: dict[tuple[int, int], Buffered] = {}
 
     def values(self, x: Array) -> Array:
-        """Angles (T, M) of a state, rad: of their two sets and all turns, those nearest to the limits.
+        """What is bounded (T, M) of a state, rad: angles of that one of their two sets, and with those
+        turns, that are nearest to the limits.
 
         Three angles say the same as (first + pi, pi - second, third + pi), and the limits of a shoulder
         reach into both sets.
         """
-        q, values = self.space.rotations(x), np.zeros((len(x), len(self.names)))
-        for a, axis, at in self._hinges:
-            turn = 2 * np.arctan2(q[:, a, 1 + axis], q[:, a, 0])
-            values[:, at] = self._near(turn, at)
-        for order, places in self._balls.items():
-            joints, first = (np.array(column) for column in zip(*places, strict=True))
-            columns = first[:, None] + np.arange(3)
-            one = so3.matrix_to_euler(order, so3.from_quat_wxyz(q[:, joints]))
-            other = np.stack(
-                [one[..., 0] + np.pi, np.pi - one[..., 1], one[..., 2] + np.pi], axis=-1
-            )
-            one, other = self._near(one, columns), self._near(other, columns)
-            better = np.abs(self._outside(other, columns)).sum(axis=-1) + 1e-9 < np.abs(
-                self._outside(one, columns)
-            ).sum(axis=-1)
-            values[:, columns] = np.where(better[..., None], other, one)
-        return values
-
-    def _near(self, angles: Array, columns: NDArray[np.intp] | int) -> Array:
-        """Angles turned by whole turns to the middle of their limits."""
-        middle = (self.lower[columns] + self.upper[columns]) / 2
-        return np.asarray((angles - middle + np.pi) % (2 * np.pi) - np.pi + middle)
-
-    def _outside(self, angles: Array, columns: NDArray[np.intp]) -> Array:
-        over = np.maximum(angles - self.upper[columns], 0)
-        return np.asarray(over + np.minimum(angles - self.lower[columns], 0))
-
-    def jacobian(self, values: Array) -> Array:
-        """Derivatives (T, M, D) of angles by a step; 0 within 5 degrees of a singular posture."""
-        turns = np.zeros((*values.shape, 3 * len(self.space.joints)))
-        for a, axis, at in self._hinges:
-            turns[:, at, 3 * a + axis] = 1.0
-        for order, places in self._balls.items():
-            for (a, at), rates in zip(places, _rates(order, values, places), strict=True):
-                turns[:, at : at + 3, 3 * a : 3 * a + 3] = rates
-        root = np.zeros((*values.shape, 3))
-        return np.concatenate([root, turns @ self.space.expand], axis=-1)
+        return np.array(self._evaluate(0, x)[0].reshape(len(x), -1))
 
     def excess(self, values: Array) -> Array:
         """(T, M) rad by which angles leave their limits; negative below the lower one, 0 inside."""
-        return self._outside(values, np.arange(len(self.names)))
+        return np.asarray(values - np.clip(values, self.lower, self.upper))
 
+    def jacobian(self, x: Array) -> Array:
+        """Derivatives (T, M, D) of the values at a state by a step."""
+        J = np.zeros((len(x), len(self.names), self.space.size))
+        rates = self._rates(x)
+        M = np.arange(len(self.names))
+        J[:, M[self._ball, None], self._columns[self._ball]] = rates[:, self._ball]
+        J[:, M[~self._ball], self._columns[~self._ball, 0]] = rates[:, ~self._ball, 0]
+        return J
 
-def _rates(order: str, values: Array, places: list[tuple[int, int]]) -> Array:
-    """(joints, T, 3, 3) derivative of intrinsic angles by a rotation vector in the turned frame."""
-    angles = np.stack([values[:, at : at + 3] for _, at in places])
-    first, second, third = (np.eye(3)[XYZ.index(axis)] for axis in order)
-    R_third = so3.about_axis(order[2], angles[..., 2])
-    R_second = so3.about_axis(order[1], angles[..., 1])
-    columns = np.stack(
-        [
-            np.einsum("...ba,...cb,c->...a", R_third, R_second, first),
-            np.einsum("...ba,b->...a", R_third, second),
-            np.broadcast_to(third, angles.shape),
-        ],
-        axis=-1,
-    )
-    regular = np.abs(np.cos(angles[..., 1])) > _SINGULAR
-    out = np.zeros_like(columns)
-    out[regular] = np.linalg.inv(columns[regular])
-    return out
+    def force(self, x: Array, push: Array) -> Array:
+        """J^T push (T, D) of forces (T, M) on the angles at a state, most of which are 0."""
+        out = np.zeros((len(x), self.space.size))
+        frame, m = np.nonzero(push)
+        rates = self._rates(x)[frame, m] * push[frame, m, None]
+        np.add.at(out, (frame[:, None], self._columns[m]), rates)
+        return out
+
+    def curvature(self, x: Array, pushed: NDArray[np.bool_]) -> tuple[Index, Index, Index, Array]:
+        """J^T J of the angles chosen (T, M): frames (n, 1, 1), rows (n, 3, 1), columns (n, 1, 3) and
+        values (n, 3, 3) of blocks; some are at the same place."""
+        frame, m = np.nonzero(pushed)
+        rates, at = self._rates(x)[frame, m], self._columns[m]
+        return (
+            frame[:, None, None], at[:, :, None], at[:, None, :], rates[:, :, None] * rates[:, None, :]
+        )  # fmt: skip
+
+    # --- parts -----------------------------------------------------------------------------------
+
+    def _rates(self, x: Array) -> Array:
+        """(T, M, 3) derivatives by the rotation vector of the joint; of a hinge's, the first alone."""
+        return self._evaluate(1, x)[0].reshape(len(x), -1, 3)
+
+    def _evaluate(self, which: int, x: Array) -> list[Array]:
+        key = which, len(x)
+        if key not in self._mapped:
+            self._mapped[key] = Buffered(self.functions[which].map(len(x)))
+        bounds = np.tile(np.stack([self.lower, self.upper]), (len(x), 1, 1))
+        return self._mapped[key](x.ravel(), bounds.ravel())
+
+    def _functions(self) -> list[Any]:
+        """The CasADi functions of one frame."""
+        space, A = self.space, len(self.space.joints)
+        x, bounds = ca.SX.sym("x", 3 + 4 * A), ca.SX.sym("b", len(self.names), 2)
+        values, rates = [], []
+        first = 0
+        for a in sorted(set(self._of)):
+            count = self._of.count(a)
+            low_high = bounds[first : first + count, :]
+            e, axes = ca.SX.sym("e", count), ca.DM(space.axes(a))
+            turned = energies.quat_multiply(
+                x[3 + 4 * a : 7 + 4 * a], ca.vertcat(1, axes @ e / 2)
+            )
+            own = self._bounded(a, turned, low_high)
+            slope = ca.SX(count, 3)
+            slope[:, :count] = ca.jacobian(own, e)
+            zero = ca.SX.zeros(count, 1)
+            values.append(ca.substitute(own, e, zero))
+            rates.append(ca.vec(ca.substitute(slope, e, zero).T))
+            first += count
+        outputs = [ca.densify(ca.vertcat(*v)) if v else ca.SX(0, 1) for v in (values, rates)]
+        option = {"cse": True}
+        return [
+            ca.Function("limited", [x, ca.vec(bounds)], outputs[:1], option),
+            ca.Function("limited_slope", [x, ca.vec(bounds)], outputs[1:], option),
+        ]
+
+    def _bounded(self, a: int, q: Any, low_high: Any) -> Any:
+        """Angles (1 or 3) of one joint of quaternion q, as `values` describes them."""
+        lower, upper = low_high[:, 0], low_high[:, 1]
+        middle = (lower + upper) / 2
+
+        def near(angles: Any) -> Any:
+            return angles - 2 * np.pi * ca.floor((angles - middle) / (2 * np.pi) + 0.5)
+
+        axis = int(self.space.hinge_axis[a])
+        if axis >= 0:
+            return near(2 * ca.atan2(q[1 + axis], q[0]))
+        order = self.space.skeleton.table.joints[self.space.joints[a]].axes
+        angles = energies.intrinsic_angles(q, order)
+        one, other = near(angles), near(np.pi + angles * ca.DM([1.0, -1.0, 1.0]))
+        out_one, out_other = (
+            ca.sum1(ca.fmax(v - upper, 0) + ca.fmax(lower - v, 0)) for v in (one, other)
+        )
+        angles = ca.if_else(out_other + 1e-9 < out_one, other, one)
+        near_by, far = _SINGULAR
+        along = ca.fmin((ca.fabs(ca.cos(angles[1])) - near_by) / (far - near_by), 1)
+        faded = middle + along**2 * (3 - 2 * along) * (angles - middle)
+        outer = ca.if_else(along > 0, faded, middle)
+        return ca.vertcat(outer[0], angles[1], outer[2])

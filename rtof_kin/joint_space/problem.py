@@ -12,20 +12,23 @@ coordinates and reaches three frames, but couples each joint with itself alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from rtof_kin import energies
-from rtof_kin.errors import SolverError
+from rtof_kin import quaternions as quat
+from rtof_kin.banded import Factor, factorise
+from rtof_kin.compiled import Buffered
 from rtof_kin.joint_space import frame_energy
 from rtof_kin.joint_space.jerk import Jerk
 from rtof_kin.joint_space.state import StateSpace
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 TERMS = (*frame_energy.TERMS, "acceleration", "smooth")
 _BEYOND = 2
 """Rows below the third block's diagonal that the axes of a joint reach."""
@@ -62,16 +65,17 @@ class JointProblem:
         """
         self.space, self.energy, self.frames, self.sigma_jerk = space, energy, frames, sigma_jerk
         self._jerk = Jerk(space, frames, sigma_jerk)
-        full, value, gradient = (_Buffered(function.map(frames)) for function in functions)
+        full, value, gradient = (Buffered(function.map(frames)) for function in functions)
         self._full, self._value, self._gradient = full, value, gradient
-        self._temporal = _Buffered(
+        self._temporal = Buffered(
             _temporal(3 * len(energy.shape.sensors), space.size, frames, robust_acceleration)
         )
         self._band = np.zeros((frames, space.size, 4 * space.size + _BEYOND))
+        self._now: _Evaluation | None = None
 
     def bind(self, data: FragmentData) -> None:
         """Take the data of the fragment that is asked about from now on."""
-        self._data = data
+        self._data, self._now = data, None
         names, shape = self.energy.observation, (self.frames, -1)
         rows = np.concatenate([data.observation[n].reshape(shape) for n in names], axis=1)
         fixed = np.concatenate(
@@ -84,7 +88,7 @@ class JointProblem:
 
     def reweigh(self, name: str, weight: Array) -> None:
         """Replace the weights (N, ...) of one kind of observation."""
-        first = 0
+        self._now, first = None, 0
         for other, symbol in self.energy.observation.items():
             if other == name:
                 break
@@ -96,43 +100,35 @@ class JointProblem:
 
     def value(self, x: Array) -> tuple[dict[str, float], Array]:
         """Energy per term, and the reprojection residuals (N, L, 2), px."""
-        terms, points, residuals = self._value(x.ravel())
-        steps = self._steps(x)
-        acceleration, smooth, *_ = self._temporal_at(points, steps)
-        values = [*terms.reshape(self.frames, -1).sum(axis=0).tolist(), acceleration, smooth]
-        return dict(zip(TERMS, values, strict=True)), residuals.reshape(self.frames, -1, 2).copy()
+        now = self._at(x)
+        return dict(zip(TERMS, now.terms, strict=True)), now.residuals.reshape(self.frames, -1, 2).copy()
 
     def total(self, x: Array) -> float:
         """The energy."""
-        return sum(self.value(x)[0].values())
+        return sum(self._at(x).terms)
 
     def gradient(self, x: Array) -> Array:
         """(N, D) of the energy in tangent coordinates at x."""
-        _, points, _ = self._value(x.ravel())
-        steps = self._steps(x)
-        _, _, force, pull, _ = self._temporal_at(points, steps)
-        self._gradient.inputs[3][:] = force.ravel()
+        now = self._at(x)
+        self._gradient.inputs[3][:] = now.force.ravel()
         (g,) = self._gradient(x.ravel())
-        return np.asarray(g.reshape(self.frames, -1) + self._jerk.gradient(steps, pull))
+        return np.asarray(g.reshape(self.frames, -1) + self._jerk.gradient(now.inverse, now.pull))
 
     def linearise(self, x: Array) -> tuple[float, Array]:
-        """Energy and gradient (N, D); the Hessian is kept for `solve`."""
-        N, D = self.frames, self.space.size
-        terms, g, H, points, J, _ = self._full(x.ravel())
-        steps = self._steps(x)
-        acceleration, smooth, force, pull, slope = self._temporal_at(points, steps)
+        """Energy and gradient (N, D); the Hessian is kept for `factorise`."""
+        now, N, D = self._at(x), self.frames, self.space.size
+        _, g, H, _, J, _ = self._full(x.ravel())
         A = J.reshape(N, D, -1)
-        gradient = g.reshape(N, D) + self._jerk.gradient(steps, pull)
+        gradient = g.reshape(N, D) + self._jerk.gradient(now.inverse, now.pull)
         if A.shape[2]:
-            gradient += np.matmul(A, force[:, :, None])[..., 0]
-        self._assemble(H.reshape(N, D, D), A, slope)
-        self._jerk.add_hessian(steps, self._band)
-        return float(terms.sum()) + acceleration + smooth, gradient
+            gradient += np.matmul(A, now.force[:, :, None])[..., 0]
+        self._assemble(H.reshape(N, D, D), A, now.slope)
+        self._jerk.add_hessian(now.inverse, self._band)
+        return sum(now.terms), gradient
 
-    def add_to_diagonal(self, blocks: Array) -> None:
-        """Add (N, D, D) to the diagonal blocks of the Hessian kept."""
-        D = self.space.size
-        self._band[:, :, :D] += np.swapaxes(blocks, 1, 2)
+    def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
+        """Add to entries of the diagonal blocks of the Hessian kept."""
+        np.add.at(self._band, (frames, columns, rows), values)
 
     def lower_block(self, k: int) -> Array:
         """(N - k, D, D) blocks k frames below the diagonal of the Hessian kept: [t, r, c]."""
@@ -150,10 +146,7 @@ class JointProblem:
         )
         band = np.ascontiguousarray(shifted).reshape(N * D, -1)
         band[:, 0] += damping
-        factor, info = lapack.dpbtrf(band.T, lower=1, overwrite_ab=1)
-        if info:
-            raise SolverError("the fragment's Hessian is not positive definite")
-        return Factor(factor, (N, D))
+        return factorise(band)
 
     # --- parts -----------------------------------------------------------------------------------
 
@@ -165,64 +158,57 @@ class JointProblem:
         """(N - 1, D): of hinges, the turn about their axis."""
         return np.concatenate([steps[:, :3], steps[:, 3:] @ self.space.expand], axis=1)
 
-    def _temporal_at(self, points: Array, steps: Array) -> tuple[float, float, Array, Array, Array]:
-        """Energies of acceleration and jerk, derivatives by positions and steps, slopes of the loss."""
-        N, data = self.frames, self._data
+    def _at(self, x: Array) -> _Evaluation:
+        """The energy at x: kept until another state or other data are asked about."""
+        if self._now is not None and self._now.x is x:
+            return self._now
+        N, data, steps = self.frames, self._data, self._steps(x)
+        terms, points, residuals = self._value(x.ravel())
         out = self._temporal(
             points, self._tangent(steps).ravel(), data.a_world.ravel(), data.w_acceleration.ravel(),
             data.w_jerk, np.array([data.rate_hz]), self.sigma_jerk,
         )  # fmt: skip
         shapes = (N, N - 1, N - 2)
         force, pull, slope = (v.reshape(n, -1) for v, n in zip(out[2:], shapes, strict=True))
-        return float(out[0][0]), float(out[1][0]), force, pull, slope
+        values = [*terms.reshape(N, -1).sum(axis=0).tolist(), float(out[0][0]), float(out[1][0])]
+        self._now = _Evaluation(x, values, residuals, steps, force, pull, slope)
+        return self._now
 
     def _assemble(self, H: Array, A: Array, slope: Array) -> None:
         """Fill the band: [t, c, r] holds row r, counted from frame t, of column (t, c)."""
         N, D, band = self.frames, self.space.size, self._band
-        band[:, :, :D] = H
         w = np.zeros((N + 2, slope.shape[1]))
         w[2:-2] = slope * self._data.rate_hz**4
         spread = [w[2:] + 4 * w[1:-1] + w[:-2], -2 * (w[1:-2] + w[2:-1]), w[2:-2]]
-        band[:, :, D:] = 0.0
-        for k in range(3 if A.shape[2] else 0):
+        right = np.ascontiguousarray(np.swapaxes(A, 1, 2))
+        for k in range(3):
             left = A[: N - k] * np.repeat(spread[k], 3, axis=1)[:, None, :]
-            band[: N - k, :, k * D : (k + 1) * D] += left @ np.swapaxes(A[k:], 1, 2)
+            np.matmul(left, right[k:], out=band[: N - k, :, k * D : (k + 1) * D])
+        band[:, :, :D] += H
 
 
-@dataclass(frozen=True)
-class Factor:
-    """A factorised banded system."""
+@dataclass
+class _Evaluation:
+    """What is known about one state; views of buffers that the next evaluation overwrites."""
 
-    band: Array
-    shape: tuple[int, int]
+    x: Array
+    terms: list[float]
+    """Energies as in `TERMS`."""
+    residuals: Array
+    """(2 L N,) of reprojection, px."""
+    steps: Array
+    force: Array
+    """(N, 3S) derivative of the acceleration's energy by the sensors' positions."""
+    pull: Array
+    """(N - 1, D) derivative of the jerk's energy by the steps."""
+    slope: Array
+    """(N - 2, S) weights of the accelerations in the Hessian."""
 
-    def solve(self, right: Array) -> Array:
-        """(N, D) solution for a right-hand side (N, D)."""
-        x, info = lapack.dpbtrs(self.band, right.ravel(), lower=1)
-        if info:
-            raise SolverError("the banded system could not be solved")
-        return np.asarray(x.reshape(self.shape))
-
-
-class _Buffered:
-    """A CasADi function on buffers of its own: no conversions, no copies of what does not change."""
-
-    def __init__(self, function: Any) -> None:
-        self._buffer, self._evaluate = function.buffer()
-        self._function = function
-        self.inputs = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
-        self.outputs = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-        for i, array in enumerate(self.inputs):
-            self._buffer.set_arg(i, memoryview(array))  # type: ignore[arg-type]
-        for i, array in enumerate(self.outputs):
-            self._buffer.set_res(i, memoryview(array))  # type: ignore[arg-type]
-
-    def __call__(self, *values: Array) -> list[Array]:
-        """Evaluate with these as the first inputs; the outputs hold until the next call."""
-        for array, value in zip(self.inputs, values, strict=False):
-            array[:] = value
-        self._evaluate()
-        return self.outputs
+    @cached_property
+    def inverse(self) -> Array:
+        """(N - 1, A, 3, 3) inverse right Jacobians of the steps' rotation vectors."""
+        turns = self.steps[:, 3:].reshape(len(self.steps), -1, 3)
+        return quat.right_jacobian_inverse(turns)
 
 
 def _temporal(points: int, size: int, frames: int, robust: float) -> Any:

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics, signals
+from rtof_kin import kinematics
 from rtof_kin import rotations as so3
+from rtof_kin.compiled import compiled
 from rtof_kin.errors import SolverError
 from rtof_kin.fragment_solution import FragmentReport, SolverStatus
-from rtof_kin.joint_space.compiled import compiled
 from rtof_kin.joint_space.frame_energy import FEET, TORSO, FrameEnergy, Shape
+from rtof_kin.joint_space.ipopt import Ipopt
 from rtof_kin.joint_space.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.joint_space.limits import Limits
 from rtof_kin.joint_space.prior import shipped_prior
@@ -75,7 +76,7 @@ class JointSpaceSolver:
                 stop = min(first + half, T)
                 blended = data.space.blend(previous[half:], x[:half], taper[half:], taper[:half])
                 p, R = data.space.poses(blended[: stop - first])
-                yield replace(start[first:stop], p_world_joint=p, R_world_bone=R), reports
+                yield _block(start, slice(first, stop), p, R), reports
                 reports = []
             previous = x
 
@@ -89,55 +90,34 @@ class JointSpaceSolver:
         index, inside, values = data.fragment(first)
         began = perf_counter()
         problem.bind(values)
-        x, seen = data.start[index], values.observation["w_visual"] > 0
-        sigma, iterations = s.sigma_reprojection or s.sigma_reprojection_range[1], 0
-        solved: Solved | None = None
-        if s.sigma_reprojection is None:
-            for _ in range(s.annealing):
-                before, sigma = sigma, self._sigma(problem.value(x)[1], seen, sigma)
-                if iterations and abs(sigma / before - 1) < _SETTLED:
-                    break
-                problem.reweigh("w_visual", data.confidence[index] * seen / sigma**2)
-                multipliers = None if solved is None else solved.multipliers
-                solved = data.annealer.solve(x, 1, 0.0, multipliers)
-                x, iterations = solved.x, iterations + solved.iterations
-        else:
-            problem.reweigh("w_visual", data.confidence[index] * seen / sigma**2)
-        multipliers = None if solved is None else solved.multipliers
-        solved = backend.solve(x, s.max_iterations, s.tolerance, multipliers)
+        annealing = _Annealing(s, problem, data.confidence[index], values.observation["w_visual"] > 0)
+        x, most = data.start[index], s.annealing if s.sigma_reprojection is None else 0
+        try:
+            if backend is None:
+                solved = data.annealer.solve(x, most + s.max_iterations, s.tolerance, None, annealing)
+            else:
+                begun = data.annealer.solve(x, most, s.tolerance, None, annealing)
+                solved = backend.solve(begun.x, s.max_iterations, s.tolerance)
+                solved = replace(solved, iterations=begun.iterations + solved.iterations)
+            failed = not np.isfinite(solved.x).all()
+        except SolverError:
+            failed = True
+        if failed:
+            solved = Solved(x, 0, False, np.zeros((len(x), len(data.limits.names) if data.limits else 0)))
         seconds = perf_counter() - began
-        return solved.x, self._report(data, solved, first, sigma, iterations, seconds, inside)
-
-    def _sigma(self, residuals: Array, seen: NDArray[np.bool_], before: float) -> float:
-        """Standard deviation of a landmark per axis, px: size and correlation in time of residuals.
-
-        Errors that stay (biases, drifts) do not average out over a fragment; with a correlation r from
-        frame to frame they weigh like white ones that are sqrt((1 + r) / (1 - r)) times larger.
-        """
-        low, high = self.settings.sigma_reprojection_range
-        if seen.sum() < _FEWEST:
-            return before
-        norm = np.linalg.norm(residuals, axis=-1)
-        size = float(np.median(norm[seen])) / _NORMAL_MEDIAN
-        clipped = np.clip(residuals, -3 * size, 3 * size) * seen[..., None]
-        both = seen[1:] & seen[:-1]
-        product = np.sum(clipped[1:] * clipped[:-1], axis=-1)[both].mean() if both.any() else 0.0
-        square = np.sum(clipped**2, axis=-1)[seen].mean()
-        r = float(np.clip(product / max(square, 1e-12), 0.0, 0.99))
-        factor = min(np.sqrt((1 + r) / (1 - r)), self.settings.largest_correlation_factor)
-        return float(np.clip(size * factor, low, high))
+        report = self._report(data, solved, first, annealing.sigma, seconds, inside)
+        return solved.x, replace(report, status=SolverStatus.FAILED) if failed else report
 
     def _report(
-        self, data: _Observations, solved: Solved, first: int, sigma: float, iterations: int,
-        seconds: float, inside: NDArray[np.bool_],
+        self, data: _Observations, solved: Solved, first: int, sigma: float, seconds: float,
+        inside: NDArray[np.bool_],
     ) -> FragmentReport:  # fmt: skip
         """Everything measured at the point returned."""
         energy, _ = data.problem.value(solved.x)
         gradient, infeasibility = data.problem.gradient(solved.x), 0.0
         if data.limits is not None:
             angles = data.limits.values(solved.x)
-            J = data.limits.jacobian(angles)
-            gradient = gradient + np.einsum("tm,tmd->td", solved.multipliers, J)
+            gradient = gradient + data.limits.force(solved.x, solved.multipliers)
             infeasibility = float(np.abs(data.limits.excess(angles)).max(initial=0.0))
         status = SolverStatus.CONVERGED if solved.converged else SolverStatus.ITERATION_LIMIT
         if not data.anything_seen(first, inside):
@@ -146,13 +126,63 @@ class JointSpaceSolver:
             first_frame=first,
             status=status,
             energy={term: energy[term] for term in TERMS},
-            iterations=iterations + solved.iterations,
+            iterations=solved.iterations,
             seconds=seconds,
             sigma_reprojection=sigma,
             optimality=float(np.abs(gradient).max()),
             infeasibility=infeasibility,
         )
 
+
+class _Annealing:
+    """Weighs the landmarks by what is left of them after every step, until that hardly changes."""
+
+    def __init__(
+        self, settings: JointSpaceSettings, problem: JointProblem, confidence: Array,
+        seen: NDArray[np.bool_],
+    ) -> None:  # fmt: skip
+        self._settings, self._problem, self._confidence, self._seen = settings, problem, confidence, seen
+        given = settings.sigma_reprojection
+        self.sigma = settings.sigma_reprojection_range[1] if given is None else given
+        """[px] of a landmark per axis."""
+        self._left = settings.annealing if given is None else 0
+        self._weigh()
+
+    def __call__(self, x: Array) -> bool:
+        """Whether the weights were changed for a state; False once they are settled."""
+        if self._left == 0:
+            return False
+        before, self.sigma = self.sigma, self._estimated(self._problem.value(x)[1])
+        first = self._left == self._settings.annealing
+        self._left -= 1
+        if abs(self.sigma / before - 1) < _SETTLED and not first:
+            self._left = 0
+            return False
+        self._weigh()
+        return True
+
+    def _weigh(self) -> None:
+        self._problem.reweigh("w_visual", self._confidence * self._seen / self.sigma**2)
+
+    def _estimated(self, residuals: Array) -> float:
+        """Standard deviation of a landmark per axis, px: size and correlation in time of residuals.
+
+        Errors that stay (biases, drifts) do not average out over a fragment; with a correlation r from
+        frame to frame they weigh like white ones that are sqrt((1 + r) / (1 - r)) times larger.
+        """
+        seen = self._seen
+        low, high = self._settings.sigma_reprojection_range
+        if seen.sum() < _FEWEST:
+            return self.sigma
+        norm = np.linalg.norm(residuals, axis=-1)
+        size = float(np.median(norm[seen])) / _NORMAL_MEDIAN
+        clipped = np.clip(residuals, -3 * size, 3 * size) * seen[..., None]
+        both = seen[1:] & seen[:-1]
+        product = np.sum(clipped[1:] * clipped[:-1], axis=-1)[both].mean() if both.any() else 0.0
+        square = np.sum(clipped**2, axis=-1)[seen].mean()
+        r = float(np.clip(product / max(square, 1e-12), 0.0, 0.99))
+        factor = min(np.sqrt((1 + r) / (1 - r)), self._settings.largest_correlation_factor)
+        return float(np.clip(size * factor, low, high))
 
 class _Observations:
     """A recording as the problem wants it, and the problem that fits what it has."""
@@ -178,15 +208,13 @@ class _Observations:
             or any(known[n][0] == name for n in extra)
         ]  # fmt: skip
         sensors = tuple(name for name in sensors if name in moving)
+        self.problem, self.limits = _problem(solver, tuple(moving), names, sensors)
         self.space = StateSpace(skeleton, moving, s.hinges)
-        self.limits = Limits(self.space) if s.limits else None
-        self.problem = _problem(solver, tuple(moving), names, sensors)
         self.annealer = LevenbergMarquardt(self.problem, self.limits)
-        self.backend = (
-            self.annealer if s.backend == "realtime" else _ipopt(self.problem, self.limits)
-        )
+        self.backend = Ipopt(self.problem, self.limits) if s.backend == "ipopt" else None
         self._observe(solver, start, keypoints.select(names), bone_imus, sensors)
-        self.start = self.space.from_poses(*_smoothed(start, s.smooth_start_hz))
+        x = self.space.from_poses(start.p_world_joint[:, 0], start.R_world_bone)
+        self.start = self.space.low_passed(x, start.rate_hz, s.smooth_start_hz)
 
     def _observe(
         self, solver: JointSpaceSolver, start: PoseSequence, seen: KeypointSequence,
@@ -254,6 +282,15 @@ class _Observations:
         return bool(self.rows["w_visual"][index].any() or self.rows["w_sensor"][index].any())
 
 
+def _block(start: PoseSequence, frames: slice, p: Array, R: Array) -> PoseSequence:
+    """Some frames of the start with other poses."""
+    return replace(
+        start, times=start.times[frames], p_world_joint=p, R_world_bone=R,
+        provenance=start.provenance[frames], valid=start.valid[frames],
+        orientation_observed=start.orientation_observed[frames],
+    )  # fmt: skip
+
+
 def _sensor_data(
     start: PoseSequence, bone_imus: BoneImuSequence | None, sensors: tuple[str, ...],
     settings: JointSpaceSettings,
@@ -317,19 +354,10 @@ def _whitening(skeleton: SkeletonModel, sensors: tuple[str, ...], s: JointSpaceS
     return np.array(columns).reshape(-1, 9).T
 
 
-def _smoothed(start: PoseSequence, cutoff_hz: float) -> tuple[Array, Array]:
-    """Root positions and orientations of the start without its jitter."""
-    p, R = start.p_world_joint[:, 0], start.R_world_bone
-    if len(start) < 4 or cutoff_hz >= start.rate_hz / 2:
-        return p, R
-    smooth = signals.low_pass(R, start.rate_hz, cutoff_hz)
-    return signals.low_pass(p, start.rate_hz, cutoff_hz), so3.nearest_rotation(smooth)
-
-
 def _problem(
     solver: JointSpaceSolver, moving: tuple[str, ...], names: tuple[str, ...],
     sensors: tuple[str, ...],
-) -> JointProblem:  # fmt: skip
+) -> tuple[JointProblem, Limits | None]:  # fmt: skip
     """The problem for some moving joints, landmarks and sensors."""
     skeleton, s = solver.skeleton, solver.settings
     index = skeleton.names.index
@@ -344,37 +372,36 @@ def _problem(
         floor_cutoff=s.floor_cutoff,
     )
     return _cached_problem(
-        skeleton.name, shape, moving, solver.frames, s.hinges, s.compile, s.jerk,
+        skeleton.name, shape, moving, solver.frames, s.hinges, s.limits, s.compile, s.jerk,
         s.robust_acceleration,
     )  # fmt: skip
 
 
-def _ipopt(problem: JointProblem, limits: Limits | None) -> Any:
-    from rtof_kin.joint_space.ipopt import Ipopt
-
-    return Ipopt(problem, limits)
-
-
 @lru_cache(maxsize=8)
 def _cached_problem(
-    name: str, shape: Shape, moving: tuple[str, ...], frames: int, hinges: bool, compile: str,
-    jerk: float, robust_acceleration: float,
-) -> JointProblem:  # fmt: skip
+    name: str, shape: Shape, moving: tuple[str, ...], frames: int, hinges: bool, limited: bool,
+    compile: str, jerk: float, robust_acceleration: float,
+) -> tuple[JointProblem, Limits | None]:  # fmt: skip
     """The problem of a fragment, built once for all bodies and recordings that it fits."""
-    skeleton = SkeletonModel.named(name)
-    space, prior = StateSpace(skeleton, moving, hinges), shipped_prior(skeleton.names)
-    energy, functions = _functions(name, shape, moving, hinges, compile)
+    energy, functions, limits = _functions(name, shape, moving, hinges, compile)
+    space, prior = energy.space, shipped_prior(SkeletonModel.named(name).names)
     sigma = prior.sigma_jerk[[prior.joints.index(joint) for joint in space.names]]
     tangent = np.repeat(sigma, 3) @ (space.expand != 0)
     sigma_jerk = jerk * np.concatenate([np.full(3, prior.sigma_root_jerk), tangent])
-    return JointProblem(space, functions, energy, frames, sigma_jerk, robust_acceleration)
+    problem = JointProblem(space, functions, energy, frames, sigma_jerk, robust_acceleration)
+    return problem, limits if limited else None
 
 
 @lru_cache(maxsize=8)
 def _functions(
     name: str, shape: Shape, moving: tuple[str, ...], hinges: bool, compile: str
-) -> tuple[FrameEnergy, list[Any]]:
-    """A frame's functions, built (and compiled) once for all bodies."""
-    energy = FrameEnergy(StateSpace(SkeletonModel.named(name), moving, hinges), shape)
+) -> tuple[FrameEnergy, list[Any], Limits]:
+    """A frame's functions and limits, built (and compiled) once for all bodies."""
+    space = StateSpace(SkeletonModel.named(name), moving, hinges)
+    energy, limits = FrameEnergy(space, shape), Limits(space)
     functions = energy.functions()
-    return energy, compiled(functions) if compile == "auto" else functions
+    if compile == "auto":
+        together = compiled([*functions, *limits.functions])
+        functions = together[: len(functions)]
+        limits.use(together[len(functions) :])
+    return energy, functions, limits

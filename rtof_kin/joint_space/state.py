@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics
+from rtof_kin import kinematics, signals
 from rtof_kin import quaternions as quat
 from rtof_kin import rotations as so3
 from rtof_kin.metrics import hinges
@@ -30,6 +30,7 @@ class StateSpace:
         joints: A indices of the joints that move, root first. names: theirs.
         hinge_axis: (A,) index of a hinge's one axis, -1 for a ball joint.
         expand: (3A, D - 3) from tangents to rotation vectors of all joints.
+        first: (A,) first tangent coordinate of each joint's rotation.
     """
 
     def __init__(self, skeleton: SkeletonModel, moving: Sequence[str], hinged: bool) -> None:
@@ -52,6 +53,19 @@ class StateSpace:
         ]
         self.expand = np.eye(3 * len(self.joints))[:, kept]
         self.size = 3 + len(kept)
+        widths = np.where(self.hinge_axis < 0, 3, 1)
+        self.first = 3 + np.cumsum(widths) - widths
+
+    def axes(self, a: int) -> Array:
+        """(3, 1 or 3) axes that the a-th moving joint turns about, in its own frame."""
+        axis = int(self.hinge_axis[a])
+        return np.eye(3) if axis < 0 else np.eye(3)[:, [axis]]
+
+    def columns(self, joint: int) -> slice:
+        """Tangent coordinates of a moving joint; with the root's position those of the root."""
+        a = self.joints.index(joint)
+        first = int(self.first[a])
+        return slice(0 if joint == 0 else first, first + (3 if self.hinge_axis[a] < 0 else 1))
 
     def from_poses(self, p_root: Array, R_world_bone: Array) -> Array:
         """States (T, 3 + 4A) of orientations (T, J, 3, 3); joints that do not move lose their turn."""
@@ -81,6 +95,19 @@ class StateSpace:
         q = self.rotations(x)
         turns = quat.log(quat.multiply(quat.conjugate(q[:-1]), q[1:]))
         return np.concatenate([np.diff(x[:, :3], axis=0), turns.reshape(len(x) - 1, -1)], axis=1)
+
+    def low_passed(self, x: Array, rate_hz: float, cutoff_hz: float) -> Array:
+        """The same motion without what is faster than a frequency."""
+        if len(x) < 4 or cutoff_hz >= rate_hz / 2:
+            return x
+        q = self.rotations(x)
+        turned = np.sum(q[1:] * q[:-1], axis=-1) < 0  # the same rotation with the other sign
+        sign = np.cumprod(np.where(turned, -1.0, 1.0), axis=0)
+        q = np.concatenate([q[:1], q[1:] * sign[..., None]])
+        q = signals.low_pass(q, rate_hz, cutoff_hz)
+        q /= np.linalg.norm(q, axis=-1, keepdims=True)
+        p = signals.low_pass(x[:, :3], rate_hz, cutoff_hz)
+        return np.concatenate([p, q.reshape(len(x), -1)], axis=1)
 
     def blend(self, x: Array, y: Array, weight_x: Array, weight_y: Array) -> Array:
         """Weighted means (T, 3 + 4A) of two states, rotations on the shorter arc."""

@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rtof_kin.joint_space import compiled as module
-from rtof_kin.joint_space.compiled import cache_folder, compiled
+from rtof_kin import compiled as module
+from rtof_kin.compiled import cache_folder, compiled
 from rtof_kin.joint_space.frame_energy import FrameEnergy, Shape
 from rtof_kin.joint_space.state import StateSpace
 from rtof_kin.skeleton import SkeletonModel

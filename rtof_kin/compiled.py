@@ -13,7 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 _OPTIONS = ("-O1", "-shared", "-fPIC")
 COMPILERS = ("cc", "gcc", "clang")
@@ -85,3 +88,24 @@ def _compile(functions: list[Any], library: Path, compiler: str | None) -> None:
             check=True, capture_output=True, timeout=300,
         )  # fmt: skip
         built.replace(library)  # whole or not at all, also with several processes
+
+
+class Buffered:
+    """A CasADi function on buffers of its own: no conversions, no copies of what does not change."""
+
+    def __init__(self, function: Any) -> None:
+        self._buffer, self._evaluate = function.buffer()
+        self._function = function
+        self.inputs = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
+        self.outputs = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
+        for i, array in enumerate(self.inputs):
+            self._buffer.set_arg(i, memoryview(array))  # type: ignore[arg-type]
+        for i, array in enumerate(self.outputs):
+            self._buffer.set_res(i, memoryview(array))  # type: ignore[arg-type]
+
+    def __call__(self, *values: Array) -> list[Array]:
+        """Evaluate with these as the first inputs; the outputs hold until the next call."""
+        for array, value in zip(self.inputs, values, strict=False):
+            array[:] = value
+        self._evaluate()
+        return self.outputs
