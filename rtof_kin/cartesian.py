@@ -1,4 +1,4 @@
-"""The paper's solver on joint positions, over the fragments of a recording; IPOPT solves each.
+"""The paper's solver on joint positions, over the fragments of a recording.
 
 The problem is built once (`fragment_problem`); solving only passes numbers.
 """
@@ -13,16 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import kinematics, signals
+from rtof_kin.cartesian_banded import BandedProblem
+from rtof_kin.compiled import Buffered
 from rtof_kin.errors import SolverError
 from rtof_kin.fragment_problem import TERMS, fragment_problem
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.fragment_solution import FragmentReport, SolverStatus
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+from rtof_kin.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.root_position import refit_root
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
+_DECREASE = 1e-4
+"""Relative decrease that a step must promise to go on, in tolerances (of a gradient)."""
 Progress = Callable[[int, int], None]
 """Called with (fragments done, fragments in all)."""
 
@@ -46,6 +51,10 @@ class CartesianSolver:
             for child in kinematics.children_of(skeleton.parents, joint)
         ]  # leaves (head, feet) have no bone here: a sensor there does not enter
         self._problem = fragment_problem(skeleton.parents, frames, tuple(bones), self.settings)
+        self._energy, self._gradient = (
+            Buffered(function) for function in (self._problem.energy, self._problem.gradient)
+        )
+        self._banded = BandedProblem(self._problem) if settings.backend == "realtime" else None
         p = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
         a, b = np.array(self._problem.pairs).T
         self._lengths = np.linalg.norm(p[b] - p[a], axis=1)
@@ -82,8 +91,7 @@ class CartesianSolver:
                     weights[0][:, None, None] * previous[half:]
                     + weights[1][:, None, None] * X[:half]
                 ) / (weights[0] + weights[1])[:, None, None]
-                block = replace(start[first:stop], p_world_joint=blended[: stop - first])
-                yield block, reports
+                yield start.posed(slice(first, stop), blended[: stop - first]), reports
                 reports = []
             previous = X
 
@@ -118,31 +126,56 @@ class CartesianSolver:
     def _call(
         self, x0: Array, values: dict[str, Array], first: int
     ) -> tuple[Array, FragmentReport]:
-        """One call of IPOPT; everything in the report is measured at the point returned."""
+        """One solution; everything in the report is measured at the point returned."""
         problem, p = self._problem, self._problem.pack(values)
         began = perf_counter()
-        bounds = 0.0 if self.settings.bone_lengths == "constraint" else ()
-        result = problem.solver(x0=x0, p=p, lbg=bounds, ubg=bounds)
+        if self._banded is None:
+            x, status, iterations, lam_g = self._ipopt(x0, p)
+        else:
+            x, status, iterations = self._real_time(self._banded, x0, values, p)
+            lam_g = np.zeros(0)
         seconds = perf_counter() - began
-        x = np.asarray(result["x"]).ravel()
-        stats = problem.solver.stats()
-        status = _status(stats["return_status"])
         if status is SolverStatus.FAILED or not np.all(np.isfinite(x)):
             status, x = SolverStatus.FAILED, x0
-        gradient = np.asarray(problem.gradient(x, p)).ravel()
-        g = np.asarray(problem.constraints(x, p)).ravel()
-        if len(g):
-            gradient = gradient + np.asarray(problem.constraint_gradient(x, p, result["lam_g"])).ravel()
+        g = np.zeros(0)
+        gradient = self._gradient(x, p)[0]
+        if len(lam_g):
+            g = np.asarray(problem.constraints(x, p)).ravel()
+            gradient = gradient + np.asarray(problem.constraint_gradient(x, p, lam_g)).ravel()
         return x, FragmentReport(
             first_frame=first,
             status=status,
-            energy=dict(zip(TERMS, np.asarray(problem.energy(x, p)).ravel().tolist(), strict=True)),
-            iterations=int(stats["iter_count"]),
+            energy=dict(zip(TERMS, self._energy(x, p)[0].tolist(), strict=True)),
+            iterations=iterations,
             seconds=seconds,
             sigma_reprojection=float(values["sigma_reprojection"][0]),
             optimality=float(np.abs(gradient).max()),
             infeasibility=float(np.abs(g).max(initial=0.0)),
         )
+
+    def _ipopt(self, x0: Array, p: Array) -> tuple[Array, SolverStatus, int, Array]:
+        """Positions, how it ended, iterations, multipliers of the constraints."""
+        solver = self._problem.solver
+        bounds = 0.0 if self.settings.bone_lengths == "constraint" else ()
+        result = solver(x0=x0, p=p, lbg=bounds, ubg=bounds)
+        stats = solver.stats()
+        x, lam_g = (np.asarray(result[name]).ravel() for name in ("x", "lam_g"))
+        return x, _status(stats["return_status"]), int(stats["iter_count"]), lam_g
+
+    def _real_time(
+        self, banded: BandedProblem, x0: Array, values: dict[str, Array], p: Array
+    ) -> tuple[Array, SolverStatus, int]:
+        """Positions, how it ended, iterations; there are no constraints."""
+        banded.bind(values, p)
+        s = self.settings
+        try:
+            solved = LevenbergMarquardt(banded).solve(
+                banded.ordered(x0), s.max_iterations, _DECREASE * s.tolerance
+            )
+        except SolverError:
+            return x0, SolverStatus.FAILED, 0
+        status = SolverStatus.CONVERGED if solved.converged else SolverStatus.ITERATION_LIMIT
+        return banded.positions(solved.x), status, solved.iterations
 
     def _estimated_sigma(self, x: Array, values: dict[str, Array], sigma: float) -> float:
         """Twice the size of the reprojection residuals at x, px; `sigma` where hardly any are seen.

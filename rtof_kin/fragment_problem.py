@@ -49,6 +49,9 @@ class FragmentProblem:
         parameters: name -> shape of each parameter, in order.
         solver: (x0, p) -> x, with IPOPT. energy: (x, p) -> one value per term of `TERMS` (weighted).
         gradient: (x, p) -> dE/dx.
+        quadratic: p -> of the terms that are linear in x: upper triangle of the Hessian, gradient and
+            value at x = 0. landmark, rigid_distance: the others, one element each: (positions, what it
+            observes, what is the same for all) -> value, gradient, Hessian.
     """
 
     def __init__(
@@ -172,6 +175,7 @@ class FragmentProblem:
         lagrangian = lam_f * hessian
         if constraints.numel():
             lagrangian += ca.hessian(ca.dot(lam_g, constraints), x)[0]
+        self.quadratic = self._quadratic(x, p)
         hess_lag = ca.Function(
             "hess_lag",
             [x, p, lam_f, lam_g],
@@ -185,6 +189,42 @@ class FragmentProblem:
             {"x": x, "p": p, "f": energy, "g": constraints},
             self._options(hess_lag),
         )
+
+    def _quadratic(self, x: Any, p: Any) -> Any:
+        """The terms whose residuals are linear in the positions, as one quadratic form."""
+        value, hessian = ca.SX(0), ca.SX(x.numel(), x.numel())
+        for i, name in enumerate(TERMS):
+            term, k = self.terms[name], self.parameters["k"][i]
+            if name in ("visual", "length") or term.residual.numel() == 0:
+                continue
+            value += k * ca.dot(term.weight, term.residual**2)
+            J_r = ca.jacobian(term.residual, x)
+            hessian += ca.triu(2 * k * ca.mtimes(J_r.T, ca.diag(term.weight) @ J_r))
+        at_zero = ca.substitute(ca.vertcat(ca.gradient(value, x), value), x, ca.SX.zeros(x.numel(), 1))
+        outputs = [hessian, ca.densify(at_zero[:-1]), ca.densify(at_zero[-1])]
+        return ca.Function("quadratic", [p], outputs)
+
+    @property
+    def landmark(self) -> Any:
+        """One landmark's share of the visual term: (p (3); u, v, weight; R, t, K, sigma, k)."""
+        p, own, shared = ca.SX.sym("p", 3), ca.SX.sym("own", 3), ca.SX.sym("shared", 23)
+        R, t, K = ca.reshape(shared[:9], 3, 3), shared[9:12], ca.reshape(shared[12:21], 3, 3)
+        r = energies.reprojection(R @ p + t, own[:2], K) / shared[21]
+        weight = ca.repmat(own[2], 2, 1)
+        value, curvature = _energy_and_curvature(_Term(r, weight, self.settings.huber_reprojection))
+        J, k = ca.jacobian(r, p), shared[22]
+        outputs = [k * value, k * ca.gradient(value, p), 2 * k * J.T @ ca.diag(curvature) @ J]
+        return ca.Function("landmark", [p, own, shared], [ca.densify(v) for v in outputs])
+
+    @property
+    def rigid_distance(self) -> Any:
+        """One distance's share of the length term: (both ends (6); length, weight; k)."""
+        ends, own, k = ca.SX.sym("p", 6), ca.SX.sym("own", 2), ca.SX.sym("k")
+        r = energies.distance(ends[:3], ends[3:], own[0]) / self.settings.sigma_length
+        value = k * own[1] * r**2
+        hessian, gradient = ca.hessian(value, ends)
+        outputs = [ca.densify(v) for v in (value, gradient, hessian)]
+        return ca.Function("rigid_distance", [ends, own, k], outputs)
 
     @staticmethod
     def _constraint_gradient(x: Any, p: Any, constraints: Any) -> Any:

@@ -70,13 +70,18 @@ class FragmentSettings:
     """'masked': frames beyond the ends carry no observation; 'replicate': the paper's copies."""
     refit_root: bool = True
     """Whether the start's root is moved onto the rays (`root_position.refit_root`) first."""
+    backend: str = "ipopt"
+    """'ipopt', or 'realtime': Levenberg-Marquardt on the Hessian's band, for energies without
+    constraints."""
     tolerance: float = 1e-6
-    """IPOPT's convergence tolerance on the scaled gradient."""
+    """IPOPT's convergence tolerance on the scaled gradient; in real time, 1e4 times the relative
+    decrease that a step must promise to go on."""
     max_iterations: int = 60
-    """IPOPT's iteration limit."""
+    """The solver's iteration limit."""
 
     def __post_init__(self) -> None:
         allowed = {
+            "backend": ("ipopt", "realtime"),
             "jerk_target": ("zero", "sensor"),
             "bone_lengths": ("weighted", "constraint", "free"),
             "prior": ("bones", "positions"),

@@ -385,11 +385,15 @@ class PoseSequence:
         return len(self.times)
 
     def __getitem__(self, frames: slice) -> Self:
+        return self.posed(frames, self.p_world_joint[frames], self.R_world_bone[frames])
+
+    def posed(self, frames: slice, p_world_joint: Array, R_world_bone: Array | None = None) -> Self:
+        """Some of the frames in other poses; with the same orientations where none are given."""
         return replace(
             self,
             times=self.times[frames],
-            p_world_joint=self.p_world_joint[frames],
-            R_world_bone=self.R_world_bone[frames],
+            p_world_joint=p_world_joint,
+            R_world_bone=self.R_world_bone[frames] if R_world_bone is None else R_world_bone,
             provenance=self.provenance[frames],
             valid=self.valid[frames],
             orientation_observed=self.orientation_observed[frames],

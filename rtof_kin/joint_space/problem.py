@@ -98,6 +98,10 @@ class JointProblem:
             inputs = mapped.inputs[1].reshape(self.frames, -1)
             inputs[:, first : first + rows.shape[1]] = rows
 
+    def retract(self, x: Array, step: Array) -> Array:
+        """The state after a step (N, D)."""
+        return self.space.retract(x, step)
+
     def value(self, x: Array) -> tuple[dict[str, float], Array]:
         """Energy per term, and the reprojection residuals (N, L, 2), px."""
         now = self._at(x)

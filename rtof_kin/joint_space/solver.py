@@ -18,12 +18,12 @@ from rtof_kin.errors import SolverError
 from rtof_kin.fragment_solution import FragmentReport, SolverStatus
 from rtof_kin.joint_space.frame_energy import FEET, TORSO, FrameEnergy, Shape
 from rtof_kin.joint_space.ipopt import Ipopt
-from rtof_kin.joint_space.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.joint_space.limits import Limits
 from rtof_kin.joint_space.prior import shipped_prior
 from rtof_kin.joint_space.problem import TERMS, FragmentData, JointProblem
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.joint_space.state import StateSpace
+from rtof_kin.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.root_position import refit_root
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
@@ -76,7 +76,7 @@ class JointSpaceSolver:
                 stop = min(first + half, T)
                 blended = data.space.blend(previous[half:], x[:half], taper[half:], taper[:half])
                 p, R = data.space.poses(blended[: stop - first])
-                yield _block(start, slice(first, stop), p, R), reports
+                yield start.posed(slice(first, stop), p, R), reports
                 reports = []
             previous = x
 
@@ -280,15 +280,6 @@ class _Observations:
         """Whether a landmark or a sensor says anything in a fragment."""
         index = np.arange(first, first + self.frames)[inside]
         return bool(self.rows["w_visual"][index].any() or self.rows["w_sensor"][index].any())
-
-
-def _block(start: PoseSequence, frames: slice, p: Array, R: Array) -> PoseSequence:
-    """Some frames of the start with other poses."""
-    return replace(
-        start, times=start.times[frames], p_world_joint=p, R_world_bone=R,
-        provenance=start.provenance[frames], valid=start.valid[frames],
-        orientation_observed=start.orientation_observed[frames],
-    )  # fmt: skip
 
 
 def _sensor_data(

@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.errors import SolverError
-from rtof_kin.joint_space.limits import Limits
-from rtof_kin.joint_space.problem import JointProblem
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e6
 _TRUSTED = (0.5, 2.0)
 """Actual over predicted decrease within which the factor is used once more."""
@@ -29,6 +29,57 @@ _STIFFNESS = 1 / np.radians(1.0) ** 2
 _LIMIT_TOLERANCE = np.radians(0.1)
 _EARLY = 10.0
 """Multipliers are updated when a step promises less than this many tolerances."""
+
+
+class Factor(Protocol):
+    """A factorised Hessian."""
+
+    def solve(self, right: Array) -> Array:
+        """The step for a right-hand side."""
+
+
+class Problem(Protocol):
+    """An energy of some state, with its Hessian as a band."""
+
+    def retract(self, x: Array, step: Array) -> Array:
+        """The state after a step."""
+
+    def total(self, x: Array) -> float:
+        """The energy."""
+
+    def gradient(self, x: Array) -> Array:
+        """Of the energy by a step from x."""
+
+    def linearise(self, x: Array) -> tuple[float, Array]:
+        """Energy and gradient; the Hessian is kept."""
+
+    def factorise(self, damping: float) -> Factor:
+        """The Hessian kept, plus a damping on its diagonal."""
+
+
+class LimitedProblem(Problem, Protocol):
+    """One whose Hessian takes that of limits on top."""
+
+    def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
+        """Add to entries of the Hessian kept, within frames."""
+
+
+class Limits(Protocol):
+    """Inequalities on M angles of a state (N, ...)."""
+
+    names: tuple[str, ...]
+
+    def values(self, x: Array) -> Array:
+        """(N, M)."""
+
+    def excess(self, values: Array) -> Array:
+        """(N, M) by which they leave their limits."""
+
+    def force(self, x: Array, push: Array) -> Array:
+        """Gradient of forces (N, M) on them."""
+
+    def curvature(self, x: Array, pushed: NDArray[np.bool_]) -> tuple[Index, Index, Index, Array]:
+        """Entries of the Hessian of half the sum of squares of those chosen."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +98,14 @@ class Solved:
 class LevenbergMarquardt:
     """Solves one problem for any data bound to it. Keeps nothing from one call to the next."""
 
-    def __init__(self, problem: JointProblem, limits: Limits | None) -> None:
+    @overload
+    def __init__(self, problem: Problem) -> None: ...
+
+    @overload
+    def __init__(self, problem: LimitedProblem, limits: Limits | None) -> None: ...
+
+    def __init__(self, problem: Problem, limits: Limits | None = None) -> None:
+        """Take a problem, and the limits that its states shall keep."""
         self.problem, self.limits = problem, limits
         self._angles: tuple[Array, Array] | None = None
 
@@ -68,7 +126,8 @@ class LevenbergMarquardt:
                 problem's weights (and returns True then).
 
         Raises:
-            SolverError: the energy of the start is not finite.
+            SolverError: the energy of the start is not finite, or no damping makes its Hessian positive
+                definite.
         """
         problem, damping, factor, updated = self.problem, 1e-3, None, False
         M = 0 if self.limits is None else len(self.limits.names)
@@ -82,7 +141,13 @@ class LevenbergMarquardt:
             fresh = factor is None
             gradient = self._linearise(x, m) if factor is None else self._gradient(x, m)
             if factor is None:
-                factor = problem.factorise(damping)
+                try:
+                    factor = problem.factorise(damping)
+                except SolverError:  # not positive definite
+                    damping = max(damping, 1e-2) * 8
+                    if damping > _MOST_DAMPING:
+                        raise
+                    continue
             step = factor.solve(-gradient)
             predicted = -0.5 * float(np.sum(gradient * step))
             small = predicted / (tolerance * (1 + abs(energy)) + 1e-300)
@@ -94,7 +159,7 @@ class LevenbergMarquardt:
                 if updated:
                     m, energy = new, self._energy(x, new)
                     continue
-            candidate = problem.space.retract(x, step)
+            candidate = problem.retract(x, step)
             after = self._energy(candidate, m)
             ratio = (energy - after) / predicted
             if not ratio > 1e-3:
@@ -138,7 +203,7 @@ class LevenbergMarquardt:
         if self.limits is None or not (pushed := self._pushed(x, m)).any():
             return gradient
         frames, rows, columns, squares = self.limits.curvature(x, pushed != 0)
-        self.problem.add_to_diagonal(frames, rows, columns, _STIFFNESS * squares)
+        cast(LimitedProblem, self.problem).add_to_diagonal(frames, rows, columns, _STIFFNESS * squares)
         return np.asarray(gradient + _STIFFNESS * self.limits.force(x, pushed))
 
     def _gradient(self, x: Array, m: Array) -> Array:

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from rtof_kin.joint_space.levenberg_marquardt import LevenbergMarquardt, Solved
+from rtof_kin.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.joint_space.limits import Limits
 from rtof_kin.joint_space.problem import JointProblem
 

@@ -1,0 +1,185 @@
+"""The Cartesian energy of a fragment for the real-time solver: its Hessian as one narrow band.
+
+Acceleration, bone vectors, jerk and the prior are linear in the positions: their part of the energy is a
+quadratic form, found once a fragment. What is left are small elements: one landmark's reprojection, one
+rigid distance. They come from the same catalogue, as functions of one element mapped over all.
+
+Without rigid distances the printed energy falls into independent groups of joints: those of a limb, and
+every other joint alone. Ordered group by group, then frame by frame, the Hessian of 3,150 unknowns is a
+band of 27; with weighted bone lengths all joints hang together, and it is one of 189.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import blas
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from rtof_kin.banded import Factor, factorise
+from rtof_kin.compiled import Buffered, compiled
+from rtof_kin.errors import ShapeError
+from rtof_kin.fragment_problem import FragmentProblem
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+class BandedProblem:
+    """A fragment's energy of its joint positions, as `LevenbergMarquardt` asks for it.
+
+    Its unknowns (N 3J,) are in the order of the band; `ordered` and `positions` go to and fro.
+
+    Attributes:
+        at: columns of the quadratic form's entries in the band, and how far below the diagonal.
+    """
+
+    def __init__(self, problem: FragmentProblem, compile: str = "auto") -> None:
+        """Order the unknowns.
+
+        Args:
+            compile: 'auto' compiles the elements once where there is a compiler, 'never' interprets.
+
+        Raises:
+            ShapeError: bone lengths are constraints, which IPOPT alone can keep.
+        """
+        if problem.settings.bone_lengths == "constraint":
+            raise ShapeError("bone_lengths 'constraint' needs backend 'ipopt', or take 'weighted'")
+        N, J = problem.frames, len(problem.parents)
+        points = 3 * np.arange(N * J)[:, None] + np.arange(3)
+        parts = [(problem.landmark, points)]
+        if problem.settings.bone_lengths == "weighted":
+            a, b = (points.reshape(N, J, 3)[:, list(ends)] for ends in zip(*problem.pairs, strict=True))
+            parts.append((problem.rigid_distance, np.concatenate([a, b], axis=-1).reshape(-1, 6)))
+        functions = [function for function, _ in parts]
+        functions = compiled(functions) if compile == "auto" else functions
+        self._quadratic = Buffered(problem.quadratic)
+        row, column = problem.quadratic.sparsity_out(0).get_triplet()
+        self._order = _grouped(N * 3 * J, np.array(row), np.array(column), [i for _, i in parts])
+        place = np.argsort(self._order)
+        self.at = _entries(place[row], place[column])
+        self._elements = [
+            _Elements(function, place[index])
+            for function, (_, index) in zip(functions, parts, strict=True)
+        ]
+        width = max(int(at[1].max()) for at in (self.at, *(e.at for e in self._elements))) + 1
+        self._base, self._band = np.zeros((2, N * 3 * J, width))
+
+    def bind(self, values: dict[str, Array], parameters: Array) -> None:
+        """Take the fragment that is asked about from now on: by name, and packed."""
+        hessian, gradient, constant = self._quadratic(parameters)
+        self._base[self.at] = hessian
+        self._slope, self._constant = gradient[self._order], float(constant[0])
+        camera = [values[n].ravel(order="F") for n in ("R_camera_world", "t_camera_world", "K")]
+        k_visual, k_length = values["k"][0], values["k"][4]
+        shared = np.concatenate([*camera, values["sigma_reprojection"], [k_visual]])
+        own = np.concatenate([values["uv_px"].T, values["w_visual"][:, None]], axis=1)
+        self._elements[0].bind(own, shared)
+        if len(self._elements) > 1:
+            lengths, weights = np.broadcast_arrays(values["lengths"], values["w_length"][:, None])
+            own = np.stack([lengths.ravel(), weights.ravel()], axis=1)
+            self._elements[1].bind(own, np.array([k_length]))
+        self._known: tuple[Array, float, Array] | None = None
+
+    def ordered(self, x: Array) -> Array:
+        """Unknowns of positions."""
+        return np.asarray(x[self._order])
+
+    def positions(self, unknowns: Array) -> Array:
+        """Positions of unknowns."""
+        x = np.empty_like(unknowns)
+        x[self._order] = unknowns
+        return x
+
+    def retract(self, x: Array, step: Array) -> Array:
+        """The unknowns after a step."""
+        return np.asarray(x + step)
+
+    def total(self, x: Array) -> float:
+        """The energy."""
+        return self._at_point(x)[1]
+
+    def gradient(self, x: Array) -> Array:
+        """(N 3J,) dE/dx."""
+        return self._at_point(x)[2]
+
+    def linearise(self, x: Array) -> tuple[float, Array]:
+        """Energy and gradient; the Hessian is kept for `factorise`."""
+        _, value, gradient = self._at_point(x)
+        self._band[:] = self._base
+        for element in self._elements:
+            element.add_hessian(self._band)
+        return value, gradient
+
+    def factorise(self, damping: float) -> Factor:
+        """Cholesky factor of the Hessian kept, plus `damping` on its diagonal."""
+        band = self._band.copy()
+        band[:, 0] += damping
+        return factorise(band)
+
+    def _at_point(self, x: Array) -> tuple[Array, float, Array]:
+        """The point, energy and gradient there."""
+        if self._known is None or self._known[0] is not x:
+            turned = blas.dsbmv(self._base.shape[1] - 1, 1.0, self._base.T, x, lower=1)
+            value = self._constant + float(x @ (self._slope + 0.5 * turned))
+            gradient = self._slope + turned
+            for element in self._elements:
+                value += element.evaluate(x, gradient)
+            self._known = x, value, gradient
+        return self._known
+
+
+class _Elements:
+    """One small function mapped over n places of the unknowns.
+
+    Attributes:
+        at: of its Hessian's entries, as `BandedProblem.at`.
+    """
+
+    def __init__(self, function: Any, index: Index) -> None:
+        self._index, size = index, index.shape[1]
+        self._mapped = Buffered(function.map(len(index)))
+        r, c = np.tril_indices(size)
+        self._entries = c * size + r  # CasADi's order of a dense matrix
+        self.at = _entries(index[:, r], index[:, c])
+        first = self.at[0].ravel() * 3 * size + self.at[1].ravel()
+        self._alone = len(np.unique(first)) == len(first)
+
+    def bind(self, own: Array, shared: Array) -> None:
+        """Take what each element observes (n, ...) and what is the same for all."""
+        self._mapped.inputs[1][:] = own.ravel()
+        self._mapped.inputs[2].reshape(len(own), -1)[:] = shared
+
+    def evaluate(self, x: Array, gradient: Array) -> float:
+        """The energy at x; its gradient is added."""
+        value, own, hessian = self._mapped(x[self._index].ravel())
+        if self._alone:
+            gradient[self._index.ravel()] += own
+        else:
+            gradient += np.bincount(self._index.ravel(), own, len(gradient))
+        self._hessian = hessian.reshape(len(self._index), -1)[:, self._entries]
+        return float(value.sum())
+
+    def add_hessian(self, band: Array) -> None:
+        """Add the Hessian of the last evaluation."""
+        if self._alone:
+            band[self.at] += self._hessian
+        else:
+            np.add.at(band, self.at, self._hessian)
+
+
+def _grouped(size: int, row: Index, column: Index, elements: list[Index]) -> Index:
+    """Order of the unknowns: groups that nothing couples one after the other, else as they are."""
+    rows = [row, *(np.repeat(index[:, 0], index.shape[1]) for index in elements)]
+    columns = [column, *(index.ravel() for index in elements)]
+    i, j = np.concatenate(rows), np.concatenate(columns)
+    _, group = connected_components(coo_matrix((np.ones(len(i)), (i, j)), (size, size)), directed=False)
+    return np.lexsort((np.arange(size), group))
+
+
+def _entries(first: Index, second: Index) -> tuple[Index, Index]:
+    """Columns in the band and rows below the diagonal of some pairs of unknowns."""
+    return np.minimum(first, second), np.abs(first - second)
