@@ -29,8 +29,6 @@ test: lint
 bench: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.harness --corpus $(CORPUS)
 
-speed: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.speed
 
 clean:
 	rm -rf $(VENV) out build dist

@@ -15,18 +15,20 @@ import os
 import sys
 import tomllib
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from rich.progress import Progress
 
 from rtof_kin.metrics import evaluate, motionless
 from rtof_kin.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.pipeline import MODES, reconstruct
+from rtof_kin.recording import Recording
 from rtof_kin.simulation import (
     LIMB_SENSORS,
     SimulationSettings,
@@ -78,8 +80,13 @@ def split() -> dict[str, Any]:
 def test_clips(corpus: Path) -> list[MocapClip]:
     """The benchmark's motions, cut to their middle."""
     rows = split()
-    wanted, seconds = rows["benchmark"]["motions"], rows["benchmark"]["seconds"]
-    found = read_corpus(corpus, rows["test"], output_rate_hz=120.0)
+    clips = whole_clips(corpus, rows["test"], rows["benchmark"]["motions"])
+    return [middle(clip, rows["benchmark"]["seconds"]) for clip in clips]
+
+
+def whole_clips(corpus: Path, subjects: list[str], wanted: list[str]) -> list[MocapClip]:
+    """Motions of some subjects by name, low-passed, at 60 Hz."""
+    found = read_corpus(corpus, subjects, output_rate_hz=120.0)
     clips = {clip.name: resample_clip(low_passed(clip, 10.0), 60.0) for clip in found}
     missing = [name for name in wanted if name not in clips]
     if missing:
@@ -87,14 +94,31 @@ def test_clips(corpus: Path) -> list[MocapClip]:
     glitches = [name for name in wanted if "GLITCH" in clips[name].quality]
     if glitches:
         sys.exit(f"error: {', '.join(glitches)} are marked GLITCH; take them out of split.toml")
-    return [_middle(clips[name], seconds) for name in wanted]
+    return [clips[name] for name in wanted]
 
 
-def _middle(clip: MocapClip, seconds: float) -> MocapClip:
+def middle(clip: MocapClip, seconds: float) -> MocapClip:
+    """The middle of a motion, from time 0."""
     count = min(len(clip.poses), round(seconds * clip.poses.rate_hz))
     first = (len(clip.poses) - count) // 2
     poses = clip.poses[first : first + count]
     return replace(clip, poses=replace(poses, times=poses.times - poses.times[0]))
+
+
+def recorded(
+    clip: MocapClip, camera: int, kind: str, sensors: tuple[str, ...], seed: int
+) -> Recording:
+    """What one of a motion's four cameras and the sensors record."""
+    # A motion's cameras and noise depend on its name, not on its place in the list.
+    own = seed * 1_000_003 + zlib.crc32(clip.name.encode())
+    return simulate(
+        clip.poses,
+        clip.joint_offsets,
+        camera=standard_cameras(clip.poses, own)[camera],
+        settings=replace(KEYPOINTS[kind](), sensors=sensors),
+        seed=own + camera,
+        name=clip.name,
+    )
 
 
 def run(job: Job) -> list[dict[str, Any]]:
@@ -102,19 +126,9 @@ def run(job: Job) -> list[dict[str, Any]]:
     from lifting.predict import Lifter
 
     lifter = Lifter.load(Path(job.lifter) if job.lifter else None)
-    # A motion's cameras and noise depend on its name, not on its place in the list.
-    seed = job.seed * 1_000_003 + zlib.crc32(job.clip.name.encode()) + job.camera
-    camera = standard_cameras(job.clip.poses, seed - job.camera)[job.camera]
     rows = []
     for kind in job.keypoints:
-        recording = simulate(
-            job.clip.poses,
-            job.clip.joint_offsets,
-            camera=camera,
-            settings=replace(KEYPOINTS[kind](), sensors=job.sensors),
-            seed=seed,
-            name=job.clip.name,
-        )
+        recording = recorded(job.clip, job.camera, kind, job.sensors, job.seed)
         skeleton = recording.skeleton
         scores = {}
         if {"sf2", "rtof"} & set(job.modes) and job.sensors:
@@ -139,22 +153,34 @@ def run(job: Job) -> list[dict[str, Any]]:
     return rows
 
 
-def pooled(rows: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """Means over all frames, with the bootstrap interval of the root-relative error over motions."""
+def pooled(
+    rows: Iterable[dict[str, Any]], columns: Iterable[str] = COLUMNS, unit: str = "motion"
+) -> dict[str, Any]:
+    """Means over all frames, with the bootstrap interval of the root-relative error over motions.
+
+    Args:
+        columns: the figures wanted. unit: what the rows of one independent unit have in common.
+    """
     rows = list(rows)
     frames = np.array([row["frames"] for row in rows], dtype=float)
     figures: dict[str, Any] = {
-        name: float(np.average([row[name] for row in rows], weights=frames)) for name in COLUMNS
+        name: float(np.average([row[name] for row in rows], weights=frames))
+        for name in (*columns, "coverage")
     }
-    figures["coverage"] = float(np.average([row["coverage"] for row in rows], weights=frames))
-    motions = sorted({row["motion"] for row in rows})
-    sums = np.zeros((len(motions), 2))
-    for row in rows:
-        sums[motions.index(row["motion"])] += row["frames"] * np.array([row["mpjpe_rr_mm"], 1.0])
-    rng = np.random.default_rng(0)
-    draws = sums[rng.integers(len(motions), size=(2000, len(motions)))].sum(axis=1)
-    figures["rr_interval"] = np.percentile(draws[:, 0] / draws[:, 1], [2.5, 97.5]).tolist()
+    units = [row[unit] for row in rows]
+    figures["rr_interval"] = bootstrap(units, [row["mpjpe_rr_mm"] for row in rows], frames)
     return figures
+
+
+def bootstrap(units: Sequence[Any], values: ArrayLike, weights: ArrayLike) -> list[float]:
+    """95 % interval of a weighted mean of values (n,) when units, which share values, are drawn anew."""
+    known = sorted(set(units))
+    sums = np.zeros((len(known), 2))
+    for unit, value, weight in zip(units, np.asarray(values), np.asarray(weights), strict=True):
+        sums[known.index(unit)] += weight * np.array([value, 1.0])
+    rng = np.random.default_rng(0)
+    draws = sums[rng.integers(len(known), size=(2000, len(known)))].sum(axis=1)
+    return [float(v) for v in np.percentile(draws[:, 0] / draws[:, 1], [2.5, 97.5])]
 
 
 def table(rows: list[dict[str, Any]]) -> str:

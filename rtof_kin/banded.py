@@ -20,7 +20,13 @@ class Factor:
     band: Array
 
     def solve(self, right: Array) -> Array:
-        """The solution, of the shape of the right-hand side: n numbers in any shape."""
+        """The solution, of the shape of the right-hand side: n numbers in any shape.
+
+        Raises:
+            SolverError: the right-hand side has another number of numbers.
+        """
+        if right.size != self.band.shape[1]:
+            raise SolverError(f"{right.size} numbers for a system of {self.band.shape[1]}")
         x, info = lapack.dpbtrs(self.band, right.ravel(), lower=1)
         if info:
             raise SolverError("the banded system could not be solved")
@@ -37,6 +43,6 @@ def factorise(band: Array) -> Factor:
         SolverError: the matrix is not positive definite.
     """
     factor, info = lapack.dpbtrf(band.T, lower=1, overwrite_ab=1)
-    if info:
+    if info or not np.isfinite(factor[0]).all():
         raise SolverError("the fragment's Hessian is not positive definite")
     return Factor(factor)

@@ -121,6 +121,8 @@ class CartesianSolver:
                 iterations=report.iterations + again.iterations,
                 seconds=report.seconds + again.seconds,
             )
+        if not (values["w_visual"].any() or values["w_bone"].any() or values["w_acceleration"].any()):
+            report = replace(report, status=SolverStatus.UNOBSERVED)
         return x.reshape(self.frames, -1, 3), report
 
     def _call(

@@ -73,6 +73,7 @@ class BandedProblem:
         hessian, gradient, constant = self._quadratic(parameters)
         self._base[self.at] = hessian
         self._slope, self._constant = gradient[self._order], float(constant[0])
+        self._start = self.ordered(values["p_prior"].ravel(order="F"))
         camera = [values[n].ravel(order="F") for n in ("R_camera_world", "t_camera_world", "K")]
         k_visual, k_length = values["k"][0], values["k"][4]
         shared = np.concatenate([*camera, values["sigma_reprojection"], [k_visual]])
@@ -123,8 +124,9 @@ class BandedProblem:
     def _at_point(self, x: Array) -> tuple[Array, float, Array]:
         """The point, energy and gradient there."""
         if self._known is None or self._known[0] is not x:
-            turned = blas.dsbmv(self._base.shape[1] - 1, 1.0, self._base.T, x, lower=1)
-            value = self._constant + float(x @ (self._slope + 0.5 * turned))
+            away = x - self._start
+            turned = blas.dsbmv(self._base.shape[1] - 1, 1.0, self._base.T, away, lower=1)
+            value = self._constant + float(away @ (self._slope + 0.5 * turned))
             gradient = self._slope + turned
             for element in self._elements:
                 value += element.evaluate(x, gradient)

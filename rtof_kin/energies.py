@@ -56,7 +56,7 @@ def position(p: Matrix, p_prior: Matrix) -> Matrix:
     return p - p_prior
 
 
-def pseudo_huber(squared: Matrix, delta: float) -> Matrix:
+def pseudo_huber(squared: Matrix, delta: Matrix | float) -> Matrix:
     """Robust loss of a squared whitened residual: s near 0, ``2 delta sqrt(s)`` far out.
 
     ``2 delta^2 (sqrt(1 + s / delta^2) - 1)``; smooth, so that second-order solvers stay quick.
@@ -64,7 +64,7 @@ def pseudo_huber(squared: Matrix, delta: float) -> Matrix:
     return 2 * delta**2 * (ca.sqrt(1 + squared / delta**2) - 1)
 
 
-def pseudo_huber_weight(squared: Matrix, delta: float) -> Matrix:
+def pseudo_huber_weight(squared: Matrix, delta: Matrix | float) -> Matrix:
     """Derivative of `pseudo_huber`: the weight of the residual in a Gauss-Newton Hessian."""
     return 1 / ca.sqrt(1 + squared / delta**2)
 

@@ -50,8 +50,9 @@ class FragmentProblem:
         solver: (x0, p) -> x, with IPOPT. energy: (x, p) -> one value per term of `TERMS` (weighted).
         gradient: (x, p) -> dE/dx.
         quadratic: p -> of the terms that are linear in x: upper triangle of the Hessian, gradient and
-            value at x = 0. landmark, rigid_distance: the others, one element each: (positions, what it
-            observes, what is the same for all) -> value, gradient, Hessian.
+            value at the start.
+        landmark, rigid_distance: the others, one element each: (positions, what it observes, what is the
+            same for all) -> value, gradient, Hessian.
     """
 
     def __init__(
@@ -200,8 +201,9 @@ class FragmentProblem:
             value += k * ca.dot(term.weight, term.residual**2)
             J_r = ca.jacobian(term.residual, x)
             hessian += ca.triu(2 * k * ca.mtimes(J_r.T, ca.diag(term.weight) @ J_r))
-        at_zero = ca.substitute(ca.vertcat(ca.gradient(value, x), value), x, ca.SX.zeros(x.numel(), 1))
-        outputs = [hessian, ca.densify(at_zero[:-1]), ca.densify(at_zero[-1])]
+        start = ca.vec(self.parameters["p_prior"])
+        there = ca.substitute(ca.vertcat(ca.gradient(value, x), value), x, start)
+        outputs = [hessian, ca.densify(there[:-1]), ca.densify(there[-1])]
         return ca.Function("quadratic", [p], outputs)
 
     @property

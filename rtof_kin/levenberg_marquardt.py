@@ -122,8 +122,8 @@ class LevenbergMarquardt:
         Args:
             tolerance: relative decrease of the energy, predicted for a step, below which it ends.
             multipliers: of an earlier solution, to go on with.
-            reweigh: called with the start and every new state, until it returns False; may change the
-                problem's weights (and returns True then).
+            reweigh: called with the start and every new state; may change the problem's weights, and
+                returns whether it did.
 
         Raises:
             SolverError: the energy of the start is not finite, or no damping makes its Hessian positive
@@ -133,10 +133,12 @@ class LevenbergMarquardt:
         M = 0 if self.limits is None else len(self.limits.names)
         m = np.zeros((len(x), M)) if multipliers is None else multipliers
         promised = np.inf
-        weighing = reweigh is not None and reweigh(x)
+        if reweigh is not None:
+            reweigh(x)
         energy = self._energy(x, m)
         if not np.isfinite(energy):
             raise SolverError("the energy of the starting state is not finite")
+        iteration = 0
         for iteration in range(max_iterations):
             fresh = factor is None
             gradient = self._linearise(x, m) if factor is None else self._gradient(x, m)
@@ -151,7 +153,7 @@ class LevenbergMarquardt:
             step = factor.solve(-gradient)
             predicted = -0.5 * float(np.sum(gradient * step))
             small = predicted / (tolerance * (1 + abs(energy)) + 1e-300)
-            if small < _EARLY and not weighing and not updated:
+            if small < _EARLY and not updated:
                 new, outside = self._updated(x, m)
                 if small < 1 and outside <= _LIMIT_TOLERANCE:
                     return Solved(x, iteration, True, new)
@@ -175,11 +177,12 @@ class LevenbergMarquardt:
             promised = predicted
             if fresh and ratio > 0.5:
                 damping = max(damping / 10, _LEAST_DAMPING)
-            if weighing and reweigh is not None:
-                weighing, factor = reweigh(x), None
-                energy = self._energy(x, m)
+            if reweigh is not None and reweigh(x):
+                factor, energy = None, self._energy(x, m)
+        else:
+            iteration = max_iterations
         new, _ = self._updated(x, m)
-        return Solved(x, max_iterations, False, new)
+        return Solved(x, iteration, False, new)
 
     # --- limits ----------------------------------------------------------------------------------
 

@@ -56,6 +56,7 @@ def refit_root(
         normal = np.einsum("tj,tjia,tjib->tab", weight, A, A) + np.eye(3) / sigma_depth**2
         right = -np.einsum("tj,tjia,tji->ta", weight, A, r) - shift / sigma_depth**2
         shift = shift + np.linalg.solve(normal, right[..., None])[..., 0]
+    shift = np.where(np.isfinite(shift), shift, 0.0)
     return replace(
         poses, p_world_joint=poses.p_world_joint + (shift @ camera.R_camera_world)[:, None]
     )

@@ -69,7 +69,8 @@ class Camera:
         set_(self, "distortion", readonly("camera distortion", distortion, (5,)))
         if not so3.is_rotation(self.R_camera_world, tolerance=1e-4):
             raise ShapeError("camera R_camera_world: not a rotation matrix")
-        if not (self.K[0, 0] > 0 and self.K[1, 1] > 0 and np.allclose(self.K[2], [0, 0, 1])):
+        regular = self.K[0, 0] * self.K[1, 1] - self.K[0, 1] * self.K[1, 0] > 0
+        if not (self.K[0, 0] > 0 and self.K[1, 1] > 0 and regular and np.allclose(self.K[2], [0, 0, 1])):
             raise ShapeError(
                 "camera K: singular; it needs positive focal lengths on the diagonal and "
                 "0, 0, 1 as its last row"

@@ -122,7 +122,6 @@ def built(kind: str) -> Built:
         torso=tuple(BODY.index(*TORSO)) if anchored else (),
         bones=tuple((BODY.index(a)[0], BODY.index(b)[0]) for a, b in bones) if anchored else (),
         feet=tuple(BODY.index(*FEET)) if anchored else (),
-        robust_reprojection=DELTA_PX,
         robust_orientation=DELTA_ORIENTATION,
         floor_cutoff=CUTOFF,
     )
@@ -179,7 +178,7 @@ def random_data(b: Built, x: Array, seed: int = 1) -> FragmentData:
     a_world = np.array([np.diff(at, n=2, axis=0) * RATE**2 for at in sensors]).reshape(S, N - 2, 3)
     return FragmentData(
         observation={
-            "uv_px": uv, "w_visual": weights(5.0, N, L),
+            "uv_px": uv, "w_visual": weights(5.0, N, L), "knee_visual": np.full(N, DELTA_PX),
             "quat_sensor": turned(b.shape.sensors, 0.3), "w_sensor": weights(1.0, N, S),
             "quat_torso": turned(b.shape.torso, 0.2), "w_torso": weights(0.2, N),
             "b_world": b_world + 0.1 * rng.normal(size=b_world.shape), "w_bone": weights(0.08, N),

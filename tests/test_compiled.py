@@ -53,7 +53,7 @@ def tiny_energy() -> FrameEnergy:
     hips, knee, foot = body.index("Hips", "LeftLeg", "LeftFoot")
     shape = Shape(
         landmarks=((knee, True), (foot, True), (foot, False)), sensors=(knee,), torso=(hips,),
-        bones=((knee, foot),), feet=(foot,), robust_reprojection=2.0, robust_orientation=3.0,
+        bones=((knee, foot),), feet=(foot,), robust_orientation=3.0,
         floor_cutoff=0.2,
     )  # fmt: skip
     return FrameEnergy(StateSpace(body, legs, hinged=True), shape)

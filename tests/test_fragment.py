@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 
@@ -10,7 +11,7 @@ import planted
 import pytest
 
 from rtof_kin.cartesian import CartesianSolver
-from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.errors import ShapeError, SolverError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver, SolverStatus
 from rtof_kin.fragment_settings import SPACES, FragmentSettings
 from rtof_kin.joint_space.settings import JointSpaceSettings
@@ -169,6 +170,37 @@ def test_a_person_behind_the_camera_is_refused_with_the_frame(
         solver.solve(replace(scene.start, p_world_joint=p), scene.seen)
 
 
+def test_keypoints_of_nothing_in_the_skeleton_are_refused(
+    scene: Scene, solver: FragmentSolver
+) -> None:
+    strangers = replace(scene.seen, names=tuple(f"point {i}" for i in range(21)))
+    with pytest.raises(SolverError, match="keypoints: none of the landmarks is "):
+        solver.solve(scene.start, strangers)
+
+
+def test_a_camera_that_sees_one_line_is_refused(scene: Scene, solver: FragmentSolver) -> None:
+    K = np.array([[1e3, 1e3, 960.0], [1e3, 1e3, 540.0], [0.0, 0.0, 1.0]])
+    with pytest.raises(ShapeError, match="camera K: singular"):
+        solver.solve(scene.start, replace(scene.seen, camera=replace(scene.seen.camera, K=K)))
+
+
+def test_a_stream_refuses_what_a_solution_does_before_it_gives_anything(
+    scene: Scene, solver: FragmentSolver
+) -> None:
+    with pytest.raises(ShapeError, match="start and keypoints: must have the same times"):
+        next(solver.stream(scene.start[:20], scene.seen[1:21]))
+
+
+@pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
+def test_a_lens_that_cannot_be_gives_no_poses_that_are_not_finite(
+    scene: Scene, solver: FragmentSolver
+) -> None:
+    lens = replace(scene.seen.camera, distortion=np.array([1e3, 0.0, 0.0, 0.0, 0.0]))
+    with suppress(ShapeError):  # it may as well be refused
+        out = solver.solve(scene.start[:8], replace(scene.seen[:8], camera=lens))
+        assert np.isfinite(out.poses.p_world_joint).all()
+
+
 # --- what both promise ---------------------------------------------------------------------------
 
 
@@ -207,6 +239,90 @@ def test_two_streams_that_take_turns_do_not_disturb_each_other(
     for blocks in zip(zip(*alone, strict=True), zip(*streams, strict=True), strict=True):
         for expected, block in zip(*blocks, strict=True):
             np.testing.assert_array_equal(block.p_world_joint, expected.p_world_joint)
+
+
+def test_equal_calls_give_equal_answers_whatever_was_solved_between(
+    scene: Scene, solver: FragmentSolver
+) -> None:
+    def solve(space: str = solver.space) -> FragmentSolution:
+        return quick(space).solve(scene.start[:12], scene.seen[:12], scene.imus[:12])
+
+    first = solve()
+    solver.solve(scene.start[8:30], scene.seen[8:30])
+    for space in SPACES:
+        solve(space)
+    again = solve()
+    for field in ("p_world_joint", "R_world_bone"):
+        np.testing.assert_array_equal(getattr(again.poses, field), getattr(first.poses, field))
+    for one, two in zip(first.fragments, again.fragments, strict=True):
+        assert replace(one, seconds=0.0) == replace(two, seconds=0.0)
+
+
+@pytest.mark.parametrize("joints", [(), ("LeftLeg",), planted.LIMBS[::-1]])
+def test_a_recording_has_any_of_the_sensors_in_any_order(
+    scene: Scene, solver: FragmentSolver, joints: tuple[str, ...]
+) -> None:
+    start, seen, imus = scene.start[:12], scene.seen[:12], scene.imus[:12].select(joints)
+    energy = solver.solve(start, seen, imus).energy
+    assert (energy["acceleration"] > 0) == bool(joints)
+    in_order = [joint for joint in planted.LIMBS if joint in joints]
+    one, two = (
+        solver.solve(start, seen, given).poses.p_world_joint
+        for given in (imus, imus.select(in_order) if joints else None)
+    )
+    np.testing.assert_array_equal(one, two)
+
+
+def test_nothing_that_is_given_is_changed(scene: Scene, solver: FragmentSolver) -> None:
+    given = [scene.start.p_world_joint, scene.start.R_world_bone, scene.seen.uv_px]
+    given += [scene.imus.R_world_bone, scene.imus.a_world]
+    before = [array.copy() for array in given]
+    solver.solve(scene.start, scene.seen, scene.imus)
+    for array, copy in zip(given, before, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+def test_a_confidence_that_is_no_number_is_a_landmark_that_was_not_seen(
+    scene: Scene, solver: FragmentSolver
+) -> None:
+    confidence = np.array(scene.seen.confidence)
+    confidence[3:9, 5] = np.nan
+    doubtful = replace(scene.seen, confidence=confidence)[:12]
+    missing = planted.unseen(scene.seen, slice(3, 9), 5)[:12]
+    one, two = (solver.solve(scene.start[:12], seen).poses for seen in (doubtful, missing))
+    np.testing.assert_array_equal(one.p_world_joint, two.p_world_joint)
+
+
+def test_a_recording_that_shows_nothing_says_so_and_is_still_solved(
+    scene: Scene, solver: FragmentSolver
+) -> None:
+    blind = planted.unseen(scene.seen, slice(None))
+    out = solver.solve(scene.start, blind)
+    assert np.isfinite(out.poses.p_world_joint).all()
+    assert {f.status for f in out.fragments} == {SolverStatus.UNOBSERVED}
+    with_sensors = solver.solve(scene.start, blind, scene.imus)
+    assert SolverStatus.UNOBSERVED not in {f.status for f in with_sensors.fragments}
+
+
+@pytest.mark.parametrize("frames", [1, 7])
+def test_a_recording_shorter_than_a_fragment_is_solved(
+    scene: Scene, solver: FragmentSolver, frames: int
+) -> None:
+    given = scene.start[:frames], scene.seen[:frames], scene.imus[:frames]
+    out = FragmentSolver(BODY, 12, solver.settings).solve(*given)
+    assert [f.first_frame for f in out.fragments] == [-6, 0] + ([6] if frames > 6 else [])
+    p, p_true = out.poses.p_world_joint, scene.truth.poses.p_world_joint[:frames]
+    assert planted.root_relative_mm(p, p_true) < 50
+
+
+def test_a_report_is_of_the_fragment_that_it_says(scene: Scene, solver: FragmentSolver) -> None:
+    # Landmarks are gone from frame 16 on: only fragments that begin before see any.
+    out = solver.solve(scene.start, planted.unseen(scene.seen, slice(16, T)), scene.imus)
+    for f in out.fragments:
+        assert (f.energy["visual"] > 0) == (f.first_frame < 16)
+        assert f.energy["acceleration"] > 0
+        assert 0 <= f.optimality < np.inf
+        assert 0 <= f.infeasibility < 1
 
 
 def test_the_solution_of_either_space_sums_up_its_fragments(

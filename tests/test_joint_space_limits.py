@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -233,12 +232,10 @@ def test_on_the_way_to_a_singular_posture_values_and_derivatives_stay_moderate()
 
 def with_limits(joint: str, row: int, low: float, high: float) -> SkeletonModel:
     (j,) = BODY.index(joint)
-    joints = list(BODY.table.joints)
-    bounds = np.array(joints[j].limits)
-    bounds[row] = low, high
-    joints[j] = replace(joints[j], limits=bounds)
     body = SkeletonModel.default()
-    body.table = replace(BODY.table, joints=tuple(joints))
+    bounds = np.array(body.limits)
+    bounds[body.dof_names.index(BODY.table.joints[j].dofs[row].urdf)] = low, high
+    vars(body)["limits"] = bounds
     return body
 
 

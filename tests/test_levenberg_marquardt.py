@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from rtof_kin.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.joint_space.limits import Limits
 from rtof_kin.joint_space.problem import JointProblem
+from rtof_kin.levenberg_marquardt import LevenbergMarquardt, Solved
 
 Array = NDArray[np.float64]
 N = 8

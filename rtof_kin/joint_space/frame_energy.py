@@ -51,7 +51,6 @@ class Shape:
     bones: tuple[tuple[int, int], ...]
     """Joint and child of the bones without a sensor, which may be anchored to the start's."""
     feet: tuple[int, ...]
-    robust_reprojection: float
     robust_orientation: float
     floor_cutoff: float
 
@@ -120,6 +119,7 @@ class FrameEnergy:
         p_root, quats = ca.SX.sym("p", 3), ca.SX.sym("q", 4, A)
         self.observation = {
             "uv_px": ca.SX.sym("uv", 2, L), "w_visual": ca.SX.sym("wv", L),
+            "knee_visual": ca.SX.sym("kv"),
             "quat_sensor": ca.SX.sym("qs", 4, S), "w_sensor": ca.SX.sym("ws", S),
             "quat_torso": ca.SX.sym("qt", 4, len(shape.torso)), "w_torso": ca.SX.sym("wt"),
             "b_world": ca.SX.sym("b", 3, len(shape.bones)), "w_bone": ca.SX.sym("wb"),
@@ -209,7 +209,7 @@ class FrameEnergy:
             b, start = C["offsets"][:, child], O["b_world"][:, i]
             return lambda e: energies.bone_vector(ca.SX(3, 1), R[j] @ (b + ca.cross(e, b)), start)
 
-        visual, robust = [], _pseudo_huber(shape.robust_reprojection)
+        visual, robust = [], _pseudo_huber(O["knee_visual"])
         for i, (j, is_joint) in enumerate(shape.landmarks):
             point = p[j] if is_joint else p[j] + R[j] @ C["places"][:, i]
             weight = O["w_visual"][i]
@@ -302,7 +302,7 @@ def _derivative(residual: Residual, size: int) -> tuple[Any, Any]:
     return ca.substitute(r, e, zero), ca.sparsify(ca.substitute(ca.jacobian(r, e), e, zero))
 
 
-def _pseudo_huber(delta: float) -> Loss:
+def _pseudo_huber(delta: Any) -> Loss:
     return lambda s: (energies.pseudo_huber(s, delta), energies.pseudo_huber_weight(s, delta))
 
 

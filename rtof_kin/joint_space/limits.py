@@ -32,37 +32,36 @@ class Limits:
             derivatives by the rotation vector of the joint they belong to (3M).
     """
 
-    def __init__(self, space: StateSpace) -> None:
+    def __init__(self, space: StateSpace, functions: list[Any] | None = None) -> None:
         """Collect the limits of the joints that move.
+
+        Args:
+            functions: compiled ones of a space like this, if there are.
 
         Raises:
             ShapeError: a lower limit is not below its upper one.
         """
         self.space = space
-        joints = space.skeleton.table.joints
+        skeleton = space.skeleton
+        joints = skeleton.table.joints
         names: list[str] = []
-        bounds: list[tuple[float, float]] = []
         self._of: list[int] = []
         for a, j in enumerate(space.joints[1:], start=1):
             axis = int(space.hinge_axis[a])
             for i, dof in enumerate(joints[j].dofs):
                 if axis < 0 or XYZ.index(joints[j].axes[i]) == axis:
                     names.append(dof.urdf)
-                    bounds.append((float(joints[j].limits[i, 0]), float(joints[j].limits[i, 1])))
                     self._of.append(a)
         self.names = tuple(names)
-        self.lower, self.upper = np.array(bounds).reshape(-1, 2).T
+        rows = [skeleton.dof_names.index(name) for name in names]
+        self.lower, self.upper = skeleton.limits[rows].reshape(-1, 2).T
         wrong = np.flatnonzero(~(self.lower < self.upper))
         if len(wrong):
             name = names[int(wrong[0])]
             raise ShapeError(f"limits of {name} contradict each other: lower is not below upper")
         self._ball = space.hinge_axis[self._of] < 0
         self._columns = space.first[self._of][:, None] + np.arange(3) * self._ball[:, None]
-        self.use(self._functions())
-
-    def use(self, functions: list[Any]) -> None:
-        """Take other functions that give the same, such as compiled ones."""
-        self.functions = functions
+        self.functions = self._functions() if functions is None else functions
         self._mapped: dict[tuple[int, int], Buffered] = {}
 
     def values(self, x: Array) -> Array:

@@ -22,30 +22,33 @@ class JointSpaceSettings:
     included."""
     sigma_reprojection_range: tuple[float, float] = (0.5, 25.0)
     """[px] that the estimate is kept in."""
-    largest_correlation_factor: float = 2.5
+    largest_correlation_factor: float = 2.2
     """By how much errors that stay for long are counted as larger than they are."""
     robust_reprojection: float = 2.0
-    """[sigma] where the loss of a landmark turns from square to linear."""
-    sigma_swing: float = np.radians(6.0)
+    """[1] where the loss of a landmark turns from square to linear, in sizes of a usual residual: sigma
+    without what correlation in time adds."""
+    sigma_swing: float = np.radians(5.0)
     """[rad] of a sensor's segment about axes across its bone."""
     sigma_twist: float = np.radians(20.0)
     """[rad] about the bone, where soft tissue rolls."""
     robust_orientation: float = 3.0
     """[sigma] where the loss of an orientation turns from square to linear."""
-    sigma_acceleration: float = 1.5
+    sigma_acceleration: float = 2.0
     """[m/s^2] of a sensor."""
     robust_acceleration: float = 2.0
     """[sigma] where the loss of an acceleration turns from square to linear."""
-    jerk: float = 1.3
+    jerk: float = 2.5
     """[1] factor on the jerk of free motion (`PosePrior`), the standard deviation of the jerk's."""
-    prior_inflation: float = 2.0
+    jerk_without_sensors: float = 1.0
+    """[1] the same where no sensor is: vision alone knows little of what is fast."""
+    prior_inflation: float = 1.7
     """[1] factor on the standard deviations of the pose prior: frames are not independent."""
     sigma_prior_least: float = np.radians(3.0)
     """[rad] added (in squares) to each of the prior's."""
-    sigma_torso: float | None = np.radians(12.0)
+    sigma_torso: float | None = np.radians(18.0)
     """[rad] of pelvis and upper trunk about the start's orientation, with a Cauchy loss; only where no
     sensor sits on them. None leaves it out."""
-    sigma_bone: float | None = 0.08
+    sigma_bone: float | None = 0.05
     """[m] of the end of a limb's bone that carries no sensor about where the start has it, with a Cauchy
     loss. None leaves it out."""
     sigma_root: float | None = 0.15
@@ -63,10 +66,14 @@ class JointSpaceSettings:
     """Whether knees and elbows turn about one axis alone."""
     limits: bool = True
     """Whether the skeleton's anatomical limits hold."""
+    refit_root: bool = True
+    """Whether the start's root is moved onto the rays (`root_position.refit_root`) first."""
     smooth_start_hz: float = 6.0
     """[Hz] low-pass of the starting poses: a lifter's jitter is no start."""
+    torso_yaws: tuple[float, ...] = ()
+    """[rad] Further starts with the trunk turned about the vertical by these; the lowest energy wins."""
     annealing: int = 6
-    """Iterations after each of which the reprojection sigma is estimated anew; it is fixed after them."""
+    """How often the reprojection sigma may be estimated anew; it is fixed after them."""
     max_iterations: int = 30
     """Iterations after the annealing."""
     tolerance: float = 1e-4
@@ -86,16 +93,25 @@ class JointSpaceSettings:
                     f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}"
                 )
         low, high = self.sigma_reprojection_range
-        if not 0 < low <= high:
+        if not 0 < low <= high < np.inf:
             raise ShapeError("sigma_reprojection_range must be positive, the smaller one first")
+        optional = ("sigma_reprojection", "sigma_torso", "sigma_bone", "sigma_root")
         object.__setattr__(self, "sigma_reprojection_range", (float(low), float(high)))
+        object.__setattr__(self, "torso_yaws", tuple(float(yaw) for yaw in self.torso_yaws))
         positive = [name for name in vars(self) if name.startswith(("sigma_", "robust_"))]
-        positive += ["jerk", "prior_inflation", "floor_cutoff", "smooth_start_hz", "tolerance"]
+        positive += ["jerk", "jerk_without_sensors", "prior_inflation", "floor_cutoff"]
+        positive += ["smooth_start_hz", "tolerance", "ankle_height", "largest_correlation_factor"]
         for field in positive:
             value = getattr(self, field)
-            if isinstance(value, int | float) and not 0 < value < np.inf:
+            if isinstance(value, tuple) or (value is None and field in optional):
+                continue
+            if not isinstance(value, int | float | np.number) or not 0 < value < np.inf:
                 raise ShapeError(f"{field} must be positive and finite")
+        if self.floor_height is not None and not np.isfinite(self.floor_height):
+            raise ShapeError("floor_height must be finite, or None where there is no floor")
         if self.largest_correlation_factor < 1:
             raise ShapeError("largest_correlation_factor must be at least 1")
-        if self.annealing < 0 or self.max_iterations < 0:
-            raise ShapeError("annealing and max_iterations must not be negative")
+        for field in ("annealing", "max_iterations"):
+            value = getattr(self, field)
+            if not isinstance(value, int | np.integer) or value < 0:
+                raise ShapeError(f"{field} must be a whole number, not negative")

@@ -33,7 +33,12 @@ Block = tuple[PoseSequence, list[FragmentReport]]
 _NORMAL_MEDIAN = 1.177
 """Median norm of a normal error in two dimensions, in standard deviations of an axis."""
 _FEWEST = 20
-_SETTLED = 0.1
+_LIMBS = tuple(
+    side + part
+    for side in ("Left", "Right")
+    for part in ("Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot")
+)
+_SETTLED = 0.05
 """Relative change below which the reprojection sigma is taken as found."""
 
 
@@ -95,6 +100,7 @@ class JointSpaceSolver:
         try:
             if backend is None:
                 solved = data.annealer.solve(x, most + s.max_iterations, s.tolerance, None, annealing)
+                solved = self._best(data, solved, index)
             else:
                 begun = data.annealer.solve(x, most, s.tolerance, None, annealing)
                 solved = backend.solve(begun.x, s.max_iterations, s.tolerance)
@@ -107,6 +113,16 @@ class JointSpaceSolver:
         seconds = perf_counter() - began
         report = self._report(data, solved, first, annealing.sigma, seconds, inside)
         return solved.x, replace(report, status=SolverStatus.FAILED) if failed else report
+
+    def _best(self, data: _Observations, solved: Solved, index: NDArray[np.intp]) -> Solved:
+        """The lowest of this solution and those from the turned starts, with the same weights."""
+        s, iterations = self.settings, solved.iterations
+        for start in data.turned:
+            other = data.annealer.solve(start[index], s.max_iterations, s.tolerance)
+            iterations += other.iterations
+            if other.converged and data.problem.total(other.x) < data.problem.total(solved.x):
+                solved = other
+        return replace(solved, iterations=iterations)
 
     def _report(
         self, data: _Observations, solved: Solved, first: int, sigma: float, seconds: float,
@@ -135,7 +151,7 @@ class JointSpaceSolver:
 
 
 class _Annealing:
-    """Weighs the landmarks by what is left of them after every step, until that hardly changes."""
+    """Weighs the landmarks by what is left of them, after every step that changes it."""
 
     def __init__(
         self, settings: JointSpaceSettings, problem: JointProblem, confidence: Array,
@@ -146,34 +162,38 @@ class _Annealing:
         self.sigma = settings.sigma_reprojection_range[1] if given is None else given
         """[px] of a landmark per axis."""
         self._left = settings.annealing if given is None else 0
-        self._weigh()
+        self._found = self.sigma
+        self._weigh(1.0)
 
     def __call__(self, x: Array) -> bool:
-        """Whether the weights were changed for a state; False once they are settled."""
+        """Whether the weights were changed for a state."""
         if self._left == 0:
             return False
-        before, self.sigma = self.sigma, self._estimated(self._problem.value(x)[1])
+        size, factor = self._estimated(self._problem.value(x)[1])
         first = self._left == self._settings.annealing
-        self._left -= 1
-        if abs(self.sigma / before - 1) < _SETTLED and not first:
-            self._left = 0
+        if abs(size * factor / self._found - 1) < _SETTLED and not first:
             return False
-        self._weigh()
+        self._left -= 1
+        self._found = size * factor
+        self.sigma = float(np.clip(self._found, *self._settings.sigma_reprojection_range))
+        self._weigh(factor)
         return True
 
-    def _weigh(self) -> None:
+    def _weigh(self, factor: float) -> None:
+        """Outliers are those that are far out by the size of the others."""
         self._problem.reweigh("w_visual", self._confidence * self._seen / self.sigma**2)
+        knee = self._settings.robust_reprojection / factor
+        self._problem.reweigh("knee_visual", np.full(len(self._seen), knee))
 
-    def _estimated(self, residuals: Array) -> float:
-        """Standard deviation of a landmark per axis, px: size and correlation in time of residuals.
+    def _estimated(self, residuals: Array) -> tuple[float, float]:
+        """Size of a landmark's residual per axis, px, and the factor for its correlation in time.
 
         Errors that stay (biases, drifts) do not average out over a fragment; with a correlation r from
         frame to frame they weigh like white ones that are sqrt((1 + r) / (1 - r)) times larger.
         """
         seen = self._seen
-        low, high = self._settings.sigma_reprojection_range
         if seen.sum() < _FEWEST:
-            return self.sigma
+            return self._found, 1.0
         norm = np.linalg.norm(residuals, axis=-1)
         size = float(np.median(norm[seen])) / _NORMAL_MEDIAN
         clipped = np.clip(residuals, -3 * size, 3 * size) * seen[..., None]
@@ -181,8 +201,8 @@ class _Annealing:
         product = np.sum(clipped[1:] * clipped[:-1], axis=-1)[both].mean() if both.any() else 0.0
         square = np.sum(clipped**2, axis=-1)[seen].mean()
         r = float(np.clip(product / max(square, 1e-12), 0.0, 0.99))
-        factor = min(np.sqrt((1 + r) / (1 - r)), self._settings.largest_correlation_factor)
-        return float(np.clip(size * factor, low, high))
+        return size, float(min(np.sqrt((1 + r) / (1 - r)), self._settings.largest_correlation_factor))
+
 
 class _Observations:
     """A recording as the problem wants it, and the problem that fits what it has."""
@@ -196,25 +216,35 @@ class _Observations:
     ) -> None:
         skeleton, s = solver.skeleton, solver.settings
         self.settings, self.frames, self.rate_hz = s, solver.frames, start.rate_hz
-        start = refit_root(start, keypoints)
+        start = refit_root(start, keypoints) if s.refit_root else start
         known = skeleton.landmarks
         extra = tuple(n for n in keypoints.names if n in known and n not in skeleton.names)
         names = (*skeleton.names, *extra)
-        present = () if bone_imus is None else bone_imus.joints
-        sensors = tuple(name for name in skeleton.names if name in present)
+        sensors = tuple(name for name in skeleton.names if name in _speaking(bone_imus))
         moving = [
             name for j, name in enumerate(skeleton.names)
-            if kinematics.children_of(skeleton.parents, j) or name in present
+            if kinematics.children_of(skeleton.parents, j) or name in sensors
             or any(known[n][0] == name for n in extra)
         ]  # fmt: skip
-        sensors = tuple(name for name in sensors if name in moving)
-        self.problem, self.limits = _problem(solver, tuple(moving), names, sensors)
         self.space = StateSpace(skeleton, moving, s.hinges)
+        self.problem, functions = _problem(solver, tuple(moving), names, sensors)
+        self.limits = Limits(self.space, functions) if s.limits else None
         self.annealer = LevenbergMarquardt(self.problem, self.limits)
         self.backend = Ipopt(self.problem, self.limits) if s.backend == "ipopt" else None
         self._observe(solver, start, keypoints.select(names), bone_imus, sensors)
         x = self.space.from_poses(start.p_world_joint[:, 0], start.R_world_bone)
         self.start = self.space.low_passed(x, start.rate_hz, s.smooth_start_hz)
+        self.turned = [
+            self.space.low_passed(self._turned(start, yaw), start.rate_hz, s.smooth_start_hz)
+            for yaw in s.torso_yaws
+        ]
+
+    def _turned(self, start: PoseSequence, yaw: float) -> Array:
+        """States of the start with its trunk turned about the vertical, the limbs as they are."""
+        R = start.R_world_bone.copy()
+        trunk = [j for j, name in enumerate(start.names) if not name.startswith(_LIMBS)]
+        R[:, trunk] = so3.about_axis("z", yaw) @ R[:, trunk]
+        return self.space.from_poses(start.p_world_joint[:, 0], R)
 
     def _observe(
         self, solver: JointSpaceSolver, start: PoseSequence, seen: KeypointSequence,
@@ -233,6 +263,7 @@ class _Observations:
         rows = {
             "uv_px": np.where(seen.seen[..., None], uv, 0.0),
             "w_visual": seen.seen.astype(float),
+            "knee_visual": np.full(T, s.robust_reprojection),
             "quat_sensor": quat,
             "w_sensor": has,
             "quat_torso": so3.to_quat_wxyz(start.R_world_bone[:, torso]),
@@ -279,7 +310,17 @@ class _Observations:
     def anything_seen(self, first: int, inside: NDArray[np.bool_]) -> bool:
         """Whether a landmark or a sensor says anything in a fragment."""
         index = np.arange(first, first + self.frames)[inside]
-        return bool(self.rows["w_visual"][index].any() or self.rows["w_sensor"][index].any())
+        rows = self.rows["w_visual"], self.rows["w_sensor"], self.w_acceleration
+        return any(row[index].any() for row in rows)
+
+
+def _speaking(bone_imus: BoneImuSequence | None) -> set[str]:
+    """Segments whose sensor says anything at all."""
+    if bone_imus is None:
+        return set()
+    turns = np.isfinite(bone_imus.R_world_bone).all(axis=(2, 3)).any(axis=0)
+    moves = np.isfinite(bone_imus.a_world).all(axis=2).any(axis=0)
+    return {bone_imus.joints[s] for s in np.flatnonzero(turns | moves)}
 
 
 def _sensor_data(
@@ -348,8 +389,8 @@ def _whitening(skeleton: SkeletonModel, sensors: tuple[str, ...], s: JointSpaceS
 def _problem(
     solver: JointSpaceSolver, moving: tuple[str, ...], names: tuple[str, ...],
     sensors: tuple[str, ...],
-) -> tuple[JointProblem, Limits | None]:  # fmt: skip
-    """The problem for some moving joints, landmarks and sensors."""
+) -> tuple[JointProblem, list[Any]]:  # fmt: skip
+    """The problem for some moving joints, landmarks and sensors, and the functions of their limits."""
     skeleton, s = solver.skeleton, solver.settings
     index = skeleton.names.index
     shape = Shape(
@@ -358,41 +399,38 @@ def _problem(
         torso=tuple(index(name) for name in TORSO if name in skeleton.names),
         bones=_bones(skeleton, sensors),
         feet=tuple(index(name) for name in FEET if name in skeleton.names),
-        robust_reprojection=s.robust_reprojection,
         robust_orientation=s.robust_orientation,
         floor_cutoff=s.floor_cutoff,
     )
     return _cached_problem(
-        skeleton.name, shape, moving, solver.frames, s.hinges, s.limits, s.compile, s.jerk,
-        s.robust_acceleration,
+        skeleton.name, shape, moving, solver.frames, s.hinges, s.compile,
+        s.jerk if sensors else s.jerk_without_sensors, s.robust_acceleration,
     )  # fmt: skip
 
 
 @lru_cache(maxsize=8)
 def _cached_problem(
-    name: str, shape: Shape, moving: tuple[str, ...], frames: int, hinges: bool, limited: bool,
-    compile: str, jerk: float, robust_acceleration: float,
-) -> tuple[JointProblem, Limits | None]:  # fmt: skip
+    name: str, shape: Shape, moving: tuple[str, ...], frames: int, hinges: bool, compile: str,
+    jerk: float, robust_acceleration: float,
+) -> tuple[JointProblem, list[Any]]:  # fmt: skip
     """The problem of a fragment, built once for all bodies and recordings that it fits."""
-    energy, functions, limits = _functions(name, shape, moving, hinges, compile)
+    energy, functions, of_limits = _functions(name, shape, moving, hinges, compile)
     space, prior = energy.space, shipped_prior(SkeletonModel.named(name).names)
     sigma = prior.sigma_jerk[[prior.joints.index(joint) for joint in space.names]]
     tangent = np.repeat(sigma, 3) @ (space.expand != 0)
     sigma_jerk = jerk * np.concatenate([np.full(3, prior.sigma_root_jerk), tangent])
     problem = JointProblem(space, functions, energy, frames, sigma_jerk, robust_acceleration)
-    return problem, limits if limited else None
+    return problem, of_limits
 
 
 @lru_cache(maxsize=8)
 def _functions(
     name: str, shape: Shape, moving: tuple[str, ...], hinges: bool, compile: str
-) -> tuple[FrameEnergy, list[Any], Limits]:
-    """A frame's functions and limits, built (and compiled) once for all bodies."""
+) -> tuple[FrameEnergy, list[Any], list[Any]]:
+    """A frame's functions and those of its limits, built (and compiled) once for all bodies."""
     space = StateSpace(SkeletonModel.named(name), moving, hinges)
-    energy, limits = FrameEnergy(space, shape), Limits(space)
-    functions = energy.functions()
-    if compile == "auto":
-        together = compiled([*functions, *limits.functions])
-        functions = together[: len(functions)]
-        limits.use(together[len(functions) :])
-    return energy, functions, limits
+    energy = FrameEnergy(space, shape)
+    functions = [*energy.functions(), *Limits(space).functions]
+    functions = compiled(functions) if compile == "auto" else functions
+    count = len(energy.functions())
+    return energy, functions[:count], functions[count:]
