@@ -7,7 +7,7 @@ orientations, limits) and the paper's joint positions (``cartesian``). Two equal
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -84,7 +84,7 @@ class FragmentSolver:
         self,
         start: PoseSequence,
         keypoints: KeypointSequence,
-        bone_imus: BoneImuSequence | None = None,
+        bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None = None,
         progress: Progress | None = None,
     ) -> FragmentSolution:
         """Optimise a whole sequence: RTOF with sensors, RTO without.
@@ -93,7 +93,8 @@ class FragmentSolver:
             start: finite poses of this skeleton, usually SF2's; also the centre of weak priors.
             keypoints: one sample a frame of `start`, landmarks named like joints (in joint space also
                 the skeleton's other landmarks); NaN where unseen.
-            bone_imus: any subset of the sensors, at any times. None for vision alone.
+            bone_imus: any subset of the sensors, at any times; several sequences where sensors have
+                times of their own. None for vision alone.
             progress: told after every fragment.
 
         Returns:
@@ -104,6 +105,7 @@ class FragmentSolver:
                 is behind the camera. UnknownNameError: joints or sensors of another skeleton.
             SolverError: none of the landmarks is known.
         """
+        bone_imus = _together(bone_imus, start)
         self._check(start, keypoints, bone_imus)
         blocks, reports = [], []
         for block, finished in self._solver.run(start, keypoints, bone_imus, progress):
@@ -120,9 +122,10 @@ class FragmentSolver:
         self,
         start: PoseSequence,
         keypoints: KeypointSequence,
-        bone_imus: BoneImuSequence | None = None,
+        bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None = None,
     ) -> Iterator[PoseSequence]:
         """The poses of `solve`, N/2 frames at a time, each as soon as both its fragments are solved."""
+        bone_imus = _together(bone_imus, start)
         self._check(start, keypoints, bone_imus)
         for block, _ in self._solver.run(start, keypoints, bone_imus, None):
             yield self._solver.oriented(block, bone_imus)
@@ -154,3 +157,11 @@ class FragmentSolver:
                 f"start: frame {frame} is behind the camera or in it; check R_camera_world, "
                 "t_camera_world (world to camera, metres) and the world's z axis"
             )
+
+
+def _together(
+    bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None, start: PoseSequence
+) -> BoneImuSequence | None:
+    if bone_imus is None or isinstance(bone_imus, BoneImuSequence):
+        return bone_imus
+    return BoneImuSequence.joined(bone_imus, start.times)

@@ -16,6 +16,7 @@ from rtof_kin.errors import ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+from rtof_kin.joint_space.prior import has_prior
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import Metrics, evaluate
 from rtof_kin.recording import Recording
@@ -38,7 +39,11 @@ class LifterLike(Protocol):
     """Anything that takes keypoints to 3D joints, e.g. `lifting.predict.Lifter`."""
 
     def predict(
-        self, keypoints: KeypointSequence, joint_offsets: Array | None = None
+        self,
+        keypoints: KeypointSequence,
+        joint_offsets: Array | None = None,
+        *,
+        floor_height: float | None = None,
     ) -> LiftedPoses:
         """Joint positions in world for each frame."""
 
@@ -120,14 +125,15 @@ def reconstruct(
         raise ShapeError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
     tell = progress or (lambda stage, done, total: None)
     tell("lift", 0, 1)
-    lifted = _lift(skeleton, keypoints, lifter)
+    lifted = _lift(skeleton, keypoints, lifter, recording.floor_height)
     tell("lift", 1, 1)
     stages, solution = {"lift": lifted}, None
     if inertial:
         ik = InertialGuidedIK(skeleton, settings.inertial_ik)
         stages["sf2"] = ik.refine(lifted, bone_imus)
     if mode in ("rto", "rtof"):
-        solver = FragmentSolver(skeleton, settings.frames, settings.fragment)
+        fragment = _on_floor(settings.fragment, skeleton, recording.floor_height)
+        solver = FragmentSolver(skeleton, settings.frames, fragment)
         start = stages["sf2"] if inertial else InertialGuidedIK(skeleton).refine(lifted)
         solution = solver.solve(start, keypoints, bone_imus, lambda i, n: tell(mode, i, n))
         stages[mode] = solution.poses
@@ -174,13 +180,29 @@ def _snapped(at: Array, times: Array, tolerance: float) -> Array:
     return np.where(np.abs(nearest - at) < tolerance, nearest, at)
 
 
+def _on_floor(
+    settings: JointSpaceSettings | FragmentSettings | None,
+    skeleton: SkeletonModel,
+    floor_height: float | None,
+) -> JointSpaceSettings | FragmentSettings | None:
+    """The fragment solver's settings with the recording's floor, where they know floors and have none."""
+    if settings is None and has_prior(skeleton.name):
+        settings = JointSpaceSettings()
+    if isinstance(settings, JointSpaceSettings) and settings.floor_height is None:
+        return replace(settings, floor_height=floor_height)
+    return settings
+
+
 def _lift(
-    skeleton: SkeletonModel, keypoints: KeypointSequence, lifter: LifterLike | None
+    skeleton: SkeletonModel,
+    keypoints: KeypointSequence,
+    lifter: LifterLike | None,
+    floor_height: float | None,
 ) -> PoseSequence:
     """The lifter's positions as poses: orientations from positions, and who saw what."""
     if lifter is None:
         lifter = _shipped_lifter()
-    result = lifter.predict(keypoints, skeleton.joint_offsets)
+    result = lifter.predict(keypoints, skeleton.joint_offsets, floor_height=floor_height)
     p = np.asarray(result.p_world_joint)
     depth = keypoints.camera.to_camera(p)[..., 2]
     if np.any(depth <= 0):

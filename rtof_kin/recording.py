@@ -21,6 +21,8 @@ A folder holds ``recording.toml`` and the arrays that it names. From arrays in m
     table = "total_capture"              # - 21 joints, or "human36m" with 17
     bone_lengths_m = {LeftLeg = 0.41}    # - some or all, by the child joint; over the height
     # joint_offsets_m = {Spine = [-0.04, 0.0, 0.07], ...}  # - all but the root, in the parent's frame
+    [scene]                              # -
+    floor_height_m = 0.0                 # - z of a flat floor that the subject stands on
     [camera]
     width_px = 1920
     height_px = 1080
@@ -116,6 +118,8 @@ class Recording:
     """Body mass, kg."""
     sex: str | None = None
     """'male', 'female' or None where it is not known."""
+    floor_height: float | None = None
+    """z of a flat floor in world, m; None where there is none or it is not known."""
     truth: PoseSequence | None = None
     """Known poses in world at times of their own, joints in the skeleton's order."""
     first_frame: int = 0
@@ -126,6 +130,8 @@ class Recording:
     """Anything else."""
 
     def __post_init__(self) -> None:
+        if self.floor_height is not None and not np.isfinite(self.floor_height):
+            raise ShapeError("floor_height: not finite; leave it out where there is no floor")
         if self.skeleton_table not in _SKELETONS:
             raise UnknownNameError("skeleton table", [self.skeleton_table], _SKELETONS)
         set_ = object.__setattr__
@@ -240,13 +246,16 @@ class Recording:
 
     @classmethod
     def _from_index(cls, index: Section) -> Self:
-        subject, skeleton, notes = (index.table(n) for n in ("subject", "skeleton", "notes"))
+        subject, skeleton, scene, notes = (
+            index.table(n) for n in ("subject", "skeleton", "scene", "notes")
+        )
         fields: dict[str, Any] = {
             "name": index.text("name", index.path.absolute().parent.name),
             "first_frame": index.integer("first_frame", 0),
             "height": subject.optional_number("height_m"),
             "mass_kg": subject.optional_number("mass_kg"),
             "sex": subject.optional_text("sex"),
+            "floor_height": scene.optional_number("floor_height_m"),
             "acknowledgement": notes.text("acknowledgement", ""),
             "notes": notes.text("text", ""),
             **_read_skeleton(skeleton),
@@ -261,7 +270,7 @@ class Recording:
             )
         if index.has("truth"):
             fields["truth"] = files.read_truth(index.table("truth"), body)
-        for section in (index, subject, skeleton, notes):
+        for section in (index, subject, skeleton, scene, notes):
             section.close()
         return cls(**fields)
 
@@ -316,6 +325,8 @@ class Recording:
             "keypoints": {"file": "keypoints.npz", "landmarks": list(self.keypoints.names)},
             "notes": {"acknowledgement": self.acknowledgement, "text": self.notes},
         }
+        if self.floor_height is not None:
+            index["scene"] = {"floor_height_m": float(self.floor_height)}
         imus: dict[str, Any] = {"sensors": recording_imus.imu_table(self.calibration)}
         if self.imus is not None:
             imus |= {"file": "imus.npz", "names": list(self.imus.names)}

@@ -315,6 +315,26 @@ class BoneImuSequence:
             joints=tuple(joints),
         )
 
+    @classmethod
+    def joined(cls, parts: Sequence[Self], times: ArrayLike) -> Self:
+        """Sensors that were sampled at times of their own, all brought to these times (`resample`, but
+        for those that have them already).
+
+        Raises:
+            ShapeError: there are none, or two are of the same segment.
+        """
+        joints = [joint for part in parts for joint in part.joints]
+        if not parts or len(set(joints)) < len(joints):
+            raise ShapeError("bone_imus: there must be some, each of another segment")
+        own = [p if np.array_equal(p.times, times) else p.resample(times) for p in parts]
+        return cls(
+            times=own[0].times,
+            R_world_bone=np.concatenate([part.R_world_bone for part in own], axis=1),
+            a_world=np.concatenate([part.a_world for part in own], axis=1),
+            p_bone_sensor=np.concatenate([part.p_bone_sensor for part in own]),
+            joints=tuple(joints),
+        )
+
     def resample(self, times: ArrayLike, max_gap: float = 0.1) -> Self:
         """The same sensors at other times, usually those of the video.
 

@@ -181,9 +181,17 @@ class PlantedLifter:
         self.times, self.p = truth.times, lifted(truth)
         self.blind = blind
         self.asked: list[tuple[KeypointSequence, Array | None]] = []
+        self.floors: list[float | None] = []
 
-    def predict(self, keypoints: KeypointSequence, joint_offsets: Array | None = None) -> Any:
+    def predict(
+        self,
+        keypoints: KeypointSequence,
+        joint_offsets: Array | None = None,
+        *,
+        floor_height: float | None = None,
+    ) -> Any:
         self.asked.append((keypoints, joint_offsets))
+        self.floors.append(floor_height)
         nearest = np.abs(self.times - keypoints.times[:, None]).argmin(axis=1)
         seen = np.ones(len(keypoints), dtype=bool)
         seen[self.blind] = False

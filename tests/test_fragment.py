@@ -17,6 +17,7 @@ from rtof_kin.fragment_settings import SPACES, FragmentSettings
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.joint_space.solver import JointSpaceSolver
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.types import BoneImuSequence
 
 BODY, SMALL = SkeletonModel.default(), SkeletonModel.human36m()
 T = 40
@@ -152,6 +153,32 @@ def test_only_joint_space_needs_the_orientations_of_the_start(scene: Scene) -> N
     assert np.isfinite(quick("cartesian").solve(start, scene.seen).poses.p_world_joint).all()
     with pytest.raises(ShapeError, match="pose of frame 9 is not finite; bridge gaps first"):
         quick("joint").solve(start, scene.seen)
+
+
+def test_sensors_with_times_of_their_own_are_given_as_several_sequences(
+    scene: Scene, solver: FragmentSolver
+) -> None:
+    joints = scene.imus.joints
+    whole = solver.solve(scene.start, scene.seen, scene.imus)
+    parts = [one_sensor(scene.imus, joint) for joint in joints]
+    split = solver.solve(scene.start, scene.seen, parts)
+    np.testing.assert_allclose(split.poses.p_world_joint, whole.poses.p_world_joint, atol=1e-9)
+    later = [replace(part, times=part.times + 0.004 * i) for i, part in enumerate(parts)]
+    own = BoneImuSequence.joined(later, scene.start.times)
+    assert own.joints == joints
+    alone = later[3].resample(scene.start.times)
+    np.testing.assert_array_equal(own.a_world[:, 3], alone.a_world[:, 0])
+    for wrong in ([], [parts[0], parts[0]]):
+        with pytest.raises(ShapeError, match="there must be some, each of another segment"):
+            solver.solve(scene.start, scene.seen, wrong)
+
+
+def one_sensor(imus: BoneImuSequence, joint: str) -> BoneImuSequence:
+    s = [imus.joints.index(joint)]
+    return replace(
+        imus, joints=(joint,), R_world_bone=imus.R_world_bone[:, s], a_world=imus.a_world[:, s],
+        p_bone_sensor=imus.p_bone_sensor[s],
+    )  # fmt: skip
 
 
 def test_uneven_frames_are_refused(scene: Scene, solver: FragmentSolver) -> None:

@@ -19,6 +19,7 @@ from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import SolverStatus
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.pipeline import (
     MODES,
     Reconstruction,
@@ -146,6 +147,21 @@ def test_the_lifter_is_asked_once_with_keypoints_and_the_subjects_offsets(
     assert keypoints is recording.keypoints
     np.testing.assert_array_equal(offsets, tall.joint_offsets)
     assert result.motion.skeleton is tall
+
+
+@pytest.mark.parametrize("floor", [None, -0.4])
+def test_the_recordings_floor_reaches_lifter_and_solver(
+    recording: Recording, truth: MotionSequence, floor: float | None
+) -> None:
+    lifter = planted.PlantedLifter(truth)
+    found = run(replace(recording, floor_height=floor), truth, lifter=lifter)
+    assert lifter.floors == [floor]
+    assert found.solution is not None
+    assert (found.solution.energy["floor"] > 0) == (floor is not None)
+    given = ReconstructionSettings(frames=16, fragment=JointSpaceSettings(floor_height=5.0))
+    high = run(replace(recording, floor_height=floor), truth, settings=given)
+    assert high.solution is not None
+    assert high.solution.energy["floor"] > 10, "settings stand above the recording"
 
 
 def test_the_recordings_own_skeleton_is_used_where_none_is_given(truth: MotionSequence) -> None:

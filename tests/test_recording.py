@@ -118,6 +118,7 @@ def full_recording() -> Recording:
         sex="female",
         truth=replace(base.truth, valid=np.random.default_rng(4).random((T, 21)) > 0.2),
         first_frame=17,
+        floor_height=-0.02,
         acknowledgement="Thanks\nto all.",
         notes="α = 3",
     )
@@ -151,6 +152,15 @@ def test_a_recording_without_imus_or_truth_comes_back_to_the_last_bit(tmp_path: 
     recording.save(tmp_path / "take")
     assert_same(Recording.load(tmp_path / "take"), recording)
     assert sorted(p.name for p in (tmp_path / "take").iterdir()) == ["keypoints.npz", INDEX]
+
+
+def test_a_floor_is_written_and_a_floor_at_no_height_is_refused(tmp_path: Path) -> None:
+    recording = replace(full_recording(), floor_height=0.25)
+    recording.save(tmp_path / "take")
+    index = (tmp_path / "take" / INDEX).read_text(encoding="utf-8")
+    assert "[scene]\nfloor_height_m = 0.25" in index
+    with pytest.raises(ShapeError, match="floor_height: not finite"):
+        replace(recording, floor_height=np.nan)
 
 
 def test_imus_without_calibration_and_calibration_without_imus_come_back(tmp_path: Path) -> None:
