@@ -95,7 +95,7 @@ class JointSpaceSolver:
         index, inside, values = data.fragment(first)
         began = perf_counter()
         problem.bind(values)
-        annealing = _Annealing(s, problem, data.confidence[index], values.observation["w_visual"] > 0)
+        annealing = _Annealing(s, problem, data.confidence[index], values.observation)
         x, most = data.start[index], s.annealing if s.sigma_reprojection is None else 0
         try:
             if backend is None:
@@ -155,15 +155,16 @@ class _Annealing:
 
     def __init__(
         self, settings: JointSpaceSettings, problem: JointProblem, confidence: Array,
-        seen: NDArray[np.bool_],
+        observation: dict[str, Array],
     ) -> None:  # fmt: skip
-        self._settings, self._problem, self._confidence, self._seen = settings, problem, confidence, seen
+        self._settings, self._problem, self._confidence = settings, problem, confidence
+        self._seen, self._others = observation["w_visual"] > 0, observation
         given = settings.sigma_reprojection
         self.sigma = settings.sigma_reprojection_range[1] if given is None else given
         """[px] of a landmark per axis."""
         self._left = settings.annealing if given is None else 0
         self._found = self.sigma
-        self._weigh(1.0)
+        self._weigh(None)
 
     def __call__(self, x: Array) -> bool:
         """Whether the weights were changed for a state."""
@@ -179,11 +180,20 @@ class _Annealing:
         self._weigh(factor)
         return True
 
-    def _weigh(self, factor: float) -> None:
-        """Outliers are those that are far out by the size of the others."""
+    def _weigh(self, factor: float | None) -> None:
+        """Weights for errors that correlation in time makes count as if larger by a factor.
+
+        Outliers are landmarks that are far out by the size of the others. A sensor's error and the
+        distance from the prior's mean stay for a whole fragment; counted once a frame, their standard
+        deviations hold beside a vision whose errors stay too. Where those average out they give way.
+        """
         self._problem.reweigh("w_visual", self._confidence * self._seen / self.sigma**2)
-        knee = self._settings.robust_reprojection / factor
+        knee = self._settings.robust_reprojection / (factor or 1.0)
         self._problem.reweigh("knee_visual", np.full(len(self._seen), knee))
+        largest = self._settings.largest_correlation_factor
+        share = (factor or largest) / largest
+        for name in ("w_sensor", "w_prior"):
+            self._problem.reweigh(name, share * self._others[name])
 
     def _estimated(self, residuals: Array) -> tuple[float, float]:
         """Size of a landmark's residual per axis, px, and the factor for its correlation in time.
