@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint bench speed wheel-check clean
+.PHONY: demo test lint bench harness accuracy clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -25,10 +25,16 @@ test: lint
 	OMP_NUM_THREADS=1 $(BIN)/python examples/quickstart.py models/demo out/quickstart
 	$(BIN)/python tests/check_wheel.py
 
-# The table of benchmarks/README.md; CORPUS is the folder of free motion described there.
+# Solvers side by side: time, energy, gradient, frames per second. About ten minutes.
 bench: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.solvers
+
+# Accuracy on test motions; CORPUS is the folder of free motion that benchmarks/README.md describes.
+harness: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.harness --corpus $(CORPUS)
 
+accuracy: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.accuracy --corpus $(CORPUS)
 
 clean:
 	rm -rf $(VENV) out build dist

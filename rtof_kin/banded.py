@@ -32,6 +32,21 @@ class Factor:
             raise SolverError("the banded system could not be solved")
         return np.asarray(x.reshape(right.shape))
 
+    def solve_columns(self, right: Array) -> Array:
+        """The solutions (n, k) for k right-hand sides (n, k).
+
+        Raises:
+            SolverError: the right-hand sides have another number of rows.
+        """
+        if right.ndim != 2 or len(right) != self.band.shape[1]:
+            raise SolverError(f"right-hand sides {right.shape} for a system of {self.band.shape[1]}")
+        if right.size == 0:
+            return np.zeros(right.shape)
+        x, info = lapack.dpbtrs(self.band, right, lower=1)
+        if info:
+            raise SolverError("the banded system could not be solved")
+        return np.asarray(x)
+
 
 def factorise(band: Array) -> Factor:
     """Factor of a positive definite matrix.

@@ -13,9 +13,17 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks import accuracy, harness
-from benchmarks.accuracy import FAULTS, NOMINAL, Case, Job, RowFile, Scene
+from benchmarks import harness
+from benchmarks.accuracy import __main__ as command
+from benchmarks.accuracy import faults, tables
+from benchmarks.accuracy import rows as scoring
+from benchmarks.accuracy.cases import Case, cases
+from benchmarks.accuracy.faults import FAULTS, MIDDLE_SECOND, NOMINAL, SECOND_AFTER_HALF, Fault
+from benchmarks.accuracy.row_file import RowFile, version_of
+from benchmarks.accuracy.rows import FIGURES, Job, Prepared, Scene
+from benchmarks.accuracy.tables import TABLES
 from rtof_kin import rotations as so3
+from rtof_kin.calibration import ImuCalibration
 from rtof_kin.errors import RtofError, ShapeError
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.mocap import MocapClip
@@ -23,6 +31,7 @@ from rtof_kin.pipeline import reconstruct
 from rtof_kin.recording import Recording
 from rtof_kin.simulation import LIMB_SENSORS
 from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import ImuSequence
 
 Array = NDArray[np.float64]
 SKELETON = SkeletonModel.default()
@@ -35,17 +44,25 @@ def faulty(name: str, recording: Recording = RECORDING) -> Recording:
     return FAULTS[name].apply(recording, np.random.default_rng(3))
 
 
+def sensors(recording: Recording) -> ImuSequence:
+    assert recording.imus is not None
+    return recording.imus
+
+
+def calibration(recording: Recording) -> ImuCalibration:
+    assert recording.calibration is not None
+    return recording.calibration
+
+
 def arrays(recording: Recording) -> dict[str, Any]:
     """Everything that the solver sees."""
-    camera, imus, calibration = recording.keypoints.camera, recording.imus, recording.calibration
-    assert imus is not None
-    assert calibration is not None
+    camera, imus, own = recording.keypoints.camera, sensors(recording), calibration(recording)
     return {
         "times": recording.keypoints.times, "uv": recording.keypoints.uv_px,
         "confidence": recording.keypoints.confidence, "K": camera.K, "R": camera.R_camera_world,
         "t": camera.t_camera_world, "imu times": imus.times, "orientation": imus.R_inertial_sensor,
-        "force": imus.f_sensor, "heading": calibration.R_world_inertial,
-        "mounting": calibration.R_sensor_bone, "offsets": recording.joint_offsets,
+        "force": imus.f_sensor, "heading": own.R_world_inertial,
+        "mounting": own.R_sensor_bone, "offsets": recording.joint_offsets,
     }  # fmt: skip
 
 
@@ -57,35 +74,31 @@ def changed(recording: Recording) -> set[str]:
 # --- faults --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "name, parts",
-    [
-        (NOMINAL, set()),
-        ("10 % outliers of 80 px", {"uv"}),
-        ("left arm and leg unseen for 1 s", {"uv", "confidence"}),
-        ("left forearm's sensor missing", {"orientation", "force"}),
-        ("left forearm's sensor stops halfway", {"orientation", "force"}),
-        ("all sensors stop halfway", {"orientation", "force"}),
-        ("bones wrong by 3 % at random", {"offsets"}),
-        ("all bones 3 % too long", {"offsets"}),
-        ("focal length + 2 %", {"K"}),
-        ("camera tilted by 1 deg", {"R", "t"}),
-        ("video late by 33 ms", {"times", "uv", "confidence"}),
-        ("video late by 100 ms", {"times", "uv", "confidence"}),
-        ("headings off by 10 deg", {"heading"}),
-        ("mounting off by 6 deg per axis", {"mounting"}),
-    ],
-)
-def test_a_fault_changes_what_it_is_about_and_nothing_else(name: str, parts: set[str]) -> None:
-    assert changed(faulty(name)) == parts
+PARTS: dict[str, set[str]] = {
+    NOMINAL: set(),
+    "10 % outliers of 80 px": {"uv"},
+    "left arm and leg unseen for 1 s": {"uv", "confidence"},
+    "left forearm's sensor missing": {"orientation", "force"},
+    "left forearm's sensor stops halfway": {"orientation", "force"},
+    "all sensors stop halfway": {"orientation", "force"},
+    "bones wrong by 3 % at random": {"offsets"},
+    "all bones 3 % too long": {"offsets"},
+    "focal length + 2 %": {"K"},
+    "camera tilted by 1 deg": {"R", "t"},
+    "video late by 33 ms": {"times", "uv", "confidence"},
+    "video late by 100 ms": {"times", "uv", "confidence"},
+    "headings off by 10 deg": {"heading"},
+    "mounting off by 6 deg per axis": {"mounting"},
+}
+"""What each fault is about."""
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_changes_what_it_is_about_and_nothing_else(name: str) -> None:
+    assert changed(faulty(name)) == PARTS[name]
     assert faulty(name).truth is RECORDING.truth
     one, other = arrays(faulty(name)), arrays(faulty(name))
     assert all(np.array_equal(one[n], other[n], equal_nan=True) for n in one)
-
-
-def test_every_fault_is_tested_above() -> None:
-    (mark,) = test_a_fault_changes_what_it_is_about_and_nothing_else.pytestmark  # type: ignore[attr-defined]
-    assert [name for name, _ in mark.args[1]] == list(FAULTS)
 
 
 def test_a_tenth_of_the_landmarks_is_displaced_by_80_px_in_all_directions() -> None:
@@ -109,23 +122,19 @@ def test_the_left_arm_and_leg_are_unseen_for_the_middle_second() -> None:
 
 
 def test_a_missing_sensor_is_not_there_and_the_others_are_as_they_were() -> None:
-    imus, whole = faulty("left forearm's sensor missing").imus, RECORDING.imus
-    assert imus is not None
-    assert whole is not None
+    imus, whole = sensors(faulty("left forearm's sensor missing")), sensors(RECORDING)
     assert set(whole.names) - set(imus.names) == {"L_LowArm"}
     np.testing.assert_array_equal(imus.f_sensor, whole.select(imus.names).f_sensor)
 
 
 @pytest.mark.parametrize(
     "name, stopped",
-    [("all sensors stop halfway", LIMB_SENSORS), ("left forearm's sensor stops halfway", ("L_LowArm",))],
+    [("all sensors stop", LIMB_SENSORS), ("left forearm's sensor stops", ("L_LowArm",))],
 )
 def test_sensors_that_stop_say_nothing_after_half_of_the_video(
     name: str, stopped: tuple[str, ...]
 ) -> None:
-    imus, whole = faulty(name).imus, RECORDING.imus
-    assert imus is not None
-    assert whole is not None
+    imus, whole = sensors(faulty(f"{name} halfway")), sensors(RECORDING)
     late = imus.times >= RECORDING.keypoints.times[[0, -1]].mean()
     gone = late[:, None] & np.isin(imus.names, stopped)
     assert gone.any()
@@ -140,7 +149,7 @@ def test_bones_that_are_too_long_are_so_by_the_same_share() -> None:
         assert lengths[name] == pytest.approx(1.03 * length)
 
 
-def test_bones_that_are_wrong_at_random_are_so_by_3_percent_each_and_keep_their_directions() -> None:
+def test_bones_wrong_at_random_are_so_by_3_percent_each_and_keep_their_directions() -> None:
     factors = []
     for seed in range(30):
         rng = np.random.default_rng(seed)
@@ -177,21 +186,17 @@ def test_a_late_video_shows_what_was_some_frames_before(name: str, late: int) ->
 
 
 def test_headings_are_off_by_ten_degrees_about_the_vertical() -> None:
-    wrong, own = faulty("headings off by 10 deg").calibration, RECORDING.calibration
-    assert wrong is not None
-    assert own is not None
+    wrong, own = calibration(faulty("headings off by 10 deg")), calibration(RECORDING)
     turn = wrong.R_world_inertial @ np.swapaxes(own.R_world_inertial, -1, -2)
     np.testing.assert_allclose(so3.log(turn), np.radians([[0, 0, 10.0]] * 8), atol=1e-9)
 
 
 def test_mountings_are_off_by_six_degrees_about_each_axis() -> None:
-    own = RECORDING.calibration
-    assert own is not None
+    own = calibration(RECORDING)
     errors = []
     for seed in range(40):
         name, rng = "mounting off by 6 deg per axis", np.random.default_rng(seed)
-        wrong = FAULTS[name].apply(RECORDING, rng).calibration
-        assert wrong is not None
+        wrong = calibration(FAULTS[name].apply(RECORDING, rng))
         errors.append(so3.log(np.swapaxes(own.R_sensor_bone, -1, -2) @ wrong.R_sensor_bone))
     spread = np.degrees(np.std(np.concatenate(errors), axis=0))
     np.testing.assert_allclose(spread, 6.0, atol=0.9)
@@ -199,30 +204,30 @@ def test_mountings_are_off_by_six_degrees_about_each_axis() -> None:
 
 def test_windows_are_the_middle_second_and_the_one_after_half() -> None:
     times = np.arange(181) / 60
-    assert accuracy.middle_second(times) == pytest.approx((1.0, 2.0))
-    assert accuracy.second_after_half(times) == pytest.approx((1.5, 2.5))
+    assert faults.bounds(times, MIDDLE_SECOND) == pytest.approx((1.0, 2.0))
+    assert faults.bounds(times, SECOND_AFTER_HALF) == pytest.approx((1.5, 2.5))
 
 
 # --- cases and motions ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("table", accuracy.TABLES)
+@pytest.mark.parametrize("table", TABLES)
 def test_cases_have_names_of_their_own_in_each_kind_of_2d(table: str) -> None:
-    names = [(case.keypoints, case.name) for case in accuracy.cases(table)]
+    names = [(case.keypoints, case.name) for case in cases(table)]
     assert len(set(names)) == len(names)
     if table != "sensors":
-        assert all(case.name == NOMINAL for case in accuracy.cases(table)[:1])
+        assert all(case.name == NOMINAL for case in cases(table)[:1])
 
 
 def test_sensors_are_measured_in_all_sets_and_kinds_of_2d() -> None:
-    seen = {(case.keypoints, case.sensors) for case in accuracy.cases("sensors")}
+    seen = {(case.keypoints, case.sensors) for case in cases("sensors")}
     counts = ("0", "4", "8", "10")
     assert seen == {(k, n) for k in ("perfect", "white", "realistic") for n in counts}
 
 
 def test_each_ablation_differs_from_the_nominal_settings_above_it() -> None:
     nominal: Case | None = None
-    for case in accuracy.cases("ablation"):
+    for case in cases("ablation"):
         if case.name.startswith(NOMINAL):
             nominal = case
             assert case.settings == JointSpaceSettings()
@@ -238,9 +243,9 @@ def test_each_ablation_differs_from_the_nominal_settings_above_it() -> None:
 
 def test_twelve_validation_motions_of_which_half_neither_walk_nor_run() -> None:
     walking = {"131_01", "131_02", "08_04", "08_05", "08_11", "pymo_8walk_meredith"}
-    assert sum(accuracy.VALIDATION.values()) == 12
-    assert sum(n for name, n in accuracy.VALIDATION.items() if name not in walking) >= 6
-    assert not set(accuracy.VALIDATION) & set(harness.split()["benchmark"]["motions"])
+    assert sum(command.VALIDATION.values()) == 12
+    assert sum(n for name, n in command.VALIDATION.items() if name not in walking) >= 6
+    assert not set(command.VALIDATION) & set(harness.split()["benchmark"]["motions"])
 
 
 def test_validation_motions_are_cut_into_parts_that_share_no_frame(
@@ -250,10 +255,12 @@ def test_validation_motions_are_cut_into_parts_that_share_no_frame(
 
     def whole(corpus: Path, subjects: list[str], wanted: list[str]) -> list[MocapClip]:
         asked.append(subjects)
-        return [replace(CLIP, name=name, poses=planted.moving(SKELETON, 400).poses) for name in wanted]
+        return [
+            replace(CLIP, name=name, poses=planted.moving(SKELETON, 400).poses) for name in wanted
+        ]
 
     monkeypatch.setattr(harness, "whole_clips", whole)
-    clips = {clip.name: clip for clip in accuracy.clips(Path(), "validation")}
+    clips = {clip.name: clip for clip in command.clips(Path(), "validation")}
     assert asked == [harness.split()["validation"]]
     assert len(clips) == 12
     parts = [clips[f"131_03/{i}"].poses for i in (1, 2, 3)]
@@ -269,12 +276,17 @@ def test_validation_motions_are_cut_into_parts_that_share_no_frame(
 @pytest.fixture
 def lifter(monkeypatch: pytest.MonkeyPatch) -> planted.PlantedLifter:
     own = planted.PlantedLifter(MOTION)
-    monkeypatch.setattr(accuracy, "_lifter", lambda path: own)
+    monkeypatch.setattr(scoring, "_lifter", lambda path: own)
     return own
 
 
 def job(table: str = "robustness", frames: int = 180) -> Job:
     return Job(table, replace(CLIP, poses=MOTION.poses[:frames]), 0, 0, None)
+
+
+@pytest.fixture
+def prepared(lifter: planted.PlantedLifter) -> Prepared:
+    return Scene(job()).prepared(Case("", "white", "8"))
 
 
 def test_the_lifter_is_asked_again_only_where_it_sees_something_else(
@@ -305,9 +317,7 @@ def test_sensors_are_a_subset_of_one_recording_and_keypoints_the_same(
     assert four.recording.keypoints is eight.recording.keypoints is none.recording.keypoints
     # What the harness records with these sensors alone.
     np.testing.assert_array_equal(eight.recording.keypoints.uv_px, RECORDING.keypoints.uv_px)
-    assert RECORDING.imus is not None
-    assert eight.recording.imus is not None
-    np.testing.assert_array_equal(eight.recording.imus.f_sensor, RECORDING.imus.f_sensor)
+    np.testing.assert_array_equal(sensors(eight.recording).f_sensor, sensors(RECORDING).f_sensor)
 
 
 def test_a_late_video_is_scored_against_the_truth_at_its_time_stamps(
@@ -315,35 +325,29 @@ def test_a_late_video_is_scored_against_the_truth_at_its_time_stamps(
 ) -> None:
     prepared = Scene(job()).prepared(Case("", "white", "8", "video late by 100 ms"))
     np.testing.assert_array_equal(prepared.truth.times, prepared.lifted.times)
-    np.testing.assert_array_equal(
-        prepared.truth.p_world_joint, MOTION.poses.p_world_joint[6:]
-    )
+    np.testing.assert_array_equal(prepared.truth.p_world_joint, MOTION.poses.p_world_joint[6:])
 
 
-def test_scores_know_the_torso_and_the_error_of_every_second(lifter: planted.PlantedLifter) -> None:
-    prepared = Scene(job()).prepared(Case("", "white", "8"))
+def test_scores_know_the_torso_and_the_error_of_every_second(prepared: Prepared) -> None:
     truth = prepared.truth
     R = truth.R_world_bone.copy()
-    R[:, SKELETON.index("Spine3")[0]] = (
-        R[:, SKELETON.index("Spine3")[0]] @ so3.about_axis("y", np.radians(7.0))
-    )
+    R[:, SKELETON.index("Spine3")] @= so3.about_axis("y", np.radians(7.0))
     p = truth.p_world_joint.copy()
     p[60:120, 5] += [0.021, 0.0, 0.0]
-    row = accuracy.scored(replace(truth, p_world_joint=p, R_world_bone=R), prepared, NOMINAL)
+    row = scoring.scored(replace(truth, p_world_joint=p, R_world_bone=R), prepared, NOMINAL)
     assert row["pelvis_deg"] == pytest.approx(0.0, abs=1e-5)
     assert row["upper_trunk_deg"] == pytest.approx(7.0)
     assert [frames for frames, _ in row["seconds_rr_mm"]] == [60, 60, 60]
     np.testing.assert_allclose([e for _, e in row["seconds_rr_mm"]], [0.0, 1.0, 0.0], atol=1e-9)
     assert row["mpjpe_rr_mm"] == pytest.approx(1 / 3)
-    assert set(accuracy.FIGURES) <= set(row)
+    assert set(FIGURES) <= set(row)
 
 
-def test_zero_motion_stands_still_in_the_mean_orientation(lifter: planted.PlantedLifter) -> None:
-    prepared = Scene(job()).prepared(Case("", "white", "8"))
-    still = accuracy._stages_before(prepared)["zero motion"]
+def test_zero_motion_stands_still_in_the_mean_orientation(prepared: Prepared) -> None:
+    still = scoring.stages(prepared)["zero motion"]
     assert np.ptp(still.p_world_joint, axis=0).max() == 0.0
     assert np.ptp(still.R_world_bone, axis=0).max() == 0.0
-    assert accuracy.scored(still, prepared, NOMINAL)["pelvis_deg"] > 1.0
+    assert scoring.scored(still, prepared, NOMINAL)["pelvis_deg"] > 1.0
 
 
 def test_a_job_gives_a_row_for_each_stage_and_the_error_of_a_case_that_fails(
@@ -352,26 +356,25 @@ def test_a_job_gives_a_row_for_each_stage_and_the_error_of_a_case_that_fails(
     def broken(recording: Recording, rng: np.random.Generator) -> Recording:
         raise ShapeError("the planted fault")
 
-    faults = {NOMINAL: FAULTS[NOMINAL], "broken": accuracy.Fault(broken)}
-    monkeypatch.setattr(accuracy, "FAULTS", faults)
-    rows = accuracy.run(job(frames=40))
+    monkeypatch.setitem(FAULTS, "broken", Fault(broken))
+    both = [Case(name, "white", "8", name) for name in (NOMINAL, "broken")]
+    monkeypatch.setattr(scoring, "cases", lambda table: both)
+    rows = scoring.run(job(frames=40))
     assert [row["mode"] for row in rows] == ["zero motion", "lift", "sf2", "rtof", "failed"]
     assert rows[-1]["error"] == "the planted fault"
     assert 0 <= rows[3]["converged"] <= 1
-    assert accuracy._failures(rows) == [
-        "FAILED: moving, camera 0, white, broken: the planted fault"
-    ]
-    assert json.loads(json.dumps(accuracy._rounded(rows)))[3]["mode"] == "rtof"
+    assert tables.failures(rows) == ["FAILED: moving, camera 0, white, broken: the planted fault"]
+    assert json.loads(json.dumps(command._rounded(rows)))[3]["mode"] == "rtof"
 
 
 def test_every_stage_scores_what_the_pipeline_itself_scores(lifter: planted.PlantedLifter) -> None:
     prepared = Scene(job(frames=60)).prepared(Case("", "white", "8"))
-    poses, _ = accuracy.solve(prepared, JointSpaceSettings())
+    poses, _ = scoring.solve(prepared, JointSpaceSettings())
     own = {"lift": prepared.lifted, "sf2": prepared.sf2, "rtof": poses}
     scores = reconstruct(prepared.recording, mode="rtof", lifter=lifter).stage_metrics
     assert set(scores) == set(own)
     for mode, metrics in scores.items():
-        figures = accuracy.scored(own[mode], prepared, NOMINAL)
+        figures = scoring.scored(own[mode], prepared, NOMINAL)
         for name in set(figures) & set(metrics):
             assert figures[name] == pytest.approx(metrics[name], rel=1e-12), (mode, name)
     assert scores["rtof"]["mpjpe_rr_mm"] < 0.7 * scores["sf2"]["mpjpe_rr_mm"]
@@ -388,51 +391,51 @@ def row(motion: str, mode: str, seconds: list[float], **fields: Any) -> dict[str
         "converged": 1.0, "seconds_rr_mm": [[60, value] for value in seconds],
     }  # fmt: skip
     phases = {n: [[60, 1.0, 2.0]] * 3 for n, f in FAULTS.items() if f.window is not None}
-    figures = dict.fromkeys(accuracy.FIGURES, float(np.mean(seconds)))
+    figures = dict.fromkeys(FIGURES, float(np.mean(seconds)))
     return {**base, **figures, "phases": phases, **fields}
 
 
 def test_seconds_are_as_even_as_can_be_and_at_least_one() -> None:
-    assert [n for n, _ in accuracy.by_seconds(np.ones(74), 60.0)] == [74]
-    assert [n for n, _ in accuracy.by_seconds(np.ones(184), 60.0)] == [62, 61, 61]
-    assert accuracy.by_seconds(np.arange(4.0), 2.0) == [[2, 0.5], [2, 2.5]]
+    assert [n for n, _ in scoring.by_seconds(np.ones(74), 60.0)] == [74]
+    assert [n for n, _ in scoring.by_seconds(np.ones(184), 60.0)] == [62, 61, 61]
+    assert scoring.by_seconds(np.arange(4.0), 2.0) == [[2, 0.5], [2, 2.5]]
 
 
 def test_errors_are_relative_to_the_root() -> None:
     p = MOTION.poses.p_world_joint + np.array([0.3, 0.0, 0.0])
     p[:, 4, 2] += 0.05
-    error = accuracy.relative_errors_mm(replace(MOTION.poses, p_world_joint=p), MOTION.poses)
+    error = scoring.relative_errors_mm(replace(MOTION.poses, p_world_joint=p), MOTION.poses)
     np.testing.assert_allclose(error[:, 4], 50.0)
     np.testing.assert_allclose(np.delete(error, 4, axis=1), 0.0, atol=1e-9)
 
 
 def test_errors_are_told_before_in_and_after_the_window() -> None:
     times = np.arange(181) / 60
-    fault = accuracy.Fault(FAULTS[NOMINAL].apply, accuracy.middle_second, ("LeftHand",))
+    fault = Fault(FAULTS[NOMINAL].apply, MIDDLE_SECOND, ("LeftHand",))
     error = np.zeros((181, 21))
     error[60:120, SKELETON.index("LeftHand")[0]] = 42.0
-    assert accuracy.around(error, times, fault, SKELETON) == [
+    assert scoring.around(error, times, fault, SKELETON) == [
         [60, 0.0, 0.0], [60, 42.0, 2.0], [61, 0.0, 0.0],
     ]  # fmt: skip
-    short = accuracy.around(error[:45], times[:45], fault, SKELETON)
+    short = scoring.around(error[:45], times[:45], fault, SKELETON)
     assert [frames for frames, *_ in short] == [0, 45, 0]
 
 
 def test_costs_are_paired_and_motions_cut_from_one_are_one_unit() -> None:
     base = [row("a/1", "rtof", [10.0]), row("a/2", "rtof", [20.0]), row("b", "rtof", [30.0])]
     rows = [row("b", "rtof", [38.0]), row("a/2", "rtof", [23.0]), row("a/1", "rtof", [11.0])]
-    mean, interval = accuracy.cost(rows, base, "mpjpe_rr_mm")
+    mean, interval = tables.cost(rows, base, "mpjpe_rr_mm")
     assert mean == pytest.approx(4.0)
     assert interval == pytest.approx([2.0, 8.0])
-    only_a, interval = accuracy.cost(rows[1:], base, "mpjpe_rr_mm")
+    only_a, interval = tables.cost(rows[1:], base, "mpjpe_rr_mm")
     assert only_a == pytest.approx(2.0)
     assert interval == pytest.approx([2.0, 2.0])  # one unit: nothing to draw
 
 
 def test_rows_of_a_failed_case_are_left_out_of_pairs() -> None:
     base = [row("a", "rtof", [10.0]), row("b", "rtof", [30.0])]
-    assert len(accuracy.paired([row("b", "rtof", [31.0])], base)) == 1
-    assert accuracy.paired([row("c", "rtof", [31.0])], base) == []
+    assert len(tables.paired([row("b", "rtof", [31.0])], base)) == 1
+    assert tables.paired([row("c", "rtof", [31.0])], base) == []
 
 
 def test_the_check_finds_the_motion_that_is_worse_than_sf2_and_not_the_one_that_may_be() -> None:
@@ -442,13 +445,13 @@ def test_the_check_finds_the_motion_that_is_worse_than_sf2_and_not_the_one_that_
         row("better", "sf2", [20.0, 20.0, 20.0]), row("better", "rtof", [12.0, 11.0, 13.0]),
         row("better", "rto", [99.0] * 3, sensors="0"), row("better", "sf2", [90.0] * 3, sensors="0"),
     ]  # fmt: skip
-    found = {(d["motion"], d["sensors"]): d for d in accuracy.against_sf2(rows)}
+    found = {(d["motion"], d["sensors"]): d for d in tables.against_sf2(rows)}
     assert found["worse", "8"]["difference"] == pytest.approx(16 / 3)
     assert found["worse", "8"]["interval"][0] > 0
     assert found["noisy", "8"]["difference"] > 0 > found["noisy", "8"]["interval"][0]
     assert found["better", "8"]["interval"][1] < 0
     assert found["better", "0"]["difference"] == pytest.approx(9.0)
-    _, check, exceptions = accuracy.sensors_tables(rows)
+    _, check, exceptions = tables.sensors_tables(rows)
     assert [line[2:] for line in check.rows] == [("3", "2", "1"), ("1", "1", "1")]
     assert [(line[2], line[-1]) for line in exceptions.rows] == [
         ("worse", "yes"), ("noisy", "no"), ("better", "yes"),
@@ -461,7 +464,7 @@ def test_the_check_pairs_seconds_of_the_same_camera() -> None:
         for camera, value in ((0, 10.0), (1, 90.0))
         for mode, shift in (("sf2", 0.0), ("rtof", 1.0))
     ]
-    (found,) = accuracy.against_sf2(rows)
+    (found,) = tables.against_sf2(rows)
     assert found["stretches"] == 4
     assert found["interval"] == pytest.approx([1.0, 1.0])
 
@@ -471,7 +474,7 @@ def test_the_check_pairs_seconds_of_the_same_camera() -> None:
 
 def all_rows(table: str) -> Iterator[dict[str, Any]]:
     """Planted rows of two motions for every case; a case's error is its place in the table."""
-    for i, case in enumerate(accuracy.cases(table)):
+    for i, case in enumerate(cases(table)):
         for motion in ("a", "b"):
             about: dict[str, Any] = {
                 "keypoints": case.keypoints, "sensors": case.sensors, "case": case.name
@@ -481,19 +484,19 @@ def all_rows(table: str) -> Iterator[dict[str, Any]]:
             yield row(motion, "rto" if case.sensors == "0" else "rtof", [10.0 + i], **about)
 
 
-@pytest.mark.parametrize("table", accuracy.TABLES)
+@pytest.mark.parametrize("table", TABLES)
 def test_every_table_has_every_case_and_the_row_of_zero_motion(table: str) -> None:
-    main, *_ = accuracy.TABLES[table](list(all_rows(table)))
+    main, *_ = TABLES[table](list(all_rows(table)))
     text = main.markdown()
     assert "zero motion" in text
-    for case in accuracy.cases(table):
+    for case in cases(table):
         wanted = f"| {case.keypoints} | {case.sensors} |" if table == "sensors" else case.name
         assert wanted in text
     assert all(len(line) == len(main.columns) == len(main.digits) for line in main.rows)
 
 
 def test_a_robustness_row_tells_its_cost_against_the_nominal_one() -> None:
-    main, phases = accuracy.robustness_tables(list(all_rows("robustness")))
+    main, phases = tables.robustness_tables(list(all_rows("robustness")))
     place = main.columns.index("+ rr")
     costs = {str(line[0]): line[place] for line in main.rows}
     assert costs["10 % outliers of 80 px"] == pytest.approx(1.0)
@@ -504,7 +507,7 @@ def test_a_robustness_row_tells_its_cost_against_the_nominal_one() -> None:
 
 
 def test_an_ablation_is_compared_with_the_nominal_row_of_its_sensors_and_2d() -> None:
-    (main,) = accuracy.ablation_tables(list(all_rows("ablation")))
+    (main,) = tables.ablation_tables(list(all_rows("ablation")))
     place = main.columns.index("+ rr")
     costs = {(line[0], line[1]): line[place] for line in main.rows}
     for kind in ("white", "realistic"):
@@ -517,7 +520,7 @@ def test_an_ablation_is_compared_with_the_nominal_row_of_its_sensors_and_2d() ->
 def test_a_case_without_a_single_solution_leaves_its_cells_empty() -> None:
     rows = [r for r in all_rows("robustness") if r["case"] != "focal length + 2 %"]
     rows.append({**row("a", "failed", [0.0], case="focal length + 2 %"), "error": "no"})
-    main, _ = accuracy.robustness_tables(rows)
+    main, _ = tables.robustness_tables(rows)
     (line,) = (line for line in main.rows if line[0] == "focal length + 2 %")
     assert {cell for cell in line[1:]} <= {None, "-"}
 
@@ -553,22 +556,22 @@ def test_jobs_that_are_done_are_not_run_again(
     def never(job: Job) -> None:
         raise AssertionError("run again")
 
-    monkeypatch.setattr(accuracy, "run", never)
+    monkeypatch.setattr(command, "run", never)
     kept = RowFile(tmp_path / "rows.jsonl", "v1")
     done = [row("moving", "rtof", [1.0])]
     kept.add(job().key, done)
-    assert accuracy.measure("robustness", [job()], kept, 1) == done
+    assert command.measure("robustness", [job()], kept, 1) == done
 
 
 def test_the_version_depends_on_the_options_and_nothing_that_changes_by_itself() -> None:
-    assert accuracy.version_of("sensors", 0) == accuracy.version_of("sensors", 0)
-    assert accuracy.version_of("sensors", 0) != accuracy.version_of("sensors", 1)
+    assert version_of("sensors", 0) == version_of("sensors", 0)
+    assert version_of("sensors", 0) != version_of("sensors", 1)
 
 
 def test_results_are_written_as_json_with_a_line_a_row(tmp_path: Path) -> None:
     rows = [row("a", "rtof", [1.0]), row("b", "rtof", [2.0])]
-    main, *_ = accuracy.robustness_tables(list(all_rows("robustness")))
-    text = accuracy.write(tmp_path / "accuracy_x", [main], {"seed": 0}, rows)
+    main, *_ = tables.robustness_tables(list(all_rows("robustness")))
+    text = command.write(tmp_path / "accuracy_x", [main], {"seed": 0}, rows)
     content = json.loads((tmp_path / "accuracy_x.json").read_text(encoding="utf-8"))
     assert content["rows"] == rows
     assert content["seed"] == 0
@@ -578,26 +581,26 @@ def test_results_are_written_as_json_with_a_line_a_row(tmp_path: Path) -> None:
 
 def test_the_command_in_the_results_names_no_place_of_this_machine() -> None:
     given = ["--corpus", "/a/b", "--out=/c/d", "--tables", "sensors", "--lifter", "/e.pt"]
-    options = accuracy._parser().parse_args(given)
-    assert accuracy._command(given, options) == (
+    options = command._parser().parse_args(given)
+    assert command._command(given, options) == (
         "python -m benchmarks.accuracy --corpus DIR --out=FOLDER --tables sensors --lifter FILE"
     )
 
 
 def test_of_the_first_table_all_cameras_are_taken_and_of_the_others_one_in_turn() -> None:
     motions = [replace(CLIP, name=name) for name in "abcdef"]
-    options = accuracy._parser().parse_args(["--corpus", "x", "--motions", "b,f"])
-    assert [j.key for j in accuracy.jobs("sensors", motions, options)] == [
+    options = command._parser().parse_args(["--corpus", "x", "--motions", "b,f"])
+    assert [j.key for j in command.jobs("sensors", motions, options)] == [
         *(f"b {c}" for c in range(4)), *(f"f {c}" for c in range(4)),
     ]  # fmt: skip
-    assert [j.key for j in accuracy.jobs("ablation", motions, options)] == ["b 1", "f 1"]
+    assert [j.key for j in command.jobs("ablation", motions, options)] == ["b 1", "f 1"]
 
 
 def test_an_unknown_motion_or_table_is_named_with_those_that_exist(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(accuracy, "clips", lambda corpus, subset: [CLIP])
+    monkeypatch.setattr(command, "clips", lambda corpus, subset: [CLIP])
     with pytest.raises(SystemExit, match="no motion walk; there are moving"):
-        accuracy.main(["--corpus", "x", "--motions", "walk"])
+        command.main(["--corpus", "x", "--motions", "walk"])
     with pytest.raises(SystemExit, match="no table speed; there are sensors, robustness, ablation"):
-        accuracy.main(["--corpus", "x", "--tables", "speed"])
+        command.main(["--corpus", "x", "--tables", "speed"])

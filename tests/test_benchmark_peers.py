@@ -14,20 +14,12 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from benchmarks import solvers
-from benchmarks.peers import (
-    Answer,
-    CartesianScene,
-    Ceres,
-    Fragment,
-    JointScene,
-    Lbfgs,
-    Scene,
-    ScipyLeastSquares,
-    Score,
-    Solver,
-    Trace,
-)
+from benchmarks.peers.cartesian import CartesianScene
+from benchmarks.peers.fragments import Answer, Fragment, Material, Score, Solver, Trace
+from benchmarks.peers.joint_space import JointScene
+from benchmarks.peers.solvers import Ceres, Lbfgs, Scene, ScipyLeastSquares
+from benchmarks.solvers import __main__ as command
+from benchmarks.solvers import alone, measuring, report, side_by_side
 from rtof_kin.errors import ShapeError
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK
@@ -40,7 +32,6 @@ N, T = 8, 24
 BODY = SkeletonModel.default()
 PAPER = FragmentSettings.paper()
 JOINT = JointSpaceSettings(sigma_reprojection=5.0)
-SPACES = ("cartesian", "joint")
 PEERS: dict[str, Callable[[Scene], Solver]] = {
     "L-BFGS": lambda scene: Lbfgs(scene, 20),
     "SciPy": lambda scene: ScipyLeastSquares(scene, 10),
@@ -49,27 +40,29 @@ PEERS: dict[str, Callable[[Scene], Solver]] = {
 
 
 @pytest.fixture(scope="module")
-def material() -> solvers.Material:
+def material() -> Material:
     """Somebody who moves, seen with errors."""
     truth = planted.human(BODY, T)
     imus = planted.bone_imus(BODY, truth.poses, planted.LIMBS, 5.0, 0.5)
     seen = planted.unseen(planted.keypoints(truth.poses, 5.0), slice(9, 12), slice(3, 5))
     start = InertialGuidedIK(BODY).refine(planted.lifted_poses(truth), imus)
-    return solvers.Material(BODY, start, seen, imus)
+    return Material(BODY, start, seen, imus)
 
 
 @pytest.fixture(scope="module")
-def scenes(material: solvers.Material) -> dict[str, Scene]:
-    m = material
-    return {
-        "cartesian": CartesianScene(m.skeleton, N, PAPER, m.start, m.keypoints, m.imus),
-        "joint": JointScene(m.skeleton, N, JOINT, m.start, m.keypoints, m.imus),
-    }
+def cartesian(material: Material) -> CartesianScene:
+    return CartesianScene(material, N, PAPER)
 
 
-@pytest.fixture(params=SPACES)
-def scene(request: pytest.FixtureRequest, scenes: dict[str, Scene]) -> Scene:
-    return scenes[request.param]
+@pytest.fixture(scope="module")
+def joint(material: Material) -> JointScene:
+    return JointScene(material, N, JOINT)
+
+
+@pytest.fixture(params=["cartesian", "joint"])
+def scene(request: pytest.FixtureRequest) -> Scene:
+    found: Scene = request.getfixturevalue(request.param)
+    return found
 
 
 def somewhere(scene: Scene, fragment: Fragment, seed: int = 0, size: float = 0.05) -> Array:
@@ -105,24 +98,17 @@ def least_squares_value(scene: Scene, fragment: Fragment, z: Array) -> tuple[flo
 
 
 @pytest.mark.parametrize("first", [-4, 8, 20])
-def test_autograd_has_the_packages_energy(scene: Scene, first: int) -> None:
-    fragment = scene.fragment(first)
-    z = somewhere(scene, fragment, first + 4)
-    score = scene.score(fragment, scene.state(fragment, z))
-    assert torch_value(scene, fragment, z)[0] == pytest.approx(score.energy, rel=1e-9)
-
-
-@pytest.mark.parametrize("first", [-4, 8, 20])
-def test_half_the_squares_of_the_residuals_are_the_packages_energy(
+def test_autograd_and_half_the_squares_of_the_residuals_have_the_packages_energy(
     scene: Scene, first: int
 ) -> None:
     fragment = scene.fragment(first)
     z = somewhere(scene, fragment, first + 4)
-    energy, gradient = least_squares_value(scene, fragment, z)
     score = scene.score(fragment, scene.state(fragment, z))
-    assert energy == pytest.approx(score.energy, rel=1e-9)
-    by_autograd = torch_value(scene, fragment, z)[1]
-    np.testing.assert_allclose(gradient, by_autograd, atol=1e-8 * np.abs(by_autograd).max())
+    by_autograd, slope = torch_value(scene, fragment, z)
+    by_squares, gradient = least_squares_value(scene, fragment, z)
+    assert by_autograd == pytest.approx(score.energy, rel=1e-9)
+    assert by_squares == pytest.approx(score.energy, rel=1e-9)
+    np.testing.assert_allclose(gradient, slope, atol=1e-8 * np.abs(slope).max())
 
 
 def test_residuals_have_finite_derivatives_at_the_start_and_where_nothing_is_seen(
@@ -134,22 +120,20 @@ def test_residuals_have_finite_derivatives_at_the_start_and_where_nothing_is_see
     assert energy == pytest.approx(scene.score(fragment, fragment.x0).energy, rel=1e-9)
 
 
-def test_the_gradient_by_steps_is_that_of_finite_differences(scenes: dict[str, Scene]) -> None:
-    scene = scenes["joint"]
-    fragment = scene.fragment(8)
-    z = somewhere(scene, fragment, size=0.3)
+def test_the_gradient_by_steps_is_that_of_finite_differences(joint: JointScene) -> None:
+    fragment = joint.fragment(8)
+    z = somewhere(joint, fragment, size=0.3)
     d = np.random.default_rng(1).normal(size=z.shape)
-    ahead, behind = (torch_value(scene, fragment, z + s * d)[0] for s in (1e-6, -1e-6))
-    slope = float(np.sum(torch_value(scene, fragment, z)[1] * d))
+    ahead, behind = (torch_value(joint, fragment, z + s * d)[0] for s in (1e-6, -1e-6))
+    slope = float(np.sum(torch_value(joint, fragment, z)[1] * d))
     assert slope == pytest.approx((ahead - behind) / 2e-6, rel=1e-6)
 
 
-def test_the_cartesian_gradient_is_the_packages(scenes: dict[str, Scene]) -> None:
-    scene = scenes["cartesian"]
-    fragment = scene.fragment(8)
-    z = somewhere(scene, fragment)
-    gradient = np.abs(torch_value(scene, fragment, z)[1]).max()
-    assert scene.score(fragment, z).gradient == pytest.approx(gradient, rel=1e-9)
+def test_the_cartesian_gradient_is_the_packages(cartesian: CartesianScene) -> None:
+    fragment = cartesian.fragment(8)
+    z = somewhere(cartesian, fragment)
+    gradient = np.abs(torch_value(cartesian, fragment, z)[1]).max()
+    assert cartesian.score(fragment, z).gradient == pytest.approx(gradient, rel=1e-9)
 
 
 # --- the peers -----------------------------------------------------------------------------------
@@ -164,7 +148,7 @@ def test_each_peer_lowers_the_energy_and_tells_how(scene: Scene, peer: str) -> N
     assert energy < 0.9 * start
     assert answer.seconds > 0
     assert answer.iterations > 2
-    curve = solvers.curve(scene, fragment, trace)
+    curve = measuring.curve(scene, fragment, trace)
     seconds, energies = np.array(curve).T
     assert np.all(np.diff(seconds) >= 0)
     assert seconds[-1] <= answer.seconds
@@ -182,15 +166,14 @@ def test_a_peer_gives_the_same_answer_twice_whatever_it_solved_between(
     np.testing.assert_array_equal(solver.solve(scene.fragment(8), []).x, one)
 
 
-def test_ceres_and_the_packages_solvers_find_one_minimum(scenes: dict[str, Scene]) -> None:
-    cartesian, joint = scenes["cartesian"], scenes["joint"]
-    assert isinstance(cartesian, CartesianScene)
-    assert isinstance(joint, JointScene)
+def test_ceres_and_the_packages_solvers_find_one_minimum(
+    cartesian: CartesianScene, joint: JointScene
+) -> None:
     own: list[tuple[Scene, Solver]] = [
-        (cartesian, solvers.Cartesian(cartesian, settings))
-        for settings in solvers.CARTESIAN_BACKENDS.values()
+        (cartesian, side_by_side.Cartesian(cartesian, settings))
+        for settings in side_by_side.CARTESIAN_BACKENDS.values()
     ]
-    own.append((joint, solvers.Joint(joint, LevenbergMarquardt, None, 1e-10, 200)))
+    own.append((joint, side_by_side.Joint(joint, LevenbergMarquardt, None, 1e-10, 200)))
     for scene, solver in own:
         fragment, ceres = scene.fragment(8), Ceres(scene, 100)
         answers = [s.solve(fragment) for s in (solver, ceres)]
@@ -200,10 +183,9 @@ def test_ceres_and_the_packages_solvers_find_one_minimum(scenes: dict[str, Scene
         assert 0 < ceres.shares[0] < 1
 
 
-def test_l_bfgs_says_whether_it_stopped_by_itself(scenes: dict[str, Scene]) -> None:
-    scene = scenes["cartesian"]
-    fragment = scene.fragment(8)
-    cut_short = Lbfgs(scene, 3).solve(fragment)
+def test_l_bfgs_says_whether_it_stopped_by_itself(cartesian: CartesianScene) -> None:
+    fragment = cartesian.fragment(8)
+    cut_short = Lbfgs(cartesian, 3).solve(fragment)
     assert cut_short.iterations == 3
     assert not cut_short.converged
 
@@ -218,11 +200,10 @@ def test_l_bfgs_says_whether_it_stopped_by_itself(scenes: dict[str, Scene]) -> N
     ],
 )
 def test_an_energy_that_is_not_the_printed_one_is_refused(
-    material: solvers.Material, settings: FragmentSettings
+    material: Material, settings: FragmentSettings
 ) -> None:
-    m = material
     with pytest.raises(ShapeError, match="printed alone: use FragmentSettings.paper"):
-        CartesianScene(m.skeleton, N, settings, m.start, m.keypoints, m.imus)
+        CartesianScene(material, N, settings)
 
 
 @pytest.mark.parametrize(
@@ -234,50 +215,43 @@ def test_an_energy_that_is_not_the_printed_one_is_refused(
     ],
 )
 def test_joint_space_settings_the_peers_do_not_know_are_refused(
-    material: solvers.Material, change: dict[str, Any], what: str
+    material: Material, change: dict[str, Any], what: str
 ) -> None:
-    m = material
     with pytest.raises(ShapeError, match=what):
-        JointScene(m.skeleton, N, replace(JOINT, **change), m.start, m.keypoints, m.imus)
+        JointScene(material, N, replace(JOINT, **change))
 
 
 # --- the evaluator -------------------------------------------------------------------------------
 
 
-def test_a_limit_that_is_missed_is_scored_in_degrees(scenes: dict[str, Scene]) -> None:
-    scene = scenes["joint"]
-    assert isinstance(scene, JointScene)
-    fragment, space = scene.fragment(8), scene.space
+def test_a_limit_that_is_missed_is_scored_in_degrees(joint: JointScene) -> None:
+    fragment, space = joint.fragment(8), joint.space
     x = fragment.x0.copy()
-    inside = scene.score(fragment, x).violation_deg
-    knee = scene.limits.names.index("LeftLeg_y")
+    inside = joint.score(fragment, x).violation_deg
+    knee = joint.limits.names.index("LeftLeg_y")
     a = space.names.index("LeftLeg")
-    axis, beyond = space.hinge_axis[a], scene.limits.upper[knee] + np.radians(10.0)
+    axis, beyond = space.hinge_axis[a], joint.limits.upper[knee] + np.radians(10.0)
     x[2, 3 + 4 * a : 7 + 4 * a] = 0.0
     x[2, 3 + 4 * a] = np.cos(beyond / 2)
     x[2, 4 + 4 * a + axis] = np.sin(beyond / 2)
     assert inside < 10.0
-    assert scene.score(fragment, x).violation_deg == pytest.approx(10.0, abs=1e-6)
+    assert joint.score(fragment, x).violation_deg == pytest.approx(10.0, abs=1e-6)
 
 
-def test_multipliers_enter_the_gradient(scenes: dict[str, Scene]) -> None:
-    scene = scenes["joint"]
-    assert isinstance(scene, JointScene)
-    fragment = scene.fragment(8)
-    multipliers = np.zeros((N, len(scene.limits.names)))
-    plain = scene.score(fragment, fragment.x0)
-    assert scene.score(fragment, fragment.x0, multipliers) == plain
+def test_multipliers_enter_the_gradient(joint: JointScene) -> None:
+    fragment = joint.fragment(8)
+    multipliers = np.zeros((N, len(joint.limits.names)))
+    plain = joint.score(fragment, fragment.x0)
+    assert joint.score(fragment, fragment.x0, multipliers) == plain
     multipliers[3] = 1e6
-    pushed = scene.score(fragment, fragment.x0, multipliers)
+    pushed = joint.score(fragment, fragment.x0, multipliers)
     assert pushed.energy == plain.energy
     assert pushed.gradient > 2 * plain.gradient
 
 
-def test_ipopt_and_real_time_agree_on_planted_fragments(scenes: dict[str, Scene]) -> None:
-    scene = scenes["joint"]
-    assert isinstance(scene, JointScene)
+def test_ipopt_and_real_time_agree_on_planted_fragments(joint: JointScene) -> None:
     told: list[str] = []
-    found = solvers.agreement(scene, [4, 8], told.append)
+    found = side_by_side.agreement(joint, [4, 8], told.append)
     assert len(told) == 2
     assert found["fragments"] == 2
     parts = ("different_minima", "not_certified_by_both")
@@ -290,8 +264,8 @@ def test_ipopt_and_real_time_agree_on_planted_fragments(scenes: dict[str, Scene]
 # --- tables --------------------------------------------------------------------------------------
 
 
-def row(name: str, energies: dict[int, float], seconds: float = 0.05) -> solvers.Row:
-    out = solvers.Row(name)
+def row(name: str, energies: dict[int, float], seconds: float = 0.05) -> measuring.Row:
+    out = measuring.Row(name)
     for first, energy in energies.items():
         x = np.zeros(1)
         out.add(
@@ -302,7 +276,7 @@ def row(name: str, energies: dict[int, float], seconds: float = 0.05) -> solvers
 
 def test_an_answer_is_compared_with_the_best_of_the_same_fragment() -> None:
     rows = [row("a", {0: 2.0, 25: 8.0, 50: 3.0}), row("b", {25: 4.0}), row("c", {0: 1.0, 50: 3.0})]
-    a, b, c = solvers.summaries(rows, 25)
+    a, b, c = measuring.summaries(rows, 25)
     assert a["ratio_to_best"] == pytest.approx(2.0)
     assert a["largest_ratio"] == pytest.approx(2.0)
     assert b["ratio_to_best"] == c["largest_ratio"] == pytest.approx(1.0)
@@ -314,14 +288,14 @@ def test_an_answer_is_compared_with_the_best_of_the_same_fragment() -> None:
 
 
 def test_what_took_no_time_has_no_rate() -> None:
-    (start,) = solvers.summaries([row("start", {0: 1.0}, seconds=0.0)], 25)
+    (start,) = measuring.summaries([row("start", {0: 1.0}, seconds=0.0)], 25)
     assert start["milliseconds"] is None
     assert start["frames_per_second"] is None
 
 
 def test_a_table_has_a_line_for_each_row_and_dashes_for_what_is_missing() -> None:
-    columns: solvers.Columns = {"name": ("solver", str), "ms": ("time [ms]", solvers.digits(1))}
-    lines = solvers.table(
+    columns: report.Columns = {"name": ("solver", ""), "ms": ("time [ms]", ".1f")}
+    lines = report.table(
         [{"name": "a", "ms": 1.25}, {"name": "b", "ms": None}, {"name": "c"}], columns
     )
     assert lines.splitlines() == [
@@ -330,15 +304,15 @@ def test_a_table_has_a_line_for_each_row_and_dashes_for_what_is_missing() -> Non
 
 
 def test_fragments_are_spread_from_the_first_to_the_last() -> None:
-    assert solvers.spread(3, 50, 150) == [-25, 50, 125]
-    assert solvers.spread(99, 50, 100) == [-25, 0, 25, 50, 75]
+    assert measuring.spread(3, 50, 150) == [-25, 50, 125]
+    assert measuring.spread(99, 50, 100) == [-25, 0, 25, 50, 75]
 
 
 def test_slow_solvers_get_some_of_the_fragments_the_typical_one_among_them(
-    scenes: dict[str, Scene],
+    joint: JointScene,
 ) -> None:
-    effort = replace(solvers.Effort.quick(), fragments=5, slow_fragments=2)
-    choice = solvers.Choice.of(scenes["joint"], effort, T)
+    effort = replace(measuring.Effort.quick(), fragments=5, slow_fragments=2)
+    choice = measuring.Choice.of(joint, effort, T)
     assert len(choice.firsts) == 5
     assert len(choice.slow) == 2
     assert choice.typical in choice.slow
@@ -346,24 +320,21 @@ def test_slow_solvers_get_some_of_the_fragments_the_typical_one_among_them(
     assert all(0 <= first <= T - N for first in choice.slow)
 
 
-def test_rising_caps_end_where_the_solver_converges(scenes: dict[str, Scene]) -> None:
-    scene = scenes["joint"]
-    assert isinstance(scene, JointScene)
-
+def test_rising_caps_end_where_the_solver_converges(joint: JointScene) -> None:
     def capped(cap: int) -> Solver:
-        return solvers.Joint(scene, LevenbergMarquardt, None, 1e-6, cap)
+        return side_by_side.Joint(joint, LevenbergMarquardt, None, 1e-6, cap)
 
-    fragment = scene.fragment(8)
-    trace = solvers.rising(capped, fragment, range(1, 60), 1)
+    fragment = joint.fragment(8)
+    trace = measuring.rising(capped, fragment, range(1, 60), 1)
     assert 3 < len(trace) < 59
     assert trace[0][0] == 0.0
     assert np.all(np.diff([seconds for seconds, _ in trace]) >= 0)
-    energies = [energy for _, energy in solvers.curve(scene, fragment, trace)]
-    assert energies[0] == pytest.approx(scene.score(fragment, fragment.x0).energy)
+    energies = [energy for _, energy in measuring.curve(joint, fragment, trace)]
+    assert energies[0] == pytest.approx(joint.score(fragment, fragment.x0).energy)
     assert energies[-1] < 0.9 * energies[0]
 
 
-def test_a_recording_is_tiled_to_and_fro(material: solvers.Material) -> None:
+def test_a_recording_is_tiled_to_and_fro(material: Material) -> None:
     long = material.tiled(3 * T)
     p = long.start.p_world_joint
     np.testing.assert_array_equal(p[:T], material.start.p_world_joint)
@@ -376,7 +347,7 @@ def test_a_recording_is_tiled_to_and_fro(material: solvers.Material) -> None:
 
 def result() -> dict[str, Any]:
     """Everything that is written, with made-up numbers."""
-    rows = solvers.summaries([row("start (SF2)", {0: 9.0}, 0.0), row("real time", {0: 1.0})], 25)
+    rows = measuring.summaries([row("start (SF2)", {0: 9.0}, 0.0), row("real time", {0: 1.0})], 25)
     answers = {"energy": 1.0, "gradient": 0.1, "violation_deg": 0.0}
     apart = {
         "first_frame": 300, "distance_mm": 12.0, "real_time": answers,
@@ -392,7 +363,7 @@ def result() -> dict[str, Any]:
     }  # fmt: skip
     return {
         "command": "python -m benchmarks.solvers", "machine": {"threads": "1"},
-        "effort": asdict(solvers.Effort()), "cartesian": {"rows": rows, **common},
+        "effort": asdict(measuring.Effort()), "cartesian": {"rows": rows, **common},
         "joint": {
             "without_limits": rows, "with_limits": rows, "agreement": agreement, **common,
             "degrees_of_freedom": {"per_frame": 43, "per_fragment": 2150},
@@ -409,7 +380,7 @@ def result() -> dict[str, Any]:
 
 
 def test_the_text_has_every_table_and_the_fragments_that_are_not_certified() -> None:
-    text = solvers.markdown(json.loads(json.dumps(result(), allow_nan=False)))
+    text = report.markdown(json.loads(json.dumps(result(), allow_nan=False)))
     assert text.count("| real time | 50.0 |") == 3
     assert "| start (SF2) | - |" in text
     assert "43 degrees of freedom a frame, 2150 a fragment" in text
@@ -423,18 +394,18 @@ def test_the_text_has_every_table_and_the_fragments_that_are_not_certified() -> 
 
 def test_the_figure_is_drawn(tmp_path: Path) -> None:
     path = tmp_path / "solvers.png"
-    solvers.figure(result(), path)
+    report.figure(result(), path)
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_command_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
-        solvers.main(["--help"])
+        command.main(["--help"])
     assert "--quick" in capsys.readouterr().out
 
 
 def test_memory_is_told_in_megabytes() -> None:
-    before = solvers.resident_mb()
+    before = alone.resident_mb()
     kept = np.ones(25_000_000)
-    assert 100 < solvers.resident_mb() - before < 300
+    assert 100 < alone.resident_mb() - before < 300
     assert len(kept)

@@ -27,7 +27,8 @@ io.asf_amc   io.bvh   io.joint_trajectory   io.motion_npz   io.object_npz   io.t
 cartesian_banded   joint_space.prior   joint_space.state
 cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem
-joint_space.ipopt
+joint_space.annealing   joint_space.bordered   joint_space.building
+joint_space.ipopt   joint_space.observations
 joint_space.solver
 fragment
 recording_files   mocap_families   simulation_noise

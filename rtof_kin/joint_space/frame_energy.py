@@ -11,6 +11,10 @@ and G^T r to its force. A joint moves everything beyond it, so it sees the sums 
 the twist of joint i, the Hessian's block of joints i and j (j beyond i) is S_i^T K_j S_j: the
 composite-rigid-body algorithm (Featherstone 2008, ch. 6), with stiffness in place of inertia. It needs a
 fraction of the products that Jacobians of single residuals would.
+
+What may be wrong all through a fragment (`UNKNOWNS`), y, is the same for all frames. With Y the
+derivative of a residual by y, its segment's cross block takes G^T Y; that is summed over subtrees too,
+and S_i^T times it are the rows of joint i. They and Y^T Y border the Hessian (`bordered`).
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import energies
+from rtof_kin.errors import ShapeError, UnknownNameError
 from rtof_kin.joint_space.state import StateSpace
 
 Array = NDArray[np.float64]
@@ -36,6 +41,17 @@ TERMS = ("visual", "orientation", "torso", "bone", "root", "floor", "prior")
 TORSO = ("Hips", "Spine3")
 """Segments whose orientation may be anchored to the start's."""
 FEET = ("LeftFoot", "RightFoot")
+UNKNOWNS = ("scale", "delay", "heading", "mounting", "landmarks")
+"""What may be wrong all through a fragment, by y; all are zero where nothing is.
+
+scale (1): bones, places of landmarks and lever arms are 1 + y times as long; the start's bones, which are
+    directions, are compared as they are.
+delay (1): the video shows what was y seconds before its stamp.
+heading (S): each sensor's reference is to be turned by y rad about world's z.
+mounting (3S): each sensor's segment is turned by a rotation vector y, rad in the segment's axes, from
+    where the sensor says it is: ``R_world_bone = R_measured @ exp(y)``.
+landmarks (3L): each landmark is y metres from its place, in its segment's frame.
+"""
 
 
 @dataclass(frozen=True)
@@ -53,16 +69,72 @@ class Shape:
     feet: tuple[int, ...]
     robust_orientation: float
     floor_cutoff: float
+    unknowns: tuple[str, ...] = ()
+    """Which of `UNKNOWNS` are estimated, in the order in which they stand in y."""
+
+    def __post_init__(self) -> None:
+        if unknown := set(self.unknowns) - set(UNKNOWNS):
+            raise UnknownNameError("quantity to estimate", sorted(unknown), UNKNOWNS)
+        if len(set(self.unknowns)) < len(self.unknowns):
+            raise ShapeError(f"unknowns {self.unknowns}: name each once")
+
+    @property
+    def columns(self) -> dict[str, slice]:
+        """Where each unknown stands in y (G,): by sensor or landmark, then by axis."""
+        S, L = len(self.sensors), len(self.landmarks)
+        widths = {"scale": 1, "delay": 1, "heading": S, "mounting": 3 * S, "landmarks": 3 * L}
+        stops = np.cumsum([widths[name] for name in self.unknowns]).tolist()
+        return {n: slice(stop - widths[n], stop) for n, stop in zip(self.unknowns, stops, strict=True)}
+
+    @property
+    def unknown_count(self) -> int:
+        """G."""
+        return max((part.stop for part in self.columns.values()), default=0)
+
+
+class _Unknowns:
+    """What is known and observed, as y changes it; as it is where that is not estimated."""
+
+    def __init__(self, shape: Shape) -> None:
+        self.y = ca.SX.sym("y", shape.unknown_count)
+        self._of = {name: self.y[part] for name, part in shape.columns.items()}
+
+    def scaled(self, v: Any) -> Any:
+        """A vector in a segment."""
+        return (1 + self._of["scale"]) * v if "scale" in self._of else v
+
+    def seen(self, i: int, observation: dict[str, Any]) -> Any:
+        """A landmark in the picture, px."""
+        uv = observation["uv_px"][:, i]
+        return uv + self._of["delay"] * observation["duv_px"][:, i] if "delay" in self._of else uv
+
+    def place(self, i: int) -> Any:
+        """What comes on top of a landmark's place, m; None where nothing does."""
+        return self._of["landmarks"][3 * i : 3 * i + 3] if "landmarks" in self._of else None
+
+    def orientation(self, s: int, q: Any) -> Any:
+        """Of a segment, from what its sensor measured."""
+        if "heading" in self._of:
+            half = self._of["heading"][s] / 2
+            q = energies.quat_multiply(ca.vertcat(ca.cos(half), 0, 0, ca.sin(half)), q)
+        if "mounting" in self._of:
+            v = self._of["mounting"][3 * s : 3 * s + 3]
+            angle = ca.sqrt(ca.sumsqr(v) + 1e-18)
+            q = energies.quat_multiply(q, ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) / angle * v))
+        return q
 
 
 class _Composite:
     """Energy, and stiffness and force of every segment's subtree, as residuals are added."""
 
-    def __init__(self, parents: Sequence[int], p: list[Any], R: list[Any]) -> None:
-        self._parents, self._p, self._R = parents, p, R
+    def __init__(self, parents: Sequence[int], p: list[Any], R: list[Any], y: Any) -> None:
+        self._parents, self._p, self._R, self._y = parents, p, R, y
         self.values: dict[str, Any] = dict.fromkeys(TERMS, ca.SX(0))
         self.stiffness = [ca.SX(6, 6) for _ in parents]
         self.force = [ca.SX(6, 1) for _ in parents]
+        G = y.numel()
+        self.cross = [ca.SX(6, G) for _ in parents]
+        self.y_force, self.y_stiffness = ca.SX(G, 1), ca.SX(G, G)
 
     def point(self, j: int, point: Any) -> Any:
         """(3, 6) derivative of a point of segment j by the segment's twist."""
@@ -89,6 +161,11 @@ class _Composite:
         self.values[term] += 0.5 * value
         self.force[j] += G.T @ (weight * slope * r)
         self.stiffness[j] += ca.tril2symm(ca.tril((G.T * (weight * slope)) @ G))
+        if self._y.numel():
+            Y = ca.jacobian(r, self._y)
+            self.cross[j] += (G.T * (weight * slope)) @ Y
+            self.y_force += Y.T @ (weight * slope * r)
+            self.y_stiffness += ca.tril2symm(ca.tril((Y.T * (weight * slope)) @ Y))
 
     def collect(self, extra: dict[int, Any]) -> tuple[list[Any], list[Any]]:
         """Stiffness and force of whole subtrees; `extra` forces on segments come on top."""
@@ -100,6 +177,13 @@ class _Composite:
             force[self._parents[j]] = force[self._parents[j]] + force[j]
         return stiffness, force
 
+    def collect_cross(self) -> list[Any]:
+        """(6, G) of whole subtrees, by twist and y."""
+        cross = list(self.cross)
+        for j in range(len(self._parents) - 1, 0, -1):
+            cross[self._parents[j]] = cross[self._parents[j]] + cross[j]
+        return cross
+
 
 class FrameEnergy:
     """CasADi functions of one frame.
@@ -109,6 +193,10 @@ class FrameEnergy:
             sensors' positions (3S), their Jacobian (3S, D), reprojection residuals (2L) in px.
         value: the same inputs -> energies, sensors' positions, reprojection residuals.
         gradient: and the force on the sensors' positions (3S) -> gradient with it.
+
+    With G unknowns, `full` also gives the gradient by them (G), the rows of the Hessian between state and
+    unknowns (D, G), that of the unknowns (G, G), and the derivative of the sensors' positions by them
+    (3S, G); `gradient` also gives the one by them (G).
     """
 
     def __init__(self, space: StateSpace, shape: Shape) -> None:
@@ -134,12 +222,18 @@ class FrameEnergy:
             "quat_mean": ca.SX.sym("qm", 4, A - 1), "precision": ca.SX.sym("P", 3 * A - 3, 3 * A - 3),
             "floor": ca.SX.sym("f"),
         }  # fmt: skip
+        self._unknowns = _Unknowns(shape)
+        y, border = self._unknowns.y, shape.unknown_count > 0
+        if "delay" in shape.unknowns:
+            self.observation["duv_px"] = ca.SX.sym("duv", 2, L)  # px/s
+        if border:
+            self.constant["unknowns"] = y
         self._local = [quats[:, a] for a in range(A)]
         self._forward(p_root)
-        self._total = _Composite(parents, self._p, self._R)
+        self._total = _Composite(parents, self._p, self._R, y)
         residuals = self._observed()
         sensors = [
-            self._p[j] + self._R[j] @ self.constant["levers"][:, s]
+            self._p[j] + self._R[j] @ self._unknowns.scaled(self.constant["levers"][:, s])
             for s, j in enumerate(shape.sensors)
         ]
         force = ca.SX.sym("force", 3 * S)
@@ -157,15 +251,16 @@ class FrameEnergy:
         energy = ca.vertcat(*(self._total.values[term] for term in TERMS))
         outputs = [ca.densify(v) for v in (energy, points, ca.vertcat(*residuals))]
         J = self._sensor_jacobian(sensors, twists)
+        bordering, pulled_y = self._border(points, force, twists) if border else ([], [])
         option = {"cse": True}
         self.full = ca.Function(
             "full", inputs,
             [outputs[0], *(ca.densify(v) for v in (gradient, hessian)), outputs[1], ca.densify(J),
-             outputs[2]], option,
+             outputs[2], *bordering], option,
         )  # fmt: skip
         self.value = ca.Function("value", inputs, outputs, option)
         pulled = ca.densify(self._composed(forces)[0])
-        self.gradient = ca.Function("gradient", [*inputs, force], [pulled], option)
+        self.gradient = ca.Function("gradient", [*inputs, force], [pulled, *pulled_y], option)
 
     def functions(self) -> list[Any]:
         """All functions, in the order in which they are compiled together."""
@@ -185,7 +280,7 @@ class FrameEnergy:
                 q, p = local[j], p_root
             else:
                 q = energies.quat_multiply(self._q[parent], local[j]) if j in local else self._q[parent]
-                p = self._p[parent] + self._R[parent] @ offsets[:, j]
+                p = self._p[parent] + self._R[parent] @ self._unknowns.scaled(offsets[:, j])
             self._q.append(q)
             self._p.append(p)
             self._R.append(energies.quat_matrix(q) if j in local else self._R[parent])
@@ -193,12 +288,14 @@ class FrameEnergy:
     def _observed(self) -> list[Any]:
         """Add everything observed; the reprojection residuals."""
         O, C, shape, total = self.observation, self.constant, self.shape, self._total
-        p, R, q = self._p, self._R, self._q
+        p, R, q, unknowns = self._p, self._R, self._q, self._unknowns
 
         def pixels(i: int) -> Residual:
+            uv = unknowns.seen(i, O)
+
             def residual(point: Any) -> Any:
                 camera = C["R_camera_world"] @ point + C["t_camera_world"]
-                return energies.reprojection(camera, O["uv_px"][:, i], C["K"])
+                return energies.reprojection(camera, uv, C["K"])
 
             return residual
 
@@ -211,12 +308,15 @@ class FrameEnergy:
 
         visual, robust = [], _pseudo_huber(O["knee_visual"])
         for i, (j, is_joint) in enumerate(shape.landmarks):
-            point = p[j] if is_joint else p[j] + R[j] @ C["places"][:, i]
+            point = p[j] if is_joint else p[j] + R[j] @ unknowns.scaled(C["places"][:, i])
+            if (more := unknowns.place(i)) is not None:
+                point = point + R[j] @ more
             weight = O["w_visual"][i]
             visual.append(total.add_point("visual", j, point, pixels(i), weight, robust))
         robust = _pseudo_huber(shape.robust_orientation)
         for s, j in enumerate(shape.sensors):
-            W, measured = ca.reshape(C["whitening"][:, s], 3, 3), O["quat_sensor"][:, s]
+            W = ca.reshape(C["whitening"][:, s], 3, 3)
+            measured = unknowns.orientation(s, O["quat_sensor"][:, s])
             turn = orientation(j, measured, W)
             total.add_turn("orientation", j, turn, O["w_sensor"][s], robust)
         for i, j in enumerate(shape.torso):
@@ -256,6 +356,16 @@ class FrameEnergy:
                 i = parents[i]
         self._add_prior(gradient, hessian)
         return gradient, hessian, twists
+
+    def _border(self, points: Any, force: Any, twists: dict[int, Any]) -> tuple[list[Any], list[Any]]:
+        """What `full` and `gradient` give with unknowns."""
+        total, cross = self._total, self._total.collect_cross()
+        J = ca.jacobian(points, self._unknowns.y)
+        rows = ca.SX(self.space.size, self._unknowns.y.numel())
+        for j, twist in twists.items():
+            rows[self.space.columns(j), :] = twist.T @ cross[j]
+        pulled = ca.densify(total.y_force + J.T @ force)
+        return [ca.densify(v) for v in (total.y_force, rows, total.y_stiffness, J)], [pulled]
 
     def _add_prior(self, gradient: Any, hessian: Any) -> None:
         """The quadratic form of all joints' rotations together."""

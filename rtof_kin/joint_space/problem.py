@@ -7,6 +7,9 @@
 Single frames come from `FrameEnergy`. The acceleration of a sensor reaches one frame to each side, so its
 blocks of the Hessian lie up to two frames off the diagonal. Jerk (`jerk`) is that of the tangent
 coordinates and reaches three frames, but couples each joint with itself alone.
+
+Unknowns of the whole fragment (`frame_energy.UNKNOWNS`) stay what `bind` or `set_unknowns` says; what a
+solver that moves them needs beside (`bordered`) is in `gradients` and `border`.
 """
 
 from __future__ import annotations
@@ -21,8 +24,10 @@ from numpy.typing import NDArray
 
 from rtof_kin import energies
 from rtof_kin import quaternions as quat
+from rtof_kin import rotations as so3
 from rtof_kin.banded import Factor, factorise
 from rtof_kin.compiled import Buffered
+from rtof_kin.errors import ShapeError
 from rtof_kin.joint_space import frame_energy
 from rtof_kin.joint_space.jerk import Jerk
 from rtof_kin.joint_space.state import StateSpace
@@ -71,6 +76,9 @@ class JointProblem:
             _temporal(3 * len(energy.shape.sensors), space.size, frames, robust_acceleration)
         )
         self._band = np.zeros((frames, space.size, 4 * space.size + _BEYOND))
+        self._heading = energy.shape.columns.get("heading")
+        self._y = np.zeros(energy.shape.unknown_count)
+        self._border = (np.zeros(0), np.zeros((0, 0, 0)), np.zeros((0, 0)))
         self._now: _Evaluation | None = None
 
     def bind(self, data: FragmentData) -> None:
@@ -85,6 +93,7 @@ class JointProblem:
             mapped.inputs[1][:] = rows.ravel()
             mapped.inputs[2].reshape(self.frames, -1)[:] = fixed
         self._jerk.bind(data.w_jerk, data.rate_hz)
+        self._y = np.array(data.constant["unknowns"], float) if len(self._y) else self._y
 
     def reweigh(self, name: str, weight: Array) -> None:
         """Replace the weights (N, ...) of one kind of observation."""
@@ -97,6 +106,20 @@ class JointProblem:
         for mapped in (self._full, self._value, self._gradient):
             inputs = mapped.inputs[1].reshape(self.frames, -1)
             inputs[:, first : first + rows.shape[1]] = rows
+
+    def set_unknowns(self, y: Array) -> None:
+        """Replace the value (G,) of the unknowns.
+
+        Raises:
+            ShapeError: there is another number of them.
+        """
+        if y.shape != self._y.shape:
+            raise ShapeError(f"unknowns {y.shape}: give all {len(self._y)}")
+        if np.array_equal(y, self._y):
+            return
+        self._now, self._y = None, np.array(y, float)
+        for mapped in (self._full, self._value, self._gradient):
+            mapped.inputs[2].reshape(self.frames, -1)[:, -len(y) :] = y
 
     def retract(self, x: Array, step: Array) -> Array:
         """The state after a step (N, D)."""
@@ -113,22 +136,41 @@ class JointProblem:
 
     def gradient(self, x: Array) -> Array:
         """(N, D) of the energy in tangent coordinates at x."""
-        now = self._at(x)
+        return self.gradients(x)[0]
+
+    def gradients(self, x: Array) -> tuple[Array, Array]:
+        """The same, and the gradient (G,) by the unknowns."""
+        now, N = self._at(x), self.frames
         self._gradient.inputs[3][:] = now.force.ravel()
-        (g,) = self._gradient(x.ravel())
-        return np.asarray(g.reshape(self.frames, -1) + self._jerk.gradient(now.inverse, now.pull))
+        g, *more = self._gradient(x.ravel())
+        gradient = np.asarray(g.reshape(N, -1) + self._jerk.gradient(now.inverse, now.pull))
+        if not more:
+            return gradient, np.zeros(0)
+        by_y = more[0].reshape(N, -1).sum(axis=0)
+        if (part := self._heading) is not None:
+            pulled = np.repeat(now.slope, 3, axis=1) * self._off(now)
+            turned = _z_cross(self._a_world).reshape(pulled.shape)
+            by_y[part] -= np.sum(turned * pulled, axis=0).reshape(-1, 3).sum(axis=1)
+        return gradient, by_y
 
     def linearise(self, x: Array) -> tuple[float, Array]:
         """Energy and gradient (N, D); the Hessian is kept for `factorise`."""
         now, N, D = self._at(x), self.frames, self.space.size
-        _, g, H, _, J, _ = self._full(x.ravel())
+        _, g, H, _, J, _, *border = self._full(x.ravel())
         A = J.reshape(N, D, -1)
         gradient = g.reshape(N, D) + self._jerk.gradient(now.inverse, now.pull)
         if A.shape[2]:
             gradient += np.matmul(A, now.force[:, :, None])[..., 0]
         self._assemble(H.reshape(N, D, D), A, now.slope)
         self._jerk.add_hessian(now.inverse, self._band)
+        if border:
+            self._border = self._bordered(now, A, border)
         return sum(now.terms), gradient
+
+    def border(self) -> tuple[Array, Array, Array]:
+        """What borders the Hessian kept: the gradient (G,) by the unknowns, the Hessian's columns
+        (N, D, G) of the unknowns, and its corner (G, G)."""
+        return self._border
 
     def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
         """Add to entries of the diagonal blocks of the Hessian kept."""
@@ -169,14 +211,49 @@ class JointProblem:
         N, data, steps = self.frames, self._data, self._steps(x)
         terms, points, residuals = self._value(x.ravel())
         out = self._temporal(
-            points, self._tangent(steps).ravel(), data.a_world.ravel(), data.w_acceleration.ravel(),
+            points, self._tangent(steps).ravel(), self._a_world.ravel(), data.w_acceleration.ravel(),
             data.w_jerk, np.array([data.rate_hz]), self.sigma_jerk,
         )  # fmt: skip
         shapes = (N, N - 1, N - 2)
         force, pull, slope = (v.reshape(n, -1) for v, n in zip(out[2:], shapes, strict=True))
         values = [*terms.reshape(N, -1).sum(axis=0).tolist(), float(out[0][0]), float(out[1][0])]
-        self._now = _Evaluation(x, values, residuals, steps, force, pull, slope)
+        self._now = _Evaluation(x, values, points, residuals, steps, force, pull, slope)
         return self._now
+
+    @property
+    def _a_world(self) -> Array:
+        """(N - 2, S, 3) as measured, turned by the sensors' headings."""
+        part, a = self._heading, self._data.a_world
+        return a if part is None else (so3.about_axis("z", self._y[part]) @ a[..., None])[..., 0]
+
+    def _off(self, now: _Evaluation) -> Array:
+        """(N - 2, 3S) acceleration minus the measured one, m/s^2."""
+        p = now.points.reshape(self.frames, -1)
+        return np.asarray(
+            np.diff(p, n=2, axis=0) * self._data.rate_hz**2 - self._a_world.reshape(len(p) - 2, -1)
+        )
+
+    def _bordered(self, now: _Evaluation, A: Array, parts: list[Array]) -> tuple[Array, Array, Array]:
+        """The sum over frames, and the accelerations: with Y their derivative by y, A^T W Y and so on."""
+        N, D, G, square = self.frames, self.space.size, len(self._y), self._data.rate_hz**2
+        g, C, H = parts[0].reshape(N, G), parts[1].reshape(N, G, D), parts[2].reshape(N, G, G)
+        by_y, rows, corner = g.sum(axis=0), np.swapaxes(C, 1, 2).copy(), H.sum(axis=0)
+        if not A.shape[2]:
+            return by_y, rows, corner
+        Y = np.swapaxes(np.diff(parts[3].reshape(N, G, -1), n=2, axis=0), 1, 2) * square
+        if (part := self._heading) is not None:
+            turned = _z_cross(self._a_world)
+            for s in range(turned.shape[1]):
+                Y[:, 3 * s : 3 * s + 3, part.start + s] -= turned[:, s]
+        w = np.repeat(now.slope, 3, axis=1)
+        weighted = (w[:, :, None] * Y).reshape(-1, G)
+        by_y += weighted.T @ self._off(now).ravel()
+        corner += weighted.T @ Y.reshape(-1, G)
+        pushed = square * weighted.reshape(Y.shape)
+        spread = np.zeros((N, *Y.shape[1:]))
+        for k, factor in enumerate((1.0, -2.0, 1.0)):
+            spread[k : N - 2 + k] += factor * pushed
+        return by_y, rows + A @ spread, corner
 
     def _assemble(self, H: Array, A: Array, slope: Array) -> None:
         """Fill the band: [t, c, r] holds row r, counted from frame t, of column (t, c)."""
@@ -198,6 +275,8 @@ class _Evaluation:
     x: Array
     terms: list[float]
     """Energies as in `TERMS`."""
+    points: Array
+    """(3 S N,) positions of the sensors, m."""
     residuals: Array
     """(2 L N,) of reprojection, px."""
     steps: Array
@@ -213,6 +292,11 @@ class _Evaluation:
         """(N - 1, A, 3, 3) inverse right Jacobians of the steps' rotation vectors."""
         turns = self.steps[:, 3:].reshape(len(self.steps), -1, 3)
         return quat.right_jacobian_inverse(turns)
+
+
+def _z_cross(a: Array) -> Array:
+    """Derivative of vectors (..., 3) by a turn about world's z."""
+    return np.stack([-a[..., 1], a[..., 0], np.zeros_like(a[..., 0])], axis=-1)
 
 
 def _temporal(points: int, size: int, frames: int, robust: float) -> Any:

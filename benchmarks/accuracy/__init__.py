@@ -1,0 +1,1 @@
+"""How accurate the joint-space solver is; ``python -m benchmarks.accuracy``."""

@@ -1,0 +1,167 @@
+"""How accurate the joint-space solver is: by sensors, under faults, and without its ingredients.
+
+``python -m benchmarks.accuracy --corpus DIR`` with the harness' motions, cameras and noise. Tables:
+
+* sensors: 0, 4, 8 and 10 IMUs x kinds of 2D, four cameras a motion; and on which motions the solver is
+  worse than its own start, SF2.
+* robustness: 8 IMUs, white 5 px, one thing wrong at a time, one camera a motion.
+* ablation: 8 IMUs, white and realistic 2D, one ingredient left out at a time, one camera a motion.
+
+Rows are written as they come: an interrupted run goes on where it stopped. ``--subset validation`` takes
+motions of the validation subjects instead, to tune on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import Progress
+
+from benchmarks import harness
+from benchmarks.accuracy.row_file import RowFile, version_of
+from benchmarks.accuracy.rows import Job, Row, run
+from benchmarks.accuracy.tables import TABLES, failures
+from benchmarks.harness import HERE
+from rtof_kin.errors import RtofError
+from rtof_kin.mocap import MocapClip
+from rtof_kin.protocols.tables import Table
+
+VALIDATION = {
+    "131_03": 3, "ad_rokoko_jesse_dance": 3, "131_01": 1, "131_02": 1, "08_04": 1, "08_05": 1,
+    "08_11": 1, "pymo_8walk_meredith": 1,
+}  # fmt: skip
+"""Motions to tune on, and into how many parts each is cut. Only the first two of what the validation
+subjects do are neither walking nor running, so each gives three of the twelve."""
+
+
+def clips(corpus: Path, subset: str) -> list[MocapClip]:
+    """The motions of a subset: at most as many seconds each as the benchmark's."""
+    if subset == "test":
+        return harness.test_clips(corpus)
+    rows = harness.split()
+    found = []
+    for clip in harness.whole_clips(corpus, rows["validation"], list(VALIDATION)):
+        parts = VALIDATION[clip.name]
+        for i, index in enumerate(np.array_split(np.arange(len(clip.poses)), parts)):
+            name = clip.name if parts == 1 else f"{clip.name}/{i + 1}"
+            part = replace(clip, name=name, poses=clip.poses[index[0] : index[-1] + 1])
+            found.append(harness.middle(part, rows["benchmark"]["seconds"]))
+    return found
+
+
+def jobs(table: str, motions: Sequence[MocapClip], options: argparse.Namespace) -> list[Job]:
+    """Of the first table all cameras of every motion, of the others one, in turn."""
+    return [
+        Job(table, clip, camera, options.seed, options.lifter)
+        for i, clip in enumerate(motions)
+        if not options.motions or clip.name in options.motions
+        for camera in (range(options.cameras) if table == "sensors" else [i % 4])
+    ]
+
+
+def _rounded(value: Any) -> Any:
+    """The same as JSON has it; six significant digits are plenty in a file."""
+    return json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.6g}"))
+
+
+def measure(table: str, work: Sequence[Job], kept: RowFile, workers: int) -> list[Row]:
+    """Rows of all jobs in their order; those done earlier are taken from the file."""
+    left = [job for job in work if job.key not in kept.rows]
+    with Progress() as progress, ProcessPoolExecutor(workers) as pool:
+        task = progress.add_task(table, total=len(work), completed=len(work) - len(left))
+        futures = {pool.submit(run, job): job for job in left}
+        try:
+            for future in as_completed(futures):
+                kept.add(futures[future].key, _rounded(future.result()))
+                progress.advance(task)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [row for job in work for row in kept.rows[job.key]]
+
+
+def write(out: Path, tables: Sequence[Table], facts: Row, rows: Sequence[Row]) -> str:
+    """Write the JSON, a line a row, and the Markdown beside it; the Markdown."""
+    text = "\n".join([*(table.markdown() for table in tables), *failures(rows)])
+    content = facts | {"tables": _rounded({t.name: t.as_dict() for t in tables})}
+    body = json.dumps(content, indent=1)[:-2]
+    lines = ",\n".join("  " + json.dumps(row) for row in rows)
+    out.with_suffix(".json").write_text(f'{body},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
+    out.with_suffix(".md").write_text(text.rstrip() + "\n", encoding="utf-8")
+    return text
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    motions = clips(options.corpus, options.subset)
+    names = [clip.name for clip in motions]
+    if unknown := sorted(set(options.motions) - set(names)):
+        sys.exit(f"error: no motion {', '.join(unknown)}; there are {', '.join(names)}")
+    for table in options.tables:
+        if table not in TABLES:
+            sys.exit(f"error: no table {table}; there are {', '.join(TABLES)}")
+        name = f"accuracy_{table}" + (f"_{options.subset}" if options.subset != "test" else "")
+        out = options.out / (name + ("_some" if options.motions or options.cameras != 4 else ""))
+        work = jobs(table, motions, options)
+        version = version_of(table, [job.key for job in work], options.seed, options.lifter)
+        try:
+            kept = RowFile(out.with_suffix(".jsonl"), version, options.restart)
+        except RtofError as error:
+            sys.exit(f"error: {error}")
+        rows = measure(table, work, kept, options.workers)
+        facts = {
+            "command": _command(sys.argv[1:] if arguments is None else arguments, options),
+            "version": version, "seed": options.seed, "subset": options.subset,
+        }  # fmt: skip
+        print(write(out, TABLES[table](rows), facts, rows))
+        kept.path.unlink()
+    return 0
+
+
+def _command(arguments: Sequence[str], options: argparse.Namespace) -> str:
+    """The command without the places of one machine."""
+    places = {str(options.corpus): "DIR", str(options.out): "FOLDER", options.lifter: "FILE"}
+    parts = [option.partition("=") for option in arguments]
+    words = [places.get(a, a) + equals + places.get(b, b) for a, equals, b in parts]
+    return " ".join(["python -m benchmarks.accuracy", *words])
+
+
+def _names(text: str) -> list[str]:
+    return text.split(",") if text else []
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.accuracy", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser.add_argument("--tables", default=list(TABLES), type=_names, help="separated by commas")
+    parser.add_argument("--subset", default="test", choices=("test", "validation"))
+    parser.add_argument(
+        "--motions", default=[], type=_names, help="only these, separated by commas"
+    )
+    parser.add_argument(
+        "--cameras", type=int, default=4, choices=range(1, 5),
+        help="a motion, in the table of sensors",
+    )  # fmt: skip
+    parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1))
+    parser.add_argument("--restart", action="store_true", help="throw away rows of a run cut short")
+    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder of the results")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

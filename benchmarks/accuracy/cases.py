@@ -1,0 +1,69 @@
+"""What is compared: faults, sensors, and the solver without its ingredients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from benchmarks.accuracy.faults import FAULTS, NOMINAL
+from benchmarks.harness import KEYPOINTS, SENSOR_SETS
+from rtof_kin.joint_space.settings import JointSpaceSettings
+
+_HUGE = 1e4
+_ABLATIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    NOMINAL: ("8", {}),
+    "orientation of the sensors": ("8", {"sigma_swing": _HUGE, "sigma_twist": _HUGE}),
+    "acceleration": ("8", {"sigma_acceleration": _HUGE}),
+    "swing and twist apart: both 6 deg": ("8", {"sigma_twist": np.radians(6.0)}),
+    "swing and twist apart: both 12.6 deg, their root mean square": (
+        "8", {"sigma_swing": np.radians(12.6), "sigma_twist": np.radians(12.6)}
+    ),
+    "robust 2D": ("8", {"robust_reprojection": 1e3}),
+    "refitting the root": ("8", {"refit_root": False}),
+    "robust orientation": ("8", {"robust_orientation": 1e3}),
+    "robust acceleration": ("8", {"robust_acceleration": 1e3}),
+    "pose prior": ("8", {"prior_inflation": 1e3}),
+    "jerk": ("8", {"jerk": _HUGE}),
+    "torso anchor": ("8", {"sigma_torso": None}),
+    "limits": ("8", {"limits": False}),
+    "hinges": ("8", {"hinges": False}),
+    "smoothed start": ("8", {"smooth_start_hz": _HUGE}),
+    "annealing: sigma given, 5 px": ("8", {"sigma_reprojection": 5.0}),
+    "annealing: sigma given, 10 px": ("8", {"sigma_reprojection": 10.0}),
+    "correlation in time": ("8", {"largest_correlation_factor": 1.0}),
+    f"{NOMINAL}, 4 sensors": ("4", {}),
+    "limb anchor, 4 sensors": ("4", {"sigma_bone": None}),
+    f"{NOMINAL}, no sensors": ("0", {}),
+    "limb anchor, no sensors": ("0", {"sigma_bone": None}),
+    "root anchor, no sensors": ("0", {"sigma_root": None}),
+}  # fmt: skip
+"""Ingredient -> sensors, and the settings that leave it out. Eight sensors sit on all limbs and leave
+nothing to the limb anchor, any sensor nothing to the root anchor."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One way to record and to solve."""
+
+    name: str
+    keypoints: str
+    sensors: str
+    fault: str = NOMINAL
+    settings: JointSpaceSettings = field(default_factory=JointSpaceSettings)
+
+
+def cases(table: str) -> list[Case]:
+    """All cases of a table; those that share a recording stand together."""
+    if table == "sensors":
+        return [
+            Case(f"{count} sensors", kind, count)
+            for kind in KEYPOINTS for count in sorted({*SENSOR_SETS, "0"}, key=int)
+        ]  # fmt: skip
+    if table == "robustness":
+        return [Case(name, "white", "8", name) for name in FAULTS]
+    return [
+        Case(name, kind, sensors, settings=JointSpaceSettings(**changes))
+        for kind in ("white", "realistic") for name, (sensors, changes) in _ABLATIONS.items()
+    ]  # fmt: skip

@@ -1,0 +1,57 @@
+"""Rows on disk: an interrupted run goes on where it stopped."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import rtof_kin
+from benchmarks.accuracy.rows import Row
+from benchmarks.harness import HERE
+from rtof_kin.errors import RtofError
+from rtof_kin.resources import model_path
+
+
+class RowFile:
+    """Rows of finished jobs, one job a line, of one version of everything that makes them."""
+
+    def __init__(self, path: Path, version: str, restart: bool = False) -> None:
+        """Go on with a file, or begin it.
+
+        Raises:
+            RtofError: it was begun by another version, and is not to be thrown away.
+        """
+        self.path, self.rows = path, dict[str, list[Row]]()
+        if path.is_file() and not restart:
+            self._read(version)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lines = [{"version": version}, *({"job": k, "rows": v} for k, v in self.rows.items())]
+        path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+
+    def _read(self, version: str) -> None:
+        whole = [s for s in self.path.read_text(encoding="utf-8").splitlines(True) if s[-1] == "\n"]
+        lines = [json.loads(line) for line in whole]  # an interrupted last line is no line
+        if lines and lines[0].get("version") != version:
+            raise RtofError(
+                f"{self.path}: begun with other code, models or options; --restart throws it away"
+            )
+        self.rows = {line["job"]: line["rows"] for line in lines[1:]}
+
+    def add(self, job: str, rows: list[Row]) -> None:
+        """Keep the rows of a finished job."""
+        self.rows[job] = rows
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"job": job, "rows": rows}) + "\n")
+
+
+def version_of(*options: object) -> str:
+    """Digest of the code, the models and some options that rows depend on."""
+    package = Path(rtof_kin.__file__).parent
+    sources = [*package.rglob("*.py"), *(HERE.parent / "lifting").rglob("*.py")]
+    sources += [*Path(__file__).parent.glob("*.py"), HERE / "harness.py", HERE / "split.toml"]
+    sources += [model_path(name) for name in ("lifter.pt", "pose_prior.npz", "skeleton.toml")]
+    digest = hashlib.sha256(repr(options).encode())
+    for path in sorted(sources):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

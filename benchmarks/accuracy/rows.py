@@ -1,0 +1,241 @@
+"""Rows: every case of a table for one motion and camera, at all its stages."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import harness
+from benchmarks.accuracy.cases import Case, cases
+from benchmarks.accuracy.faults import FAULTS, NOMINAL, Fault, bounds
+from benchmarks.harness import SENSOR_SETS
+from rtof_kin import rotations as so3
+from rtof_kin.errors import RtofError
+from rtof_kin.fragment import FragmentSolver, SolverStatus
+from rtof_kin.inertial_ik import InertialGuidedIK
+from rtof_kin.joint_space.frame_energy import TORSO
+from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.metrics import evaluate, motionless
+from rtof_kin.mocap import MocapClip
+from rtof_kin.pipeline import reconstruct
+from rtof_kin.recording import Recording
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import BoneImuSequence, PoseSequence
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+FIGURES = {
+    "mpjpe_rr_mm": ("rr mm", 1),
+    "mpjpe_mm": ("abs mm", 1),
+    "mpjae": ("MPJAE m/s2", 2),
+    "mpjje": ("MPJJE m/s3", 0),
+    "flexion_deg": ("flexion deg", 1),
+    "pelvis_deg": ("pelvis deg", 1),
+    "upper_trunk_deg": ("upper trunk deg", 1),
+}
+"""Figure -> heading and digits. The last two are mean angles between estimated and true orientation."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One motion seen by one camera, for one table."""
+
+    table: str
+    clip: MocapClip
+    camera: int
+    seed: int
+    lifter: str | None
+
+    @property
+    def key(self) -> str:
+        """What the job is called where its rows are kept."""
+        return f"{self.clip.name} {self.camera}"
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Everything up to the fragment solver's start."""
+
+    recording: Recording
+    lifted: PoseSequence
+    sf2: PoseSequence
+    """Without sensors: the lifted poses with the skeleton's bone lengths."""
+    bone_imus: BoneImuSequence | None
+    truth: PoseSequence
+    """At the times of the video."""
+
+
+class Scene:
+    """One motion and camera; nothing is simulated, lifted or fused twice."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._recordings: dict[str, Recording] = {}
+        self._lifted: dict[str, PoseSequence] = {}
+        self._prepared: dict[tuple[str, str, str], Prepared] = {}
+
+    def prepared(self, case: Case) -> Prepared:
+        """What the solver of a case starts from."""
+        key = case.keypoints, case.sensors, case.fault
+        if key not in self._prepared:
+            self._prepared[key] = self._prepare(case)
+        return self._prepared[key]
+
+    def _prepare(self, case: Case) -> Prepared:
+        recording = self._recorded(case)
+        bone_imus = recording.bone_imus()
+        lifted = self._lift(case.keypoints, recording)
+        sf2 = InertialGuidedIK(recording.skeleton).refine(lifted, bone_imus)
+        truth = recording.truth
+        assert truth is not None
+        first = int(np.searchsorted(truth.times, lifted.times[0] - 1e-9))
+        truth = truth[first : first + len(lifted)]
+        return Prepared(recording, lifted, sf2, bone_imus, truth)
+
+    def _recorded(self, case: Case) -> Recording:
+        """The recording of a case: of all sensors' recording those it has, with its fault."""
+        job = self._job
+        recording = self._whole(case.keypoints)
+        names = SENSOR_SETS.get(case.sensors, ())
+        assert recording.imus is not None
+        imus = recording.imus.select(names) if names else None
+        rng = np.random.default_rng(
+            [job.seed, job.camera, zlib.crc32(f"{job.clip.name} {case.fault}".encode())]
+        )
+        return FAULTS[case.fault].apply(replace(recording, imus=imus), rng)
+
+    def _whole(self, kind: str) -> Recording:
+        if kind not in self._recordings:
+            job, names = self._job, tuple(dict.fromkeys(n for s in SENSOR_SETS.values() for n in s))
+            self._recordings[kind] = harness.recorded(job.clip, job.camera, kind, names, job.seed)
+        return self._recordings[kind]
+
+    def _lift(self, kind: str, recording: Recording) -> PoseSequence:
+        """Lifted poses; those of the kind of 2D itself where a fault changes nothing the lifter sees."""
+        whole = self._whole(kind)
+        same = recording.keypoints is whole.keypoints and np.array_equal(
+            recording.joint_offsets, whole.joint_offsets
+        )
+        if same and kind in self._lifted:
+            return self._lifted[kind]
+        lifter = _lifter(self._job.lifter)
+        lifted = reconstruct(recording, mode="lift", lifter=lifter).stages["lift"]
+        if same:
+            self._lifted[kind] = lifted
+        return lifted
+
+
+@cache
+def _lifter(path: str | None) -> Any:
+    from lifting.predict import Lifter
+
+    return Lifter.load(path)
+
+
+def run(job: Job) -> list[Row]:
+    """Every case of a table for one motion and camera: rows of all its stages."""
+    scene, rows, told = Scene(job), [], set()
+    for case in cases(job.table):
+        about = {
+            "motion": job.clip.name,
+            "source": job.clip.name.partition("/")[0],
+            "category": job.clip.category,
+            "camera": job.camera,
+            "keypoints": case.keypoints,
+            "sensors": case.sensors,
+            "case": case.name,
+        }
+        try:
+            prepared = scene.prepared(case)
+            for mode, poses in stages(prepared).items():
+                key = (mode, case.keypoints, case.fault, case.sensors if mode == "sf2" else None)
+                if key not in told:
+                    told.add(key)
+                    rows.append(about | {"mode": mode} | scored(poses, prepared, case.fault))
+            poses, facts = solve(prepared, case.settings)
+            mode = "rto" if prepared.bone_imus is None else "rtof"
+            rows.append(about | {"mode": mode} | scored(poses, prepared, case.fault) | facts)
+        except RtofError as error:  # told in the table, instead of losing the other cases
+            rows.append(about | {"mode": "failed", "error": str(error)})
+    return rows
+
+
+def stages(prepared: Prepared) -> dict[str, PoseSequence]:
+    """What the solver is compared with; zero motion stands still in the mean orientation too."""
+    truth = prepared.truth
+    still = np.broadcast_to(
+        so3.nearest_rotation(truth.R_world_bone.mean(axis=0)), truth.R_world_bone.shape
+    )
+    return {
+        "zero motion": replace(motionless(truth), R_world_bone=still),
+        "lift": prepared.lifted,
+        "sf2": prepared.sf2,
+    }
+
+
+def solve(prepared: Prepared, settings: JointSpaceSettings) -> tuple[PoseSequence, Row]:
+    """The joint-space solver's poses, and how it ended."""
+    skeleton = prepared.recording.skeleton
+    solution = FragmentSolver(skeleton, 50, settings).solve(
+        prepared.sf2, prepared.recording.keypoints, prepared.bone_imus
+    )
+    reports = solution.fragments
+    facts = {
+        "converged": float(np.mean([r.status is SolverStatus.CONVERGED for r in reports])),
+        "sigma_reprojection": float(np.median([r.sigma_reprojection for r in reports])),
+    }
+    return skeleton.motion(solution.poses).poses, facts
+
+
+def scored(estimate: PoseSequence, prepared: Prepared, fault: str) -> Row:
+    """Figures of an estimate; its root-relative error by seconds, and around what is wrong."""
+    truth, skeleton = prepared.truth, prepared.recording.skeleton
+    metrics = evaluate(estimate, truth, skeleton)
+    torso = [skeleton.names.index(name) for name in TORSO]
+    angle = so3.angle_between(estimate.R_world_bone[:, torso], truth.R_world_bone[:, torso])
+    pelvis_deg, upper_trunk_deg = np.degrees(angle).mean(axis=0)
+    error_mm = relative_errors_mm(estimate, truth)
+    row: Row = {name: metrics[name] for name in FIGURES if name in metrics}
+    row |= {
+        "pelvis_deg": float(pelvis_deg),
+        "upper_trunk_deg": float(upper_trunk_deg),
+        "coverage": metrics["coverage"],
+        "frames": len(estimate),
+        "seconds_rr_mm": by_seconds(error_mm.mean(axis=1), estimate.rate_hz),
+    }
+    windows = FAULTS if fault == NOMINAL else {fault: FAULTS[fault]}
+    row["phases"] = {
+        name: around(error_mm, estimate.times, one, skeleton)
+        for name, one in windows.items() if one.window is not None
+    }  # fmt: skip
+    return row
+
+
+def relative_errors_mm(estimate: PoseSequence, truth: PoseSequence) -> Array:
+    """(T, J) distance of every joint from its true place, relative to the root."""
+    p, p_true = estimate.p_world_joint, truth.p_world_joint
+    return np.asarray(1000 * np.linalg.norm((p - p[:, :1]) - (p_true - p_true[:, :1]), axis=-1))
+
+
+def by_seconds(error: Array, rate_hz: float) -> list[list[float]]:
+    """[frames, mean error] of stretches of about a second, as even as can be."""
+    stretches = np.array_split(error, max(1, round(len(error) / rate_hz)))
+    return [[len(stretch), float(stretch.mean())] for stretch in stretches]
+
+
+def around(error: Array, times: Array, fault: Fault, skeleton: SkeletonModel) -> list[list[float]]:
+    """Before, in and after a fault's window: [frames, mean error of its joints, of all joints]."""
+    assert fault.window is not None
+    start, stop = bounds(times, fault.window)
+    own = skeleton.index(*fault.joints)
+    phases = (times < start), (times >= start) & (times < stop), (times >= stop)
+    return [
+        [int(phase.sum()), float(error[phase][:, own].mean()), float(error[phase].mean())]
+        if phase.any() else [0, 0.0, 0.0]
+        for phase in phases
+    ]  # fmt: skip

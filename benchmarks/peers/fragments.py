@@ -1,0 +1,103 @@
+"""What peers are given and give back: material, fragments, answers and scores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.pipeline import reconstruct
+from rtof_kin.recording import Recording
+from rtof_kin.resources import model_path
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
+
+Array = NDArray[np.float64]
+Trace = list[tuple[float, Array]]
+"""Seconds since a solver began, and the state it had then."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """A recording and where solvers start."""
+
+    skeleton: SkeletonModel
+    start: PoseSequence
+    keypoints: KeypointSequence
+    imus: BoneImuSequence
+
+    @classmethod
+    def demo(cls) -> Material:
+        """The demo recording with SF2's poses."""
+        recording = Recording.load(model_path("demo"))
+        imus = recording.bone_imus()
+        assert imus is not None
+        start = reconstruct(recording, mode="sf2").stages["sf2"]
+        return cls(recording.skeleton, start, recording.keypoints, imus)
+
+    def __getitem__(self, frames: slice) -> Material:
+        return replace(
+            self, start=self.start[frames], keypoints=self.keypoints[frames], imus=self.imus[frames]
+        )
+
+    def tiled(self, frames: int) -> Material:
+        """As many frames, to and fro: no jump in position, the same accelerations."""
+        T, start, seen, imus = len(self.start), self.start, self.keypoints, self.imus
+        to_and_fro = np.arange(frames) % (2 * T)
+        at = np.where(to_and_fro < T, to_and_fro, 2 * T - 1 - to_and_fro)
+        times = start.times[0] + np.arange(frames) / start.rate_hz
+        p, R = start.p_world_joint[at], start.R_world_bone[at]
+        return Material(
+            self.skeleton,
+            PoseSequence(times, p, R, start.names),
+            replace(seen, times=times, uv_px=seen.uv_px[at], confidence=seen.confidence[at]),
+            replace(
+                imus, times=times, R_world_bone=imus.R_world_bone[at], a_world=imus.a_world[at]
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class Fragment:
+    """One fragment's start and observations."""
+
+    first: int
+    """Index of its first frame; negative in the padding."""
+    x0: Array
+    """(N, ...) the starting state, the same for all solvers."""
+    data: Any
+    """Named parameters of `FragmentProblem`, or `FragmentData`."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Where a solver stopped."""
+
+    x: Array
+    """(N, ...) the state."""
+    seconds: float
+    iterations: int
+    converged: bool
+    """Whether the solver says so."""
+    multipliers: Array | None = None
+    """(N, M) of the limits."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """What an answer is worth, by the package's own energy."""
+
+    energy: float
+    """[1]"""
+    gradient: float
+    """Largest component of the energy's gradient, of the Lagrangian's with multipliers; 1/m or 1/rad."""
+    violation_deg: float
+    """Largest violation of a limit."""
+
+
+class Solver(Protocol):
+    """Minimises a fragment's energy from its start; fills the trace where one is given."""
+
+    def solve(self, fragment: Fragment, trace: Trace | None = None) -> Answer: ...

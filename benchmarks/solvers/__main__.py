@@ -1,0 +1,76 @@
+"""Solvers side by side on the same fragments, start and energy, and how fast the package's own are.
+
+``python -m benchmarks.solvers``: the demo recording, N = 50, from SF2's poses. Every answer is scored by
+the package's energy and gradient, whoever found it. Set OMP_NUM_THREADS=1; a machine that is busy with
+other work shows longer times. ``--quick`` looks at little of everything, in a minute.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import torch
+from rich.console import Console
+from rich.progress import Progress
+
+from benchmarks.harness import HERE
+from benchmarks.peers.fragments import Material
+from benchmarks.solvers.alone import build_times, by_duration, by_length, by_settings
+from benchmarks.solvers.measuring import Effort, Told
+from benchmarks.solvers.report import figure, markdown
+from benchmarks.solvers.side_by_side import N, cartesian, joint
+
+
+def everything(effort: Effort, told: Told) -> dict[str, Any]:
+    """All that is measured, one thing after the other."""
+    material = Material.demo()
+    return {
+        "cartesian": cartesian(material, effort, told),
+        "joint": joint(material, effort, told),
+        "by_length": by_length(material, effort, told),
+        "by_settings": by_settings(material, effort, told),
+        "build_seconds": build_times(material, effort, told),
+        "by_duration": by_duration(material, effort, told),
+    }
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.solvers", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="little of everything")
+    parser.add_argument("--out", type=Path, default=HERE / "results" / "solvers.json")
+    options = parser.parse_args(arguments)
+    effort = Effort.quick() if options.quick else Effort()
+    console, threads = Console(stderr=True), os.environ.get("OMP_NUM_THREADS", "not set")
+    if threads != "1":
+        console.print(f"OMP_NUM_THREADS is {threads}, not 1: times are not those of one core")
+    torch.set_num_threads(1)
+    began = perf_counter()
+    with Progress(console=console) as progress:
+        task = progress.add_task("...", total=None)
+        measured = everything(effort, lambda what: progress.update(task, description=what))
+    machine = {
+        "processor": platform.processor(), "cores": os.cpu_count(), "threads": threads, "N": N,
+        "seconds": perf_counter() - began,
+    }  # fmt: skip
+    command = "python -m benchmarks.solvers" + (" --quick" if options.quick else "")
+    result = {"command": command, "machine": machine, "effort": asdict(effort), **measured}
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    text = markdown(result)
+    options.out.with_suffix(".md").write_text(text, encoding="utf-8")
+    figure(result, options.out.with_suffix(".png"))
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

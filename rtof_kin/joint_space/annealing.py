@@ -1,0 +1,81 @@
+"""What a landmark is worth, from what is left of it: estimated anew as the solver goes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.joint_space.problem import JointProblem
+from rtof_kin.joint_space.settings import JointSpaceSettings
+
+Array = NDArray[np.float64]
+_NORMAL_MEDIAN = 1.177
+"""Median norm of a normal error in two dimensions, in standard deviations of an axis."""
+_FEWEST = 20
+"""Landmarks seen in a fragment that an estimate needs."""
+_SETTLED = 0.05
+"""Relative change below which an estimate is kept."""
+
+
+class Annealing:
+    """Weighs the landmarks by what is left of them, after every step that changes it."""
+
+    def __init__(
+        self, settings: JointSpaceSettings, problem: JointProblem, confidence: Array,
+        observation: dict[str, Array],
+    ) -> None:  # fmt: skip
+        self._settings, self._problem, self._confidence = settings, problem, confidence
+        self._seen, self._others = observation["w_visual"] > 0, observation
+        given = settings.sigma_reprojection
+        self.sigma = settings.sigma_reprojection_range[1] if given is None else given
+        """[px] of a landmark per axis."""
+        self._left = settings.annealing if given is None else 0
+        self._found = self.sigma
+        self._weigh(None)
+
+    def __call__(self, x: Array) -> bool:
+        """Whether the weights were changed for a state."""
+        if self._left == 0:
+            return False
+        size, factor = self._estimated(self._problem.value(x)[1])
+        first = self._left == self._settings.annealing
+        if abs(size * factor / self._found - 1) < _SETTLED and not first:
+            return False
+        self._left -= 1
+        self._found = size * factor
+        self.sigma = float(np.clip(self._found, *self._settings.sigma_reprojection_range))
+        self._weigh(factor)
+        return True
+
+    def _weigh(self, factor: float | None) -> None:
+        """Weights for errors that correlation in time makes count as if larger by a factor.
+
+        Outliers are landmarks that are far out by the size of the others. A sensor's error and the
+        distance from the prior's mean stay for a whole fragment; counted once a frame, their standard
+        deviations hold beside a vision whose errors stay too. Where those average out they give way.
+        """
+        self._problem.reweigh("w_visual", self._confidence * self._seen / self.sigma**2)
+        knee = self._settings.robust_reprojection / (factor or 1.0)
+        self._problem.reweigh("knee_visual", np.full(len(self._seen), knee))
+        largest = self._settings.largest_correlation_factor
+        share = (factor or largest) / largest
+        for name in ("w_sensor", "w_prior"):
+            self._problem.reweigh(name, share * self._others[name])
+
+    def _estimated(self, residuals: Array) -> tuple[float, float]:
+        """Size of a landmark's residual per axis, px, and the factor for its correlation in time.
+
+        Errors that stay (biases, drifts) do not average out over a fragment; with a correlation r from
+        frame to frame they weigh like white ones that are sqrt((1 + r) / (1 - r)) times larger.
+        """
+        seen = self._seen
+        if seen.sum() < _FEWEST:
+            return self._found, 1.0
+        norm = np.linalg.norm(residuals, axis=-1)
+        size = float(np.median(norm[seen])) / _NORMAL_MEDIAN
+        clipped = np.clip(residuals, -3 * size, 3 * size) * seen[..., None]
+        both = seen[1:] & seen[:-1]
+        product = np.sum(clipped[1:] * clipped[:-1], axis=-1)[both].mean() if both.any() else 0.0
+        square = np.sum(clipped**2, axis=-1)[seen].mean()
+        r = float(np.clip(product / max(square, 1e-12), 0.0, 0.99))
+        return size, float(min(np.sqrt((1 + r) / (1 - r)), self._settings.largest_correlation_factor))

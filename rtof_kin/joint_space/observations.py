@@ -1,0 +1,231 @@
+"""A recording as the joint-space problem wants it: what was observed, in every fragment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import kinematics
+from rtof_kin import rotations as so3
+from rtof_kin.joint_space.building import built_problem
+from rtof_kin.joint_space.frame_energy import FEET, TORSO, Shape
+from rtof_kin.joint_space.limits import Limits
+from rtof_kin.joint_space.prior import shipped_prior
+from rtof_kin.joint_space.problem import FragmentData, JointProblem
+from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.joint_space.state import StateSpace
+from rtof_kin.root_position import refit_root
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
+
+Array = NDArray[np.float64]
+_LIMBS = tuple(
+    side + part
+    for side in ("Left", "Right")
+    for part in ("Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot")
+)
+
+
+class Observations:
+    """A recording as the problem wants it, and the problem that fits what it has."""
+
+    def __init__(
+        self,
+        skeleton: SkeletonModel,
+        frames: int,
+        settings: JointSpaceSettings,
+        start: PoseSequence,
+        keypoints: KeypointSequence,
+        bone_imus: BoneImuSequence | None,
+    ) -> None:
+        """Collect what every frame shows, for fragments of so many frames."""
+        self.skeleton, self.frames, self.settings, s = skeleton, frames, settings, settings
+        self.rate_hz = start.rate_hz
+        start = refit_root(start, keypoints) if s.refit_root else start
+        known = skeleton.landmarks
+        extra = tuple(n for n in keypoints.names if n in known and n not in skeleton.names)
+        names = (*skeleton.names, *extra)
+        sensors = tuple(name for name in skeleton.names if name in _speaking(bone_imus))
+        moving = [
+            name for j, name in enumerate(skeleton.names)
+            if kinematics.children_of(skeleton.parents, j) or name in sensors
+            or any(known[n][0] == name for n in extra)
+        ]  # fmt: skip
+        self.space = StateSpace(skeleton, moving, s.hinges)
+        self.problem, functions = self._problem(tuple(moving), names, sensors)
+        self.limits = Limits(self.space, functions) if s.limits else None
+        self._observe(start, keypoints.select(names), bone_imus, sensors)
+        x = self.space.from_poses(start.p_world_joint[:, 0], start.R_world_bone)
+        self.start = self.space.low_passed(x, start.rate_hz, s.smooth_start_hz)
+        self.turned = [
+            self.space.low_passed(self._turned(start, yaw), start.rate_hz, s.smooth_start_hz)
+            for yaw in s.torso_yaws
+        ]
+
+    def _turned(self, start: PoseSequence, yaw: float) -> Array:
+        """States of the start with its trunk turned about the vertical, the limbs as they are."""
+        R = start.R_world_bone.copy()
+        trunk = [j for j, name in enumerate(start.names) if not name.startswith(_LIMBS)]
+        R[:, trunk] = so3.about_axis("z", yaw) @ R[:, trunk]
+        return self.space.from_poses(start.p_world_joint[:, 0], R)
+
+    def _problem(
+        self, moving: tuple[str, ...], names: tuple[str, ...], sensors: tuple[str, ...]
+    ) -> tuple[JointProblem, list[Any]]:
+        """For some moving joints, landmarks and sensors; and the functions of their limits."""
+        skeleton, s = self.skeleton, self.settings
+        index = skeleton.names.index
+        shape = Shape(
+            landmarks=tuple((index(skeleton.landmarks[n][0]), n in skeleton.names) for n in names),
+            sensors=tuple(map(index, sensors)),
+            torso=tuple(index(name) for name in TORSO if name in skeleton.names),
+            bones=_bones(skeleton, sensors),
+            feet=tuple(index(name) for name in FEET if name in skeleton.names),
+            robust_orientation=s.robust_orientation,
+            floor_cutoff=s.floor_cutoff,
+        )
+        return built_problem(
+            skeleton.name, shape, moving, self.frames, s.hinges, s.compile,
+            s.jerk if sensors else s.jerk_without_sensors, s.robust_acceleration,
+        )  # fmt: skip
+
+    def _observe(
+        self, start: PoseSequence, seen: KeypointSequence, bone_imus: BoneImuSequence | None,
+        sensors: tuple[str, ...],
+    ) -> None:  # fmt: skip
+        skeleton, s, camera, T = self.skeleton, self.settings, seen.camera, len(start)
+        uv = camera.normalise(seen.uv_px) @ camera.K[:2, :2].T + camera.K[:2, 2]
+        self.confidence = np.where(seen.seen, seen.confidence, 0.0)
+        quat, has, a, w, levers = _sensor_data(start, bone_imus, sensors, s)
+        torso = skeleton.index(*[name for name in TORSO if name in skeleton.names])
+        sensed = np.zeros(T, dtype=bool)
+        for j in torso:
+            if skeleton.names[j] in sensors:
+                sensed |= has[:, sensors.index(skeleton.names[j])] > 0
+        weight = 0.0 if s.sigma_torso is None else 1 / s.sigma_torso**2
+        rows = {
+            "uv_px": np.where(seen.seen[..., None], uv, 0.0),
+            "w_visual": seen.seen.astype(float),
+            "knee_visual": np.full(T, s.robust_reprojection),
+            "quat_sensor": quat,
+            "w_sensor": has,
+            "quat_torso": so3.to_quat_wxyz(start.R_world_bone[:, torso]),
+            "w_torso": np.where(sensed, 0.0, weight),
+            "b_world": _bone_vectors(start, _bones(skeleton, sensors)),
+            "w_bone": np.full(T, 0.0 if s.sigma_bone is None else 1 / s.sigma_bone**2),
+            "p_root": start.p_world_joint[:, 0],
+            "w_root": np.full(T, 0.0 if s.sigma_root is None or sensors else 1 / s.sigma_root**2),
+            "w_floor": np.full(T, 0.0 if s.floor_height is None else 1 / s.sigma_floor**2),
+            "w_prior": np.ones(T),
+        }
+        self.rows = rows
+        self.a_world, self.w_acceleration = a, w
+        prior, moving = shipped_prior(skeleton.names), self.space.names[1:]
+        mean = prior.mean_quat_wxyz[[prior.joints.index(name) - 1 for name in moving]]
+        self.constant = {
+            "offsets": skeleton.joint_offsets.T,
+            "K": camera.K,
+            "R_camera_world": camera.R_camera_world,
+            "t_camera_world": camera.t_camera_world,
+            "whitening": _whitening(skeleton, sensors, s),
+            "levers": levers.T,
+            "places": np.array([skeleton.landmarks[name][1] for name in seen.names]).T,
+            "quat_mean": mean.T,
+            "precision": prior.precision(moving, s.prior_inflation, s.sigma_prior_least),
+            "floor": np.array([(s.floor_height or 0.0) + s.ankle_height]),
+        }
+
+    def fragment(self, first: int) -> tuple[NDArray[np.intp], NDArray[np.bool_], FragmentData]:
+        """Indices of a fragment's frames, which of them exist, and their data."""
+        frame = np.arange(first, first + self.frames)
+        inside = (frame >= 0) & (frame < len(self.start))
+        index = np.clip(frame, 0, len(self.start) - 1)
+        observation = {name: values[index] for name, values in self.rows.items()}
+        for name in ("w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor"):
+            observation[name] = (observation[name].T * inside).T
+        whole = inside[2:] & inside[1:-1] & inside[:-2]
+        return index, inside, FragmentData(
+            observation, self.constant, self.a_world[index][1:-1],
+            self.w_acceleration[index][1:-1] * whole[:, None],
+            (np.convolve(inside, np.ones(4), mode="valid") == 4).astype(float), self.rate_hz,
+        )  # fmt: skip
+
+    def anything_seen(self, first: int, inside: NDArray[np.bool_]) -> bool:
+        """Whether a landmark or a sensor says anything in a fragment."""
+        index = np.arange(first, first + self.frames)[inside]
+        rows = self.rows["w_visual"], self.rows["w_sensor"], self.w_acceleration
+        return any(row[index].any() for row in rows)
+
+
+def _speaking(bone_imus: BoneImuSequence | None) -> set[str]:
+    """Segments whose sensor says anything at all."""
+    if bone_imus is None:
+        return set()
+    turns = np.isfinite(bone_imus.R_world_bone).all(axis=(2, 3)).any(axis=0)
+    moves = np.isfinite(bone_imus.a_world).all(axis=2).any(axis=0)
+    return {bone_imus.joints[s] for s in np.flatnonzero(turns | moves)}
+
+
+def _sensor_data(
+    start: PoseSequence, bone_imus: BoneImuSequence | None, sensors: tuple[str, ...],
+    settings: JointSpaceSettings,
+) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
+    """Quaternions (T, S, 4), their weights (T, S), accelerations (T, S, 3), weights, levers (S, 3)."""
+    T, S = len(start), len(sensors)
+    quat = np.zeros((T, S, 4))
+    quat[..., 0] = 1.0
+    has, a, w, levers = np.zeros((T, S)), np.zeros((T, S, 3)), np.zeros((T, S)), np.zeros((S, 3))
+    if bone_imus is None:
+        return quat, has, a, w, levers
+    if not np.array_equal(bone_imus.times, start.times):
+        bone_imus = bone_imus.resample(start.times)
+    for k, joint in enumerate(sensors):
+        if joint not in bone_imus.joints:
+            continue
+        s = bone_imus.joints.index(joint)
+        R, known = bone_imus.R_world_bone[:, s], np.isfinite(bone_imus.R_world_bone[:, s, 0, 0])
+        quat[known, k] = so3.to_quat_wxyz(R[known])
+        has[:, k] = known
+        measured = np.isfinite(bone_imus.a_world[:, s]).all(axis=-1)
+        a[:, k] = np.nan_to_num(bone_imus.a_world[:, s])
+        w[:, k] = measured / settings.sigma_acceleration**2
+        levers[k] = bone_imus.p_bone_sensor[s]
+    return quat, has, a, w, levers
+
+
+def _bones(skeleton: SkeletonModel, sensors: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
+    """Joint and child of the limbs' bones that carry no sensor: those of the usual sensors' segments."""
+    usual = {joint for joint, _ in skeleton.sensors.values()} - {*sensors, *TORSO}
+    pairs = [
+        (joint, kinematics.children_of(skeleton.parents, joint)) for joint in skeleton.index(*usual)
+    ]
+    return tuple(sorted((joint, children[0]) for joint, children in pairs if len(children) == 1))
+
+
+def _bone_vectors(start: PoseSequence, bones: tuple[tuple[int, int], ...]) -> Array:
+    """(T, B, 3) of the start, m."""
+    p = start.p_world_joint
+    return (
+        np.stack([p[:, child] - p[:, joint] for joint, child in bones], axis=1)
+        if bones
+        else (np.zeros((len(p), 0, 3)))
+    )
+
+
+def _whitening(skeleton: SkeletonModel, sensors: tuple[str, ...], s: JointSpaceSettings) -> Array:
+    """(9, S) column-major matrices from an orientation's error, rad, to swing and twist in sigmas.
+
+    Of a segment with several children or none, all three axes have the swing's sigma.
+    """
+    columns = []
+    for joint in skeleton.index(*sensors):
+        children = kinematics.children_of(skeleton.parents, joint)
+        W = np.eye(3) / s.sigma_swing
+        if len(children) == 1:
+            bone = so3.unit(skeleton.joint_offsets[children[0]])
+            along = np.outer(bone, bone)
+            W = (np.eye(3) - along) / s.sigma_swing + along / s.sigma_twist
+        columns.append(W.ravel(order="F"))
+    return np.array(columns).reshape(-1, 9).T
