@@ -53,8 +53,10 @@ def refit_root(
         r = np.where(ok[..., None], r, 0.0)
         weight = np.where(ok, 1 / (1 + np.sum(r**2, axis=-1) / 4), 0.0)
         A = np.where(ok[..., None, None], A * scale[..., None], 0.0)
-        normal = np.einsum("tj,tjia,tjib->tab", weight, A, A) + np.eye(3) / sigma_depth**2
-        right = -np.einsum("tj,tjia,tji->ta", weight, A, r) - shift / sigma_depth**2
+        rows = (len(poses), -1, 3)
+        weighed = np.swapaxes((A * weight[..., None, None]).reshape(rows), 1, 2)
+        normal = weighed @ A.reshape(rows) + np.eye(3) / sigma_depth**2
+        right = -(weighed @ r.reshape(len(poses), -1, 1))[..., 0] - shift / sigma_depth**2
         shift = shift + np.linalg.solve(normal, right[..., None])[..., 0]
     shift = np.where(np.isfinite(shift), shift, 0.0)
     return replace(

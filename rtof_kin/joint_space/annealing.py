@@ -13,6 +13,8 @@ _NORMAL_MEDIAN = 1.177
 """Median norm of a normal error in two dimensions, in standard deviations of an axis."""
 _FEWEST = 20
 """Landmarks seen in a fragment that an estimate needs."""
+_LEAST = 1e-6
+"""[px] that the size of residuals is at least taken to be."""
 _SETTLED = 0.05
 """Relative change below which an estimate is kept."""
 
@@ -26,6 +28,8 @@ class Annealing:
     ) -> None:  # fmt: skip
         self._settings, self._problem, self._confidence = settings, problem, confidence
         self._seen, self._others = observation["w_visual"] > 0, observation
+        seen = self._seen
+        self._count, self._pairs = int(seen.sum()), int((seen[1:] & seen[:-1]).sum())
         given = settings.sigma_reprojection
         self.sigma = settings.sigma_reprojection_range[1] if given is None else given
         """[px] of a landmark per axis."""
@@ -68,14 +72,12 @@ class Annealing:
         Errors that stay (biases, drifts) do not average out over a fragment; with a correlation r from
         frame to frame they weigh like white ones that are sqrt((1 + r) / (1 - r)) times larger.
         """
-        seen = self._seen
-        if seen.sum() < _FEWEST:
+        if self._count < _FEWEST:
             return self._found, 1.0
-        norm = np.linalg.norm(residuals, axis=-1)
-        size = float(np.median(norm[seen])) / _NORMAL_MEDIAN
-        clipped = np.clip(residuals, -3 * size, 3 * size) * seen[..., None]
-        both = seen[1:] & seen[:-1]
-        product = np.sum(clipped[1:] * clipped[:-1], axis=-1)[both].mean() if both.any() else 0.0
-        square = np.sum(clipped**2, axis=-1)[seen].mean()
-        r = float(np.clip(product / max(square, 1e-12), 0.0, 0.99))
+        squares = np.einsum("tli,tli->tl", residuals, residuals)[self._seen]
+        size = max(float(np.sqrt(np.median(squares))) / _NORMAL_MEDIAN, _LEAST)
+        clipped = np.clip(residuals, -3 * size, 3 * size) * self._seen[..., None]
+        product = float(np.vdot(clipped[1:], clipped[:-1])) / max(self._pairs, 1)
+        square = float(np.vdot(clipped, clipped)) / self._count
+        r = float(np.clip(product / max(square, _LEAST**2), 0.0, 0.99))
         return size, float(min(np.sqrt((1 + r) / (1 - r)), self._settings.largest_correlation_factor))
