@@ -35,7 +35,8 @@ A folder holds ``recording.toml`` and the arrays that it names. From arrays in m
     rate_hz = 60.0                       # where the file has no times
     start_s = 0.0                        # - added to all times
     landmarks = ["LeftArm", "Nose", ""]  # joints or landmarks of the skeleton, "" to leave one out
-    # layout = "joints"                  # instead of landmarks: all joints of the skeleton
+    # layout = "joints"                  # instead of landmarks: all joints of the skeleton; or a
+    #                                    # detector's layout, see below
     [imus]                               # -
     file = "imus.npz"                    # quat_wxyz or R_inertial_sensor, f_sensor, - times; or .csv
     rate_hz = 60.0                       # as for the keypoints; all times are on one clock
@@ -52,6 +53,10 @@ A folder holds ``recording.toml`` and the arrays that it names. From arrays in m
     text = ""                            # -
 
 Missing is NaN (or an empty cell). ``f_sensor`` is raw specific force in m/s^2, +9.81 upwards at rest.
+With ``layout`` one of body25, body25b, coco17, halpe26, mediapipe33, human36m17, landmarks, or auto to
+recognise it, ``file`` is a detector's own output (`rtof_kin.detectors.files`: a folder or .json, .csv,
+.npz, .npy); its points become landmarks of the skeleton. Of several people one is followed; ``person``
+(- and ``frame``) say which, by number in that frame.
 A .csv has a header line: ``time``, then for each keypoint ``<name>_u_px``, ``<name>_v_px``,
 - ``<name>_confidence``, or for each sensor ``<name>_qw``, ``_qx``, ``_qy``, ``_qz``, ``_fx``, ``_fy``,
 ``_fz``; its names are the landmarks or sensors. Fields not listed here are refused.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
@@ -10,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.detectors.keypoints import read_detector_keypoints
+from rtof_kin.detectors.layouts import detector_table
 from rtof_kin.errors import (
     CalibrationError,
     FileFormatError,
@@ -23,6 +26,9 @@ from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import Camera, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
+OWN_LAYOUT, RECOGNISE = "joints", "auto"
+"""Layouts of keypoints: the skeleton's joints in their order; a detector's, to be recognised."""
+_log = logging.getLogger(__name__)
 _KEYPOINT_COLUMNS = ("_u_px", "_v_px", "_confidence")
 
 
@@ -37,14 +43,14 @@ def naming(path: Path) -> Iterator[None]:
         raise FileFormatError(path, str(error)) from error
 
 
-def data_path(section: Section) -> Path:
-    """The file that a section's field ``file`` names, which lies inside the recording's folder."""
+def data_path(section: Section, or_folder: bool = False) -> Path:
+    """The file (or folder) that a section's field ``file`` names, inside the recording's folder."""
     name = section.text("file")
     parts = PurePosixPath(name.replace("\\", "/"))
     if parts.is_absolute() or ".." in parts.parts or ":" in name or not parts.parts:
         raise section.error("file", f"{name!r} leads out of the folder; name a file inside it")
     path = section.path.parent.joinpath(*parts.parts)
-    if not path.is_file():
+    if not path.is_file() and not (or_folder and path.is_dir()):
         raise section.error("file", f"there is no file {path}; put it there or correct the name")
     return path
 
@@ -135,6 +141,8 @@ def camera_table(camera: Camera) -> dict[str, Any]:
 
 def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) -> KeypointSequence:
     """The keypoints, with names that are landmarks of the skeleton."""
+    if section.text("layout", OWN_LAYOUT) != OWN_LAYOUT:
+        return _read_detected(section, camera, skeleton)
     path = data_path(section)
     is_csv = path.suffix.lower() == ".csv"
     names, arrays = read_keypoint_csv(path) if is_csv else _keypoint_npz(section, path, skeleton)
@@ -142,6 +150,8 @@ def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) ->
     if unknown:
         where = str(path) if is_csv else f"{section.path}, {section.where('landmarks')}"
         raise UnknownNameError(f"landmark in {where}", unknown, list(skeleton.landmarks))
+    if is_csv and section.has("layout"):
+        raise section.error("layout", "a .csv names its points itself; leave the layout out")
     uv = arrays["uv_px"]
     confidence: Array = np.asarray(np.isfinite(uv).all(axis=-1), dtype=np.float64)
     confidence = arrays.get("confidence", confidence)
@@ -171,11 +181,6 @@ def _keypoint_npz(
     if section.has("layout"):
         if names is not None:
             raise section.error("layout", "stands beside landmarks; give only one of the two")
-        if section.text("layout") != "joints":
-            raise section.error(
-                "layout", f"{section.text('layout')!r} is not known; write 'joints' for the joints "
-                "of the skeleton in its order, or list names in landmarks"
-            )  # fmt: skip
         names = skeleton.names
     if names is None:
         raise section.error(
@@ -187,6 +192,39 @@ def _keypoint_npz(
             'with "" for those to leave out'
         )  # fmt: skip
     return names, arrays
+
+
+def _read_detected(
+    section: Section, camera: Camera, skeleton: SkeletonModel
+) -> KeypointSequence:
+    """Keypoints from a detector's own file or folder, in its own layout; see `rtof_kin.detectors`."""
+    layout: str | None = section.text("layout")
+    layouts = detector_table().layouts
+    if layout not in (RECOGNISE, *layouts):
+        known = ", ".join((RECOGNISE, *layouts))
+        raise section.error(
+            "layout", f"{layout!r} is not known; write one of {known}, or list names in landmarks"
+        )  # fmt: skip
+    if section.has("landmarks"):
+        raise section.error("layout", "stands beside landmarks; give only one of the two")
+    if skeleton.name != "total_capture":
+        raise section.error(
+            "layout", f"{layout!r} is for the skeleton total_capture, not {skeleton.name}; list the "
+            f"names of the points in landmarks, or write {OWN_LAYOUT!r} for its joints in their order"
+        )  # fmt: skip
+    found = read_detector_keypoints(
+        data_path(section, or_folder=True),
+        camera,
+        layout=None if layout == RECOGNISE else layout,
+        rate_hz=section.optional_number("rate_hz"),
+        start=section.number("start_s", 0.0),
+        person=section.integer("person") if section.has("person") else None,
+        frame=section.integer("frame") if section.has("frame") else None,
+    )
+    section.close()
+    doubtful = found.track.people > 1 or bool(np.any(found.track.ambiguous | found.track.lost))
+    _log.log(logging.WARNING if doubtful else logging.INFO, "%s: %s", section.path, found.summary)
+    return found.keypoints
 
 
 def read_keypoint_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:

@@ -31,6 +31,11 @@ joint_space.annealing   joint_space.bordered   joint_space.building
 joint_space.ipopt   joint_space.observations
 joint_space.solver
 fragment
+detectors   detectors.layouts   detectors.detections
+detectors.views   detectors.gaussian   detectors.json_files   detectors.people   detectors.models
+detectors.adapter   detectors.files   detectors.video
+detectors.recognise
+detectors.keypoints
 recording_files   mocap_families   simulation_noise
 recording_imus   mocap_mapping   simulation_sensors
 recording   mocap
@@ -55,7 +60,7 @@ protocols.measures   protocols.pictures
 protocols.human36m   protocols.total_capture
 protocols.total_capture_tables
 cli.terminal
-cli.recordings   cli.training   cli.protocols
+cli.recordings   cli.training   cli.protocols   cli.detection
 cli
 cli.__main__
 """
