@@ -19,10 +19,12 @@ from scipy.linalg import blas
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from rtof_kin.banded import Factor, factorise
-from rtof_kin.compiled import Buffered, compiled
+from rtof_kin.banded import Factor, Store, StoredFactor, factorise
+from rtof_kin.compiled import Buffered
 from rtof_kin.errors import ShapeError
 from rtof_kin.fragment_problem import FragmentProblem
+from rtof_kin.lane_code import FrameFunction
+from rtof_kin.lanes import Columns, Over, in_lanes
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -54,19 +56,24 @@ class BandedProblem:
         if problem.settings.bone_lengths == "weighted":
             a, b = (points.reshape(N, J, 3)[:, list(ends)] for ends in zip(*problem.pairs, strict=True))
             parts.append((problem.rigid_distance, np.concatenate([a, b], axis=-1).reshape(-1, 6)))
-        functions = [function for function, _ in parts]
-        functions = compiled(functions) if compile == "auto" else functions
+        functions = [FrameFunction(function, (2,)) for function, _ in parts]
+        code = (in_lanes(functions) if compile == "auto" else None) or {}
         self._quadratic = Buffered(problem.quadratic)
         row, column = problem.quadratic.sparsity_out(0).get_triplet()
         self._order = _grouped(N * 3 * J, np.array(row), np.array(column), [i for _, i in parts])
         place = np.argsort(self._order)
         self.at = _entries(place[row], place[column])
         self._elements = [
-            _Elements(function, place[index])
-            for function, (_, index) in zip(functions, parts, strict=True)
+            _Elements(given, place[index], code.get(given.function.name()))
+            for given, (_, index) in zip(functions, parts, strict=True)
         ]
         width = max(int(at[1].max()) for at in (self.at, *(e.at for e in self._elements))) + 1
-        self._base, self._band = np.zeros((2, N * 3 * J, width))
+        stored = compile == "auto" and Store.available()
+        self._base, self._store = np.zeros((N * 3 * J, width)), None
+        self._band = np.zeros_like(self._base)
+        if stored:
+            self._store = Store(N * 3 * J, width - 1)
+            self._band = self._store.entries[:, :width]
 
     def bind(self, values: dict[str, Array], parameters: Array) -> None:
         """Take the fragment that is asked about from now on: by name, and packed."""
@@ -115,8 +122,10 @@ class BandedProblem:
             element.add_hessian(self._band)
         return value, gradient
 
-    def factorise(self, damping: float) -> Factor:
+    def factorise(self, damping: float) -> Factor | StoredFactor:
         """Cholesky factor of the Hessian kept, plus `damping` on its diagonal."""
+        if self._store is not None:
+            return self._store.factorise(damping)
         band = self._band.copy()
         band[:, 0] += damping
         return factorise(band)
@@ -135,42 +144,83 @@ class BandedProblem:
 
 
 class _Elements:
-    """One small function mapped over n places of the unknowns.
+    """One small function over n places of the unknowns.
 
     Attributes:
         at: of its Hessian's entries, as `BandedProblem.at`.
     """
 
-    def __init__(self, function: Any, index: Index) -> None:
+    def __init__(self, given: FrameFunction, index: Index, code: Any) -> None:
         self._index, size = index, index.shape[1]
-        self._mapped = Buffered(function.map(len(index)))
+        self._over = _Interpreted(given, index) if code is None else _Compiled(given, index, code)
         r, c = np.tril_indices(size)
         self._entries = c * size + r  # CasADi's order of a dense matrix
         self.at = _entries(index[:, r], index[:, c])
-        first = self.at[0].ravel() * 3 * size + self.at[1].ravel()
-        self._alone = len(np.unique(first)) == len(first)
+        width = int(self.at[1].max()) + 1
+        places, self._which = np.unique(self.at[0] * width + self.at[1], return_inverse=True)
+        self._places = places // width, places % width
+        self._alone = len(places) == self.at[0].size
 
     def bind(self, own: Array, shared: Array) -> None:
         """Take what each element observes (n, ...) and what is the same for all."""
-        self._mapped.inputs[1][:] = own.ravel()
-        self._mapped.inputs[2].reshape(len(own), -1)[:] = shared
+        self._over.bind(own, shared)
 
     def evaluate(self, x: Array, gradient: Array) -> float:
         """The energy at x; its gradient is added."""
-        value, own, hessian = self._mapped(x[self._index].ravel())
+        value, own, self._hessian = self._over.evaluate(x)
         if self._alone:
-            gradient[self._index.ravel()] += own
+            gradient[self._index.ravel()] += own.ravel()
         else:
-            gradient += np.bincount(self._index.ravel(), own, len(gradient))
-        self._hessian = hessian.reshape(len(self._index), -1)[:, self._entries]
+            gradient += np.bincount(self._index.ravel(), own.ravel(), len(gradient))
         return float(value.sum())
 
     def add_hessian(self, band: Array) -> None:
         """Add the Hessian of the last evaluation."""
+        hessian = self._hessian[:, self._entries]
         if self._alone:
-            band[self.at] += self._hessian
+            band[self.at] += hessian
         else:
-            np.add.at(band, self.at, self._hessian)
+            summed = np.bincount(self._which.ravel(), hessian.ravel(), len(self._places[0]))
+            band[self._places] += summed
+
+
+class _Interpreted:
+    """Value, gradient and Hessian of all elements, one after the other."""
+
+    def __init__(self, given: FrameFunction, index: Index) -> None:
+        self._index, self._mapped = index, Buffered(given.function.map(len(index)))
+
+    def bind(self, own: Array, shared: Array) -> None:
+        self._mapped.inputs[1][:] = own.ravel()
+        self._mapped.inputs[2].reshape(len(own), -1)[:] = shared
+
+    def evaluate(self, x: Array) -> list[Array]:
+        """Arrays with a row for each element, which hold until the next call."""
+        outputs = self._mapped(x[self._index].ravel())
+        return [output.reshape(len(self._index), -1) for output in outputs]
+
+
+class _Compiled:
+    """The same, several at once."""
+
+    def __init__(self, given: FrameFunction, index: Index, code: Any) -> None:
+        f, columns = given.function, Columns(len(index))
+        self._index, self._shared = index.T.copy(), np.zeros(f.nnz_in(2))
+        inputs = [columns.zeros(f.nnz_in(i)) for i in range(2)]
+        outputs = [columns.zeros(f.nnz_out(i)) for i in range(f.n_out())]
+        at = [columns.at(array) for array in (*inputs, *outputs)]
+        self._over = Over(code, given, len(index), [*at[:2], self._shared], at[2:])
+        self._x, self._own = (array[:, columns.inside] for array in inputs)
+        self._outputs = [array[:, columns.inside].T for array in outputs]
+
+    def bind(self, own: Array, shared: Array) -> None:
+        self._own[:], self._shared[:] = own.T, shared
+
+    def evaluate(self, x: Array) -> list[Array]:
+        """As `_Interpreted.evaluate`."""
+        self._x[:] = x[self._index]
+        self._over()
+        return self._outputs
 
 
 def _grouped(size: int, row: Index, column: Index, elements: list[Index]) -> Index:

@@ -9,14 +9,17 @@ import platform
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Built = TypeVar("Built")
 _log = logging.getLogger(__name__)
 _OPTIONS = ("-O1", "-shared", "-fPIC")
 COMPILERS = ("cc", "gcc", "clang")
@@ -39,55 +42,93 @@ def compiled(functions: list[Any]) -> list[Any]:
     A first compilation takes 10 to 30 s. Where it cannot be done, or ``RTOF_KIN_COMPILE`` is 'never',
     the functions come back as they are and are interpreted: the same numbers, several times slower.
     """
+
+    def source() -> str:
+        generator = ca.CodeGenerator("energy.c")
+        for function in functions:
+            generator.add(function)
+        return str(generator.dump())
+
+    def loaded(library: Path) -> list[Any]:
+        return [ca.external(function.name(), str(library)) for function in functions]
+
+    made_of = "".join(function.serialize() for function in functions)
+    return built(made_of, source, loaded) or functions
+
+
+def built(
+    made_of: str, source: Callable[[], str], loaded: Callable[[Path], Built],
+    options: tuple[str, ...] = (), name: str = "energy",
+) -> Built | None:  # fmt: skip
+    """What a shared library holds, which is made where it is not in the cache; None where it cannot be.
+
+    Args:
+        made_of: what tells it from other libraries. source: its C. loaded: opens it.
+        options: for the compiler, beside the usual ones; those of one kind of processor are told apart.
+        name: of the library; that an energy is being compiled, which takes long, is told.
+    """
     if os.environ.get(SWITCH) == "never":
-        return functions
+        return None
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     try:
-        library = _library(functions)
+        library = _library(made_of, options, name)
         if not library.is_file():
-            _compile(functions, library, compiler)
+            _compile(source, library, compiler, options)
         try:
-            return _loaded(functions, library)
-        except RuntimeError:  # damaged, or of another machine: CasADi says so with this
+            return loaded(library)
+        except (OSError, RuntimeError):  # damaged, or of another machine
             library.unlink(missing_ok=True)
-            _compile(functions, library, compiler)
-            return _loaded(functions, library)
+            _compile(source, library, compiler, options)
+            return loaded(library)
     except (OSError, RuntimeError, subprocess.SubprocessError) as error:
         _log.warning(
             "the energy could not be compiled (%s): it is interpreted, which is slower", error
         )
-        return functions
+        return None
 
 
-def _loaded(functions: list[Any], library: Path) -> list[Any]:
-    return [ca.external(function.name(), str(library)) for function in functions]
+def native() -> tuple[str, ...]:
+    """Compiler options for the processor at hand, where its kind can be told from others'."""
+    return ("-march=native",) if _processor() else ()
 
 
-def _library(functions: list[Any]) -> Path:
-    """Where the shared library of some functions is, or will be."""
-    text = "".join(function.serialize() for function in functions)
-    made = f"{ca.CasadiMeta.version()} {platform.system()} {platform.machine()} {_OPTIONS}"
-    key = hashlib.sha256(f"{made} {text}".encode()).hexdigest()[:24]
-    return cache_folder().absolute() / f"energy_{key}.so"
+@lru_cache
+def _processor() -> str:
+    """What tells one kind of processor from another; empty where that is not known."""
+    path = Path("/proc/cpuinfo")
+    if platform.system() != "Linux" or not path.is_file():
+        return ""
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    known = ("flags", "Features", "model name", "CPU implementer", "CPU part")
+    return " ".join(sorted({line for line in lines if line.startswith(known)}))
 
 
-def _compile(functions: list[Any], library: Path, compiler: str | None) -> None:
-    """Make the shared library of some functions."""
+def _library(made_of: str, options: tuple[str, ...], name: str) -> Path:
+    """Where a shared library is, or will be."""
+    kind = _processor() if options else ""
+    made = f"{ca.CasadiMeta.version()} {platform.system()} {platform.machine()} {kind}"
+    text = f"{made} {_OPTIONS} {options} {made_of}"
+    key = hashlib.sha256(text.encode()).hexdigest()[:24]
+    return cache_folder().absolute() / f"{name}_{key}.so"
+
+
+def _compile(
+    source: Callable[[], str], library: Path, compiler: str | None, options: tuple[str, ...]
+) -> None:
+    """Make a shared library."""
     if compiler is None:
         raise OSError("there is no C compiler")
     library.parent.mkdir(parents=True, exist_ok=True)
-    _log.warning("compiling the energy, once for this kind of recording: 10 to 30 s ...")
+    if library.name.startswith("energy"):
+        _log.warning("compiling the energy, once for this kind of recording: 10 to 30 s ...")
     with tempfile.TemporaryDirectory(dir=library.parent) as name:
-        generator = ca.CodeGenerator("energy.c")
-        for function in functions:
-            generator.add(function)
-        source, built = Path(name, "energy.c"), Path(name, library.name)
-        source.write_text(generator.dump(), encoding="utf-8")
+        written, made = Path(name, "energy.c"), Path(name, library.name)
+        written.write_text(source(), encoding="utf-8")
         subprocess.run(
-            [compiler, *_OPTIONS, str(source), "-o", str(built)],
+            [compiler, *_OPTIONS, *options, str(written), "-o", str(made), "-lm"],
             check=True, capture_output=True, timeout=300,
         )  # fmt: skip
-        built.replace(library)  # whole or not at all, also with several processes
+        made.replace(library)  # whole or not at all, also with several processes
 
 
 class Buffered:

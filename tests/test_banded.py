@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rtof_kin.banded import factorise
-from rtof_kin.errors import SolverError
+from rtof_kin.banded import Store, factorise
+from rtof_kin.errors import ShapeError, SolverError
 
 Array = NDArray[np.float64]
 SIZES = [(1, 1), (6, 1), (7, 2), (40, 5), (40, 40), (90, 28), (150, 70)]
@@ -143,3 +145,78 @@ def test_a_right_hand_side_that_is_too_short_is_refused() -> None:
 def test_a_right_hand_side_that_is_too_long_is_refused() -> None:
     with pytest.raises(SolverError):
         factorise(band_of(system(4, 2), 2)).solve(np.ones(5))
+
+
+# --- compiled ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Compilation turned on."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RTOF_KIN_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.delenv("RTOF_KIN_COMPILE", raising=False)
+        if not Store.available():
+            pytest.skip("banded systems are not compiled on this machine")
+        yield
+
+
+def stored(H: Array, width: int) -> Store:
+    store = Store(len(H), width - 1)
+    for below in range(width):
+        store.entries[: len(H) - below, below] = np.diag(H, -below)
+    return store
+
+
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("size, width", [*SIZES, (2, 1), (8, 8), (33, 9), (200, 132)])
+def test_a_stored_band_is_solved_as_the_dense_system(size: int, width: int) -> None:
+    H, right = system(size, width), np.random.default_rng(1).normal(size=size)
+    store = stored(H, width)
+    for damping in (0.0, 3.0):  # the matrix stays
+        expected = np.linalg.solve(H + damping * np.eye(size), right)
+        solved = store.factorise(damping).solve(right)
+        np.testing.assert_allclose(solved, expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.usefixtures("compiled")
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 90), st.integers(1, 60), st.integers(0, 1000))
+def test_any_size_and_width_is_stored_alike(size: int, width: int, seed: int) -> None:
+    width = min(width, size)
+    H, right = system(size, width, seed), np.random.default_rng(seed).normal(size=size)
+    solved = stored(H, width).factorise(0.0).solve(right)
+    assert np.abs(H @ solved - right).max() < 1e-12 * (1 + np.abs(H).max() * np.abs(solved).max())
+
+
+@pytest.mark.usefixtures("compiled")
+def test_a_stored_factor_outlives_others_and_keeps_the_right_hand_sides_shape() -> None:
+    H, right = system(30, 4), np.random.default_rng(1).normal(size=(5, 6))
+    store = stored(H, 4)
+    factor, before = store.factorise(0.0), right.copy()
+    solved = factor.solve(right)
+    store.factorise(100.0)
+    stored(system(30, 4, 1), 4).factorise(0.0).solve(right)
+    np.testing.assert_array_equal(factor.solve(right), solved)
+    np.testing.assert_array_equal(right, before)
+    np.testing.assert_allclose(H @ solved.ravel(), right.ravel(), atol=1e-9)
+    with pytest.raises(SolverError, match="3 numbers for a system of 30"):
+        factor.solve(np.ones(3))
+
+
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("width", [1, 5, 60])
+@pytest.mark.parametrize("at", [0, 40, 79])
+@pytest.mark.parametrize("value", [0.0, -1e-9, -1e9, np.nan, np.inf])
+def test_a_stored_pivot_that_is_not_positive_is_refused(width: int, at: int, value: float) -> None:
+    store = stored(np.eye(80), width)
+    store.entries[at, 0] = value
+    with pytest.raises(SolverError, match="Hessian is not positive definite"):
+        store.factorise(0.0)
+
+
+def test_without_compiled_code_nothing_is_stored(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RTOF_KIN_COMPILE", "never")
+    assert not Store.available()
+    with pytest.raises(ShapeError, match="not compiled here; use `factorise`"):
+        Store(10, 2)

@@ -16,8 +16,8 @@ ROOT = Path(__file__).parent.parent
 ROWS = """
 errors
 rotations   resources   body_mass
-signals   skeleton_table   kinematics   checks   quaternions   banded   compiled
-levenberg_marquardt
+signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_code
+levenberg_marquardt   banded   lanes
 types   urdf
 skeleton
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position
@@ -26,7 +26,9 @@ io   io.arrays   io.articulated   io.folder   io.pickled   io.section
 io.asf_amc   io.bvh   io.joint_trajectory   io.motion_npz   io.object_npz   io.total_capture
 cartesian_banded   joint_space.prior   joint_space.state
 cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
-joint_space.problem
+joint_space.problem   joint_space.windows
+joint_space.couplings
+joint_space.lane_problem
 joint_space.annealing   joint_space.bordered   joint_space.building
 joint_space.ipopt   joint_space.observations
 joint_space.solver
@@ -222,8 +224,9 @@ def test_each_heavy_package_is_imported_where_it_belongs() -> None:
                     users[package].add(name)
     assert all(name.startswith("lifting.") for name in users["torch"])
     assert users["pinocchio"] == {"skeleton", "io.joint_trajectory"}
-    joint_space = {f"joint_space.{n}" for n in ("frame_energy", "limits", "problem", "ipopt")}
-    assert users["casadi"] <= {"energies", "compiled", "fragment_problem"} | joint_space
+    symbolic = ("frame_energy", "limits", "problem", "ipopt", "windows", "couplings")
+    joint_space = {f"joint_space.{n}" for n in symbolic}
+    assert users["casadi"] <= {"energies", "compiled", "lane_code", "fragment_problem"} | joint_space
     assert users["matplotlib"] <= {"figures", "protocols.pictures"}
     assert not users["yourdfpy"]
 

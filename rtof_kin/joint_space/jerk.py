@@ -31,11 +31,15 @@ class Jerk:
         self._balls = np.flatnonzero(ball)
         self._columns = space.first[self._balls][:, None] + np.arange(3)
         self._straight = np.setdiff1d(np.arange(space.size), self._columns)
+        self._bound: tuple[Array, float] | None = None
         self._precision = 1 / sigma[self._columns[:, 0]] ** 2
 
     def bind(self, w_jerk: Array, rate_hz: float) -> None:
         """Take the weights (N - 3,) of the fragment that is asked about from now on."""
         N = self.frames
+        if self._bound is not None and self._bound[1] == rate_hz and (self._bound[0] == w_jerk).all():
+            return
+        self._bound = w_jerk.copy(), rate_hz
         second = np.sqrt(w_jerk)[:, None] * np.diff(np.eye(N - 1), n=2, axis=0) * rate_hz**3
         # S of the steps, with rows and columns of zeros about it.
         S = np.zeros((N + 4, N + 4))
@@ -45,7 +49,16 @@ class Jerk:
         self._earlier = [S[t + m + 1, t + 1] for m in range(-1, LAGS - 1)]
         third = np.sqrt(w_jerk)[:, None] * np.diff(np.eye(N), n=3, axis=0) * rate_hz**3
         square = third.T @ third
-        self._plain = [np.diag(square, -k)[:, None] / self.sigma**2 for k in range(LAGS)]
+        self._plain = [np.diag(square, -k)[:, None] for k in range(LAGS)]
+
+    def coefficients(self) -> Array:
+        """(N, 12) what blocks of 0 to 3 frames later are made with: of a frame's derivative of the step
+        before it, of the step after it, and of both where steps turn about one axis; 0 beyond the end."""
+        out = np.zeros((self.frames, 3 * LAGS))
+        parts = [*self._later, *self._earlier, *(plain[:, 0] for plain in self._plain)]
+        for k, part in enumerate(parts):
+            out[: len(part), k] = part
+        return out
 
     def gradient(self, inverse: Array, pull: Array) -> Array:
         """(N, D) from the derivative with respect to the steps (N - 1, D).
@@ -87,7 +100,7 @@ class Jerk:
             block = np.swapaxes(block, -1, -2)
             if k + 1 < LAGS:
                 band[: N - k, columns, k * D + rows] += block
-                band[: N - k, s, k * D + s] += self._plain[k][:, s]
+                band[: N - k, s, k * D + s] += self._plain[k] / self.sigma[s] ** 2
             else:  # nothing else couples frames that far apart
                 band[: N - k, columns, k * D + rows] = block
-                band[: N - k, s, k * D + s] = self._plain[k][:, s]
+                band[: N - k, s, k * D + s] = self._plain[k] / self.sigma[s] ** 2

@@ -7,6 +7,7 @@ postures: from 15 to 5 degrees before, the first and the third fade to the middl
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import casadi as ca
@@ -17,6 +18,8 @@ from rtof_kin import energies
 from rtof_kin.compiled import Buffered
 from rtof_kin.errors import ShapeError
 from rtof_kin.joint_space.state import XYZ, StateSpace
+from rtof_kin.lane_code import FrameFunction
+from rtof_kin.lanes import Mapped
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -32,11 +35,15 @@ class Limits:
             derivatives by the rotation vector of the joint they belong to (3M).
     """
 
-    def __init__(self, space: StateSpace, functions: list[Any] | None = None) -> None:
+    def __init__(
+        self, space: StateSpace, functions: list[Any] | None = None,
+        code: Mapping[str, Any] | None = None,
+    ) -> None:  # fmt: skip
         """Collect the limits of the joints that move.
 
         Args:
             functions: compiled ones of a space like this, if there are.
+            code: of `in_lanes`' functions, which are then called for several frames at once.
 
         Raises:
             ShapeError: a lower limit is not below its upper one.
@@ -62,7 +69,13 @@ class Limits:
         self._ball = space.hinge_axis[self._of] < 0
         self._columns = space.first[self._of][:, None] + np.arange(3) * self._ball[:, None]
         self.functions = self._functions() if functions is None else functions
-        self._mapped: dict[tuple[int, int], Buffered] = {}
+        self._code = code
+        self._known: tuple[Array, Array] | None = None
+        self._mapped: dict[tuple[int, int], Callable[[Array], Array]] = {}
+
+    def for_lanes(self) -> list[FrameFunction]:
+        """The functions, as they are compiled for several frames at once."""
+        return [FrameFunction(function, (1,)) for function in self.functions]
 
     def values(self, x: Array) -> Array:
         """What is bounded (T, M) of a state, rad: angles of that one of their two sets, and with those
@@ -71,11 +84,11 @@ class Limits:
         Three angles say the same as (first + pi, pi - second, third + pi), and the limits of a shoulder
         reach into both sets.
         """
-        return np.array(self._evaluate(0, x)[0].reshape(len(x), -1))
+        return np.array(self._evaluate(0, x))
 
     def excess(self, values: Array) -> Array:
         """(T, M) rad by which angles leave their limits; negative below the lower one, 0 inside."""
-        return np.asarray(values - np.clip(values, self.lower, self.upper))
+        return np.asarray(values - np.minimum(np.maximum(values, self.lower), self.upper))
 
     def jacobian(self, x: Array) -> Array:
         """Derivatives (T, M, D) of the values at a state by a step."""
@@ -88,11 +101,11 @@ class Limits:
 
     def force(self, x: Array, push: Array) -> Array:
         """J^T push (T, D) of forces (T, M) on the angles at a state, most of which are 0."""
-        out = np.zeros((len(x), self.space.size))
         frame, m = np.nonzero(push)
         rates = self._rates(x)[frame, m] * push[frame, m, None]
-        np.add.at(out, (frame[:, None], self._columns[m]), rates)
-        return out
+        places, size = frame[:, None] * self.space.size + self._columns[m], len(x) * self.space.size
+        summed = np.bincount(places.ravel(), rates.ravel(), size)
+        return np.asarray(summed.reshape(len(x), -1))
 
     def curvature(self, x: Array, pushed: NDArray[np.bool_]) -> tuple[Index, Index, Index, Array]:
         """J^T J of the angles chosen (T, M): frames (n, 1, 1), rows (n, 3, 1), columns (n, 1, 3) and
@@ -107,14 +120,27 @@ class Limits:
 
     def _rates(self, x: Array) -> Array:
         """(T, M, 3) derivatives by the rotation vector of the joint; of a hinge's, the first alone."""
-        return self._evaluate(1, x)[0].reshape(len(x), -1, 3)
+        if self._known is None or self._known[0] is not x:
+            self._known = x, self._evaluate(1, x).reshape(len(x), -1, 3)
+        return self._known[1]
 
-    def _evaluate(self, which: int, x: Array) -> list[Array]:
+    def _evaluate(self, which: int, x: Array) -> Array:
+        """(T, n) of a function."""
         key = which, len(x)
         if key not in self._mapped:
-            self._mapped[key] = Buffered(self.functions[which].map(len(x)))
-        bounds = np.tile(np.stack([self.lower, self.upper]), (len(x), 1, 1))
-        return self._mapped[key](x.ravel(), bounds.ravel())
+            self._mapped[key] = self._over(which, len(x))
+        return self._mapped[key](x)
+
+    def _over(self, which: int, frames: int) -> Callable[[Array], Array]:
+        """A function over so many frames."""
+        bounds = np.concatenate([self.lower, self.upper])
+        if self._code is not None:
+            given = self.for_lanes()[which]
+            lanes = Mapped(self._code[given.function.name()], given, frames)
+            return lambda x: lanes(x, bounds)[0]
+        mapped = Buffered(self.functions[which].map(frames))
+        mapped.inputs[1][:] = np.tile(bounds, frames)
+        return lambda x: mapped(x.ravel())[0].reshape(frames, -1)
 
     def _functions(self) -> list[Any]:
         """The CasADi functions of one frame."""

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
-from rtof_kin.joint_space.building import built_problem
+from rtof_kin.joint_space.building import Built, built_problem
 from rtof_kin.joint_space.frame_energy import FEET, TORSO, Shape
-from rtof_kin.joint_space.limits import Limits
 from rtof_kin.joint_space.prior import shipped_prior
-from rtof_kin.joint_space.problem import FragmentData, JointProblem
+from rtof_kin.joint_space.problem import FragmentData
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.joint_space.state import StateSpace
 from rtof_kin.root_position import refit_root
@@ -54,8 +51,8 @@ class Observations:
             or any(known[n][0] == name for n in extra)
         ]  # fmt: skip
         self.space = StateSpace(skeleton, moving, s.hinges)
-        self.problem, functions = self._problem(tuple(moving), names, sensors)
-        self.limits = Limits(self.space, functions) if s.limits else None
+        built = self._built(tuple(moving), names, sensors)
+        self.problem, self.limits = built.problem, built.limits(self.space) if s.limits else None
         self._observe(start, keypoints.select(names), bone_imus, sensors)
         x = self.space.from_poses(start.p_world_joint[:, 0], start.R_world_bone)
         self.start = self.space.low_passed(x, start.rate_hz, s.smooth_start_hz)
@@ -71,10 +68,10 @@ class Observations:
         R[:, trunk] = so3.about_axis("z", yaw) @ R[:, trunk]
         return self.space.from_poses(start.p_world_joint[:, 0], R)
 
-    def _problem(
+    def _built(
         self, moving: tuple[str, ...], names: tuple[str, ...], sensors: tuple[str, ...]
-    ) -> tuple[JointProblem, list[Any]]:
-        """For some moving joints, landmarks and sensors; and the functions of their limits."""
+    ) -> Built:
+        """The problem for some moving joints, landmarks and sensors."""
         skeleton, s = self.skeleton, self.settings
         index = skeleton.names.index
         shape = Shape(
