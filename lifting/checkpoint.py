@@ -16,12 +16,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from lifting.body import Body, bone_groups
 from lifting.model import NetworkConfig, TemporalNetwork
-from lifting.windows import Body, bone_groups
+from lifting.models import model_of
 from rtof_kin.errors import FileFormatError
 
 FORMAT = "rtof-kin lifter"
-VERSION = 1
+VERSION = 2
 ACKNOWLEDGEMENT = (
     "The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with "
     "funding from NSF EIA-0196217."
@@ -86,7 +87,7 @@ def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescriptio
             path, "the checksum does not match: the file is damaged or was altered; copy it again"
         )
     description = _description(path, text)
-    network = TemporalNetwork(description.network)
+    network = model_of(description.network.model).network(description.network)
     try:
         network.load_state_dict(weights)
     except RuntimeError as error:
@@ -128,6 +129,7 @@ def _description(path: Path, text: str) -> LifterDescription:
                 tuple(map(str, body["names"])),
                 tuple(map(int, body["parents"])),
                 tuple(map(float, body["nominal_bones"])),
+                tuple(map(str, body["sensors"])),
             ),
             network=NetworkConfig(**{**network, "filter_widths": tuple(network["filter_widths"])}),
             **raw,
@@ -147,7 +149,12 @@ def _check(description: LifterDescription) -> None:
         raise ValueError("names and parents are no tree of joints")
     if len(body.nominal_bones) != 3 * len(bone_groups(body.names)):
         raise ValueError("the nominal bones do not fit the joints")
-    if (network.inputs, network.outputs) != (body.inputs, body.outputs):
+    if not set(body.sensors) <= set(body.names) or len(set(body.sensors)) < len(body.sensors):
+        raise ValueError("the sensors' segments are not among the joints")
+    if not {body.mirrored[j] for j in body.sensor_joints} <= set(body.sensor_joints):
+        raise ValueError("a sensor's segment has no counterpart on the other side")
+    shape = network.inputs, network.constants, network.outputs
+    if shape != model_of(network.model).sizes(body):
         raise ValueError("the network's inputs or outputs do not fit the joints")
     if not 1 <= network.channels <= _MAX_CHANNELS:
         raise ValueError(f"{network.channels} channels")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -12,11 +13,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from lifting.body import Body
 from lifting.splits import SPLITS, find_split, read_split
-from lifting.windows import Body
 from rtof_kin import kinematics, mocap, signals
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError, ShapeError
+from rtof_kin.resources import model_path
+from rtof_kin.skeleton_table import read_skeleton_table
 
 Array = NDArray[np.float32]
 RATE_HZ = 60.0
@@ -138,7 +141,17 @@ class Corpus:
         offsets = self.joint_offsets[self.clips("train", required=False) or slice(None)]
         unknown = Body(self.names, self.parents, ())
         nominal = unknown.bones_of(torch.from_numpy(offsets.mean(axis=0)))
-        return Body(self.names, self.parents, tuple(float(x) for x in nominal))
+        bones = tuple(float(x) for x in nominal)
+        return Body(self.names, self.parents, bones, _sensed(self.names, self.parents))
+
+    def digest(self) -> str:
+        """SHA-256 of all motion, its skeletons and its split, in hexadecimal."""
+        texts = self.names, self.parents, self.subjects, self.split, self.rate_hz
+        digest = hashlib.sha256(repr(texts).encode())
+        arrays = [self.p_world_root, self.R_world_bone, self.joint_offsets, self.start]
+        for array in [*arrays, *([] if self.beyond_rigid is None else [self.beyond_rigid])]:
+            digest.update(np.ascontiguousarray(array).data)
+        return digest.hexdigest()
 
     def save(self, path: str | Path) -> Path:
         """Write an .npz file that `read_corpus` reads, orientations as quaternions."""
@@ -154,6 +167,15 @@ class Corpus:
             rate_hz=self.rate_hz, acknowledgement=self.acknowledgement, **beyond,
         )  # fmt: skip
         return path
+
+
+def _sensed(names: tuple[str, ...], parents: tuple[int, ...]) -> tuple[str, ...]:
+    """Joints whose segments carry the usual sensors, if these are the package's 21 joints: others' motion
+    has no orientations of its own."""
+    table = read_skeleton_table(model_path("skeleton.toml"))
+    if (table.names, table.parents) != (names, parents):
+        return ()
+    return tuple(sensor.joint for sensor in table.sensors)
 
 
 def make_corpus(

@@ -16,10 +16,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from lifting.body import Body, bone_groups
 from lifting.corpus import Corpus
 from lifting.draws import Draw, about_x, about_y, about_z
-from lifting.noise import HALF_HEIGHT, HALF_WIDTH, NoiseConfig, add_noise, perfect
-from lifting.windows import Body, bone_groups
+from lifting.noise import HALF_HEIGHT, HALF_WIDTH, NoiseConfig, add_noise, perfect, runs
+from lifting.sensors import SensorConfig, with_errors, worn
+from lifting.windows import Picture, Windows
 from rtof_kin import rotations as so3
 
 
@@ -60,32 +62,69 @@ class AugmentConfig:
     height_error: float = 0.02
     """Standard deviation of the height the network is told, m."""
     noise: NoiseConfig = field(default_factory=NoiseConfig)
+    """Of the detector."""
+    sensors: SensorConfig = field(default_factory=SensorConfig)
+    """Which there are, and their errors."""
 
 
 def plain(noise: NoiseConfig | None = None) -> AugmentConfig:
-    """Motion as recorded, from virtual cameras, bones known exactly: what validation uses."""
+    """Motion as recorded, from virtual cameras, bones known exactly, no sensors: what validation uses."""
     return AugmentConfig(
         mirror=0.0, tilt=0.0, warp=(1.0, 1.0), overall_scale=0.0, bone_scale=0.0, own_skeleton=1.0,
         recombine=0.0, hide_bones=0.0, bone_error=0.0, hide_height=1.0, noise=noise or perfect(),
+        sensors=SensorConfig(none=1.0),
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Batch:
-    """What the network is given, before encoding, and the truth about it."""
+    """What is observed in some windows, and the truth about the frame that is estimated."""
 
-    rays_world: Tensor
-    """(B, 3, W, J) directions from the optical centre."""
-    seen: Tensor
-    """(B, W, J) bool."""
-    bones: Tensor
-    """(B, 3 G) bones, m, see `Body.bones_of`; NaN rows where not told."""
-    camera_height: Tensor
-    """(B,) m; NaN where not told."""
+    windows: Windows
+    """What the network is given, before encoding."""
     pose: Tensor
-    """(B, 3, J) root-relative joints of the middle frame in world axes, m."""
+    """(B, 3, J) root-relative joints in world axes, m."""
     root: Tensor
-    """(B, 3) root of the middle frame from the optical centre in world axes, m."""
+    """(B, 3) root from the optical centre in world axes, m."""
+    axes: Tensor
+    """(B, 3, 2, J) x and z axes of the segments in world."""
+
+
+@dataclass
+class _Moving:
+    """Bodies in motion, before a camera is there."""
+
+    bones: Tensor
+    """(B, 3, W, J-1) bone vectors in world, m."""
+    root: Tensor
+    """(B, 3, W) path of the root from the estimated frame, m."""
+    offsets: Tensor
+    """(B, J, 3) joint offsets of who moves, m."""
+    axes: Tensor
+    """(B, 3, 2, J) x and z axes of all segments in the estimated frame."""
+    carried: Tensor
+    """(B, 3, W, 2, S) those of the segments that may carry sensors, at the sensors' times."""
+
+    def turned(self, R: Tensor) -> _Moving:
+        """Everything turned by rotations (B, 3, 3)."""
+        def turn(x: Tensor) -> Tensor:
+            return torch.bmm(R, x.flatten(2)).reshape(x.shape)
+
+        parts = self.bones, self.root, self.axes, self.carried
+        bones, root, axes, carried = map(turn, parts)
+        return _Moving(bones, root, self.offsets, axes, carried)
+
+    def put_on(
+        self, count: int, upper: _Moving, joints: Tensor, segments: Tensor, sensors: Tensor
+    ) -> None:
+        """Give the first bodies other upper bodies: masks (J,), (J,) and (S,) tell what is upper."""
+        def exchange(mine: Tensor, other: Tensor, mask: Tensor) -> None:
+            mine[:count] = torch.where(mask, other, mine[:count])
+
+        exchange(self.bones, upper.bones, joints[1:])
+        exchange(self.offsets, upper.offsets, joints[:, None])
+        exchange(self.axes, upper.axes, segments)
+        exchange(self.carried, upper.carried, sensors)
 
 
 class MotionBank:
@@ -116,13 +155,15 @@ class MotionBank:
         self.offsets = torch.stack(
             [torch.stack([_offsets(corpus, clip, body) for clip in clips]) for body in bodies]
         ).to(device)
-        p_root, lowest, heading, first, last = [], [], [], [], []
+        p_root, lowest, heading, axes, first, last = [], [], [], [], [], []
         count = 0
         for clip in clips:
             p = corpus.positions(clip)
             p_root.append(p[:, 0])
             lowest.append(p[:, :, 2].min(axis=1))
-            heading.append(so3.heading(corpus.R_world_bone[corpus.frames(clip), 0]))
+            R = corpus.R_world_bone[corpus.frames(clip)]
+            heading.append(so3.heading(R[:, 0]))
+            axes.append(R[..., [0, 2]].transpose(0, 2, 3, 1))
             first.append(np.full(len(p), count))
             count += len(p)
             last.append(np.full(len(p), count - 1))
@@ -131,10 +172,14 @@ class MotionBank:
             return torch.from_numpy(np.concatenate(parts)).to(device, dtype)
 
         self.roots, self.lowest, self.heading = tensor(p_root), tensor(lowest), tensor(heading)
+        self.axes = tensor(axes)
+        self.carried = self.axes[..., self.body.sensor_joints]
         self.first, self.last = tensor(first, torch.long), tensor(last, torch.long)
         self.clip = torch.searchsorted(torch.unique(self.first), self.first)
         self.chain = _chain(self.body).to(device)
         self.upper = _upper_body(self.body).to(device)
+        self.upper_segments = _upper_segments(self.body, self.upper)
+        self.bone_axes = _bone_axes(corpus, self.body).to(device)
         self.group_of_joint = _group_of_joint(self.body).to(device)
         self.groups = len(bone_groups(self.body.names))
 
@@ -148,6 +193,7 @@ class MotionBank:
         config: AugmentConfig,
         generator: torch.Generator,
         frames: Tensor | None = None,
+        causal: bool = False,
     ) -> Batch:
         """A batch of windows.
 
@@ -156,62 +202,55 @@ class MotionBank:
             window: frames in each, odd, at the corpus' rate.
             config: what is drawn for each.
             generator: the only source of randomness, on the bank's device.
-            frames: (batch,) the middle frames; drawn where not given.
+            frames: (batch,) the estimated frames; drawn where not given.
+            causal: whether the last frame of each window is estimated, and not the middle one.
         """
         draw = Draw(batch, generator, self.device)
+        estimated = window - 1 if causal else window // 2
         if frames is None:
             frames = draw.integers(len(self))
-        bones, root, offsets = self._motion(frames, window, config, draw)
+        step = torch.arange(window, device=self.device) - estimated
+        moving = self._motion(frames, step, config, draw)
         scale = 1 + config.overall_scale * draw.normal(batch, 1)
         scale = scale * (1 + config.bone_scale * draw.normal(batch, self.groups))
         factor = scale.clamp(0.6, 1.6)[:, self.group_of_joint]
-        bones = bones * factor[:, None, None, 1:]
-        told = self.body.bones_of(offsets * factor[:, :, None])
-        mirrored = draw.uniform(batch) < config.mirror
-        bones = torch.where(mirrored[:, None, None, None], self._mirror(bones), bones)
-        root[:, 1] *= torch.where(mirrored, -1.0, 1.0)[:, None]
-        R = self._orientation(config, draw)
-        bones = torch.bmm(R, bones.flatten(2)).reshape(bones.shape)
-        root = torch.bmm(R, root)
-        pose = torch.matmul(bones, self.chain)
-        middle = pose[:, :, window // 2].clone()
+        moving.bones *= factor[:, None, None, 1:]
+        told = self.body.bones_of(moving.offsets * factor[:, :, None])
+        self._mirror(moving, draw.uniform(batch) < config.mirror)
+        moving = moving.turned(self._orientation(config, draw))
+        pose = torch.matmul(moving.bones, self.chain)
+        now = pose[:, :, estimated].clone()
         # The lowest joint stays as high over the floor as it was recorded.
-        root_height = self.lowest[frames] - middle[:, 2].min(dim=1).values
+        root_height = self.lowest[frames] - now[:, 2].min(dim=1).values
         height = draw.between(config.camera_height, batch)
         towards_root = torch.stack(
             [draw.between(config.distance, batch), torch.zeros_like(height), root_height - height],
             1,
         )
-        p = pose.add_((root + towards_root[:, :, None])[..., None])
-        rays, seen = self._observe(p, towards_root, config, draw)
+        p = pose.add_((moving.root + towards_root[:, :, None])[..., None])
+        rays, seen, picture = self._observe(p, towards_root, config, draw)
         told = told + config.bone_error * draw.normal(*told.shape)
         told = torch.where(draw.uniform(batch, 1) < config.hide_bones, torch.nan, told)
         height = height + config.height_error * draw.normal(batch)
         height = torch.where(draw.uniform(batch) < config.hide_height, torch.nan, height)
-        return Batch(rays, seen, told, height, middle, towards_root)
+        axes, sensed = self._sense(moving.carried, config.sensors, draw)
+        windows = Windows(rays, seen, told, height, axes, sensed, estimated, picture)
+        return Batch(windows, now, towards_root, moving.axes)
 
-    def _motion(
-        self, frames: Tensor, window: int, config: AugmentConfig, draw: Draw
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Bone vectors (B, 3, W, J-1), the root's path from the middle frame (B, 3, W), and the joint
-        offsets (B, J, 3) of who moves."""
-        step = (torch.arange(window, device=self.device) - window // 2)[None]
-        offset = step * draw.between(config.warp, len(frames))[:, None]
-        body = self._bodies(config, draw)
-        bones, root, heading = self._at(frames, offset, body)
-        offsets = self.offsets[body, self.clip[frames]]
+    def _motion(self, frames: Tensor, step: Tensor, config: AugmentConfig, draw: Draw) -> _Moving:
+        """Motion around frames, `step` (W,) frames from them before it is re-timed."""
+        speed = draw.between(config.warp, len(frames))[:, None]
+        offset = step[None] * speed
+        lag = draw.between(config.sensors.lag, len(frames))[:, None] * speed
+        moving, heading = self._at(frames, offset, lag, self._bodies(config, draw))
         count = round(config.recombine * len(frames))
         if count:
             other, body = draw.integers(len(self))[:count], self._bodies(config, draw)[:count]
-            upper, _, other_heading = self._at(other, offset[:count], body)
-            turn = heading[:count] - other_heading
-            c, s = turn.cos()[..., None], turn.sin()[..., None]
-            x, y, z = upper.unbind(dim=1)
-            upper = torch.stack([c * x - s * y, s * x + c * y, z], dim=1)
-            bones[:count] = torch.where(self.upper[1:], upper, bones[:count])
-            upper_offsets = self.offsets[body, self.clip[other]]
-            offsets[:count] = torch.where(self.upper[:, None], upper_offsets, offsets[:count])
-        return bones, root - root[:, :, window // 2, None], offsets
+            upper, other_heading = self._at(other, offset[:count], lag[:count], body)
+            upper = upper.turned(about_z(heading[:count] - other_heading))
+            sensors = self.upper_segments[self.body.sensor_joints]
+            moving.put_on(count, upper, self.upper, self.upper_segments, sensors)
+        return moving
 
     def _bodies(self, config: AugmentConfig, draw: Draw) -> Tensor:
         """(B,) whose skeleton each window is on, 0 for its own."""
@@ -220,21 +259,55 @@ class MotionBank:
             return torch.zeros(draw.batch, dtype=torch.long, device=self.device)
         return (1 + draw.integers(others)) * (draw.uniform(draw.batch) >= config.own_skeleton)
 
-    def _at(self, frames: Tensor, offset: Tensor, body: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Bones (B, 3, W, J-1), root (B, 3, W) and heading (B, W) around frames, inside their clip."""
+    def _at(
+        self, frames: Tensor, offset: Tensor, lag: Tensor, body: Tensor
+    ) -> tuple[_Moving, Tensor]:
+        """Motion at offsets (B, W) from frames, inside their clip, and the heading (B,) in the frames.
+
+        The segments that may carry sensors are looked up another `lag` (B, 1) of frames later, in the
+        nearest frame.
+        """
+        low, high, share = self._between(frames, offset)
+        bones = torch.lerp(self.bones[body[:, None], low], self.bones[body[:, None], high], share)
+        root = torch.lerp(self.roots[low], self.roots[high], share[..., 0])
+        root = (root - self.roots[frames][:, None]).transpose(1, 2)
+        nearest = self._between(frames, offset + lag + 0.5)[0]
+        return _Moving(
+            bones.transpose(1, 2).contiguous(), root, self.offsets[body, self.clip[frames]],
+            self.axes[frames], self.carried[nearest].transpose(1, 2).contiguous(),
+        ), self.heading[frames]  # fmt: skip
+
+    def _between(self, frames: Tensor, offset: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The frames (B, W) before and after, and the share (B, W, 1, 1) of the one after."""
         at = frames[:, None] + offset
         at = at.clamp(self.first[frames][:, None].float(), self.last[frames][:, None].float())
         low = at.floor().long()
         high = torch.minimum(low + 1, self.last[frames][:, None])
-        share = (at - low)[..., None]
-        body = body[:, None]
-        bones = torch.lerp(self.bones[body, low], self.bones[body, high], share[..., None])
-        root = torch.lerp(self.roots[low], self.roots[high], share)
-        return bones.transpose(1, 2).contiguous(), root.transpose(1, 2), self.heading[low]
+        return low, high, (at - low)[..., None, None]
 
-    def _mirror(self, bones: Tensor) -> Tensor:
-        order = [j - 1 for j in self.body.mirrored[1:]]
-        return bones[..., order] * bones.new_tensor([1.0, -1.0, 1.0])[:, None, None]
+    def _mirror(self, moving: _Moving, which: Tensor) -> None:
+        """Exchange left and right of some bodies, by a mask (B,)."""
+        rows = which.nonzero()[:, 0]
+        order = self.body.mirrored
+
+        def mirror(x: Tensor, order: list[int]) -> None:
+            across = x.new_tensor([1.0, -1.0, 1.0]).reshape(3, *[1] * (x.ndim - 2))
+            index = torch.tensor(order, dtype=torch.long, device=self.device)
+            x[rows] = x[rows].index_select(-1, index) * across
+
+        mirror(moving.bones, [j - 1 for j in order[1:]])
+        mirror(moving.root, list(range(moving.root.shape[-1])))
+        mirror(moving.axes, order)
+        mirror(moving.carried, self.body.mirrored_sensors)
+
+    def _sense(self, axes: Tensor, config: SensorConfig, draw: Draw) -> tuple[Tensor, Tensor]:
+        """What sensors say of axes (B, 3, W, 2, S), and which say anything (B, W, S)."""
+        B, _, W, _, S = axes.shape
+        if S == 0 or config.none >= 1:
+            return axes, torch.zeros((B, W, S), dtype=torch.bool, device=self.device)
+        lost = runs(config.missing, (B, W, S), axes, draw.generator, self.rate_hz)
+        sensed = worn(self.body, config, draw)[:, None] & ~lost
+        return with_errors(self.bone_axes, axes, config, draw), sensed
 
     def _orientation(self, config: AugmentConfig, draw: Draw) -> Tensor:
         """(B, 3, 3): any heading, and for some a tilt about a horizontal axis."""
@@ -247,8 +320,9 @@ class MotionBank:
 
     def _observe(
         self, p: Tensor, towards_root: Tensor, config: AugmentConfig, draw: Draw
-    ) -> tuple[Tensor, Tensor]:
-        """Rays (B, 3, W, J) in world and what is seen, by a camera that has the root in its image."""
+    ) -> tuple[Tensor, Tensor, Picture]:
+        """Rays (B, 3, W, J) in world, what is seen, by a camera that has the root in its image, and
+        that image."""
         right = (2 * draw.uniform(draw.batch) - 1) * config.off_axis * HALF_WIDTH
         down = (2 * draw.uniform(draw.batch) - 1) * config.off_axis * HALF_HEIGHT
         azimuth = torch.atan2(towards_root[:, 1], towards_root[:, 0]) + right.atan()
@@ -262,7 +336,7 @@ class MotionBank:
         xy, seen = add_noise(self.body, config.noise, xy, seen, draw.generator, self.rate_hz)
         ray = torch.cat([xy, torch.ones_like(xy[:, :1])], dim=1)
         world = torch.bmm(R_camera_world.transpose(1, 2), ray.flatten(2))
-        return world.reshape(p.shape), seen
+        return world.reshape(p.shape), seen, Picture(xy / HALF_WIDTH, R_camera_world)
 
 
 def _offsets(corpus: Corpus, clip: int, body: NDArray[np.float32] | None) -> Tensor:
@@ -298,9 +372,27 @@ def _upper_body(body: Body) -> Tensor:
     return torch.tensor([j not in legs and parent > 0 for j, parent in enumerate(body.parents)])
 
 
+def _upper_segments(body: Body, upper: Tensor) -> Tensor:
+    """(J,) bool: segments whose bones end in joints of the upper body, and its ends."""
+    children = [[c for c, parent in enumerate(body.parents) if parent == j] for j in range(len(upper))]
+    ends = [bool(upper[(own or [j])[0]]) for j, own in enumerate(children)]
+    return torch.tensor(ends, device=upper.device)
+
+
 def _group_of_joint(body: Body) -> Tensor:
     """(J,) which of `bone_groups` ends at each joint; 0 for the root."""
     index = torch.zeros(len(body.names), dtype=torch.long)
     for i, joints in enumerate(bone_groups(body.names).values()):
         index[joints] = i
     return index
+
+
+def _bone_axes(corpus: Corpus, body: Body) -> Tensor:
+    """(S, 3) unit vectors along the bones of segments that may carry sensors, zero where not one bone."""
+    mean = corpus.joint_offsets.mean(axis=0)
+    axes = torch.zeros(len(body.sensors), 3)
+    for s, j in enumerate(body.sensor_joints):
+        children = [c for c, parent in enumerate(body.parents) if parent == j]
+        if len(children) == 1:
+            axes[s] = torch.from_numpy(mean[children[0]] / np.linalg.norm(mean[children[0]]))
+    return axes

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lifting.body import Body
 from lifting.corpus import RATE_HZ, Corpus, join_clips
-from lifting.windows import Body
 from rtof_kin import kinematics, signals
 from rtof_kin.datasets import human36m, total_capture
 from rtof_kin.errors import FileFormatError, RtofError

@@ -55,3 +55,21 @@ def about_z(angle: Tensor) -> Tensor:
     """Rotations (B, 3, 3) about z by angles (B,) in radians."""
     o, i = torch.zeros_like(angle), torch.ones_like(angle)
     return _axis_rotation(angle, lambda c, s: [[c, -s, o], [s, c, o], [o, o, i]])
+
+
+def rotation(rotvec: Tensor) -> Tensor:
+    """Rotations (B, 3, 3) by rotation vectors (B, 3), rad."""
+    angle = rotvec.norm(dim=1).clamp_min(1e-9)[:, None, None]
+    x, y, z = rotvec.unbind(dim=1)
+    o = torch.zeros_like(x)
+    cross = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=1).reshape(-1, 3, 3)
+    square = torch.bmm(cross, cross)
+    one = torch.eye(3, device=rotvec.device)
+    R: Tensor = one + (angle.sin() / angle) * cross + ((1 - angle.cos()) / angle**2) * square
+    return R
+
+
+def cross(a: Tensor, b: Tensor) -> Tensor:
+    """Cross product of (B, 3, ...): faster than torch's where the components are planes."""
+    (a1, a2, a3), (b1, b2, b3) = a.unbind(dim=1), b.unbind(dim=1)
+    return torch.stack([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1], dim=1)

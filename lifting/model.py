@@ -4,7 +4,7 @@ Pavllo, Feichtenhofer, Grangier, Auli: 3D human pose estimation in video with te
 and semi-supervised training, CVPR 2019, section 3. Every convolution is written as one matrix
 product over the frames it sees (channels last), so the two forms share their weights by construction:
 *strided* computes one frame from a window of exactly `receptive_field` frames, *dilated* all frames of
-a sequence at once.
+a sequence at once. What holds for a whole window enters once, as a shift of the first layer.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ class NetworkConfig:
 
     inputs: int
     """Features per frame."""
+    constants: int
+    """Features that hold for a whole window."""
     outputs: int
     """Values per estimated frame."""
     filter_widths: tuple[int, ...] = (3, 3, 3)
@@ -30,6 +32,10 @@ class NetworkConfig:
     """Width of every hidden layer."""
     dropout: float = 0.0
     """Share of hidden values dropped in training."""
+    causal: bool = False
+    """Whether the last frame of a window is estimated, and not the middle one."""
+    model: str = "rays"
+    """What its inputs and outputs mean: one of `lifting.models.MODELS`."""
 
 
 class TemporalNetwork(nn.Module):
@@ -40,6 +46,9 @@ class TemporalNetwork(nn.Module):
         self.config = config
         widths, channels = config.filter_widths, config.channels
         self.expand = _Layer(widths[0] * config.inputs, channels, config.dropout)
+        self.constant = (
+            nn.Linear(config.constants, channels, bias=False) if config.constants else None
+        )
         self.temporal = nn.ModuleList(
             _Layer(width * channels, channels, config.dropout) for width in widths[1:]
         )
@@ -52,22 +61,28 @@ class TemporalNetwork(nn.Module):
         """Frames that one output frame depends on."""
         return prod(self.config.filter_widths)
 
-    def forward(self, features: Tensor) -> Tensor:
+    def estimated(self) -> int:
+        """Index of the frame of a window that is estimated."""
+        return self.receptive_field() - 1 if self.config.causal else self.receptive_field() // 2
+
+    def forward(self, features: Tensor, constants: Tensor) -> Tensor:
         """Dilated form: all frames of sequences.
 
         Args:
             features: (B, T, inputs) with T >= receptive_field.
+            constants: (B, constants).
 
         Returns:
-            (B, T - receptive_field + 1, outputs); the first belongs to the middle of the first window.
+            (B, T - receptive_field + 1, outputs); the first belongs to frame `estimated`.
         """
-        return self._run(features, strided=False)
+        return self._run(features, constants, strided=False)
 
-    def forward_windows(self, features: Tensor) -> Tensor:
-        """Strided form: the middle frame of each window.
+    def forward_windows(self, features: Tensor, constants: Tensor) -> Tensor:
+        """Strided form: the estimated frame of each window.
 
         Args:
             features: (B, receptive_field, inputs).
+            constants: (B, constants).
 
         Returns:
             (B, outputs).
@@ -76,17 +91,18 @@ class TemporalNetwork(nn.Module):
             raise ValueError(
                 f"windows of {features.shape[1]} frames; this network sees {self.receptive_field()}"
             )
-        return self._run(features, strided=True)[:, 0]
+        return self._run(features, constants, strided=True)[:, 0]
 
-    def _run(self, x: Tensor, strided: bool) -> Tensor:
-        width, dilation = self.config.filter_widths[0], 1
-        x = self.expand(_fold(x, width, dilation, strided))
+    def _run(self, x: Tensor, constants: Tensor, strided: bool) -> Tensor:
+        width, dilation, causal = self.config.filter_widths[0], 1, self.config.causal
+        shift = self.constant(constants) if self.constant is not None else None
+        x = self.expand(_fold(x, width, dilation, strided), shift)
         for temporal, pointwise, wide in zip(
             self.temporal, self.pointwise, self.config.filter_widths[1:], strict=True
         ):
             dilation *= width
             width = wide
-            residual = _centre(x, width, dilation, strided)
+            residual = _kept(x, width, width - 1 if causal else width // 2, dilation, strided)
             x = residual + pointwise(temporal(_fold(x, width, dilation, strided)))
         out: Tensor = self.shrink(x)
         return out
@@ -101,9 +117,12 @@ class _Layer(nn.Module):
         self.norm = nn.BatchNorm1d(n_out)
         self.dropout = nn.Dropout(dropout)
 
-    def forward(self, x: Tensor) -> Tensor:
-        flat = self.norm(self.linear(x.flatten(0, 1)))
-        out: Tensor = self.dropout(torch.relu(flat))
+    def forward(self, x: Tensor, shift: Tensor | None = None) -> Tensor:
+        """(B, T, n_out); a shift (B, n_out) is added to what is normalised."""
+        y = self.linear(x)
+        if shift is not None:
+            y = y + shift[:, None]
+        out: Tensor = self.dropout(torch.relu(self.norm(y.flatten(0, 1))))
         return out.reshape(*x.shape[:2], -1)
 
 
@@ -115,9 +134,9 @@ def _fold(x: Tensor, width: int, dilation: int, strided: bool) -> Tensor:
     return torch.cat([x[:, k * dilation : k * dilation + length] for k in range(width)], dim=-1)
 
 
-def _centre(x: Tensor, width: int, dilation: int, strided: bool) -> Tensor:
-    """The middle one of those frames: (B, T, C) -> (B, T', C)."""
+def _kept(x: Tensor, width: int, which: int, dilation: int, strided: bool) -> Tensor:
+    """One of those frames, by its number: (B, T, C) -> (B, T', C)."""
     if strided:
-        return x[:, width // 2 :: width]
-    margin = (width // 2) * dilation
-    return x[:, margin : x.shape[1] - margin]
+        return x[:, which::width]
+    length = x.shape[1] - (width - 1) * dilation
+    return x[:, which * dilation : which * dilation + length]

@@ -15,7 +15,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from lifting.windows import Body
+from lifting.body import Body
 from rtof_kin.errors import UnknownNameError
 
 FOCAL_PX = 1250.0
@@ -28,7 +28,7 @@ RATE_HZ = 60.0
 class NoiseConfig:
     """How often and how much; the realistic kind is multiplied by an amplitude drawn per window."""
 
-    clean: float = 0.35
+    clean: float = 0.20
     """Share of windows without any error."""
     white: float = 0.20
     """Share of windows with white error only; the rest are realistic."""
@@ -153,10 +153,11 @@ def _realistic(
     amplitude = _uniform((B, 1, 1, 1), config.amplitude, xy, generator)
     error = (bias + drift) * (amplitude * factor)
     error += config.jitter_px * normal(B, 2, W, J)
-    outlier = _runs(config, config.outlier_share, (B, W, J), xy, generator, rate_hz)
+    outlier = runs(config.outlier_share, (B, W, J), xy, generator, rate_hz, config.run_s)
     error += outlier[:, None] * (config.outlier_px * normal(B, 2, 1, J))
     noisy = xy + error / FOCAL_PX
-    seen = seen & ~_runs(config, config.missing_share, (B, W, J), xy, generator, rate_hz)
+    lost = runs(config.missing_share, (B, W, J), xy, generator, rate_hz, config.run_s)
+    seen = seen & ~lost
     seen &= ~_gaps(config, (B, W), xy, generator)[:, :, None]
     seen &= _landmark_set(body, config, B, xy, generator)[:, None]
     rand = torch.rand((B, 1, 1), generator=generator, device=xy.device)
@@ -204,17 +205,17 @@ def _joint_factors(body: Body) -> Tensor:
     return factor
 
 
-def _runs(
-    config: NoiseConfig,
+def runs(
     share: float,
     shape: tuple[int, int, int],
     like: Tensor,
     generator: torch.Generator,
     rate_hz: float,
+    seconds: tuple[float, float] = (0.2, 1.0),
 ) -> Tensor:
-    """(B, W, J) bool: runs of `run_s` seconds that cover `share` of all samples."""
+    """(B, W, J) bool: runs of so many seconds that cover `share` of all samples."""
     B, W, J = shape
-    low, high = (s * rate_hz for s in config.run_s)
+    low, high = (s * rate_hz for s in seconds)
     length = _uniform((B, 1, J), (low, high), like, generator)
     start = -length + (W + length) * torch.rand((B, 1, J), generator=generator, device=like.device)
     # A run of length L touches the window with probability proportional to W + L.

@@ -1,7 +1,4 @@
-"""`Lifter`: landmarks of one calibrated camera to joints in world.
-
-This is the boundary between the package's float64 arrays and float32 tensors.
-"""
+"""`Lifter`: landmarks of one calibrated camera, and sensors where there are any, to poses in world."""
 
 from __future__ import annotations
 
@@ -13,35 +10,51 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
 
 from lifting.checkpoint import LifterDescription, load_checkpoint
+from lifting.folded import FoldedNetwork
 from lifting.model import TemporalNetwork
+from lifting.models import RAYS, model_of
+from lifting.source import Source
 from lifting.threads import torch_threads
-from lifting.windows import answer, decode, encode
+from lifting.windows import (
+    SIGMA_ACROSS,
+    SIGMA_ALONG,
+    SIGMA_TURN,
+    Encoded,
+    Estimate,
+    answer,
+    rotations,
+)
 from rtof_kin import signals
 from rtof_kin.checks import checked_times, readonly
 from rtof_kin.errors import ShapeError
 from rtof_kin.resources import model_path
-from rtof_kin.types import KeypointSequence
+from rtof_kin.types import BoneImuSequence, Camera, KeypointSequence
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 """Called with the frames done and their total."""
 
-SHIPPED = "lifter.pt"
+SHIPPED = {
+    "detections": "lifter.pt",
+    "perfect": "lifter_perfect.pt",
+    "causal": "lifter_causal.pt",
+}
+"""Lifters that ship with the package, by name. detections: the default, for real detectors. perfect: for
+projected ground truth. causal: without delay, for streaming."""
 MIN_JOINTS = 6
 """Fewer different joints than this in a window, and the lifted pose means nothing."""
-CHUNK = 512
-"""Windows lifted at once."""
-MAX_STEP = 0.15
-"""Longest time between two frames that is interpolated across, s."""
+CHUNK = 96
+"""Windows lifted at once: as many as leave what is computed of them in the cache."""
 LOW_PASS_HZ = 6.0
 """Cut-off of the optional filter."""
 
 
 @dataclass(frozen=True)
 class LiftedPoses:
-    """Joint positions of one person in world, from one camera alone."""
+    """Poses of one person in world, from one camera and the sensors there were, each with its spread."""
 
     times: Array
     """(T,) seconds, those of the keypoints."""
@@ -52,6 +65,14 @@ class LiftedPoses:
     between the frames it did see, and held at the ends."""
     names: tuple[str, ...]
     """J joint names."""
+    sigma_m: Array = None  # type: ignore[assignment]
+    """(T, J, 2) standard deviation per axis across the camera's ray and along it, m: of joints relative
+    to the root, and in the root's place of the root. NaN where not seen, and of a lifter that gives
+    none."""
+    R_world_bone: Array = None  # type: ignore[assignment]
+    """(T, J, 3, 3) orientations of segments; NaN where not seen, and of a lifter that gives none."""
+    sigma_rad: Array = None  # type: ignore[assignment]
+    """(T, J) their standard deviation per axis, rad; likewise."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -60,6 +81,11 @@ class LiftedPoses:
         T, J = len(self.times), len(self.names)
         set_(self, "p_world_joint", readonly("lifted p_world_joint", self.p_world_joint, (T, J, 3)))
         set_(self, "seen", readonly("lifted seen", self.seen, (T,), np.bool_))
+        shapes = {"sigma_m": (T, J, 2), "R_world_bone": (T, J, 3, 3), "sigma_rad": (T, J)}
+        for name, shape in shapes.items():
+            given = getattr(self, name)
+            value = np.full(shape, np.nan) if given is None else given
+            set_(self, name, readonly(f"lifted {name}", value, shape))
 
     def __len__(self) -> int:
         return len(self.times)
@@ -74,15 +100,20 @@ class Lifter:
         self.sha256 = sha256
         """Of the file that the lifter was read from, in hexadecimal; empty where there is none."""
         self._network = network
+        self._folded: dict[bool, FoldedNetwork] = {}
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> Lifter:
-        """Read a lifter from a file, or the one that ships with the package.
+        """Read a lifter.
+
+        Args:
+            path: a file, or the name of one in `SHIPPED`; the default of these where not given.
 
         Raises:
-            FileFormatError: see `load_checkpoint`; or none ships.
+            FileFormatError: see `load_checkpoint`.
         """
-        path = model_path(SHIPPED) if path is None else Path(path)
+        name = "detections" if path is None else str(path)
+        path = model_path(SHIPPED[name]) if name in SHIPPED else Path(name)
         network, description = load_checkpoint(path)
         return cls(network, description, hashlib.sha256(path.read_bytes()).hexdigest())
 
@@ -95,17 +126,27 @@ class Lifter:
         """Frames at `description.rate_hz` that one estimate depends on."""
         return self._network.receptive_field()
 
+    def estimated(self) -> int:
+        """Which of these frames it is an estimate of; the last one for a causal lifter."""
+        return self._network.estimated()
+
+    @property
+    def network(self) -> TemporalNetwork:
+        """The network, in evaluation mode; not to be changed."""
+        return self._network
+
     def predict(
         self,
         keypoints: KeypointSequence,
         joint_offsets: ArrayLike | None = None,
         progress: Progress | None = None,
         *,
+        bone_imus: BoneImuSequence | None = None,
         floor_height: float | None = None,
         flip: bool = True,
         smooth: bool = False,
     ) -> LiftedPoses:
-        """Joint positions in world at the keypoints' own times.
+        """Poses in world at the keypoints' own times.
 
         Landmarks are taken by joint name; those the lifter does not know are ignored, and joints
         without a landmark count as unseen. Windows are made at the lifter's rate by interpolating
@@ -116,9 +157,11 @@ class Lifter:
             joint_offsets: (J, 3) m, each joint in its parent's link frame, in the order of `names`;
                 tells the person's bone lengths, and with them the scale. None where unknown.
             progress: see `Progress`.
+            bone_imus: calibrated sensors on any segments, at any times; NaN where missing. Those on
+                segments that the lifter knows no sensor of are ignored, as all are by a lifter without.
             floor_height: z of a flat floor in world, m, where it is known; helps the distance.
             flip: average with the mirrored scene: slower by half, and better.
-            smooth: low-pass positions at 6 Hz without delay.
+            smooth: low-pass positions (not orientations) at 6 Hz without delay.
 
         Returns:
             Finite positions for every frame, and whether each was seen.
@@ -128,51 +171,50 @@ class Lifter:
                 `floor_height` are wrong.
         """
         self._check_seen(keypoints)
-        bones = self._bones(joint_offsets)
-        height = np.nan
-        if floor_height is not None:
-            height = float(keypoints.camera.center_world[2] - floor_height)
-            if not height > 0:
-                raise ShapeError(
-                    f"floor_height: the camera is {-height:.2f} m below the floor; give z of the "
-                    "floor in world, m"
-                )
-        source = _Rays.of(keypoints.select(self.names))
+        bones = self.bones_of(joint_offsets)
+        height = camera_height(keypoints.camera, floor_height)
+        source = Source.of(self.description.body, keypoints, bone_imus)
         parts, enough = [], []
         for first in range(0, len(keypoints), CHUNK):
             times = keypoints.times[first : first + CHUNK]
-            rays, seen = source.windows(times, self.receptive_field(), self.description.rate_hz)
-            with torch_threads(1):
-                parts.append(self._lift(rays, seen, bones, height, flip))
-            enough.append(seen.any(axis=1).sum(axis=1) >= MIN_JOINTS)
+            estimate, seen = self._lift(source, times, bones, height, flip)
+            parts.append(_arrays(estimate))
+            enough.append(seen)
             if progress:
                 progress(first + len(times), len(keypoints))
-        p = keypoints.camera.center_world + np.concatenate(parts)
-        p, ok = _bridge(keypoints.times, p, np.concatenate(enough))
+        p, sigma_m, R, sigma_rad = (np.concatenate(part) for part in zip(*parts, strict=True))
+        p, ok = _bridge(
+            keypoints.times, keypoints.camera.center_world + p, np.concatenate(enough)
+        )
+        for values in (sigma_m, R, sigma_rad):
+            values[~ok] = np.nan
         if smooth:
             p = _smooth(keypoints.times, p)
-        return LiftedPoses(keypoints.times, p, ok, self.names)
+        return LiftedPoses(keypoints.times, p, ok, self.names, sigma_m, R, sigma_rad)
 
     def _lift(
-        self,
-        rays: NDArray[np.float32],
-        seen: NDArray[np.bool_],
-        bones: Array,
-        camera_height: float,
-        flip: bool,
-    ) -> Array:
-        """Joints (B, J, 3) from the optical centre, world axes, of windows (B, W, J, 3)."""
-        body, B = self.description.body, len(rays)
-        encoded = encode(
-            body,
-            torch.from_numpy(rays).permute(0, 3, 1, 2),
-            torch.from_numpy(seen),
-            torch.from_numpy(bones).float().expand(B, -1),
-            torch.full((B,), camera_height),
-        )
-        pose, root = decode(body, answer(body, self._network, encoded, flip), encoded)
-        p: Array = (pose + root[:, :, None]).transpose(1, 2).double().numpy()
-        return p
+        self, source: Source, times: Array, bones: Array, height: float, flip: bool
+    ) -> tuple[Estimate, NDArray[np.bool_]]:
+        """What the network says at times (B,), and whether enough was seen around each (B,)."""
+        body, size = self.description.body, self.receptive_field()
+        estimated, rate_hz = self._network.estimated(), self.description.rate_hz
+        model = model_of(self.description.network.model)
+        with torch_threads(1), torch.inference_mode():
+            picture = self.description.network.model != RAYS
+            windows = source.windows(times, size, estimated, rate_hz, bones, height, picture)
+            encoded = model.encode(body, windows)
+            estimate = model.decode(body, self._answer(encoded, flip), encoded)
+            enough = windows.seen.any(dim=1).sum(dim=1) >= MIN_JOINTS
+        return estimate, enough.numpy()
+
+    def _answer(self, encoded: Encoded, flip: bool) -> Tensor:
+        """The network's output (B, outputs); of the package's own kind by its faster copy."""
+        if self.description.network.model != RAYS:
+            return answer(self.description.body, self._network, encoded, flip)
+        if flip not in self._folded:
+            self._folded[flip] = FoldedNetwork(self.description.body, self._network, flip)
+        output: Tensor = self._folded[flip](encoded.features, encoded.constants)
+        return output
 
     def _check_seen(self, keypoints: KeypointSequence) -> None:
         known = [name for name in self.names if name in keypoints.names]
@@ -185,7 +227,12 @@ class Lifter:
                 "lifter trained for these joints"
             )
 
-    def _bones(self, joint_offsets: ArrayLike | None) -> Array:
+    def bones_of(self, joint_offsets: ArrayLike | None) -> Array:
+        """What the network is told of a person, see `Body.bones_of`; NaN where `joint_offsets` is None.
+
+        Raises:
+            ShapeError: they are wrong.
+        """
         body = self.description.body
         if joint_offsets is None:
             return np.full(len(body.nominal_bones), np.nan)
@@ -199,47 +246,36 @@ class Lifter:
         return np.asarray(body.bones_of(torch.from_numpy(offsets.copy())).numpy())
 
 
-@dataclass(frozen=True)
-class _Rays:
-    """Undistorted rays of a keypoint sequence, to be looked up at any time."""
+def camera_height(camera: Camera, floor_height: float | None) -> float:
+    """Height of the camera over a floor at this z in world, m; NaN where it is not known.
 
-    times: Array
-    rays: NDArray[np.float32]
-    """(T, J, 3) directions in world; zeros where unseen."""
-    seen: NDArray[np.bool_]
-    """(T, J)."""
+    Raises:
+        ShapeError: the camera is below the floor.
+    """
+    if floor_height is None:
+        return np.nan
+    height = float(camera.center_world[2] - floor_height)
+    if not height > 0:
+        raise ShapeError(
+            f"floor_height: the camera is {-height:.2f} m below the floor; give z of the floor in "
+            "world, m"
+        )
+    return height
 
-    @classmethod
-    def of(cls, keypoints: KeypointSequence) -> _Rays:
-        rays = keypoints.camera.rays_world(keypoints.uv_px)
-        seen = keypoints.seen & np.isfinite(rays).all(axis=-1)
-        rays = np.where(seen[..., None], rays, 0.0)
-        return cls(keypoints.times, rays.astype(np.float32), seen)
 
-    def windows(
-        self, times: Array, size: int, rate_hz: float
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Rays (B, W, J, 3) and what is seen (B, W, J), W instants around each of B times.
-
-        Between two frames a landmark is interpolated where both saw it.
-        """
-        steps = (np.arange(size) - size // 2) / rate_hz
-        at = np.clip(times[:, None] + steps, self.times[0], self.times[-1])
-        right = np.clip(np.searchsorted(self.times, at), 0, len(self.times) - 1)
-        left = np.maximum(right - 1, 0)
-        step = self.times[right] - self.times[left]
-        since, until = at - self.times[left], self.times[right] - at
-        share = np.divide(since, step, out=np.ones_like(at), where=step > 0)
-        # Within a tenth of a frame of an image, that image alone stands.
-        near = 0.1 / rate_hz
-        share = np.where(until < near, 1.0, np.where(since < near, 0.0, share))
-        between = (share > 0) & (share < 1)
-        weight = share[..., None, None].astype(np.float32)
-        rays = (1 - weight) * self.rays[left] + weight * self.rays[right]
-        from_left = self.seen[left] | (share == 1)[..., None]
-        from_right = self.seen[right] | (share == 0)[..., None]
-        seen = from_left & from_right & ~(between & (step > MAX_STEP))[..., None]
-        return rays, seen
+def _arrays(estimate: Estimate) -> tuple[Array, Array, Array, Array]:
+    """Positions (B, J, 3) from the optical centre, their sigma (B, J, 2), orientations (B, J, 3, 3) and
+    their sigma (B, J); NaN where there are none."""
+    p = (estimate.pose + estimate.root[:, :, None]).transpose(1, 2)
+    sigma = estimate.log_spread.exp() * torch.tensor([[SIGMA_ACROSS], [SIGMA_ALONG]])
+    sigma[:, :, 0] *= estimate.root.norm(dim=1)[:, None]
+    R, turn = torch.full((*p.shape, 3), torch.nan), torch.full(p.shape[:2], torch.nan)
+    if estimate.axes is not None and estimate.log_turn is not None:
+        R = rotations(estimate.axes.double()).permute(0, 3, 1, 2)
+        turn = SIGMA_TURN * estimate.log_turn.exp()
+    values = p, sigma.transpose(1, 2), R, turn
+    p_np, sigma_np, R_np, turn_np = (x.double().numpy() for x in values)
+    return p_np, sigma_np, R_np, turn_np
 
 
 def _bridge(times: Array, p: Array, enough: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
@@ -250,6 +286,8 @@ def _bridge(times: Array, p: Array, enough: NDArray[np.bool_]) -> tuple[Array, N
             f"keypoints: in no window are {MIN_JOINTS} joints seen; the person is never visible "
             "enough to be lifted"
         )
+    if ok.all():
+        return p, ok
     flat = p.reshape(len(p), -1).copy()
     for column in range(flat.shape[1]):
         flat[~ok, column] = np.interp(times[~ok], times[ok], flat[ok, column])

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import fields, is_dataclass, replace
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import torch
+from torch import Tensor
 
+from lifting.body import Body
 from lifting.data import AugmentConfig, Batch, MotionBank
-from lifting.windows import EncodedWindows, encode
+from lifting.windows import Encoded, Windows, encode
 
-Supplied = tuple[Batch, EncodedWindows]
+Supplied = tuple[Batch, Encoded]
 
 
 class Supply:
@@ -30,6 +34,10 @@ class Supply:
         config: AugmentConfig,
         seed: int,
         ahead: bool,
+        causal: bool = False,
+        encode: Callable[[Body, Windows], Encoded] = encode,
+        share: tuple[int, int] = (0, 1),
+        same: bool = False,
     ):
         """Draw nothing yet.
 
@@ -40,9 +48,14 @@ class Supply:
             config: what is drawn for each.
             seed: of everything drawn.
             ahead: draw the next batch in another thread while the last one is used.
+            causal: see `MotionBank.draw`.
+            encode: makes the network's input, see `Model.encode`.
+            share: which of how many equal parts of each batch is wanted.
+            same: draw the whole batch, and take that part of its rows; otherwise the part alone.
         """
         self.bank, self.size, self.window = bank, batch, window
-        self.config, self.seed = config, seed
+        self.config, self.seed, self.causal = config, seed, causal
+        self.encode, self.share, self.same = encode, share, same
         self._pool = ThreadPoolExecutor(1, "windows") if ahead else None
         self._next: tuple[int, Future[Supplied]] | None = None
 
@@ -69,15 +82,25 @@ class Supply:
         return drawn
 
     def _draw(self, step: int) -> Supplied:
-        generator = torch.Generator(self.bank.device)
-        generator.manual_seed(step_seed(self.seed, step))
-        batch = self.bank.draw(self.size, self.window, self.config, generator)
-        encoded = encode(
-            self.bank.body, batch.rays_world, batch.seen, batch.bones, batch.camera_height
-        )
-        return batch, encoded
+        generator, (part, parts) = torch.Generator(self.bank.device), self.share
+        generator.manual_seed(step_seed(self.seed, step, 0 if self.same else part))
+        size = self.size if self.same else self.size // parts
+        batch = self.bank.draw(size, self.window, self.config, generator, causal=self.causal)
+        if self.same and parts > 1:
+            batch = rows(batch, slice(part, None, parts))
+        return batch, self.encode(self.bank.body, batch.windows)
 
 
-def step_seed(seed: int, step: int) -> int:
-    """The seed of one step of a training: a resumed one draws what an uninterrupted one does."""
-    return seed * 1_000_003 + step
+def step_seed(seed: int, step: int, part: int = 0) -> int:
+    """The seed of one step of a training, and of each part where its batch is drawn in parts: a resumed
+    one draws what an uninterrupted one does. On a CPU the lower 32 bits count."""
+    return seed * 1_000_003 + step + part * 2_654_435_761
+
+
+def rows(batch: Any, which: slice) -> Any:
+    """Some rows of a dataclass of tensors (B, ...), such as a `Batch`, and of those in it."""
+    if isinstance(batch, Tensor):
+        return batch[which]
+    if not is_dataclass(batch) or isinstance(batch, type):
+        return batch
+    return replace(batch, **{f.name: rows(getattr(batch, f.name), which) for f in fields(batch)})

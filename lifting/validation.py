@@ -2,23 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
+from torch import Tensor
 
+from lifting import losses
+from lifting.body import Body
 from lifting.corpus import Corpus
-from lifting.data import Batch, MotionBank, plain
+from lifting.data import AugmentConfig, Batch, MotionBank, plain
 from lifting.model import TemporalNetwork
+from lifting.models import RAYS, model_of
 from lifting.noise import perfect, realistic
-from lifting.windows import answer, decode, encode
+from lifting.sensors import TRUNK, SensorConfig
+from lifting.windows import Estimate, answer
 
 SEED = 20_000
+_SENSED = SensorConfig(
+    none=0.0, limbs=0.0, limbs_and_trunk=0.0, ends=0.0, every=0.0, amplitude=(1.0, 1.0),
+    lag=(1.0, 4.0), missing=0.0,
+)  # fmt: skip
 
 
 class Validation:
     """Fixed windows of the validation subjects; empty where the corpus has none."""
 
-    def __init__(self, corpus: Corpus, window: int, device: torch.device, count: int = 4096):
+    def __init__(
+        self,
+        corpus: Corpus,
+        window: int,
+        device: torch.device,
+        count: int = 4096,
+        causal: bool = False,
+        model: str = RAYS,
+    ):
         """Draw the windows.
 
         Args:
@@ -26,41 +44,66 @@ class Validation:
             window: frames in each.
             device: where they are kept.
             count: how many of each kind, evenly over the motion.
+            causal: whether the last frame is estimated.
+            model: of the networks to be measured.
         """
-        self.body = corpus.body()
+        self.model, self.body = model_of(model), corpus.body()
+        if not self.model.senses:
+            self.body = replace(self.body, sensors=())
         self.batches: dict[str, Batch] = {}
         clips = corpus.clips("validation", required=False)
         if not clips:
             return
         bank = MotionBank(corpus, clips, device)
         frames = torch.linspace(0, len(bank) - 1, count, device=device).long()
-        kinds = {
-            "perfect": plain(perfect()),
-            "realistic": plain(realistic()),
-            "perfect, bones unknown": replace(plain(perfect()), hide_bones=1.0),
-            "realistic, floor known": replace(plain(realistic()), hide_height=0.0),
-        }
-        for name, config in kinds.items():
+        for name, config in _kinds(bool(self.body.sensors)).items():
             generator = torch.Generator(device).manual_seed(SEED)
-            self.batches[name] = bank.draw(count, window, config, generator, frames)
+            self.batches[name] = bank.draw(count, window, config, generator, frames, causal)
 
     def measure(self, network: TemporalNetwork, flip: bool = True) -> dict[str, dict[str, float]]:
-        """Mean per joint position error in mm, root-relative (the root's 0 counted) and absolute.
+        """Mean per joint position error in mm, root-relative (the root's 0 counted) and absolute, and
+        for a body with sensors the angle of pelvis and upper trunk, degrees.
 
         Args:
             network: in evaluation mode.
             flip: average with the mirrored windows, as prediction does.
         """
-        errors = {}
-        for name, batch in self.batches.items():
-            encoded = encode(
-                self.body, batch.rays_world, batch.seen, batch.bones, batch.camera_height
-            )
-            pose, root = decode(self.body, answer(self.body, network, encoded, flip), encoded)
-            error = pose - batch.pose
-            absolute = error + (root - batch.root)[:, :, None]
-            errors[name] = {
-                "rr_mm": round(1000 * float(error.norm(dim=1).mean()), 2),
-                "abs_mm": round(1000 * float(absolute.norm(dim=1).mean()), 2),
-            }
-        return errors
+        return {
+            name: _errors(self.body, self._estimate(network, batch, flip), batch)
+            for name, batch in self.batches.items()
+        }
+
+    def _estimate(self, network: TemporalNetwork, batch: Batch, flip: bool) -> Estimate:
+        encoded = self.model.encode(self.body, batch.windows)
+        return self.model.decode(self.body, answer(self.body, network, encoded, flip), encoded)
+
+
+def _kinds(sensed: bool) -> dict[str, AugmentConfig]:
+    """What is measured, by name."""
+    kinds = {
+        "perfect": plain(perfect()),
+        "realistic": plain(realistic()),
+        "perfect, bones unknown": replace(plain(perfect()), hide_bones=1.0),
+        "realistic, floor known": replace(plain(realistic()), hide_height=0.0),
+    }
+    if sensed:
+        worn = {"8": replace(_SENSED, limbs=1.0), "10": replace(_SENSED, limbs_and_trunk=1.0)}
+        for name, sensors in worn.items():
+            kinds[f"realistic, {name} sensors"] = replace(plain(realistic()), sensors=sensors)
+    return kinds
+
+
+def _errors(body: Body, estimate: Estimate, batch: Batch) -> dict[str, float]:
+    error = estimate.pose - batch.pose
+    absolute = error + (estimate.root - batch.root)[:, :, None]
+
+    def mean(x: Tensor, unit: Callable[[Tensor], Tensor] = lambda x: 1000 * x) -> float:
+        return round(float(unit(x.mean())), 2)
+
+    errors = {"rr_mm": mean(error.norm(dim=1)), "abs_mm": mean(absolute.norm(dim=1))}
+    if estimate.axes is not None:
+        chord = losses.turn_angles(estimate.axes, batch.axes)
+        angle = 2 * torch.asin((chord / 2).clamp(max=1))
+        for name, key in zip(TRUNK, ("pelvis_deg", "upper_trunk_deg"), strict=True):
+            errors[key] = mean(angle[:, body.names.index(name)], torch.rad2deg)
+    return errors

@@ -1,15 +1,16 @@
 """From rays to network input and back: the gravity-aligned, root-centred, scaled representation.
 
-A window is W frames of rays from one camera to J landmarks. The *view* frame of a window looks along
-the ray to the root in its middle frame (x right, y down, z forward, no roll); the *ray* frame has the
-same azimuth but is level (x away from the camera, y left, z up). Both are upright in world, so the
-network sees gravity, and neither knows the camera's intrinsics, tilt, or heading.
+A window is W frames of rays from one camera to J landmarks, and of the orientations of the segments that
+carry sensors. One of its frames is estimated: the middle one, or the last one of a causal lifter. The
+*view* frame of a window looks along the ray to the root in that frame (x right, y down, z forward, no
+roll); the *ray* frame has the same azimuth but is level (x away from the camera, y left, z up). Both
+are upright in world, so the network sees gravity, and neither knows the camera's intrinsics, tilt, or
+heading.
 
 Per frame the network sees x/z and y/z of each landmark in the view frame, divided by `scale`, and
-whether it was seen; on every frame it also sees what holds for the window: the elevation of the
-root's ray, log scale, the camera's height over the floor, and bone lengths, the last two optional.
-It answers with root-relative joints in the ray frame (m), the root's shift from the window's centre in
-the scaled image, and log(distance x scale).
+whether it was seen; and of each sensor's segment the x and z axes in the ray frame, and whether they are
+known. What holds for the window it sees once: the elevation of the root's ray, log scale, the camera's
+height over the floor, and bone lengths, the last two optional. `decode` tells what it answers with.
 
 Arrays are (B, component, W, J): one plane per component, so turning and chaining bones are large
 matrix products.
@@ -17,13 +18,15 @@ matrix products.
 
 from __future__ import annotations
 
-import re
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
+from math import sqrt
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
+from lifting.body import Body
 from lifting.model import TemporalNetwork
 
 MIN_FORWARD = 0.1
@@ -33,107 +36,67 @@ BONE_GAIN = 15.0
 """Bones enter as their difference from the nominal ones, m, times this."""
 ANKLE_HEIGHT = 0.08
 """Height of an ankle over the floor when standing, m."""
-_SIDED = re.compile(r"(Left|Right|L|R)(?=[A-Z])")
+SIGMA_ALONG, SIGMA_ACROSS, SIGMA_TURN = sqrt(2), sqrt(3), sqrt(4)
+"""Standard deviation per axis of errors in one, two and three dimensions whose spread is 1. An error e of
+n dimensions and spread b has the density ``b^-n exp(-|e| / b)`` but for a constant; n = 1: Laplace's."""
+_LOG_SPREAD = (-7.0, 2.0)
+"""Smallest and largest logarithm of a spread."""
 
 
 @dataclass(frozen=True)
-class Body:
-    """The joints a lifter knows: names, tree, and the usual bone lengths."""
+class Picture:
+    """The landmarks of windows as they stand in the image, for a lifter of the camera's frame."""
 
-    names: tuple[str, ...]
-    """J joint names, root first, parents before children; for sided ones see `side_of`."""
-    parents: tuple[int, ...]
-    """(J,) index of each joint's parent, -1 for the root."""
-    nominal_bones: tuple[float, ...]
-    """(3 G,) usual `bones_of` a person, m."""
-
-    @cached_property
-    def mirrored(self) -> list[int]:
-        """(J,) index of each joint's counterpart on the other side, itself in the middle."""
-        sided = [side_of(name) for name in self.names]
-        index = {key: j for j, key in enumerate(sided)}
-        other = {"": "", "left": "right", "right": "left"}
-        return [index.get((other[side], rest), j) for j, (side, rest) in enumerate(sided)]
-
-    @cached_property
-    def hips(self) -> list[int]:
-        """Indices of the root's sided children: their mean stands in for an unseen root."""
-        return [j for j, p in enumerate(self.parents) if p == 0 and side_of(self.names[j])[0]]
-
-    @cached_property
-    def legs(self) -> list[list[int]]:
-        """Indices of hip, knee and ankle of each leg."""
-        return [limb for limb in self._limbs if limb[0] in self.hips]
-
-    @cached_property
-    def arms(self) -> list[list[int]]:
-        """Indices of shoulder, elbow and wrist of each arm."""
-        return [limb for limb in self._limbs if limb[0] not in self.hips]
-
-    @cached_property
-    def feet(self) -> list[int]:
-        """Indices of the joints that stand near the floor: the ankles."""
-        return [leg[-1] for leg in self.legs]
-
-    @cached_property
-    def _limbs(self) -> list[list[int]]:
-        """The last three joints on the way to every sided joint that nothing hangs on."""
-        parents = self.parents
-        ends = [j for j in range(len(parents)) if j not in parents and parents[j] > 0]
-        return [[parents[parents[j]], parents[j], j] for j in ends if side_of(self.names[j])[0]]
-
-    @property
-    def inputs(self) -> int:
-        """Features per frame of the network."""
-        bones = 3 * len(bone_groups(self.names))
-        return 3 * len(self.names) + 2 * len(self.feet) + 2 + (1 + 1) + (bones + 1)
-
-    @property
-    def outputs(self) -> int:
-        """Values per estimated frame of the network."""
-        return 3 * len(self.names)
-
-    def bones_of(self, offsets: Tensor) -> Tensor:
-        """What the network is told of a person: (..., 3 G) m, of joint offsets (..., J, 3).
-
-        One offset per bone in its parent's link frame, the two sides as one (the right one mirrored
-        and averaged with the left), those in the middle without their sideways part.
-        """
-        parts = []
-        for joints in bone_groups(self.names).values():
-            side = offsets.new_tensor(
-                [[1.0, -1.0 if side_of(self.names[j])[0] == "right" else 1.0, 1.0] for j in joints]
-            )
-            middle = offsets.new_tensor([1.0, float(len(joints) > 1), 1.0])
-            parts.append((offsets[..., joints, :] * side).mean(dim=-2) * middle)
-        return torch.cat(parts, dim=-1)
-
-
-def bone_groups(joint_names: tuple[str, ...]) -> dict[str, list[int]]:
-    """Bones by the unsided name of the joint at their far end, each with the indices of its joints."""
-    groups: dict[str, list[int]] = {}
-    for j, name in enumerate(joint_names[1:], start=1):
-        groups.setdefault(side_of(name)[1], []).append(j)
-    return groups
-
-
-def side_of(joint_name: str) -> tuple[str, str]:
-    """A joint's side ('left', 'right', or '' in the middle) and its name without it.
-
-    Both ``LeftArm`` and ``LElbow`` are on the left.
-    """
-    found = _SIDED.match(joint_name)
-    if not found:
-        return "", joint_name
-    return ("left" if found[0].startswith("L") else "right"), joint_name[found.end() :]
+    xy: Tensor
+    """(B, 2, W, J) to the right of the image's middle and below it, in halves of the image's width."""
+    R_camera_world: Tensor
+    """(B, 3, 3)."""
 
 
 @dataclass(frozen=True)
-class EncodedWindows:
-    """Network input, and the frame in which its answer is to be read."""
+class Windows:
+    """What was observed in B windows of W frames."""
+
+    rays_world: Tensor
+    """(B, 3, W, J) directions in world from the optical centre, of any finite length."""
+    seen: Tensor
+    """(B, W, J) bool; unseen rays are not read."""
+    bones: Tensor
+    """(B, 3 G) m, see `Body.bones_of`; NaN in a row where they are unknown."""
+    camera_height: Tensor
+    """(B,) height of the optical centre over the floor, m; NaN where unknown."""
+    axes_world: Tensor
+    """(B, 3, W, 2, S) x and z axes in world of the segments that may carry sensors."""
+    sensed: Tensor
+    """(B, W, S) bool; axes that are not sensed are not read."""
+    estimated: int
+    """Index of the frame that is estimated."""
+    picture: Picture | None = None
+    """The image; None where nothing reads it."""
+
+
+@dataclass(frozen=True)
+class Encoded(ABC):
+    """Network input, and what it takes to mirror it and to read the answer."""
 
     features: Tensor
     """(B, W, inputs)."""
+    constants: Tensor
+    """(B, constants)."""
+
+    @abstractmethod
+    def mirrored_features(self, body: Body) -> Tensor:
+        """Features (B, W, inputs) of the mirrored scene, whose constants are the same."""
+
+    @abstractmethod
+    def mirrored_output(self, body: Body, output: Tensor) -> Tensor:
+        """Answer (B, outputs) of the mirrored scene, or back."""
+
+
+@dataclass(frozen=True)
+class EncodedWindows(Encoded):
+    """Network input, and the frame in which its answer is to be read."""
+
     R_view_world: Tensor
     """(B, 3, 3)."""
     R_ray_world: Tensor
@@ -141,103 +104,177 @@ class EncodedWindows:
     scale: Tensor
     """(B,) RMS distance of the landmarks from each frame's mean, in units of focal length."""
 
+    def mirrored_features(self, body: Body) -> Tensor:
+        """See `mirror_features`."""
+        return mirror_features(body, self.features)
 
-def encode(
-    body: Body, rays_world: Tensor, seen: Tensor, bones: Tensor, camera_height: Tensor
-) -> EncodedWindows:
-    """Network input of windows.
+    def mirrored_output(self, body: Body, output: Tensor) -> Tensor:
+        """See `mirror_output`."""
+        return mirror_output(body, output)
 
-    Args:
-        body: the joints.
-        rays_world: (B, 3, W, J) directions in world from the optical centre, of any finite length.
-        seen: (B, W, J) bool; unseen rays are not read.
-        bones: (B, 3 G) m, see `Body.bones_of`; NaN in a row where they are unknown.
-        camera_height: (B,) height of the optical centre over the floor, m; NaN where unknown.
-    """
-    centre = _centre_ray(body, rays_world, seen)
-    elevation = torch.atan2(centre[:, 2], centre[:, :2].norm(dim=1))
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the network says of the estimated frame of B windows, in world axes."""
+
+    pose: Tensor
+    """(B, 3, J) root-relative joints, m."""
+    root: Tensor
+    """(B, 3) root from the optical centre, m."""
+    log_spread: Tensor
+    """(B, 2, J) logarithm of the scale of the error across the ray and along it, m; of root-relative
+    joints, and in the root's place of the root itself, as a share of its distance. NaN where unknown."""
+    axes: Tensor | None
+    """(B, 3, 2, J) x and z axes of every segment, orthonormal; None for a body without sensors."""
+    log_turn: Tensor | None
+    """(B, J) logarithm of the scale of their error, rad."""
+
+
+def encode(body: Body, windows: Windows) -> EncodedWindows:
+    """Network input of windows."""
+    rays, seen = windows.rays_world, windows.seen
+    centre = _centre_ray(body, rays, seen, windows.estimated)
+    elevation = torch.atan2(centre[:, 2], _length(centre[:, :2])[:, 0])
     azimuth = torch.atan2(centre[:, 1], centre[:, 0])
     R_view, R_ray = _frames(azimuth, elevation)
-    view = torch.bmm(R_view, rays_world.flatten(2)).reshape(rays_world.shape)
-    x, y, z = view.unbind(dim=1)
-    seen = seen & (z > MIN_FORWARD)
+    view = torch.bmm(R_view, rays.flatten(2)).reshape(rays.shape)
+    forward = view[:, 2]
+    seen = seen & (forward > MIN_FORWARD)
     weight = seen.to(view.dtype)
-    inverse = weight / torch.where(seen, z, 1.0)
-    x, y = x * inverse, y * inverse
-    scale = _scale(x, y, weight)
-    image = (torch.cat([x, y], dim=2) / scale[:, None, None]).clamp(-20, 20)
-    feet = _standing(rays_world[..., body.feet], seen[..., body.feet], camera_height, scale)
-    fixed = [
+    image = view[:, :2] * (weight / torch.where(seen, forward, 1.0))[:, None]
+    scale = _scale(image, weight)
+    image = (image / scale[:, None, None, None]).clamp(-20, 20)
+    height = windows.camera_height
+    feet = _standing(
+        torch.stack([rays[..., j] for j in body.feet], dim=3),
+        torch.stack([windows.seen[..., j] for j in body.feet], dim=2),
+        height,
+        scale,
+    )
+    constants = [
         elevation[:, None],
         scale.log()[:, None],
-        _optional((camera_height * scale).clamp_min(1e-3).log()[:, None]),
-        _optional((bones - bones.new_tensor(body.nominal_bones)) * BONE_GAIN),
+        _optional((height * scale).clamp_min(1e-3).log()[:, None]),
+        _optional((windows.bones - windows.bones.new_tensor(body.nominal_bones)) * BONE_GAIN),
     ]
-    frames = torch.cat(fixed, dim=1)[:, None].expand(-1, x.shape[1], -1)
-    features = torch.cat([image, weight, feet, frames], dim=2)
-    return EncodedWindows(features, R_view, R_ray, scale)
+    parts = [image[:, 0], image[:, 1], weight, feet]
+    if body.sensors:
+        parts += _sensed_axes(windows, R_ray)
+    return EncodedWindows(
+        torch.cat(parts, dim=2), torch.cat(constants, dim=1), R_view, R_ray, scale
+    )
 
 
-def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> tuple[Tensor, Tensor]:
-    """The network's answer in world axes.
+def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> Estimate:
+    """The network's answer (B, outputs) in world axes.
 
-    Args:
-        body: the joints.
-        output: (B, outputs) of the network.
-        encoded: what it was computed from.
-
-    Returns:
-        Root-relative joints (B, 3, J) and the root's position from the optical centre (B, 3), m.
+    It is, in this order: root-relative joints but the root (3, J-1) in the ray frame, m; the root's shift
+    from the window's centre in the scaled image (2) and log(distance x scale) (1); logarithms of spreads
+    (2, J); and for a body with sensors the x and z axes of all segments (2, 3, J) in the ray frame, made
+    orthonormal here, and the logarithm of their spread (J).
     """
     output = output.to(encoded.scale.dtype)  # bfloat16 in training
-    pose_ray = output[:, :-3].reshape(len(output), 3, -1)
-    pose = torch.bmm(encoded.R_ray_world.transpose(1, 2), pose_ray)
-    pose = torch.nn.functional.pad(pose, (1, 0))
-    shift = output[:, -3:-1] * encoded.scale[:, None]
-    direction = torch.nn.functional.normalize(torch.nn.functional.pad(shift, (0, 1), value=1.0))
-    distance = output[:, -1].clamp(-4, 3).exp() / encoded.scale
+    B, J = output.shape[0], len(body.names)
+    sizes = [3 * (J - 1), 3, 2 * J] + ([6 * J, J] if body.sensors else [])
+    pose_ray, root, spread, *turns = torch.split(output, sizes, dim=1)
+    R_world_ray = encoded.R_ray_world.transpose(1, 2)
+    pose = pad(torch.bmm(R_world_ray, pose_ray.reshape(B, 3, J - 1)), (1, 0))
+    direction = _unit(pad(root[:, :2] * encoded.scale[:, None], (0, 1), value=1.0))
+    distance = root[:, 2].clamp(-4, 3).exp() / encoded.scale
     root_view = direction * distance[:, None]
-    return pose, torch.einsum("bji,bj->bi", encoded.R_view_world, root_view)
+    root_world = torch.bmm(encoded.R_view_world.transpose(1, 2), root_view[..., None])[..., 0]
+    log_spread = spread.reshape(B, 2, J).clamp(*_LOG_SPREAD)
+    if not turns:
+        return Estimate(pose, root_world, log_spread, None, None)
+    x, z = turns[0].reshape(B, 2, 3, J).unbind(dim=1)
+    z = _unit(z)
+    x = _unit(x - (x * z).sum(dim=1, keepdim=True) * z)
+    axes = torch.bmm(R_world_ray, torch.stack([x, z], dim=2).flatten(2)).reshape(B, 3, 2, J)
+    return Estimate(pose, root_world, log_spread, axes, turns[1].clamp(*_LOG_SPREAD))
 
 
 @torch.no_grad()
-def answer(body: Body, network: TemporalNetwork, encoded: EncodedWindows, flip: bool) -> Tensor:
+def answer(body: Body, network: TemporalNetwork, encoded: Encoded, flip: bool) -> Tensor:
     """The network's output (B, outputs), averaged with that of the mirrored windows."""
-    output: Tensor = network.forward_windows(encoded.features)
+    constants = encoded.constants
+    output: Tensor = network.forward_windows(encoded.features, constants)
     if flip:
-        mirrored = network.forward_windows(mirror_features(body, encoded.features))
-        output = (output + mirror_output(body, mirrored)) / 2
+        mirrored: Tensor = network.forward_windows(encoded.mirrored_features(body), constants)
+        output = (output + encoded.mirrored_output(body, mirrored)) / 2
     return output
 
 
+def rotations(axes: Tensor) -> Tensor:
+    """Rotation matrices (..., 3, 3, n) with the x and z axes given (..., 3, 2, n)."""
+    x, z = axes.unbind(dim=-2)
+    return torch.stack([x, torch.linalg.cross(z, x, dim=-2), z], dim=-2)
+
+
 def mirror_features(body: Body, features: Tensor) -> Tensor:
-    """Features (B, W, inputs) of the mirrored scene: left and right swapped, x negated."""
-    J, F = len(body.names), len(body.feet)
-    sizes = [J, J, J, F, F, features.shape[-1] - 3 * J - 2 * F]
-    x, y, seen, away, stands, fixed = torch.split(features, sizes, dim=-1)
-    order = body.mirrored
+    """Features (B, W, inputs) of the mirrored scene: left and right swapped, x negated.
+
+    Constants are the same in both.
+    """
+    J, F, S = len(body.names), len(body.feet), len(body.sensors)
+    x, y, seen, away, stands, axes, sensed = torch.split(
+        features, [J, J, J, F, F, 6 * S, S], dim=-1
+    )
+    order, other = body.mirrored, body.mirrored_sensors
     feet = [body.feet.index(order[j]) for j in body.feet]
+    axes = axes.reshape(*axes.shape[:-1], 3, 2, S)[..., other] * _across(axes)
     parts = [-x[..., order], y[..., order], seen[..., order], away[..., feet], stands[..., feet]]
-    return torch.cat([*parts, fixed], dim=-1)
+    return torch.cat([*parts, axes.flatten(-3), sensed[..., other]], dim=-1)
 
 
 def mirror_output(body: Body, output: Tensor) -> Tensor:
     """Answer (B, outputs) of the mirrored scene, or back."""
-    order = [j - 1 for j in body.mirrored[1:]]
-    pose = output[:, :-3].reshape(len(output), 3, -1)[:, :, order]
-    pose = pose * pose.new_tensor([1.0, -1.0, 1.0])[:, None]
-    root = output[:, -3:] * output.new_tensor([-1.0, 1.0, 1.0])
-    return torch.cat([pose.flatten(1), root], dim=1)
+    J, order = len(body.names), body.mirrored
+    sizes = [3 * (J - 1), 3, 2 * J] + ([6 * J, J] if body.sensors else [])
+    pose, root, spread, *turns = torch.split(output, sizes, dim=1)
+    pose = pose.reshape(-1, 3, J - 1)[..., [j - 1 for j in order[1:]]] * _across(pose)[..., 0]
+    parts = [
+        pose.flatten(1),
+        root * root.new_tensor([-1.0, 1.0, 1.0]),
+        spread.reshape(-1, 2, J)[..., order].flatten(1),
+    ]
+    if turns:
+        axes = turns[0].reshape(-1, 2, 3, J)[..., order] * _across(pose)[..., 0]
+        parts += [axes.flatten(1), turns[1][:, order]]
+    return torch.cat(parts, dim=1)
 
 
-def _centre_ray(body: Body, rays: Tensor, seen: Tensor) -> Tensor:
+def _length(v: Tensor) -> Tensor:
+    """Lengths (B, 1, ...) of vectors (B, 2 or 3, ...), never less than 1e-12; several times faster than
+    `Tensor.norm` over an axis that is not the last."""
+    return (v * v).sum(dim=1, keepdim=True).clamp_min(1e-24).sqrt()
+
+
+def _unit(v: Tensor) -> Tensor:
+    """Vectors (B, 2 or 3, ...) of length 1; zero stays zero."""
+    return v / _length(v)
+
+
+def _across(like: Tensor) -> Tensor:
+    """(3, 1, 1) signs of a mirrored vector's components: y, to the left, is negated."""
+    return like.new_tensor([1.0, -1.0, 1.0])[:, None, None]
+
+
+def _sensed_axes(windows: Windows, R_ray_world: Tensor) -> list[Tensor]:
+    """(B, W, 6 S) axes in the ray frame, zero where not sensed, and (B, W, S) whether they are."""
+    axes, sensed = windows.axes_world, windows.sensed
+    turned = torch.bmm(R_ray_world, axes.flatten(2)).reshape(axes.shape)
+    turned = torch.where(sensed[:, None, :, None], turned, 0.0)
+    return [turned.transpose(1, 2).flatten(2), sensed.to(turned.dtype)]
+
+
+def _centre_ray(body: Body, rays: Tensor, seen: Tensor, estimated: int) -> Tensor:
     """Direction (B, 3) that a window is centred on.
 
-    In the middle frame, or the nearest one with anything seen: the root, else the mean of the hips
+    In the estimated frame, or the nearest one with anything seen: the root, else the mean of the hips
     seen, else the mean of everything seen; straight ahead (x) where nothing is.
     """
     B, W, _ = seen.shape
-    away = (torch.arange(W, device=seen.device) - W // 2).abs()
+    away = (torch.arange(W, device=seen.device) - estimated).abs()
     frame = (away + W * ~seen.any(dim=2)).argmin(dim=1)
     rows = torch.arange(B, device=seen.device)
     now, ray = seen[rows, frame].to(rays.dtype), rays[rows, :, frame]
@@ -247,33 +284,31 @@ def _centre_ray(body: Body, rays: Tensor, seen: Tensor) -> Tensor:
     root = torch.zeros_like(now)
     root[:, 0] = 1.0
     weight = torch.where(now[:, :1] > 0, root, weight)
-    unit = torch.nn.functional.normalize(torch.where(now[:, None] > 0, ray, 0.0), dim=1)
-    centre = torch.einsum("bcj,bj->bc", unit, weight)
+    unit = _unit(torch.where(now[:, None] > 0, ray, 0.0))
+    centre = (unit * weight[:, None]).sum(dim=2)
     ahead = centre.new_tensor([1.0, 0.0, 0.0])
-    return torch.where(centre.norm(dim=1, keepdim=True) > 1e-6, centre, ahead)
+    return torch.where(_length(centre) > 1e-6, centre, ahead)
 
 
 def _frames(azimuth: Tensor, elevation: Tensor) -> tuple[Tensor, Tensor]:
     """R_view_world and R_ray_world (B, 3, 3)."""
     cos_a, sin_a, cos_e, sin_e = azimuth.cos(), azimuth.sin(), elevation.cos(), elevation.sin()
     zero, one = torch.zeros_like(azimuth), torch.ones_like(azimuth)
-    right = torch.stack([sin_a, -cos_a, zero], dim=1)
-    forward = torch.stack([cos_e * cos_a, cos_e * sin_a, sin_e], dim=1)
-    R_view = torch.stack([right, torch.linalg.cross(forward, right), forward], dim=1)
-    level = torch.stack([cos_a, sin_a, zero], dim=1)
-    R_ray = torch.stack([level, -right, torch.stack([zero, zero, one], dim=1)], dim=1)
-    return R_view, R_ray
+    right = [sin_a, -cos_a, zero]
+    down = [sin_e * cos_a, sin_e * sin_a, -cos_e]
+    forward = [cos_e * cos_a, cos_e * sin_a, sin_e]
+    R_view = torch.stack([*right, *down, *forward], dim=1).reshape(-1, 3, 3)
+    R_ray = torch.stack([cos_a, sin_a, zero, -sin_a, cos_a, zero, zero, zero, one], dim=1)
+    return R_view, R_ray.reshape(-1, 3, 3)
 
 
-def _scale(x: Tensor, y: Tensor, weight: Tensor) -> Tensor:
-    """RMS distance (B,) of the points seen (B, W, J) from the mean of their frame."""
-    count = weight.sum(dim=2, keepdim=True).clamp_min(1.0)
-    square = weight * (
-        (x - x.sum(dim=2, keepdim=True) / count) ** 2
-        + (y - y.sum(dim=2, keepdim=True) / count) ** 2
-    )
-    mean = square.sum(dim=(1, 2)) / weight.sum(dim=(1, 2)).clamp_min(1.0)
-    return mean.sqrt().clamp_min(MIN_SCALE)
+def _scale(image: Tensor, weight: Tensor) -> Tensor:
+    """RMS distance (B,) of the points seen (B, 2, W, J) from the mean of their frame."""
+    count = weight.sum(dim=2)
+    mean = image.sum(dim=3) / count.clamp_min(1.0)[:, None]
+    away = (image - mean[..., None]) * weight[:, None]
+    square = (away * away).sum(dim=(1, 2, 3)) / count.sum(dim=1).clamp_min(1.0)
+    return square.sqrt().clamp_min(MIN_SCALE)
 
 
 def _standing(rays: Tensor, seen: Tensor, camera_height: Tensor, scale: Tensor) -> Tensor:
@@ -281,7 +316,7 @@ def _standing(rays: Tensor, seen: Tensor, camera_height: Tensor, scale: Tensor) 
 
     (B, W, 2 F) of rays (B, 3, W, F): unknown where the height is, or the ray is near the horizon.
     """
-    slope = -rays[:, 2] / rays[:, :2].norm(dim=1).clamp_min(1e-6)
+    slope = -rays[:, 2] / _length(rays[:, :2])[:, 0].clamp_min(1e-6)
     height = (camera_height - ANKLE_HEIGHT)[:, None, None]
     known = seen & (slope > 0.02) & (height > 0.05)
     away = height * scale[:, None, None] / torch.where(known, slope, 1.0)

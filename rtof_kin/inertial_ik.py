@@ -48,16 +48,25 @@ class InertialGuidedIK:
         self.skeleton = skeleton
         self.settings = settings or InertialGuidedIKSettings()
 
-    def refine(self, poses: PoseSequence, bone_imus: BoneImuSequence | None = None) -> PoseSequence:
+    def refine(
+        self,
+        poses: PoseSequence,
+        bone_imus: BoneImuSequence | None = None,
+        R_observed: Array | None = None,
+    ) -> PoseSequence:
         """Poses with the skeleton's bone lengths, limb directions corrected by the sensors there are.
 
         Args:
             poses: (T, J) joints of this skeleton; only positions are used. Frames with NaN stay NaN.
             bone_imus: any subset of segments, at any times (they are resampled to the poses'); samples
                 that are NaN leave the observed bone as it is. None for no sensors.
+            R_observed: (T, J, 3, 3) orientations that were observed too (a lifter gives them), NaN where
+                not: those of segments with no bone or several, the twist of those with one. Without them
+                orientations come from positions alone.
 
         Returns:
-            Rigid poses at the same times, root position unchanged.
+            Rigid poses at the same times, root position unchanged. Spreads of orientations are those of
+            the poses where no sensor is.
 
         Raises:
             UnknownNameError: the poses are of another skeleton, or a sensor sits on no joint of it.
@@ -69,7 +78,10 @@ class InertialGuidedIK:
         known = np.isfinite(p).all(axis=(1, 2))
         R_imu = self._sensor_rotations(poses, bone_imus)
         R = np.full((*p.shape[:2], 3, 3), np.nan)
-        R[known] = self._solve(p[known], {j: matrices[known] for j, matrices in R_imu.items()})
+        R_seen = np.full_like(R, np.nan) if R_observed is None else R_observed
+        R[known] = self._solve(
+            p[known], R_seen[known], {j: matrices[known] for j, matrices in R_imu.items()}
+        )
         sensed = np.zeros(p.shape[:2], dtype=bool)
         for j, matrices in R_imu.items():
             sensed[:, j] = np.isfinite(matrices[:, 0, 0])
@@ -80,6 +92,7 @@ class InertialGuidedIK:
             ),
             R_world_bone=R,
             provenance=self._provenance(poses.provenance, sensed),
+            sigma_rad=np.where(sensed, np.nan, poses.sigma_rad),
             orientation_observed=sensed | skeleton.orientation_observed(),
         )
 
@@ -94,17 +107,27 @@ class InertialGuidedIK:
             bone_imus = bone_imus.resample(poses.times)
         return {j: bone_imus.R_world_bone[:, s] for s, j in enumerate(joints)}
 
-    def _solve(self, p: Array, R_imu: dict[int, Array]) -> Array:
+    def _solve(self, p: Array, R_seen: Array, R_imu: dict[int, Array]) -> Array:
         parents, offsets = self.skeleton.parents, self.skeleton.joint_offsets
         R = np.empty((*p.shape[:2], 3, 3))
         for j, parent in enumerate(parents):
             identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
             R_parent = identity if parent < 0 else R[:, parent]
             R[:, j] = kinematics.segment_rotation(parents, offsets, j, p, R_parent)
+            has = np.isfinite(R_seen[:, j, 0, 0])
+            R[has, j] = self._swung(j, p[has], R_seen[has, j])
             if j in R_imu:
                 has = np.isfinite(R_imu[j][:, 0, 0])
                 R[has, j] = self._correct(j, p[has], R[has, j], R_imu[j][has])
         return R
+
+    def _swung(self, joint: int, p: Array, R: Array) -> Array:
+        """An orientation (T, 3, 3) of a segment turned so that its bone, where it has one, is as seen."""
+        children = kinematics.children_of(self.skeleton.parents, joint)
+        if len(children) != 1:
+            return R
+        rest = self.skeleton.joint_offsets[children[0]]
+        return kinematics.swing(R, rest, p[:, children[0]] - p[:, joint])
 
     def _correct(self, joint: int, p: Array, R_observed: Array, R_imu: Array) -> Array:
         """One segment's orientation from what was observed and what its sensor says, (T, 3, 3)."""
@@ -113,8 +136,7 @@ class InertialGuidedIK:
             return R_imu
         if len(children) == 1:
             rest = self.skeleton.joint_offsets[children[0]]
-            bone = p[:, children[0]] - p[:, joint]
-            R_observed = kinematics.swing(R_imu, rest, bone)  # the sensor's twist
+            R_observed = self._swung(joint, p, R_imu)  # the sensor's twist
         theta = so3.angle_between(R_observed, R_imu)
         blend = self.settings.blend_angle
         if blend is None:

@@ -43,15 +43,19 @@ class LifterLike(Protocol):
         keypoints: KeypointSequence,
         joint_offsets: Array | None = None,
         *,
+        bone_imus: BoneImuSequence | None = None,
         floor_height: float | None = None,
     ) -> LiftedPoses:
-        """Joint positions in world for each frame."""
+        """Poses in world for each frame, with orientations where the lifter has them."""
 
 
 @dataclass(frozen=True)
 class ReconstructionSettings:
-    """Settings of all stages after the lifter."""
+    """Settings of all stages."""
 
+    lift_with_sensors: bool = True
+    """Whether the lifter is told the sensors' orientations too, in the modes that use sensors; a lifter
+    that knows none ignores them."""
     inertial_ik: InertialGuidedIKSettings = field(default_factory=InertialGuidedIKSettings)
     fragment: JointSpaceSettings | FragmentSettings | None = None
     """Of the fragment solver, and by their type its space; its defaults where not given."""
@@ -125,16 +129,17 @@ def reconstruct(
         raise ShapeError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
     tell = progress or (lambda stage, done, total: None)
     tell("lift", 0, 1)
-    lifted = _lift(skeleton, keypoints, lifter, recording.floor_height)
+    told = bone_imus if settings.lift_with_sensors else None
+    lifted, R_lifted = _lift(skeleton, keypoints, told, lifter, recording.floor_height)
     tell("lift", 1, 1)
     stages, solution = {"lift": lifted}, None
     if inertial:
         ik = InertialGuidedIK(skeleton, settings.inertial_ik)
-        stages["sf2"] = ik.refine(lifted, bone_imus)
+        stages["sf2"] = ik.refine(lifted, bone_imus, R_lifted)
     if mode in ("rto", "rtof"):
         fragment = _on_floor(settings.fragment, skeleton, recording.floor_height)
         solver = FragmentSolver(skeleton, settings.frames, fragment)
-        start = stages["sf2"] if inertial else InertialGuidedIK(skeleton).refine(lifted)
+        start = stages["sf2"] if inertial else InertialGuidedIK(skeleton).refine(lifted, None, R_lifted)
         solution = solver.solve(start, keypoints, bone_imus, lambda i, n: tell(mode, i, n))
         stages[mode] = solution.poses
     motion = skeleton.motion(stages[mode])
@@ -196,25 +201,30 @@ def _on_floor(
 def _lift(
     skeleton: SkeletonModel,
     keypoints: KeypointSequence,
+    bone_imus: BoneImuSequence | None,
     lifter: LifterLike | None,
     floor_height: float | None,
-) -> PoseSequence:
-    """The lifter's positions as poses: orientations from positions, and who saw what."""
+) -> tuple[PoseSequence, Array]:
+    """The lifter's poses, orientations from positions where it gives none, and who saw what; and the
+    orientations (T, J, 3, 3) that it gives, NaN where not."""
     if lifter is None:
         lifter = _shipped_lifter()
-    result = lifter.predict(keypoints, skeleton.joint_offsets, floor_height=floor_height)
+    result = lifter.predict(
+        keypoints, skeleton.joint_offsets, bone_imus=bone_imus, floor_height=floor_height
+    )
     p = np.asarray(result.p_world_joint)
     depth = keypoints.camera.to_camera(p)[..., 2]
     if np.any(depth <= 0):
         frame = int(np.argwhere(depth <= 0)[0][0])
         raise ShapeError(f"lifted pose of frame {frame} is behind the camera; check its extrinsics")
     R = kinematics.rotations_from_positions(skeleton.parents, skeleton.joint_offsets, p)
+    R = np.where(np.isfinite(result.R_world_bone), result.R_world_bone, R)
     seen = keypoints.select(skeleton.names).seen
     provenance = np.where(seen, Provenance.CAMERA, Provenance.PRIOR)
     bridged = ~np.asarray(result.seen)
     provenance[bridged] = Provenance.BRIDGED
     valid = np.broadcast_to(~bridged[:, None], seen.shape)
-    return PoseSequence(
+    poses = PoseSequence(
         times=keypoints.times,
         p_world_joint=p,
         R_world_bone=R,
@@ -222,7 +232,9 @@ def _lift(
         provenance=provenance.astype(np.uint8),
         valid=valid,
         orientation_observed=skeleton.orientation_observed(),
+        sigma_rad=result.sigma_rad,
     )
+    return poses, result.R_world_bone
 
 
 def _shipped_lifter() -> Any:

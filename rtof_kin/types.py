@@ -377,6 +377,9 @@ class PoseSequence:
     orientation_observed: NDArray[np.bool_] = None  # type: ignore[assignment]
     """(T, J) whether all three angles of the segment were seen; where False, its twist follows the
     parent. One row (J,) stands for all frames; all False where not given."""
+    sigma_rad: Array = None  # type: ignore[assignment]
+    """(T, J) standard deviation per axis of the orientations, rad; NaN where it is not known, as it is
+    everywhere where not given."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -401,15 +404,21 @@ class PoseSequence:
         set_(self, "valid", readonly("pose valid", valid, (T, J), np.bool_))
         observed = readonly("pose orientation_observed", observed, (T, J), np.bool_)
         set_(self, "orientation_observed", observed)
+        sigma = np.full((T, J), np.nan) if self.sigma_rad is None else self.sigma_rad
+        sigma = readonly("pose sigma_rad", sigma, (T, J))
+        if np.any(sigma <= 0):
+            raise ShapeError("pose sigma_rad: not positive; write NaN where it is not known")
+        set_(self, "sigma_rad", sigma)
 
     def __len__(self) -> int:
         return len(self.times)
 
     def __getitem__(self, frames: slice) -> Self:
-        return self.posed(frames, self.p_world_joint[frames], self.R_world_bone[frames])
+        return self.posed(frames, self.p_world_joint[frames])
 
     def posed(self, frames: slice, p_world_joint: Array, R_world_bone: Array | None = None) -> Self:
-        """Some of the frames in other poses; with the same orientations where none are given."""
+        """Some of the frames in other poses; with the same orientations where none are given, else their
+        spread is not known any more."""
         return replace(
             self,
             times=self.times[frames],
@@ -418,6 +427,7 @@ class PoseSequence:
             provenance=self.provenance[frames],
             valid=self.valid[frames],
             orientation_observed=self.orientation_observed[frames],
+            sigma_rad=np.where(R_world_bone is None, self.sigma_rad[frames], np.nan),
         )
 
     @property

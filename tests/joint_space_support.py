@@ -167,6 +167,7 @@ def random_data(b: Built, x: Array, seed: int = 1) -> FragmentData:
         sign = rng.choice([-1.0, 1.0], size=(len(quat), 1))  # both name the same rotation
         return np.asarray((sign * quat).reshape(N, len(joints), 4))
 
+    share = np.random.default_rng(seed + 1000).uniform(0.3, 1.7, (N, 2))
     A = len(b.space.joints)
     root = rng.normal(size=(3 * A - 3, 3 * A - 3))
     whitening = np.array([np.diag(rng.uniform(2, 9, 3)) + rng.normal(size=(3, 3)) for _ in range(S)])
@@ -180,7 +181,8 @@ def random_data(b: Built, x: Array, seed: int = 1) -> FragmentData:
         observation={
             "uv_px": uv, "w_visual": weights(5.0, N, L), "knee_visual": np.full(N, DELTA_PX),
             "quat_sensor": turned(b.shape.sensors, 0.3), "w_sensor": weights(1.0, N, S),
-            "quat_torso": turned(b.shape.torso, 0.2), "w_torso": weights(0.2, N),
+            "quat_torso": turned(b.shape.torso, 0.2),
+            "w_torso": weights(0.2, N)[:, None] * share[:, : len(b.shape.torso)],
             "b_world": b_world + 0.1 * rng.normal(size=b_world.shape), "w_bone": weights(0.08, N),
             "p_root": x[:, :3] + 0.2 * rng.normal(size=(N, 3)), "w_root": weights(0.15, N),
             "w_floor": weights(0.03, N), "w_prior": weights(1.0, N),
@@ -258,7 +260,7 @@ def frame_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
         out.append(Term("orientation", root["w_sensor"][:, s, None] * r, loss))
     for i, j in enumerate(b.shape.torso):
         r = chord(matrices(O["quat_torso"][:, i]), R[:, j])
-        out.append(Term("torso", root["w_torso"][:, None] * r, cauchy))
+        out.append(Term("torso", root["w_torso"][:, i, None] * r, cauchy))
     for i, (j, child) in enumerate(b.shape.bones):
         r = p[:, child] - p[:, j] - O["b_world"][:, i]
         out.append(Term("bone", root["w_bone"][:, None] * r, cauchy))

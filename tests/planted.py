@@ -172,30 +172,51 @@ class Lifted:
 
     p_world_joint: Array
     seen: NDArray[np.bool_]
+    R_world_bone: Array
+    sigma_rad: Array
 
 
 class PlantedLifter:
-    """Answers with the truth and smooth errors, at whatever times it is asked for."""
+    """Answers with the truth and smooth errors, at whatever times it is asked for.
 
-    def __init__(self, truth: MotionSequence, blind: slice = slice(0)) -> None:
+    Orientations, where it gives them, are the truth turned by `turned`, and NaN where it is blind.
+    """
+
+    def __init__(
+        self,
+        truth: MotionSequence,
+        blind: slice = slice(0),
+        turned: Array | None = None,
+        sigma_rad: float = 0.1,
+    ) -> None:
         self.times, self.p = truth.times, lifted(truth)
         self.blind = blind
+        self.R = np.full((*self.p.shape, 3), np.nan)
+        self.sigma_rad = np.full(self.p.shape[:2], np.nan)
+        if turned is not None:
+            self.R = truth.poses.R_world_bone @ turned
+            self.sigma_rad[:] = sigma_rad
         self.asked: list[tuple[KeypointSequence, Array | None]] = []
         self.floors: list[float | None] = []
+        self.sensors: list[BoneImuSequence | None] = []
 
     def predict(
         self,
         keypoints: KeypointSequence,
         joint_offsets: Array | None = None,
         *,
+        bone_imus: BoneImuSequence | None = None,
         floor_height: float | None = None,
     ) -> Any:
         self.asked.append((keypoints, joint_offsets))
         self.floors.append(floor_height)
+        self.sensors.append(bone_imus)
         nearest = np.abs(self.times - keypoints.times[:, None]).argmin(axis=1)
         seen = np.ones(len(keypoints), dtype=bool)
         seen[self.blind] = False
-        return Lifted(self.p[nearest], seen)
+        R, sigma = np.array(self.R[nearest]), np.array(self.sigma_rad[nearest])
+        R[~seen], sigma[~seen] = np.nan, np.nan
+        return Lifted(self.p[nearest], seen, R, sigma)
 
 
 def recording(

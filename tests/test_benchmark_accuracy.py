@@ -238,7 +238,7 @@ def test_each_ablation_differs_from_the_nominal_settings_above_it() -> None:
             f.name for f in fields(JointSpaceSettings)
             if getattr(case.settings, f.name) != getattr(nominal.settings, f.name)
         }  # fmt: skip
-        assert differing, case.name
+        assert bool(differing) == case.lift_with_sensors, case.name
 
 
 def test_twelve_validation_motions_of_which_half_neither_walk_nor_run() -> None:
@@ -289,15 +289,14 @@ def prepared(lifter: planted.PlantedLifter) -> Prepared:
     return Scene(job()).prepared(Case("", "white", "8"))
 
 
-def test_the_lifter_is_asked_again_only_where_it_sees_something_else(
+def test_the_lifter_is_asked_once_for_each_recording_that_it_sees(
     lifter: planted.PlantedLifter,
 ) -> None:
     scene = Scene(job())
-    for name, asked in {
-        NOMINAL: 1, "left forearm's sensor missing": 1, "headings off by 10 deg": 1,
-        "10 % outliers of 80 px": 2, "all bones 3 % too long": 3, "all sensors stop halfway": 3,
-    }.items():  # fmt: skip
-        scene.prepared(Case(name, "white", "8", name))
+    faults = NOMINAL, "left forearm's sensor missing", "10 % outliers of 80 px", "all bones 3 % too long"
+    for asked, name in enumerate(faults, start=1):
+        for settings in (JointSpaceSettings(), JointSpaceSettings(limits=False)):
+            scene.prepared(Case(name, "white", "8", name, settings))
         assert len(lifter.asked) == asked, name
     offsets = lifter.asked[-1][1]
     assert offsets is not None
@@ -376,7 +375,7 @@ def test_every_stage_scores_what_the_pipeline_itself_scores(lifter: planted.Plan
     for mode, metrics in scores.items():
         figures = scoring.scored(own[mode], prepared, NOMINAL)
         for name in set(figures) & set(metrics):
-            assert figures[name] == pytest.approx(metrics[name], rel=1e-12), (mode, name)
+            assert figures[name] == pytest.approx(metrics[name], rel=1e-9), (mode, name)
     assert scores["rtof"]["mpjpe_rr_mm"] < 0.7 * scores["sf2"]["mpjpe_rr_mm"]
 
 
@@ -512,7 +511,7 @@ def test_an_ablation_is_compared_with_the_nominal_row_of_its_sensors_and_2d() ->
     costs = {(line[0], line[1]): line[place] for line in main.rows}
     for kind in ("white", "realistic"):
         assert costs[kind, "without orientation of the sensors"] == pytest.approx(1.0)
-        assert costs[kind, "without limb anchor, 4 sensors"] == pytest.approx(1.0)
+        assert costs[kind, "without limb anchor, no sensors"] == pytest.approx(1.0)
         assert costs[kind, "without root anchor, no sensors"] == pytest.approx(2.0)
         assert costs[kind, "nominal, no sensors"] == pytest.approx(0.0)
 

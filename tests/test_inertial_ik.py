@@ -42,9 +42,10 @@ def refine(
     imus: BoneImuSequence | None = None,
     threshold: float = 0.0,
     blend_angle: float | None = None,
+    oriented: bool = False,
 ) -> PoseSequence:
     ik = InertialGuidedIK(SKELETON, InertialGuidedIKSettings(threshold, blend_angle))
-    return ik.refine(poses, imus)
+    return ik.refine(poses, imus, poses.R_world_bone if oriented else None)
 
 
 def sensors(truth: MotionSequence, joints: tuple[str, ...], degrees: float = 0.0) -> BoneImuSequence:
@@ -341,3 +342,114 @@ def test_a_sensor_on_no_joint_of_the_skeleton_is_refused(
     imus = replace(sensors(truth, ("LeftLeg",)), joints=("LeftShank",))
     with pytest.raises(UnknownNameError, match="'LeftShank'"):
         refine(lifted, imus)
+
+
+# --- poses whose orientations were observed too --------------------------------------------------
+
+CHILDREN = [kinematics.children_of(SKELETON.parents, j) for j in range(len(SKELETON.names))]
+SINGLE = [j for j, children in enumerate(CHILDREN) if len(children) == 1]
+OTHERS = [j for j, children in enumerate(CHILDREN) if len(children) != 1]
+"""Leaves, and segments with several children."""
+
+
+@pytest.fixture(scope="module")
+def oriented(lifted: PoseSequence) -> PoseSequence:
+    """Lifted positions, with orientations that do not quite agree with them."""
+    error = planted.smooth_noise(21, (40, len(SKELETON.names), 3), 12, 0.15)
+    return replace(lifted, R_world_bone=lifted.R_world_bone @ so3.exp(error))
+
+
+def directions(poses: PoseSequence, j: int) -> Array:
+    p = poses.p_world_joint
+    return so3.unit(p[:, CHILDREN[j][0]] - p[:, j])
+
+
+def test_orientations_are_not_read_where_they_were_not_observed(
+    lifted: PoseSequence, oriented: PoseSequence
+) -> None:
+    one, two = refine(lifted), refine(oriented)
+    np.testing.assert_array_equal(one.R_world_bone, two.R_world_bone)
+    np.testing.assert_array_equal(one.p_world_joint, two.p_world_joint)
+
+
+def test_segments_of_one_bone_keep_its_direction_and_take_the_twist_that_was_observed(
+    oriented: PoseSequence,
+) -> None:
+    out = refine(oriented, oriented=True)
+    for j in SINGLE:
+        np.testing.assert_allclose(directions(out, j), directions(oriented, j), atol=1e-9)
+        rest = so3.unit(SKELETON.joint_offsets[CHILDREN[j][0]])
+        R = oriented.R_world_bone[:, j]
+        swing = so3.log(out.R_world_bone[:, j] @ np.swapaxes(R, -1, -2))
+        assert np.abs(np.sum(swing * (R @ rest), axis=-1)).max() < 1e-7, SKELETON.names[j]
+        by_position = refine(oriented).R_world_bone[:, j]
+        assert so3.angle_between(out.R_world_bone[:, j], by_position).max() > 0.05
+
+
+def test_leaves_and_segments_of_several_bones_are_oriented_as_observed(
+    oriented: PoseSequence,
+) -> None:
+    out = refine(oriented, oriented=True)
+    assert {SKELETON.names[j] for j in OTHERS} >= {"Hips", "Spine3", "Head", "LeftHand", "RightFoot"}
+    angle = so3.angle_between(out.R_world_bone[:, OTHERS], oriented.R_world_bone[:, OTHERS])
+    assert angle.max() < 1e-7
+    before = refine(oriented).R_world_bone[:, OTHERS]
+    assert so3.angle_between(before, oriented.R_world_bone[:, OTHERS]).max(axis=0).min() > 0.05
+
+
+def test_the_truth_is_left_as_it_is(truth: MotionSequence) -> None:
+    out = refine(truth.poses, oriented=True)
+    np.testing.assert_allclose(out.p_world_joint, truth.poses.p_world_joint, atol=1e-9)
+    assert so3.angle_between(out.R_world_bone, truth.poses.R_world_bone).max() < 1e-6
+    assert so3.angle_between(refine(truth.poses).R_world_bone, truth.poses.R_world_bone).max() > 0.1
+
+
+def test_orientations_that_are_nan_come_from_positions(oriented: PoseSequence) -> None:
+    R = np.array(oriented.R_world_bone)
+    R[10:20] = np.nan
+    R[30, [0, 9]] = np.nan
+    out = refine(replace(oriented, R_world_bone=R), oriented=True)
+    by_position, whole = refine(oriented), refine(oriented, oriented=True)
+    np.testing.assert_allclose(
+        out.R_world_bone[10:20], by_position.R_world_bone[10:20], atol=1e-9
+    )
+    np.testing.assert_allclose(out.R_world_bone[:10], whole.R_world_bone[:10], atol=1e-9)
+    np.testing.assert_allclose(out.R_world_bone[30, 0], by_position.R_world_bone[30, 0], atol=1e-9)
+    others = [j for j in range(21) if j not in (0, 9)]
+    np.testing.assert_allclose(
+        out.R_world_bone[30, others], whole.R_world_bone[30, others], atol=1e-9
+    )
+    nothing = refine(replace(oriented, R_world_bone=np.full_like(R, np.nan)), oriented=True)
+    np.testing.assert_array_equal(nothing.R_world_bone, by_position.R_world_bone)
+    np.testing.assert_array_equal(nothing.p_world_joint, by_position.p_world_joint)
+
+
+def test_sensors_stand_above_what_was_observed(
+    truth: MotionSequence, oriented: PoseSequence
+) -> None:
+    joints = ("Hips", "LeftLeg", "LeftFoot")
+    out = refine(oriented, sensors(truth, joints), oriented=True)
+    index = SKELETON.index(*joints)
+    angle = so3.angle_between(out.R_world_bone[:, index], truth.poses.R_world_bone[:, index])
+    assert angle.max() < 1e-7
+    without = refine(oriented, oriented=True)
+    others = [j for j in range(21) if j not in index]
+    np.testing.assert_allclose(
+        out.R_world_bone[:, others], without.R_world_bone[:, others], atol=1e-9
+    )
+
+
+def test_a_threshold_of_pi_keeps_directions_and_takes_the_sensors_twist_of_oriented_poses_too(
+    truth: MotionSequence, oriented: PoseSequence
+) -> None:
+    imus = turned(sensors(truth, ("LeftLeg",)), 0.4)
+    one = refine(oriented, imus, threshold=np.pi, oriented=True)
+    two = refine(oriented, imus, threshold=np.pi)
+    (j,) = SKELETON.index("LeftLeg")
+    np.testing.assert_allclose(one.R_world_bone[:, j], two.R_world_bone[:, j], atol=1e-9)
+
+
+def test_uncertainties_are_passed_on(oriented: PoseSequence) -> None:
+    sigma = np.random.default_rng(0).uniform(0.1, 0.3, (40, 21))
+    out = refine(replace(oriented, sigma_rad=sigma), oriented=True)
+    np.testing.assert_array_equal(out.sigma_rad, sigma)

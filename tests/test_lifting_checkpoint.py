@@ -53,9 +53,20 @@ def test_a_lifter_survives_its_file(lifter: Lifter, saved: Path) -> None:
     save_checkpoint(saved, lifter._network, described)
     network, description = load_checkpoint(saved)
     assert description == described
+    assert len(description.body.sensors) == 13
     assert not network.training
     for name, tensor in lifter._network.state_dict().items():
         assert torch.equal(network.state_dict()[name], tensor), name
+
+
+def test_a_causal_lifter_and_one_without_sensors_survive_their_files(tmp_path: Path) -> None:
+    for given in (
+        support.untrained_lifter(causal=True), support.untrained_lifter(table=support.TABLE_17)
+    ):
+        path = save_checkpoint(tmp_path / "lifter.pt", given._network, given.description)
+        network, description = load_checkpoint(path)
+        assert description == given.description
+        assert network.estimated() == given._network.estimated()
 
 
 def test_the_file_says_where_its_motion_came_from(saved: Path) -> None:
@@ -104,7 +115,24 @@ def test_flipped_bytes_are_refused(saved: Path) -> None:
 
 def test_another_version_says_what_to_install(saved: Path) -> None:
     rewrite(saved, lambda content: content.update(version=99))
-    with pytest.raises(FileFormatError, match="lifter format 99; .* reads format 1: install"):
+    with pytest.raises(FileFormatError, match="lifter format 99; .* reads format 2: install"):
+        load_checkpoint(saved)
+
+
+def test_a_lifter_of_the_version_before_is_refused_and_says_what_to_do(saved: Path) -> None:
+    """It knew no sensors: its description lacks them, and its weights have another shape."""
+
+    def age(content: dict[str, Any]) -> None:
+        description = json.loads(content["description"])
+        del description["body"]["sensors"], description["network"]["constants"]
+        del description["network"]["causal"], content["weights"]["constant.weight"]
+        content.update(version=1, description=json.dumps(description))
+
+    rewrite(saved, age, sign=True)
+    with pytest.raises(FileFormatError, match=(
+        "lifter format 1; this version of the package reads format 2: install the version that "
+        "wrote it, or train again"
+    )):  # fmt: skip
         load_checkpoint(saved)
 
 
@@ -129,10 +157,16 @@ def test_a_file_that_carries_code_does_not_run_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    torch.save({"format": checkpoint.FORMAT, "version": 1, "weights": Harmful()}, "lifter.pt")
+    torch.save({"format": checkpoint.FORMAT, "version": 2, "weights": Harmful()}, "lifter.pt")
     with pytest.raises(FileFormatError, match="not a readable lifter"):
         load_checkpoint("lifter.pt")
     assert not (tmp_path / "harm").exists()
+
+
+def swap(description: dict[str, Any], joint: str, other: str) -> None:
+    """A sensor on one side of the body that has no counterpart."""
+    sensors = description["body"]["sensors"]
+    sensors[sensors.index(joint)] = other
 
 
 @pytest.mark.parametrize(
@@ -141,6 +175,16 @@ def test_a_file_that_carries_code_does_not_run_it(
         (lambda d: d["network"].update(channels=10**9), "1000000000 channels"),
         (lambda d: d["network"].update(filter_widths=[3] * 40), "filter widths"),
         (lambda d: d["network"].update(inputs=5), "inputs or outputs do not fit"),
+        (lambda d: d["network"].update(constants=5), "inputs or outputs do not fit"),
+        (lambda d: d["network"].update(outputs=5), "inputs or outputs do not fit"),
+        (lambda d: d["body"].update(sensors=[]), "inputs or outputs do not fit"),
+        (lambda d: d["body"]["sensors"].pop(), "no counterpart on the other side"),
+        (lambda d: d["body"]["sensors"].append("Tail"), "sensors' segments are not among the joints"),
+        (lambda d: d["body"].update(sensors=["Head"] * 13), "sensors' segments are not among"),
+        (lambda d: swap(d, "LeftArm", "LeftHand"), "no counterpart"),
+        (lambda d: d["body"].update(sensors=7), "description of this lifter is wrong"),
+        (lambda d: d["body"].pop("sensors"), "'sensors'"),
+        (lambda d: d["network"].pop("constants"), "constants"),
         (lambda d: d["body"].update(parents=[-1, *range(1, 21)]), "no tree of joints"),
         (lambda d: d["body"].update(nominal_bones=[0.1]), "nominal bones do not fit"),
         (lambda d: d.update(rate_hz=0.0), "a rate of 0.0 Hz"),
@@ -167,5 +211,7 @@ def test_the_shipped_lifter_loads_and_says_how_good_it_is() -> None:
     lifter = Lifter.load()
     assert lifter.receptive_field() == 27
     assert len(lifter.names) == 21
+    assert len(lifter.description.body.sensors) == 13
+    assert lifter.description.network.causal is False
     assert lifter.description.validation["perfect"]["rr_mm"] < 80
     assert lifter.description.recipe["windows_seen"] > 100_000

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lifting import predict as module
 from lifting.checkpoint import save_checkpoint
 from lifting.predict import LiftedPoses, Lifter
+from lifting.source import Source
 from lifting.threads import torch_threads
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError, ShapeError
@@ -395,10 +396,11 @@ def test_a_lifter_of_17_joints_reconstructs_through_the_pipeline() -> None:
 def test_at_the_rate_of_the_lifter_frames_are_taken_as_they_are() -> None:
     keypoints = recording_of_17().keypoints
     lifter = support.untrained_lifter(table=support.TABLE_17, rate_hz=50.0)
-    rays, _ = module._Rays.of(keypoints).windows(keypoints.times[20:40], 27, 50.0)
-    at_frames = module._Rays.of(keypoints).rays[20:40]
-    np.testing.assert_array_equal(rays[:, 13], at_frames)
-    np.testing.assert_array_equal(rays[13:, 0], at_frames[:7])
+    source = Source.of(lifter.description.body, keypoints, None)
+    windows = source.windows(keypoints.times[20:40], 27, 13, 50.0, np.full(30, np.nan), np.nan)
+    rays = windows.rays_world.permute(0, 2, 3, 1).numpy()
+    np.testing.assert_array_equal(rays[:, 13], source.rays[20:40])
+    np.testing.assert_array_equal(rays[13:, 0], source.rays[20:27])
     at_60 = support.untrained_lifter(table=support.TABLE_17).predict(keypoints)
     assert np.abs(at_60.p_world_joint - lifter.predict(keypoints).p_world_joint).max() > 1e-6
 
@@ -411,3 +413,11 @@ def test_a_lifter_of_other_joints_says_what_to_do() -> None:
 def test_a_lifter_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="no such file; give the path of a trained lifter"):
         Lifter.load(tmp_path / "none.pt")
+
+
+@pytest.mark.parametrize("name", list(module.SHIPPED))
+def test_shipped_lifters_have_names(name: str) -> None:
+    lifter = Lifter.load(name)
+    assert lifter.description.network.causal == (name == "causal")
+    assert (lifter.description.recipe["augment"]["noise"]["clean"] == 1.0) == (name == "perfect")
+    assert lifter.sha256 == Lifter.load(module.model_path(module.SHIPPED[name])).sha256

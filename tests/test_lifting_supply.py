@@ -16,18 +16,22 @@ def bank() -> MotionBank:
     return MotionBank(support.tiny_corpus(frames=40), [0, 1], torch.device("cpu"))
 
 
-def supply(bank: MotionBank, ahead: bool, seed: int = 3) -> Supply:
-    return Supply(bank, 16, 27, AugmentConfig(), seed, ahead)
+def supply(bank: MotionBank, ahead: bool, seed: int = 3, causal: bool = False) -> Supply:
+    return Supply(bank, 16, 27, AugmentConfig(), seed, ahead, causal)
 
 
 def test_a_batch_is_what_the_bank_draws_with_the_seed_of_its_step(bank: MotionBank) -> None:
-    with supply(bank, ahead=False) as source:
-        batch, encoded = source.batch(5)
-    generator = torch.Generator().manual_seed(step_seed(3, 5))
-    drawn = bank.draw(16, 27, AugmentConfig(), generator)
-    assert torch.equal(batch.rays_world, drawn.rays_world)
-    again = encode(bank.body, drawn.rays_world, drawn.seen, drawn.bones, drawn.camera_height)
-    assert torch.equal(encoded.features, again.features)
+    for causal in (False, True):
+        with supply(bank, ahead=False, causal=causal) as source:
+            batch, encoded = source.batch(5)
+        generator = torch.Generator().manual_seed(step_seed(3, 5))
+        drawn = bank.draw(16, 27, AugmentConfig(), generator, causal=causal)
+        assert torch.equal(batch.windows.rays_world, drawn.windows.rays_world)
+        assert torch.equal(batch.windows.axes_world, drawn.windows.axes_world)
+        assert batch.windows.estimated == (26 if causal else 13)
+        again = encode(bank.body, drawn.windows)
+        assert torch.equal(encoded.features, again.features)
+        assert torch.equal(encoded.constants, again.constants)
 
 
 def test_drawn_ahead_or_not_and_in_any_order_batches_are_the_same(bank: MotionBank) -> None:
@@ -35,7 +39,9 @@ def test_drawn_ahead_or_not_and_in_any_order_batches_are_the_same(bank: MotionBa
         for step in (0, 1, 2, 7, 8, 3):
             here, there = plain.batch(step), ahead.batch(step)
             assert torch.equal(here[0].pose, there[0].pose), step
+            assert torch.equal(here[0].axes, there[0].axes), step
             assert torch.equal(here[1].features, there[1].features), step
+            assert torch.equal(here[1].constants, there[1].constants), step
 
 
 def test_steps_and_seeds_draw_different_windows(bank: MotionBank) -> None:

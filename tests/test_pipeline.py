@@ -15,6 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from rtof_kin import kinematics
+from rtof_kin import rotations as so3
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import SolverStatus
 from rtof_kin.fragment_settings import FragmentSettings
@@ -175,7 +177,9 @@ def test_the_recordings_own_skeleton_is_used_where_none_is_given(truth: MotionSe
 
 def test_settings_reach_the_stages(recording: Recording, truth: MotionSequence) -> None:
     never = InertialGuidedIKSettings(threshold=np.pi)
-    careful = ReconstructionSettings(never, FragmentSettings(max_iterations=1), frames=8)
+    careful = ReconstructionSettings(
+        inertial_ik=never, fragment=FragmentSettings(max_iterations=1), frames=8
+    )
     result = run(recording, truth, settings=careful)
     assert result.solution is not None
     assert len(result.solution.fragments) == T // 4 + 1
@@ -228,6 +232,106 @@ def test_the_other_skeleton_is_reconstructed_without_sensors() -> None:
     result = run(recording, truth, "rto")
     score = result.stage_metrics
     assert score["rto"]["mpjpe_rr_mm"] < score["lift"]["mpjpe_rr_mm"]
+
+
+# --- lifters that know orientations and sensors --------------------------------------------------
+
+TURN = so3.exp([0.1, -0.05, 0.15])
+"""By how much the lifter's orientations are wrong, in the segments' own axes."""
+
+
+def oriented(truth: MotionSequence, **how: Any) -> planted.PlantedLifter:
+    return planted.PlantedLifter(truth, turned=TURN, **how)
+
+
+@pytest.mark.parametrize("mode, with_sensors, told", [
+    ("lift", True, False), ("rto", True, False), ("sf2", True, True), ("rtof", True, True),
+    ("sf2", False, False), ("rtof", False, False),
+])  # fmt: skip
+def test_the_lifter_is_told_the_sensors_where_the_mode_uses_them(
+    recording: Recording, truth: MotionSequence, mode: str, with_sensors: bool, told: bool
+) -> None:
+    lifter = planted.PlantedLifter(truth)
+    quick = ReconstructionSettings(
+        lift_with_sensors=with_sensors, frames=16, fragment=FragmentSettings(max_iterations=1)
+    )
+    result = run(recording, truth, mode, lifter=lifter, settings=quick)
+    (sensors,) = lifter.sensors
+    assert sensors is (result.bone_imus if told else None)
+    assert (sensors is not None) == told
+
+
+def test_the_lifters_orientations_and_uncertainties_are_those_of_its_stage(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    result = run(recording, truth, "sf2", lifter=oriented(truth, sigma_rad=0.2))
+    lift = result.stages["lift"]
+    np.testing.assert_allclose(lift.R_world_bone, truth.poses.R_world_bone @ TURN, atol=1e-9)
+    assert np.all(lift.sigma_rad == 0.2)
+    refined = InertialGuidedIK(BODY).refine(lift, result.bone_imus, lift.R_world_bone)
+    np.testing.assert_allclose(
+        result.stages["sf2"].R_world_bone, refined.R_world_bone, atol=1e-9
+    )
+    hips, head = BODY.index("Hips", "Head")
+    for j in (hips, head):  # no sensor, and not one bone
+        np.testing.assert_allclose(
+            refined.R_world_bone[:, j], lift.R_world_bone[:, j], atol=1e-9
+        )
+
+
+def test_frames_that_were_bridged_are_oriented_by_their_positions(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    gap = slice(15, 24)
+    blind = replace(recording, keypoints=planted.unseen(recording.keypoints, gap))
+    lift = run(blind, truth, "lift", lifter=oriented(truth, blind=gap)).stages["lift"]
+    by_position = kinematics.rotations_from_positions(
+        BODY.parents, BODY.joint_offsets, lift.p_world_joint
+    )
+    np.testing.assert_allclose(lift.R_world_bone[gap], by_position[gap], atol=1e-12)
+    assert np.isnan(lift.sigma_rad[gap]).all()
+    seen = np.r_[0:15, 24:T]
+    np.testing.assert_allclose(
+        lift.R_world_bone[seen], (truth.poses.R_world_bone @ TURN)[seen], atol=1e-9
+    )
+    assert np.isfinite(lift.sigma_rad[seen]).all()
+    result = run(blind, truth, lifter=oriented(truth, blind=gap))
+    assert np.isfinite(result.motion.poses.R_world_bone).all()
+    assert result.solution is not None
+    assert result.solution.status is SolverStatus.CONVERGED
+
+
+@pytest.mark.parametrize("mode", ["sf2", "rto"])
+def test_without_orientations_stages_start_from_positions_alone(
+    recording: Recording, truth: MotionSequence, mode: str
+) -> None:
+    """As for lifters of old, and of other skeletons: a hand turns with its forearm's sensor."""
+    idle = FragmentSettings(max_iterations=0, refit_root=False)
+    result = run(
+        recording, truth, mode, settings=ReconstructionSettings(fragment=idle, frames=16)
+    )
+    assert np.isnan(result.stages["lift"].sigma_rad).all()
+    refined = InertialGuidedIK(BODY).refine(result.stages["lift"], result.bone_imus)
+    np.testing.assert_allclose(
+        result.stages[mode].p_world_joint, refined.p_world_joint, atol=1e-9
+    )
+    if mode == "sf2":
+        np.testing.assert_allclose(
+            result.stages[mode].R_world_bone, refined.R_world_bone, atol=1e-9
+        )
+
+
+def test_a_torso_that_the_lifter_knows_well_is_held_to(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    """The surer it is, the nearer to its (wrong) orientations the pelvis stays."""
+    away = []
+    for sigma in (0.02, 0.5):
+        lifter = oriented(truth, sigma_rad=sigma)
+        poses = run(recording, truth, "rto", lifter=lifter).motion.poses
+        given = truth.poses.R_world_bone[:, 0] @ TURN
+        away.append(so3.angle_between(poses.R_world_bone[:, 0], given).mean())
+    assert away[0] < 0.7 * away[1]
 
 
 # --- gaps ----------------------------------------------------------------------------------------

@@ -423,6 +423,28 @@ def test_what_is_not_said_about_a_pose_is_assumed_modestly() -> None:
     assert not out.orientation_observed.any()
 
 
+def test_uncertainties_of_orientations_are_not_known_where_not_given() -> None:
+    assert np.isnan(poses().sigma_rad).all()
+    assert poses().sigma_rad.shape == (T, J)
+    sigma = with_value(RNG.uniform(0.1, 0.5, (T, J)), (1, 2), np.nan)
+    out = poses(sigma_rad=sigma)
+    np.testing.assert_array_equal(out.sigma_rad, sigma)
+    np.testing.assert_array_equal(out[2:4].sigma_rad, sigma[2:4])
+    with pytest.raises(ValueError, match="read-only"):
+        out.sigma_rad[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("wrong", [0.0, -0.1])
+def test_an_uncertainty_that_is_not_positive_is_refused(wrong: float) -> None:
+    with pytest.raises(ShapeError, match="pose sigma_rad: not positive; write NaN where it is not known"):
+        poses(sigma_rad=with_value(np.ones((T, J)), (2, 1), wrong))
+
+
+def test_uncertainties_of_another_shape_are_refused() -> None:
+    with pytest.raises(ShapeError, match=r"pose sigma_rad: expected shape \(6, 3\), got \(6, 2\)"):
+        poses(sigma_rad=np.ones((T, 2)))
+
+
 def test_a_position_that_is_not_known_is_never_valid() -> None:
     base = poses()
     p = with_value(base.p_world_joint, (1, 2), np.nan)

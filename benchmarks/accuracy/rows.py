@@ -22,7 +22,7 @@ from rtof_kin.joint_space.frame_energy import TORSO
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import evaluate, motionless
 from rtof_kin.mocap import MocapClip
-from rtof_kin.pipeline import reconstruct
+from rtof_kin.pipeline import ReconstructionSettings, reconstruct
 from rtof_kin.recording import Recording
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, PoseSequence
@@ -76,26 +76,28 @@ class Scene:
     def __init__(self, job: Job) -> None:
         self._job = job
         self._recordings: dict[str, Recording] = {}
-        self._lifted: dict[str, PoseSequence] = {}
-        self._prepared: dict[tuple[str, str, str], Prepared] = {}
+        self._prepared: dict[tuple[str, str, str, bool], Prepared] = {}
 
     def prepared(self, case: Case) -> Prepared:
         """What the solver of a case starts from."""
-        key = case.keypoints, case.sensors, case.fault
+        key = case.keypoints, case.sensors, case.fault, case.lift_with_sensors
         if key not in self._prepared:
             self._prepared[key] = self._prepare(case)
         return self._prepared[key]
 
     def _prepare(self, case: Case) -> Prepared:
         recording = self._recorded(case)
-        bone_imus = recording.bone_imus()
-        lifted = self._lift(case.keypoints, recording)
-        sf2 = InertialGuidedIK(recording.skeleton).refine(lifted, bone_imus)
+        mode, lifter = "lift" if recording.imus is None else "sf2", _lifter(self._job.lifter)
+        settings = ReconstructionSettings(lift_with_sensors=case.lift_with_sensors)
+        result = reconstruct(recording, mode=mode, lifter=lifter, settings=settings)
+        lifted = result.stages["lift"]
+        ik = InertialGuidedIK(recording.skeleton)
+        sf2 = result.stages.get("sf2") or ik.refine(lifted, None, lifted.R_world_bone)
         truth = recording.truth
         assert truth is not None
         first = int(np.searchsorted(truth.times, lifted.times[0] - 1e-9))
         truth = truth[first : first + len(lifted)]
-        return Prepared(recording, lifted, sf2, bone_imus, truth)
+        return Prepared(recording, lifted, sf2, result.bone_imus, truth)
 
     def _recorded(self, case: Case) -> Recording:
         """The recording of a case: of all sensors' recording those it has, with its fault."""
@@ -114,20 +116,6 @@ class Scene:
             job, names = self._job, tuple(dict.fromkeys(n for s in SENSOR_SETS.values() for n in s))
             self._recordings[kind] = harness.recorded(job.clip, job.camera, kind, names, job.seed)
         return self._recordings[kind]
-
-    def _lift(self, kind: str, recording: Recording) -> PoseSequence:
-        """Lifted poses; those of the kind of 2D itself where a fault changes nothing the lifter sees."""
-        whole = self._whole(kind)
-        same = recording.keypoints is whole.keypoints and np.array_equal(
-            recording.joint_offsets, whole.joint_offsets
-        )
-        if same and kind in self._lifted:
-            return self._lifted[kind]
-        lifter = _lifter(self._job.lifter)
-        lifted = reconstruct(recording, mode="lift", lifter=lifter).stages["lift"]
-        if same:
-            self._lifted[kind] = lifted
-        return lifted
 
 
 @cache
@@ -153,7 +141,8 @@ def run(job: Job) -> list[Row]:
         try:
             prepared = scene.prepared(case)
             for mode, poses in stages(prepared).items():
-                key = (mode, case.keypoints, case.fault, case.sensors if mode == "sf2" else None)
+                sensors = None if mode == "zero motion" else case.sensors
+                key = (mode, case.keypoints, case.fault, sensors, case.lift_with_sensors)
                 if key not in told:
                     told.add(key)
                     rows.append(about | {"mode": mode} | scored(poses, prepared, case.fault))

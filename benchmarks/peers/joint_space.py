@@ -146,7 +146,7 @@ class JointScene:
             rows.append(huber(r, O["w_sensor"][s], shape.robust_orientation))
         for i, j in enumerate(shape.torso):
             r = energies.orientation(q[j], O["quat_torso"][:, i])
-            rows.append(cauchy(r, O["w_torso"]))
+            rows.append(cauchy(r, O["w_torso"][i]))
         for i, (j, child) in enumerate(shape.bones):
             r = energies.bone_vector(p[j], p[child], O["b_world"][:, i])
             rows.append(cauchy(r, O["w_bone"]))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import logging
 
-from rtof_kin.cli import detection, protocols, recordings, training
+from rtof_kin.cli import detection, lifters, protocols, recordings, training
 from rtof_kin.cli.terminal import err
 from rtof_kin.errors import RtofError
 
@@ -36,6 +36,6 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Each command explains itself: rtof-kin reconstruct --help",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for module in (recordings, training, protocols, detection):
+    for module in (recordings, detection, training, lifters, protocols):
         module.add_commands(commands)
     return parser

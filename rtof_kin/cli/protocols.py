@@ -262,7 +262,8 @@ def _add_total_capture(commands: Any) -> None:
         "--no-studies", action="store_true", help="leave out the tables of fragment length and k_V"
     )
     parser.add_argument(
-        "--lifter", type=Path, metavar="CHECKPOINT", help="instead of the shipped one"
+        "--lifter", type=Path, metavar="CHECKPOINT",
+        help="a file, or a shipped one: detections (the default), perfect, causal",
     )
     parser.add_argument("--seed", type=int, default=0, help="of all noise; same seed, same table")
     _add_run(parser, "out/total_capture", "DIR/S5/acting3/cam1/rtof/motion.npz")

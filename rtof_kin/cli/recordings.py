@@ -191,8 +191,9 @@ def _add_reconstruct(commands: Any) -> None:
 def _add_reconstruction(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, default=50, metavar="N", help="frames in a fragment")
     parser.add_argument(
-        "--lifter", type=Path, metavar="FILE", help="checkpoint to use instead of the shipped one"
-    )
+        "--lifter", type=Path, metavar="FILE",
+        help="checkpoint, or the name of a shipped one: detections (the default), perfect, causal",
+    )  # fmt: skip
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
 
 

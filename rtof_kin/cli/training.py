@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -14,9 +16,10 @@ from rtof_kin.errors import ShapeError
 
 if TYPE_CHECKING:
     from lifting.corpus import Corpus
+    from lifting.settings import TrainConfig
 
-DATASET_MINUTES = 28.0
-"""How long a lifter is trained on a dataset where neither minutes nor windows are given."""
+DEFAULT_MINUTES = 45.0
+"""How long a lifter is trained where neither minutes nor windows are given."""
 
 
 def add_commands(commands: Any) -> None:
@@ -26,47 +29,76 @@ def add_commands(commands: Any) -> None:
         "CORPUS is a folder of BVH and AMC files with an index.csv (see benchmarks/README.md), split by "
         "subject once and for all. Or train on a dataset that you have: Total Capture's paper split "
         "(S1-S3 without the test takes) or Human3.6M's (S1, S5-S8). Such weights are yours to keep, "
-        "under the dataset's terms.",
+        "under the dataset's terms. Several processes or machines: torchrun --nproc-per-node 2 -m "
+        "rtof_kin.cli train ...",
     )  # fmt: skip
     parser.add_argument("corpus", nargs="?", metavar="CORPUS", help="folder, or .npz made from one")
     parser.add_argument("--total-capture", metavar="DIR", help="folder of Total Capture, instead")
     parser.add_argument("--human36m", metavar="DIR", help="folder of Human3.6M's archives, instead")
     parser.add_argument("-o", "--output", default="lifter.pt", help="checkpoint to write")
     parser.add_argument(
-        "--minutes",
-        type=float,
-        help=f"stop after so many; on a dataset {DATASET_MINUTES:g} if not given",
-    )
+        "--minutes", type=float,
+        help=f"stop after so many; {DEFAULT_MINUTES:g} where neither they nor windows are given",
+    )  # fmt: skip
     parser.add_argument("--windows", type=int, help="stop after so many windows")
-    parser.add_argument("--batch", type=int, default=512, help="windows in a step")
+    parser.add_argument("--resume", action="store_true", help="go on where a run was interrupted")
     parser.add_argument(
+        "--start", metavar="LIFTER", help="begin with its weights, to tune it further"
+    )
+    _add_model(parser.add_argument_group("what is trained"))
+    _add_how(parser.add_argument_group("how it is trained"))
+
+
+def _add_model(group: Any) -> None:
+    group.add_argument(
+        "--model", choices=["rays", "videopose3d"], default="rays",
+        help="the package's own, or the baseline: VideoPose3D with its published recipe",
+    )  # fmt: skip
+    group.add_argument("--channels", type=int, help="width; 256, or 1024 of videopose3d, if not given")
+    group.add_argument(
+        "--causal", action="store_true", help="no delay: the last frame of a window is estimated"
+    )
+    group.add_argument(
         "--noise", choices=["mixed", "perfect", "realistic"], default="mixed",
         help="2D to train for: a detector's, exact (5-7 mm better on ground truth), or both",
     )  # fmt: skip
-    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="where to train")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--resume", action="store_true", help="go on where a run was interrupted")
+    group.add_argument(
+        "--camera", nargs=2, type=float, metavar=("DISTANCE", "HEIGHT"),
+        help="one place of all virtual cameras, m, from any side; if not given, each window has its own",
+    )  # fmt: skip
+
+
+def _add_how(group: Any) -> None:
+    group.add_argument(
+        "--batch", type=int,
+        help="windows in a step, of all processes; 512, or 1024 of videopose3d, if not given",
+    )  # fmt: skip
+    group.add_argument("--learning-rate", type=float, help="largest; the model's own if not given")
+    group.add_argument(
+        "--device", choices=["cpu", "cuda"], default="cpu", help="where; of several GPUs one a process"
+    )
+    group.add_argument(
+        "--threads", type=int, choices=[1, 2], default=2, help="2: draw windows while learning"
+    )
+    group.add_argument("--seed", type=int, default=0, help="of everything drawn")
+    group.add_argument(
+        "--deterministic", action="store_true",
+        help="the same bits every time: stop by --windows, not by the clock",
+    )  # fmt: skip
+    group.add_argument(
+        "--same-windows", action="store_true",
+        help="several processes learn from the very windows of one: slower, the same curves",
+    )  # fmt: skip
 
 
 def _train(options: argparse.Namespace) -> None:
-    from lifting.data import AugmentConfig
-    from lifting.noise import training_noise
-    from lifting.train import TrainConfig, train
+    from lifting.curves import figure_file
+    from lifting.train import train
 
-    corpus = _corpus(options)
-    minutes = options.minutes
-    if minutes is None and options.windows is None and options.corpus is None:
-        minutes = DATASET_MINUTES
-    config = TrainConfig(
-        minutes=minutes,
-        windows=options.windows,
-        seed=options.seed,
-        device=options.device,
-        batch=options.batch,
-        augment=AugmentConfig(noise=training_noise(options.noise)),
-    )
+    config, corpus = _config(options), _corpus(options)
     text = "{task.fields[note]}"
-    with Progress(TextColumn("training"), BarColumn(), TextColumn(text), console=err) as progress:
+    columns = TextColumn("training"), BarColumn(), TextColumn(text)
+    with Progress(*columns, console=err, disable=not _first()) as progress:
         task = progress.add_task("training", total=1.0, note="")
 
         def tell(report: Mapping[str, Any]) -> None:
@@ -77,8 +109,42 @@ def _train(options: argparse.Namespace) -> None:
                 line += f"{value['rr_mm']:.1f} mm root-relative, {value['abs_mm']:.1f} absolute"
                 progress.console.print(line)
 
-        path = train(config, corpus, options.output, tell, options.resume)
-    out.print(f"wrote {path}")
+        try:
+            path = train(config, corpus, options.output, tell, options.resume, options.start)
+        except KeyboardInterrupt:
+            if _first():
+                where = f"{options.output}.state; curves so far: {figure_file(options.output)}"
+                err.print(f"--resume goes on from {where}", soft_wrap=True)
+            raise
+    if _first():
+        out.print(f"wrote {path}", soft_wrap=True)
+        out.print(f"curves: {figure_file(path)}", soft_wrap=True)
+
+
+def _first() -> bool:
+    """Whether this is the process that prints, of those that ``torchrun`` started."""
+    return os.environ.get("RANK", "0") == "0"
+
+
+def _config(options: argparse.Namespace) -> TrainConfig:
+    """The settings asked for."""
+    from lifting.data import AugmentConfig
+    from lifting.noise import training_noise
+    from lifting.settings import TrainConfig
+
+    minutes = options.minutes
+    if minutes is None and options.windows is None:
+        minutes = DEFAULT_MINUTES
+    augment = AugmentConfig(noise=training_noise(options.noise))
+    if options.camera is not None:
+        distance, height = options.camera
+        augment = replace(augment, distance=(distance, distance), camera_height=(height, height))
+    same = (
+        "model", "channels", "causal", "batch", "learning_rate", "device", "threads", "seed",
+        "deterministic", "same_windows",
+    )  # fmt: skip
+    settings = {name: getattr(options, name) for name in same}
+    return TrainConfig(options.windows, minutes, augment=augment, **settings)
 
 
 def _corpus(options: argparse.Namespace) -> Corpus | str:
@@ -100,7 +166,7 @@ def _corpus(options: argparse.Namespace) -> Corpus | str:
 def _reading() -> Iterator[Callable[[int, int, str], None]]:
     """A bar over takes, and a line for each that is left out."""
     columns = TextColumn("reading"), BarColumn(), MofNCompleteColumn()
-    with Progress(*columns, console=err) as progress:
+    with Progress(*columns, console=err, disable=not _first()) as progress:
         task = progress.add_task("takes", total=None)
 
         def tell(done: int, total: int, note: str) -> None:

@@ -209,7 +209,8 @@ class FrameEnergy:
             "uv_px": ca.SX.sym("uv", 2, L), "w_visual": ca.SX.sym("wv", L),
             "knee_visual": ca.SX.sym("kv"),
             "quat_sensor": ca.SX.sym("qs", 4, S), "w_sensor": ca.SX.sym("ws", S),
-            "quat_torso": ca.SX.sym("qt", 4, len(shape.torso)), "w_torso": ca.SX.sym("wt"),
+            "quat_torso": ca.SX.sym("qt", 4, len(shape.torso)),
+            "w_torso": ca.SX.sym("wt", len(shape.torso)),
             "b_world": ca.SX.sym("b", 3, len(shape.bones)), "w_bone": ca.SX.sym("wb"),
             "p_root": ca.SX.sym("pr", 3), "w_root": ca.SX.sym("wr"), "w_floor": ca.SX.sym("wf"),
             "w_prior": ca.SX.sym("wp"),
@@ -321,7 +322,7 @@ class FrameEnergy:
             total.add_turn("orientation", j, turn, O["w_sensor"][s], robust)
         for i, j in enumerate(shape.torso):
             turn = orientation(j, O["quat_torso"][:, i], ca.DM.eye(3))
-            total.add_turn("torso", j, turn, O["w_torso"], _cauchy)
+            total.add_turn("torso", j, turn, O["w_torso"][i], _cauchy)
         for i, (j, child) in enumerate(shape.bones):
             total.add_turn("bone", j, bone(j, child, i), O["w_bone"], _cauchy)
         total.add_point(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,7 +80,7 @@ class Observations:
             landmarks=tuple((index(skeleton.landmarks[n][0]), n in skeleton.names) for n in names),
             sensors=tuple(map(index, sensors)),
             torso=tuple(index(name) for name in TORSO if name in skeleton.names),
-            bones=_bones(skeleton, sensors),
+            bones=() if sensors else _bones(skeleton),
             feet=tuple(index(name) for name in FEET if name in skeleton.names),
             robust_orientation=s.robust_orientation,
             floor_cutoff=s.floor_cutoff,
@@ -97,11 +99,6 @@ class Observations:
         self.confidence = np.where(seen.seen, seen.confidence, 0.0)
         quat, has, a, w, levers = _sensor_data(start, bone_imus, sensors, s)
         torso = skeleton.index(*[name for name in TORSO if name in skeleton.names])
-        sensed = np.zeros(T, dtype=bool)
-        for j in torso:
-            if skeleton.names[j] in sensors:
-                sensed |= has[:, sensors.index(skeleton.names[j])] > 0
-        weight = 0.0 if s.sigma_torso is None else 1 / s.sigma_torso**2
         rows = {
             "uv_px": np.where(seen.seen[..., None], uv, 0.0),
             "w_visual": seen.seen.astype(float),
@@ -109,8 +106,8 @@ class Observations:
             "quat_sensor": quat,
             "w_sensor": has,
             "quat_torso": so3.to_quat_wxyz(start.R_world_bone[:, torso]),
-            "w_torso": np.where(sensed, 0.0, weight),
-            "b_world": _bone_vectors(start, _bones(skeleton, sensors)),
+            "w_torso": self._torso_weights(start, torso, sensors, has),
+            "b_world": _bone_vectors(start, () if sensors else _bones(skeleton)),
             "w_bone": np.full(T, 0.0 if s.sigma_bone is None else 1 / s.sigma_bone**2),
             "p_root": start.p_world_joint[:, 0],
             "w_root": np.full(T, 0.0 if s.sigma_root is None or sensors else 1 / s.sigma_root**2),
@@ -133,6 +130,20 @@ class Observations:
             "precision": prior.precision(moving, s.prior_inflation, s.sigma_prior_least),
             "floor": np.array([(s.floor_height or 0.0) + s.ankle_height]),
         }
+
+    def _torso_weights(
+        self, start: PoseSequence, torso: Sequence[int], sensors: tuple[str, ...], has: Array
+    ) -> Array:
+        """(T, n) of the anchor to the start's orientations; none where a sensor knows better."""
+        s = self.settings
+        if s.sigma_torso is None:
+            return np.zeros((len(start), len(torso)))
+        sigma = start.sigma_rad[:, torso] * s.torso_inflation
+        weights = 1 / np.where(np.isfinite(sigma), sigma, s.sigma_torso) ** 2
+        for i, j in enumerate(torso):
+            if (name := self.skeleton.names[j]) in sensors:
+                weights[has[:, sensors.index(name)] > 0, i] = 0.0
+        return weights
 
     def fragment(self, first: int) -> tuple[NDArray[np.intp], NDArray[np.bool_], FragmentData]:
         """Indices of a fragment's frames, which of them exist, and their data."""
@@ -192,9 +203,9 @@ def _sensor_data(
     return quat, has, a, w, levers
 
 
-def _bones(skeleton: SkeletonModel, sensors: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
-    """Joint and child of the limbs' bones that carry no sensor: those of the usual sensors' segments."""
-    usual = {joint for joint, _ in skeleton.sensors.values()} - {*sensors, *TORSO}
+def _bones(skeleton: SkeletonModel) -> tuple[tuple[int, int], ...]:
+    """Joint and child of the limbs' bones: those of the usual sensors' segments."""
+    usual = {joint for joint, _ in skeleton.sensors.values()} - set(TORSO)
     pairs = [
         (joint, kinematics.children_of(skeleton.parents, joint)) for joint in skeleton.index(*usual)
     ]

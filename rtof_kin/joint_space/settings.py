@@ -47,10 +47,12 @@ class JointSpaceSettings:
     """[rad] added (in squares) to each of the prior's."""
     sigma_torso: float | None = np.radians(18.0)
     """[rad] of pelvis and upper trunk about the start's orientation, with a Cauchy loss; only where no
-    sensor sits on them. None leaves it out."""
+    sensor sits on them, and the start does not tell how certain it is. None leaves the anchor out."""
+    torso_inflation: float = 2.0
+    """[1] factor on the start's own standard deviations of them: a lifter's errors last for seconds."""
     sigma_bone: float | None = 0.05
-    """[m] of the end of a limb's bone that carries no sensor about where the start has it, with a Cauchy
-    loss. None leaves it out."""
+    """[m] of the end of a limb's bone about where the start has it, with a Cauchy loss; only where there
+    is no sensor at all: with some, their acceleration and the prior know better. None leaves it out."""
     sigma_root: float | None = 0.15
     """[m] of the root about the start's position, with a Cauchy loss; only where there is no sensor at
     all, whose acceleration would know its path better. None leaves it out."""
@@ -99,7 +101,7 @@ class JointSpaceSettings:
         object.__setattr__(self, "sigma_reprojection_range", (float(low), float(high)))
         object.__setattr__(self, "torso_yaws", tuple(float(yaw) for yaw in self.torso_yaws))
         positive = [name for name in vars(self) if name.startswith(("sigma_", "robust_"))]
-        positive += ["jerk", "jerk_without_sensors", "prior_inflation", "floor_cutoff"]
+        positive += ["torso_inflation", "jerk", "jerk_without_sensors", "prior_inflation", "floor_cutoff"]
         positive += ["smooth_start_hz", "tolerance", "ankle_height", "largest_correlation_factor"]
         for field in positive:
             value = getattr(self, field)

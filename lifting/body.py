@@ -1,0 +1,122 @@
+"""The body that a lifter knows: its joints, tree, usual bones, and which segments may carry sensors."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+_SIDED = re.compile(r"(Left|Right|L|R)(?=[A-Z])")
+
+
+@dataclass(frozen=True)
+class Body:
+    """The joints a lifter knows: names, tree, and the usual bone lengths."""
+
+    names: tuple[str, ...]
+    """J joint names, root first, parents before children; for sided ones see `side_of`."""
+    parents: tuple[int, ...]
+    """(J,) index of each joint's parent, -1 for the root."""
+    nominal_bones: tuple[float, ...]
+    """(3 G,) usual `bones_of` a person, m."""
+    sensors: tuple[str, ...] = ()
+    """S joints whose segments may carry a sensor; with none, orientations are neither taken nor given."""
+
+    @cached_property
+    def mirrored(self) -> list[int]:
+        """(J,) index of each joint's counterpart on the other side, itself in the middle."""
+        sided = [side_of(name) for name in self.names]
+        index = {key: j for j, key in enumerate(sided)}
+        other = {"": "", "left": "right", "right": "left"}
+        return [index.get((other[side], rest), j) for j, (side, rest) in enumerate(sided)]
+
+    @cached_property
+    def hips(self) -> list[int]:
+        """Indices of the root's sided children: their mean stands in for an unseen root."""
+        return [j for j, p in enumerate(self.parents) if p == 0 and side_of(self.names[j])[0]]
+
+    @cached_property
+    def legs(self) -> list[list[int]]:
+        """Indices of hip, knee and ankle of each leg."""
+        return [limb for limb in self._limbs if limb[0] in self.hips]
+
+    @cached_property
+    def arms(self) -> list[list[int]]:
+        """Indices of shoulder, elbow and wrist of each arm."""
+        return [limb for limb in self._limbs if limb[0] not in self.hips]
+
+    @cached_property
+    def feet(self) -> list[int]:
+        """Indices of the joints that stand near the floor: the ankles."""
+        return [leg[-1] for leg in self.legs]
+
+    @cached_property
+    def _limbs(self) -> list[list[int]]:
+        """The last three joints on the way to every sided joint that nothing hangs on."""
+        parents = self.parents
+        ends = [j for j in range(len(parents)) if j not in parents and parents[j] > 0]
+        return [[parents[parents[j]], parents[j], j] for j in ends if side_of(self.names[j])[0]]
+
+    @cached_property
+    def sensor_joints(self) -> list[int]:
+        """Index of the joint of each sensor's segment."""
+        return [self.names.index(name) for name in self.sensors]
+
+    @cached_property
+    def mirrored_sensors(self) -> list[int]:
+        """(S,) index of each sensor's counterpart on the other side."""
+        return [self.sensor_joints.index(self.mirrored[j]) for j in self.sensor_joints]
+
+    @property
+    def inputs(self) -> int:
+        """Features of the network that change from frame to frame."""
+        return 3 * len(self.names) + 2 * len(self.feet) + 7 * len(self.sensors)
+
+    @property
+    def constants(self) -> int:
+        """Features of the network that hold for a whole window."""
+        bones = 3 * len(bone_groups(self.names))
+        return 2 + (1 + 1) + (bones + 1)
+
+    @property
+    def outputs(self) -> int:
+        """Values per estimated frame of the network, see `windows.decode`."""
+        J = len(self.names)
+        return 3 * J + 2 * J + (7 * J if self.sensors else 0)
+
+    def bones_of(self, offsets: Tensor) -> Tensor:
+        """What the network is told of a person: (..., 3 G) m, of joint offsets (..., J, 3).
+
+        One offset per bone in its parent's link frame, the two sides as one (the right one mirrored
+        and averaged with the left), those in the middle without their sideways part.
+        """
+        parts = []
+        for joints in bone_groups(self.names).values():
+            side = offsets.new_tensor(
+                [[1.0, -1.0 if side_of(self.names[j])[0] == "right" else 1.0, 1.0] for j in joints]
+            )
+            middle = offsets.new_tensor([1.0, float(len(joints) > 1), 1.0])
+            parts.append((offsets[..., joints, :] * side).mean(dim=-2) * middle)
+        return torch.cat(parts, dim=-1)
+
+
+def bone_groups(joint_names: tuple[str, ...]) -> dict[str, list[int]]:
+    """Bones by the unsided name of the joint at their far end, each with the indices of its joints."""
+    groups: dict[str, list[int]] = {}
+    for j, name in enumerate(joint_names[1:], start=1):
+        groups.setdefault(side_of(name)[1], []).append(j)
+    return groups
+
+
+def side_of(joint_name: str) -> tuple[str, str]:
+    """A joint's side ('left', 'right', or '' in the middle) and its name without it.
+
+    Both ``LeftArm`` and ``LElbow`` are on the left.
+    """
+    found = _SIDED.match(joint_name)
+    if not found:
+        return "", joint_name
+    return ("left" if found[0].startswith("L") else "right"), joint_name[found.end() :]

@@ -1,0 +1,117 @@
+"""The baseline: VideoPose3D as published, from pixels to poses in the camera's frame.
+
+Pavllo, Feichtenhofer, Grangier, Auli: 3D human pose estimation in video with temporal convolutions and
+semi-supervised training, CVPR 2019, sections 3 to 5. Pixels divided by the image's width go in. One
+network answers with joints relative to the root, a second one of the same shape with the root. It knows
+neither the camera's intrinsics nor gravity, bones or sensors, and no uncertainty. `recipes.Published` is
+how it is trained.
+
+It has no notion of a landmark that was not seen: such a one stays where it was seen last, or will be
+next, whichever is nearer in time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from lifting.body import Body
+from lifting.model import NetworkConfig, TemporalNetwork
+from lifting.windows import Encoded, Estimate, Windows
+
+NAME = "videopose3d"
+
+
+@dataclass(frozen=True)
+class EncodedPictures(Encoded):
+    """Network input, and the camera's orientation, which the answer is turned back by."""
+
+    R_camera_world: Tensor
+    """(B, 3, 3)."""
+
+    def mirrored_features(self, body: Body) -> Tensor:
+        """Left and right swapped, x negated."""
+        xy = self.features.reshape(*self.features.shape[:-1], 2, -1)[..., body.mirrored]
+        return torch.flatten(xy * _across(xy, 2)[:, None], -2)
+
+    def mirrored_output(self, body: Body, output: Tensor) -> Tensor:
+        """Likewise."""
+        J = len(body.names)
+        pose, root = torch.split(output, [3 * (J - 1), 3], dim=1)
+        pose = pose.reshape(-1, 3, J - 1)[..., [j - 1 for j in body.mirrored[1:]]]
+        signs = _across(output, 3)
+        return torch.cat([(pose * signs[:, None]).flatten(1), root * signs], dim=1)
+
+
+class PoseAndRootNetwork(TemporalNetwork):
+    """Two networks that share nothing: their outputs stand one after the other, the root's three last."""
+
+    def __init__(self, config: NetworkConfig):
+        super().__init__(replace(config, outputs=config.outputs - 3))
+        self.config = config
+        self.root = TemporalNetwork(replace(config, outputs=3))
+
+    def _run(self, x: Tensor, constants: Tensor, strided: bool) -> Tensor:
+        pose = super()._run(x, constants, strided)
+        return torch.cat([pose, self.root._run(x, constants, strided)], dim=-1)
+
+
+def sizes(body: Body) -> tuple[int, int, int]:
+    """Inputs, constants and outputs of the network."""
+    J = len(body.names)
+    return 2 * J, 0, 3 * (J - 1) + 3
+
+
+def encode(body: Body, windows: Windows) -> EncodedPictures:
+    """Network input of windows.
+
+    Raises:
+        ValueError: they have no picture.
+    """
+    picture = windows.picture
+    if picture is None:
+        raise ValueError("windows without a picture; VideoPose3D reads nothing else")
+    xy = bridged(picture.xy, windows.seen & picture.xy.isfinite().all(dim=1))
+    features = xy.permute(0, 2, 1, 3).flatten(2)
+    return EncodedPictures(features, features.new_zeros((len(xy), 0)), picture.R_camera_world)
+
+
+def decode(body: Body, output: Tensor, encoded: EncodedPictures) -> Estimate:
+    """The network's answer (B, outputs) in world axes, its spreads unknown.
+
+    It is, in this order, the joints but the root (3, J-1) relative to the root, and the root (3), both in
+    the camera's frame, m.
+    """
+    output = output.to(encoded.R_camera_world.dtype)  # bfloat16 in training
+    B, J = len(output), len(body.names)
+    pose, root = torch.split(output, [3 * (J - 1), 3], dim=1)
+    R_world_camera = encoded.R_camera_world.transpose(1, 2)
+    pose_world = pad(torch.bmm(R_world_camera, pose.reshape(B, 3, J - 1)), (1, 0))
+    root_world = torch.bmm(R_world_camera, root[..., None])[..., 0]
+    return Estimate(pose_world, root_world, output.new_full((B, 2, J), torch.nan), None, None)
+
+
+def bridged(xy: Tensor, seen: Tensor) -> Tensor:
+    """Image points (B, 2, W, J), where not seen (B, W, J) those of the nearest frame that saw them.
+
+    A landmark never seen in a window stands at the mean of all that was seen in it, or in the middle.
+    """
+    if bool(seen.all()):
+        return xy
+    W = seen.shape[1]
+    frame = torch.arange(W, device=xy.device)[None, :, None]
+    before = torch.where(seen, frame, -2 * W).cummax(dim=1).values
+    after = torch.where(seen, frame, 3 * W).flip(1).cummin(dim=1).values.flip(1)
+    nearest = torch.where(frame - before <= after - frame, before, after).clamp(0, W - 1)
+    held = xy.gather(2, nearest[:, None].expand_as(xy))
+    known = torch.where(seen[:, None], xy, 0.0)
+    mean = known.sum(dim=(2, 3)) / seen.sum(dim=(1, 2)).clamp_min(1)[:, None]
+    return torch.where(seen.any(dim=1)[:, None, None], held, mean[..., None, None])
+
+
+def _across(like: Tensor, components: int) -> Tensor:
+    """Signs of the components of a mirrored vector in the camera: x, to the right, is negated."""
+    return like.new_tensor([-1.0, 1.0, 1.0][:components])

@@ -1,0 +1,40 @@
+"""The command that hands a lifter to other languages."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from rtof_kin.cli.terminal import command, out
+
+
+def add_commands(commands: Any) -> None:
+    """Declare the commands of this module."""
+    parser = command(
+        commands, "export-lifter", _export_lifter, "write a lifter as ONNX, for other languages",
+        "One graph from rays and sensor orientations in world to poses in world; its inputs, outputs, "
+        "joints and rate are in the file's metadata. Needs the package onnx.",
+    )  # fmt: skip
+    parser.add_argument(
+        "lifter", nargs="?", type=Path, metavar="LIFTER",
+        help="checkpoint, or the name of a shipped one: detections (the default), perfect, causal",
+    )  # fmt: skip
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FILE.onnx", help="file to write"
+    )
+    parser.add_argument(
+        "--no-flip", action="store_true", help="without the mirrored scene: faster and less exact"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace the file if there is one")
+
+
+def _export_lifter(options: argparse.Namespace) -> None:
+    from lifting.onnx_export import export_onnx
+    from lifting.predict import Lifter
+    from rtof_kin.errors import OutputExistsError
+
+    if options.output.exists() and not options.overwrite:
+        raise OutputExistsError(f"{options.output} exists; give --overwrite, or another name")
+    path = export_onnx(Lifter.load(options.lifter), options.output, not options.no_flip)
+    out.print(f"wrote {path}", markup=False, soft_wrap=True)

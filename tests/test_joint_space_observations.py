@@ -1,0 +1,122 @@
+"""A recording as the joint-space problem wants it: how strongly the start's torso is held to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin import rotations as so3
+from rtof_kin.errors import ShapeError
+from rtof_kin.joint_space.frame_energy import TORSO
+from rtof_kin.joint_space.observations import Observations
+from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import BoneImuSequence, PoseSequence
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+N, T = 8, 20
+SETTINGS = JointSpaceSettings(sigma_torso=0.3, torso_inflation=2.5, refit_root=False)
+POSES = planted.human(BODY, T).poses
+HIPS, CHEST = BODY.index(*TORSO)
+
+
+def start(sigma_rad: Array | None = None) -> PoseSequence:
+    return replace(POSES, sigma_rad=sigma_rad)
+
+
+def observed(
+    poses: PoseSequence, imus: BoneImuSequence | None = None, settings: JointSpaceSettings = SETTINGS
+) -> Observations:
+    return Observations(BODY, N, settings, poses, planted.keypoints(POSES), imus)
+
+
+def weights(
+    sigma_rad: Array | None = None, imus: BoneImuSequence | None = None,
+    settings: JointSpaceSettings = SETTINGS,
+) -> Array:  # fmt: skip
+    """(T, 2) of the pelvis and the upper trunk."""
+    return observed(start(sigma_rad), imus, settings).rows["w_torso"]
+
+
+def sigmas() -> Array:
+    return np.random.default_rng(0).uniform(0.05, 0.4, (T, 21))
+
+
+def worn(*joints: str) -> BoneImuSequence:
+    return planted.bone_imus(BODY, POSES, joints)
+
+
+def test_where_the_start_does_not_tell_the_settings_do() -> None:
+    np.testing.assert_allclose(weights(), np.full((T, 2), 1 / 0.3**2))
+
+
+def test_each_segment_is_held_as_the_start_is_sure_of_it_in_every_frame() -> None:
+    sigma = sigmas()
+    expected = 1 / (2.5 * sigma[:, [HIPS, CHEST]]) ** 2
+    np.testing.assert_allclose(weights(sigma), expected)
+    assert np.ptp(expected[:, 0] / expected[:, 1]) > 1
+
+
+def test_frames_of_which_the_start_is_not_sure_fall_back_to_the_settings() -> None:
+    sigma = sigmas()
+    sigma[3:7] = np.nan
+    sigma[12, CHEST] = np.nan
+    found = weights(sigma)
+    np.testing.assert_allclose(found[3:7], 1 / 0.3**2)
+    np.testing.assert_allclose(found[12], [1 / (2.5 * sigma[12, HIPS]) ** 2, 1 / 0.3**2])
+
+
+@pytest.mark.parametrize("sigma", [None, sigmas()])
+def test_a_sensor_on_one_segment_frees_that_one_alone(sigma: Array | None) -> None:
+    without = weights(sigma)
+    for joints, free in ((("Hips",), [0]), (("Spine3",), [1]), (("Hips", "Spine3"), [0, 1])):
+        found = weights(sigma, worn("LeftArm", *joints))
+        held = [i for i in (0, 1) if i not in free]
+        assert np.all(found[:, free] == 0)
+        np.testing.assert_allclose(found[:, held], without[:, held])
+    np.testing.assert_allclose(weights(sigma, worn("LeftArm", "Head", "RightLeg")), without)
+
+
+def test_in_frames_in_which_its_sensor_says_nothing_a_segment_is_held_again() -> None:
+    imus = worn("Hips", "LeftArm")
+    R = np.array(imus.R_world_bone)
+    R[5:9, 0], R[10:12, 1] = np.nan, np.nan
+    found = weights(sigmas(), replace(imus, R_world_bone=R))
+    silent = np.isin(np.arange(T), np.arange(5, 9))
+    np.testing.assert_array_equal(found[:, 0] > 0, silent)
+    np.testing.assert_allclose(found[silent, 0], weights(sigmas())[silent, 0])
+    assert np.all(found[:, 1] > 0)
+
+
+def test_none_leaves_the_anchor_out_however_sure_the_start_is() -> None:
+    off = replace(SETTINGS, sigma_torso=None)
+    assert np.all(weights(sigmas(), settings=off) == 0)
+    assert weights(sigmas(), settings=off).shape == (T, 2)
+
+
+def test_fragments_carry_the_weights_of_their_frames_and_none_beyond_the_ends() -> None:
+    sigma = sigmas()
+    problem = observed(start(sigma))
+    _, inside, data = problem.fragment(-3)
+    assert inside.tolist() == [False] * 3 + [True] * 5
+    found = data.observation["w_torso"]
+    assert found.shape == (N, 2)
+    assert np.all(found[:3] == 0)
+    np.testing.assert_allclose(found[3:], weights(sigma)[:5])
+
+
+def test_what_the_torso_is_held_to_is_the_start() -> None:
+    rows = observed(start(sigmas())).rows
+    quat = so3.to_quat_wxyz(POSES.R_world_bone[:, [HIPS, CHEST]])
+    np.testing.assert_allclose(np.abs(np.sum(rows["quat_torso"] * quat, axis=-1)), 1.0)
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
+def test_an_inflation_must_be_positive_and_finite(wrong: float) -> None:
+    with pytest.raises(ShapeError, match="torso_inflation"):
+        JointSpaceSettings(torso_inflation=wrong)
