@@ -25,6 +25,7 @@ from lifting.windows import (
     Encoded,
     Estimate,
     answer,
+    orthonormal,
     rotations,
 )
 from rtof_kin import signals
@@ -271,7 +272,7 @@ def _arrays(estimate: Estimate) -> tuple[Array, Array, Array, Array]:
     sigma[:, :, 0] *= estimate.root.norm(dim=1)[:, None]
     R, turn = torch.full((*p.shape, 3), torch.nan), torch.full(p.shape[:2], torch.nan)
     if estimate.axes is not None and estimate.log_turn is not None:
-        R = rotations(estimate.axes.double()).permute(0, 3, 1, 2)
+        R = rotations(orthonormal(estimate.axes.double())).permute(0, 3, 1, 2)
         turn = SIGMA_TURN * estimate.log_turn.exp()
     values = p, sigma.transpose(1, 2), R, turn
     p_np, sigma_np, R_np, turn_np = (x.double().numpy() for x in values)

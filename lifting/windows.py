@@ -186,10 +186,8 @@ def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> Estimate:
     log_spread = spread.reshape(B, 2, J).clamp(*_LOG_SPREAD)
     if not turns:
         return Estimate(pose, root_world, log_spread, None, None)
-    x, z = turns[0].reshape(B, 2, 3, J).unbind(dim=1)
-    z = _unit(z)
-    x = _unit(x - (x * z).sum(dim=1, keepdim=True) * z)
-    axes = torch.bmm(R_world_ray, torch.stack([x, z], dim=2).flatten(2)).reshape(B, 3, 2, J)
+    axes = orthonormal(turns[0].reshape(B, 2, 3, J).transpose(1, 2))
+    axes = torch.bmm(R_world_ray, axes.flatten(2)).reshape(B, 3, 2, J)
     return Estimate(pose, root_world, log_spread, axes, turns[1].clamp(*_LOG_SPREAD))
 
 
@@ -202,6 +200,14 @@ def answer(body: Body, network: TemporalNetwork, encoded: Encoded, flip: bool) -
         mirrored: Tensor = network.forward_windows(encoded.mirrored_features(body), constants)
         output = (output + encoded.mirrored_output(body, mirrored)) / 2
     return output
+
+
+def orthonormal(axes: Tensor) -> Tensor:
+    """The x and z axes (B, 3, 2, J) nearest to those given that are, the z axis kept."""
+    x, z = axes.unbind(dim=2)
+    z = _unit(z)
+    x = _unit(x - (x * z).sum(dim=1, keepdim=True) * z)
+    return torch.stack([x, z], dim=2)
 
 
 def rotations(axes: Tensor) -> Tensor:

@@ -61,8 +61,8 @@ class InertialGuidedIK:
             bone_imus: any subset of segments, at any times (they are resampled to the poses'); samples
                 that are NaN leave the observed bone as it is. None for no sensors.
             R_observed: (T, J, 3, 3) orientations that were observed too (a lifter gives them), NaN where
-                not: those of segments with no bone or several, the twist of those with one. Without them
-                orientations come from positions alone.
+                not: of segments without a bone they are taken, of those with one their twist, of those
+                with several the mean with what positions say. Without them positions stand alone.
 
         Returns:
             Rigid poses at the same times, root position unchanged. Spreads of orientations are those of
@@ -115,11 +115,18 @@ class InertialGuidedIK:
             R_parent = identity if parent < 0 else R[:, parent]
             R[:, j] = kinematics.segment_rotation(parents, offsets, j, p, R_parent)
             has = np.isfinite(R_seen[:, j, 0, 0])
-            R[has, j] = self._swung(j, p[has], R_seen[has, j])
+            R[has, j] = self._observed(j, p[has], R_seen[has, j], R[has, j])
             if j in R_imu:
                 has = np.isfinite(R_imu[j][:, 0, 0])
                 R[has, j] = self._correct(j, p[has], R[has, j], R_imu[j][has])
         return R
+
+    def _observed(self, joint: int, p: Array, R_seen: Array, R_positions: Array) -> Array:
+        """One segment's orientation as it was seen, (T, 3, 3); of several bones half way to what their
+        joints' positions say: of a body unlike those that the lifter knows they tell more."""
+        if len(kinematics.children_of(self.skeleton.parents, joint)) > 1:
+            return so3.nearest_rotation(R_seen + R_positions)
+        return self._swung(joint, p, R_seen)
 
     def _swung(self, joint: int, p: Array, R: Array) -> Array:
         """An orientation (T, 3, 3) of a segment turned so that its bone, where it has one, is as seen."""

@@ -1,0 +1,256 @@
+"""A trial of a Pose2Sim session: its cameras, everybody whom they saw, and who is who in each of them."""
+
+from __future__ import annotations
+
+import itertools
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from multi_view import triangulate
+from numpy.typing import NDArray
+
+from rtof_kin.detectors.detections import Detections
+from rtof_kin.detectors.files import read_detector_file
+from rtof_kin.detectors.keypoints import DetectedKeypoints, adapt
+from rtof_kin.errors import FileFormatError, RtofError, UnknownNameError
+from rtof_kin.io.camera_toml import read_camera_toml
+from rtof_kin.types import Camera
+
+Array = NDArray[np.float64]
+LEAST_CONFIDENCE = 0.2
+SAME_PERSON_PX = 60.0
+"""Points of different people are further than this from each other's triangulation."""
+FEWEST_POINTS = 8
+MOST_PEOPLE = 4
+"""People of a frame that are tried in each camera: those with the most points."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera saw of the person."""
+
+    name: str
+    camera: Camera
+    """As the calibration file has it."""
+    found: DetectedKeypoints
+    """The skeleton's landmarks, and how they came about."""
+    uv_px: Array
+    """(T, K, 2) the detector's own points of the person; NaN where unseen."""
+    weight: Array
+    """(T, K) their confidence; 0 where unseen."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One person in front of calibrated cameras."""
+
+    name: str
+    views: tuple[View, ...]
+    height: float
+    """Standing height, m, from the configuration or the caller."""
+    person: str
+    """Who is followed, in words."""
+    videos: tuple[Path | None, ...]
+    """The video of each view, where there is one."""
+
+
+def find_trial(root: Path, name: str) -> Path:
+    """The folder below (or equal to) `root` that has detections in it and `name` in its path.
+
+    Raises:
+        RtofError: there is none, or more than one.
+    """
+    folders = sorted({f.parents[1] for f in root.glob("**/pose/*_json") if f.is_dir()})
+    trials = [f for f in folders if name in str(f.relative_to(root.parent))]
+    exact = [f for f in trials if f.name == name]
+    if len(exact or trials) != 1:
+        known = ", ".join(f.name for f in folders) or "none: no folder pose/*_json"
+        problem = "several trials" if trials else "no trial"
+        raise RtofError(f"{root}: {problem} called {name!r}; there are {known}")
+    return (exact or trials)[0]
+
+
+def read_trial(
+    root: Path, name: str, height: float | None = None, participant: int | None = None
+) -> Trial:
+    """One person of a trial, the same one in every camera.
+
+    People are matched across the cameras by triangulation; where the configuration has several heights,
+    they are told apart by which of them is larger.
+
+    Args:
+        root: the session's folder. name: of the trial, see `find_trial`.
+        height: standing height, m; the configuration's where not given.
+        participant: number in the configuration's list of heights, from 1; the tallest where not given.
+
+    Raises:
+        RtofError: files are missing or do not belong together; the message says which.
+    """
+    folder = find_trial(root, name)
+    cameras = read_camera_toml(_calibration(folder, root))
+    poses = sorted(p for p in (folder / "pose").glob("*_json") if p.is_dir())
+    if len(poses) != len(cameras) or len(poses) < 2:
+        raise FileFormatError(
+            folder / "pose", f"{len(poses)} folders of detections for {len(cameras)} cameras; each "
+            "camera needs one, and two are the least"
+        )  # fmt: skip
+    seen = [
+        read_detector_file(path, camera.width_px, camera.height_px).in_pixels(
+            camera.width_px, camera.height_px
+        )
+        for path, camera in zip(poses, cameras.values(), strict=True)
+    ]
+    frames = min(map(len, seen))
+    rate_hz = float(_setting(folder, root, "frame_rate", 60.0))
+    heights = _heights(folder, root) if height is None else [height]
+    groups, frame = _people(list(cameras.values()), seen, frames, len(heights))
+    order = sorted(range(len(heights)), key=lambda i: heights[i])
+    if participant is None:
+        participant = order[-1] + 1
+    if not 1 <= participant <= len(heights):
+        known = [str(i + 1) for i in range(len(heights))]
+        raise UnknownNameError("participant", [str(participant)], known)
+    rank = order.index(participant - 1)
+    if rank >= len(groups):
+        raise RtofError(
+            f"{folder}: in frame {frame}, {len(groups)} people were found in all cameras, of "
+            f"{len(heights)} in the configuration; give another participant"
+        )
+    people = groups[rank]
+    times = np.arange(frames) / rate_hz
+    views = [
+        _view(n, camera, found, times, who, frame)
+        for (n, camera), found, who in zip(cameras.items(), seen, people, strict=True)
+    ]
+    person = (
+        f"participant {participant} of {len(heights)} ({heights[participant - 1]:.2f} m): number "
+        + (", ".join(f"{who} in {n}" for n, who in zip(cameras, people, strict=True)))
+    )
+    return Trial(
+        folder.name, tuple(views), heights[participant - 1], f"{person}, in frame {frame}",
+        tuple(_video(folder, pose) for pose in poses),
+    )  # fmt: skip
+
+
+def _view(
+    name: str, camera: Camera, seen: Detections, times: Array, person: int, frame: int
+) -> View:
+    part = Detections(seen.uv_px[: len(times)], seen.confidence[: len(times)])
+    found = adapt(part, times, camera, person=person, frame=frame)
+    uv, confidence = found.track.of(part)
+    return View(name, camera, found, uv, np.where(confidence < LEAST_CONFIDENCE, 0.0, confidence))
+
+
+def _people(
+    cameras: Sequence[Camera], seen: Sequence[Detections], frames: int, count: int
+) -> tuple[list[tuple[int, ...]], int]:
+    """Who is who: (number in each camera, ...) of up to `count` people, the smallest first, and the frame
+    nearest to the middle in which that many were found."""
+    best: tuple[list[tuple[int, ...]], int] = ([], frames // 2)
+    for frame in sorted(range(0, frames, 5), key=lambda f: abs(f - frames // 2)):
+        groups = _matched(cameras, seen, frame)[:count]
+        if len(groups) > len(best[0]):
+            best = [people for _, people in sorted(groups)], frame
+        if len(groups) == count:
+            break
+    if not best[0]:
+        raise RtofError(
+            "nobody was seen by all cameras at once: their points do not meet in space; check that "
+            "calibration and detections are of the same recording and in the same order"
+        )
+    return best
+
+
+def _matched(
+    cameras: Sequence[Camera], seen: Sequence[Detections], frame: int
+) -> list[tuple[float, tuple[int, ...]]]:
+    """(size, number in each camera) of the people of a frame, those that fit best first."""
+    fits = []
+    for people in itertools.product(*(_prominent(d, frame) for d in seen)):
+        uv = np.stack([d.uv_px[frame, who] for d, who in zip(seen, people, strict=True)])
+        weight = np.stack([d.confidence[frame, who] for d, who in zip(seen, people, strict=True)])
+        weight = np.where(weight < LEAST_CONFIDENCE, 0.0, weight)
+        weight[:, (weight > 0).sum(axis=0) < min(3, len(cameras))] = 0.0
+        p, error = triangulate(cameras, uv, weight)
+        known = np.isfinite(p).all(axis=-1)
+        if known.sum() < FEWEST_POINTS:
+            continue
+        distance = np.linalg.norm(error, axis=-1)
+        each = [np.median(d[np.isfinite(d)]) for d in distance if np.isfinite(d).any()]
+        misfit = float(np.max(each))  # the robust triangulation shows in one camera what is wrong
+        size = float(np.median(np.linalg.norm(p[known] - np.median(p[known], axis=0), axis=-1)))
+        fits.append((misfit, size, people))
+    groups: list[tuple[float, tuple[int, ...]]] = []
+    for misfit, size, people in sorted(fits):
+        taken = any(a == b for _, other in groups for a, b in zip(people, other, strict=True))
+        if misfit < SAME_PERSON_PX and not taken:
+            groups.append((size, people))
+    return groups
+
+
+def _prominent(seen: Detections, frame: int) -> list[int]:
+    sure = (seen.confidence[frame] >= LEAST_CONFIDENCE).sum(axis=-1)
+    most = np.argsort(-sure, kind="stable")[:MOST_PEOPLE]
+    return [int(p) for p in most if sure[p] >= FEWEST_POINTS]
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+def _upwards(folder: Path, root: Path) -> Iterator[Path]:
+    """The trial's folder and those above it, up to the session's."""
+    for place in (folder, *folder.parents):
+        yield place
+        if place == root:
+            return
+
+
+def _calibration(folder: Path, root: Path) -> Path:
+    for place in _upwards(folder, root):
+        for inner in sorted(place.iterdir()):
+            if inner.is_dir() and "calib" in inner.name.lower():
+                files = sorted(inner.glob("*.toml"))
+                if len(files) == 1:
+                    return files[0]
+                if files:
+                    raise FileFormatError(
+                        inner, f"{len(files)} files .toml; keep the one that holds"
+                    )
+    raise FileFormatError(root, "no folder *calib* with a .toml in it; give the session's folder")
+
+
+def _setting(folder: Path, root: Path, field: str, default: Any = None) -> Any:
+    """A field of the nearest Config.toml that has it."""
+    for place in _upwards(folder, root):
+        path = place / "Config.toml"
+        if not path.is_file():
+            continue
+        try:
+            tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise FileFormatError(path, f"not readable as TOML: {error}") from error
+        for name in ("project", "markerAugmentation"):
+            table = tables.get(name, {})
+            if isinstance(table, dict) and field in table:
+                return table[field]
+    return default
+
+
+def _heights(folder: Path, root: Path) -> list[float]:
+    given = _setting(folder, root, "participant_height")
+    heights = given if isinstance(given, list) else [given]
+    if not heights or not all(isinstance(h, float | int) and 0.4 < h < 2.6 for h in heights):
+        raise FileFormatError(
+            folder / "Config.toml", f"participant_height is {given!r}, here and in the folders above; "
+            "give the height in metres by --height"
+        )  # fmt: skip
+    return [float(h) for h in heights]
+
+
+def _video(folder: Path, pose: Path) -> Path | None:
+    name = pose.name.removesuffix("_json")
+    return next(iter(sorted((folder / "videos").glob(f"{name}.*"))), None)
