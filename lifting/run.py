@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import time
@@ -69,6 +70,7 @@ class Run:
         self.forward = workers.forward(self.network)
         self.optimizer = self.recipe.optimizer(self.network)
         self._prepare_windows()
+        self.started_from = ""
         self.steps, self.seconds, self.validated = 0, 0.0, 0
         self.losses: list[Tensor] = []
         self.history: list[dict[str, Any]] = []
@@ -179,6 +181,7 @@ class Run:
             "seconds": round(self.seconds, 1),
             "frames_of_motion": len(self.bank),
             "corpus_sha256": self.digest,
+            "started_from_sha256": self.started_from,
             "processes": self.workers.count,
             "torch": torch.__version__.split("+")[0],
         }
@@ -203,6 +206,7 @@ class Run:
                 "optimizer": self.optimizer.state_dict(), "steps": self.steps,
                 "seconds": self.seconds, "validated": self.validated,
                 "losses": [float(x) for x in self.losses], "history": self.history,
+                "started_from": self.started_from,
             },
             partial,
         )  # fmt: skip
@@ -226,6 +230,9 @@ class Run:
             )
         for own in (self.network, self.averaged):
             own.load_state_dict(network.state_dict())
+        self.started_from = self.workers.from_first(
+            lambda: hashlib.sha256(path.read_bytes()).hexdigest()
+        )
 
     def restore(self, path: Path) -> None:
         """Go on from a state file, where the first process has one.
@@ -242,6 +249,7 @@ class Run:
             self.optimizer.load_state_dict(state["optimizer"])
             self.steps, self.seconds = state["steps"], state["seconds"]
             self.validated, self.history = state["validated"], state["history"]
+            self.started_from = state["started_from"]
             self.losses = [torch.tensor(x, device=self.workers.device) for x in state["losses"]]
         except (KeyError, RuntimeError, TypeError, ValueError) as error:
             raise FileFormatError(

@@ -16,6 +16,7 @@ from lifting import curves
 from lifting.checkpoint import load_checkpoint
 from lifting.corpus import Corpus, read_corpus
 from lifting.data import plain
+from lifting.predict import Lifter
 from lifting.settings import TrainConfig
 from lifting.train import train
 from lifting.validation import Validation
@@ -96,6 +97,8 @@ def test_a_start_gives_the_first_weights(corpus: Corpus, tmp_path: Path) -> None
         losses[causal].append(reports[0]["loss_mm"])
     for tuned, fresh in losses.values():
         assert tuned < 0.8 * fresh
+    origin = Lifter.load(tmp_path / "tuned.pt").description.recipe["started_from_sha256"]
+    assert origin == Lifter.load(path).sha256
 
 
 # --- curves --------------------------------------------------------------------------------------

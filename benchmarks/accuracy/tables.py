@@ -85,10 +85,9 @@ def sensors_tables(rows: Sequence[Row]) -> list[Table]:
     lines: list[tuple[Cell, ...]] = []
     for kind in dict.fromkeys(row["keypoints"] for row in rows):
         same = chosen(rows, keypoints=kind)
-        for mode in ("zero motion", "lift"):
-            lines.append((kind, "-", mode, *_figures(chosen(same, mode=mode))))
+        lines.append((kind, "-", "zero motion", *_figures(chosen(same, mode="zero motion"))))
         for count in dict.fromkeys(row["sensors"] for row in same):
-            for mode in ("sf2", "rto" if count == "0" else "rtof"):
+            for mode in ("lift", "sf2", "rto" if count == "0" else "rtof"):
                 lines.append((kind, count, mode, *_figures(chosen(same, mode=mode, sensors=count))))
     main = Table(
         "sensors", "Sensors", ("2D", "sensors", "stage", *_HEADINGS), (0, 0, 0, *_DIGITS),
