@@ -28,7 +28,7 @@ RATE_HZ = 60.0
 class NoiseConfig:
     """How often and how much; the realistic kind is multiplied by an amplitude drawn per window."""
 
-    clean: float = 0.20
+    clean: float = 0.30
     """Share of windows without any error."""
     white: float = 0.20
     """Share of windows with white error only; the rest are realistic."""

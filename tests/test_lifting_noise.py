@@ -44,7 +44,7 @@ def test_perfect_detections_are_untouched(body: Body) -> None:
 
 def test_kinds_have_their_shares(body: Body) -> None:
     error, _ = noise_of(body, NoiseConfig())
-    clean, white = round(0.20 * B), round(0.20 * B)
+    clean, white = round(0.30 * B), round(0.20 * B)
     assert error[:clean].abs().max() == 0
     assert torch.all(error[clean:].abs().amax(dim=(1, 2, 3)) > 0)
     one_step = (error[:, :, 1:] - error[:, :, :-1]).std(dim=(1, 2, 3))

@@ -63,17 +63,19 @@ def write_figure(path: Path, rows: Sequence[Row], curves: Sequence[Path]) -> Non
 
 
 def _placements(ax: Axes, rows: Sequence[Row], key: str) -> None:
-    """Groups of bars: realistic 2D, every lifter with what it was given."""
+    """Groups of bars: realistic 2D, a colour for every lifter, a shade for what it was given."""
     rows = [row for row in chosen(rows, keypoints="realistic") if row["lifter"] != STILL]
     places = values(rows, "placement")
     ways = list(dict.fromkeys((row["lifter"], row["sensors"]) for row in rows))
+    lifters, counts = (list(dict.fromkeys(column)) for column in zip(*ways, strict=True))
     width, at = 0.8 / max(len(ways), 1), np.arange(len(places))
     for i, (name, count) in enumerate(ways):
         same = chosen(rows, lifter=name, sensors=count)
         means = [pooled(chosen(same, placement=place), key) or np.nan for place in places]
         ax.bar(
             at + (i - (len(ways) - 1) / 2) * width, means, 0.9 * width,
-            color=COLORS[i % len(COLORS)], label=f"{name}, {WORN[count]}",
+            color=COLORS[lifters.index(name) % len(COLORS)], label=f"{name}, {WORN[count]}",
+            alpha=1 - 0.7 * counts.index(count) / len(counts),
         )  # fmt: skip
     ax.set_xticks(at, places)
     ax.set_xlabel("camera, realistic 2D")

@@ -29,7 +29,8 @@ def reconstructions(
 ) -> dict[str, Reconstruction]:
     """For every mode, in the order of `MODES`, a reconstruction that has it among its stages.
 
-    Modes that need sensors are left out where the recording has none.
+    Modes that need sensors are left out where the recording has none. *lift* is that of the image alone,
+    not the lifter of those modes, which is told the sensors.
 
     Args:
         lifter: checkpoint; the shipped one where not given. settings: of the stages after it.
@@ -42,7 +43,8 @@ def reconstructions(
     for mode in ("rtof", "sf2", "rto", "lift"):
         if mode in asked and mode not in runs:
             result = reconstruct(recording, mode=mode, lifter=network, settings=settings)
-            runs |= {stage: result for stage in result.stages if stage not in runs}
+            own = [stage for stage in result.stages if stage != "lift" or result.bone_imus is None]
+            runs |= {stage: result for stage in own if stage not in runs}
     return {mode: runs[mode] for mode in MODES if mode in asked}
 
 
