@@ -22,6 +22,7 @@ from lifting.draws import Draw, about_x, about_y, about_z
 from lifting.noise import HALF_HEIGHT, HALF_WIDTH, NoiseConfig, add_noise, perfect, runs
 from lifting.sensors import SensorConfig, with_errors, worn
 from lifting.windows import Picture, Windows
+from rtof_kin import kinematics
 from rtof_kin import rotations as so3
 
 
@@ -296,7 +297,7 @@ class MotionBank:
             x[rows] = x[rows].index_select(-1, index) * across
 
         mirror(moving.bones, [j - 1 for j in order[1:]])
-        mirror(moving.root, list(range(moving.root.shape[-1])))
+        moving.root[rows, 1] *= -1
         mirror(moving.axes, order)
         mirror(moving.carried, self.body.mirrored_sensors)
 
@@ -374,7 +375,7 @@ def _upper_body(body: Body) -> Tensor:
 
 def _upper_segments(body: Body, upper: Tensor) -> Tensor:
     """(J,) bool: segments whose bones end in joints of the upper body, and its ends."""
-    children = [[c for c, parent in enumerate(body.parents) if parent == j] for j in range(len(upper))]
+    children = [kinematics.children_of(body.parents, j) for j in range(len(upper))]
     ends = [bool(upper[(own or [j])[0]]) for j, own in enumerate(children)]
     return torch.tensor(ends, device=upper.device)
 
@@ -392,7 +393,7 @@ def _bone_axes(corpus: Corpus, body: Body) -> Tensor:
     mean = corpus.joint_offsets.mean(axis=0)
     axes = torch.zeros(len(body.sensors), 3)
     for s, j in enumerate(body.sensor_joints):
-        children = [c for c, parent in enumerate(body.parents) if parent == j]
+        children = kinematics.children_of(body.parents, j)
         if len(children) == 1:
             axes[s] = torch.from_numpy(mean[children[0]] / np.linalg.norm(mean[children[0]]))
     return axes

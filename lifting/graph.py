@@ -14,15 +14,7 @@ from torch import Tensor, nn
 from lifting.body import Body
 from lifting.folded import FoldedNetwork
 from lifting.model import TemporalNetwork
-from lifting.windows import (
-    SIGMA_ACROSS,
-    SIGMA_ALONG,
-    SIGMA_TURN,
-    Windows,
-    decode,
-    encode,
-    rotations,
-)
+from lifting.windows import SIGMA_TURN, Windows, decode, encode, rotations
 
 
 class WindowPoses(NamedTuple):
@@ -44,14 +36,11 @@ class WindowPoses(NamedTuple):
 class WindowLifter(nn.Module):
     """Encode, network and decode of the package's own kind of lifter, of the arrays of `Windows`."""
 
-    sigmas: Tensor
-
     def __init__(self, body: Body, network: TemporalNetwork, flip: bool = True):
         """Take a network in evaluation mode; `flip` averages with the mirrored scene."""
         super().__init__()
         self.body, self.network = body, FoldedNetwork(body, network, flip)
         self.estimated = network.estimated()
-        self.register_buffer("sigmas", torch.tensor([SIGMA_ACROSS, SIGMA_ALONG]))
         self.eval()
 
     def forward(
@@ -69,9 +58,7 @@ class WindowLifter(nn.Module):
         )
         encoded = encode(self.body, windows)
         estimate = decode(self.body, self.network(encoded.features, encoded.constants), encoded)
-        sigma = estimate.log_spread.exp().transpose(1, 2) * self.sigmas
-        distance = (estimate.root * estimate.root).sum(dim=1).sqrt()
-        sigma = torch.cat([sigma[:, :1] * distance[:, None, None], sigma[:, 1:]], dim=1)
+        sigma = estimate.sigma_m()
         if estimate.axes is None or estimate.log_turn is None:
             R, turn = sigma.new_zeros((sigma.shape[0], 0, 3, 3)), sigma.new_zeros((sigma.shape[0], 0))
         else:

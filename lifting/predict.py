@@ -19,8 +19,6 @@ from lifting.models import RAYS, model_of
 from lifting.source import Source
 from lifting.threads import torch_threads
 from lifting.windows import (
-    SIGMA_ACROSS,
-    SIGMA_ALONG,
     SIGMA_TURN,
     Encoded,
     Estimate,
@@ -268,13 +266,11 @@ def _arrays(estimate: Estimate) -> tuple[Array, Array, Array, Array]:
     """Positions (B, J, 3) from the optical centre, their sigma (B, J, 2), orientations (B, J, 3, 3) and
     their sigma (B, J); NaN where there are none."""
     p = (estimate.pose + estimate.root[:, :, None]).transpose(1, 2)
-    sigma = estimate.log_spread.exp() * torch.tensor([[SIGMA_ACROSS], [SIGMA_ALONG]])
-    sigma[:, :, 0] *= estimate.root.norm(dim=1)[:, None]
     R, turn = torch.full((*p.shape, 3), torch.nan), torch.full(p.shape[:2], torch.nan)
     if estimate.axes is not None and estimate.log_turn is not None:
         R = rotations(orthonormal(estimate.axes.double())).permute(0, 3, 1, 2)
         turn = SIGMA_TURN * estimate.log_turn.exp()
-    values = p, sigma.transpose(1, 2), R, turn
+    values = p, estimate.sigma_m(), R, turn
     p_np, sigma_np, R_np, turn_np = (x.double().numpy() for x in values)
     return p_np, sigma_np, R_np, turn_np
 

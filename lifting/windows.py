@@ -129,6 +129,12 @@ class Estimate:
     log_turn: Tensor | None
     """(B, J) logarithm of the scale of their error, rad."""
 
+    def sigma_m(self) -> Tensor:
+        """(B, J, 2) standard deviation per axis across and along the ray, m; the root's in its place."""
+        sigma = self.log_spread.exp().transpose(1, 2)
+        sigma = sigma * sigma.new_tensor([SIGMA_ACROSS, SIGMA_ALONG])
+        return torch.cat([sigma[:, :1] * _length(self.root)[..., None], sigma[:, 1:]], dim=1)
+
 
 def encode(body: Body, windows: Windows) -> EncodedWindows:
     """Network input of windows."""
@@ -175,8 +181,7 @@ def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> Estimate:
     """
     output = output.to(encoded.scale.dtype)  # bfloat16 in training
     B, J = output.shape[0], len(body.names)
-    sizes = [3 * (J - 1), 3, 2 * J] + ([6 * J, J] if body.sensors else [])
-    pose_ray, root, spread, *turns = torch.split(output, sizes, dim=1)
+    pose_ray, root, spread, *turns = _parts(body, output)
     R_world_ray = encoded.R_ray_world.transpose(1, 2)
     pose = pad(torch.bmm(R_world_ray, pose_ray.reshape(B, 3, J - 1)), (1, 0))
     direction = _unit(pad(root[:, :2] * encoded.scale[:, None], (0, 1), value=1.0))
@@ -235,8 +240,7 @@ def mirror_features(body: Body, features: Tensor) -> Tensor:
 def mirror_output(body: Body, output: Tensor) -> Tensor:
     """Answer (B, outputs) of the mirrored scene, or back."""
     J, order = len(body.names), body.mirrored
-    sizes = [3 * (J - 1), 3, 2 * J] + ([6 * J, J] if body.sensors else [])
-    pose, root, spread, *turns = torch.split(output, sizes, dim=1)
+    pose, root, spread, *turns = _parts(body, output)
     pose = pose.reshape(-1, 3, J - 1)[..., [j - 1 for j in order[1:]]] * _across(pose)[..., 0]
     parts = [
         pose.flatten(1),
@@ -247,6 +251,13 @@ def mirror_output(body: Body, output: Tensor) -> Tensor:
         axes = turns[0].reshape(-1, 2, 3, J)[..., order] * _across(pose)[..., 0]
         parts += [axes.flatten(1), turns[1][:, order]]
     return torch.cat(parts, dim=1)
+
+
+def _parts(body: Body, output: Tensor) -> tuple[Tensor, ...]:
+    """What the answer (B, outputs) is made of, in the order of `decode`."""
+    J = len(body.names)
+    sizes = [3 * (J - 1), 3, 2 * J] + ([6 * J, J] if body.sensors else [])
+    return torch.split(output, sizes, dim=1)
 
 
 def _length(v: Tensor) -> Tensor:

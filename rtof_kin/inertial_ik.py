@@ -113,8 +113,9 @@ class InertialGuidedIK:
         for j, parent in enumerate(parents):
             identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
             R_parent = identity if parent < 0 else R[:, parent]
-            R[:, j] = kinematics.segment_rotation(parents, offsets, j, p, R_parent)
             has = np.isfinite(R_seen[:, j, 0, 0])
+            if not has.all() or len(kinematics.children_of(parents, j)) > 1:
+                R[:, j] = kinematics.segment_rotation(parents, offsets, j, p, R_parent)
             R[has, j] = self._observed(j, p[has], R_seen[has, j], R[has, j])
             if j in R_imu:
                 has = np.isfinite(R_imu[j][:, 0, 0])

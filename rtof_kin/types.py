@@ -419,6 +419,7 @@ class PoseSequence:
     def posed(self, frames: slice, p_world_joint: Array, R_world_bone: Array | None = None) -> Self:
         """Some of the frames in other poses; with the same orientations where none are given, else their
         spread is not known any more."""
+        sigma_rad = self.sigma_rad[frames]
         return replace(
             self,
             times=self.times[frames],
@@ -427,7 +428,7 @@ class PoseSequence:
             provenance=self.provenance[frames],
             valid=self.valid[frames],
             orientation_observed=self.orientation_observed[frames],
-            sigma_rad=np.where(R_world_bone is None, self.sigma_rad[frames], np.nan),
+            sigma_rad=sigma_rad if R_world_bone is None else np.full_like(sigma_rad, np.nan),
         )
 
     @property
