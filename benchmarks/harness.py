@@ -27,7 +27,8 @@ from rich.progress import Progress
 
 from rtof_kin.metrics import evaluate, motionless
 from rtof_kin.mocap import MocapClip, read_corpus, resample_clip
-from rtof_kin.pipeline import MODES, reconstruct
+from rtof_kin.pipeline import MODES
+from rtof_kin.protocols.measures import reconstructions
 from rtof_kin.recording import Recording
 from rtof_kin.simulation import (
     LIMB_SENSORS,
@@ -123,18 +124,13 @@ def recorded(
 
 def run(job: Job) -> list[dict[str, Any]]:
     """Simulate and reconstruct one motion and camera; one row for every kind of 2D and mode."""
-    from lifting.predict import Lifter
-
-    lifter = Lifter.load(Path(job.lifter) if job.lifter else None)
+    lifter = Path(job.lifter) if job.lifter else None
     rows = []
     for kind in job.keypoints:
         recording = recorded(job.clip, job.camera, kind, job.sensors, job.seed)
         skeleton = recording.skeleton
-        scores = {}
-        if {"sf2", "rtof"} & set(job.modes) and job.sensors:
-            scores |= reconstruct(recording, mode="rtof", lifter=lifter).stage_metrics
-        if "rto" in job.modes or not scores:
-            scores |= reconstruct(recording, mode="rto", lifter=lifter).stage_metrics
+        results = reconstructions(recording, job.modes, lifter)
+        scores = {mode: result.stage_metrics[mode] for mode, result in results.items()}
         truth = recording.truth
         assert truth is not None
         scores["zero motion"] = evaluate(motionless(truth), truth, skeleton)
