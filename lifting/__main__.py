@@ -7,13 +7,12 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from dataclasses import replace
 from typing import Any
 
 from lifting.curves import figure_file
-from lifting.data import AugmentConfig
+from lifting.data import augmentation
 from lifting.models import MODELS, RAYS
-from lifting.noise import TRAINING_NOISE, training_noise
+from lifting.noise import TRAINING_NOISE
 from lifting.settings import TrainConfig
 from lifting.train import train
 from rtof_kin.errors import RtofError
@@ -23,10 +22,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Train a lifter; returns the exit code."""
     options = vars(_parser().parse_args(arguments))
     corpus, out, resume, start = (options.pop(k) for k in ("corpus", "out", "resume", "start"))
-    augment = AugmentConfig(noise=training_noise(options.pop("noise")))
-    if (place := options.pop("camera")) is not None:
-        distance, height = place
-        augment = replace(augment, distance=(distance, distance), camera_height=(height, height))
+    augment = augmentation(options.pop("noise"), options.pop("camera"))
     try:
         config = TrainConfig(**options, augment=augment)
         path = train(config, corpus, out, _print_report, resume, start)

@@ -8,7 +8,7 @@ a camera that exists only for it. Arrays are (B, 3, W, J), see `windows`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,15 @@ from torch import Tensor
 from lifting.body import Body, bone_groups
 from lifting.corpus import Corpus
 from lifting.draws import Draw, about_x, about_y, about_z
-from lifting.noise import HALF_HEIGHT, HALF_WIDTH, NoiseConfig, add_noise, perfect, runs
+from lifting.noise import (
+    HALF_HEIGHT,
+    HALF_WIDTH,
+    NoiseConfig,
+    add_noise,
+    perfect,
+    runs,
+    training_noise,
+)
 from lifting.sensors import SensorConfig, with_errors, worn
 from lifting.windows import Picture, Windows
 from rtof_kin import kinematics
@@ -75,6 +83,20 @@ def plain(noise: NoiseConfig | None = None) -> AugmentConfig:
         recombine=0.0, hide_bones=0.0, bone_error=0.0, hide_height=1.0, noise=noise or perfect(),
         sensors=SensorConfig(none=1.0),
     )  # fmt: skip
+
+
+def augmentation(noise: str, camera: Sequence[float] | None = None) -> AugmentConfig:
+    """What is drawn with a kind of 2D from `TRAINING_NOISE` and, where given, one (distance, height) of
+    all cameras, m.
+
+    Raises:
+        UnknownNameError: there is no such kind.
+    """
+    config = AugmentConfig(noise=training_noise(noise))
+    if camera is None:
+        return config
+    distance, height = camera
+    return replace(config, distance=(distance, distance), camera_height=(height, height))
 
 
 @dataclass(frozen=True)

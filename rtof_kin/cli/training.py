@@ -6,7 +6,6 @@ import argparse
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -128,17 +127,13 @@ def _first() -> bool:
 
 def _config(options: argparse.Namespace) -> TrainConfig:
     """The settings asked for."""
-    from lifting.data import AugmentConfig
-    from lifting.noise import training_noise
+    from lifting.data import augmentation
     from lifting.settings import TrainConfig
 
     minutes = options.minutes
     if minutes is None and options.windows is None:
         minutes = DEFAULT_MINUTES
-    augment = AugmentConfig(noise=training_noise(options.noise))
-    if options.camera is not None:
-        distance, height = options.camera
-        augment = replace(augment, distance=(distance, distance), camera_height=(height, height))
+    augment = augmentation(options.noise, options.camera)
     same = (
         "model", "channels", "causal", "batch", "learning_rate", "device", "threads", "seed",
         "deterministic", "same_windows",
