@@ -206,23 +206,13 @@ class StreamingLifter:
         self._answered = time
         with torch_threads(1), torch.inference_mode():
             windows = self._windows(time)
-            poses = WindowPoses(*self._lift(*windows))
-        joints = poses.p_root_joint[0] + poses.p_camera_root
-        p = self._center + joints.numpy()
-        J = len(p)
-        sigma_m, R, sigma_rad = np.full((J, 2), np.nan), np.full((J, 3, 3), np.nan), np.full(J, np.nan)
-        enough = int(windows[1].any(dim=1).sum()) >= MIN_JOINTS and bool(np.isfinite(p).all())
-        if enough:
-            sigma_m[:] = poses.sigma_m[0].numpy()
-            if self._body.sensors:
-                R[:], sigma_rad[:] = poses.R_world_bone[0].numpy(), poses.sigma_rad[0].numpy()
-        elif self._last is None:
-            return None
-        else:
-            p = self._last.p_world_joint
-        for array in (p, sigma_m, R, sigma_rad):
-            array.setflags(write=False)
-        self._last = StreamedPose(time, p, enough, sigma_m, R, sigma_rad)
+            poses = WindowPoses(*(x[0].numpy() for x in self._lift(*windows)))
+        p = self._center + poses.p_root_joint + poses.p_camera_root
+        seen = windows[1].numpy().any(axis=(0, 1))
+        if np.count_nonzero(seen) >= MIN_JOINTS and np.isfinite(p).all():
+            self._last = _pose(time, p, True, *poses[2:])
+        elif self._last is not None:
+            self._last = _pose(time, self._last.p_world_joint, False)
         return self._last
 
     def _windows(self, time: float) -> tuple[Tensor, ...]:
@@ -232,6 +222,29 @@ class StreamingLifter:
             picture=False,
         )  # fmt: skip
         return w.rays_world, w.seen, w.bones, w.camera_height, w.axes_world, w.sensed
+
+
+def _pose(
+    time: float,
+    p: Array,
+    seen: bool,
+    sigma_m: Array | float = np.nan,
+    R: Array | float = np.nan,
+    sigma_rad: Array | float = np.nan,
+) -> StreamedPose:
+    """A pose of read-only arrays; what is unknown is NaN, or of no length."""
+    def full(values: Array | float, *shape: int) -> Array:
+        if np.size(values) == 0:
+            values = np.nan
+        array = np.empty(shape)
+        array[:] = values
+        array.setflags(write=False)
+        return array
+
+    J = len(p)
+    return StreamedPose(
+        time, full(p, J, 3), seen, full(sigma_m, J, 2), full(R, J, 3, 3), full(sigma_rad, J)
+    )
 
 
 class _History:
