@@ -120,7 +120,7 @@ def test_guessed_joints_count_less_and_are_known_to_be_worse(
     for spine in ("Spine", "Spine1", "Spine2"):
         for limb in ("RightLeg", "LeftFoot", "RightHand", "LeftForeArm"):
             assert found.confidence[0, at[spine]] < found.confidence[0, at[limb]]
-        assert found.sigma_px[0, at[spine]] > found.sigma_px[0, at["LeftFoot"]]
+        assert found.sigma_px[0, at[spine]] > found.sigma_px[0, at["RightLeg"]]
     assert np.all(found.confidence <= 0.8)
     assert np.all(found.confidence[found.confidence > 0] >= 0.8 * LEAST_SHARE)
 
