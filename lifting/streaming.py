@@ -17,7 +17,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from lifting.graph import WindowLifter, WindowPoses
+from lifting.graph import WindowLifter
 from lifting.models import RAYS
 from lifting.predict import MIN_JOINTS, Lifter, camera_height
 from lifting.source import Source
@@ -206,11 +206,11 @@ class StreamingLifter:
         self._answered = time
         with torch_threads(1), torch.inference_mode():
             windows = self._windows(time)
-            poses = WindowPoses(*(x[0].numpy() for x in self._lift(*windows)))
-        p = self._center + poses.p_root_joint + poses.p_camera_root
+            p_root, p_camera, *others = (x[0].numpy() for x in self._lift(*windows))
+        p = self._center + p_root + p_camera
         seen = windows[1].numpy().any(axis=(0, 1))
         if np.count_nonzero(seen) >= MIN_JOINTS and np.isfinite(p).all():
-            self._last = _pose(time, p, True, *poses[2:])
+            self._last = _pose(time, p, True, *others)
         elif self._last is not None:
             self._last = _pose(time, self._last.p_world_joint, False)
         return self._last
