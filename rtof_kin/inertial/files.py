@@ -5,8 +5,8 @@ A trial is one file, several files, or a folder: in most formats a file is a sen
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -113,39 +113,58 @@ def read_sensor_log(path: str | Path | Sequence[str | Path], **declared: Any) ->
         FileFormatError: nothing there that is known, files of two formats or two trials, or damaged.
         UnknownNameError: there is no such field, or no such value.
     """
-    given = [path] if isinstance(path, str | Path) else path
-    found = [(one, kind) for part in given for one, kind in _recognised(Path(part))]
-    if not found:
+    given = [path] if isinstance(path, str | Path) else list(path)
+    if not given:
         raise FileFormatError(Path(), "no file was named")
-    kinds = {kind.title: kind for _, kind in found}
-    first, kind = found[0]
-    if len(kinds) > 1:
+    found: dict[Path, Format] = {}
+    left: list[Path] = []
+    for part in given:
+        known, others = _recognised(Path(part))
+        found |= known
+        left += others
+    log = _read(found, declared)
+    aside = (f"left aside, as no files of sensors: {_names(left)}",) if left else ()
+    return replace(log, file_notes=(*log.file_notes, *aside))
+
+
+def _read(found: Mapping[Path, Format], declared: Mapping[str, Any]) -> SensorLog:
+    """The one trial that these files are."""
+    titles = list(dict.fromkeys(kind.title for kind in found.values()))
+    first, kind = next(iter(found.items()))
+    if len(titles) > 1:
         raise FileFormatError(
-            first.parent, f"there are files of {' and of '.join(kinds)}; name those of one trial"
+            first.parent, f"there are files of {' and of '.join(titles)}; name those of one trial"
         )
     if not kind.file_is_trial:
-        return kind.read([one for one, _ in found], **declared)
+        return kind.read(list(found), **declared)
     if len(found) > 1:
-        names = ", ".join(one.name for one, _ in found[:5])
-        raise FileFormatError(first.parent, f"there are {len(found)} trials ({names}, ...); name one")
+        raise FileFormatError(
+            first.parent, f"there are {len(found)} trials ({_names(list(found))}); name one"
+        )
     return kind.read(first, **declared)
 
 
-def _recognised(path: Path) -> list[tuple[Path, Format]]:
-    """The files of known formats: a file itself, those in a folder, or those in its folders."""
+def _recognised(path: Path) -> tuple[dict[Path, Format], list[Path]]:
+    """The files of known formats: a file itself, those in a folder, or those in its folders; and files
+    there with the same ending that are none."""
     if not path.is_dir():
         kind = _format_of(path)
         if kind is None:
             raise FileFormatError(path, f"no file of sensors that is known. {_known()}")
-        return [(path, kind)]
+        return {path: kind}, []
     for pattern in ("*", "*/*"):
         files = sorted(one for one in path.glob(pattern) if one.is_file())
         if len(files) > _MOST_FILES:
             raise FileFormatError(path, f"holds {len(files)} files; name the folder of one trial")
-        found = [(one, kind) for one in files if (kind := _format_of(one)) is not None]
+        found = {one: kind for one in files if (kind := _format_of(one)) is not None}
         if found:
-            return found
+            endings = {one.suffix for one in found}
+            return found, [one for one in files if one not in found and one.suffix in endings]
     raise FileFormatError(path, f"no file of sensors that is known in this folder. {_known()}")
+
+
+def _names(paths: Sequence[Path]) -> str:
+    return ", ".join(path.name for path in paths[:5]) + (", ..." if len(paths) > 5 else "")
 
 
 def _format_of(path: Path) -> Format | None:

@@ -87,15 +87,24 @@ def _said(number: int, event: str, noun: str, first: bool = False) -> str:
     return "" if number == 0 else f"{counted} {event}" if first else f"{event}, {counted}"
 
 
-def lost(times: Array, rate_hz: float) -> tuple[str, ...]:
-    """A sentence about samples that are not there, by steps of more than 1.5 sampling periods."""
-    missing = np.round(np.diff(times) * rate_hz).astype(np.int64) - 1
-    gaps = missing[missing > 0]
+def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
+    """A sentence about samples that are not there, by steps of more than 1.5 sampling periods.
+
+    Args:
+        times: (T,) s; nothing is said of those that do not increase.
+        rate_hz: samples per second; by the median step where not given.
+    """
+    steps = np.diff(times)
+    if len(steps) == 0 or not np.all((steps > 0) & (steps < np.inf)):
+        return ()
+    rate_hz = rate_hz or float(1 / np.median(steps))
+    gaps = np.round(steps * rate_hz) - 1
+    gaps = gaps[gaps > 0]
     if len(gaps) == 0:
         return ()
     share = gaps.sum() / (gaps.sum() + len(times))
     return (
-        f"{gaps.sum()} packets ({share:.1%}) were lost in {len(gaps)} gap{'s' * (len(gaps) > 1)}, the "
+        f"{gaps.sum():.0f} packets ({share:.1%}) were lost in {len(gaps)} gap{'s' * (len(gaps) > 1)}, the "
         f"longest of {gaps.max() / rate_hz:.2f} s",
     )
 

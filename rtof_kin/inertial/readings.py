@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError, ShapeError
-from rtof_kin.inertial.declaration import Declaration
+from rtof_kin.inertial.declaration import LARGEST_NUMBER, Declaration
 from rtof_kin.inertial.streams import SensorLog, SensorStream
 
 Array = NDArray[np.float64]
@@ -43,8 +43,11 @@ class Readings:
         """The same in SI units and this package's frames.
 
         Raises:
-            ShapeError: times or matrices are none, or gravity was removed and there is no orientation.
+            ShapeError: times or matrices are none, a number is no measurement, or gravity was removed and
+                there is no orientation.
         """
+        for kind in ("times", "acceleration", "gyroscope", "magnetometer", "quaternions"):
+            self._check_size(kind)
         R = norm = None
         if self.quaternions is not None:
             R, norm = declaration.rotations(self.quaternions), np.linalg.norm(self.quaternions, axis=1)
@@ -56,6 +59,15 @@ class Readings:
         if self.gyroscope is not None:
             w = declaration.angular_velocity(self.gyroscope)
         return SensorStream(self.name, self.times, f, R, w, self.magnetometer, norm, self.notes)
+
+    def _check_size(self, kind: str) -> None:
+        values = getattr(self, kind)
+        huge = np.argwhere(np.abs([] if values is None else values) > LARGEST_NUMBER)
+        if len(huge):
+            number = values[tuple(huge[0])]
+            raise ShapeError(
+                f"sensor {self.name}, sample {huge[0][0]}: {number:g} in {kind} is no measurement"
+            )
 
 
 def _rotations(name: str, matrices: Array) -> Array:

@@ -69,8 +69,7 @@ def read_imu_csv(path: Path, **declared: Any) -> SensorLog:
         readings.append(
             Readings(name, times, found.get("f"), found.get("w"), found.get("m"), found.get("q"))
         )
-    rate = 1 / np.median(np.diff(times)) if len(times) > 1 else 1.0
-    return sensor_log([path], TITLE, readings, declaration, (*table.notes, *lost(times, rate)))
+    return sensor_log([path], TITLE, readings, declaration, (*table.notes, *lost(times)))
 
 
 def _groups(table: SensorTable) -> dict[str, list[str]]:

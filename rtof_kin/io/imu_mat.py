@@ -60,15 +60,13 @@ def read_imu_mat(path: Path, **declared: Any) -> SensorLog:
     if len(lengths) > 1:
         raise FileFormatError(path, f"its arrays have different lengths: {sorted(lengths)}")
     times = _times(path, variables, lengths.pop(), declaration.rate_hz)
-    steps = np.diff(times)
-    notes = lost(times, float(1 / np.median(steps))) if len(steps) and np.all(steps > 0) else ()
     sensors = [
         Readings(
             name, times, fields.get("acc"), fields.get("gyr"), fields.get("mag"), fields.get("quat")
         )
         for name, fields in found.items()
     ]
-    return sensor_log([path], TITLE, sensors, declaration, notes)
+    return sensor_log([path], TITLE, sensors, declaration, lost(times))
 
 
 def _variables(path: Path) -> dict[str, Any]:

@@ -27,7 +27,6 @@ from rtof_kin.inertial.declaration import Declaration
 from rtof_kin.inertial.packets import lost
 from rtof_kin.inertial.readings import Readings, sensor_log
 from rtof_kin.inertial.streams import SensorLog
-from rtof_kin.io.sensor_text import LARGEST_NUMBER
 
 Array = NDArray[np.float64]
 TITLE = "Xsens MVNX"
@@ -240,8 +239,6 @@ class _Content:
         if len(values) != self._width(tag):
             problem = f"{where}: {tag} has {len(values)} numbers, and {self._width(tag)} are needed"
             raise FileFormatError(self.path, problem)
-        if any(abs(value) > LARGEST_NUMBER for value in values):
-            raise FileFormatError(self.path, f"{where}: {tag} holds a number that is no measurement")
         return values
 
     def _shaped(self, tag: str, values: array[float] | list[float] | None) -> Array | None:

@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError
+from rtof_kin.inertial.declaration import LARGEST_NUMBER
 
 Array = NDArray[np.float64]
 LARGEST_BYTES = 2**30
 """Files of more than this are refused: a day of one sensor at 100 Hz."""
 LONGEST_LINE = 2**16
 MOST_HEADER_LINES = 100
-LARGEST_NUMBER = 1e20
-"""No sensor and no clock counts further; squares of what is read stay finite."""
 
 
 @dataclass(frozen=True)

@@ -98,8 +98,8 @@ def _sensor(folder: Path, name: str, rate_hz: float | None) -> Readings:
     times = stamps / 1e6
     if rate_hz is not None:
         times = times[0] + np.arange(len(times)) / rate_hz
-    elif len(times) > 1:
-        notes += lost(times, float(1 / np.median(np.diff(times))))
+    else:
+        notes += lost(times)
     f, w = values[:, 3:], values[:, :3]
     return Readings(name, times, f, w, magnetometer, quaternion, notes=tuple(notes))
 

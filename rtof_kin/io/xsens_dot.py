@@ -70,8 +70,8 @@ def read_xsens_dot(paths: Sequence[Path], **declared: Any) -> SensorLog:
         if declaration.rate_hz is not None:
             one = _in_order(table, COUNTER, _LATEST_PACKETS)
             times = times[0] + (one.count - one.count[0]) / declaration.rate_hz
-        rate = declaration.rate_hz or _rate(table)
-        notes = (*table.notes, *one.notes, *(() if rate is None else lost(times, rate)))
+        lost_ones = lost(times, declaration.rate_hz or _rate(table))
+        notes = (*table.notes, *one.notes, *lost_ones)
         sensors.append(readings(_name(table.path), table, one.rows, times, notes))
     return sensor_log(paths, TITLE, sensors, declaration)
 
