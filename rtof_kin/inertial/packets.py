@@ -73,18 +73,17 @@ def in_order(
     count = raw[0] + np.concatenate([[0], np.cumsum(steps)])
     rows = np.argsort(count, kind="stable")
     new = np.diff(count[rows], prepend=count[rows[0]] - 1) > 0
-    notes = [
-        _said(int(falls.sum()), f"{what} passed {wrap - 1} and began again at 0", "time"),
-        _said(int((steps < 0).sum()), "came late and was put in its place", "packet", first=True),
-        _said(int((~new).sum()), "came twice and was taken once", "packet", first=True),
-    ]
-    return Packets(rows[new], count[rows[new]], tuple(filter(None, notes)))
+    events = (
+        (falls, "time", f"{what} passed {wrap - 1} and began again at 0"),
+        (steps < 0, "packet", "late, put in their places"),
+        (~new, "packet", "sent again, taken once"),
+    )
+    notes = [f"{_counted(int(e.sum()), noun)} {said}" for e, noun, said in events if e.any()]
+    return Packets(rows[new], count[rows[new]], tuple(notes))
 
 
-def _said(number: int, event: str, noun: str, first: bool = False) -> str:
-    """A number of events in words; nothing where there are none."""
-    counted = f"{number} {noun}" + ("s" if number > 1 else "")
-    return "" if number == 0 else f"{counted} {event}" if first else f"{event}, {counted}"
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" + ("s" if number > 1 else "")
 
 
 def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
@@ -100,12 +99,13 @@ def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
     rate_hz = rate_hz or float(1 / np.median(steps))
     gaps = np.round(steps * rate_hz) - 1
     gaps = gaps[gaps > 0]
-    if len(gaps) == 0:
+    missing = int(gaps.sum())
+    if missing == 0:
         return ()
-    share = gaps.sum() / (gaps.sum() + len(times))
+    share, longest = missing / (missing + len(times)), gaps.max() / rate_hz
+    places = _counted(len(gaps), "gap")
     return (
-        f"{gaps.sum():.0f} packets ({share:.1%}) were lost in {len(gaps)} gap{'s' * (len(gaps) > 1)}, the "
-        f"longest of {gaps.max() / rate_hz:.2f} s",
+        f"{_counted(missing, 'packet')} ({share:.1%}) lost in {places}, the longest of {longest:.2f} s",
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ LARGEST_BYTES = 2**30
 """Files that hold more than this, uncompressed, are refused."""
 _FIELDS = {"acc": 3, "gyr": 3, "mag": 3, "quat": 4}
 _TIMES = ("t", "time")
-_COMPRESSED = 15
+_HEADER_BYTES, _COMPRESSED, _PIECE = 128, 15, 2**16
 _NEWER = "MATLAB 7.3"
 
 
@@ -76,7 +76,6 @@ def _variables(path: Path) -> dict[str, Any]:
             if stream.read(len(_NEWER)) == _NEWER.encode():
                 problem = "is of MATLAB 7.3, which is not read; save it with the option '-v7'"
                 raise FileFormatError(path, problem)
-            stream.seek(128)
             total = 0
             for size in _sizes(stream):
                 total += size
@@ -93,17 +92,26 @@ def _variables(path: Path) -> dict[str, Any]:
 
 
 def _sizes(stream: IO[bytes]) -> Iterator[int]:
-    """Bytes of a file's elements, uncompressed, a piece at a time: a small file can claim gigabytes."""
+    """Bytes of a file's elements, uncompressed, a piece at a time: a small file can hold gigabytes."""
+    stream.seek(_HEADER_BYTES - 2)
+    order: Literal["little", "big"] = "little" if stream.read(2) == b"IM" else "big"
     while len(tag := stream.read(8)) == 8:
-        kind, size = (int.from_bytes(tag[i : i + 4], "little") for i in (0, 4))
-        if kind != _COMPRESSED:
+        kind, size = (int.from_bytes(tag[i : i + 4], order) for i in (0, 4))
+        end = stream.tell() + size
+        if kind == _COMPRESSED:
+            yield from _inflated_sizes(stream, end)
+        else:
             yield size
-            stream.seek(size, 1)
-            continue
-        inflate, data = zlib.decompressobj(), stream.read(min(size, LARGEST_BYTES))
-        while data and not inflate.eof:
-            yield len(inflate.decompress(data, 2**20))
-            data = inflate.unconsumed_tail
+        stream.seek(end)
+
+
+def _inflated_sizes(stream: IO[bytes], end: int) -> Iterator[int]:
+    inflate, data = zlib.decompressobj(), b""
+    while not inflate.eof:
+        data = inflate.unconsumed_tail or stream.read(min(_PIECE, end - stream.tell()))
+        if not data:
+            return
+        yield len(inflate.decompress(data, _PIECE))
 
 
 def _sensor(path: Path, name: str, value: Any) -> dict[str, Array]:

@@ -13,7 +13,7 @@ from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 TITLE = "Xsens MVNX"
 LARGEST_BYTES = 2**33
 """Larger files are refused; an hour of MVN at 60 Hz with all its tags has about 4 GB."""
+LARGEST_FRAME = 2**24
+"""Bytes of one frame; MVN's have some 20 thousand."""
 _SENSOR_TAGS = {"sensorOrientation": 4, "sensorFreeAcceleration": 3, "sensorMagneticField": 3}
 _SEGMENT_TAGS = {"orientation": 4, "position": 3}
 _WIDTHS = _SENSOR_TAGS | _SEGMENT_TAGS
@@ -146,21 +148,42 @@ def read_mvnx_file(path: Path) -> Mvnx:
 
 
 def _elements(path: Path) -> Iterator[Element]:
-    """Elements that say something, each as soon as it ends; what was read is dropped at once."""
+    """Each element when it ends, a frame whole and anything else without what it held: elements are
+    dropped as soon as they are used."""
     above: list[Element] = []
+    tags: list[str] = []
     with path.open("rb") as stream:
-        for event, element in iterparse(stream, events=("start", "end"), forbid_dtd=True):
+        bounded = _Bounded(path, stream)
+        for event, element in iterparse(bounded, events=("start", "end"), forbid_dtd=True):
             if event == "start":
                 above.append(element)
-                if len(above) == 1 and _tag(element) != "mvnx":
-                    raise FileFormatError(path, f"its root is <{_tag(element)[:40]}>, not <mvnx>")
-                if _tag(element) == "subject":
-                    yield element
+                tags.append(_tag(element))
+                if tags[0] != "mvnx":
+                    raise FileFormatError(path, f"its root is <{tags[0][:40]}>, not <mvnx>")
                 continue
             above.pop()
-            if _tag(element) in ("sensor", "segment", "frame"):
+            tags.pop()
+            if "frame" not in tags:
                 yield element
-                above[-1].remove(element)
+                if above:
+                    above[-1].remove(element)
+                bounded.held = 0
+
+
+@dataclass
+class _Bounded:
+    """A file that is not read on while what it gave cannot be dropped."""
+
+    path: Path
+    stream: IO[bytes]
+    held: int = 0
+
+    def read(self, size: int = -1) -> bytes:
+        self.held += size
+        if self.held > LARGEST_FRAME:
+            problem = f"an element in it is larger than {LARGEST_FRAME / 2**20:.0f} MiB"
+            raise FileFormatError(self.path, problem)
+        return self.stream.read(size)
 
 
 def _tag(element: Element) -> str:
@@ -186,7 +209,7 @@ class _Content:
             self.rate_hz = self._number(element.get("frameRate"), "frameRate of <subject>")
         elif tag == "frame":
             self._frame(element)
-        else:
+        elif tag in self.labels:
             labels = self.labels[tag]
             labels.append(element.get("label", ""))
             if len(labels) > _MOST or labels[-1] in ("", *labels[:-1]):
