@@ -169,5 +169,6 @@ def _notes(
     if len(pieces) > 1:
         starts = ", ".join(f"{times[a]:.2f}" for a, _ in pieces[1:6])
         relation = "" if has_field else "; headings before and after are not related"
-        notes.append(f"the filter started anew {len(pieces) - 1} times, at {starts} s{relation}")
+        anew = f"{len(pieces) - 1} time" + "s" * (len(pieces) > 2)
+        notes.append(f"the filter started anew {anew}, at {starts} s{relation}")
     return tuple(notes)

@@ -207,6 +207,9 @@ class _Content:
         tag = _tag(element)
         if tag == "subject":
             self.rate_hz = self._number(element.get("frameRate"), "frameRate of <subject>")
+            if self.rate_hz <= 0:
+                problem = f"frameRate of <subject> is {self.rate_hz:g}; it must be positive"
+                raise FileFormatError(self.path, problem)
         elif tag == "frame":
             self._frame(element)
         elif tag in self.labels:
@@ -271,9 +274,8 @@ class _Content:
         return np.asarray(readonly(tag, table, table.shape))
 
     def mvnx(self) -> Mvnx:
-        if not self.index:
-            raise FileFormatError(self.path, "has no frame of a recording")
-        Declaration(rate_hz=self.rate_hz)
+        if not self.index or np.isnan(self.rate_hz):
+            raise FileFormatError(self.path, "has no frame of a recording in a <subject>")
         T = len(self.index)
         flat = {tag: self._shaped(tag, self.numbers.get(tag)) for tag in _WIDTHS}
         of_tag = {tag: v if v is None else v.reshape(T, -1, v.shape[1]) for tag, v in flat.items()}
