@@ -9,6 +9,7 @@ import pytest
 from sensor_files import REAL, SERIALS, WRITERS, truth, write_csv, write_dot, write_mt
 
 from rtof_kin.errors import FileFormatError, RtofError, UnknownNameError
+from rtof_kin.inertial.declaration import CHOICES
 from rtof_kin.inertial.files import FORMATS, read_sensor_log
 
 TRUTHS = [truth(1), truth(2)]
@@ -164,3 +165,16 @@ def test_real_recordings_load_and_read_one_gravity_upwards(
     if name != "qmt_fullbody_16imu":  # whose quaternions are not the sensors'
         up = np.mean(np.einsum("tij,tj->ti", R, f), axis=0)
         np.testing.assert_allclose(up, [0, 0, 9.81], atol=0.5)
+
+
+def test_the_documentation_names_every_format_and_field_and_its_example_is_read(tmp_path: Path) -> None:
+    text = (Path(__file__).parent.parent / "docs" / "sensors.md").read_text(encoding="utf-8")
+    plain = text.replace("`", "")
+    assert all(f"| {kind.title}" in plain for kind in FORMATS)
+    for field, values in CHOICES.items():
+        (row,) = [line for line in text.splitlines() if line.startswith(f"| `{field}`")]
+        assert all(f"`{value}`" in row for value in values)
+    example = tmp_path / "walk.csv"
+    example.write_text(text.split("```csv\n")[1].split("```")[0])
+    (stream,) = read_sensor_log(example).streams
+    assert (stream.name, stream.holds) == ("thigh", ("f_sensor", "w_sensor"))

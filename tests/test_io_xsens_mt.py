@@ -77,6 +77,13 @@ def test_sensors_whose_counters_wrapped_between_their_beginnings_share_times(tmp
     assert a.notes == ("1 time PacketCounter passed 65535 and began again at 0",)
 
 
+def test_counters_of_32_bits_are_not_taken_to_have_wrapped(tmp_path: Path) -> None:
+    early = written(tmp_path, mt_text(ONE, COUNTERS), "00B40001")
+    late = written(tmp_path, mt_text(ONE, COUNTERS + 100_000), "00B40002")
+    a, b = read_xsens_mt([early, late]).streams
+    np.testing.assert_allclose(b.times - a.times, 100_000 / 60)
+
+
 def test_lost_and_doubled_packets_are_told_and_leave_no_trace_in_the_others(tmp_path: Path) -> None:
     rows = [0, 1, 2, 5, 4, 5, 6, 7, 12]
     one = Truth(ONE.R[rows], ONE.a[rows], ONE.f[rows], ONE.w[rows], ONE.m[rows])

@@ -120,12 +120,14 @@ def _sensor(path: Path, name: str, value: Any) -> dict[str, Array]:
         return {}
     struct = value.flat[0]
     fields = {}
-    for field in set(getattr(struct, "_fieldnames", ())) & set(_FIELDS):
+    for field, width in _FIELDS.items():
+        if field not in getattr(struct, "_fieldnames", ()):
+            continue
         array = getattr(struct, field)
         if not (isinstance(array, np.ndarray) and array.dtype.kind in "fiu"):
             raise FileFormatError(path, f"{name}.{field} holds no numbers")
-        if array.ndim != 2 or array.shape[1] != _FIELDS[field]:
-            problem = f"{name}.{field} has shape {array.shape}, not (T, {_FIELDS[field]})"
+        if array.ndim != 2 or array.shape[1] != width:
+            problem = f"{name}.{field} has shape {array.shape}, not (T, {width})"
             raise FileFormatError(path, problem)
         fields[field] = array.astype(np.float64)
     return fields

@@ -283,7 +283,7 @@ class _Content:
             sensors=tuple(self.labels["sensor"]),
             segments=tuple(self.labels["segment"]),
             rate_hz=self.rate_hz,
-            index=np.array(self.index),
+            index=readonly("index", self.index, ("T",), np.int64),
             poses=self.poses,
             quat_world_sensor=of_tag["sensorOrientation"],
             a_world=of_tag["sensorFreeAcceleration"],

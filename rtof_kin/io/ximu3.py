@@ -4,7 +4,7 @@ Read are ``Inertial.csv`` (gyroscope deg/s, accelerometer g, gravity included, s
 ``Quaternion.csv`` (W, X, Y, Z from the sensor to the earth, z up in its usual NWU) and
 ``Magnetometer.csv``, each with time stamps of its own in us. ``Command.json`` names the sensor, else the
 folder does. Orientation and magnetic field are interpolated to the inertial samples where their stamps
-differ. Sensors' clocks are the device's own synchronised ones.
+differ. Clocks are those of the devices, which their maker's software synchronises.
 """
 
 from __future__ import annotations

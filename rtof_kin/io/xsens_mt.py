@@ -60,8 +60,9 @@ def read_xsens_mt(paths: Sequence[Path], **declared: Any) -> SensorLog:
     tables = [read_table(path, is_header, is_read) for path in paths]
     declaration = Declaration(**acceleration_declared(tables)).changed(**declared)
     rate = declaration.rate_hz or _rate(tables)
-    packets = [_packets(table) for table in tables]
-    shifts = aligned([int(one.count[0]) for one in packets], WRAP_16)
+    wrap = _wrap(tables)
+    packets = [_packets(table, wrap) for table in tables]
+    shifts = aligned([int(one.count[0]) for one in packets], wrap)
     sensors = []
     for table, one, shift in zip(tables, packets, shifts, strict=True):
         times = (one.count + shift) / rate
@@ -92,12 +93,18 @@ def _rate(tables: Sequence[SensorTable]) -> float:
     return rates[0]
 
 
-def _packets(table: SensorTable) -> Packets:
+def _wrap(tables: Sequence[SensorTable]) -> int:
+    """Where the counters begin again: those of MTw have 16 bits, some of MTi 32."""
+    counters = (table.column(COUNTER) for table in tables)
+    wide = any(c is not None and (c >= WRAP_16).any() for c in counters)
+    return WRAP_32 if wide else WRAP_16
+
+
+def _packets(table: SensorTable, wrap: int) -> Packets:
     counters = table.column(COUNTER)
     if counters is None:
         rows = np.arange(len(table.values))
         return Packets(rows, rows, (f"no {COUNTER}: packets that were lost cannot be seen",))
-    wrap = WRAP_32 if (counters >= WRAP_16).any() else WRAP_16
     return in_order(table.path, counters, table.lines, wrap, _LATEST_PACKETS, COUNTER)
 
 
