@@ -41,7 +41,7 @@ def test_sensors_segments_and_calibration_poses_are_kept_apart(tmp_path: Path) -
     assert content.p_world_segment is not None
     np.testing.assert_allclose(content.p_world_segment[:, 0, 2], np.arange(6) / 100)
     log = read_mvnx(path)
-    assert log.notes == ("frames of calibration poses are kept apart: tpose",)
+    assert log.notes == ("calibration poses (tpose) are no samples; see read_mvnx_file",)
     assert (log.declaration.gravity, log.declaration.acceleration_axes) == ("removed", "inertial")
     np.testing.assert_allclose(log.streams[1].f_sensor, TRUTHS[1].f, atol=1e-9)
     np.testing.assert_allclose(log.streams[1].times, np.arange(6) / 60)

@@ -65,6 +65,7 @@ def test_what_is_free_acceleration_under_the_wrong_name_can_be_declared() -> Non
         wrong.imus()
     assert any("60 Hz in microseconds, and the rate is taken as 100 Hz" in n for n in wrong.notes)
     right = read_xsens_mt(paths, gravity="removed", acceleration_axes="inertial", rate_hz=60)
+    assert not any("rate" in n for n in right.notes)
     assert np.median(np.linalg.norm(right.imus()[0].f_sensor, axis=-1)) == pytest.approx(9.81, abs=0.1)
 
 

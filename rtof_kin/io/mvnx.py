@@ -114,7 +114,7 @@ def read_mvnx(path: Path, **declared: Any) -> SensorLog:
     ]
     notes = [*lost(times, rate)]
     if mvnx.poses:
-        notes.append(f"frames of calibration poses are kept apart: {', '.join(mvnx.poses)}")
+        notes.append(f"calibration poses ({', '.join(mvnx.poses)}) are no samples; see read_mvnx_file")
     if mvnx.unread:
         notes.append(f"not read, as their axes differ between versions: {', '.join(mvnx.unread)}")
     return sensor_log([path], TITLE, sensors, declaration, notes)
@@ -133,6 +133,8 @@ def read_mvnx_file(path: Path) -> Mvnx:
             raise FileFormatError(path, f"larger than {LARGEST_BYTES / 2**30:.0f} GiB; split it")
         for element in _elements(path):
             content.take(element)
+    except FileFormatError:
+        raise
     except FileNotFoundError as error:
         raise FileFormatError(path, "there is no such file") from error
     except ParseError as error:
@@ -140,9 +142,7 @@ def read_mvnx_file(path: Path) -> Mvnx:
     except DefusedXmlException as error:
         problem = f"holds what no MVNX file needs and is refused: {type(error).__name__}"
         raise FileFormatError(path, problem) from error
-    except (OSError, ValueError, LookupError) as error:
-        if isinstance(error, FileFormatError):
-            raise
+    except (OSError, ValueError, LookupError) as error:  # e.g. an unknown encoding
         raise FileFormatError(path, f"cannot be read: {error}") from error
     return content.mvnx()
 

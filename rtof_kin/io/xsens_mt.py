@@ -109,12 +109,12 @@ def _packets(table: SensorTable, wrap: int) -> Packets:
 
 
 def _stamps(table: SensorTable, packets: Packets, rate: float) -> tuple[str, ...]:
-    """A sentence where the time stamps, in ticks of 0.1 ms, tell another rate."""
+    """A sentence where the time stamps tell another rate, in ticks of 0.1 ms as in microseconds."""
     stamps = table.column(STAMP)
     if stamps is None or len(packets.rows) < 2:
         return ()
     tick = float(np.median(np.diff(stamps[packets.rows]) / np.diff(packets.count)))
-    if not tick > 0 or abs(tick * rate / 1e4 - 1) < 0.02:
+    if not tick > 0 or any(abs(tick * rate / per_second - 1) < 0.02 for per_second in (1e4, 1e6)):
         return ()
     return (
         f"{STAMP} steps by {tick:g}, which is {1e4 / tick:.4g} Hz in its ticks of 0.1 ms or "
