@@ -156,6 +156,12 @@ def test_what_is_not_measured_is_asked_for() -> None:
         OrientationSettings(rate_hz=0)
 
 
+def test_a_rate_far_above_the_samples_is_refused_before_it_fills_the_memory() -> None:
+    stream, _ = moving(3)
+    with pytest.raises(ShapeError, match="shank: 1e[+]08 Hz is far above its samples' rate; set rate"):
+        with_orientation(stream, OrientationSettings(rate_hz=1e8))
+
+
 def test_times_that_jitter_make_little_difference() -> None:
     stream, true = moving()
     rng = np.random.default_rng(4)

@@ -21,6 +21,8 @@ from rtof_kin.inertial.streams import SensorLog, SensorStream
 Array = NDArray[np.float64]
 LONGEST_BRIDGED = 0.1
 """Seconds without samples across which measurements are interpolated."""
+_MOST_STEPS = 100
+"""For each sample the filter makes at most so many steps."""
 SHORTEST_PIECE = 1.0
 """Seconds of samples without a longer gap that the filter needs at least, as it has to settle."""
 
@@ -130,7 +132,12 @@ def _estimated(
     assert stream.f_sensor is not None
     assert stream.w_sensor is not None
     times = stream.times[rows]
-    even = times[0] + step * np.arange(int((times[-1] - times[0]) / step) + 2)
+    count = int((times[-1] - times[0]) / step) + 2
+    if count > _MOST_STEPS * len(times):
+        raise ShapeError(
+            f"sensor {stream.name}: {1 / step:g} Hz is far above its samples' rate; set rate_hz"
+        )
+    even = times[0] + step * np.arange(count)
     f, w = (_held(times[known], one[rows][known], even) for one in (stream.f_sensor, stream.w_sensor))
     if m is not None:
         seen = np.isfinite(m).all(axis=1)  # of the whole stream: the field changes slowly

@@ -31,12 +31,13 @@ TITLE = "x-IMU3 folders"
 _STAMP = "Timestamp (us)"
 _GYROSCOPE = tuple(f"Gyroscope {axis} (deg/s)" for axis in "XYZ")
 _ACCELEROMETER = tuple(f"Accelerometer {axis} (g)" for axis in "XYZ")
-_QUATERNION = ("W", "X", "Y", "Z")
-_MAGNETOMETER = tuple(f"{axis} (a.u.)" for axis in "XYZ")
+_OTHERS = {
+    "Quaternion": (("W", "X", "Y", "Z"), 0.1),
+    "Magnetometer": (("X (a.u.)", "Y (a.u.)", "Z (a.u.)"), 0.5),
+}
+"""Columns of other messages, and the seconds across which they are not interpolated any more."""
 _WHOLE = 2**53
-_LATEST_US = 2_000_000
-_QUATERNION_GAP, _MAGNETOMETER_GAP = 0.1, 0.5
-"""Seconds across which nothing is interpolated."""
+_LATEST_US = 1_000_000
 _LARGEST_JSON = 2**20
 
 
@@ -88,20 +89,24 @@ def _sensor(folder: Path, name: str, rate_hz: float | None) -> Readings:
     if inertial is None:
         raise FileFormatError(folder, "has no Inertial.csv; log inertial messages")
     stamps, values, notes = inertial
-    quaternion, magnetometer = (
-        _at(stamps, _messages(folder / f"{kind}.csv", columns), max_gap)
-        for kind, columns, max_gap in (
-            ("Quaternion", _QUATERNION, _QUATERNION_GAP),
-            ("Magnetometer", _MAGNETOMETER, _MAGNETOMETER_GAP),
-        )
-    )
+    others: dict[str, Array | None] = dict.fromkeys(_OTHERS)
+    for kind, (columns, max_gap) in _OTHERS.items():
+        found = _messages(folder / f"{kind}.csv", columns)
+        if found is not None:
+            own, numbers, told = found
+            if not np.array_equal(own, stamps):
+                told.append(f"{len(own)} messages interpolated to the inertial samples")
+                numbers = _interpolated(own, numbers, stamps, max_gap * 1e6)
+            others[kind] = numbers
+            notes += [f"{kind}: {note}" for note in told]
     times = stamps / 1e6
     if rate_hz is not None:
         times = times[0] + np.arange(len(times)) / rate_hz
     else:
         notes += lost(times)
     f, w = values[:, 3:], values[:, :3]
-    return Readings(name, times, f, w, magnetometer, quaternion, notes=tuple(notes))
+    m, quaternions = others["Magnetometer"], others["Quaternion"]
+    return Readings(name, times, f, w, m, quaternions, notes=tuple(notes))
 
 
 def _messages(path: Path, columns: Sequence[str]) -> tuple[Array, Array, list[str]] | None:
@@ -117,14 +122,9 @@ def _messages(path: Path, columns: Sequence[str]) -> tuple[Array, Array, list[st
     return packets.count.astype(float), values[packets.rows], [*table.notes, *packets.notes]
 
 
-def _at(stamps: Array, messages: tuple[Array, Array, list[str]] | None, gap: float) -> Array | None:
-    """Numbers of another kind of message at the inertial stamps, us."""
-    if messages is None:
-        return None
-    own, values, _ = messages
-    if np.array_equal(own, stamps):
-        return values
+def _interpolated(stamps: Array, values: Array, at: Array, max_gap: float) -> Array:
+    """Vectors (T, 3), or quaternions (T, 4) whose signs may jump, at other instants."""
     if values.shape[1] == 4:  # a quaternion and its opposite are the same rotation
         turned = np.sum(values[1:] * values[:-1], axis=1) < 0
         values = values * np.cumprod(np.where([False, *turned], -1.0, 1.0))[:, None]
-    return signals.interpolate(own, values, stamps, gap * 1e6)
+    return signals.interpolate(stamps, values, at, max_gap)

@@ -37,7 +37,7 @@ TITLE = "Movella DOT CSV"
 _RATE = re.compile(r"OutputRate:\W*([\d.]+)\s*Hz", re.IGNORECASE)
 _NAMED = re.compile(r"(.+?)_\d{8}_\d{6}(_\d+)?")
 _ITS_OWN = {"Quat_W", "Euler_X"}
-_LATEST_PACKETS, _LATEST_US = 200, 2_000_000
+_LATEST_PACKETS, _LATEST_US = 100, 1_000_000
 
 
 def is_xsens_dot(head: str) -> bool:

@@ -34,7 +34,7 @@ from rtof_kin.io.xsens_columns import (
 TITLE = "Xsens MT Manager text"
 _RATE = re.compile(r"//\s*Update Rate:\s*([\d.]+)\s*Hz", re.IGNORECASE)
 _SERIAL = re.compile(r"[0-9A-Fa-f]{8}")
-_LATEST_PACKETS = 200
+_LATEST_PACKETS = 100
 
 
 def is_xsens_mt(head: str) -> bool:
