@@ -28,6 +28,8 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "inertial_axes": ("z up", "z down", "y up"),
 }
 """The values that each field of `Declaration` but the rate may have."""
+LARGEST_NUMBER = 1e20
+"""No sensor measures more in any unit, and no clock counts further; squares of it are finite."""
 _METRES = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY / 1000}
 _UPRIGHT: dict[str, Array] = {
     "z up": np.eye(3),
@@ -79,11 +81,11 @@ class Declaration:
         or of no length. Their norm is not looked at: a check does that."""
         order = [0, 1, 2, 3] if self.quaternion_order == "wxyz" else [3, 0, 1, 2]
         quat_wxyz = np.asarray(quaternions, dtype=np.float64)[..., order]
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            unit = quat_wxyz / np.linalg.norm(quat_wxyz, axis=-1, keepdims=True)
-        known = np.isfinite(unit).all(axis=-1)
-        R = np.full((*known.shape, 3, 3), np.nan)
-        R[known] = so3.from_quat_wxyz(unit[known])
+        with np.errstate(over="ignore"):
+            norm = np.linalg.norm(quat_wxyz, axis=-1)
+        known = np.isfinite(norm) & (norm > 0)
+        R = np.full((*norm.shape, 3, 3), np.nan)
+        R[known] = so3.from_quat_wxyz(quat_wxyz[known])
         return self.upright(R)
 
     def upright(self, R: Array) -> Array:
