@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.errors import FileFormatError, OutputExistsError, RtofError, ShapeError, UnitError
-from rtof_kin.io.camera_toml import UP, read_camera_toml, write_camera_toml
+from rtof_kin.io.camera_toml import read_camera_toml, write_camera_toml
+from rtof_kin.io.world_axes import UP
 from rtof_kin.types import Camera
 
 POSE2SIM = """

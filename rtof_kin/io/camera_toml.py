@@ -25,18 +25,10 @@ from numpy.typing import NDArray
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError, OutputExistsError, RtofError, ShapeError, UnitError
 from rtof_kin.io.section import Section
+from rtof_kin.io.world_axes import world_of_file
 from rtof_kin.types import Camera
 
 Array = NDArray[np.float64]
-UP = {
-    "x": np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]),
-    "y": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
-    "z": np.eye(3),
-    "-x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
-    "-y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
-    "-z": np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]]),
-}
-"""The file's axis that points up -> R_world_file."""
 FURTHEST = 100.0
 """A camera further than this from the origin, m, is in another unit."""
 _NOT_CAMERAS = ("metadata",)
@@ -50,7 +42,7 @@ def read_camera_toml(
     Args:
         path: the file.
         up: the axis of the file's world that points up: x, y or z, with a minus in front where it points
-            down. z, -z and -y keep the x axis where it is.
+            down, see `rtof_kin.io.world_axes.UP`.
         metres_per_unit: length of the file's unit, m; 0.001 where it has mm.
 
     Raises:
@@ -58,8 +50,7 @@ def read_camera_toml(
             names the field. UnitError: a camera is too far away for metres.
         ShapeError: `up` or `metres_per_unit` are none.
     """
-    if up not in UP:
-        raise ShapeError(f"up: {up!r} is no axis; give one of {', '.join(UP)}")
+    R_world_file = world_of_file(up)
     if not (np.isfinite(metres_per_unit) and metres_per_unit > 0):
         raise ShapeError(f"metres_per_unit: {metres_per_unit} is not a positive length")
     file = Section.of_file(Path(path))
@@ -71,7 +62,7 @@ def read_camera_toml(
         name = section.text("name", key)
         if name in cameras:
             raise section.error("name", f"{name!r} is another camera's already; give each its own")
-        cameras[name] = _camera(section, UP[up], metres_per_unit)
+        cameras[name] = _camera(section, R_world_file, metres_per_unit)
     if not cameras:
         raise FileFormatError(
             path,
@@ -95,14 +86,9 @@ def _camera(section: Section, R_world_file: Array, metres_per_unit: float) -> Ca
             "first"
         )  # fmt: skip
     width, height = section.array("size", (2,))
-    t = _vector(section, "translation") * metres_per_unit
+    where = f"{section.path}: {section.where('translation')}"
+    t = checked_distance(where, _vector(section, "translation"), metres_per_unit)
     R_camera_world = _rotation(section) @ R_world_file.T
-    far = float(np.linalg.norm(t))
-    if far > FURTHEST:
-        raise UnitError(
-            f"{section.path}: {section.where('translation')}: the camera is {far:.0f} m away from the "
-            f"origin; give metres_per_unit, {0.001 * metres_per_unit:g} if the file has mm"
-        )
     try:
         return Camera(
             section.array("matrix", (3, 3)), R_camera_world, t, round(width), round(height),
@@ -110,6 +96,18 @@ def _camera(section: Section, R_world_file: Array, metres_per_unit: float) -> Ca
         )  # fmt: skip
     except ShapeError as error:
         raise FileFormatError(section.path, f"[{section.name}]: {error}") from error
+
+
+def checked_distance(where: str, t: Array, metres_per_unit: float) -> Array:
+    """A camera's translation (3,) in m; `UnitError` where it is too far for that."""
+    t = t * metres_per_unit
+    far = float(np.linalg.norm(t))
+    if far > FURTHEST:
+        raise UnitError(
+            f"{where}: the camera is {far:.0f} m away from the origin; give metres_per_unit, "
+            f"{0.001 * metres_per_unit:g} if the file has mm"
+        )
+    return t
 
 
 def _vector(section: Section, field: str) -> Array:
