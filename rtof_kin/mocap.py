@@ -7,7 +7,7 @@ joint (`mocap_mapping`).
 from __future__ import annotations
 
 import csv
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +20,14 @@ from rtof_kin import signals
 from rtof_kin.errors import FileFormatError, UnknownNameError
 from rtof_kin.io.asf_amc import read_asf_amc
 from rtof_kin.io.bvh import read_bvh
-from rtof_kin.mocap_families import NAMES, PARENTS, lead_in, recognise_family, recognise_unit
+from rtof_kin.mocap_families import (
+    NAMES,
+    PARENTS,
+    lead_in,
+    recognise_family,
+    recognise_unit,
+    without_character,
+)
 from rtof_kin.mocap_mapping import MocapClip, map_motion, resample_clip
 from rtof_kin.types import PoseSequence
 
@@ -46,6 +53,7 @@ def read_mocap(
     unit_m: float | None = None,
     output_rate_hz: float | None = 60.0,
     asf: str | Path | None = None,
+    names: Mapping[str, str] | None = None,
 ) -> MocapClip:
     """Read a motion capture file of a known skeleton as motion of the package's.
 
@@ -58,21 +66,25 @@ def read_mocap(
         output_rate_hz: frames per second of the result; None keeps those of the file. See
             `resample_clip`.
         asf: skeleton of an .amc file; by default the one that `find_asf` finds.
+        names: what joints of the file are called in a known family, for files of another vendor whose
+            skeleton is otherwise like that family's. Where no family is recognised, a beginning that all
+            names share ("mixamorig:") is left out too.
 
     Returns:
         The clip, its heights and headings as in the file, in world axes z up.
 
     Raises:
-        FileFormatError: the file is broken, its skeleton unknown or not of human size.
-        OSError: a file cannot be opened.
+        FileFormatError: the file is not there or broken, its skeleton unknown or not of human size.
+        UnknownNameError: a joint in `names` is not in the file.
     """
     path = Path(path)
     if path.suffix.lower() == ".bvh":
-        motion = read_bvh(path)
+        motion = read_bvh(path, rate_hz)
     elif path.suffix.lower() == ".amc":
         motion = read_asf_amc(find_asf(path) if asf is None else asf, path)
     else:
         raise FileFormatError(path, "motion capture is read from .bvh and .amc files")
+    motion = without_character(motion.renamed(names or {}))
     family = recognise_family(path, motion)
     rate = _whole(motion.rate_hz) if rate_hz is None else rate_hz
     unit_m = recognise_unit(path, motion, family) if unit_m is None else unit_m

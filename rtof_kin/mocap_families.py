@@ -101,19 +101,36 @@ def recognise_family(path: str | Path, motion: ArticulatedMotion) -> Family:
     Raises:
         FileFormatError: the skeleton of the file is not known, or lacks a joint of its family.
     """
-    have = set(motion.names)
-    for family in families():
-        if family.recognise <= have:
-            need = {joint for entry in (*family.at, *family.turns) for joint in entry[:2]}
-            if need <= have:
-                return family
-            lacking = ", ".join(sorted(need - have))
-            raise FileFormatError(path, f"a skeleton of family {family.name} without {lacking}")
-    raise FileFormatError(
-        path,
-        f"unknown skeleton ({', '.join(motion.names[:8])}, ...); known families: "
-        f"{', '.join(family.name for family in families())}; add it to {TABLE.name}",
-    )
+    family = _candidate(motion)
+    if family is None:
+        raise FileFormatError(
+            path,
+            f"unknown skeleton ({', '.join(motion.names[:8])}, ...); known families: "
+            f"{', '.join(family.name for family in families())}; give its joints the names of one of "
+            f"them (names=...), or add it to {TABLE.name}",
+        )
+    need = {joint for entry in (*family.at, *family.turns) for joint in entry[:2]}
+    lacking = sorted(need - set(motion.names))
+    if lacking:
+        raise FileFormatError(
+            path, f"a skeleton of family {family.name} without {', '.join(lacking)}"
+        )
+    return family
+
+
+def _candidate(motion: ArticulatedMotion) -> Family | None:
+    return next((f for f in families() if f.recognise <= set(motion.names)), None)
+
+
+def without_character(motion: ArticulatedMotion) -> ArticulatedMotion:
+    """The motion without the character's name that software puts before the joints', up to a ':', '_' or
+    '|', where a family is recognised without it only."""
+    root = motion.names[0]
+    ends = (i + 1 for i, letter in enumerate(root) if letter in ":_|")
+    shared = (end for end in ends if all(name.startswith(root[:end]) for name in motion.names))
+    length = max(shared, default=0)
+    bare = motion.renamed({name: name[length:] or name for name in motion.names})
+    return bare if _candidate(motion) is None and _candidate(bare) is not None else motion
 
 
 def lead_in(motion: ArticulatedMotion, family: Family) -> int:

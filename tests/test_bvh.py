@@ -83,6 +83,46 @@ def test_a_root_without_position_channels_stays_at_its_offset(write):
     np.testing.assert_allclose(read_bvh(write(text)).p_root, [[1, 2, 3], [1, 2, 3]])
 
 
+def test_joints_whose_position_channels_are_all_zero_stay_at_their_offsets(write):
+    text = TWO_JOINTS.replace("CHANNELS 3 Z", "CHANNELS 6 Xposition Yposition Zposition Z")
+    text = text.replace("0 0 0 0 0 0 0 0 0", " ".join("0" * 12)).replace(" 70 15", " 0 0 0 70 15")
+    motion, plain = read_bvh(write(text)), read_bvh(write(TWO_JOINTS))
+    assert motion.p_parent_joint is None
+    np.testing.assert_allclose(motion.forward_kinematics()[0], plain.forward_kinematics()[0])
+    moving = read_bvh(write(text.replace("60 0 0 0", "60 0 4 0")))
+    np.testing.assert_allclose(moving.p_parent_joint[:, 1], [[0, 0, 0], [0, 4, 0]])
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("End Site", "EndSite"),
+        ("End Site\n    {", "End Site {\n CHANNELS 0\n"),
+        ("OFFSET 0.0 5.0 0.0\n    CHANNELS 3 Zrotation Xrotation Yrotation",
+         "CHANNELS 3 ZROTATION xrotation Yrotation\n\tOFFSET\t0.0\t5.0\t0.0"),
+        ("\n", "\r"),
+        ("Frames: 2\nFrame Time: 0.02", "FRAMES:2\nFRAME TIME:\t2.0E-2"),
+    ],
+)  # fmt: skip
+def test_other_programs_ways_to_write_the_same_file_are_read_alike(write, old, new):
+    assert old in TWO_JOINTS
+    plain, other = read_bvh(write(TWO_JOINTS)), read_bvh(write(TWO_JOINTS.replace(old, new)))
+    np.testing.assert_array_equal(other.R_parent_joint, plain.R_parent_joint)
+    np.testing.assert_array_equal(other.end_offsets, plain.end_offsets)
+    assert (other.names, other.rate_hz) == (plain.names, plain.rate_hz)
+
+
+@pytest.mark.parametrize("line", ["", "Frame Time: 0\n"])
+def test_a_file_without_a_frame_time_needs_a_declared_rate(write, line):
+    path = write(TWO_JOINTS.replace("Frame Time: 0.02\n", line))
+    with pytest.raises(FileFormatError, match="declare the rate, e.g. rate_hz=60"):
+        read_bvh(path)
+    assert read_bvh(path, rate_hz=50).rate_hz == 50
+    assert len(read_bvh(path, rate_hz=50)) == 2
+    with pytest.raises(FileFormatError, match="motion.bvh: motion rate_hz: -1 is not a positive"):
+        read_bvh(path, rate_hz=-1)
+
+
 def test_bones_of_a_recording_keep_their_length():
     motion = read_bvh(EXCERPT)
     p, _ = motion.forward_kinematics()
@@ -111,6 +151,7 @@ def test_windows_line_ends_a_byte_order_mark_and_loose_spacing_do_not_matter(wri
         ("CHANNELS 3 Z", "CHANNELS 4 Z", 10, "unknown channel 'End'"),
         ("CHANNELS 3 Z", "CHANNELS 2 Z", 9, "'Yrotation' does not belong"),
         ("CHANNELS 3 Z", "CHANNELS 9 Z", 9, "0 to 6 channels"),
+        ("End Site\n    {", "End Site\n    { CHANNELS 3", 11, "an end site has no channels, not 3"),
         ("3 Zrotation X", "3 Wrotation X", 9, "unknown channel 'Wrotation'"),
         ("3 Zrotation X", "3 Yrotation X", 9, "twice"),
         ("JOINT Upper Arm", "JOINT Base", 7, "second joint is named 'Base'"),
@@ -149,6 +190,11 @@ def test_a_broken_file_is_named_with_its_line(write, old, new, line, says):
 def test_what_is_no_bvh_file_at_all_is_refused(write, content, says):
     with pytest.raises(FileFormatError, match=says):
         read_bvh(write(content))
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(FileFormatError, match=r"none.bvh: there is no such file"):
+        read_bvh(tmp_path / "none.bvh")
 
 
 def test_a_file_cut_off_anywhere_is_refused(write):

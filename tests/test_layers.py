@@ -22,10 +22,11 @@ types   urdf
 skeleton
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position
 fragment_problem   fragment_solution   joint_space   joint_space.settings
-io   io.arrays   io.articulated   io.folder   io.pickled   io.section
-io.asf_amc   io.bvh   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
-io.total_capture   inertial   inertial.declaration
-inertial.streams   inertial.packets   io.sensor_text
+io   io.arrays   io.articulated   io.folder   io.markers   io.pickled   io.section   io.text
+io.world_axes
+io.asf_amc   io.bvh   io.c3d   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
+io.total_capture   io.trc   inertial   inertial.declaration
+inertial.streams   inertial.packets   io.opencv_yaml   io.sensor_text
 inertial.readings
 io.xsens_columns
 io.imu_csv   io.imu_mat   io.mvnx   io.opensense_sto   io.total_capture_sensors   io.ximu3

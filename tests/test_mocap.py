@@ -268,6 +268,30 @@ def test_unknown_files_and_skeletons_are_refused_with_what_is_known(tmp_path):
         mocap.read_mocap(tmp_path / "b.bvh")
 
 
+@pytest.mark.parametrize("before", ["mixamorig:", "Actor_1_", "take|"])
+def test_a_characters_name_before_the_joints_does_not_matter(before, tmp_path):
+    path = tmp_path / "named.bvh"
+    text = WALK.read_text()
+    path.write_text(text.replace("ROOT ", f"ROOT {before}").replace("JOINT ", f"JOINT {before}"))
+    same = mocap.read_mocap(WALK)
+    np.testing.assert_array_equal(
+        mocap.read_mocap(path).poses.p_world_joint, same.poses.p_world_joint
+    )
+
+
+def test_another_vendors_names_are_read_by_a_map_to_a_familys(tmp_path):
+    path = tmp_path / "vendor.bvh"
+    path.write_text(WALK.read_text().replace("JOINT LeftUpLeg", "JOINT thigh.L"))
+    with pytest.raises(FileFormatError, match=r"unknown skeleton.*names of one of them \(names=...\)"):
+        mocap.read_mocap(path)
+    clip = mocap.read_mocap(path, names={"thigh.L": "LeftUpLeg"})
+    np.testing.assert_array_equal(
+        clip.poses.p_world_joint, mocap.read_mocap(WALK).poses.p_world_joint
+    )
+    with pytest.raises(UnknownNameError, match="unknown joint 'thigh.R'"):
+        mocap.read_mocap(path, names={"thigh.R": "RightUpLeg"})
+
+
 def test_a_clip_needs_an_offset_for_each_joint():
     clip = mocap.read_mocap(WALK)
     with pytest.raises(ShapeError, match="clip joint_offsets"):

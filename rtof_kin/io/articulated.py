@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -90,6 +91,15 @@ class ArticulatedMotion:
     def index(self, name: str) -> int:
         """Index of a joint; `UnknownNameError` lists those that exist."""
         return indices_of("joint", [name], self.names)[0]
+
+    def renamed(self, names: Mapping[str, str]) -> Self:
+        """The same with other names for some joints.
+
+        Raises:
+            UnknownNameError: one is not there. ShapeError: two would have one name.
+        """
+        indices_of("joint", list(names), self.names)
+        return replace(self, names=tuple(names.get(name, name) for name in self.names))
 
     def forward_kinematics(self) -> tuple[Array, Array]:
         """Positions and orientations of all joints in the file's world.

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError
 from rtof_kin.io.articulated import ArticulatedMotion
+from rtof_kin.io.text import read_text
 
 Array = NDArray[np.float64]
 _INCH = 0.0254
@@ -70,8 +71,8 @@ def read_asf_amc(
         ``:units length``, which counts units per inch (CMU: 0.45, so 1 unit is 0.0564 m).
 
     Raises:
-        FileFormatError: a file is not complete, finite and consistent; the message names the line.
-        OSError: a file cannot be opened.
+        FileFormatError: a file is not there, or not complete, finite and consistent; the message names
+            the line.
     """
     path_asf, path_amc = Path(path_asf), Path(path_amc)
     skeleton = _read_skeleton(path_asf)
@@ -86,10 +87,7 @@ def read_asf_amc(
 
 def _text_lines(path: Path) -> list[tuple[int, str]]:
     """Numbered lines that hold something, comments removed."""
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FileFormatError(path, "not a text file, as ASF and AMC files are") from error
+    text = read_text(path, "an ASF or AMC file")
     numbered = enumerate((line.split("#")[0].strip() for line in text.splitlines()), 1)
     lines = [(number, line) for number, line in numbered if line]
     if not lines:

@@ -1,7 +1,9 @@
 """Biovision hierarchy files (.bvh): a tree of joints and one line of channel values per frame.
 
 The format has no standard. As its readers agree: the order of a joint's CHANNELS is the order of
-intrinsic rotations, in degrees, and position channels replace the joint's OFFSET.
+intrinsic rotations, in degrees, and position channels replace the joint's OFFSET. Some programs give
+every joint position channels and fill those of all but the root with zeros: such a joint stays at its
+OFFSET.
 """
 
 from __future__ import annotations
@@ -14,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import rotations as so3
-from rtof_kin.errors import FileFormatError
+from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.io.articulated import ArticulatedMotion
+from rtof_kin.io.text import read_text
 
 Array = NDArray[np.float64]
 _CHANNELS = {f"{axis}{kind}": (kind, axis) for axis in "xyz" for kind in ("position", "rotation")}
@@ -31,36 +34,30 @@ class _Joint:
     is_end: bool = False
 
 
-def read_bvh(path: str | Path) -> ArticulatedMotion:
+def read_bvh(path: str | Path, rate_hz: float | None = None) -> ArticulatedMotion:
     """Read a BVH file, in its own axes and length unit.
 
     Args:
         path: the file.
+        rate_hz: frames per second, where the file does not say or is not to be believed.
 
     Returns:
-        The motion. `p_parent_joint` is set where joints other than the root have position channels.
+        The motion. `p_parent_joint` is set where joints other than the root move in their parent.
 
     Raises:
-        FileFormatError: anything that is not a complete BVH file of finite numbers; the message
-            names the line.
-        OSError: the file cannot be opened.
+        FileFormatError: no such file, or anything that is not a complete BVH file of finite numbers; the
+            message names the line.
     """
     path = Path(path)
-    lines = _text_lines(path)
+    lines = read_text(path, "a BVH file, which begins with HIERARCHY").splitlines()
     tokens = _Tokens(path, lines)
     nodes = _read_hierarchy(tokens)
-    rate_hz, values = _read_motion(path, lines, tokens.line, sum(len(n.channels) for n in nodes))
-    return _assemble(nodes, values, rate_hz)
-
-
-def _text_lines(path: Path) -> list[str]:
+    width = sum(len(n.channels) for n in nodes)
+    rate_hz, values = _read_motion(path, lines, tokens.line, width, rate_hz)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FileFormatError(path, "not a text file; a BVH file begins with HIERARCHY") from error
-    if not text.strip():
-        raise FileFormatError(path, "empty; a BVH file begins with HIERARCHY", 1)
-    return text.splitlines()
+        return _assemble(nodes, values, rate_hz)
+    except ShapeError as error:
+        raise FileFormatError(path, str(error)) from error
 
 
 class _Tokens:
@@ -105,14 +102,14 @@ class _Tokens:
             raise self.fail(f"expected {wanted}, found {word[:40]!r}")
         return value
 
-    def name(self) -> str:
+    def name(self, optional: bool = False) -> str:
         """Words up to the opening brace, which is consumed."""
         words: list[str] = []
         while (word := self.next("a joint name and {")) != "{":
             if word == "}" or len(words) > 8:
                 raise self.fail(f"expected {{ after the joint name, found {word[:40]!r}")
             words.append(word)
-        if not words:
+        if not (words or optional):
             raise self.fail("a joint has no name")
         return " ".join(words)
 
@@ -132,11 +129,11 @@ def _read_hierarchy(tokens: _Tokens) -> list[_Joint]:
                 open_nodes.pop()
             case "OFFSET":
                 node.offset = [tokens.number("three offset numbers") for _ in range(3)]
-            case "CHANNELS" if not node.is_end:
-                node.channels = _read_channels(tokens)
-            case "JOINT" | "END" if not node.is_end:
-                child = _Joint(tokens.line, tokens.name(), open_nodes[-1])
-                child.is_end = word.upper() == "END"
+            case "CHANNELS":
+                node.channels = _read_channels(tokens, 0 if node.is_end else 6)
+            case "JOINT" | "END" | "ENDSITE" if not node.is_end:
+                is_end = word.upper() != "JOINT"
+                child = _Joint(tokens.line, tokens.name(is_end), open_nodes[-1], is_end=is_end)
                 if not child.is_end and child.name in {n.name for n in nodes if not n.is_end}:
                     raise tokens.fail(f"a second joint is named {child.name!r}; rename one")
                 open_nodes.append(len(nodes))
@@ -152,10 +149,11 @@ def _check_complete(tokens: _Tokens, node: _Joint) -> None:
         raise tokens.fail(f"{node.name!r} (line {node.line}) has no OFFSET")
 
 
-def _read_channels(tokens: _Tokens) -> list[tuple[str, str]]:
+def _read_channels(tokens: _Tokens, most: int) -> list[tuple[str, str]]:
     count = tokens.number("the number of channels")
-    if count not in range(7):
-        raise tokens.fail(f"a joint has 0 to 6 channels, not {count:g}")
+    if count not in range(most + 1):
+        what = "an end site has no channels" if most == 0 else "a joint has 0 to 6 channels"
+        raise tokens.fail(f"{what}, not {count:g}")
     channels = []
     for _ in range(int(count)):
         word = tokens.next("a channel name")
@@ -167,23 +165,28 @@ def _read_channels(tokens: _Tokens) -> list[tuple[str, str]]:
     return channels
 
 
-def _read_motion(path: Path, lines: list[str], start: int, width: int) -> tuple[float, Array]:
+def _read_motion(
+    path: Path, lines: list[str], start: int, width: int, rate_hz: float | None
+) -> tuple[float, Array]:
     """Rate in Hz and the channel values (T, width) of the lines after line `start`."""
     filled = [(n, text) for n, text in enumerate(lines[start:], start + 1) if text.strip()]
-    frames, frame_time = (
-        _labelled_number(path, filled[i : i + 1], label, len(lines))
-        for i, label in enumerate(("Frames:", "Frame Time:"))
-    )
+    frames = _labelled_number(path, filled[:1], "Frames:", len(lines))
     if frames < 1 or frames != int(frames):
         raise FileFormatError(path, f"the number of frames is {frames:g}", filled[0][0])
-    if frame_time <= 0:
-        raise FileFormatError(path, f"the frame time is {frame_time:g} s", filled[1][0])
-    rows = filled[2:]
+    has_time = bool(filled[1:]) and ":" in filled[1][1]
+    if has_time or rate_hz is None:
+        step = _labelled_number(path, filled[1:2], "Frame Time:", len(lines))
+        if rate_hz is None and not 1e-6 < step < 1e6:
+            raise FileFormatError(
+                path, f"the frame time is {step:g} s; declare the rate, e.g. rate_hz=60", filled[1][0]
+            )
+        rate_hz = 1 / step if rate_hz is None else rate_hz
+    rows = filled[1 + has_time :]
     if len(rows) != frames:
         raise FileFormatError(
             path, f"{frames:g} frames are announced, {len(rows)} lines of values follow", len(lines)
         )
-    return 1 / frame_time, _numbers(path, rows, width)
+    return rate_hz, _numbers(path, rows, width)
 
 
 def _labelled_number(path: Path, row: list[tuple[int, str]], label: str, last: int) -> float:
@@ -191,7 +194,8 @@ def _labelled_number(path: Path, row: list[tuple[int, str]], label: str, last: i
     line, text = row[0] if row else (last, "")
     head, _, tail = text.partition(":")
     if " ".join(head.split()).lower() + ":" != label.lower():
-        raise FileFormatError(path, f"expected {label!r}, found {text.strip()[:40]!r}", line)
+        hint = "; declare the rate, e.g. rate_hz=60, if it is missing" if "Time" in label else ""
+        raise FileFormatError(path, f"expected {label!r}, found {text.strip()[:40]!r}{hint}", line)
     try:
         value = float(tail)
     except ValueError:
@@ -235,8 +239,9 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> Articulated
     parents = [-1 if n.parent < 0 else number[id(nodes[n.parent])] for n in joints]
     ends = [n for n in nodes if n.is_end]
     T, J = len(values), len(joints)
+    offsets = np.array([n.offset for n in joints])
     R = np.broadcast_to(np.eye(3), (T, J, 3, 3)).copy()
-    p = np.broadcast_to([n.offset for n in joints], (T, J, 3)).copy()
+    p = np.broadcast_to(offsets, (T, J, 3)).copy()
     column = 0
     for j, node in enumerate(joints):
         for kind, axis in node.channels:
@@ -245,11 +250,13 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> Articulated
             else:
                 R[:, j] = R[:, j] @ so3.about_axis(axis, np.deg2rad(values[:, column]))
             column += 1
-    moves = any(kind == "position" for n in joints[1:] for kind, _ in n.channels)
+        if j > 0 and not p[:, j].any():
+            p[:, j] = node.offset
+    moves = not np.array_equal(p[:, 1:], np.broadcast_to(offsets[1:], (T, J - 1, 3)))
     return ArticulatedMotion(
         names=tuple(n.name for n in joints),
         parents=tuple(parents),
-        offsets=np.array([n.offset for n in joints]),
+        offsets=offsets,
         R_parent_joint=R,
         p_root=p[:, 0],
         rate_hz=rate_hz,

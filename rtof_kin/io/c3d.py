@@ -233,7 +233,7 @@ def _points(path: Path, data: bytes, words: _Words, parameters: Parameters) -> A
     scale = _number(parameters, "POINT", "SCALE")
     scale = float(words.floats(data[12:16])[0]) if scale is None else scale
     start = _number(parameters, "POINT", "DATA_START")
-    start = float(words.integers(data[16:18])[0]) if not start else start
+    start = start or float(words.integers(data[16:18])[0])
     if points == 0 or start < 2 or not np.isfinite(scale):
         raise FileFormatError(path, f"{points} points that begin in block {start:g}, scale {scale:g}")
     width = 4 if scale < 0 else 2

@@ -92,11 +92,8 @@ def read_opencv_yaml(
     for name, table in _tables(Path(path), content).items():
         entries = _Entries(Path(path), name, table)
         R, t = entries.pose()
-        if R is None and up == "z":
-            raise entries.error(
-                "R", "missing, so the world is this camera's own axes, and z is its viewing direction; "
-                "add R and T, or declare up='-y' if it was held level"
-            )  # fmt: skip
+        if R is None:
+            entries.check_alone(cameras, up)
         R_camera_world = (np.eye(3) if R is None else R) @ R_world_file.T
         t = checked_distance(entries.where("T"), t, metres_per_unit)
         width, height = size_px or entries.size()
@@ -117,9 +114,12 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
     """Plain values, and OpenCV's matrices as the mappings they are written as."""
 
 
-_Loader.add_constructor(
-    "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
-)
+def _mapping(loader: Any, node: Any) -> Any:
+    return loader.construct_mapping(node, deep=True)
+
+
+for _tag in ("opencv-matrix", "opencv-nd-matrix"):  # OpenCV 5 writes vectors as the latter
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _mapping)
 
 
 def load_yaml(path: Path) -> dict[str, Any]:
@@ -149,7 +149,7 @@ def _check_structure(path: Path, text: str) -> None:
     """Refuse aliases and deep nesting before anything is built: both can take time without end."""
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
-        line = event.start_mark.line + 1
+        line = event.start_mark.line + 1 if event.start_mark else None
         if isinstance(event, yaml.AliasEvent):
             raise FileFormatError(path, "an alias; write the value out", line)
         depth += isinstance(event, yaml.CollectionStartEvent)
@@ -169,11 +169,13 @@ def _tables(path: Path, content: Mapping[str, Any]) -> dict[str, Mapping[str, An
     listed = content.get("cameras")
     inside = dict(enumerate(listed)) if isinstance(listed, list) else listed
     within = inside if isinstance(inside, dict) else content
-    tables = {
-        str(_named(table, "name") or key): table
-        for key, table in within.items()
-        if isinstance(table, dict) and _named(table, "matrix") is not None
-    }
+    tables: dict[str, Mapping[str, Any]] = {}
+    for key, table in within.items():
+        if isinstance(table, dict) and _named(table, "matrix") is not None:
+            name = str(_named(table, "name") or key)
+            if name in tables:
+                raise FileFormatError(path, f"a second camera is called {name!r}; rename one")
+            tables[name] = table
     numbered = {f"camera_{i}": _numbered(content, i) for i in range(10)}
     tables |= {n: t for n, t in numbered.items() if _named(t, "matrix") is not None}
     if not tables:
@@ -219,12 +221,14 @@ class _Entries:
     def array(self, field: str, *sizes: int) -> Array:
         """Finite numbers, flat; as many as one of the sizes."""
         value, entry = _named(self.table, field), _NAMES[field][0]
+        if value is None:
+            raise self.error(entry, "missing; it may be called " + ", ".join(_NAMES[field]))
         if isinstance(value, dict) and "data" in value:
             value = value["data"]
         try:
             array = np.array(value, dtype=np.float64).ravel()
         except (TypeError, ValueError, OverflowError) as error:
-            raise self.error(entry, f"missing, or not a matrix of numbers ({error})") from error
+            raise self.error(entry, f"not a matrix of numbers ({error})") from error
         if len(array) not in sizes or not np.isfinite(array).all():
             wanted = " or ".join(map(str, sizes))
             raise self.error(entry, f"expected {wanted} finite numbers, found {array.size}")
@@ -240,6 +244,16 @@ class _Entries:
         rotation = self.array("rotation", 3, 9)
         R = so3.exp(rotation) if len(rotation) == 3 else rotation.reshape(3, 3)
         return R, self.array("translation", 3)
+
+    def check_alone(self, others: Mapping[str, Camera], up: str) -> None:
+        """Refuse a camera without a pose where the world cannot be its own axes."""
+        if others:
+            raise self.error("R", "missing, as is T; each camera but a first one needs a pose")
+        if up == "z":
+            raise self.error(
+                "R", "missing, so the world is this camera's own axes, and z is its viewing direction; "
+                "add R and T, or declare up='-y' if it was held level"
+            )  # fmt: skip
 
     def size(self) -> tuple[int, int]:
         """Width and height, px."""
@@ -259,7 +273,7 @@ class _Entries:
         given = self.array("distortion", 0, 1, 2, 4, 5, 8, 12, 14)
         if np.any(given[5:]):
             raise self.error(
-                "distortion", f"{len(given)} coefficients, of which only the first five are modelled; "
-                "calibrate with five, or undistort the images first"
+                _NAMES["distortion"][0], f"{len(given)} coefficients, of which only the first five are "
+                "modelled; calibrate with five, or undistort the images first"
             )  # fmt: skip
         return np.concatenate([given[:5], np.zeros(max(5 - len(given), 0))])
