@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 ROWS = """
-errors
+errors   plausibility
 rotations   resources   body_mass
 signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_code
 levenberg_marquardt   banded   lanes
@@ -32,6 +32,10 @@ io.xsens_columns
 io.imu_csv   io.imu_mat   io.mvnx   io.opensense_sto   io.total_capture_sensors   io.ximu3
 io.xsens_dot   io.xsens_mt
 inertial.files   inertial.orientation
+inertial.turning   inertial.sampling
+inertial.gravity
+inertial.alternatives
+inertial.physics
 cartesian_banded   joint_space.prior   joint_space.state
 cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem   joint_space.windows
@@ -239,7 +243,8 @@ def test_each_heavy_package_is_imported_where_it_belongs() -> None:
     symbolic = ("frame_energy", "limits", "problem", "ipopt", "windows", "couplings")
     joint_space = {f"joint_space.{n}" for n in symbolic}
     assert users["casadi"] <= {"energies", "compiled", "lane_code", "fragment_problem"} | joint_space
-    assert users["matplotlib"] <= {"figures", "protocols.pictures", "lifting.curves"}
+    pictures = {"figures", "inspection_figures", "protocols.pictures", "lifting.curves"}
+    assert users["matplotlib"] <= pictures
     assert not users["yourdfpy"]
 
 

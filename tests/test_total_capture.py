@@ -18,10 +18,11 @@ from benchmarks import total_capture_standin as standin
 from rtof_kin import rotations as so3
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.total_capture import SUBJECTS, TEST, TRAIN, Take, TotalCapture
-from rtof_kin.datasets.total_capture_checks import Check, check_keypoints, check_take
+from rtof_kin.datasets.total_capture_checks import check_keypoints, check_take
 from rtof_kin.errors import FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.kinematics import positions
 from rtof_kin.mocap import NAMES, PARENTS
+from rtof_kin.plausibility import Check
 from rtof_kin.simulation_noise import ImuNoise
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import KeypointSequence, PoseSequence

@@ -14,10 +14,10 @@ import total_capture_support as support
 from benchmarks import total_capture_files as files
 from rtof_kin import rotations as so3
 from rtof_kin.datasets.total_capture import CAMERAS, Take, TotalCapture
-from rtof_kin.datasets.total_capture_checks import Check
 from rtof_kin.errors import FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.kinematics import positions
 from rtof_kin.mocap import NAMES, PARENTS
+from rtof_kin.plausibility import Check
 
 ONE = ("S5", "acting3")
 

@@ -25,7 +25,6 @@ from rtof_kin import recording_files as files
 from rtof_kin import rotations as so3
 from rtof_kin.calibration import ImuCalibration
 from rtof_kin.checks import indices_of
-from rtof_kin.datasets.total_capture_checks import Check
 from rtof_kin.datasets.total_capture_files import (
     CAMERA_FILE,
     CAMERAS,
@@ -50,6 +49,7 @@ from rtof_kin.io.total_capture import (
     read_imu_calibration,
     read_sensors,
 )
+from rtof_kin.plausibility import Check
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import Camera, ImuSequence
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -15,6 +14,7 @@ from rtof_kin.calibration import ImuCalibration
 from rtof_kin.datasets.total_capture_files import MISCALIBRATED
 from rtof_kin.datasets.total_capture_truth import RATE_HZ, RIGID_MM
 from rtof_kin.errors import UnknownNameError
+from rtof_kin.plausibility import Check
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, Camera, ImuSequence, KeypointSequence, PoseSequence
 
@@ -32,36 +32,6 @@ BIAS_PX = {2: float(np.hypot(20, -8))}
 _T_POSE_BONES = ("RightForeArm", "RightHand", "LeftForeArm", "LeftHand",
                  "RightLeg", "RightFoot", "LeftLeg", "LeftFoot")  # fmt: skip
 """Child joints of the limb bones that make a T-pose."""
-
-
-@dataclass(frozen=True)
-class Check:
-    """One figure against its limit."""
-
-    name: str
-    """What is checked."""
-    subject: str
-    """What it is about: the take, a sensor, a camera."""
-    value: float
-    """NaN where nothing is known; such a check is not passed."""
-    limit: float
-    """Largest value that passes."""
-    unit: str
-    """Of value and limit."""
-    advice: str
-    """What a failure may mean."""
-
-    @property
-    def passed(self) -> bool:
-        """Whether the figure is known and within its limit."""
-        return bool(self.value <= self.limit)
-
-    @property
-    def message(self) -> str:
-        """One line: what, where, the figure, its limit, and what a failure may mean."""
-        text = f"{self.subject}: {self.name} is {self.value:.3g} {self.unit}"
-        text += f" (limit {self.limit:g})"
-        return text if self.passed else f"{text}. {self.advice}"
 
 
 class Checkable(Protocol):

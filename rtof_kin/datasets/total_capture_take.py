@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from rtof_kin.calibration import ImuCalibration
 from rtof_kin.datasets.total_capture_checks import (
-    Check,
     check_camera,
     check_keypoints,
     check_take,
@@ -20,6 +19,7 @@ from rtof_kin.datasets.total_capture_checks import (
 from rtof_kin.datasets.total_capture_files import MISCALIBRATED
 from rtof_kin.datasets.total_capture_truth import RATE_HZ
 from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.plausibility import Check
 from rtof_kin.recording import Recording
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import Camera, ImuSequence, KeypointSequence, PoseSequence

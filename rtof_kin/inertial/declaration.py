@@ -126,3 +126,37 @@ class Declaration:
         """w_sensor (T, 3), rad/s, of the file's gyroscope."""
         factor = np.pi / 180 if self.angular_unit == "deg/s" else 1.0
         return np.asarray(rate, dtype=np.float64) * factor
+
+    # --- the other way: what the file must have held ---------------------------------------------
+
+    def filed_rotations(self, R_inertial_sensor: Array) -> Array:
+        """The file's rotation matrices (..., 3, 3), of which `upright` made these."""
+        R: Array = _UPRIGHT[self.inertial_axes].T @ R_inertial_sensor
+        return np.swapaxes(R, -1, -2) if self.orientation_maps == "inertial to sensor" else R
+
+    def filed_quaternions(self, R_inertial_sensor: Array) -> Array:
+        """The file's quaternions (T, 4), but for norm and sign, of which `rotations` made these."""
+        R = self.filed_rotations(R_inertial_sensor)
+        known = np.isfinite(R).all(axis=(-2, -1))
+        quat = np.full((*known.shape, 4), np.nan)
+        quat[known] = so3.to_quat_wxyz(R[known])
+        return quat if self.quaternion_order == "wxyz" else quat[..., [1, 2, 3, 0]]
+
+    def filed_acceleration(self, f_sensor: Array, R_inertial_sensor: Array | None = None) -> Array:
+        """The file's accelerations (T, 3), of which `specific_force` made f_sensor."""
+        if self.gravity == "included" and self.acceleration_axes == "sensor":
+            return f_sensor / _METRES[self.acceleration_unit]
+        if R_inertial_sensor is None:
+            raise ShapeError("accelerations of these axes were made with an orientation; give it")
+        a: Array = np.einsum("tij,tj->ti", R_inertial_sensor, f_sensor)
+        if self.gravity == "removed":
+            a = a + GRAVITY_WORLD
+        if self.acceleration_axes == "inertial":
+            a = a @ _UPRIGHT[self.inertial_axes]
+        else:
+            a = np.einsum("tji,tj->ti", R_inertial_sensor, a)
+        return a / _METRES[self.acceleration_unit]
+
+    def filed_angular_velocity(self, w_sensor: Array) -> Array:
+        """The file's angular velocities (T, 3), of which `angular_velocity` made w_sensor."""
+        return w_sensor / self.angular_velocity(np.ones(1))
