@@ -52,12 +52,12 @@ detectors.recognise
 detectors.keypoints
 recording_files   mocap_families   simulation_noise
 recording_imus   mocap_mapping   simulation_sensors
-recording   mocap
+recording   mocap   body_checks
 datasets   datasets.total_capture_files   datasets.human36m_cameras   datasets.human36m_body
 datasets.detections   datasets.total_capture_truth   datasets.human36m_files
 datasets.total_capture_checks   datasets.human36m
 datasets.total_capture_take
-datasets.total_capture
+datasets.total_capture   inspection
 simulation
 lifting   lifting.body   lifting.curves   lifting.draws   lifting.model   lifting.splits
 lifting.threads
@@ -71,6 +71,7 @@ lifting.train
 lifting.__main__
 pipeline
 figures
+inspection_figures
 export
 rtof_kin
 protocols   protocols.published   protocols.tables   protocols.jobs
@@ -78,7 +79,7 @@ protocols.measures   protocols.pictures
 protocols.human36m   protocols.total_capture
 protocols.total_capture_tables
 cli.terminal
-cli.detection   cli.lifters   cli.recordings   cli.training   cli.protocols
+cli.detection   cli.inspection   cli.lifters   cli.recordings   cli.training   cli.protocols
 cli
 cli.__main__
 """

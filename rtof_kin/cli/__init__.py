@@ -1,6 +1,7 @@
 """The command line ``rtof-kin``: the only place that prints.
 
-Exit codes: 0 done, 2 wrong input (one line says what, where and what to do), 130 interrupted.
+Exit codes: 0 done, 1 a check does not hold (inspect), 2 wrong input (one line says what, where and what
+to do), 130 interrupted.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import argparse
 import logging
 
-from rtof_kin.cli import detection, lifters, protocols, recordings, training
+from rtof_kin.cli import detection, inspection, lifters, protocols, recordings, training
 from rtof_kin.cli.terminal import err
 from rtof_kin.errors import RtofError
 
@@ -18,14 +19,14 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     try:
-        options.run(options)
+        code = options.run(options)
     except RtofError as error:
         err.print(f"error: {error}", style="bold red", markup=False, soft_wrap=True)
         return 2
     except KeyboardInterrupt:
         err.print("interrupted")
         return 130
-    return 0
+    return int(code or 0)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -36,6 +37,6 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Each command explains itself: rtof-kin reconstruct --help",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for module in (recordings, detection, training, lifters, protocols):
+    for module in (recordings, inspection, detection, training, lifters, protocols):
         module.add_commands(commands)
     return parser

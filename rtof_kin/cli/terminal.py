@@ -25,7 +25,7 @@ SCORE_COLUMNS = {
 
 
 def command(
-    commands: Any, name: str, run: Callable[[argparse.Namespace], None], summary: str, more: str
+    commands: Any, name: str, run: Callable[[argparse.Namespace], int | None], summary: str, more: str
 ) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = commands.add_parser(
         name,

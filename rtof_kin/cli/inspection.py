@@ -1,0 +1,142 @@
+"""The command that says what a file is, and whether what it holds can be true."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import shlex
+from pathlib import Path
+from typing import Any
+
+from rich.table import Column, Table
+
+from rtof_kin.cli.terminal import command, out
+
+_FAILED = 1
+
+
+def add_commands(commands: Any) -> None:
+    """Declare the commands of this module."""
+    parser = command(
+        commands, "inspect", _inspect, "say what files are, and check what they hold by physics",
+        "FILE is a sensor log or a folder of one, a recording, a motion, motion capture, markers, "
+        "cameras or a detector's keypoints. Every check is printed with its figure and limit; where a "
+        "declaration is wrong, the likely right one is named as the option to add. Exit code 1: a "
+        "check does not hold.",
+    )  # fmt: skip
+    parser.add_argument("files", metavar="FILE", nargs="+", help="files or folders")
+    parser.add_argument(
+        "--declare", metavar="FIELD=VALUE", nargs="+", default=[], type=_declaration,
+        help="what a sensor log means by its numbers, e.g. acceleration_unit=g gravity=removed",
+    )  # fmt: skip
+    parser.add_argument("--all", action="store_true", help="figures of every sensor and bone")
+    parser.add_argument("--plot", metavar="PNG", type=Path, help="draw what looks wrong; of one FILE")
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier PNG")
+
+
+def _declaration(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not FIELD=VALUE, such as acceleration_unit=g")
+    return name, value
+
+
+def _inspect(options: argparse.Namespace) -> int:
+    from rtof_kin.errors import OutputExistsError, ShapeError
+    from rtof_kin.inspection import inspect
+
+    if options.plot is not None:
+        if len(options.files) > 1:
+            raise ShapeError(f"--plot draws one FILE, {len(options.files)} are named")
+        if options.plot.suffix.lower() != ".png":
+            raise ShapeError(f"--plot {options.plot}: give the picture a name that ends in .png")
+        if options.plot.exists() and not options.overwrite:
+            raise OutputExistsError(f"{options.plot}: is there already; add --overwrite to replace it")
+    declared: dict[str, Any] = dict(options.declare)
+    if "rate_hz" in declared:
+        declared["rate_hz"] = _number(declared["rate_hz"])
+    failed = False
+    for file in options.files:
+        found = inspect(file, **declared)
+        _print(found, options.all)
+        if options.plot is not None:
+            _draw(found, options.plot)
+        failed |= bool(found.failed)
+    return _FAILED if failed else 0
+
+
+def _number(text: str) -> float:
+    from rtof_kin.errors import ShapeError
+
+    try:
+        return float(text)
+    except ValueError as error:
+        raise ShapeError(f"rate_hz: {text!r} is not a number of samples per second") from error
+
+
+def _print(found: Any, every: bool) -> None:
+    out.print(f"\n{found.path}: {found.title}", style="bold", markup=False, soft_wrap=True)
+    contents = Table(show_header=False)
+    for name, value in found.contents:
+        contents.add_row(name, value)
+    out.print(contents)
+    for note in found.notes:
+        out.print(f"note: {note}", markup=False, soft_wrap=True)
+    shown = list(found.checks) if every else _worst(found.checks)
+    if shown:
+        out.print(_checks_table(shown, found.checks))
+    for check in shown:
+        if check.failed:
+            text = f"{check.subject}: {check.name}. {check.advice}"
+            out.print(text, markup=False, soft_wrap=True)
+    likely = {tuple(check.likely.items()) for check in found.failed if check.likely}
+    if likely:
+        pairs = sorted({f"{name}={value}" for one in likely for name, value in one})
+        options = " ".join(map(shlex.quote, pairs))
+        out.print(f"likely: --declare {options}", style="bold", markup=False, soft_wrap=True)
+
+
+def _worst(checks: Any) -> list[Any]:
+    """Of checks of the same name, the one that failed most or comes nearest to it."""
+    worst: dict[str, Any] = {}
+    for check in checks:
+        if check.name not in worst or _nearness(check) > _nearness(worst[check.name]):
+            worst[check.name] = check
+    return list(worst.values())
+
+
+def _nearness(check: Any) -> float:
+    return -1.0 if math.isnan(check.value) else float(check.value / check.limit)
+
+
+def _checks_table(shown: list[Any], checks: Any) -> Table:
+    """A row for each check shown, and for how many subjects those of its name hold."""
+    every = len(shown) == len(checks)
+    columns = ("subject" if every else "worst of all", "figure", "limit", "unit", "verdict", "remark")
+    table = Table(Column("check", no_wrap=True), *columns)
+    for check in shown:
+        alike = [other for other in checks if other.name == check.name]
+        unknown = math.isnan(check.value)
+        figures = ("", "") if unknown else (f"{check.value:.3g}", f"{check.limit:.3g}")
+        verdict = f"[bold red]{check.verdict.value}[/]" if check.failed else check.verdict.value
+        holding = sum(other.passed for other in alike)
+        remark = f"holds for {holding} of {len(alike)}" if len(alike) > 1 and not every else ""
+        table.add_row(
+            check.name, check.subject, *figures, check.unit, verdict,
+            check.advice if unknown else remark,
+        )  # fmt: skip
+    return table
+
+
+def _draw(found: Any, target: Path) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    from rtof_kin.inspection_figures import picture
+
+    figure = picture(found)
+    if figure is None:
+        out.print("nothing of this file can be drawn")
+        return
+    FigureCanvasAgg(figure)
+    figure.savefig(target)
+    out.print(f"wrote {target}", soft_wrap=True)
