@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lifting.body import Body, bone_groups, side_of
+from lifting.body import Body, bone_groups
 from lifting.corpus import Corpus
 from lifting.draws import Draw, about_x, about_y, about_z
 from lifting.noise import (
@@ -64,9 +64,6 @@ class AugmentConfig:
     """Share of windows whose upper body comes from another motion."""
     hide_bones: float = 0.2
     """Share of windows that are not told the bones."""
-    frame_tilt: float = 0.2
-    """Standard deviation of a tilt, forwards or back, of each trunk segment's frame where the bones are
-    told, rad: rigs define them that differently, and only their offsets tell."""
     bone_error: float = 0.003
     """Standard deviation per axis of the bones the network is told, m."""
     hide_height: float = 0.6
@@ -83,8 +80,8 @@ def plain(noise: NoiseConfig | None = None) -> AugmentConfig:
     """Motion as recorded, from virtual cameras, bones known exactly, no sensors: what validation uses."""
     return AugmentConfig(
         mirror=0.0, tilt=0.0, warp=(1.0, 1.0), overall_scale=0.0, bone_scale=0.0, own_skeleton=1.0,
-        recombine=0.0, hide_bones=0.0, frame_tilt=0.0, bone_error=0.0, hide_height=1.0,
-        noise=noise or perfect(), sensors=SensorConfig(none=1.0),
+        recombine=0.0, hide_bones=0.0, bone_error=0.0, hide_height=1.0, noise=noise or perfect(),
+        sensors=SensorConfig(none=1.0),
     )  # fmt: skip
 
 
@@ -139,21 +136,6 @@ class _Moving:
         parts = self.bones, self.root, self.axes, self.carried
         bones, root, axes, carried = map(turn, parts)
         return _Moving(bones, root, self.offsets, axes, carried)
-
-    def redefine(self, tilt: Tensor, parents: Sequence[int], sensors: Sequence[int]) -> None:
-        """Tilt the frames of segments about their own y axes by (B, J) rad; nobody moves."""
-        def tilted(angle: Tensor, x: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
-            cos, sin = angle.cos(), angle.sin()
-            return cos * x - sin * z, sin * x + cos * z
-
-        of_parent = tilt[:, [max(p, 0) for p in parents]]
-        x, y, z = self.offsets.unbind(dim=-1)
-        x, z = tilted(of_parent, x, z)
-        self.offsets = torch.stack([x, y, z], dim=-1)
-        x, z = self.axes.unbind(dim=2)
-        self.axes = torch.stack(tilted(tilt[:, None], x, z), dim=2)
-        x, z = self.carried.unbind(dim=3)
-        self.carried = torch.stack(tilted(tilt[:, None, None, sensors], x, z), dim=3)
 
     def put_on(
         self, count: int, upper: _Moving, joints: Tensor, segments: Tensor, sensors: Tensor
@@ -220,7 +202,6 @@ class MotionBank:
         self.chain = _chain(self.body).to(device)
         self.upper = _upper_body(self.body).to(device)
         self.upper_segments = _upper_segments(self.body, self.upper)
-        self.trunk = _trunk(self.body).to(device)
         self.bone_axes = _bone_axes(corpus, self.body).to(device)
         self.group_of_joint = _group_of_joint(self.body).to(device)
         self.groups = len(bone_groups(self.body.names))
@@ -253,9 +234,6 @@ class MotionBank:
             frames = draw.integers(len(self))
         step = torch.arange(window, device=self.device) - estimated
         moving = self._motion(frames, step, config, draw)
-        hidden = draw.uniform(batch, 1) < config.hide_bones
-        tilt = config.frame_tilt * draw.normal(batch, len(self.trunk)) * ~hidden
-        moving.redefine(tilt * self.trunk, self.body.parents, self.body.sensor_joints)
         scale = 1 + config.overall_scale * draw.normal(batch, 1)
         scale = scale * (1 + config.bone_scale * draw.normal(batch, self.groups))
         factor = scale.clamp(0.6, 1.6)[:, self.group_of_joint]
@@ -275,7 +253,7 @@ class MotionBank:
         p = pose.add_((moving.root + towards_root[:, :, None])[..., None])
         rays, seen, picture = self._observe(p, towards_root, config, draw)
         told = told + config.bone_error * draw.normal(*told.shape)
-        told = torch.where(hidden, torch.nan, told)
+        told = torch.where(draw.uniform(batch, 1) < config.hide_bones, torch.nan, told)
         height = height + config.height_error * draw.normal(batch)
         height = torch.where(draw.uniform(batch) < config.hide_height, torch.nan, height)
         axes, sensed = self._sense(moving.carried, config.sensors, draw)
@@ -422,13 +400,6 @@ def _upper_segments(body: Body, upper: Tensor) -> Tensor:
     children = [kinematics.children_of(body.parents, j) for j in range(len(upper))]
     ends = [bool(upper[(own or [j])[0]]) for j, own in enumerate(children)]
     return torch.tensor(ends, device=upper.device)
-
-
-def _trunk(body: Body) -> Tensor:
-    """(J,) bool: segments in the middle that bones hang on."""
-    return torch.tensor(
-        [j in body.parents and not side_of(name)[0] for j, name in enumerate(body.names)]
-    )
 
 
 def _group_of_joint(body: Body) -> Tensor:
