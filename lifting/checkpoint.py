@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import zipfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from lifting.body import Body, bone_groups
 from lifting.model import NetworkConfig, TemporalNetwork
 from lifting.models import model_of
 from rtof_kin.errors import FileFormatError
+from rtof_kin.io.arrays import check_sizes
 
 FORMAT = "rtof-kin lifter"
 VERSION = 2
@@ -28,6 +30,7 @@ ACKNOWLEDGEMENT = (
     "funding from NSF EIA-0196217."
 )
 _MAX_CHANNELS, _MAX_JOINTS = 4096, 200
+_LARGEST_BYTES = 4 * 2**30
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,11 @@ def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise FileFormatError(path, "no such file; give the path of a trained lifter")
     try:
+        with zipfile.ZipFile(path) as archive:
+            check_sizes(path, archive.infolist(), _LARGEST_BYTES)
         content = torch.load(path, map_location="cpu", weights_only=True)
+    except FileFormatError:
+        raise
     except Exception as error:  # torch raises many types on damaged archives
         first = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise FileFormatError(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 from rtof_kin.errors import FileFormatError
+from rtof_kin.io.text import load_toml
 
 SPLITS = ("train", "validation", "test", "excluded")
 BENCHMARK_SPLIT = Path(__file__).parent.parent / "benchmarks" / "split.toml"
@@ -21,13 +21,8 @@ def read_split(path: str | Path) -> dict[str, str]:
     Raises:
         FileFormatError: not TOML, an unknown list, or a subject in two lists.
     """
-    path = Path(path)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FileFormatError(path, f"not a readable split: {error}") from error
     split_of: dict[str, str] = {}
-    for split, subjects in table.items():
+    for split, subjects in load_toml(path).items():
         if isinstance(subjects, dict):
             continue
         if split not in SPLITS or not isinstance(subjects, list):

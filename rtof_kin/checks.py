@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -63,7 +64,7 @@ def indices_of(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[i
 def checked_names(field: str, names: Sequence[str]) -> tuple[str, ...]:
     """Names as a tuple, none of them twice."""
     names = tuple(map(str, names))
-    double = sorted({name for name in names if names.count(name) > 1})
+    double = sorted(name for name, count in Counter(names).items() if count > 1)
     if double:
         raise ShapeError(f"{field}: {', '.join(double)} stands there more than once")
     return names

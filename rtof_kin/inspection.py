@@ -24,6 +24,7 @@ from rtof_kin.inertial.declaration import Declaration
 from rtof_kin.inertial.files import read_sensor_log
 from rtof_kin.inertial.physics import check_log
 from rtof_kin.inertial.streams import SensorLog, SensorStream
+from rtof_kin.io.arrays import npz_names
 from rtof_kin.io.articulated import ArticulatedMotion
 from rtof_kin.io.asf_amc import read_asf_amc
 from rtof_kin.io.bvh import read_bvh
@@ -105,16 +106,8 @@ def _look(path: Path) -> Callable[[Path], Inspection] | None:
     if path.name == INDEX:
         return lambda index: _recording(index.parent)
     if path.suffix.lower() == ".npz":
-        return _motion if _is_motion(path) else _keypoints
+        return _motion if {"schema_version", "q"} <= set(npz_names(path)) else _keypoints
     return _BY_SUFFIX.get(path.suffix.lower())
-
-
-def _is_motion(path: Path) -> bool:
-    try:
-        with np.load(path) as arrays:
-            return "schema_version" in arrays and "q" in arrays
-    except (OSError, ValueError) as error:
-        raise FileFormatError(path, f"cannot be read as .npz: {error}") from error
 
 
 # --- sensors -------------------------------------------------------------------------------------

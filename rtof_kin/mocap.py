@@ -7,6 +7,7 @@ joint (`mocap_mapping`).
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,8 @@ from rtof_kin import signals
 from rtof_kin.errors import FileFormatError, UnknownNameError
 from rtof_kin.io.asf_amc import read_asf_amc
 from rtof_kin.io.bvh import read_bvh
+from rtof_kin.io.folder import path_inside
+from rtof_kin.io.text import read_text
 from rtof_kin.mocap_families import (
     NAMES,
     PARENTS,
@@ -165,7 +168,8 @@ def read_corpus(
 
     Raises:
         UnknownNameError: a subject is not in the index.
-        FileFormatError: the index lacks a column, or a file is broken.
+        FileFormatError: there is no index, it lacks a column, has a rate that is none or names a file
+            outside the folder, or a file is broken.
     """
     root = Path(root)
     rows = _index_rows(root / "index.csv")
@@ -176,7 +180,7 @@ def read_corpus(
     for row in rows:
         if subjects is not None and row["subject"] not in subjects:
             continue
-        whole = read_mocap(root / row["file"], rate_hz=float(row["fps"]), output_rate_hz=None)
+        whole = read_mocap(root / row["file"], rate_hz=_rate(root, row), output_rate_hz=None)
         whole = _on_floor(
             replace(whole, subject=row["subject"], category=row["tc_like"], quality=row["quality"])
         )
@@ -188,13 +192,32 @@ def read_corpus(
 
 def _index_rows(path: Path) -> list[dict[str, str]]:
     """Rows of motions (not of skeletons), corrected and checked for the columns that are used."""
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        lacking = {"file", "subject", "tc_like", "fps", "quality"} - set(reader.fieldnames or ())
+    columns = ("file", "subject", "tc_like", "fps", "quality")
+    reader = csv.DictReader(io.StringIO(read_text(path, "a CSV file"), newline=""), restval="")
+    try:
+        lacking = set(columns) - set(reader.fieldnames or ())
         if lacking:
             raise FileFormatError(path, f"no column {', '.join(sorted(lacking))}", 1)
-        rows = [row for row in reader if row["tc_like"] != "skeleton"]
-    return [{**row, **CORRECTIONS.get(row["file"], {})} for row in rows]
+        rows = [{column: row[column] for column in columns} for row in reader]
+    except csv.Error as error:
+        raise FileFormatError(path, f"not a readable CSV file: {error}") from error
+    for row in rows:
+        if path_inside(path.parent, row["file"]) is None:
+            raise FileFormatError(path, f"{row['file'][:100]!r} is no file inside this folder")
+    motions = [row for row in rows if row["tc_like"] != "skeleton"]
+    return [{**row, **CORRECTIONS.get(row["file"], {})} for row in motions]
+
+
+def _rate(root: Path, row: dict[str, str]) -> float:
+    """The index' frames per second."""
+    try:
+        rate_hz = float(row["fps"])
+    except ValueError:
+        rate_hz = np.nan
+    if not 1e-3 < rate_hz < 1e6:
+        problem = f"{row['file']}: fps is {row['fps'][:40]!r}, not a number of frames per second"
+        raise FileFormatError(root / "index.csv", problem)
+    return rate_hz
 
 
 def _on_floor(clip: MocapClip) -> MocapClip:

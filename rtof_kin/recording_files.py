@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from rtof_kin.errors import (
     UnknownNameError,
 )
 from rtof_kin.io.arrays import read_csv, read_npz
+from rtof_kin.io.folder import path_inside
 from rtof_kin.io.section import Section
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import Camera, KeypointSequence, PoseSequence
@@ -46,10 +47,9 @@ def naming(path: Path) -> Iterator[None]:
 def data_path(section: Section, or_folder: bool = False) -> Path:
     """The file (or folder) that a section's field ``file`` names, inside the recording's folder."""
     name = section.text("file")
-    parts = PurePosixPath(name.replace("\\", "/"))
-    if parts.is_absolute() or ".." in parts.parts or ":" in name or not parts.parts:
+    path = path_inside(section.path.parent, name)
+    if path is None:
         raise section.error("file", f"{name!r} leads out of the folder; name a file inside it")
-    path = section.path.parent.joinpath(*parts.parts)
     if not path.is_file() and not (or_folder and path.is_dir()):
         raise section.error("file", f"there is no file {path}; put it there or correct the name")
     return path

@@ -153,7 +153,7 @@ def to_quat_wxyz(R: ArrayLike) -> Array:
 def is_rotation(R: ArrayLike, tolerance: float = 1e-6) -> bool:
     """Whether all of R (..., 3, 3) are orthonormal and right-handed to `tolerance`; NaN is not."""
     R = np.asarray(R, dtype=float)
-    if not np.all(np.isfinite(R)):
+    if not np.all(np.abs(R) <= 1 + tolerance):  # as it is where one is NaN or infinite
         return False
     error = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3))
     return bool(np.all(error < tolerance) and np.all(np.linalg.det(R) > 0))

@@ -21,12 +21,14 @@ from rtof_kin import kinematics
 from rtof_kin import rotations as so3
 from rtof_kin.checks import indices_of, readonly
 from rtof_kin.errors import FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.io.text import read_text
 from rtof_kin.resources import model_path
 from rtof_kin.skeleton_table import SkeletonTable, read_skeleton_table
 from rtof_kin.types import PoseSequence
 from rtof_kin.urdf import to_urdf
 
 Array = NDArray[np.float64]
+_LARGEST_URDF = 16 * 2**20
 SINGULAR_MARGIN = np.radians(5.0)
 """A posture this near to a middle angle of +-90 degrees is flagged as singular."""
 
@@ -121,10 +123,10 @@ class SkeletonModel:
             FileFormatError: not a URDF, or not one of this skeleton.
         """
         facts = read_skeleton_table(table or model_path("skeleton.toml"))
+        text = read_text(path, "a URDF", _LARGEST_URDF)
         try:
-            text = Path(path).read_text(encoding="utf-8")
             loaded = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
-        except (OSError, UnicodeDecodeError, ValueError, RuntimeError) as error:
+        except (ValueError, RuntimeError) as error:
             raise FileFormatError(path, f"not a readable URDF: {error}") from error
         offsets = np.zeros_like(facts.offsets)
         for i, joint in enumerate(facts.joints[1:], start=1):

@@ -6,7 +6,6 @@ knows how many joints there are: Human3.6M's 17 are another table read by the sa
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body_mass import SEGMENTS, SEXES
 from rtof_kin.errors import FileFormatError
+from rtof_kin.io.text import load_toml
 
 Array = NDArray[np.float64]
 
@@ -137,10 +137,7 @@ def read_skeleton_table(path: str | Path) -> SkeletonTable:
             no length, a name used twice, an unknown joint, sex or mass segment.
     """
     path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FileFormatError(path, f"not a readable skeleton table: {error}") from error
+    data = load_toml(path)
     try:
         joints = tuple(_joint(path, entry) for entry in data["joint"])
         table = SkeletonTable(

@@ -1,4 +1,4 @@
-"""Every reader of the package with a small valid example, and ways to damage one.
+"""Every reader of the package with a small valid example.
 
 To add a reader, add a line to `READERS`: a name, the example's files by their names in a folder, and how
 to read that folder. `test_fuzz_readers` damages each file of it in turn.
@@ -7,15 +7,10 @@ to read that folder. `test_fuzz_readers` damages each file of it in turn.
 from __future__ import annotations
 
 import io
-import re
-import resource
-import signal
 import tempfile
-import zipfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +19,6 @@ import lifting_support
 import numpy as np
 import planted
 import total_capture_support
-from hypothesis import strategies as st
 from scipy.io import savemat
 
 from lifting.checkpoint import load_checkpoint, save_checkpoint
@@ -37,8 +31,9 @@ from rtof_kin.detectors.adapter import read_gaussian
 from rtof_kin.detectors.files import read_detector_file
 from rtof_kin.detectors.layouts import detector_table, read_detector_table
 from rtof_kin.inertial.files import read_sensor_log
+from rtof_kin.inspection import inspect
 from rtof_kin.io import total_capture
-from rtof_kin.io.arrays import read_csv, read_npz, write_npz
+from rtof_kin.io.arrays import read_csv, read_npz
 from rtof_kin.io.asf_amc import read_asf_amc
 from rtof_kin.io.bvh import read_bvh
 from rtof_kin.io.c3d import read_c3d, write_c3d
@@ -58,10 +53,6 @@ from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.skeleton_table import read_skeleton_table
 
 DATA = Path(__file__).parent / "data"
-CPU_SECONDS = 5.0
-"""No reader may take longer over a damaged small file."""
-MEMORY_BYTES = 2**30
-"""Nor set aside more than this."""
 Files = Mapping[str, bytes]
 
 
@@ -71,9 +62,14 @@ class Reader:
 
     name: str
     example: Callable[[], Files]
-    """Contents by name in a folder."""
+    """Makes contents by name in a folder."""
     read: Callable[[Path], Any]
     """From that folder."""
+
+    @cached_property
+    def files(self) -> Files:
+        """The example, made once."""
+        return self.example()
 
     def __str__(self) -> str:
         return self.name
@@ -103,11 +99,11 @@ def npz(**arrays: Any) -> bytes:
 
 @cache
 def motion() -> Any:
-    return planted.moving(SkeletonModel.default(), 4)
+    return planted.moving(SKELETON, 4)
 
 
 def recording(folder: Path) -> None:
-    planted.recording(planted.moving(SkeletonModel.default(), 12)).save(folder / "take")
+    planted.recording(planted.moving(SKELETON, 12)).save(folder / "take")
 
 
 def _markers() -> MarkerSequence:
@@ -125,9 +121,10 @@ def _human36m() -> Files:
 
 
 def _read_human36m(folder: Path) -> Any:
-    data = Human36M(folder)
-    archives = data._archives
-    return [archives.positions("S9", "Action 0"), archives.keypoints("S9", "Action 0", 0), data.cameras]
+    both = [Human36M(folder, keypoints=kind) for kind in ("gt", "cpn_ft_h36m_dbb")]
+    take = "S9", "Action 0"
+    seen = [data._archives.keypoints(*take, 0) for data in both]
+    return both[0].cameras, both[0]._archives.positions(*take), seen
 
 
 @cache
@@ -161,12 +158,10 @@ T: [ 0.5, 1.5, 4. ]
 SENSOR_CSV = b"time,A_fx,A_fy,A_fz,A_wx,A_wy,A_wz,A_qw,A_qx,A_qy,A_qz\n" + b"".join(
     b"%.2f,0.1,0.2,9.8,0.01,0.02,0.03,1,0,0,0\n" % (i / 100) for i in range(6)
 )
-MT = b"// Start Time: Unknown\n// Update Rate: 100.0Hz\n" + b"\t".join(
-    [b"PacketCounter", b"SampleTimeFine", b"Acc_X", b"Acc_Y", b"Acc_Z"]
-    + [b"Gyr_X", b"Gyr_Y", b"Gyr_Z", b"Quat_q0", b"Quat_q1", b"Quat_q2", b"Quat_q3"]
-) + b"\n" + b"".join(
+MT = b"// Update Rate: 100.0Hz\nPacketCounter\tSampleTimeFine\tAcc_X\tAcc_Y\tAcc_Z"
+MT += b"\tGyr_X\tGyr_Y\tGyr_Z\tQuat_q0\tQuat_q1\tQuat_q2\tQuat_q3\n" + b"".join(
     b"%05d\t\t0.1\t0.2\t9.8\t0.01\t0.02\t0.03\t1.0\t0.0\t0.0\t0.0\n" % (100 + i) for i in range(6)
-)  # fmt: skip
+)
 DOT = b"DeviceTag:,D1\nOutputRate:,60Hz\n\nPacketCounter,SampleTimeFine,Quat_W,Quat_X,Quat_Y,Quat_Z,"
 DOT += b"FreeAcc_X,FreeAcc_Y,FreeAcc_Z\n" + b"".join(
     b"%d,%d,1.0,0.0,0.0,0.0,0.1,0.2,0.3\n" % (i, 5000 + 16667 * i) for i in range(6)
@@ -217,8 +212,13 @@ def log(name: str, content: Callable[[], bytes] | bytes) -> Reader:
     return Reader(f"sensors {name}", one(name, content), read_sensor_log)
 
 
+def looked_at(name: str, example: Callable[[], Files]) -> Reader:
+    """A file or folder that `inspect` looks at."""
+    return Reader(f"inspect {name}", example, lambda folder: inspect(folder / name))
+
+
 UV = np.random.default_rng(1).uniform(100, 900, (4, 21, 2))
-CAMERA = planted.camera()
+CAMERA, SKELETON = planted.camera(), SkeletonModel.default()
 READERS = (
     Reader("npz", one("a.npz", lambda: npz(a=UV, b=np.eye(3))), lambda d: read_npz(d / "a.npz")),
     Reader("csv", one("a.csv", b"time,b\n0.0,1e3\n0.1,\n0.2,-3\n"), lambda d: read_csv(d / "a.csv")),
@@ -229,7 +229,7 @@ READERS = (
     ),
     Reader(
         "joint trajectory",
-        one("a.csv", lambda: made_by(lambda d: write_joint_trajectory_csv(d / "a.csv", motion()))["a.csv"]),
+        lambda: made_by(lambda d: write_joint_trajectory_csv(d / "a.csv", motion())),
         lambda d: read_joint_trajectory_csv(d / "a.csv"),
     ),
     Reader(
@@ -238,7 +238,10 @@ READERS = (
         lambda d: read_object_npz(d / "a.npz", ["a"]),
     ),
     # --- motion capture
-    Reader("BVH", one("a.bvh", lambda: real("mocap", "10_01_excerpt.bvh")), lambda d: read_bvh(d / "a.bvh")),
+    Reader(
+        "BVH", one("a.bvh", lambda: real("mocap", "10_01_excerpt.bvh")),
+        lambda d: read_bvh(d / "a.bvh"),
+    ),
     Reader(
         "ASF and AMC",
         lambda: {"a.asf": real("mocap", "16.asf"), "a.amc": real("mocap", "16_15.amc")},
@@ -300,7 +303,7 @@ READERS = (
     Reader(
         "dataset detections",
         lambda: {"S5_acting3_cam1.npz": npz(uv_px=UV[:, :2]), "landmarks.txt": b"Hips\nLeftArm\n"},
-        lambda d: read_detections(d, "S5", "acting3", 1, CAMERA),
+        lambda d: read_detections(d, "S5", "acting3", 1, CAMERA, SKELETON),
     ),
     # --- detectors
     Reader("OpenPose", one("p_0_keypoints.json", OPENPOSE), lambda d: read_detector_file(d)),
@@ -316,7 +319,10 @@ READERS = (
             b'{"x": 0.75, "y": 0.25, "visibility": 0.5}]}]}'),
         lambda d: read_detector_file(d / "a.json", 640, 480),
     ),
-    Reader("detector npz", one("a.npz", lambda: npz(uv_px=UV)), lambda d: read_detector_file(d / "a.npz")),
+    Reader(
+        "detector npz", one("a.npz", lambda: npz(uv_px=UV)),
+        lambda d: read_detector_file(d / "a.npz"),
+    ),
     Reader(
         "detector npy", lambda: made_by(lambda d: np.save(d / "a.npy", UV)),
         lambda d: read_detector_file(d / "a.npy"),
@@ -338,6 +344,10 @@ READERS = (
         "point distribution", one("a.npz", lambda: model_path("detectors.npz").read_bytes()),
         lambda d: read_gaussian(d / "a.npz", detector_table()),
     ),
+    Reader(
+        "URDF", one("a.urdf", lambda: model_path("skeleton.urdf").read_bytes()),
+        lambda d: SkeletonModel.from_urdf(d / "a.urdf"),
+    ),
     Reader("recording", lambda: made_by(recording), lambda d: Recording.load(d / "take")),
     # --- learning
     Reader("lifter", _lifter, lambda d: load_checkpoint(d / "a.pt")),
@@ -356,6 +366,14 @@ READERS = (
     log("a.mvnx", MVNX),
     log("a.mat", _mat),
     log("s1_Xsens.sensors", lambda: total_capture_file("_xsens.sensors")),
+    # --- any of them
+    looked_at("motion.npz", lambda: made_by(lambda d: write_motion_npz(d / "motion.npz", motion()))),
+    looked_at("a.trc", lambda: made_by(lambda d: write_trc(d / "a.trc", _markers()))),
+    looked_at("a.c3d", lambda: made_by(lambda d: write_c3d(d / "a.c3d", _markers()))),
+    looked_at("a.bvh", one("a.bvh", lambda: real("mocap", "10_01_excerpt.bvh"))),
+    looked_at("a.yml", one("a.yml", OPENCV)),
+    looked_at("a.csv", one("a.csv", SENSOR_CSV)),
+    looked_at("take", lambda: made_by(recording)),
     Reader("MVNX", one("a.mvnx", MVNX), lambda d: read_mvnx_file(d / "a.mvnx")),
 )  # fmt: skip
 
@@ -365,105 +383,3 @@ def write_files(folder: Path, files: Files) -> None:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
-
-
-# --- damage --------------------------------------------------------------------------------------
-
-NUMBER = re.compile(rb"-?\d+(\.\d*)?([eE][-+]?\d+)?")
-EXTREME = (
-    b"1e400", b"NaN", b"-1", b"0", b"999999999999", b"text", b"", b"inf", b"1e300", b"-1e-300",
-    b"9" * 5000, b"0x10", b"null", b"[]", b"{}", b"\xb5", b"true", b'"', b"-0.5",
-)  # fmt: skip
-JUNK = (b"\0", b"\0" * 64, b"\xff\xfe", b"\xb5", b"\r", b"\n", b"\t", b'"', b"{", b"[" * 3000, b"(" * 3000)
-"""What is put somewhere: NULs, bytes that are not UTF-8, line ends, brackets."""
-
-
-class Content(bytes):
-    """A file's content, named in a failure by its size: the file itself stays in the test's folder."""
-
-    def __repr__(self) -> str:
-        return f"<{len(self)} bytes>"
-
-
-@st.composite
-def damaged(draw: st.DrawFn, content: bytes) -> Content:
-    """A file's content with one kind of damage."""
-    archive = content[:2] == b"PK" and draw(st.booleans())
-    return Content(_damaged_member(draw, content) if archive else _damaged(draw, content))
-
-
-def _damaged(draw: st.DrawFn, content: bytes) -> bytes:
-    at = draw(st.integers(0, max(len(content) - 1, 0)))
-    kind = draw(st.sampled_from(
-        ["numbers", "bytes", "cut", "junk", "swap", "repeat", "drop", "other"]
-    ))  # fmt: skip
-    if kind == "numbers":
-        numbers = list(NUMBER.finditer(content[:200_000]))
-        for found in sorted(draw(st.lists(st.sampled_from(numbers), max_size=3)) if numbers else [],
-                            key=lambda m: -m.start()):  # fmt: skip
-            extreme = draw(st.sampled_from(EXTREME))
-            content = content[: found.start()] + extreme + content[found.end() :]
-        return content
-    if kind == "bytes":
-        return content[:at] + draw(st.binary(min_size=1, max_size=4)) + content[at + 2 :]
-    if kind == "cut":
-        return content[:at]
-    if kind == "junk":
-        return content[:at] + draw(st.sampled_from(JUNK)) + content[at:]
-    if kind == "other":
-        return draw(st.one_of(st.just(b""), st.binary(max_size=300), st.text(max_size=50).map(str.encode)))
-    lines = content.split(b"\n")
-    i, j = (draw(st.integers(0, len(lines) - 1)) for _ in range(2))
-    if kind == "swap":
-        lines[i], lines[j] = lines[j], lines[i]
-    elif kind == "repeat":
-        lines[j:j] = lines[i : i + 3]
-    else:
-        del lines[i]
-    return b"\n".join(lines)
-
-
-def _damaged_member(draw: st.DrawFn, content: bytes) -> bytes:
-    """An archive that is sound but for what is in one of its members, or for a member left out."""
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    name = draw(st.sampled_from(sorted(members)))
-    if draw(st.integers(0, 9)) == 0:
-        del members[name]
-    else:
-        members[name] = _damaged(draw, members[name])
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        for member, data in members.items():
-            archive.writestr(member, data)
-    return stream.getvalue()
-
-
-# --- limits --------------------------------------------------------------------------------------
-
-
-class TooSlowError(BaseException):
-    """A reader that took longer than `CPU_SECONDS`; no reader's ``except Exception`` stops it."""
-
-
-@contextmanager
-def bounded() -> Iterator[None]:
-    """Limits of time and memory for what runs inside."""
-
-    def stop(*_: object) -> None:
-        raise TooSlowError(f"more than {CPU_SECONDS} s")
-
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    before = signal.signal(signal.SIGPROF, stop)
-    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_BYTES, hard))
-    signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
-        signal.signal(signal.SIGPROF, before)
-
-
-__all__ = ["READERS", "Reader", "bounded", "damaged", "made_by", "npz", "write_files", "write_npz"]

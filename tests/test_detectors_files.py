@@ -227,7 +227,7 @@ def test_zeros_and_nan_are_unseen_and_odd_confidences_are_cut(tmp_path: Path) ->
 
 BROKEN: dict[str, tuple[str, Any, str]] = {
     "no json": ("p.json", "{", "p.json, line 1: not readable as JSON"),
-    "not text": ("p.json", b"\xff\xfe\x00", "not readable as JSON"),
+    "not text": ("p.json", b"\xff\xfe\x00", "not a text file in UTF-8"),
     "deep": ("p.json", "[" * 100000, "not readable as JSON"),
     "number": ("p.json", "3", "holds a number, not people's keypoints"),
     "text": ("p.json", '["a"]', "frame 0: holds text, not people"),
@@ -250,7 +250,7 @@ BROKEN: dict[str, tuple[str, Any, str]] = {
     "no image": ("p.json", json.dumps([{"image_id": "x.jpg", "keypoints": [9, 9, 1]}]), "has no number"),
     "unknown table": ("p.json", '{"results": 3}', "'results' is no frame's name"),
     "no npz": ("p.npz", b"PK\x03\x04", "damaged, or no NPZ archive"),
-    "no npy": ("p.npy", b"\x93NUMPY\x01\x00", "damaged, or no array of numbers"),
+    "no npy": ("p.npy", b"\x93NUMPY\x01\x00", "not a NumPy array"),
     "suffix": ("p.yaml", "a: 1", "not one of .json, .npz, .npy, .csv"),
     "csv column": ("p.csv", "time,nose\n0,1\n", "column 'nose': expected time"),
     "csv half": ("p.csv", "time,nose_x\n0,1\n", "point nose: has no column of y"),
@@ -298,7 +298,7 @@ def test_arrays_that_do_not_fit_are_refused(
 
 def test_pickles_are_never_opened(tmp_path: Path) -> None:
     np.save(tmp_path / "p.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    with pytest.raises(FileFormatError, match="no array of numbers"):
+    with pytest.raises(FileFormatError, match="pickled objects are never read"):
         read_detector_file(tmp_path / "p.npy")
     np.savez(tmp_path / "p.npz", keypoints=np.array([{"a": 1}], dtype=object))
     with pytest.raises(FileFormatError, match="pickled objects are never read"):
@@ -309,7 +309,7 @@ def test_a_header_cannot_claim_memory_that_the_file_does_not_fill(tmp_path: Path
     path = tmp_path / "p.npy"
     np.save(path, np.zeros((4, 17, 3)))
     path.write_bytes(path.read_bytes().replace(b"(4, 17, 3)", b"(999999,9)"))
-    with pytest.raises(FileFormatError, match="no array of numbers"):
+    with pytest.raises(FileFormatError, match="needs 71999928 bytes, 1760 are there"):
         read_detector_file(path)
 
 
@@ -317,7 +317,7 @@ def test_files_that_are_too_large_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(json_files, "LARGEST_JSON", 10)
-    with pytest.raises(FileFormatError, match="larger than 0 MiB; write one file a frame"):
+    with pytest.raises(FileFormatError, match="larger than 0 MiB, .*; write one file a frame"):
         read_detector_file(dumped(tmp_path, frames("people", "keypoints")))
 
 

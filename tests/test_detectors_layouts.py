@@ -99,7 +99,7 @@ def test_an_unknown_layout_is_named_with_those_known() -> None:
         ('name = "HeadTop"\njoint', 'name = "Nose"\njoint', "Nose stands there twice"),
         ("[seen_by]", "[seen_by]\nTail = []", "landmark in .*Tail"),
         ('from = "Hips"', 'from = "Hip"', "joint in .*'Hip'"),
-        ("[naive]", "naive", "not a readable table of detectors"),
+        ("[naive]", "naive", "not readable as TOML"),
     ],
 )  # fmt: skip
 def test_a_broken_table_is_refused_by_name(
@@ -114,5 +114,5 @@ def test_a_broken_table_is_refused_by_name(
 
 
 def test_a_table_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="not a readable table"):
+    with pytest.raises(FileFormatError, match="there is no such file"):
         read_detector_table(tmp_path / "none.toml")

@@ -131,6 +131,7 @@ def test_a_real_file_keeps_its_numbers_when_written_again(tmp_path: Path) -> Non
         ("Left heel\t\t\t", "Left\theel\t\t", 4, "'heel' between"),
         ("\t4\t5\t6", "\t4\t5", 8, "7 cells where there are 8 columns"),
         ("\t4\t5\t6", "\t4\t5\tx", 8, "not a number"),
+        ("\t4\t5\t6", "\t4\t5\tinf", 8, "a number is infinite; leave the cells of a gap empty"),
         ("\t50\t2\t2\t", "\t50\t3\t2\t", 8, "announces 3 frames and 2 follow; is the file cut off"),
     ],
 )

@@ -151,7 +151,7 @@ def test_a_table_that_is_none_is_refused_with_its_name(tmp_path: Path, text: str
 
 def test_bytes_that_are_no_text_and_files_that_are_none_are_refused(tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_bytes(b"time,\xff\xfe\n1,2\n")
-    with pytest.raises(FileFormatError, match=r"walk\.csv: not a readable CSV file"):
+    with pytest.raises(FileFormatError, match=r"walk\.csv: not a text file in UTF-8"):
         read_joint_trajectory_csv(tmp_path / "walk.csv")
     with pytest.raises(FileFormatError, match=r"none\.csv: there is no such file"):
         read_joint_trajectory_csv(tmp_path / "none.csv")

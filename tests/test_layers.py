@@ -15,14 +15,15 @@ import pytest
 ROOT = Path(__file__).parent.parent
 ROWS = """
 errors   plausibility
-rotations   resources   body_mass
+rotations   resources   body_mass   io
+io.text
 signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_code
 levenberg_marquardt   banded   lanes
 types   urdf
 skeleton
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position
 fragment_problem   fragment_solution   joint_space   joint_space.settings
-io   io.arrays   io.articulated   io.folder   io.markers   io.pickled   io.section   io.text
+io.arrays   io.articulated   io.folder   io.markers   io.pickled   io.section
 io.world_axes
 io.asf_amc   io.bvh   io.c3d   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
 io.total_capture   io.trc   inertial   inertial.declaration

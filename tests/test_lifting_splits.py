@@ -21,7 +21,7 @@ def test_a_split_is_read_by_subject(tmp_path: Path) -> None:
         ('vaildation = ["a"]', "'vaildation' is no list of one of: train"),
         ('test = "a"', "'test' is no list"),
         ('test = ["a"]\nvalidation = ["a"]', "subject a stands in two lists"),
-        ("test = [", "not a readable split"),
+        ("test = [", "not readable as TOML"),
     ],
 )
 def test_wrong_splits_are_refused(tmp_path: Path, text: str, message: str) -> None:

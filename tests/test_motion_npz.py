@@ -154,7 +154,7 @@ def test_an_array_that_does_not_fit_is_refused_with_the_file(
 
 def test_pickled_objects_are_never_read(path: Path) -> None:
     changed(path, mode=np.array({"code": print}, dtype=object))
-    with pytest.raises(FileFormatError, match="damaged, or no motion.npz"):
+    with pytest.raises(FileFormatError, match="mode: holds object.*pickled objects are never"):
         read_motion_npz(path)
 
 
@@ -243,10 +243,10 @@ def test_a_file_that_would_fill_the_memory_is_refused_before_it_does(path: Path)
     end[8:10] = end[10:12] = (3).to_bytes(2, "little")
     end[12:16] = (3 * len(entry)).to_bytes(4, "little")
     path.write_bytes(body + bytes(end))
-    with pytest.raises(FileFormatError, match="would fill more than 8 GiB of memory"):
+    with pytest.raises(FileFormatError, match="would fill more than 8192 MiB of memory"):
         read_motion_npz(path)
 
 
 def test_a_folder_is_no_motion(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="damaged, or no motion"):
+    with pytest.raises(FileFormatError, match="a folder, not an NPZ archive"):
         read_motion_npz(tmp_path)

@@ -559,7 +559,7 @@ def test_a_damaged_archive_is_refused_with_its_name(
 
 
 def test_a_folder_is_no_archive(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="damaged, or no NPZ archive"):
+    with pytest.raises(FileFormatError, match="a folder, not an NPZ archive"):
         read_object_npz(tmp_path, ["a"])
 
 

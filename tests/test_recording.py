@@ -460,7 +460,7 @@ def test_a_folder_that_is_no_recording_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=r"nowhere.*there is no such file"):
         Recording.load(tmp_path / "nowhere")
     (tmp_path / INDEX).write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(FileFormatError, match="not readable as TOML"):
+    with pytest.raises(FileFormatError, match="not a text file in UTF-8, so not TOML"):
         Recording.load(tmp_path)
 
 
@@ -649,7 +649,7 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "line 1: empty; its first line names the columns"),
+        ("", "line 1: empty; expected a CSV file; its first line names"),
         ("time;Hips_u_px;Hips_v_px\n", "line 1: separated by ';'"),
         ("time,Hips_u_px\n0,1\n", "line 1: the column 'Hips_v_px' is missing"),
         ("time,Hips_x,Hips_y\n0,1,2\n", "line 1: column 'Hips_x': expected 'time'"),

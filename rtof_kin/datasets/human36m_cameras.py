@@ -13,7 +13,6 @@ OpenCV's differ by 0.1 px where people stand, by up to 1.4 px in the corners of 
 from __future__ import annotations
 
 import ast
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from rtof_kin import rotations as so3
 from rtof_kin.checks import readonly
 from rtof_kin.errors import FileFormatError, ShapeError, UnitError
+from rtof_kin.io.text import load_json, measurable, read_text
 from rtof_kin.types import Camera
 
 Array = NDArray[np.float64]
@@ -53,17 +53,7 @@ def read_cameras(path: str | Path) -> dict[str, dict[int, Camera]]:
             path, "not a file of cameras; name the JSON file of camera parameters or VideoPose3D's "
             "h36m_dataset.py"
         )  # fmt: skip
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise FileFormatError(
-                path, f"larger than {_LARGEST_FILE >> 20} MiB, so no list of cameras"
-            )
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileFormatError(path, f"not readable as text: {error}") from error
-    cameras = readers[path.suffix.lower()](path, text)
+    cameras = readers[path.suffix.lower()](path)
     if not cameras:
         raise FileFormatError(path, "there is no camera of any subject in it")
     return cameras
@@ -72,12 +62,8 @@ def read_cameras(path: str | Path) -> dict[str, dict[int, Camera]]:
 # --- the JSON file -------------------------------------------------------------------------------
 
 
-def _read_json(path: Path, text: str) -> dict[str, dict[int, Camera]]:
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, f"not readable as JSON: {error}") from error
-    top = _table(path, "the file", data)
+def _read_json(path: Path) -> dict[str, dict[int, Camera]]:
+    top = _table(path, "the file", load_json(path, _LARGEST_FILE))
     intrinsics = _table(path, "intrinsics", top.get("intrinsics"))
     cameras: dict[str, dict[int, Camera]] = {}
     for subject, entries in _table(path, "extrinsics", top.get("extrinsics")).items():
@@ -112,7 +98,8 @@ def _json_camera(path: Path, number: int, where: str, intrinsic: Any, extrinsic:
 # --- VideoPose3D's source ------------------------------------------------------------------------
 
 
-def _read_source(path: Path, text: str) -> dict[str, dict[int, Camera]]:
+def _read_source(path: Path) -> dict[str, dict[int, Camera]]:
+    text = read_text(path, "a list of cameras", _LARGEST_FILE)
     intrinsics, extrinsics = (_literal(path, text, name) for name in _TABLES)
     if not isinstance(intrinsics, list) or len(intrinsics) != len(CAMERA_IDS):
         raise FileFormatError(path, f"{_TABLES[0]} is not a list of four cameras")
@@ -195,9 +182,10 @@ def _array(
         array = np.array(table[field], dtype=np.float64)
     except KeyError as error:
         raise FileFormatError(path, f"{where}: {field} is missing") from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise FileFormatError(path, f"{where}: {field} is not made of numbers ({error})") from error
-    if (shape is not None and array.shape != shape) or not np.all(np.isfinite(array)):
+    finite = np.all(np.isfinite(array)) and measurable(array)
+    if (shape is not None and array.shape != shape) or not finite:
         raise FileFormatError(
             path, f"{where}: {field} is not finite, or not of shape {shape}: {array.shape}"
         )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS, read_cameras
 from rtof_kin.errors import FileFormatError, UnknownNameError
 from rtof_kin.io.object_npz import read_object_npz
+from rtof_kin.io.text import LARGEST_NUMBER
 from rtof_kin.types import Camera
 
 Array = NDArray[np.float64]
@@ -144,5 +145,6 @@ def _numbers(path: Path, where: str, value: Any, shape: tuple[int, int]) -> Arra
         raise FileFormatError(
             path, f"{where}: expected shape (T, {shape[0]}, {shape[1]}), got {have}"
         )
-    numbers = value.astype(np.float64)
-    return np.where(np.isfinite(numbers), numbers, np.nan)
+    with np.errstate(invalid="ignore"):  # some NaNs are said to be invalid when they are cast
+        numbers = value.astype(np.float64)
+    return np.where(np.abs(numbers) <= LARGEST_NUMBER, numbers, np.nan)

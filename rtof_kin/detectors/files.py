@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from rtof_kin.detectors.detections import Detections
 from rtof_kin.detectors.json_files import read_json, read_json_folder
 from rtof_kin.errors import FileFormatError, ShapeError
-from rtof_kin.io.arrays import LARGEST_BYTES, read_csv, read_npz
+from rtof_kin.io.arrays import read_csv, read_npy, read_npz
 
 Array = NDArray[np.float64]
 FORMATS = (".json", ".npz", ".npy", ".csv")
@@ -75,23 +75,10 @@ def _read(path: Path) -> Detections:
         return read_json(path)
     if suffix == ".csv":
         return _of_columns(path)
-    return _of_arrays(path, {"keypoints": _read_npy(path)} if suffix == ".npy" else read_npz(path))
+    return _of_arrays(path, {"keypoints": read_npy(path)} if suffix == ".npy" else read_npz(path))
 
 
 # --- arrays --------------------------------------------------------------------------------------
-
-
-def _read_npy(path: Path) -> Array:
-    """A plain array; mapped first, so that a header cannot claim memory that the file does not fill."""
-    try:
-        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-        if mapped.dtype.kind not in "fiu":
-            raise ValueError(f"it holds {mapped.dtype}, not numbers")
-        if 8 * mapped.size > LARGEST_BYTES:
-            raise ValueError(f"it would fill more than {LARGEST_BYTES >> 20} MiB of memory")
-        return np.array(mapped, dtype=np.float64)
-    except (OSError, ValueError, EOFError, SyntaxError, AttributeError) as error:
-        raise FileFormatError(path, f"damaged, or no array of numbers: {error}") from error
 
 
 def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:

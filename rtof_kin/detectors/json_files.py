@@ -6,7 +6,6 @@ values are read; nothing in a file is ever executed.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -18,10 +17,12 @@ from numpy.typing import NDArray
 
 from rtof_kin.detectors.detections import NO_IDENTITY, Detections, Person
 from rtof_kin.errors import FileFormatError, ShapeError
+from rtof_kin.io.text import load_json
 
 Array = NDArray[np.float64]
 LARGEST_JSON = 256 * 2**20
 """A JSON file larger than this many bytes is refused."""
+_WHAT = "JSON of moderate size; write one file a frame, or .npz"
 _PEOPLE = ("people", "bodies", "instances")
 _POINTS = (
     "pose_keypoints_2d",
@@ -35,26 +36,6 @@ _SCORES = ("keypoint_scores", "visibility", "confidence", "score", "presence")
 _IDENTITY = ("idx", "track_id", "person_id", "instance_id")
 _MOST_FRAMES_EACH = 100
 """Frame numbers may leave gaps, but not so many per frame that is there."""
-
-
-def load_json(path: Path) -> Any:
-    """What a JSON file holds.
-
-    Raises:
-        FileFormatError: no such file, too large, or not JSON.
-    """
-    try:
-        if path.stat().st_size > LARGEST_JSON:
-            raise FileFormatError(
-                path, f"larger than {LARGEST_JSON >> 20} MiB; write one file a frame, or .npz"
-            )
-        return json.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
-    except json.JSONDecodeError as error:
-        raise FileFormatError(path, f"not readable as JSON: {error.msg}", error.lineno) from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise FileFormatError(path, f"not readable as JSON: {error}") from error
 
 
 def read_json_folder(folder: Path) -> Detections:
@@ -73,14 +54,14 @@ def read_json_folder(folder: Path) -> Detections:
                 path, "its name has no frame number, or another file has the same; keep one video's "
                 "files in a folder, named e.g. walk_000000000012_keypoints.json"
             )  # fmt: skip
-        frames[number] = _people(path, load_json(path), "frame")
+        frames[number] = _people(path, load_json(path, LARGEST_JSON, _WHAT), "frame")
     first = min(frames)
     return _detections(folder, {number - first: people for number, people in frames.items()})
 
 
 def read_json(path: Path) -> Detections:
     """One file with one or many frames."""
-    data = load_json(path)
+    data = load_json(path, LARGEST_JSON, _WHAT)
     if (
         isinstance(data, list)
         and data

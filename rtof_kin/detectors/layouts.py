@@ -6,7 +6,6 @@ A detector's point is no joint centre: it is a landmark of its own in a segment'
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.errors import FileFormatError, UnknownNameError
+from rtof_kin.io.text import load_toml
 from rtof_kin.resources import model_path
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.skeleton_table import Landmark
@@ -107,8 +107,8 @@ def read_detector_table(path: str | Path) -> DetectorTable:
         UnknownNameError: a point, or a joint or landmark of the shipped skeleton, that there is not.
     """
     path = Path(path)
+    data = load_toml(path)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
         points = tuple(point for entry in data["point"] for point in _point(entry))
         table = DetectorTable(
             path=path,
@@ -118,8 +118,6 @@ def read_detector_table(path: str | Path) -> DetectorTable:
             naive=_naive(data["naive"]),
             naive_between=_between(data["naive_between"]),
         )
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FileFormatError(path, f"not a readable table of detectors: {error}") from error
     except KeyError as error:
         raise FileFormatError(path, f"the field {error} is missing") from error
     except (AttributeError, TypeError, ValueError) as error:

@@ -7,22 +7,29 @@ before the size that a header claims has been compared with the bytes that are t
 from __future__ import annotations
 
 import csv
+import io
 import math
+import warnings
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError
+from rtof_kin.io.text import LARGEST_NUMBER, check_file, measurable, read_text
 
 Array = NDArray[np.float64]
 LARGEST_BYTES = 4 * 2**30
 """Arrays that would fill more memory than this many bytes are refused."""
 _LARGEST_CSV = 2**30
+_UNSUSPICIOUS_BYTES, _LARGEST_RATIO = 256 * 2**20, 100
+"""Arrays of more bytes that were packed to less than a hundredth are a trap."""
 
 
 def read_npz(path: Path, limit: int = LARGEST_BYTES) -> dict[str, Array]:
@@ -32,46 +39,130 @@ def read_npz(path: Path, limit: int = LARGEST_BYTES) -> dict[str, Array]:
         limit: largest sum of the arrays' sizes, bytes.
 
     Raises:
-        FileFormatError: no such file, damaged, too large, or an array that is not of numbers.
+        FileFormatError: no such file, damaged, too large, or an array that is not of numbers, or of
+            numbers beyond all measure.
     """
-    arrays: dict[str, Array] = {}
+    saved = read_npz_as_saved(path, limit)
+    return {name: _measured(path, name, array) for name, array in saved.items()}
+
+
+def read_npz_as_saved(
+    path: Path, limit: int = LARGEST_BYTES, kinds: str = "fiub"
+) -> dict[str, NDArray[Any]]:
+    """All arrays of an .npz file, read-only, of the types they were saved with, by name.
+
+    Args:
+        limit: largest sum of the arrays' sizes, bytes.
+        kinds: which types may be there, by NumPy's letters; U is text.
+
+    Raises:
+        FileFormatError: no such file, damaged, too large, or an array of another kind.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
     try:
+        check_file(path, "an NPZ archive")
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-            if sum(member.file_size for member in members) > limit:
-                raise FileFormatError(
-                    path, f"would fill more than {limit / 2**20:.0f} MiB of memory"
-                )
+            check_sizes(path, members, limit)
             for member in members:
                 name = member.filename.removesuffix(".npy")
                 with archive.open(member) as stream:
-                    arrays[name] = _read_npy(path, name, stream, member.file_size)
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError) as error:
+                    arrays[name] = _read_npy(path, name, stream, member.file_size, kinds)
+    except (
+        zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, MemoryError, ValueError
+    ) as error:  # fmt: skip
+        if isinstance(error, FileFormatError):
+            raise
         raise FileFormatError(
             path, f"damaged, or no NPZ archive ({error}); write it again with numpy.savez"
         ) from error
     return arrays
 
 
-def _read_npy(path: Path, name: str, stream: IO[bytes], size: int) -> Array:
+def npz_names(path: Path) -> tuple[str, ...]:
+    """Names of the arrays in an .npz file; they are not read.
+
+    Raises:
+        FileFormatError: no such file, or no archive.
+    """
+    try:
+        check_file(path, "an NPZ archive")
+        with zipfile.ZipFile(path) as archive:
+            return tuple(name.removesuffix(".npy") for name in archive.namelist())
+    except (zipfile.BadZipFile, OSError, RuntimeError, ValueError) as error:
+        if isinstance(error, FileFormatError):
+            raise
+        raise FileFormatError(path, f"damaged, or no NPZ archive ({error})") from error
+
+
+def read_npy(path: Path, limit: int = LARGEST_BYTES) -> Array:
+    """The array of an .npy file as float64.
+
+    Raises:
+        FileFormatError: as `read_npz`.
+    """
+    try:
+        check_file(path, "an array", limit)
+        with path.open("rb") as stream:
+            saved = _read_npy(path, "array", stream, path.stat().st_size, "fiub")
+    except (OSError, MemoryError) as error:
+        raise FileFormatError(path, f"cannot be read: {error}") from error
+    return _measured(path, "array", saved)
+
+
+def read_npy_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, whether in Fortran's order, and type of the array that a stream goes on with.
+
+    Raises:
+        ValueError: it goes on with no array.
+    """
     try:
         version = np.lib.format.read_magic(stream)
         reader: Any = {
             (1, 0): np.lib.format.read_array_header_1_0,
             (2, 0): np.lib.format.read_array_header_2_0,
         }[version]
-        shape, fortran, dtype = reader(stream)
-    except (ValueError, KeyError, SyntaxError, RecursionError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of headers that Python 2 wrote
+            shape, fortran, dtype = reader(stream)
+    except (
+        ValueError, LookupError, TypeError, SyntaxError, RecursionError, OverflowError, TokenError,
+    ) as error:  # fmt: skip
+        raise ValueError(f"{type(error).__name__}: {str(error)[:200]}") from error
+    return shape, fortran, dtype
+
+
+def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: int) -> None:
+    """Refuse an archive that would fill the memory, and a small one that would fill much of it.
+
+    Args:
+        members: those that will be unpacked. limit: of the sum of their sizes, bytes.
+
+    Raises:
+        FileFormatError: it is one.
+    """
+    full = sum(member.file_size for member in members)
+    packed = sum(member.compress_size for member in members)
+    if full > limit:
+        raise FileFormatError(path, f"would fill more than {limit / 2**20:.0f} MiB of memory")
+    if full > _UNSUSPICIOUS_BYTES and full > _LARGEST_RATIO * packed:
+        raise FileFormatError(
+            path, f"unpacks to {full} bytes from {packed}, as no recording of anything does; not opened"
+        )
+
+
+def _read_npy(path: Path, name: str, stream: IO[bytes], size: int, kinds: str) -> NDArray[Any]:
+    try:
+        shape, fortran, dtype = read_npy_header(stream)
+    except ValueError as error:
         raise FileFormatError(path, f"{name}: not a NumPy array ({error})") from error
-    if dtype.hasobject or dtype.kind not in "fiub":
+    if dtype.hasobject or dtype.kind not in kinds:
         raise FileFormatError(
             path, f"{name}: holds {dtype}, not numbers; pickled objects are never read, so save a "
             "plain array of numbers"
         )  # fmt: skip
     claimed = math.prod(shape) * dtype.itemsize
-    if claimed > size:
+    if claimed > size or min(shape, default=0) < 0 or dtype.itemsize == 0:
         raise FileFormatError(
             path, f"{name}: shape {shape} needs {claimed} bytes, {size} are there"
         )
@@ -79,7 +170,16 @@ def _read_npy(path: Path, name: str, stream: IO[bytes], size: int) -> Array:
     if len(data) != claimed:
         raise FileFormatError(path, f"{name}: damaged, {len(data)} of {claimed} bytes are there")
     flat = np.frombuffer(data, dtype=dtype)
-    return flat.reshape(shape, order="F" if fortran else "C").astype(np.float64)
+    return flat.reshape(shape, order="F" if fortran else "C")
+
+
+def _measured(path: Path, name: str, saved: NDArray[Any]) -> Array:
+    """Numbers as float64, none of them beyond all measure."""
+    with np.errstate(invalid="ignore"):  # some NaNs are said to be invalid when they are cast
+        array: Array = saved.astype(np.float64)
+    if not measurable(array):
+        raise FileFormatError(path, f"{name}: holds a number beyond {LARGEST_NUMBER:g}")
+    return array
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -94,15 +194,15 @@ def read_csv(path: Path) -> dict[str, Array]:
     Raises:
         FileFormatError: no such file, no header, a line of another length, a cell that is no number.
     """
+    text = read_text(path, "a CSV file; its first line names the columns", _LARGEST_CSV)
     try:
-        if path.stat().st_size > _LARGEST_CSV:
-            raise FileFormatError(path, "larger than 1 GiB; save such data as .npz")
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            return _read_table(path, stream)
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        columns = _read_table(path, io.StringIO(text, newline=""))
+    except csv.Error as error:
         raise FileFormatError(path, f"not a readable CSV file: {error}") from error
+    for name, column in columns.items():
+        if not measurable(column):
+            raise FileFormatError(path, f"column {name}: holds a number beyond {LARGEST_NUMBER:g}")
+    return columns
 
 
 def _read_table(path: Path, stream: IO[str]) -> dict[str, Array]:
@@ -112,7 +212,7 @@ def _read_table(path: Path, stream: IO[str]) -> dict[str, Array]:
         raise FileFormatError(path, "empty; its first line names the columns", 1)
     if len(header) == 1 and ";" in header[0]:
         raise FileFormatError(path, "separated by ';'; write commas and decimal points", 1)
-    double = sorted({name for name in header if header.count(name) > 1})
+    double = sorted(name for name, count in Counter(header).items() if count > 1)
     if double:
         raise FileFormatError(path, f"column {double[0]!r} stands there more than once", 1)
     rows = [_numbers(path, lines.line_num, header, cells) for cells in lines if cells]

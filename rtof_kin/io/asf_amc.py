@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError
 from rtof_kin.io.articulated import ArticulatedMotion
-from rtof_kin.io.text import read_text
+from rtof_kin.io.text import LARGEST_NUMBER, read_text
 
 Array = NDArray[np.float64]
 _INCH = 0.0254
@@ -101,7 +101,7 @@ def _numbers(path: Path, line: int, words: Sequence[str], count: int, what: str)
         values = [float(word) for word in words]
     except ValueError:
         values = []
-    if len(values) != count or not np.all(np.isfinite(values)):
+    if len(values) != count or not all(abs(value) <= LARGEST_NUMBER for value in values):
         found = " ".join(words)[:40]
         raise FileFormatError(path, f"{what}: expected {count} number(s), found {found!r}", line)
     return values
@@ -307,7 +307,7 @@ def _column(
         values = np.array(columns[bone.name], dtype=float)
     except ValueError:
         values = np.array([[np.nan]])
-    if np.isfinite(values).all():
+    if np.all(np.abs(values) <= LARGEST_NUMBER):
         return values
     of_bone = ((line, text.split()[1:]) for line, text in lines if text.split()[0] == bone.name)
     for line, words in of_bone:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.io.articulated import ArticulatedMotion
-from rtof_kin.io.text import read_text
+from rtof_kin.io.text import LARGEST_NUMBER, read_text
 
 Array = NDArray[np.float64]
 _CHANNELS = {f"{axis}{kind}": (kind, axis) for axis in "xyz" for kind in ("position", "rotation")}
@@ -98,7 +98,7 @@ class _Tokens:
             value = float(word)
         except ValueError:
             value = np.nan
-        if not np.isfinite(value):
+        if not abs(value) <= LARGEST_NUMBER:
             raise self.fail(f"expected {wanted}, found {word[:40]!r}")
         return value
 
@@ -215,7 +215,7 @@ def _numbers(path: Path, rows: list[tuple[int, str]], width: int) -> Array:
         values = np.array(cells, dtype=float)
     except ValueError:
         values = np.array([[_float_or_nan(cell) for cell in row] for row in cells])
-    bad = ~np.isfinite(values)
+    bad = ~(np.abs(values) <= LARGEST_NUMBER)
     if bad.any():
         t, column = np.argwhere(bad)[0]
         raise FileFormatError(

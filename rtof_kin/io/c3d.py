@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError, OutputExistsError, RtofError, ShapeError
 from rtof_kin.io.markers import MarkerSequence
+from rtof_kin.io.text import check_file
 from rtof_kin.io.world_axes import METRES, world_of_file
 
 Array = NDArray[np.float64]
@@ -122,11 +123,8 @@ def read_c3d(path: str | Path, *, up: str | None = None) -> MarkerSequence:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        if path.stat().st_size > LARGEST_BYTES:
-            raise FileFormatError(path, f"larger than {LARGEST_BYTES >> 20} MiB; cut the trial")
+        check_file(path, "a C3D file of moderate size", LARGEST_BYTES)
         data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
     except OSError as error:
         raise FileFormatError(path, f"cannot be read: {error}") from error
     if len(data) < 2 * _BLOCK or data[1] != _MAGIC or data[0] == 0:

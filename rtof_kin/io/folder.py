@@ -6,9 +6,22 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from rtof_kin.errors import OutputExistsError, RtofError
+
+
+def path_inside(folder: Path, name: str) -> Path | None:
+    """The path that a file's field names inside a folder, either slash between its parts; None where it
+    leads out of it, as '..', absolute names and links do."""
+    parts = PurePosixPath(name.replace("\\", "/"))
+    if parts.is_absolute() or ".." in parts.parts or ":" in name or "\0" in name or not parts.parts:
+        return None
+    path = folder.joinpath(*parts.parts)
+    try:
+        return path if path.resolve().is_relative_to(folder.resolve()) else None
+    except (OSError, RuntimeError):  # a link that leads to itself
+        return None
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.checks import checked_names, checked_times, readonly
 from rtof_kin.errors import ShapeError
+from rtof_kin.io.text import measurable
 
 Array = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ class MarkerSequence:
         set_(self, "times", checked_times("marker times", self.times))
         shape = len(self.times), len(self.names), 3
         p = np.array(readonly("markers p_world", self.p_world, shape))
-        if np.any(np.isinf(p)):
+        if np.any(np.isinf(p)) or not measurable(p):
             raise ShapeError("markers p_world: infinite; write NaN where a marker was not seen")
         p[np.isnan(p).any(axis=-1)] = np.nan
         set_(self, "p_world", readonly("markers p_world", p, shape))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,8 @@ from numpy.typing import NDArray
 
 from rtof_kin.checks import readonly
 from rtof_kin.errors import FileFormatError, RtofError, ShapeError
+from rtof_kin.io.arrays import read_npz_as_saved
+from rtof_kin.io.text import LARGEST_NUMBER, measurable
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import PoseSequence
 
@@ -78,7 +78,10 @@ def read_motion_npz(path: str | Path) -> MotionFile:
     Raises:
         FileFormatError: missing, damaged, of a newer schema, or an array is missing or of wrong shape.
     """
-    data = _arrays(Path(path))
+    data = read_npz_as_saved(Path(path), _LARGEST_BYTES, kinds="fiubU")
+    for name, array in data.items():
+        if array.dtype.kind == "f" and not measurable(array):
+            raise FileFormatError(path, f"{name}: holds a number beyond {LARGEST_NUMBER:g}")
     try:
         version = int(data["schema_version"])
         if version > SCHEMA_VERSION:
@@ -118,18 +121,3 @@ def _names(field: str, value: NDArray[Any]) -> tuple[str, ...]:
     if value.ndim != 1:
         raise ShapeError(f"{field}: expected a list of names, got shape {value.shape}")
     return tuple(map(str, value))
-
-
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(member.file_size for member in archive.infolist()) > _LARGEST_BYTES:
-                raise FileFormatError(path, "would fill more than 8 GiB of memory")
-        with np.load(path, allow_pickle=False) as archive_of_arrays:
-            return {name: np.asarray(array) for name, array in archive_of_arrays.items()}
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
-    except (
-        OSError, ValueError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error
-    ) as error:  # fmt: skip
-        raise FileFormatError(path, f"damaged, or no motion.npz ({error})") from error

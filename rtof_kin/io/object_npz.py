@@ -15,8 +15,9 @@ from typing import IO, Any
 import numpy as np
 
 from rtof_kin.errors import FileFormatError
-from rtof_kin.io.arrays import LARGEST_BYTES
+from rtof_kin.io.arrays import LARGEST_BYTES, check_sizes, read_npy_header
 from rtof_kin.io.pickled import RefusedError, numbers, read_pickle
+from rtof_kin.io.text import check_file
 
 LARGEST_RATIO = 1000
 """A member that grows more than this when it is unpacked is refused."""
@@ -41,6 +42,7 @@ def read_object_npz(
     """
     path = Path(path)
     try:
+        check_file(path, "an NPZ archive")
         with zipfile.ZipFile(path) as archive:
             members = _members(path, archive, wanted, limit)
             found: dict[str, Any] = {}
@@ -48,8 +50,6 @@ def read_object_npz(
                 with archive.open(member) as stream:
                     found[name] = _read_member(path, name, stream, member.file_size)
             return found
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, MemoryError) as error:
         raise FileFormatError(
             path, f"damaged, or no NPZ archive ({error}); get it again"
@@ -74,20 +74,14 @@ def _members(
                 path, f"{name}: unpacks to {member.file_size} bytes from {member.compress_size}, as no "
                 "recording of anything does; not opened"
             )  # fmt: skip
-    if sum(there[name].file_size for name in wanted) > limit:
-        raise FileFormatError(path, f"would fill more than {limit / 2**20:.0f} MiB of memory")
+    check_sizes(path, [there[name] for name in wanted], limit)
     return {name: there[name] for name in wanted}
 
 
 def _read_member(path: Path, name: str, stream: IO[bytes], size: int) -> Any:
     """One array: its header, then numbers or a pickle."""
     try:
-        version = np.lib.format.read_magic(stream)
-        reader: Any = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-        }[version]
-        shape, fortran, dtype = reader(stream)
+        shape, fortran, dtype = read_npy_header(stream)
         if not dtype.hasobject:
             return numbers(shape, dtype, fortran, stream.read())
         if dtype != np.dtype(object) or shape != ():

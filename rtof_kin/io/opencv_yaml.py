@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.io.camera_toml import checked_distance
-from rtof_kin.io.text import read_text
+from rtof_kin.io.text import LARGEST_NUMBER, read_text
 from rtof_kin.io.world_axes import world_of_file
 from rtof_kin.types import Camera
 
@@ -229,7 +229,7 @@ class _Entries:
             array = np.array(value, dtype=np.float64).ravel()
         except (TypeError, ValueError, OverflowError) as error:
             raise self.error(entry, f"not a matrix of numbers ({error})") from error
-        if len(array) not in sizes or not np.isfinite(array).all():
+        if len(array) not in sizes or not np.all(np.abs(array) <= LARGEST_NUMBER):
             wanted = " or ".join(map(str, sizes))
             raise self.error(entry, f"expected {wanted} finite numbers, found {array.size}")
         return array

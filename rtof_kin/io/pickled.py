@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import pickletools
 import re
+import warnings
 from dataclasses import dataclass
 from typing import IO, Any
 
@@ -62,10 +63,12 @@ def read_pickle(stream: IO[bytes], size: int) -> Any:
         ValueError, LookupError, TypeError, OverflowError: it is damaged.
     """
     program = _Program(size)
-    for steps, (opcode, argument, _) in enumerate(pickletools.genops(stream)):
-        if steps > LARGEST_STEPS:
-            raise RefusedError(f"a pickle of more than {LARGEST_STEPS} operations")
-        program.step(opcode.name, argument)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of texts that are escaped wrongly
+        for steps, (opcode, argument, _) in enumerate(pickletools.genops(stream)):
+            if steps > LARGEST_STEPS:
+                raise RefusedError(f"a pickle of more than {LARGEST_STEPS} operations")
+            program.step(opcode.name, argument)
     (outer,) = program.stack
     if not isinstance(outer, _Array):
         raise RefusedError("the pickle is not that of an array")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -11,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError, UnknownNameError
+from rtof_kin.io.text import LARGEST_NUMBER, load_toml, measurable
 
 Array = NDArray[np.float64]
-_LARGEST_FILE = 32 * 2**20
-"""A TOML file larger than this many bytes is not one that people or this package write."""
 
 
 class Section:
@@ -33,16 +31,7 @@ class Section:
         Raises:
             FileFormatError: there is no such file, or it is not TOML.
         """
-        try:
-            if path.stat().st_size > _LARGEST_FILE:
-                raise FileFormatError(
-                    path, f"larger than {_LARGEST_FILE >> 20} MiB, so not a table"
-                )
-            return cls(path, tomllib.loads(path.read_text(encoding="utf-8")))
-        except FileNotFoundError as error:
-            raise FileFormatError(path, "there is no such file") from error
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-            raise FileFormatError(path, f"not readable as TOML: {error}") from error
+        return cls(path, load_toml(path))
 
     def where(self, field: str) -> str:
         """How messages call a field, e.g. ``[camera] width_px``."""
@@ -90,8 +79,10 @@ class Section:
         if default is not None and not self.has(field):
             return default
         value = self._value(field, f"add e.g. {field} = 1.0")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.error(field, f"{value!r} is not a finite number")
+        if not abs(value) <= LARGEST_NUMBER:
+            raise self.error(field, f"{str(value)[:40]} is not a finite number")
         return float(value)
 
     def optional_number(self, field: str) -> float | None:
@@ -111,11 +102,11 @@ class Section:
         value = self._value(field, f"add {size} numbers")
         try:
             array = np.array(value, dtype=np.float64)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise self.error(field, f"not {size} numbers in brackets ({error})") from error
         if array.shape != tuple(shape):
             raise self.error(field, f"expected {size} numbers, got shape {array.shape}")
-        if not np.all(np.isfinite(array)):
+        if not (np.all(np.isfinite(array)) and measurable(array)):
             raise self.error(field, "holds a number that is not finite; every one is needed")
         return array
 

@@ -1,16 +1,48 @@
-"""Text files, read whole without trusting them."""
+"""Text files, TOML and JSON, read whole without trusting them; and how large a number may be."""
 
 from __future__ import annotations
 
+import json
+import math
+import re
+import tomllib
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError
 
 LARGEST_TEXT = 2**30
 """Files of more bytes than this are refused."""
+LARGEST_TOML = 32 * 2**20
+"""A TOML file of more bytes is not one that people or this package write."""
+_BETWEEN_KEYS, _MOST_DOTS = re.compile(r"[^\w.\"' \t-]"), 1000
+"""What ends a key; tomllib takes memory with the square of the number of a key's parts."""
+LARGEST_NUMBER = 1e20
+"""Nothing that is measured counts further; squares of what is read stay finite."""
 
 
-def read_text(path: Path, what: str, limit: int = LARGEST_TEXT) -> str:
+def check_file(path: str | Path, what: str, limit: float = math.inf) -> None:
+    """Refuse what is no file, and devices and pipes, which could go on for ever.
+
+    Args:
+        what: as for `read_text`. limit: largest size, bytes.
+
+    Raises:
+        FileFormatError: it is not there, of another kind, or larger.
+        OSError: it cannot be looked at.
+    """
+    path = Path(path)
+    if not path.is_file():
+        problem = f"a folder, not {what}" if path.is_dir() else "there is no such file"
+        raise FileFormatError(path, problem)
+    if path.stat().st_size > limit:
+        raise FileFormatError(path, f"larger than {limit / 2**20:.0f} MiB, so not {what}")
+
+
+def read_text(path: str | Path, what: str, limit: int = LARGEST_TEXT) -> str:
     """The text of a file in UTF-8, without a byte order mark.
 
     Args:
@@ -20,12 +52,10 @@ def read_text(path: Path, what: str, limit: int = LARGEST_TEXT) -> str:
     Raises:
         FileFormatError: no such file, unreadable, larger than the limit, not UTF-8, or empty.
     """
+    path = Path(path)
     try:
-        if path.stat().st_size > limit:
-            raise FileFormatError(path, f"larger than {limit / 2**20:.0f} MiB, so not {what}")
+        check_file(path, what, limit)
         text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
     except UnicodeDecodeError as error:
         raise FileFormatError(path, f"not a text file in UTF-8, so not {what}") from error
     except OSError as error:
@@ -33,3 +63,39 @@ def read_text(path: Path, what: str, limit: int = LARGEST_TEXT) -> str:
     if not text.strip():
         raise FileFormatError(path, f"empty; expected {what}", 1)
     return text
+
+
+def load_toml(path: str | Path) -> dict[str, Any]:
+    """What a TOML file holds.
+
+    Raises:
+        FileFormatError: as `read_text`, or not TOML.
+    """
+    text = read_text(path, "TOML", LARGEST_TOML)
+    if max(part.count(".") for part in _BETWEEN_KEYS.split(text)) > _MOST_DOTS:
+        raise FileFormatError(path, f"a key of more than {_MOST_DOTS} parts")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(path, f"not readable as TOML: {str(error)[:200]}") from error
+
+
+def load_json(path: str | Path, limit: int = LARGEST_TEXT, what: str = "JSON") -> Any:
+    """What a JSON file holds; the arguments are those of `read_text`.
+
+    Raises:
+        FileFormatError: as `read_text`, or not JSON.
+    """
+    text = read_text(path, what, limit)
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise FileFormatError(path, f"not readable as JSON: {error.msg}", error.lineno) from error
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(path, f"not readable as JSON: {str(error)[:200]}") from error
+
+
+def measurable(array: NDArray[np.float64]) -> bool:
+    """Whether an array's finite numbers are such as measurements have."""
+    with np.errstate(invalid="ignore"):
+        return not np.any((np.abs(array) > LARGEST_NUMBER) & np.isfinite(array))

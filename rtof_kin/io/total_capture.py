@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError
+from rtof_kin.io.text import LARGEST_NUMBER, read_text
 from rtof_kin.types import Camera
 
 Array = NDArray[np.float64]
@@ -202,17 +203,9 @@ def _camera(path: Path, number: int, row: Array, order: int) -> Camera:
 
 def _lines(path: Path) -> list[str]:
     """The lines of a text file, at least one, without empty ones at the end."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileFormatError(path, f"not readable as text ({error}); {_AGAIN}") from error
-    lines = text.splitlines()
-    while lines and not lines[-1].strip():
+    lines = read_text(path, f"a table of Total Capture; {_AGAIN}").splitlines()
+    while not lines[-1].strip():
         lines.pop()
-    if not lines:
-        raise FileFormatError(path, f"is empty; {_AGAIN}")
     return lines
 
 
@@ -235,7 +228,7 @@ def _numbers(rows: list[list[str]], columns: int) -> Array | None:
         values = np.array(rows, dtype=float)
     except ValueError:
         return None
-    fits = values.shape == (len(rows), columns) and np.isfinite(values).all()
+    fits = values.shape == (len(rows), columns) and np.all(np.abs(values) <= LARGEST_NUMBER)
     return values if fits else None
 
 
@@ -246,7 +239,7 @@ def _is_count(text: str) -> bool:
 def _is_number(text: str) -> bool:
     """Whether a word is a finite number: nothing else occurs in sound files."""
     try:
-        return bool(np.isfinite(float(text)))
+        return abs(float(text)) <= LARGEST_NUMBER
     except ValueError:
         return False
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError, OutputExistsError, RtofError, ShapeError
 from rtof_kin.io.markers import MarkerSequence
-from rtof_kin.io.text import read_text
+from rtof_kin.io.text import LARGEST_NUMBER, read_text
 from rtof_kin.io.world_axes import METRES, world_of_file
 
 Array = NDArray[np.float64]
@@ -108,6 +108,8 @@ def _read_row(path: Path, line: int, text: str, names: Sequence[str]) -> list[fl
         values = [float(cell) if cell.strip() else np.nan for cell in cells[1:wanted]]
     except ValueError as error:
         raise FileFormatError(path, f"not a number: {error}", line) from error
+    if any(abs(value) > LARGEST_NUMBER for value in values):
+        raise FileFormatError(path, "a number is infinite; leave the cells of a gap empty", line)
     return values
 
 
