@@ -3,26 +3,30 @@
 ============================  ==================================================================
 motion.npz                    the motion with validity and provenance (`io.motion_npz`)
 skeleton.urdf                 the subject's skeleton
+files.json                    convention and names of every file (`motion_files`)
 joint_trajectory.csv, .json   configurations with named columns, and their units
+motion.csv                    the same with landmarks, validity and provenance
 ros_joint_trajectory.json     trajectory_msgs/JointTrajectory
 ros_base_trajectory.json      trajectory_msgs/MultiDOFJointTrajectory of the free base
 summary.json                  mode, solver's report, limit violations, figures against the truth
 figures/*.png                 see `rtof_kin.figures`
 ============================  ==================================================================
+
+and, where asked, OpenSim's, C3D, BVH and Parquet files, see `rtof_kin.motion_files`.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rtof_kin.io.folder import new_folder
-from rtof_kin.io.joint_trajectory import write_joint_trajectory_csv, write_ros_trajectory
 from rtof_kin.io.motion_npz import write_motion_npz
+from rtof_kin.motion_files import DEFAULT, check_formats, write_motion_files
 from rtof_kin.types import Provenance
 
 if TYPE_CHECKING:
@@ -32,20 +36,27 @@ MARKER = "motion.npz"
 
 
 def export(
-    result: Reconstruction, folder: str | Path, overwrite: bool = False, figures: bool = True
+    result: Reconstruction,
+    folder: str | Path,
+    overwrite: bool = False,
+    figures: bool = True,
+    formats: Sequence[str] = DEFAULT,
 ) -> Path:
     """Write a reconstruction; the folder appears whole or not at all.
 
     Args:
         result: of `reconstruct`. folder: a new folder, or with `overwrite` one written here before.
         figures: whether to draw figures too, which takes most of the time.
+        formats: of the motion's files beside motion.npz, see `rtof_kin.motion_files`.
 
     Returns:
         The folder.
 
     Raises:
-        OutputExistsError: something stands there that may not be replaced.
+        OutputExistsError: something stands there that may not be replaced. UnknownNameError: no such
+            format. ShapeError: a format cannot hold the motion.
     """
+    check_formats(formats)
     folder = Path(folder)
     with new_folder(folder, MARKER, overwrite) as temporary:
         write_motion_npz(
@@ -54,10 +65,7 @@ def export(
             first_frame=result.recording.first_frame,
             mode=result.mode,
         )
-        urdf = result.motion.skeleton.to_urdf()
-        (temporary / "skeleton.urdf").write_text(urdf, encoding="utf-8")
-        write_joint_trajectory_csv(temporary / "joint_trajectory.csv", result.motion)
-        write_ros_trajectory(temporary, result.motion)
+        write_motion_files(temporary, result.motion, formats)
         text = json.dumps(summary(result), indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
         if figures:

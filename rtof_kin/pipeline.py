@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -19,6 +19,7 @@ from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.joint_space.prior import has_prior
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import Metrics, evaluate
+from rtof_kin.motion_files import DEFAULT
 from rtof_kin.recording import Recording
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence, Provenance
@@ -84,15 +85,21 @@ class Reconstruction:
     stage_metrics: dict[str, Metrics]
     """The same of every stage; empty without truth."""
 
-    def export(self, folder: str | Path, overwrite: bool = False) -> Path:
-        """Write the motion, its URDF, trajectories and figures; see `rtof_kin.export`.
+    def export(
+        self, folder: str | Path, overwrite: bool = False, formats: Sequence[str] = DEFAULT
+    ) -> Path:
+        """Write the motion, its URDF, files of the formats named and figures; see `rtof_kin.export`.
+
+        Args:
+            formats: any of `rtof_kin.motion_files.FORMATS`, e.g. ("osim", "mot", "trc").
 
         Raises:
             OutputExistsError: something stands there and overwriting was not asked for.
+            UnknownNameError: no such format. ShapeError: a format cannot hold the motion.
         """
         from rtof_kin.export import export
 
-        return export(self, folder, overwrite)
+        return export(self, folder, overwrite, formats=formats)
 
 
 def reconstruct(

@@ -218,3 +218,26 @@ def euler_near(angles: ArrayLike, reference: ArrayLike) -> Array:
     a, b = wrap(angles), wrap(turned)
     closer = np.sum((a - reference) ** 2, -1) <= np.sum((b - reference) ** 2, -1)
     return np.where(closer[..., None], a, b)
+
+
+def euler_continuous(angles: ArrayLike) -> Array:
+    """Euler angles (T, ..., 3) on the branch nearest to the frame before, unwrapped over time.
+
+    The two branches of a rotation, see `euler_near`, are as far from each other whichever of them comes
+    first, so whether to change branch between two frames does not depend on the branch one is on: the
+    branch is the parity of the changes so far.
+
+    Args:
+        angles: radians, three different axes, finite.
+    """
+    angles = np.asarray(angles, dtype=float)
+    other = np.array([1.0, -1.0, 1.0]) * angles + np.pi
+
+    def distance(step: Array) -> Array:
+        return np.asarray(np.sum((step - 2 * np.pi * np.round(step / (2 * np.pi))) ** 2, axis=-1))
+
+    change = distance(other[1:] - angles[:-1]) < distance(angles[1:] - angles[:-1])
+    start = np.zeros((1, *angles.shape[1:-1]), dtype=bool)
+    on_other = np.concatenate([start, np.cumsum(change, axis=0) % 2 == 1])
+    chosen = np.where(on_other[..., None], other, angles)
+    return np.asarray(np.unwrap(chosen, axis=0))

@@ -63,6 +63,14 @@ class MotionSequence:
     report: ConfigurationReport
     """Singular postures and limit violations."""
 
+    def __getitem__(self, frames: slice) -> MotionSequence:
+        report = replace(
+            self.report,
+            singular=self.report.singular[frames],
+            limit_excess=self.report.limit_excess[frames],
+        )
+        return replace(self, q=self.q[frames], poses=self.poses[frames], report=report)
+
     @property
     def times(self) -> Array:
         """(T,) seconds."""
@@ -343,7 +351,7 @@ class SkeletonModel:
         rows[:, :3] = points[known, 0]
         rows[:, 3:7] = np.roll(so3.to_quat_wxyz(R_local[:, 0]), -1, axis=-1)
         for order, joints in self._joints_by_axes.items():
-            angles = _continuous(so3.matrix_to_euler(order, R_local[:, joints]))
+            angles = so3.euler_continuous(so3.matrix_to_euler(order, R_local[:, joints]))
             rows[:, self._q_index[np.array(joints) - 1]] = angles
         q[known] = rows
         return q
@@ -409,22 +417,3 @@ def _same_joint(name: str, a: Any, b: Any) -> bool:
         and a.joints[i].shortname() == b.joints[j].shortname()
         and a.jointPlacements[i].isApprox(b.jointPlacements[j], 1e-9)
     )
-
-
-def _continuous(angles: Array) -> Array:
-    """Euler angles (T, J, 3) on the branch nearest to the frame before, unwrapped over time.
-
-    The two branches of a rotation, (a, b, c) and (a + pi, pi - b, c + pi), are as far from each other
-    whichever of them comes first, so whether to change branch between two frames does not depend on
-    the branch one is on: the branch is the parity of the changes so far.
-    """
-    other = np.array([1.0, -1.0, 1.0]) * angles + np.array([np.pi, np.pi, np.pi])
-
-    def distance(step: Array) -> Array:
-        return np.asarray(np.sum((step - 2 * np.pi * np.round(step / (2 * np.pi))) ** 2, axis=-1))
-
-    change = distance(other[1:] - angles[:-1]) < distance(angles[1:] - angles[:-1])
-    start = np.zeros((1, angles.shape[1]), dtype=bool)
-    on_other = np.concatenate([start, np.cumsum(change, axis=0) % 2 == 1])
-    chosen = np.where(on_other[..., None], other, angles)
-    return np.asarray(np.unwrap(chosen, axis=0))

@@ -63,8 +63,12 @@ def _revolute(
     )
 
 
-def _segment(link: ET.Element, joint: Joint, table: SkeletonTable) -> None:
-    """Inertia and drawing of the segment itself."""
+def segment_inertia(joint: Joint, table: SkeletonTable) -> tuple[float, Array, Array]:
+    """What a segment weighs.
+
+    Returns:
+        Mass, kg, centre of mass (3,), m, and inertia about it (3, 3), kg m^2, both in the link frame.
+    """
     masses = [
         (name, share * mass_fraction(name, table.sex) * table.mass_kg)
         for name, share in joint.mass_shares
@@ -76,7 +80,12 @@ def _segment(link: ET.Element, joint: Joint, table: SkeletonTable) -> None:
     for (_, mass), (c, I) in zip(masses, parts, strict=True):
         d = so3.skew(c - center)
         matrix += I - mass * d @ d  # Steiner
-    _inertial(link, total, center, matrix)
+    return total, center, matrix
+
+
+def _segment(link: ET.Element, joint: Joint, table: SkeletonTable) -> None:
+    """Inertia and drawing of the segment itself."""
+    _inertial(link, *segment_inertia(joint, table))
     length = float(np.linalg.norm(joint.end))
     turn = so3.minimal_rotation([0.0, 0.0, 1.0], joint.end)
     pitch = np.arcsin(np.clip(-turn[2, 0], -1, 1))

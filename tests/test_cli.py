@@ -93,9 +93,11 @@ def test_evaluate_prints_the_stage_beside_zero_motion(
 
 def test_export_writes_only_what_was_asked(reconstructed: Path, tmp_path: Path) -> None:
     out = tmp_path / "ros"
-    assert main(["export", str(reconstructed), "-o", str(out), "--formats", "ros"]) == 0
+    assert main(["export", str(reconstructed), "-o", str(out), "--to", "ros"]) == 0
     names = {path.name for path in out.iterdir()}
-    assert names == {"skeleton.urdf", "ros_joint_trajectory.json", "ros_base_trajectory.json"}
+    assert names == {
+        "skeleton.urdf", "files.json", "ros_joint_trajectory.json", "ros_base_trajectory.json"
+    }  # fmt: skip
 
 
 def test_simulate_makes_a_recording_that_loads(tmp_path: Path) -> None:

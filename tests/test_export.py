@@ -24,7 +24,8 @@ BODY = SkeletonModel.default().with_height(1.66)
 T = 16
 FILES = {
     "motion.npz", "skeleton.urdf", "joint_trajectory.csv", "joint_trajectory.json",
-    "ros_joint_trajectory.json", "ros_base_trajectory.json", "summary.json",
+    "ros_joint_trajectory.json", "ros_base_trajectory.json", "summary.json", "files.json",
+    "motion.csv",
 }  # fmt: skip
 
 

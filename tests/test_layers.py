@@ -26,7 +26,10 @@ fragment_problem   fragment_solution   joint_space   joint_space.settings
 io.arrays   io.articulated   io.folder   io.markers   io.pickled   io.section
 io.world_axes
 io.asf_amc   io.bvh   io.c3d   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
-io.total_capture   io.trc   inertial   inertial.declaration
+io.total_capture   io.trc   inertial   inertial.declaration   io.motion_views
+io.motion_table   io.opensim_coordinates
+io.opensim_model   io.opensim_mot
+motion_files
 inertial.streams   inertial.packets   io.opencv_yaml   io.sensor_text
 inertial.readings
 io.xsens_columns

@@ -140,20 +140,21 @@ def _simulate(options: argparse.Namespace) -> None:
 
 
 def _export(options: argparse.Namespace) -> None:
+    from rtof_kin.errors import ShapeError
     from rtof_kin.io.folder import new_folder
-    from rtof_kin.io.joint_trajectory import write_joint_trajectory_csv, write_ros_trajectory
     from rtof_kin.io.motion_npz import read_motion_npz
+    from rtof_kin.motion_files import DEFAULT, URDF, check_formats, write_motion_files
 
+    output = options.output or options.folder
+    if output is None or (options.output and options.folder):
+        raise ShapeError("export: name one folder to write, as OUT or with -o OUT")
+    formats = options.to.split(",") if options.to is not None else DEFAULT
+    check_formats(formats)
     path = Path(options.motion)
     motion = read_motion_npz(path / "motion.npz" if path.is_dir() else path).motion()
-    with new_folder(options.output, "skeleton.urdf", options.overwrite) as folder:
-        urdf = motion.skeleton.to_urdf()
-        (folder / "skeleton.urdf").write_text(urdf, encoding="utf-8")
-        if "csv" in options.formats:
-            write_joint_trajectory_csv(folder / "joint_trajectory.csv", motion)
-        if "ros" in options.formats:
-            write_ros_trajectory(folder, motion)
-    print_files(options.output)
+    with new_folder(output, URDF, options.overwrite) as folder:
+        write_motion_files(folder, motion, formats)
+    print_files(output)
 
 
 # --- their arguments ---
@@ -240,11 +241,13 @@ def _add_simulate(commands: Any) -> None:
 def _add_export(commands: Any) -> None:
     parser = command(
         commands, "export", _export, "write a reconstructed motion in other formats",
-        "Always writes the subject's URDF, and with it the joint trajectory as CSV with units and "
-        "as ROS messages.",
+        "Always writes the subject's URDF and files.json, which says what axes, units and names every "
+        "file has. Where nobody saw the person, no file says that somebody did.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
-    add_output(parser, None, "folder to write")
+    parser.add_argument("folder", metavar="OUT", nargs="?", help="folder to write, if not with -o")
+    add_output(parser, "", "folder to write")
     parser.add_argument(
-        "--formats", nargs="+", choices=["csv", "ros"], default=["csv", "ros"], help="what to write"
-    )
+        "--to", metavar="FORMATS",
+        help="separated by commas: csv,ros (the default), parquet; osim,mot,sto,trc (OpenSim); c3d; bvh",
+    )  # fmt: skip

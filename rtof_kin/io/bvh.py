@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.io.articulated import ArticulatedMotion
-from rtof_kin.io.text import LARGEST_NUMBER, read_text
+from rtof_kin.io.text import LARGEST_NUMBER, read_text, write_text
+from rtof_kin.kinematics import children_of
 
 Array = NDArray[np.float64]
 _CHANNELS = {f"{axis}{kind}": (kind, axis) for axis in "xyz" for kind in ("position", "rotation")}
@@ -264,3 +265,70 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> Articulated
         end_parents=tuple(number[id(nodes[n.parent])] for n in ends),
         end_offsets=np.array([n.offset for n in ends]).reshape(-1, 3),
     )
+
+
+# --- writing -------------------------------------------------------------------------------------
+
+
+def write_bvh(
+    path: str | Path, motion: ArticulatedMotion, *, order: str = "xzy", overwrite: bool = False
+) -> None:
+    """Write a motion that `read_bvh` reads back, in the axes and the length unit it has.
+
+    Args:
+        order: of the rotation channels, the same for all joints, since widespread readers take the first
+            joint's for all. With y up and z forward, x z y are flexion, adduction and rotation of most
+            joints, and the middle one stays far from 90 degrees.
+
+    Raises:
+        ShapeError: no such order, a joint's name that ends a line or a block, or a value is not finite.
+        OutputExistsError: the file exists and overwriting was not asked for. RtofError: it cannot be
+            written.
+    """
+    if sorted(order) != ["x", "y", "z"]:
+        raise ShapeError(f"order: {order!r}; give x, y and z in some order")
+    odd = [n for n in motion.names if not n.strip() or set(n) & set("{}") or len(n.splitlines()) > 1]
+    if odd:
+        raise ShapeError(f"joint name {odd[0]!r}: empty, or a brace or a line's end in it; rename it")
+    angles = np.rad2deg(so3.euler_continuous(so3.matrix_to_euler(order, motion.R_parent_joint)))
+    moving, columns = motion.p_parent_joint, []
+    for j in _depth_first(motion.parents, 0):
+        if j == 0:
+            columns.append(motion.p_root)
+        elif moving is not None:
+            columns.append(moving[:, j])
+        columns.append(angles[:, j])
+    values = np.concatenate(columns, axis=1)
+    if not np.isfinite(values).all():
+        raise ShapeError("motion: a value is not finite; BVH has no gaps, write a file for each piece")
+    lines = ["HIERARCHY", *_hierarchy(motion, order, 0, "")]
+    lines += ["MOTION", f"Frames: {len(values)}", f"Frame Time: {1 / motion.rate_hz!r}"]
+    lines += [" ".join(f"{value:.9f}" for value in row) for row in values.tolist()]
+    write_text(Path(path), "\n".join([*lines, ""]), overwrite)
+
+
+def _depth_first(parents: tuple[int, ...], joint: int) -> list[int]:
+    """A joint and all below it, in the order in which a file has them."""
+    below = [_depth_first(parents, child) for child in children_of(parents, joint)]
+    return [joint, *(j for branch in below for j in branch)]
+
+
+def _hierarchy(motion: ArticulatedMotion, order: str, joint: int, margin: str) -> list[str]:
+    """Lines of a joint and of all below it; one that has nothing below gets an end site."""
+    places = joint == 0 or motion.p_parent_joint is not None
+    channels = [f"{axis}position" for axis in "XYZ"] if places else []
+    channels += [f"{axis.upper()}rotation" for axis in order]
+    lines = [f"{'JOINT' if joint else 'ROOT'} {motion.names[joint]}", "{"]
+    lines.append("\t" + _offset(motion.offsets[joint]))
+    lines.append(f"\tCHANNELS {len(channels)} {' '.join(channels)}")
+    children = children_of(motion.parents, joint)
+    for child in children:
+        lines += _hierarchy(motion, order, child, "\t")
+    ends = [p for e, p in zip(motion.end_parents, motion.end_offsets, strict=True) if e == joint]
+    for end in ends if ends or children else [np.zeros(3)]:
+        lines += ["\tEnd Site", "\t{", "\t\t" + _offset(end), "\t}"]
+    return [margin + line for line in [*lines, "}"]]
+
+
+def _offset(point: Array) -> str:
+    return "OFFSET " + " ".join(f"{value:.9f}" for value in point)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError
 from rtof_kin.io.arrays import read_csv
+from rtof_kin.signals import runs
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 
 Array = NDArray[np.float64]
@@ -85,26 +86,46 @@ def write_ros_trajectory(folder: str | Path, motion: MotionSequence) -> list[Pat
     """``ros_joint_trajectory.json`` (trajectory_msgs/JointTrajectory: angles and their velocities) and
     ``ros_base_trajectory.json`` (trajectory_msgs/MultiDOFJointTrajectory: pose of the root link).
 
+    Who plays a trajectory moves between its points, so it cannot have a gap. Where configurations are not
+    known it ends, and the next one is in a pair of files of its own: ``..._2.json``, the first one's
+    ``..._1.json``. Times are from the motion's first frame in all of them.
+
     Returns:
-        The two paths.
+        The two paths, or those of all pairs.
     """
-    folder = Path(folder)
-    skeleton, q = motion.skeleton, motion.q
-    velocities = joint_velocities(skeleton, q, motion.times)
-    stamps = [_duration(time - motion.times[0]) for time in motion.times]
-    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "world"}
-    joints = {
-        "header": header,
+    folder, times, paths = Path(folder), motion.times - motion.times[0], []
+    known = runs(np.isfinite(motion.q).all(axis=1))
+    for number, (start, stop) in enumerate(known, 1):
+        q, t = motion.q[start:stop], times[start:stop]
+        messages = {
+            "joint": _joint_message(motion.skeleton, q, t), "base": _base_message(motion.skeleton, q, t)
+        }  # fmt: skip
+        for kind, message in messages.items():
+            suffix = f"_{number}" if len(known) > 1 else ""
+            paths.append(folder / f"ros_{kind}_trajectory{suffix}.json")
+            paths[-1].write_text(json.dumps(message) + "\n", encoding="utf-8")
+    return paths
+
+
+_HEADER = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "world"}
+
+
+def _joint_message(skeleton: SkeletonModel, q: Array, times: Array) -> dict[str, Any]:
+    velocities = joint_velocities(skeleton, q, times)
+    rows = zip(q[:, 7:].tolist(), velocities[:, 6:].tolist(), times, strict=True)
+    return {
+        "header": _HEADER,
         "joint_names": list(skeleton.dof_names),
         "points": [
-            {"positions": angles, "velocities": rates, "time_from_start": stamp}
-            for angles, rates, stamp in zip(
-                q[:, 7:].tolist(), velocities[:, 6:].tolist(), stamps, strict=True
-            )
+            {"positions": angles, "velocities": rates, "time_from_start": _duration(time)}
+            for angles, rates, time in rows
         ],
     }
-    base = {
-        "header": header,
+
+
+def _base_message(skeleton: SkeletonModel, q: Array, times: Array) -> dict[str, Any]:
+    return {
+        "header": _HEADER,
         "joint_names": [skeleton.root],
         "points": [
             {
@@ -114,15 +135,11 @@ def write_ros_trajectory(folder: str | Path, motion: MotionSequence) -> list[Pat
                         "rotation": dict(zip("xyzw", row[3:7], strict=True)),
                     }
                 ],
-                "time_from_start": stamp,
+                "time_from_start": _duration(time),
             }
-            for row, stamp in zip(q.tolist(), stamps, strict=True)
+            for row, time in zip(q.tolist(), times, strict=True)
         ],
     }
-    paths = [folder / "ros_joint_trajectory.json", folder / "ros_base_trajectory.json"]
-    for path, message in zip(paths, (joints, base), strict=True):
-        path.write_text(json.dumps(message) + "\n", encoding="utf-8")
-    return paths
 
 
 def _duration(seconds: float) -> dict[str, int]:

@@ -1,4 +1,5 @@
-"""Text files, TOML and JSON, read whole without trusting them; and how large a number may be."""
+"""Text files, TOML and JSON, read whole without trusting them, and text written without replacing anything
+unasked; and how large a number may be."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.errors import FileFormatError
+from rtof_kin.errors import FileFormatError, OutputExistsError, RtofError
 
 LARGEST_TEXT = 2**30
 """Files of more bytes than this are refused."""
@@ -99,3 +100,17 @@ def measurable(array: NDArray[np.float64]) -> bool:
     """Whether an array's finite numbers are such as measurements have."""
     with np.errstate(invalid="ignore"):
         return not np.any((np.abs(array) > LARGEST_NUMBER) & np.isfinite(array))
+
+
+def write_text(path: Path, text: str, overwrite: bool = False) -> None:
+    """Write a file in UTF-8.
+
+    Raises:
+        OutputExistsError: it exists and overwriting was not asked for. RtofError: it cannot be written.
+    """
+    if path.exists() and not overwrite:
+        raise OutputExistsError(f"{path}: is there already; ask to overwrite it or name another file")
+    try:
+        path.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise RtofError(f"{path}: cannot be written ({error}); name another file") from error

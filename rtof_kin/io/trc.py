@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.errors import FileFormatError, OutputExistsError, RtofError, ShapeError
+from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.io.markers import MarkerSequence
-from rtof_kin.io.text import LARGEST_NUMBER, read_text
-from rtof_kin.io.world_axes import METRES, world_of_file
+from rtof_kin.io.text import LARGEST_NUMBER, read_text, write_text
+from rtof_kin.io.world_axes import METRES, R_WORLD_GROUND, world_of_file
 
 Array = NDArray[np.float64]
 _KEYS = (
@@ -34,13 +34,14 @@ def read_trc(path: str | Path, *, up: str = "y") -> MarkerSequence:
     Args:
         path: the file.
         up: the axis of the file that points up, see `rtof_kin.io.world_axes.UP`; the format does not
-            say. OpenSim's and Pose2Sim's files have y.
+            say. OpenSim's and Pose2Sim's files have y; "opensim" is y with the x axis kept, as files
+            that go with an .osim of this package have it (`R_WORLD_GROUND`).
 
     Raises:
         FileFormatError: no such file, or one that is not complete and consistent; the message names the
             line. ShapeError: `up` is no axis.
     """
-    path, R_world_file = Path(path), world_of_file(up)
+    path, R_world_file = Path(path), _world_of_file(up)
     lines = read_text(path, "a TRC file, which begins with PathFileType").splitlines()
     frames, count, metres = _read_header(path, lines)
     names = _read_names(path, lines[3].split("\t"), count)
@@ -56,6 +57,10 @@ def read_trc(path: str | Path, *, up: str = "y") -> MarkerSequence:
         return MarkerSequence(table[:, 0], names, p_file @ R_world_file.T)
     except ShapeError as error:
         raise FileFormatError(path, str(error)) from error
+
+
+def _world_of_file(up: str) -> Array:
+    return R_WORLD_GROUND if up == "opensim" else world_of_file(up)
 
 
 def _read_header(path: Path, lines: Sequence[str]) -> tuple[int, int, float]:
@@ -124,7 +129,7 @@ def write_trc(
     """Write what `read_trc` reads back to 1e-9 units, and OpenSim too.
 
     Args:
-        up: the axis that shall point up in the file; OpenSim wants y.
+        up: the axis that shall point up in the file, as for `read_trc`; OpenSim wants y.
         unit: of lengths in the file, m, cm or mm.
 
     Raises:
@@ -132,14 +137,12 @@ def write_trc(
         ShapeError: no such axis or unit, or a name with a tab or a line's end in it.
         RtofError: it cannot be written.
     """
-    path, R_world_file = Path(path), world_of_file(up)
+    path, R_world_file = Path(path), _world_of_file(up)
     if unit not in METRES:
         raise ShapeError(f"unit: {unit!r}; give one of {', '.join(METRES)}")
     odd = [n for n in markers.names if not n.strip() or "\t" in n or len(n.splitlines()) > 1]
     if odd:
         raise ShapeError(f"marker name {odd[0]!r}: empty, or a tab or a line's end in it; rename it")
-    if path.exists() and not overwrite:
-        raise OutputExistsError(f"{path}: is there already; ask to overwrite it or name another file")
     T, M, rate = len(markers), len(markers.names), f"{markers.rate_hz:.10g}"
     p_file = markers.p_world @ R_world_file / METRES[unit]
     lines = [
@@ -152,7 +155,4 @@ def write_trc(
     for number, (time, row) in enumerate(zip(markers.times, p_file, strict=True), 1):
         cells = ("" if np.isnan(value) else f"{value:.9f}" for value in row.ravel())
         lines.append([str(number), repr(float(time)), *cells])
-    try:
-        path.write_text("".join("\t".join(line) + "\n" for line in lines), encoding="utf-8")
-    except OSError as error:
-        raise RtofError(f"{path}: cannot be written ({error}); name another file") from error
+    write_text(path, "".join("\t".join(line) + "\n" for line in lines), overwrite)

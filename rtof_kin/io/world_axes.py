@@ -18,6 +18,9 @@ UP = {
 }
 """The file's axis that points up -> R_world_file. z, -z and -y keep the x axis where it is; y takes
 (x, y, z) to (z, x, y), as Pose2Sim does between its cameras (z up) and its markers (y up)."""
+R_WORLD_GROUND = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+"""OpenSim's ground (y up) to world, in every file that goes with an .osim: who faces world x faces ground
+x, as OpenSim's own models do, and has z on the right. `UP`'s y is another: there they face z."""
 METRES = {"m": 1.0, "mm": 0.001, "cm": 0.01}
 """Length of the units that files of markers are written in, m."""
 

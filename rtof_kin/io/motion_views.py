@@ -1,0 +1,99 @@
+"""A motion as other programs know it: points in space, a tree of joints, stretches without gaps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import kinematics
+from rtof_kin.checks import checked_times
+from rtof_kin.errors import ShapeError
+from rtof_kin.io.articulated import ArticulatedMotion
+from rtof_kin.io.markers import MarkerSequence
+from rtof_kin.io.world_axes import METRES, world_of_file
+from rtof_kin.signals import runs
+from rtof_kin.skeleton import MotionSequence
+
+Array = NDArray[np.float64]
+MOST_UNEVEN = 0.02
+"""Frames that a time may lie beside the even grid where a format has none of its own."""
+
+
+def pieces(motion: MotionSequence) -> list[tuple[int, int]]:
+    """Frames [start, stop) of the stretches in which somebody saw the person, for formats without gaps.
+
+    A frame belongs to a gap where its configuration is not known or no joint of it is valid: where
+    nobody saw the person, what stands there was bridged.
+    """
+    return runs(np.isfinite(motion.q).all(axis=1) & motion.poses.valid.any(axis=1))
+
+
+def check_known(motion: MotionSequence) -> None:
+    """Raise `ShapeError` where a configuration is not known, for formats that have no gaps."""
+    unknown = np.flatnonzero(~np.isfinite(motion.q).all(axis=1))
+    if len(unknown):
+        raise ShapeError(
+            f"motion: frame {unknown[0]} is not known, which this format cannot say; write each of its "
+            "`pieces` to a file"
+        )
+
+
+def even_times(times: Array) -> Array:
+    """The even times (T,), s, that measured ones stand for; they differ by `MOST_UNEVEN` frames at most.
+
+    Raises:
+        ShapeError: they are more uneven than that.
+    """
+    times = checked_times("motion times", times)
+    even, step = np.linspace(times[0], times[-1], len(times), retstep=True)
+    off = np.abs(times - even)
+    if len(times) > 1 and off.max() > MOST_UNEVEN * step:
+        frame = int(off.argmax())
+        raise ShapeError(
+            f"motion times: frame {frame} is {1000 * off[frame]:.1f} ms beside even times, which .mot, "
+            ".sto, .trc, .c3d and .bvh need; resample the motion, or write csv, parquet or ros"
+        )
+    return np.asarray(even)
+
+
+def landmark_markers(motion: MotionSequence) -> MarkerSequence:
+    """All landmarks of the skeleton, joints first, as markers; NaN where their joint is not valid."""
+    poses, skeleton = motion.poses, motion.skeleton
+    p = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
+    carriers = skeleton.index(*(joint for joint, _ in skeleton.landmarks.values()))
+    p = np.where(poses.valid[:, carriers, None], p, np.nan)
+    return MarkerSequence(poses.times, tuple(skeleton.landmarks), p)
+
+
+def joint_tree(motion: MotionSequence, *, up: str = "y", unit: str = "cm") -> ArticulatedMotion:
+    """The skeleton as a tree in the axes and unit of such files, with end sites at its leaves' far ends.
+
+    Args:
+        up: the axis that shall point up, see `rtof_kin.io.world_axes.UP`: with y, who faces world x
+            faces z, as in most such files. unit: m, cm or mm.
+
+    Raises:
+        ShapeError: a frame is not known, times are uneven, or there is no such axis or unit.
+    """
+    if unit not in METRES:
+        raise ShapeError(f"unit: {unit!r}; give one of {', '.join(METRES)}")
+    check_known(motion)
+    skeleton, R_world_file = motion.skeleton, world_of_file(up)
+    leaves = [j for j in range(len(skeleton.names)) if j not in skeleton.parents]
+    R_parent_joint = kinematics.local_rotations(skeleton.parents, motion.poses.R_world_bone)
+    times = even_times(motion.times)
+
+    def in_file(vectors: Array) -> Array:
+        return np.asarray(vectors @ R_world_file / METRES[unit])
+
+    return ArticulatedMotion(
+        names=skeleton.names,
+        parents=skeleton.parents,
+        offsets=in_file(skeleton.joint_offsets),
+        R_parent_joint=R_world_file.T @ R_parent_joint @ R_world_file,
+        p_root=in_file(motion.q[:, :3]),
+        rate_hz=(len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 60.0,
+        unit_m=METRES[unit],
+        end_parents=tuple(leaves),
+        end_offsets=in_file(np.array([skeleton.table.joints[j].end for j in leaves])),
+    )

@@ -1,0 +1,74 @@
+"""OpenSim's motions: ``.mot`` (coordinates in degrees) and ``.sto`` (states: values and speeds in rad).
+
+Both are tables for the .osim that `io.opensim_model` writes of the same skeleton: a header that ends with
+``endheader``, then columns that tabs separate, the first one time in s. Translations are in m. OpenSim
+wants even times and has no way to say that a row is not known: a motion with a gap becomes several files.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.io.motion_views import even_times
+from rtof_kin.io.opensim_coordinates import coordinate_values
+from rtof_kin.io.text import write_text
+from rtof_kin.skeleton import MotionSequence
+
+Array = NDArray[np.float64]
+
+
+def write_mot(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
+    """Write coordinates, angles in degrees, for OpenSim's graphical program and its tools.
+
+    Raises:
+        ShapeError: a frame is not known, or times are uneven. OutputExistsError: the file exists and
+            overwriting was not asked for. RtofError: it cannot be written.
+    """
+    coordinates, values = coordinate_values(motion)
+    unit = [180 / np.pi if c.is_rotation else 1.0 for c in coordinates]
+    names = [c.name for c in coordinates]
+    _write_table(Path(path), motion, names, values * unit, True, overwrite)
+
+
+def write_sto(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
+    """Write states, named by their paths in the model: values in rad and m, and speeds, which are central
+    differences (0 of a single frame), in rad/s and m/s.
+
+    Raises:
+        As `write_mot`.
+    """
+    coordinates, values = coordinate_values(motion)
+    speeds = np.zeros_like(values)
+    if len(values) > 1:
+        speeds = np.gradient(values, even_times(motion.times), axis=0)
+    names = [
+        f"/jointset/{c.joint}/{c.name}/{kind}" for kind in ("value", "speed") for c in coordinates
+    ]
+    _write_table(Path(path), motion, names, np.hstack([values, speeds]), False, overwrite)
+
+
+def _write_table(
+    path: Path,
+    motion: MotionSequence,
+    names: list[str],
+    values: Array,
+    in_degrees: bool,
+    overwrite: bool,
+) -> None:
+    table = np.column_stack([even_times(motion.times), values])
+    header = [
+        path.stem,
+        "version=1",
+        f"nRows={len(table)}",
+        f"nColumns={table.shape[1]}",
+        f"inDegrees={'yes' if in_degrees else 'no'}",
+        f"Coordinates of the .osim of the skeleton {motion.skeleton.name}, zero in the T-pose; y is up.",
+        f"Units are S.I. units, angles in {'degrees' if in_degrees else 'radians'}.",
+        "endheader",
+        "\t".join(["time", *names]),
+    ]
+    rows = ["\t".join(map(repr, row)) for row in table.tolist()]
+    write_text(path, "\n".join([*header, *rows, ""]), overwrite)
