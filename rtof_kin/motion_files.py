@@ -238,7 +238,7 @@ FORMATS: dict[str, Format] = {
     "c3d": Format("landmarks by name, x forward, y left, z up; mm, 32 bits", _c3d, True),
     "bvh": Format(
         "joints by name; x left, y up, z forward, which is world x; cm; degrees, intrinsic in the order "
-        "of CHANNELS, x z y; zero in the T-pose",
+        "of CHANNELS, z x y; zero in the T-pose",
         partial(_in_pieces, ".bvh", _bvh, _from_first_frame), True,
     ),
 }  # fmt: skip

@@ -57,6 +57,15 @@ def posed_by_states(model: osim.Model, path: Path) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
+def places_in_state(model: osim.Model, coordinates: list[osim.Coordinate]) -> list[int]:
+    """Where the system of equations has each coordinate, which is not in the order of the model."""
+    state = model.initSystem()
+    for i, coordinate in enumerate(coordinates):
+        coordinate.setValue(state, (i + 1) / 1000, False)
+    found = [state.getQ().get(i) for i in range(state.getNQ())]
+    return [int(np.argmin(np.abs(np.array(found) - (i + 1) / 1000))) for i in range(len(found))]
+
+
 def vector(v: osim.Vec3) -> list[float]:
     return [v.get(i) for i in range(3)]
 
@@ -87,11 +96,11 @@ def main(folder: Path, out: Path) -> None:
     found["center_of_mass"] = np.array(center)
     matrix = osim.Matrix()
     model.getMatterSubsystem().calcM(state, matrix)
-    n = matrix.nrow()
-    found["mass_matrix"] = np.array([[matrix.get(i, j) for j in range(n)] for i in range(n)])
     coordinates = [
         model.getCoordinateSet().get(i) for i in range(model.getCoordinateSet().getSize())
     ]
+    order = places_in_state(model, coordinates)
+    found["mass_matrix"] = np.array([[matrix.get(i, j) for j in order] for i in order])
     found["coordinates"] = np.array([c.getName() for c in coordinates])
     found["ranges"] = np.array([[c.getRangeMin(), c.getRangeMax()] for c in coordinates])
     for kind, pose in ((".mot", posed_by_coordinates), (".sto", posed_by_states)):

@@ -8,9 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.errors import FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.errors import (
+    FileFormatError,
+    OutputExistsError,
+    RtofError,
+    ShapeError,
+    UnknownNameError,
+)
 from rtof_kin.io.articulated import ArticulatedMotion
-from rtof_kin.io.bvh import read_bvh
+from rtof_kin.io.bvh import read_bvh, write_bvh
 
 EXCERPT = Path(__file__).parent / "data" / "mocap" / "02_01_excerpt.bvh"
 TWO_JOINTS = """HIERARCHY
@@ -238,3 +244,78 @@ def test_a_motion_whose_parts_do_not_fit_together_is_refused():
         ArticulatedMotion(**{**good, "rate_hz": 0.0})
     with pytest.raises(UnknownNameError, match="unknown joint 'c'"):
         ArticulatedMotion(**good).index("c")
+
+
+# --- writing -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", ["zxy", "xzy", "yxz"])
+def test_what_is_written_is_read_back(tmp_path, order):
+    motion = read_bvh(EXCERPT)[:20]
+    write_bvh(tmp_path / "out.bvh", motion, order=order)
+    again = read_bvh(tmp_path / "out.bvh")
+    assert (again.names, again.parents) == (motion.names, motion.parents)
+    assert again.rate_hz == pytest.approx(motion.rate_hz, rel=1e-12)
+    np.testing.assert_allclose(again.R_parent_joint, motion.R_parent_joint, atol=1e-9)
+    np.testing.assert_allclose(again.p_root, motion.p_root, atol=1e-9)
+    np.testing.assert_allclose(again.end_positions(), motion.end_positions(), atol=1e-7)
+    text = (tmp_path / "out.bvh").read_text()
+    channels = {line.split("CHANNELS")[1] for line in text.splitlines() if "CHANNELS 3" in line}
+    assert channels == {" 3 " + " ".join(f"{axis.upper()}rotation" for axis in order)}
+
+
+def a_motion(names, parents, moving=False):
+    rng, J = np.random.default_rng(2), len(names)
+    R = Rotation.from_rotvec(rng.normal(size=(5 * J, 3))).as_matrix().reshape(5, J, 3, 3)
+    p = rng.normal(size=(5, J, 3)) if moving else None
+    root = rng.normal(size=(5, 3)) if p is None else p[:, 0]
+    return ArticulatedMotion(names, parents, rng.normal(size=(J, 3)), R, root, 50.0, p_parent_joint=p)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_joints_that_do_not_stand_branch_by_branch_are_written_so(tmp_path, moving):
+    motion = a_motion(("root", "left", "right", "left end"), (-1, 0, 0, 1), moving)
+    write_bvh(tmp_path / "out.bvh", motion)
+    again = read_bvh(tmp_path / "out.bvh")
+    assert again.names == ("root", "left", "left end", "right")
+    same = [motion.names.index(name) for name in again.names]
+    p, R = motion.forward_kinematics()
+    p_again, R_again = again.forward_kinematics()
+    np.testing.assert_allclose(p_again, p[:, same], atol=1e-8)
+    np.testing.assert_allclose(R_again, R[:, same], atol=1e-9)
+    assert len(again.end_parents) == 2  # a joint with nothing below it has an end site, as readers expect
+
+
+@pytest.mark.parametrize(
+    ("name", "order", "says"),
+    [
+        ("a{b", "zxy", "joint name 'a{b': empty, or a brace"),
+        (" ", "zxy", "joint name ' ': empty"),
+        ("a\nb", "zxy", "a line's end in it; rename it"),
+        ("a", "zxz", "order: 'zxz'; give x, y and z in some order"),
+    ],
+)
+def test_what_a_file_could_not_say_is_not_written(tmp_path, name, order, says):
+    with pytest.raises(ShapeError, match=says):
+        write_bvh(tmp_path / "out.bvh", a_motion((name,), (-1,)), order=order)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_exists_is_replaced_only_when_asked(tmp_path):
+    motion, path = a_motion(("root",), (-1,)), tmp_path / "out.bvh"
+    write_bvh(path, motion)
+    with pytest.raises(OutputExistsError, match=r"out\.bvh: is there already; ask to overwrite"):
+        write_bvh(path, motion)
+    write_bvh(path, motion[:2], overwrite=True)
+    assert len(read_bvh(path)) == 2
+    with pytest.raises(RtofError, match="cannot be written"):
+        write_bvh(tmp_path / "none" / "out.bvh", motion)
+
+
+def test_a_position_that_is_not_known_is_refused(tmp_path):
+    motion = a_motion(("root",), (-1,))
+    p = np.array(motion.p_root)
+    p[3] = np.nan
+    unknown = ArticulatedMotion(("root",), (-1,), motion.offsets, motion.R_parent_joint, p, 50.0)
+    with pytest.raises(ShapeError, match="BVH has no gaps, write a file for each piece"):
+        write_bvh(tmp_path / "out.bvh", unknown)

@@ -98,8 +98,33 @@ def test_a_gap_is_written_as_empty_cells_with_all_their_tabs(
     path = tmp_path / "out.trc"
     write_trc(path, markers)
     lines = path.read_text().splitlines()
-    assert {line.count("\t") for line in lines[3:]} == {1 + 3 * 3}
+    assert {line.count("\t") for line in lines[3:]} == {2 + 3 * 3}  # a tab ends the line, as OpenSim's
     assert lines[5 + 4].split("\t")[5:8] == ["", "", ""]
+
+
+def test_opensims_ground_keeps_x_and_has_z_on_the_right(
+    markers: MarkerSequence, tmp_path: Path
+) -> None:
+    path = tmp_path / "out.trc"
+    write_trc(path, markers, up="opensim")
+    x, y, z = np.moveaxis(markers.p_world, -1, 0)
+    in_file = markers.p_world @ UP["y"]  # as read_trc takes it apart where nothing is declared
+    same(read_trc(path, up="opensim"), markers, 1e-9)
+    assert not np.allclose(in_file, np.stack([x, z, -y], -1), equal_nan=True)
+    first = path.read_text().splitlines()[5].split("\t")[2:5]
+    np.testing.assert_allclose([float(cell) for cell in first], [x[0, 0], z[0, 0], -y[0, 0]], atol=1e-9)
+
+
+def test_a_point_that_was_not_seen_has_residual_minus_one_and_no_nan_in_the_file(
+    markers: MarkerSequence, tmp_path: Path
+) -> None:
+    path = tmp_path / "out.c3d"
+    write_c3d(path, markers)
+    data = path.read_bytes()
+    (block,) = struct.unpack("<h", data[16:18])
+    words = np.frombuffer(data[(block - 1) * 512 :], "<f4", 12 * 3 * 4).reshape(12, 3, 4)
+    assert np.isfinite(words).all()
+    np.testing.assert_array_equal(words[..., 3] == -1, np.isnan(markers.p_world[..., 0]))
 
 
 def test_real_triangulated_markers_project_onto_the_detections_they_came_from() -> None:

@@ -225,3 +225,21 @@ def test_a_robot_that_plays_the_messages_on_the_urdf_stands_where_the_motion_doe
             np.testing.assert_allclose(
                 placement.rotation, motion.poses.R_world_bone[t, j], atol=1e-9
             )
+
+
+def test_a_trajectory_ends_where_nothing_is_known_and_another_begins_after_it(
+    tmp_path: Path, motion: MotionSequence
+) -> None:
+    q = np.array(motion.q)
+    q[8:11] = np.nan
+    paths = write_ros_trajectory(tmp_path, replace(motion, q=q))
+    assert [path.name for path in paths] == [
+        "ros_joint_trajectory_1.json", "ros_base_trajectory_1.json",
+        "ros_joint_trajectory_2.json", "ros_base_trajectory_2.json",
+    ]  # fmt: skip
+    assert all("NaN" not in path.read_text() for path in paths)
+    before, after = (json.loads(path.read_text())["points"] for path in paths[::2])
+    assert (len(before), len(after)) == (8, T - 11)
+    stamp = after[0]["time_from_start"]  # all of them count from the motion's first frame
+    assert stamp["sec"] + 1e-9 * stamp["nanosec"] == pytest.approx(11 / planted.RATE_HZ)
+    np.testing.assert_allclose(after[0]["positions"], motion.q[11, 7:])

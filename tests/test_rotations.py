@@ -250,3 +250,13 @@ def test_the_nearest_angles_beat_every_other_name_of_the_rotation(
     family = np.vstack([angles + turns, other + turns])
     shortest = np.linalg.norm(family - near, axis=1).min()
     assert np.linalg.norm(best - near) <= shortest + 1e-9
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_continuous_angles_go_round_and_through_the_other_branch_without_a_jump(order: str) -> None:
+    t = np.linspace(0, 1, 400)[:, None]
+    angles = np.stack([9 * t, 1 + 4 * t, -8 * t], axis=-1)  # the middle one passes 90 degrees twice
+    R = so3.euler_to_matrix(order, angles)
+    found = so3.euler_continuous(so3.matrix_to_euler(order, R))
+    assert_close(found, angles, 1e-9)
+    assert_close(so3.euler_continuous(found[:1]), found[:1])

@@ -615,3 +615,12 @@ def test_limits_judge_the_posture_and_not_the_name_of_its_angles(skeleton: Skele
     q[1, elbow] = inside + 2 * np.pi * np.array([1, 0, -1])
     q[2, elbow] = [inside[0] + np.pi, np.pi - inside[1], inside[2] - np.pi]
     assert skeleton.check(q).violations == {}
+
+
+def test_a_piece_of_a_motion_has_the_rows_of_everything(motion: MotionSequence) -> None:
+    piece = motion[10:14]
+    np.testing.assert_array_equal(piece.q, motion.q[10:14])
+    np.testing.assert_array_equal(piece.times, motion.times[10:14])
+    np.testing.assert_array_equal(piece.report.limit_excess, motion.report.limit_excess[10:14])
+    np.testing.assert_array_equal(piece.report.singular, motion.report.singular[10:14])
+    assert piece.skeleton is motion.skeleton

@@ -271,14 +271,13 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> Articulated
 
 
 def write_bvh(
-    path: str | Path, motion: ArticulatedMotion, *, order: str = "xzy", overwrite: bool = False
+    path: str | Path, motion: ArticulatedMotion, *, order: str = "zxy", overwrite: bool = False
 ) -> None:
     """Write a motion that `read_bvh` reads back, in the axes and the length unit it has.
 
     Args:
-        order: of the rotation channels, the same for all joints, since widespread readers take the first
-            joint's for all. With y up and z forward, x z y are flexion, adduction and rotation of most
-            joints, and the middle one stays far from 90 degrees.
+        order: of the rotation channels, the same for all joints, since some readers take the first
+            joint's for all, and others z x y whatever the file says.
 
     Raises:
         ShapeError: no such order, a joint's name that ends a line or a block, or a value is not finite.
@@ -302,7 +301,7 @@ def write_bvh(
     if not np.isfinite(values).all():
         raise ShapeError("motion: a value is not finite; BVH has no gaps, write a file for each piece")
     lines = ["HIERARCHY", *_hierarchy(motion, order, 0, "")]
-    lines += ["MOTION", f"Frames: {len(values)}", f"Frame Time: {1 / motion.rate_hz!r}"]
+    lines += ["MOTION", f"Frames: {len(values)}", f"Frame Time: {1 / float(motion.rate_hz)!r}"]
     lines += [" ".join(f"{value:.9f}" for value in row) for row in values.tolist()]
     write_text(Path(path), "\n".join([*lines, ""]), overwrite)
 

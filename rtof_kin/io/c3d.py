@@ -301,9 +301,14 @@ def write_c3d(
     file.add_parameter("POINT", "X_SCREEN", ["+X" if up[-1] != "x" else "+Y"])
     file.add_parameter("POINT", "Y_SCREEN", [up.upper() if up[0] == "-" else f"+{up.upper()}"])
     file["header"]["points"]["first_frame"] = first
-    file["data"]["points"] = np.concatenate(
-        [p_file.transpose(2, 1, 0), np.ones((1, len(markers.names), len(markers)))]
-    )
+    # ezc3d would write NaN with residual 0; the format's sign for a point not seen is residual -1.
+    points = p_file.transpose(2, 1, 0)
+    seen = np.isfinite(points[:1])
+    file["data"]["points"] = np.concatenate([np.where(seen, points, 0.0), np.ones_like(seen)])
+    file["data"]["meta_points"] = {
+        "residuals": np.where(seen, 0.0, -1.0),
+        "camera_masks": np.zeros((7, *seen.shape[1:]), dtype=bool),
+    }
     try:
         path.write_bytes(b"")  # where that fails, ezc3d says nothing
         file.write(str(path))

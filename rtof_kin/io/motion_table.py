@@ -25,8 +25,8 @@ from rtof_kin.types import Provenance
 
 CONVENTION = (
     "world: z up, m; base: pose of the root link in world, quaternion x y z w; revolutes as in the "
-    "URDF, zero in the T-pose; landmarks in world; NAME_valid: whether the position of that joint is an "
-    "estimate to rely on; NAME_seen_by: its provenance"
+    "URDF, zero in the T-pose; p_NAME: landmark in world; NAME_valid: whether the position of that joint "
+    "is an estimate to rely on; NAME_seen_by: its provenance"
 )
 
 
@@ -55,7 +55,8 @@ def motion_columns(motion: MotionSequence) -> list[Column]:
         columns.append(Column(name, "rad", values, also))
     p = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
     for landmark, name in enumerate(skeleton.landmarks):
-        columns += [Column(f"{name}_{axis}", "m", p[:, landmark, i], {}) for i, axis in enumerate("xyz")]
+        for i, axis in enumerate("xyz"):
+            columns.append(Column(f"p_{name}_{axis}", "m", p[:, landmark, i], {}))
     words = np.array([provenance.name.lower() for provenance in Provenance])
     for j, name in enumerate(skeleton.names):
         columns.append(Column(f"{name}_valid", "", poses.valid[:, j], {}))

@@ -149,10 +149,11 @@ def write_trc(
         ["PathFileType", "4", "(X/Y/Z)", path.name],
         list(_KEYS),
         [rate, rate, str(T), str(M), unit, rate, "1", str(T)],
-        ["Frame#", "Time", *(cell for name in markers.names for cell in (name, "", ""))],
-        ["", "", *(f"{axis}{i + 1}" for i in range(M) for axis in "XYZ")],
+        ["Frame#", "Time", *(cell for name in markers.names for cell in (name, "", "")), ""],
+        ["", "", *(f"{axis}{i + 1}" for i in range(M) for axis in "XYZ"), ""],
     ]
     for number, (time, row) in enumerate(zip(markers.times, p_file, strict=True), 1):
         cells = ("" if np.isnan(value) else f"{value:.9f}" for value in row.ravel())
-        lines.append([str(number), repr(float(time)), *cells])
+        # A tab ends the line, as OpenSim writes it: without, it misses an empty cell in the last place.
+        lines.append([str(number), repr(float(time)), *cells, ""])
     write_text(path, "".join("\t".join(line) + "\n" for line in lines), overwrite)
