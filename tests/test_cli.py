@@ -63,6 +63,8 @@ def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
         "joint_trajectory.json",
         "ros_joint_trajectory.json",
         "ros_base_trajectory.json",
+        "motion.csv",
+        "files.json",
         "summary.json",
     }
     summary = json.loads((reconstructed / "summary.json").read_text())
@@ -98,6 +100,43 @@ def test_export_writes_only_what_was_asked(reconstructed: Path, tmp_path: Path) 
     assert names == {
         "skeleton.urdf", "files.json", "ros_joint_trajectory.json", "ros_base_trajectory.json"
     }  # fmt: skip
+
+
+def test_export_writes_for_every_tool(
+    reconstructed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["export", str(reconstructed / "motion.npz"), "--to"]
+    out = str(tmp_path / "all")
+    assert main([*arguments, "mot, trc,osim,c3d,bvh,csv,parquet", out]) == 0
+    assert "motion.parquet" in capsys.readouterr().out
+    index = json.loads((tmp_path / "all" / "files.json").read_text())
+    formats = {facts["format"] for facts in index["files"].values()}
+    assert formats == {"urdf", "mot", "trc", "osim", "c3d", "bvh", "csv", "parquet"}
+    assert main([*arguments, "mot", out]) == 2
+    assert "ask to overwrite" in capsys.readouterr().err
+    assert main([*arguments, "mot", out, "--overwrite"]) == 0
+    assert not (tmp_path / "all" / "motion.trc").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--to", "fbx", "OUT"], "unknown format 'fbx'"),
+        (["--to", "mot"], "name one folder to write, as OUT or with -o OUT"),
+        (["OUT", "-o", "OUT"], "name one folder to write"),
+    ],
+)
+def test_export_says_what_it_cannot_do_and_writes_nothing(
+    reconstructed: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    says: str,
+) -> None:
+    place = [str(tmp_path / "out") if word == "OUT" else word for word in arguments]
+    assert main(["export", str(reconstructed), *place]) == 2
+    assert says in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_simulate_makes_a_recording_that_loads(tmp_path: Path) -> None:

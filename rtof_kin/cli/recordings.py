@@ -148,7 +148,7 @@ def _export(options: argparse.Namespace) -> None:
     output = options.output or options.folder
     if output is None or (options.output and options.folder):
         raise ShapeError("export: name one folder to write, as OUT or with -o OUT")
-    formats = options.to.split(",") if options.to is not None else DEFAULT
+    formats = DEFAULT if options.to is None else [name.strip() for name in options.to.split(",")]
     check_formats(formats)
     path = Path(options.motion)
     motion = read_motion_npz(path / "motion.npz" if path.is_dir() else path).motion()
