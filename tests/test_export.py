@@ -13,7 +13,7 @@ import planted
 import pytest
 
 from rtof_kin import figures
-from rtof_kin.errors import OutputExistsError
+from rtof_kin.errors import OutputExistsError, UnknownNameError
 from rtof_kin.export import export, summary
 from rtof_kin.io.joint_trajectory import read_joint_trajectory_csv
 from rtof_kin.io.motion_npz import read_motion_npz
@@ -66,6 +66,20 @@ def test_every_file_is_there_and_figures_when_asked(
     assert result.export(tmp_path / "out") == tmp_path / "out"
     assert [path.name for path in drawn] == ["figures"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
+
+
+def test_files_of_other_tools_come_where_they_are_asked_for(
+    result: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(figures, "write_figures", lambda result, folder: None)
+    result.export(tmp_path / "out", formats=("osim", "mot", "trc"))
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    pieces = {"motion_1.mot", "motion_2.mot"}  # nobody saw the person in between
+    assert names >= pieces | {"skeleton.osim", "motion.trc", "motion.npz"}
+    assert not any(name.endswith(".csv") for name in names)
+    with pytest.raises(UnknownNameError, match="unknown format 'dae'"):
+        result.export(tmp_path / "other", formats=("dae",))
+    assert not (tmp_path / "other").exists()
 
 
 def test_the_motion_file_holds_the_motion(result: Reconstruction, folder: Path) -> None:

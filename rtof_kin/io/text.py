@@ -1,5 +1,6 @@
-"""Text files, TOML and JSON, read whole without trusting them, and text written without replacing anything
-unasked; and how large a number may be."""
+"""Text files, TOML and JSON, read whole without trusting them; text, written without replacing anything
+unasked; and how large a number may be.
+"""
 
 from __future__ import annotations
 
