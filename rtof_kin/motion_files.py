@@ -1,7 +1,7 @@
 """A motion in the files of every tool, which agree with one another, and what each of them says.
 
-What nobody saw is nowhere filled in silently. A frame belongs to a *gap* where no joint is valid (what
-stands there was bridged) or the configuration is not known at all:
+What nobody saw is nowhere filled in silently. A frame belongs to a *gap* where no joint is valid (nobody
+saw where the person was; what stands there was bridged) or the configuration is not known at all:
 
 ==========  ===========================================  =============================================
 format      files                                        in a gap
@@ -177,33 +177,28 @@ def _bvh(path: Path, motion: MotionSequence) -> None:
 def _in_pieces(
     ending: str,
     write: Callable[[Path, MotionSequence], None],
-    clock: Callable[[MotionSequence], float],
+    has_times: bool,
     folder: Path,
     motion: MotionSequence,
 ) -> Files:
-    """A file for each stretch without gaps; `clock` gives the motion's time at which its own is 0."""
+    """A file for each stretch without gaps; one without times begins at 0."""
     parts = pieces(motion)
     if not parts:
-        raise ShapeError(f"motion: nobody saw the person in any frame; there is nothing for {ending}")
+        raise ShapeError(
+            f"motion: nobody saw where the person was in any frame, so there is nothing for {ending}"
+        )
     files = {}
     for number, (start, stop) in enumerate(parts, 1):
         part = motion[start:stop]
         name = f"motion{ending}" if len(parts) == 1 else f"motion_{number}{ending}"
         write(folder / name, part)
-        files[name] = {"frames": [start, stop], "time_zero_s": clock(part)}
+        zero = 0.0 if has_times else float(part.times[0])
+        files[name] = {"frames": [start, stop], "time_zero_s": zero}
     return files
 
 
 def _whole(motion: MotionSequence) -> Facts:
     return {"frames": [0, len(motion.q)], "time_zero_s": 0.0}
-
-
-def _own_times(motion: MotionSequence) -> float:
-    return 0.0
-
-
-def _from_first_frame(motion: MotionSequence) -> float:
-    return float(motion.times[0])
 
 
 _MOST_FRAMES_C3D = 0xFFFF
@@ -228,18 +223,18 @@ FORMATS: dict[str, Format] = {
         f"OpenSim 4: bodies are the URDF's links in their frames, markers its landmarks; {_GROUND}", _osim
     ),
     "mot": Format(
-        f"{_COORDINATES}; degrees and m", partial(_in_pieces, ".mot", write_mot, _own_times), True
+        f"{_COORDINATES}; degrees and m", partial(_in_pieces, ".mot", write_mot, True), even=True
     ),
     "sto": Format(
         f"values and speeds of {_COORDINATES}; rad, m, rad/s, m/s",
-        partial(_in_pieces, ".sto", write_sto, _own_times), True,
+        partial(_in_pieces, ".sto", write_sto, True), even=True,
     ),
-    "trc": Format(f"landmarks by name in {_GROUND}; m; even times", _trc, True),
-    "c3d": Format("landmarks by name, x forward, y left, z up; mm, 32 bits", _c3d, True),
+    "trc": Format(f"landmarks by name in {_GROUND}; m; even times", _trc, even=True),
+    "c3d": Format("landmarks by name, x forward, y left, z up; mm, 32 bits", _c3d, even=True),
     "bvh": Format(
         "joints by name; x left, y up, z forward, which is world x; cm; degrees, intrinsic in the order "
         "of CHANNELS, z x y; zero in the T-pose",
-        partial(_in_pieces, ".bvh", _bvh, _from_first_frame), True,
+        partial(_in_pieces, ".bvh", _bvh, False), even=True,
     ),
 }  # fmt: skip
 """All formats by name."""

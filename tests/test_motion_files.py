@@ -337,7 +337,7 @@ def test_uneven_times_are_refused_where_a_format_has_none_of_its_own(
 def test_a_motion_that_nobody_saw_is_no_motion_for_opensim(
     motion: MotionSequence, tmp_path: Path
 ) -> None:
-    with pytest.raises(ShapeError, match="nobody saw the person in any frame; .* nothing for .mot"):
+    with pytest.raises(ShapeError, match="nobody saw where the person was in any .* nothing for .mot"):
         write_motion_files(tmp_path, motion[BRIDGED], ["mot"])
 
 

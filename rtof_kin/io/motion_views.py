@@ -20,10 +20,10 @@ MOST_UNEVEN = 0.02
 
 
 def pieces(motion: MotionSequence) -> list[tuple[int, int]]:
-    """Frames [start, stop) of the stretches in which somebody saw the person, for formats without gaps.
+    """Frames [start, stop) of the stretches in which the person was seen, for formats without gaps.
 
-    A frame belongs to a gap where its configuration is not known or no joint of it is valid: where
-    nobody saw the person, what stands there was bridged.
+    A frame belongs to a gap where its configuration is not known, or where no joint of it is valid:
+    what stands there was bridged, though sensors may have felt their bones turn.
     """
     return runs(np.isfinite(motion.q).all(axis=1) & motion.poses.valid.any(axis=1))
 
