@@ -122,8 +122,7 @@ def test_export_writes_for_every_tool(
     ("arguments", "says"),
     [
         (["--to", "fbx", "OUT"], "unknown format 'fbx'"),
-        (["--to", "mot"], "name one folder to write, as OUT or with -o OUT"),
-        (["OUT", "-o", "OUT"], "name one folder to write"),
+        (["OUT", "-o", "OUT"], "name one folder to write, as OUT or with -o OUT"),
     ],
 )
 def test_export_says_what_it_cannot_do_and_writes_nothing(
@@ -137,6 +136,13 @@ def test_export_says_what_it_cannot_do_and_writes_nothing(
     assert main(["export", str(reconstructed), *place]) == 2
     assert says in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_export_needs_a_folder(reconstructed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["export", str(reconstructed), "--to", "mot"])
+    assert stop.value.code == 2
+    assert "required: OUT" in capsys.readouterr().err
 
 
 def test_simulate_makes_a_recording_that_loads(tmp_path: Path) -> None:

@@ -145,9 +145,9 @@ def _export(options: argparse.Namespace) -> None:
     from rtof_kin.io.motion_npz import read_motion_npz
     from rtof_kin.motion_files import DEFAULT, URDF, check_formats, write_motion_files
 
-    output = options.output or options.folder
-    if output is None or (options.output and options.folder):
+    if options.output and options.folder:
         raise ShapeError("export: name one folder to write, as OUT or with -o OUT")
+    output = options.output or options.folder
     formats = DEFAULT if options.to is None else [name.strip() for name in options.to.split(",")]
     check_formats(formats)
     path = Path(options.motion)
@@ -245,8 +245,16 @@ def _add_export(commands: Any) -> None:
         "file has. Where nobody saw the person, no file says that somebody did.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
-    parser.add_argument("folder", metavar="OUT", nargs="?", help="folder to write, if not with -o")
-    add_output(parser, "", "folder to write")
+    folder = parser.add_argument("folder", metavar="OUT", help="folder to write")
+
+    class InPlaceOfFolder(argparse.Action):
+        """An optional positional would be passed over where options stand before it."""
+
+        def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
+            folder.required = False
+            namespace.output = values
+
+    add_output(parser, "", "the same, as other commands have it", action=InPlaceOfFolder)
     parser.add_argument(
         "--to", metavar="FORMATS",
         help="separated by commas: csv,ros (the default), parquet; osim,mot,sto,trc (OpenSim); c3d; bvh",
