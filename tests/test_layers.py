@@ -37,6 +37,10 @@ inertial.gravity
 inertial.alternatives
 inertial.physics
 cartesian_banded   joint_space.prior   joint_space.state
+inertial.stillness   inertial.poses
+inertial.alignment   inertial.evidence
+inertial.headings
+inertial.pose_calibration
 cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem   joint_space.windows
 joint_space.couplings
