@@ -38,8 +38,10 @@ inertial.alternatives
 inertial.physics
 cartesian_banded   joint_space.prior   joint_space.state
 inertial.stillness   inertial.poses
-inertial.alignment   inertial.evidence
-inertial.headings
+inertial.evidence
+inertial.alignment   inertial.headings
+inertial.faults
+inertial.mounting
 inertial.pose_calibration
 cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem   joint_space.windows

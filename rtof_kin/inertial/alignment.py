@@ -12,14 +12,13 @@ from rtof_kin import rotations as so3
 from rtof_kin.calibration import ImuCalibration
 from rtof_kin.checks import indices_of, readonly
 from rtof_kin.errors import CalibrationError
+from rtof_kin.inertial.evidence import RATE_HZ
 from rtof_kin.inertial.stillness import streams_of
 from rtof_kin.inertial.streams import SensorLog, SensorStream
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, ImuSequence
 
 Array = NDArray[np.float64]
-RATE_HZ = 60.0
-"""Rate that sensors with times of their own are brought to."""
 LEAST_MARGIN = 3.0
 """Nats by which headings from movement must beat those further than 45 degrees away."""
 _RESTLESS_DEG = 5.0

@@ -7,6 +7,7 @@
 - turning: the direction of their relative angular velocity in the axes of both, under the angular
   central Gaussian (Tyler 1987) that the prior's movements have: a knee turns about its y axis;
 - upright: where up is in a segment's axes, for somebody who mostly stands;
+- seen: where a camera looked, the directions of the bones (where given);
 - joint centre: where one segment begins at the other, both sensors must find the same acceleration.
 
 All have heavy tails (Student's t), since people do what no prior has seen. Neighbouring instants say
@@ -15,7 +16,7 @@ nearly the same: what an instant weighs is its duration over a correlation time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -24,14 +25,14 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.special import gammaln
 
-from rtof_kin import kinematics
+from rtof_kin import kinematics, signals
 from rtof_kin import rotations as so3
 from rtof_kin.checks import readonly
 from rtof_kin.errors import ShapeError
 from rtof_kin.inertial.stillness import orientation_rate
 from rtof_kin.joint_space.prior import shipped_prior
 from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import BoneImuSequence
+from rtof_kin.types import BoneImuSequence, PoseSequence
 
 Array = NDArray[np.float64]
 RATE_HZ = 60.0
@@ -46,6 +47,7 @@ class EvidenceSettings:
     limit_deg: float = 10.0  # [deg] by which a joint passes its limits with likelihood exp(-1/2)
     tilt_deg: float = 20.0  # [deg] per axis, of the root against upright
     up_sigma: float = 0.25  # [-] added to the spread of the direction of up
+    seen_deg: float = 20.0  # [deg] between a bone as a camera saw it and as its sensor says
     turning_floor: float = 0.06  # [-] share of a turn that is about any axis
     least_turning: float = 0.7  # [rad/s] slower relative turns say nothing
     acceleration: float = 1.5  # [m/s^2] at rest, of a joint centre
@@ -57,7 +59,7 @@ class EvidenceSettings:
     degrees_of_freedom: float = 3.0  # [-] of Student's t
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reading:
     """One sensor, read as sitting on a segment."""
 
@@ -89,12 +91,21 @@ class Reading:
         )
 
 
-def readings_of(bone_imus: BoneImuSequence) -> tuple[Reading, ...]:
-    """The sensors as declared, at `RATE_HZ`."""
+def even_times(bone_imus: BoneImuSequence) -> Array:
+    """(T,) s at `RATE_HZ`, over all that the sensors measured.
+
+    Raises:
+        ShapeError: that is too short to say anything about movement.
+    """
     start, stop = bone_imus.times[[0, -1]]
-    times = np.arange(start, stop + 1e-9, 1 / RATE_HZ)
-    if len(times) < 4:
-        raise ShapeError(f"{stop - start:.2g} s of sensor data are too short to judge a movement")
+    if stop - start < 1.0:
+        raise ShapeError(f"{stop - start:.2g} s of sensor data are too short to judge a movement by")
+    return np.asarray(np.arange(start, stop + 1e-9, 1 / RATE_HZ), dtype=np.float64)
+
+
+def readings_of(bone_imus: BoneImuSequence) -> tuple[Reading, ...]:
+    """The sensors as declared, at `even_times`."""
+    times = even_times(bone_imus)
     even = bone_imus.resample(times)
     readings = []
     for s, joint in enumerate(even.joints):
@@ -102,6 +113,21 @@ def readings_of(bone_imus: BoneImuSequence) -> tuple[Reading, ...]:
         w_world = np.einsum("tij,tj->ti", R, orientation_rate(times, R))
         readings.append(Reading(joint, R, w_world, even.a_world[:, s], even.p_bone_sensor[s]))
     return tuple(readings)
+
+
+def seen_bones(poses: PoseSequence, skeleton: SkeletonModel, times: Array) -> dict[str, Array]:
+    """Directions (T, C, 3) in world, at some times, from each joint to its C children, as a camera saw.
+
+    Joints of which nothing was seen, and those without children, are not there.
+    """
+    skeleton.check_joints(poses.names)
+    p = signals.interpolate(poses.times, poses.p_world_joint, times, max_gap=0.2)
+    children = {j: kinematics.children_of(skeleton.parents, j) for j in range(len(skeleton.names))}
+    return {
+        skeleton.names[j]: so3.unit(p[:, own] - p[:, [j]])
+        for j, own in children.items()
+        if own and np.isfinite(p[:, [*own, j]]).all(axis=(1, 2)).any()
+    }
 
 
 @dataclass(frozen=True)
@@ -121,8 +147,15 @@ class _Pair:
 class Evidence:
     """Log-likelihoods of readings on one skeleton, in nats."""
 
-    def __init__(self, skeleton: SkeletonModel, settings: EvidenceSettings | None = None) -> None:
+    def __init__(
+        self,
+        skeleton: SkeletonModel,
+        settings: EvidenceSettings | None = None,
+        seen: Mapping[str, Array] | None = None,
+    ) -> None:
+        """For one skeleton; `seen`: `seen_bones` at the readings' times, where a camera looked."""
         self.skeleton, self.settings = skeleton, settings or EvidenceSettings()
+        self.seen = seen or {}
         self._pairs: dict[tuple[str, str], _Pair] = {}
         self._ups: dict[str, tuple[Array, Array]] = {}
 
@@ -131,7 +164,8 @@ class Evidence:
 
         Of a pair the one nearer to the root stands first.
         """
-        lines = [self._line(joint) for joint in joints]
+        parents = self.skeleton.parents
+        lines = [kinematics.line_to_root(parents, j) for j in self.skeleton.index(*joints)]
         distance = np.array([[len(set(a) ^ set(b)) for b in lines] for a in lines], dtype=float)
         # Of equal distances the smaller indices, so that the tree does not depend on rounding.
         rows, columns = minimum_spanning_tree(np.triu(distance)).nonzero()
@@ -140,10 +174,17 @@ class Evidence:
         return [(a, b) if order(a) < order(b) else (b, a) for a, b in pairs]
 
     def single(self, reading: Reading) -> float:
-        """Of one sensor alone: where up is."""
+        """Of one sensor alone: where up is, and where a camera looked, whether the bones point so."""
         mean, precision = self._up(reading.joint)
-        off = reading.R_world_bone[:, 2, :] - mean
-        values = self._student(off, precision)
+        values = self._student(reading.R_world_bone[:, 2, :] - mean, precision)
+        if reading.joint in self.seen:
+            own = kinematics.children_of(
+                self.skeleton.parents, self.skeleton.names.index(reading.joint)
+            )
+            rest = so3.unit(self.skeleton.joint_offsets[own])
+            expected = np.einsum("tij,cj->tci", reading.R_world_bone, rest)
+            square = np.sum((expected - self.seen[reading.joint]) ** 2, axis=-1).mean(axis=1)
+            values = values - self._tail(square / np.radians(self.settings.seen_deg) ** 2, 2)
         return self._summed(values, self.settings.posture_memory)
 
     def pair(self, a: Reading, b: Reading) -> float:
@@ -235,15 +276,6 @@ class Evidence:
 
     def _summed(self, values: Array, memory: float) -> float:
         return float(np.nansum(values) / (RATE_HZ * memory))
-
-    def _line(self, joint: str) -> list[int]:
-        """Indices of a joint and all between it and the root."""
-        out = []
-        j = self.skeleton.index(joint)[0]
-        while j >= 0:
-            out.append(j)
-            j = self.skeleton.parents[j]
-        return out
 
     @cached_property
     def _samples(self) -> tuple[Array, Array]:

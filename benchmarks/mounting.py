@@ -1,0 +1,222 @@
+"""How often faults of a sensor setup are found and named, and how often good setups are accused.
+
+``python -m benchmarks.mounting --corpus DIR`` with DIR the folder of free motion (see README.md here).
+Motion of the validation subjects of split.toml (``--subset train``: of all that train), pieces of 12 s and
+of 4 s at least. Sensors are simulated with soft tissue and accelerometer noise; each is misaligned by about
+10 degrees. One fault is planted at a time, as if it was made before a calibration in an N-pose; which sensor,
+axis and angle are drawn. *found*: something is reported. *named*: the first report is the fault that was
+planted. *or among*: it is, or stands beside the first as nearly as likely. Of good setups, *found* is false.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tomllib
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from benchmarks.harness import SENSOR_SETS
+from rtof_kin import rotations as so3
+from rtof_kin.calibration import ImuCalibration
+from rtof_kin.inertial.alignment import usual_lever
+from rtof_kin.inertial.faults import Fault, FaultKind
+from rtof_kin.inertial.mounting import LEAST_RATIO, find_faults
+from rtof_kin.inertial.poses import pose_rotations
+from rtof_kin.mocap import MocapClip, read_corpus, resample_clip
+from rtof_kin.simulation import low_passed
+from rtof_kin.simulation_noise import ImuNoise
+from rtof_kin.simulation_sensors import simulate_imus
+from rtof_kin.skeleton import SkeletonModel
+
+Array = NDArray[np.float64]
+HERE = Path(__file__).parent
+SEED, POSE = 1, "N"
+SECONDS, LEAST_SECONDS, MOST_PIECES = 12.0, 4.0, 3
+MISALIGNMENT_DEG = 10 / np.sqrt(8 / np.pi)
+"""Per axis: the mean length of three normal components is sqrt(8 / pi) of one's standard deviation."""
+SETS = {**SENSOR_SETS, "13": tuple(SkeletonModel.default().sensors)}
+NEIGHBOURS = (
+    ("Leg", "UpLeg"), ("Foot", "Leg"), ("ForeArm", "Arm"),
+)  # fmt: skip
+
+
+def pieces(corpus: Path, subset: str) -> Iterator[MocapClip]:
+    """Motion of the subjects of a subset, low-passed, at 60 Hz, in pieces of `SECONDS`."""
+    split = tomllib.loads((HERE / "split.toml").read_text(encoding="utf-8"))
+    held_out = {*split["test"], *split["validation"], *split["excluded"]}
+    for clip in read_corpus(corpus, split["validation"] if subset == "validation" else None):
+        if subset == "train" and clip.subject in held_out:
+            continue
+        count, length = len(clip.poses), round(SECONDS * clip.poses.rate_hz)
+        if count < LEAST_SECONDS * clip.poses.rate_hz:
+            continue
+        smooth = resample_clip(low_passed(clip, 10.0), 60.0)
+        for first in list(range(0, max(count - length // 2, 1), length))[:MOST_PIECES]:
+            poses = smooth.poses[first : first + length]
+            if len(poses) >= LEAST_SECONDS * 60:
+                poses = replace(poses, times=poses.times - poses.times[0])
+                yield replace(smooth, poses=poses, name=f"{clip.name}[{first}]")
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A calibration with a fault, and what it is."""
+
+    calibration: ImuCalibration
+    kind: FaultKind | None
+    joints: frozenset[str]
+    """Segments, as declared, that are concerned; all of them where empty."""
+
+
+def _declared_on(good: ImuCalibration, wrong: dict[str, str], skeleton: SkeletonModel) -> ImuCalibration:
+    """As if the sensors on some segments had been declared on others before the calibration pose."""
+    R_pose = pose_rotations(POSE, skeleton)
+    joints = [wrong.get(joint, joint) for joint in good.joints]
+    was, now = skeleton.index(*good.joints), skeleton.index(*joints)
+    R = good.R_sensor_bone @ np.swapaxes(R_pose[was], -1, -2) @ R_pose[now]
+    levers = dict(zip(good.joints, good.p_bone_sensor, strict=True))
+    new = [levers[j] if j in levers else usual_lever(j, skeleton) for j in joints]
+    return replace(good, joints=tuple(joints), R_sensor_bone=R, p_bone_sensor=np.array(new))
+
+
+def _nothing(rng: Generator, good: ImuCalibration, skeleton: SkeletonModel) -> Planted:
+    return Planted(good, None, frozenset())
+
+
+def _facing(rng: Generator, good: ImuCalibration, skeleton: SkeletonModel) -> Planted:
+    turn = so3.about_axis("z", np.radians(rng.choice([90, -90, 180])))
+    R_pose = pose_rotations(POSE, skeleton)[skeleton.index(*good.joints)]
+    R = good.R_sensor_bone @ np.swapaxes(R_pose, -1, -2) @ turn @ R_pose
+    return Planted(replace(good, R_sensor_bone=R), FaultKind.FACING, frozenset())
+
+
+def _turned(rng: Generator, good: ImuCalibration, skeleton: SkeletonModel) -> Planted:
+    s = int(rng.integers(len(good.sensors)))
+    R = good.R_sensor_bone.copy()
+    R[s] = R[s] @ so3.about_axis(rng.choice(list("xyz")), np.radians(rng.choice([90, -90, 180])))
+    return Planted(replace(good, R_sensor_bone=R), FaultKind.MOUNTING, frozenset([good.joints[s]]))
+
+
+def _swapped(
+    good: ImuCalibration, skeleton: SkeletonModel, kind: FaultKind, pairs: Sequence[tuple[str, str]]
+) -> Planted:
+    both = {**dict(pairs), **{b: a for a, b in pairs}}
+    return Planted(_declared_on(good, both, skeleton), kind, frozenset(both))
+
+
+def _sides(rng: Generator, good: ImuCalibration, skeleton: SkeletonModel) -> Planted:
+    pairs = _pairs(good)
+    return _swapped(good, skeleton, FaultKind.SIDES, [pairs[int(rng.integers(len(pairs)))]])
+
+
+def _all_sides(rng: Generator, good: ImuCalibration, skeleton: SkeletonModel) -> Planted:
+    return _swapped(good, skeleton, FaultKind.SIDES, _pairs(good))
+
+
+def _neighbours(rng: Generator, good: ImuCalibration, skeleton: SkeletonModel) -> Planted | None:
+    pairs = [(side + a, side + b) for side in ("Left", "Right") for a, b in NEIGHBOURS]
+    pairs = [(a, b) for a, b in pairs if a in good.joints and b in good.joints]
+    if not pairs:
+        return None
+    return _swapped(good, skeleton, FaultKind.NEIGHBOURS, [pairs[int(rng.integers(len(pairs)))]])
+
+
+def _elsewhere(rng: Generator, good: ImuCalibration, skeleton: SkeletonModel) -> Planted | None:
+    wrong = [
+        (side + a, side + b)
+        for side in ("Left", "Right")
+        for x, y in NEIGHBOURS
+        for a, b in ((x, y), (y, x))
+        if side + a in good.joints and side + b not in good.joints
+    ]
+    if not wrong:
+        return None
+    true, declared = wrong[int(rng.integers(len(wrong)))]
+    return Planted(
+        _declared_on(good, {true: declared}, skeleton), FaultKind.SEGMENT, frozenset([declared])
+    )
+
+
+def _pairs(good: ImuCalibration) -> list[tuple[str, str]]:
+    left = [joint for joint in good.joints if joint.startswith("Left")]
+    return [(joint, joint.replace("Left", "Right")) for joint in left]
+
+
+PLANTS: dict[str, Callable[[Generator, ImuCalibration, SkeletonModel], Planted | None]] = {
+    "nothing": _nothing,
+    "facing 90, 180": _facing,
+    "mounting 90, 180": _turned,
+    "a left and a right swapped": _sides,
+    "all left and right swapped": _all_sides,
+    "neighbours swapped": _neighbours,
+    "on the wrong segment": _elsewhere,
+}
+
+
+def judge(clip: MocapClip) -> list[dict[str, Any]]:
+    """A row for every set of sensors and kind of fault: what was reported of one piece of motion."""
+    skeleton = SkeletonModel.default().with_offsets(clip.joint_offsets)
+    noise = replace(ImuNoise(), misalignment_deg=MISALIGNMENT_DEG)
+    rows = []
+    for sensors, names in SETS.items():
+        rng = np.random.default_rng([SEED, zlib.crc32(f"{clip.name} {sensors}".encode())])
+        imus, good = simulate_imus(rng, clip.poses, skeleton, names, clip.poses.times, noise)
+        for plant, make in PLANTS.items():
+            planted = make(rng, good, skeleton)
+            if planted is None:
+                continue
+            found = find_faults(
+                planted.calibration.apply(imus), skeleton, pose=POSE, least_ratio=-np.inf, most=1
+            )
+            right = _is_right(found[0], planted, good)
+            rows.append({
+                "motion": clip.name, "subject": clip.subject, "sensors": sensors, "plant": plant,
+                "seconds": len(clip.poses) / 60, "ratio": found[0].log_likelihood_ratio,
+                "what": found[0].what, "right": right,
+                "among": right or _is_among(found[0], planted),
+            })  # fmt: skip
+    return rows
+
+
+def _is_right(fault: Fault, planted: Planted, good: ImuCalibration) -> bool:
+    """Whether correcting it gives the good calibration back."""
+    if fault.kind is not planted.kind:
+        return False
+    corrected = fault.corrected(planted.calibration)
+    off = so3.angle_between(corrected.R_sensor_bone, good.R_sensor_bone)
+    return bool(corrected.joints == good.joints and np.all(off < np.radians(1.0)))
+
+
+def _is_among(fault: Fault, planted: Planted) -> bool:
+    concerned = planted.joints or set(planted.calibration.joints)
+    return planted.kind is fault.kind and {c.declared for c in fault.changes} == set(concerned)
+
+
+def summarised(rows: list[dict[str, Any]], least_ratio: float) -> list[dict[str, Any]]:
+    """A row for every set of sensors and kind of fault: shares of the pieces."""
+    out = []
+    for plant in PLANTS:
+        for sensors in SETS:
+            own = [r for r in rows if r["plant"] == plant and r["sensors"] == sensors]
+            if not own:
+                continue
+            found = np.array([r["ratio"] >= least_ratio for r in own])
+            named = found & np.array([r["right"] for r in own])
+            among = found & np.array([r["among"] for r in own])
+            out.append({
+                "plant": plant, "sensors": sensors, "pieces": len(own), "found": float(found.mean()),
+                "named": float(named.mean()), "among": float(among.mean()),
+                "ratio": np.percentile([r["ratio"] for r in own], [5, 50, 95]).round(1).tolist(),
+            })  # fmt: skip
+    return out

@@ -1,0 +1,110 @@
+"""What is wrong with a sensor setup: sensors swapped, turned, on another segment, a pose faced elsewhere.
+
+A calibration and some movement are compared with each way in which people get it wrong
+(`rtof_kin.inertial.faults`), by the evidence of `rtof_kin.inertial.evidence`. A fault is named when it
+explains the movement much better than the calibration as declared; nothing is repaired unless
+`Fault.corrected` is asked to.
+
+Not everything can be told. With no camera, sensors of all left and all right limbs swapped at once look
+like the mirror image of what was done, and a world turned about the vertical looks like another room.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rtof_kin.inertial.evidence import Evidence, Reading, even_times, readings_of, seen_bones
+from rtof_kin.inertial.faults import Fault, Setup
+from rtof_kin.inertial.poses import pose_rotations, turned_to
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import BoneImuSequence, PoseSequence
+
+Array = NDArray[np.float64]
+LEAST_RATIO = 12.0
+"""Nats by which a fault must explain the movement better than the calibration as declared."""
+LONGEST = 20.0
+"""Longer movements weigh no more than so many seconds: somebody's habits are no fault, however long."""
+SAME_RATIO = 3.0
+"""Nats within which another fault is named beside the likeliest one."""
+MOST_ALTERNATIVES = 3
+
+
+def find_faults(
+    bone_imus: BoneImuSequence,
+    skeleton: SkeletonModel,
+    *,
+    pose: str | ArrayLike = "T",
+    visual: PoseSequence | None = None,
+    least_ratio: float = LEAST_RATIO,
+    most: int = 3,
+) -> tuple[Fault, ...]:
+    """What is likely wrong with calibrated sensors, the likeliest first; empty where all is well.
+
+    Args:
+        bone_imus: ``calibration.apply(imus)``, at least some seconds of movement, best of all joints.
+        skeleton: who carries them.
+        pose: in which they were calibrated, as for `calibrate_by_pose`: a sensor that sat on another
+            segment was aligned with what that one was thought to do. The T-pose where they were calibrated
+            otherwise.
+        visual: the same movement as a camera saw it (a lifter's poses will do): directions of the bones.
+        least_ratio: nats from which on a fault is named.
+        most: so many faults at most, each looked for after the ones before it are repaired.
+    """
+    times = even_times(bone_imus)
+    R_pose = pose_rotations(pose, skeleton)
+    readings = readings_of(bone_imus)
+    seen = None if visual is None else seen_bones(visual, skeleton, times)
+    scores = _Scores(Evidence(skeleton, seen=seen), min(1.0, LONGEST / (times[-1] - times[0])))
+    found: list[Fault] = []
+    while len(found) < most:
+        levers = {reading.joint: reading.p_bone_sensor for reading in readings}
+        setup = Setup(skeleton, levers, turned_to(R_pose, 0.0))
+        fault = _likeliest(scores, readings, setup, seen is not None)
+        if not fault.log_likelihood_ratio >= least_ratio:
+            break
+        found.append(fault)
+        readings = fault.read(readings)
+    return tuple(found)
+
+
+def _likeliest(
+    scores: _Scores, readings: Sequence[Reading], setup: Setup, seen: bool
+) -> Fault:
+    """The fault that explains the readings best, and what explains them nearly as well."""
+    faults = list(setup.possible_faults(seen))
+    base = scores.total(readings)
+    ratios = np.array([scores.total(fault.read(readings)) - base for fault in faults])
+    best = int(np.argmax(ratios))
+    close = [i for i in np.argsort(-ratios) if ratios[i] > ratios[best] - SAME_RATIO and i != best]
+    return replace(
+        faults[best],
+        log_likelihood_ratio=float(ratios[best]),
+        alternatives=tuple(faults[i].what for i in close[:MOST_ALTERNATIVES]),
+    )
+
+
+class _Scores:
+    """Totals of readings; what two readings say of each other is computed once."""
+
+    def __init__(self, evidence: Evidence, weight: float) -> None:
+        self.evidence, self.weight = evidence, weight
+        self._known: dict[tuple[Reading, ...], float] = {}
+
+    def total(self, readings: Sequence[Reading]) -> float:
+        """Nats."""
+        by_joint = {reading.joint: reading for reading in readings}
+        out = sum(self._of(reading) for reading in readings)
+        out += sum(
+            self._of(by_joint[a], by_joint[b]) for a, b in self.evidence.tree(sorted(by_joint))
+        )
+        return out * self.weight
+
+    def _of(self, *readings: Reading) -> float:
+        if readings not in self._known:
+            of = self.evidence.single if len(readings) == 1 else self.evidence.pair
+            self._known[readings] = of(*readings)
+        return self._known[readings]
