@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
-from rtof_kin.inertial.poses import turned_to
+from rtof_kin.inertial.functional import Movement
+from rtof_kin.inertial.poses import flexion_axis, pose_rotations, turned_to
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import PoseSequence
 
@@ -56,3 +57,52 @@ def held_wrongly(rng: Generator, R_pose: Array, skeleton: SkeletonModel, degrees
         R = kinematics.world_rotations(parents, local @ so3.exp(scale * off))
         scale *= np.radians(degrees) / np.mean(so3.angle_between(R[1:], R_pose[1:]))
     return np.asarray(R)
+
+
+EXERCISES = (
+    ("LeftLeg", {"LeftLeg": 1.3, "LeftUpLeg": 0.5}), ("RightLeg", {"RightLeg": 1.3, "RightUpLeg": 0.5}),
+    ("LeftForeArm", {"LeftForeArm": 1.8, "LeftArm": 0.5}),
+    ("RightForeArm", {"RightForeArm": 1.8, "RightArm": 0.5}),
+    ("Spine3", {"Spine": 0.3, "Spine1": 0.3, "Hips": 0.4}),
+)  # fmt: skip
+"""The joint a movement is named by, and how far segments flex in it, rad."""
+
+
+def exercise(skeleton: SkeletonModel, rng: Generator, seconds: float = 6.0) -> PoseSequence:
+    """Somebody who stands in an N-pose for two seconds, and then flexes one joint after another.
+
+    Each movement takes `seconds` and is done three times, not quite about one axis: other axes move too,
+    and other joints a little.
+    """
+    rate, J = 60.0, len(skeleton.names)
+    R_pose = pose_rotations("N", skeleton)
+    axes = {
+        joint: R_pose[j].T @ flexion_axis(joint, skeleton, R_pose)
+        for j, joint in enumerate(skeleton.names)
+    }
+    count, still = round(seconds * rate), round(HELD * rate)
+    T = still + count * len(EXERCISES)
+    rotvec = np.zeros((T, J, 3))
+    phase = np.arange(count) / count
+    for i, (_, flexed) in enumerate(EXERCISES):
+        own = slice(still + i * count, still + (i + 1) * count)
+        for joint, angle in flexed.items():
+            j = skeleton.names.index(joint)
+            slow = np.sin(np.pi * phase) ** 0.5
+            rotvec[own, j] += (angle * slow * np.sin(3 * np.pi * phase) ** 2)[:, None] * axes[joint]
+            rotvec[own, j] += 0.05 * slow[:, None] * np.sin(
+                2 * np.pi * (np.outer(phase, rng.uniform(2, 5, 3)) + rng.uniform(size=3))
+            )
+    rotvec += 0.01 * np.sin(np.arange(T)[:, None, None] / rate * rng.uniform(1, 3, (J, 3)))
+    local = kinematics.local_rotations(skeleton.parents, R_pose) @ so3.exp(rotvec)
+    R = kinematics.world_rotations(skeleton.parents, local)
+    p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, np.tile([0.0, 0, 0.95], (T, 1)), R)
+    return PoseSequence(np.arange(T) / rate, p, R, skeleton.names)
+
+
+def movements(seconds: float = 6.0) -> list[Movement]:
+    """The movements of `exercise`, when they are done."""
+    return [
+        Movement(joint, HELD + i * seconds, HELD + (i + 1) * seconds)
+        for i, (joint, _) in enumerate(EXERCISES)
+    ]

@@ -37,12 +37,11 @@ inertial.gravity
 inertial.alternatives
 inertial.physics
 cartesian_banded   joint_space.prior   joint_space.state
-inertial.stillness   inertial.poses
+inertial.stillness   inertial.poses   inertial.axes
 inertial.evidence
 inertial.alignment   inertial.headings
-inertial.faults
+inertial.faults   inertial.functional   inertial.pose_calibration
 inertial.mounting
-inertial.pose_calibration
 cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem   joint_space.windows
 joint_space.couplings

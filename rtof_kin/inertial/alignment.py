@@ -72,6 +72,35 @@ class PoseCalibration:
         return tuple(out)
 
 
+def held_orientations(
+    streams: Sequence[SensorStream], still: tuple[float, float]
+) -> tuple[Array, list[float]]:
+    """Mean orientations (S, 3, 3) of sensors while a pose was held, and the spread of each, degrees.
+
+    Raises:
+        CalibrationError: a sensor has no orientation, or none then.
+    """
+    held = [_held(stream, still) for stream in streams]
+    return np.array([R for R, _ in held]), [spread for _, spread in held]
+
+
+def _held(stream: SensorStream, still: tuple[float, float]) -> tuple[Array, float]:
+    if stream.R_inertial_sensor is None:
+        raise CalibrationError(
+            f"sensor {stream.name} has no orientation, which calibration needs; make one of its "
+            "gyroscope and accelerometer first"
+        )
+    R = stream.R_inertial_sensor[(stream.times >= still[0]) & (stream.times <= still[1])]
+    R = R[np.isfinite(R).all(axis=(-2, -1))]
+    if not len(R):
+        raise CalibrationError(
+            f"sensor {stream.name} has no orientation between {still[0]:g} and {still[1]:g} s, when the "
+            f"pose was held; its samples are from {stream.times[0]:g} to {stream.times[-1]:g} s"
+        )
+    mean = so3.nearest_rotation(R.mean(axis=0))
+    return mean, float(np.degrees(np.sqrt(np.mean(so3.angle_between(R, mean) ** 2))))
+
+
 def reports(
     calibration: ImuCalibration, spreads_deg: ArrayLike, sigmas_deg: ArrayLike, pose_deg: float
 ) -> tuple[SensorReport, ...]:

@@ -11,7 +11,8 @@
 - joint centre: where one segment begins at the other, both sensors must find the same acceleration.
 
 All have heavy tails (Student's t), since people do what no prior has seen. Neighbouring instants say
-nearly the same: what an instant weighs is its duration over a correlation time.
+nearly the same: what an instant weighs is its duration over a correlation time, which grows with the number
+of joints between two segments.
 """
 
 from __future__ import annotations
@@ -164,9 +165,7 @@ class Evidence:
 
         Of a pair the one nearer to the root stands first.
         """
-        parents = self.skeleton.parents
-        lines = [kinematics.line_to_root(parents, j) for j in self.skeleton.index(*joints)]
-        distance = np.array([[len(set(a) ^ set(b)) for b in lines] for a in lines], dtype=float)
+        distance = np.array([[self._apart(a, b) for b in joints] for a in joints], dtype=float)
         # Of equal distances the smaller indices, so that the tree does not depend on rounding.
         rows, columns = minimum_spanning_tree(np.triu(distance)).nonzero()
         pairs = [(joints[int(i)], joints[int(j)]) for i, j in zip(rows, columns, strict=True)]
@@ -193,20 +192,16 @@ class Evidence:
         R_a_b = np.swapaxes(a.R_world_bone, -1, -2) @ b.R_world_bone
         known = np.isfinite(R_a_b).all(axis=(-2, -1))
         out = self._posture(a.joint, b.joint, prior, R_a_b[known][::3]) * 3
-        out += self._turning(prior, a, b)
-        names, parents = self.skeleton.names, self.skeleton.parents
-        if names.index(a.joint) == parents[names.index(b.joint)]:
-            out += self._joint_centre(a, b)
-        return out
+        out = (out + self._turning(prior, a, b)) / self._apart(a.joint, b.joint)
+        return out + self._joint_centre(a, b) if self._neighbours(a.joint, b.joint) else out
 
     # --- terms -----------------------------------------------------------------------------------
 
     def _posture(self, a: str, b: str, prior: _Pair, R_a_b: Array) -> float:
         off = so3.log(prior.R_mean.T @ R_a_b)
         values = self._student(off, prior.precision)
-        j = self.skeleton.names.index(b)
-        if self.skeleton.parents[j] == self.skeleton.names.index(a):
-            joint = self.skeleton.table.joints[j]
+        if self._neighbours(a, b):
+            joint = self.skeleton.table.joints[self.skeleton.names.index(b)]
             low, high = joint.limits.T
             angles = so3.matrix_to_euler(joint.axes, R_a_b)
             angles = so3.euler_near(angles, np.broadcast_to((low + high) / 2, angles.shape))
@@ -273,6 +268,16 @@ class Evidence:
         """Minus the log of a t density but for its constant, of squared deviations (T,) in d axes."""
         nu = self.settings.degrees_of_freedom
         return np.asarray((nu + d) / 2 * np.log1p(square / nu))
+
+    def _apart(self, a: str, b: str) -> int:
+        """Number of joints between two segments. So many times longer do they keep a posture: what happens
+        between limbs is habit, and what no sensor sees has to be guessed."""
+        parents = self.skeleton.parents
+        lines = (kinematics.line_to_root(parents, j) for j in self.skeleton.index(a, b))
+        return len(set.symmetric_difference(*map(set, lines)))
+
+    def _neighbours(self, a: str, b: str) -> bool:
+        return self.skeleton.parents[self.skeleton.names.index(b)] == self.skeleton.names.index(a)
 
     def _summed(self, values: Array, memory: float) -> float:
         return float(np.nansum(values) / (RATE_HZ * memory))

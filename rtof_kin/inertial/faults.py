@@ -148,8 +148,8 @@ class Setup:
             if seen:
                 yield Fault(
                     FaultKind.WORLD,
-                    f"the sensors' world has to be turned by {angle} degrees about the vertical to be the "
-                    "camera's",
+                    f"the sensors' world has to be turned by {angle} degrees about the vertical to be "
+                    "the camera's",
                     "Turn the sensors' references, or the camera's calibration, by that angle",
                     (),
                     turn,
@@ -161,8 +161,8 @@ class Setup:
                 for angle in _QUARTERS_DEG:
                     yield Fault(
                         FaultKind.MOUNTING,
-                        f"the sensor on {joint} sits turned by {angle} degrees about the segment's {axis} "
-                        "axis against its calibration",
+                        f"the sensor on {joint} sits turned by {angle} degrees about the segment's "
+                        f"{axis} axis against its calibration",
                         "Put it back as it was, or calibrate again as it sits now",
                         (self._turned(joint, so3.about_axis(axis, np.radians(angle))),),
                     )

@@ -24,7 +24,7 @@ from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, PoseSequence
 
 Array = NDArray[np.float64]
-LEAST_RATIO = 12.0
+LEAST_RATIO = 10.0
 """Nats by which a fault must explain the movement better than the calibration as declared."""
 LONGEST = 20.0
 """Longer movements weigh no more than so many seconds: somebody's habits are no fault, however long."""
@@ -48,8 +48,8 @@ def find_faults(
         bone_imus: ``calibration.apply(imus)``, at least some seconds of movement, best of all joints.
         skeleton: who carries them.
         pose: in which they were calibrated, as for `calibrate_by_pose`: a sensor that sat on another
-            segment was aligned with what that one was thought to do. The T-pose where they were calibrated
-            otherwise.
+            segment was aligned with what that one was thought to do. The T-pose where they were
+            calibrated otherwise.
         visual: the same movement as a camera saw it (a lifter's poses will do): directions of the bones.
         least_ratio: nats from which on a fault is named.
         most: so many faults at most, each looked for after the ones before it are repaired.

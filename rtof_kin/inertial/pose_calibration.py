@@ -33,6 +33,7 @@ from rtof_kin.inertial.alignment import (
     aligned,
     calibrated,
     chosen_streams,
+    held_orientations,
     lever_arms,
     reports,
 )
@@ -96,8 +97,7 @@ def calibrate_by_pose(
         )
     still = find_still(streams) if still is None else still
     own = tuple(joints[stream.name] for stream in streams)
-    held = [_held(stream, still) for stream in streams]
-    R_held = np.array([R for R, _ in held])
+    R_held, spreads = held_orientations(streams, still)
     R_all = pose_rotations(pose, skeleton)
     faces = facing_of(R_all) if world_facing is None else world_facing
     R_pose = turned_to(R_all, faces)[skeleton.index(*own)]
@@ -121,30 +121,12 @@ def calibrate_by_pose(
         pose=pose if isinstance(pose, str) else "measured",
         still=still,
         facing=float(wrapped(faces)),
-        sensors=reports(calibration, [s for _, s in held], np.degrees(found.sigmas), pose_deg),
+        sensors=reports(calibration, spreads, np.degrees(found.sigmas), pose_deg),
         heading_margin=found.margin if facing is None else None,
     )
 
 
 # --- parts ---------------------------------------------------------------------------------------
-
-
-def _held(stream: SensorStream, still: tuple[float, float]) -> tuple[Array, float]:
-    """Mean orientation (3, 3) of a sensor while the pose was held, and its spread, degrees."""
-    if stream.R_inertial_sensor is None:
-        raise CalibrationError(
-            f"sensor {stream.name} has no orientation, which a pose needs; make one of its gyroscope and "
-            "accelerometer first"
-        )
-    R = stream.R_inertial_sensor[(stream.times >= still[0]) & (stream.times <= still[1])]
-    R = R[np.isfinite(R).all(axis=(-2, -1))]
-    if not len(R):
-        raise CalibrationError(
-            f"sensor {stream.name} has no orientation between {still[0]:g} and {still[1]:g} s, when the "
-            f"pose was held; it has samples from {stream.times[0]:g} to {stream.times[-1]:g} s"
-        )
-    mean = so3.nearest_rotation(R.mean(axis=0))
-    return mean, float(np.degrees(np.sqrt(np.mean(so3.angle_between(R, mean) ** 2))))
 
 
 def _forward(
