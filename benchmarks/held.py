@@ -68,11 +68,16 @@ EXERCISES = (
 """The joint a movement is named by, and how far segments flex in it, rad."""
 
 
-def exercise(skeleton: SkeletonModel, rng: Generator, seconds: float = 6.0) -> PoseSequence:
-    """Somebody who stands in an N-pose for two seconds, and then flexes one joint after another.
+def exercise(
+    skeleton: SkeletonModel, rng: Generator, seconds: float = 6.0, R_held: Array | None = None
+) -> PoseSequence:
+    """Somebody who stands for two seconds, and then flexes one joint after another.
 
     Each movement takes `seconds` and is done three times, not quite about one axis: other axes move too,
     and other joints a little.
+
+    Args:
+        R_held: (J, 3, 3) R_world_bone of standing; an N-pose where not given.
     """
     rate, J = 60.0, len(skeleton.names)
     R_pose = pose_rotations("N", skeleton)
@@ -94,7 +99,8 @@ def exercise(skeleton: SkeletonModel, rng: Generator, seconds: float = 6.0) -> P
                 2 * np.pi * (np.outer(phase, rng.uniform(2, 5, 3)) + rng.uniform(size=3))
             )
     rotvec += 0.01 * np.sin(np.arange(T)[:, None, None] / rate * rng.uniform(1, 3, (J, 3)))
-    local = kinematics.local_rotations(skeleton.parents, R_pose) @ so3.exp(rotvec)
+    R_held = R_pose if R_held is None else R_held
+    local = kinematics.local_rotations(skeleton.parents, R_held) @ so3.exp(rotvec)
     R = kinematics.world_rotations(skeleton.parents, local)
     p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, np.tile([0.0, 0, 0.95], (T, 1)), R)
     return PoseSequence(np.arange(T) / rate, p, R, skeleton.names)

@@ -2,10 +2,11 @@
 
 ``python -m benchmarks.mounting --corpus DIR`` with DIR the folder of free motion (see README.md here).
 Motion of the validation subjects of split.toml (``--subset train``: of all that train), in pieces of 4 to
-12 s. Sensors are simulated with soft tissue and accelerometer noise; each is misaligned by about 10 degrees.
-One fault is planted at a time, as if it was made before a calibration in an N-pose; which sensor, axis and
-angle are drawn. *found*: something is reported, which is a false alarm where nothing was planted. *named*:
-what is reported first is what was planted, and correcting it gives the good calibration back.
+12 s. Sensors are simulated with soft tissue and accelerometer noise; each is misaligned by about 10
+degrees. One fault is planted at a time, as if it was made before a calibration in an N-pose; which
+sensor, axis and angle are drawn. *found*: something is reported, which is a false alarm where nothing was
+planted. *named*: what is reported first is what was planted, and correcting it gives the good calibration
+back.
 """
 
 from __future__ import annotations

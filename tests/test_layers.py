@@ -25,7 +25,7 @@ fragment_problem   fragment_solution   joint_space   joint_space.settings
 io   io.arrays   io.articulated   io.folder   io.markers   io.pickled   io.section   io.text
 io.world_axes
 io.asf_amc   io.bvh   io.c3d   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
-io.total_capture   io.trc   inertial   inertial.declaration
+io.imu_calibration_toml   io.total_capture   io.trc   inertial   inertial.declaration
 inertial.streams   inertial.packets   io.opencv_yaml   io.sensor_text
 inertial.readings
 io.xsens_columns

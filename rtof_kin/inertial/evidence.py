@@ -11,8 +11,9 @@
 - joint centre: where one segment begins at the other, both sensors must find the same acceleration.
 
 All have heavy tails (Student's t), since people do what no prior has seen. Neighbouring instants say
-nearly the same: what an instant weighs is its duration over a correlation time, which grows with the number
-of joints between two segments.
+nearly the same: what an instant weighs is its duration over a correlation time, which grows with the
+number of joints between two segments. And it weighs little where nothing moves: a posture that is held
+for long is still one posture.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,15 +31,17 @@ from scipy.special import gammaln
 from rtof_kin import kinematics, signals
 from rtof_kin import rotations as so3
 from rtof_kin.checks import readonly
-from rtof_kin.errors import ShapeError
+from rtof_kin.errors import CalibrationError, ShapeError
 from rtof_kin.inertial.stillness import orientation_rate
-from rtof_kin.joint_space.prior import shipped_prior
+from rtof_kin.joint_space.prior import has_prior, shipped_prior
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, PoseSequence
 
 Array = NDArray[np.float64]
 RATE_HZ = 60.0
 """Rate that readings are compared at; calibrated sensors are resampled to it."""
+_EVERY = 4
+"""Every so many instants are looked at, which say nearly as much as all."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,8 @@ def readings_of(bone_imus: BoneImuSequence) -> tuple[Reading, ...]:
 
 
 def seen_bones(poses: PoseSequence, skeleton: SkeletonModel, times: Array) -> dict[str, Array]:
-    """Directions (T, C, 3) in world, at some times, from each joint to its C children, as a camera saw.
+    """Directions (T, C, 3) in world, at some times, from each joint to its C children, as a camera
+    saw them.
 
     Joints of which nothing was seen, and those without children, are not there.
     """
@@ -154,11 +159,21 @@ class Evidence:
         settings: EvidenceSettings | None = None,
         seen: Mapping[str, Array] | None = None,
     ) -> None:
-        """For one skeleton; `seen`: `seen_bones` at the readings' times, where a camera looked."""
+        """For one skeleton; `seen`: `seen_bones` at the readings' times, where a camera looked.
+
+        Raises:
+            CalibrationError: there is no pose prior of this skeleton.
+        """
+        if not has_prior(skeleton.name):
+            raise CalibrationError(
+                f"movement cannot be judged on the skeleton {skeleton.name}: there is no pose prior of it; "
+                "use the one with 21 joints, or give the headings"
+            )
         self.skeleton, self.settings = skeleton, settings or EvidenceSettings()
         self.seen = seen or {}
         self._pairs: dict[tuple[str, str], _Pair] = {}
         self._ups: dict[str, tuple[Array, Array]] = {}
+        self._accelerations: WeakKeyDictionary[Reading, dict[str, Array]] = WeakKeyDictionary()
 
     def tree(self, joints: Sequence[str]) -> list[tuple[str, str]]:
         """Pairs of segments by which all are compared, each with what is nearest to it in the skeleton.
@@ -184,20 +199,28 @@ class Evidence:
             expected = np.einsum("tij,cj->tci", reading.R_world_bone, rest)
             square = np.sum((expected - self.seen[reading.joint]) ** 2, axis=-1).mean(axis=1)
             values = values - self._tail(square / np.radians(self.settings.seen_deg) ** 2, 2)
-        return self._summed(values, self.settings.posture_memory)
+        return self._summed(values * self._moving(reading.w_world), self.settings.posture_memory)
 
     def pair(self, a: Reading, b: Reading) -> float:
         """Of two sensors, a's segment nearer to the root: posture, turning, joint centre."""
         prior = self._pair(a.joint, b.joint)
         R_a_b = np.swapaxes(a.R_world_bone, -1, -2) @ b.R_world_bone
         known = np.isfinite(R_a_b).all(axis=(-2, -1))
-        out = self._posture(a.joint, b.joint, prior, R_a_b[known][::3]) * 3
+        weight = self._moving(b.w_world - a.w_world)[known]
+        values = self._posture(a.joint, b.joint, prior, R_a_b[known][::_EVERY])
+        out = _EVERY * self._summed(values * weight[::_EVERY], self.settings.posture_memory)
         out = (out + self._turning(prior, a, b)) / self._apart(a.joint, b.joint)
         return out + self._joint_centre(a, b) if self._neighbours(a.joint, b.joint) else out
 
     # --- terms -----------------------------------------------------------------------------------
 
-    def _posture(self, a: str, b: str, prior: _Pair, R_a_b: Array) -> float:
+    def _moving(self, w: Array) -> Array:
+        """(T,) how much instants weigh, 0 to 1, by angular velocities (T, 3)."""
+        speed = np.linalg.norm(w, axis=-1) / self.settings.least_turning
+        return np.asarray(np.minimum(speed, 1.0))
+
+    def _posture(self, a: str, b: str, prior: _Pair, R_a_b: Array) -> Array:
+        """(T,) log densities of orientations (T, 3, 3) of one segment against another."""
         off = so3.log(prior.R_mean.T @ R_a_b)
         values = self._student(off, prior.precision)
         if self._neighbours(a, b):
@@ -208,23 +231,22 @@ class Evidence:
             excess = np.maximum(np.maximum(low - angles, angles - high), 0.0)
             off_limits = np.sum(excess**2, axis=-1) / np.radians(self.settings.limit_deg) ** 2
             values -= self._tail(off_limits, 1)
-        return self._summed(values, self.settings.posture_memory)
+        return values
 
     def _turning(self, prior: _Pair, a: Reading, b: Reading) -> float:
-        w = b.w_world - a.w_world
+        w = (b.w_world - a.w_world)[::_EVERY]
         enough = np.linalg.norm(w, axis=-1) > self.settings.least_turning
         direction = so3.unit(w[enough])
         out = 0.0
         for shape, reading in ((prior.turning_a, a), (prior.turning_b, b)):
-            own = np.einsum("tji,tj->ti", reading.R_world_bone[enough], direction)
+            R = reading.R_world_bone[::_EVERY][enough]
+            own = np.einsum("tji,tj->ti", R, direction)
             out -= np.sum(np.log(np.einsum("ti,ij,tj->t", own, shape, own)))
         # Half of each: the two say much the same.
-        return float(1.5 * out / 2 / (RATE_HZ * self.settings.turning_memory))
+        return float(1.5 * out / 2 * _EVERY / (RATE_HZ * self.settings.turning_memory))
 
     def _joint_centre(self, a: Reading, b: Reading) -> float:
-        offset = self.skeleton.joint_offsets[self.skeleton.names.index(b.joint)]
-        at_a = self._acceleration_at(a, offset)
-        at_b = self._acceleration_at(b, np.zeros(3))
+        at_a, at_b = self._acceleration(a, b.joint), self._acceleration(b, b.joint)
         known = np.isfinite(at_a).all(axis=-1) & np.isfinite(at_b).all(axis=-1)
         if not known.any():
             return 0.0
@@ -235,22 +257,25 @@ class Evidence:
         together = self._tail(np.sum((at_a - at_b) ** 2, axis=-1) / variance, 3)
         apart = self._tail(np.sum(at_b**2, axis=-1) / typical, 3)
         gain = 1.5 * np.log(typical / variance) + apart - together
-        return self._summed(gain, s.acceleration_memory)
+        signal = np.sum(at_a**2 + at_b**2, axis=-1) / (6 * s.acceleration**2)
+        return self._summed(gain * signal / (1 + signal), s.acceleration_memory) * _EVERY
 
-    def _acceleration_at(self, reading: Reading, point: Array) -> Array:
-        """(T, 3) m/s^2 in world of a point of the segment (3,), smoothed; NaN at the two ends.
+    def _acceleration(self, reading: Reading, joint: str) -> Array:
+        """(T / _EVERY, 3) m/s^2 in world of a joint at one end of the sensor's segment, smoothed.
 
-        The second central difference of the arm from sensor to point, as `BoneImuSequence.resample`
-        averages the sensor's acceleration.
+        The sensor's own, and the second central difference of the arm from it to the joint, as
+        `BoneImuSequence.resample` averages the sensor's. NaN near gaps.
         """
-        arm = reading.R_world_bone @ (point - reading.p_bone_sensor)
-        out = np.full_like(arm, np.nan)
-        out[1:-1] = reading.a_world[1:-1] + np.diff(arm, n=2, axis=0) * RATE_HZ**2
-        width = max(round(self.settings.smoothing * RATE_HZ), 1)
-        padded = np.pad(out, ((width, width), (0, 0)), constant_values=np.nan)
-        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * (width // 2) + 1, axis=0)
-        first = width - width // 2
-        return np.asarray(windows[first : first + len(out)].mean(axis=-1))
+        known = self._accelerations.setdefault(reading, {})
+        if joint not in known:
+            here = joint == reading.joint
+            at = 0.0 if here else self.skeleton.joint_offsets[self.skeleton.names.index(joint)]
+            arm = reading.R_world_bone @ (at - reading.p_bone_sensor)
+            a = reading.a_world[1:-1] + np.diff(arm, n=2, axis=0) * RATE_HZ**2
+            width = max(round(self.settings.smoothing * RATE_HZ), 1)
+            sums = [a[i : len(a) - width + 1 + i : 1][::_EVERY] for i in range(width)]
+            known[joint] = np.sum(sums, axis=0) / width
+        return known[joint]
 
     # --- parts -----------------------------------------------------------------------------------
 
@@ -270,8 +295,8 @@ class Evidence:
         return np.asarray((nu + d) / 2 * np.log1p(square / nu))
 
     def _apart(self, a: str, b: str) -> int:
-        """Number of joints between two segments. So many times longer do they keep a posture: what happens
-        between limbs is habit, and what no sensor sees has to be guessed."""
+        """Number of joints between two segments. So many times longer do they keep a posture: what
+        happens between limbs is habit, and what no sensor sees has to be guessed."""
         parents = self.skeleton.parents
         lines = (kinematics.line_to_root(parents, j) for j in self.skeleton.index(a, b))
         return len(set.symmetric_difference(*map(set, lines)))

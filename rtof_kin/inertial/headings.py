@@ -24,8 +24,8 @@ from rtof_kin import rotations as so3
 from rtof_kin.inertial.evidence import Evidence, Reading
 
 Array = NDArray[np.float64]
-GRID = 24
-"""Headings tried in the first round: every 15 degrees."""
+GRID = 18
+"""Headings tried in the first round: every 20 degrees."""
 _REFINEMENTS_DEG = (5.0, 1.5, 0.5)
 
 
@@ -86,7 +86,7 @@ def _grid() -> Array:
 
 def _spread(score: Callable[[float], float]) -> tuple[float, float]:
     """Circular standard deviation of exp(score) over all headings, and the margin over far ones."""
-    angles = 2 * np.pi / (3 * GRID) * np.arange(3 * GRID)
+    angles = 2 * np.pi / (2 * GRID) * np.arange(2 * GRID)
     values = np.array([score(h) for h in angles])
     best = int(np.argmax(values))
     weights = np.exp(values - values[best])

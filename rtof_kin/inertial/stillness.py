@@ -67,7 +67,7 @@ def orientation_rate(times: Array, R: Array) -> Array:
 def find_still(streams: Sequence[SensorStream], seconds: float = STILL_SECONDS) -> tuple[float, float]:
     """The first period, at least so many seconds long, in which no sensor turns.
 
-    Rates are averaged over 0.3 s and compared with `STILL_RATE`.
+    Rates are averaged over 0.3 s and compared with `STILL_RATE`; that much is left out at the ends.
 
     Returns:
         (start, stop) in s on the streams' clock.
@@ -85,8 +85,10 @@ def find_still(streams: Sequence[SensorStream], seconds: float = STILL_SECONDS) 
     rates = np.stack([_smooth_rate(stream, times) for stream in streams])
     fastest = rates.max(axis=0)
     for first, end in signals.runs(fastest < STILL_RATE):
-        if times[end - 1] - times[first] >= seconds - 1.5 / _GRID_HZ:
-            return float(times[first]), float(times[end - 1])
+        # Smoothing hides the first and the last moments of movement.
+        held = times[first] + _SMOOTHING / 2, times[end - 1] - _SMOOTHING / 2
+        if held[1] - held[0] >= seconds - 2 / _GRID_HZ:
+            return float(held[0]), float(held[1])
     raise _never_still(streams, times, rates, seconds)
 
 
