@@ -1,13 +1,14 @@
 """How exactly sensors are calibrated by a pose, by the movement after it, and by exercises.
 
 ``python -m benchmarks.calibration --corpus DIR`` with DIR the folder of free motion (see README.md here).
-Motion of the validation subjects of split.toml, up to 12 s of each, after two seconds of a pose that is held
-as it should be, or with joints turned so that segments are off by 5, 10 or 15 degrees in the mean. Eight
-sensors with soft tissue and accelerometer noise. The numbers are angles between segments by their sensors
-and in truth over the movement, degrees, turned to one heading; *right calibration* is what soft tissue
-alone makes of them. *given*: the facing is known. *told*: movement tells it, of sensors with one reference.
-*own*: movement tells a heading for each sensor. *exercises*: knees, elbows and trunk bent one after the
-other, on the shipped skeleton; the pose's error is there too.
+Motion of the validation subjects of split.toml, up to 12 s of each, after two seconds of a pose that is
+held as it should be, or with joints turned so that segments are off by 5, 10 or 15 degrees in the mean.
+Eight sensors with soft tissue and accelerometer noise. The numbers are angles between segments by their
+sensors and in truth over the movement, degrees, turned to one heading: the mean, and the 90th percentile
+over segments. *right calibration* is what soft tissue alone makes of them. *given*: the facing is known.
+*told*: movement tells it, of sensors with one reference. *own*: movement tells a heading for each sensor.
+*exercises*: knees, elbows and trunk bent one after the other, on the shipped skeleton, after an N-pose
+with the same errors.
 """
 
 from __future__ import annotations
@@ -95,11 +96,14 @@ def by_pose(clip: MocapClip, pose: str, error_deg: float) -> list[dict[str, Any]
         "told": (one, {}),
         "own": (take.imus, {"headings": "own"}),
     }
-    rows = [{"kind": "right calibration", "errors": take.errors_deg(take.imus, take.truth, HELD + MOVING)}]
+    since = HELD + MOVING
+    rows: list[dict[str, Any]] = [
+        {"kind": "right calibration", "errors": take.errors_deg(take.imus, take.truth, since)}
+    ]
     for kind, (imus, options) in ways.items():
         found = calibrate_by_pose(imus, take.joints, pose, skeleton, **options)
         rows.append({
-            "kind": kind, "errors": take.errors_deg(imus, found.calibration, HELD + MOVING),
+            "kind": kind, "errors": take.errors_deg(imus, found.calibration, since),
             "margin": found.heading_margin,
             "sigmas_deg": [round(r.heading_sigma_deg, 1) for r in found.sensors],
         })  # fmt: skip

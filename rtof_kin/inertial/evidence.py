@@ -166,8 +166,8 @@ class Evidence:
         """
         if not has_prior(skeleton.name):
             raise CalibrationError(
-                f"movement cannot be judged on the skeleton {skeleton.name}: there is no pose prior of it; "
-                "use the one with 21 joints, or give the headings"
+                f"movement cannot be judged on the skeleton {skeleton.name}: there is no pose prior of "
+                "it; use the one with 21 joints, or give the headings"
             )
         self.skeleton, self.settings = skeleton, settings or EvidenceSettings()
         self.seen = seen or {}

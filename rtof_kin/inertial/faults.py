@@ -133,6 +133,17 @@ class Setup:
         yield from self._swaps()
         yield from self._elsewhere()
 
+    def is_lone(self, fault: Fault) -> bool:
+        """Whether no sensor that a fault is about has another on the next segment."""
+        if fault.kind in (FaultKind.FACING, FaultKind.WORLD):
+            return False
+        parents = self.skeleton.parents
+        own = {self._index(joint) for joint in self.levers}
+        concerned = {self._index(change.declared) for change in fault.changes}
+        return not any(
+            parents[j] in own or any(parents[k] == j for k in own) for j in concerned
+        )
+
     # --- kinds -----------------------------------------------------------------------------------
 
     def _facings(self, seen: bool) -> Iterator[Fault]:

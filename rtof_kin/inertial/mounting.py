@@ -26,6 +26,9 @@ from rtof_kin.types import BoneImuSequence, PoseSequence
 Array = NDArray[np.float64]
 LEAST_RATIO = 10.0
 """Nats by which a fault must explain the movement better than the calibration as declared."""
+LONE_FACTOR = 2.5
+"""So many times as much is asked where no sensor that is concerned has one on a neighbouring segment, and
+what lies between has to be guessed. (Both from motion of training subjects with good setups.)"""
 LONGEST = 20.0
 """Longer movements weigh no more than so many seconds: somebody's habits are no fault, however long."""
 SAME_RATIO = 3.0
@@ -51,7 +54,7 @@ def find_faults(
             segment was aligned with what that one was thought to do. The T-pose where they were
             calibrated otherwise.
         visual: the same movement as a camera saw it (a lifter's poses will do): directions of the bones.
-        least_ratio: nats from which on a fault is named.
+        least_ratio: nats from which on a fault is named; `LONE_FACTOR` times as many for lone sensors.
         most: so many faults at most, each looked for after the ones before it are repaired.
     """
     times = even_times(bone_imus)
@@ -64,7 +67,7 @@ def find_faults(
         levers = {reading.joint: reading.p_bone_sensor for reading in readings}
         setup = Setup(skeleton, levers, turned_to(R_pose, 0.0))
         fault = _likeliest(scores, readings, setup, seen is not None)
-        if not fault.log_likelihood_ratio >= least_ratio:
+        if fault.log_likelihood_ratio < least_ratio * (LONE_FACTOR if setup.is_lone(fault) else 1.0):
             break
         found.append(fault)
         readings = fault.read(readings)
