@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +14,18 @@ from numpy.typing import NDArray
 from rtof_kin import rotations as so3
 from rtof_kin.calibration import ImuCalibration
 from rtof_kin.errors import CalibrationError, ShapeError
+from rtof_kin.inertial.alignment import calibrated
+from rtof_kin.inertial.declaration import Declaration
 from rtof_kin.inertial.faults import FaultKind
 from rtof_kin.inertial.mounting import find_faults
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
+from rtof_kin.inertial.streams import SensorLog, SensorStream
 from rtof_kin.simulation_noise import ImuNoise
+from rtof_kin.skeleton import SkeletonModel
 
 Array = NDArray[np.float64]
 SENSORS = ("L_UpArm", "L_LowArm", "L_UpLeg", "L_LowLeg", "R_UpLeg", "R_LowLeg", "Pelvis")
+SQUATS = Path(__file__).parent / "data" / "inertial" / "xsens_dot_squats" / "squats.npz"
 MISALIGNED = replace(ImuNoise(), misalignment_deg=6.0)
 
 
@@ -183,3 +189,30 @@ def test_half_a_second_is_too_short_to_judge() -> None:
     worn = moving("walk")
     with pytest.raises(ShapeError, match="too short to judge a movement by"):
         find_faults(worn.truth.apply(worn.imus)[:20], worn.skeleton)
+
+
+def real_squats() -> SensorLog:
+    """A real recording, whose files of the left leg are named the wrong way round."""
+    arrays = np.load(SQUATS)
+    streams = []
+    for name in ("Pelvis", "LFemur", "LTibia", "RFemur", "RTibia"):
+        quat, f = (arrays[f"{name}_{field}"].astype(float) for field in ("quat_wxyz", "f_sensor"))
+        streams.append(SensorStream(name, arrays[f"{name}_times"], f, so3.from_quat_wxyz(quat)))
+    return SensorLog(SQUATS, "Movella DOT", tuple(streams), Declaration())
+
+
+def test_the_swapped_names_of_a_real_recording_are_found_and_its_right_leg_is_left_alone(
+    skeleton: SkeletonModel,
+) -> None:
+    log = real_squats()
+    named = {
+        "Pelvis": "Hips", "LFemur": "LeftUpLeg", "LTibia": "LeftLeg", "RFemur": "RightUpLeg",
+        "RTibia": "RightLeg",
+    }  # fmt: skip
+    found = calibrate_by_pose(log, named, "N", skeleton)
+    streams = log.select(list(named)).streams
+    faults = find_faults(calibrated(streams, found.calibration), skeleton, pose="N")
+    assert [fault.what for fault in faults] == ["the sensors of LeftUpLeg and LeftLeg are swapped"]
+    right = {**named, "LFemur": "LeftLeg", "LTibia": "LeftUpLeg"}
+    found = calibrate_by_pose(log, right, "N", skeleton)
+    assert find_faults(calibrated(streams, found.calibration), skeleton, pose="N") == ()

@@ -152,7 +152,7 @@ class Setup:
             R_pose = {joint: self.R_pose[self._index(joint)] for joint in self.levers}
             yield Fault(
                 FaultKind.FACING,
-                f"in the calibration pose the person faced {_way(angle)} of where it was assumed",
+                f"in the calibration pose the person faced {_way(angle)} where it was assumed",
                 "Calibrate again with the right facing, or let movement tell it (facing=None)",
                 tuple(self._turned(joint, R.T @ turn @ R) for joint, R in R_pose.items()),
             )
@@ -247,4 +247,5 @@ def _mirrored(joint: str) -> str:
 
 
 def _way(angle_deg: int) -> str:
-    return {90: "90 degrees to the left", -90: "90 degrees to the right", 180: "180 degrees"}[angle_deg]
+    ways = {90: "90 degrees to the left of", -90: "90 degrees to the right of", 180: "180 degrees from"}
+    return ways[angle_deg]

@@ -26,6 +26,9 @@ from rtof_kin.inertial.evidence import Evidence, Reading
 Array = NDArray[np.float64]
 GRID = 18
 """Headings tried in the first round: every 20 degrees."""
+_BELIEF = 0.2
+"""Share of the evidence that standard deviations are made of: all of it suffers from the same errors of
+pose and soft tissue, so that it is worth fewer nats than it counts."""
 _REFINEMENTS_DEG = (5.0, 1.5, 0.5)
 
 
@@ -89,10 +92,10 @@ def _spread(score: Callable[[float], float]) -> tuple[float, float]:
     angles = 2 * np.pi / (2 * GRID) * np.arange(2 * GRID)
     values = np.array([score(h) for h in angles])
     best = int(np.argmax(values))
-    weights = np.exp(values - values[best])
+    weights = np.exp(_BELIEF * (values - values[best]))
     length = np.abs(np.sum(weights * np.exp(1j * angles))) / weights.sum()
     far = np.abs(wrapped(angles - angles[best])) > np.radians(45.0)
-    sigma = np.sqrt(max(-2 * np.log(max(length, 0.2)), 0.0))
+    sigma = np.sqrt(-2 * np.log(np.clip(length, 0.2, 1.0)) + (np.pi / len(angles)) ** 2)
     return float(sigma), float(values[best] - values[far].max())
 
 

@@ -50,6 +50,8 @@ NAMED_POSE_DEG, MEASURED_POSE_DEG = 10.0, 3.0
 """How far segments of people who hold a named pose are from it, and from a measured one."""
 LEAST_TURNING = 0.5
 """Movement slower than this, rad/s, tells no heading."""
+LONGEST = 40.0
+"""So many seconds from the pose on are looked at."""
 _AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "-x": (0, -1.0), "-y": (1, -1.0), "-z": (2, -1.0)}
 
 
@@ -105,7 +107,7 @@ def calibrate_by_pose(
     places = lever_arms(streams, own, levers or {}, skeleton)
     upright = aligned(streams, own, np.zeros(len(streams)), R_held, R_pose, places)
     if facing is None:
-        found = _told_by_movement(streams, upright, R_pose, skeleton, headings)
+        found = _told_by_movement(streams, upright, R_pose, skeleton, headings, still)
     else:
         given = faces - _forward(facing, streams, R_held)
         found = Headings(np.full(len(streams), given), np.zeros(len(streams)), np.inf)
@@ -157,8 +159,13 @@ def _told_by_movement(
     R_pose: Array,
     skeleton: SkeletonModel,
     headings: str,
+    still: tuple[float, float],
 ) -> Headings:
-    readings = readings_of(calibrated(streams, upright))
+    bone_imus = calibrated(streams, upright)
+    first = max(bone_imus.times[0], min(still[0], bone_imus.times[-1] - LONGEST))
+    near = (bone_imus.times >= first) & (bone_imus.times <= first + LONGEST)
+    start, stop = (int(i) for i in np.flatnonzero(near)[[0, -1]])
+    readings = readings_of(bone_imus[start : stop + 1])
     fastest = max(float(np.nanmax(np.linalg.norm(r.w_world, axis=-1))) for r in readings)
     if fastest < LEAST_TURNING:
         raise CalibrationError(
