@@ -1,8 +1,8 @@
 """How exactly sensors are calibrated by a pose, by the movement after it, and by exercises.
 
 ``python -m benchmarks.calibration --corpus DIR`` with DIR the folder of free motion (see README.md here).
-Motion of the validation subjects of split.toml, up to 12 s of each, after two seconds of a pose that is
-held as it should be, or with joints turned so that segments are off by 5, 10 or 15 degrees in the mean.
+A motion of each validation subject of split.toml, up to 12 s, after two seconds of a pose that is held as
+it should be, or with joints turned so that segments are off by 5, 10 or 15 degrees in the mean.
 Eight sensors with soft tissue and accelerometer noise. The numbers are angles between segments by their
 sensors and in truth over the movement, degrees, turned to one heading: the mean, and the 90th percentile
 over segments. *right calibration* is what soft tissue alone makes of them. *given*: the facing is known.
@@ -155,7 +155,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "calibration.json")
     options = parser.parse_args(arguments)
-    clips = [clip for clip in pieces(options.corpus, "validation") if clip.name.endswith("[0]")]
+    clips = list({clip.subject: clip for clip in pieces(options.corpus, "validation")}.values())
     jobs = [(clip, pose, error) for clip in clips for pose in POSES for error in POSE_ERRORS_DEG]
     rows = [row for job in track(jobs, "poses") for row in by_pose(*job)]
     for seed in range(len(clips)):

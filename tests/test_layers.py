@@ -38,6 +38,7 @@ inertial.alternatives
 inertial.physics
 cartesian_banded   joint_space.prior   joint_space.state
 inertial.stillness   inertial.poses   inertial.axes
+inertial.segment_motion   inertial.free_motion
 inertial.evidence
 inertial.alignment   inertial.headings
 inertial.faults   inertial.functional   inertial.pose_calibration

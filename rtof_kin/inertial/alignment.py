@@ -12,7 +12,7 @@ from rtof_kin import rotations as so3
 from rtof_kin.calibration import ImuCalibration
 from rtof_kin.checks import indices_of, readonly
 from rtof_kin.errors import CalibrationError
-from rtof_kin.inertial.evidence import RATE_HZ
+from rtof_kin.inertial.segment_motion import RATE_HZ
 from rtof_kin.inertial.stillness import streams_of
 from rtof_kin.inertial.streams import SensorLog, SensorStream
 from rtof_kin.skeleton import SkeletonModel

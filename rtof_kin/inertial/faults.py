@@ -14,7 +14,7 @@ from rtof_kin import rotations as so3
 from rtof_kin.calibration import ImuCalibration
 from rtof_kin.errors import CalibrationError
 from rtof_kin.inertial.alignment import usual_lever
-from rtof_kin.inertial.evidence import Reading
+from rtof_kin.inertial.segment_motion import SegmentMotion
 from rtof_kin.skeleton import SkeletonModel
 
 Array = NDArray[np.float64]
@@ -98,17 +98,17 @@ class Fault:
             R_world_inertial=self.R_world_new @ calibration.R_world_inertial,
         )
 
-    def read(self, readings: Sequence[Reading]) -> tuple[Reading, ...]:
+    def read(self, motions: Sequence[SegmentMotion]) -> tuple[SegmentMotion, ...]:
         """Sensors as they are to be read if this is what is wrong."""
         changes = {change.declared: change for change in self.changes}
         out = []
-        for reading in readings:
-            if reading.joint in changes:
-                change = changes[reading.joint]
-                reading = reading.moved(change.joint, change.R_bone_new, change.p_bone_sensor)
+        for motion in motions:
+            if motion.joint in changes:
+                change = changes[motion.joint]
+                motion = motion.moved(change.joint, change.R_bone_new, change.p_bone_sensor)
             if self.kind is FaultKind.WORLD:
-                reading = reading.turned(self.R_world_new)
-            out.append(reading)
+                motion = motion.turned(self.R_world_new)
+            out.append(motion)
         return tuple(out)
 
 

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin import rotations as so3
-from rtof_kin.inertial.evidence import Evidence, Reading
+from rtof_kin.inertial.evidence import Evidence
+from rtof_kin.inertial.segment_motion import SegmentMotion
 
 Array = NDArray[np.float64]
 GRID = 18
@@ -37,7 +38,7 @@ class Headings:
     """Headings of sensors, and how sure they are."""
 
     angles: Array
-    """(S,) rad about z, to be added to those of the readings."""
+    """(S,) rad about z, to be added to those of the motions."""
     sigmas: Array
     """(S,) rad, standard deviation of each with the others as they are; up to 1.8, that of all directions
     alike."""
@@ -46,26 +47,26 @@ class Headings:
     degrees off; above about 3 it is not mistaken for a quarter or half turn."""
 
 
-def own_headings(evidence: Evidence, readings: Sequence[Reading], R_pose: Array) -> Headings:
+def own_headings(evidence: Evidence, motions: Sequence[SegmentMotion], R_pose: Array) -> Headings:
     """A heading for each sensor.
 
     Args:
-        readings: S, calibrated in the pose as if every heading was 0. R_pose: (S, 3, 3) R_world_bone of
+        motions: S, calibrated in the pose as if every heading was 0. R_pose: (S, 3, 3) R_world_bone of
             their segments in the pose.
     """
-    turned = _Turned(evidence, readings, R_pose)
+    turned = _Turned(evidence, motions, R_pose)
     grid = _grid()
     angles = grid[turned.best_on_grid(grid)]
     for step in np.radians(_REFINEMENTS_DEG):
         angles = turned.refined(angles, step)
-    sigmas, margins = zip(*(_spread(turned.along(angles, s)) for s in range(len(readings))), strict=True)
+    sigmas, margins = zip(*(_spread(turned.along(angles, s)) for s in range(len(motions))), strict=True)
     return Headings(wrapped(angles), np.array(sigmas), float(min(margins)))
 
 
-def shared_heading(evidence: Evidence, readings: Sequence[Reading], R_pose: Array) -> Headings:
+def shared_heading(evidence: Evidence, motions: Sequence[SegmentMotion], R_pose: Array) -> Headings:
     """One heading for all sensors; arguments as for `own_headings`."""
-    turned = _Turned(evidence, readings, R_pose)
-    everyone = np.ones(len(readings))
+    turned = _Turned(evidence, motions, R_pose)
+    everyone = np.ones(len(motions))
 
     def score(angle: float) -> float:
         return turned.total(angle * everyone)
@@ -100,34 +101,34 @@ def _spread(score: Callable[[float], float]) -> tuple[float, float]:
 
 
 class _Turned:
-    """Readings under other headings, and what the evidence says of them."""
+    """Motions under other headings, and what the evidence says of them."""
 
-    def __init__(self, evidence: Evidence, readings: Sequence[Reading], R_pose: Array) -> None:
+    def __init__(self, evidence: Evidence, motions: Sequence[SegmentMotion], R_pose: Array) -> None:
         self.evidence, self.R_pose = evidence, R_pose
-        self.readings = list(readings)
-        joints = [r.joint for r in readings]
+        self.motions = list(motions)
+        joints = [r.joint for r in motions]
         self.pairs = [(joints.index(a), joints.index(b)) for a, b in evidence.tree(joints)]
 
-    def reading(self, s: int, angle: float) -> Reading:
+    def motion(self, s: int, angle: float) -> SegmentMotion:
         """One sensor as it is with this heading."""
-        turn, own = so3.about_axis("z", angle), self.readings[s]
+        turn, own = so3.about_axis("z", angle), self.motions[s]
         R_bone_new = self.R_pose[s].T @ turn.T @ self.R_pose[s]
         return own.turned(turn).moved(own.joint, R_bone_new, own.p_bone_sensor)
 
     def total(self, angles: Array) -> float:
         """Nats of all."""
-        readings = [self.reading(s, float(h)) for s, h in enumerate(angles)]
-        out = sum(self.evidence.pair(readings[a], readings[b]) for a, b in self.pairs)
-        return float(out + sum(self.evidence.single(r) for r in readings))
+        motions = [self.motion(s, float(h)) for s, h in enumerate(angles)]
+        out = sum(self.evidence.pair(motions[a], motions[b]) for a, b in self.pairs)
+        return float(out + sum(self.evidence.single(r) for r in motions))
 
     def along(self, angles: Array, s: int) -> Callable[[float], float]:
         """Nats of what concerns sensor s, by its heading, the others as they are."""
         others = {
-            i: self.reading(i, float(angles[i])) for pair in self.pairs if s in pair for i in pair
+            i: self.motion(i, float(angles[i])) for pair in self.pairs if s in pair for i in pair
         }
 
         def score(angle: float) -> float:
-            own = {**others, s: self.reading(s, angle)}
+            own = {**others, s: self.motion(s, angle)}
             near = (pair for pair in self.pairs if s in pair)
             single = self.evidence.single(own[s])
             return single + sum(self.evidence.pair(own[a], own[b]) for a, b in near)
@@ -145,20 +146,20 @@ class _Turned:
 
     def best_on_grid(self, grid: Array) -> NDArray[np.intp]:
         """Indices (S,) of the set of grid headings with the highest total, by messages up the tree."""
-        readings = [[self.reading(s, float(h)) for h in grid] for s in range(len(self.readings))]
-        belief = np.array([[self.evidence.single(r) for r in own] for own in readings])
+        motions = [[self.motion(s, float(h)) for h in grid] for s in range(len(self.motions))]
+        belief = np.array([[self.evidence.single(r) for r in own] for own in motions])
         tables = {
-            (a, b): np.array([[self.evidence.pair(x, y) for y in readings[b]] for x in readings[a]])
+            (a, b): np.array([[self.evidence.pair(x, y) for y in motions[b]] for x in motions[a]])
             for a, b in self.pairs
         }
         tables |= {(b, a): table.T for (a, b), table in list(tables.items())}
-        order = _from_first(len(readings), list(tables))
+        order = _from_first(len(motions), list(tables))
         choices = {}
         for parent, child in reversed(order):
             message = tables[parent, child] + belief[child]
             choices[parent, child] = message.argmax(axis=1)
             belief[parent] += message.max(axis=1)
-        best = np.zeros(len(readings), dtype=np.intp)
+        best = np.zeros(len(motions), dtype=np.intp)
         best[0] = int(belief[0].argmax())
         for parent, child in order:
             best[child] = choices[parent, child][best[parent]]

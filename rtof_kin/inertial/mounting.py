@@ -17,9 +17,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtof_kin.inertial.evidence import Evidence, Reading, even_times, readings_of, seen_bones
+from rtof_kin.inertial.evidence import Evidence
 from rtof_kin.inertial.faults import Fault, Setup
 from rtof_kin.inertial.poses import pose_rotations, turned_to
+from rtof_kin.inertial.segment_motion import (
+    SegmentMotion,
+    even_times,
+    seen_bones,
+    segment_motions,
+)
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, PoseSequence
 
@@ -59,28 +65,28 @@ def find_faults(
     """
     times = even_times(bone_imus)
     R_pose = pose_rotations(pose, skeleton)
-    readings = readings_of(bone_imus)
+    motions = segment_motions(bone_imus)
     seen = None if visual is None else seen_bones(visual, skeleton, times)
     scores = _Scores(Evidence(skeleton, seen=seen), min(1.0, LONGEST / (times[-1] - times[0])))
     found: list[Fault] = []
     while len(found) < most:
-        levers = {reading.joint: reading.p_bone_sensor for reading in readings}
+        levers = {motion.joint: motion.p_bone_sensor for motion in motions}
         setup = Setup(skeleton, levers, turned_to(R_pose, 0.0))
-        fault = _likeliest(scores, readings, setup, seen is not None)
+        fault = _likeliest(scores, motions, setup, seen is not None)
         if fault.log_likelihood_ratio < least_ratio * (LONE_FACTOR if setup.is_lone(fault) else 1.0):
             break
         found.append(fault)
-        readings = fault.read(readings)
+        motions = fault.read(motions)
     return tuple(found)
 
 
 def _likeliest(
-    scores: _Scores, readings: Sequence[Reading], setup: Setup, seen: bool
+    scores: _Scores, motions: Sequence[SegmentMotion], setup: Setup, seen: bool
 ) -> Fault:
-    """The fault that explains the readings best, and what explains them nearly as well."""
+    """The fault that explains the motions best, and what explains them nearly as well."""
     faults = list(setup.possible_faults(seen))
-    base = scores.total(readings)
-    ratios = np.array([scores.total(fault.read(readings)) - base for fault in faults])
+    base = scores.total(motions)
+    ratios = np.array([scores.total(fault.read(motions)) - base for fault in faults])
     best = int(np.argmax(ratios))
     close = [i for i in np.argsort(-ratios) if ratios[i] > ratios[best] - SAME_RATIO and i != best]
     return replace(
@@ -91,23 +97,23 @@ def _likeliest(
 
 
 class _Scores:
-    """Totals of readings; what two readings say of each other is computed once."""
+    """Totals of motions; what two motions say of each other is computed once."""
 
     def __init__(self, evidence: Evidence, weight: float) -> None:
         self.evidence, self.weight = evidence, weight
-        self._known: dict[tuple[Reading, ...], float] = {}
+        self._known: dict[tuple[SegmentMotion, ...], float] = {}
 
-    def total(self, readings: Sequence[Reading]) -> float:
+    def total(self, motions: Sequence[SegmentMotion]) -> float:
         """Nats."""
-        by_joint = {reading.joint: reading for reading in readings}
-        out = sum(self._of(reading) for reading in readings)
+        by_joint = {motion.joint: motion for motion in motions}
+        out = sum(self._of(motion) for motion in motions)
         out += sum(
             self._of(by_joint[a], by_joint[b]) for a, b in self.evidence.tree(sorted(by_joint))
         )
         return out * self.weight
 
-    def _of(self, *readings: Reading) -> float:
-        if readings not in self._known:
-            of = self.evidence.single if len(readings) == 1 else self.evidence.pair
-            self._known[readings] = of(*readings)
-        return self._known[readings]
+    def _of(self, *motions: SegmentMotion) -> float:
+        if motions not in self._known:
+            of = self.evidence.single if len(motions) == 1 else self.evidence.pair
+            self._known[motions] = of(*motions)
+        return self._known[motions]

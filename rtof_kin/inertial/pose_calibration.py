@@ -37,9 +37,10 @@ from rtof_kin.inertial.alignment import (
     lever_arms,
     reports,
 )
-from rtof_kin.inertial.evidence import Evidence, readings_of
+from rtof_kin.inertial.evidence import Evidence
 from rtof_kin.inertial.headings import Headings, own_headings, shared_heading, wrapped
 from rtof_kin.inertial.poses import facing_of, pose_rotations, turned_to
+from rtof_kin.inertial.segment_motion import segment_motions
 from rtof_kin.inertial.stillness import find_still
 from rtof_kin.inertial.streams import SensorLog, SensorStream
 from rtof_kin.skeleton import SkeletonModel
@@ -165,8 +166,8 @@ def _told_by_movement(
     first = max(bone_imus.times[0], min(still[0], bone_imus.times[-1] - LONGEST))
     near = (bone_imus.times >= first) & (bone_imus.times <= first + LONGEST)
     start, stop = (int(i) for i in np.flatnonzero(near)[[0, -1]])
-    readings = readings_of(bone_imus[start : stop + 1])
-    fastest = max(float(np.nanmax(np.linalg.norm(r.w_world, axis=-1))) for r in readings)
+    motions = segment_motions(bone_imus[start : stop + 1])
+    fastest = max(float(np.nanmax(np.linalg.norm(r.w_world, axis=-1))) for r in motions)
     if fastest < LEAST_TURNING:
         raise CalibrationError(
             f"headings cannot be told: no sensor turns faster than {fastest:.2g} rad/s, and a pose alone "
@@ -174,4 +175,4 @@ def _told_by_movement(
             + (", or give facing" if headings == "shared" else "")
         )
     search = own_headings if headings == "own" else shared_heading
-    return search(Evidence(skeleton), readings, R_pose)
+    return search(Evidence(skeleton), motions, R_pose)
