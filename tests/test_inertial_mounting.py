@@ -210,9 +210,8 @@ def test_the_swapped_names_of_a_real_recording_are_found_and_its_right_leg_is_le
         "RTibia": "RightLeg",
     }  # fmt: skip
     found = calibrate_by_pose(log, named, "N", skeleton)
-    streams = log.select(list(named)).streams
-    faults = find_faults(calibrated(streams, found.calibration), skeleton, pose="N")
+    faults = find_faults(calibrated(log, found.calibration), skeleton, pose="N")
     assert [fault.what for fault in faults] == ["the sensors of LeftUpLeg and LeftLeg are swapped"]
     right = {**named, "LFemur": "LeftLeg", "LTibia": "LeftUpLeg"}
     found = calibrate_by_pose(log, right, "N", skeleton)
-    assert find_faults(calibrated(streams, found.calibration), skeleton, pose="N") == ()
+    assert find_faults(calibrated(log, found.calibration), skeleton, pose="N") == ()

@@ -13,7 +13,7 @@ from rtof_kin.calibration import ImuCalibration
 from rtof_kin.checks import indices_of, readonly
 from rtof_kin.errors import CalibrationError
 from rtof_kin.inertial.segment_motion import RATE_HZ
-from rtof_kin.inertial.stillness import streams_of
+from rtof_kin.inertial.stillness import find_still, streams_of
 from rtof_kin.inertial.streams import SensorLog, SensorStream
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, ImuSequence
@@ -72,105 +72,83 @@ class PoseCalibration:
         return tuple(out)
 
 
-def held_orientations(
-    streams: Sequence[SensorStream], still: tuple[float, float]
-) -> tuple[Array, list[float]]:
-    """Mean orientations (S, 3, 3) of sensors while a pose was held, and the spread of each, degrees.
+@dataclass(frozen=True)
+class Held:
+    """S sensors on segments of somebody who holds still."""
 
-    Raises:
-        CalibrationError: a sensor has no orientation, or none then.
-    """
-    held = [_held(stream, still) for stream in streams]
-    return np.array([R for R, _ in held]), [spread for _, spread in held]
+    streams: tuple[SensorStream, ...]
+    joints: tuple[str, ...]
+    """The segments that carry them."""
+    still: tuple[float, float]
+    """(start, stop) s"""
+    R_inertial_sensor: Array
+    """(S, 3, 3) mean orientations then"""
+    spreads_deg: Array
+    """(S,) root mean square angles to them"""
+    levers: Array
+    """(S, 3) places of the sensors in their segments' frames, m"""
 
-
-def _held(stream: SensorStream, still: tuple[float, float]) -> tuple[Array, float]:
-    if stream.R_inertial_sensor is None:
-        raise CalibrationError(
-            f"sensor {stream.name} has no orientation, which calibration needs; make one of its "
-            "gyroscope and accelerometer first"
+    def aligned(self, headings: Array, R_pose: Array) -> ImuCalibration:
+        """The calibration under which references with headings (S,), rad, give segments orientated as
+        R_pose (S, 3, 3) while the pose is held."""
+        R_world_inertial = so3.about_axis("z", headings)
+        R_world_sensor = R_world_inertial @ self.R_inertial_sensor
+        return ImuCalibration(
+            sensors=tuple(stream.name for stream in self.streams),
+            joints=self.joints,
+            R_world_inertial=R_world_inertial,
+            R_sensor_bone=np.swapaxes(R_world_sensor, -1, -2) @ R_pose,
+            p_bone_sensor=self.levers,
         )
-    R = stream.R_inertial_sensor[(stream.times >= still[0]) & (stream.times <= still[1])]
-    R = R[np.isfinite(R).all(axis=(-2, -1))]
-    if not len(R):
-        raise CalibrationError(
-            f"sensor {stream.name} has no orientation between {still[0]:g} and {still[1]:g} s, when the "
-            f"pose was held; its samples are from {stream.times[0]:g} to {stream.times[-1]:g} s"
+
+    def reports(self, heading_sigmas_deg: ArrayLike, pose_deg: float) -> tuple[SensorReport, ...]:
+        """One for each sensor, by the spread (S,) of its heading and what people miss the pose by."""
+        sigmas = np.asarray(heading_sigmas_deg, dtype=float)
+        expected = np.sqrt(self.spreads_deg**2 + sigmas**2 + pose_deg**2)
+        rows = np.stack([self.spreads_deg, sigmas, expected], axis=-1).tolist()
+        return tuple(
+            SensorReport(stream.name, joint, *row)
+            for stream, joint, row in zip(self.streams, self.joints, rows, strict=True)
         )
-    mean = so3.nearest_rotation(R.mean(axis=0))
-    return mean, float(np.degrees(np.sqrt(np.mean(so3.angle_between(R, mean) ** 2))))
 
 
-def reports(
-    calibration: ImuCalibration, spreads_deg: ArrayLike, sigmas_deg: ArrayLike, pose_deg: float
-) -> tuple[SensorReport, ...]:
-    """A report for each sensor.
+def hold(
+    imus: ImuSequence | SensorLog,
+    joints: Mapping[str, str],
+    skeleton: SkeletonModel,
+    still: tuple[float, float] | None = None,
+    levers: Mapping[str, ArrayLike] | None = None,
+) -> Held:
+    """The sensors of a mapping while somebody holds still.
 
     Args:
-        spreads_deg: (S,) while the pose was held. sigmas_deg: (S,) of the headings.
-        pose_deg: how far people are from the pose.
-    """
-    spreads, sigmas = np.asarray(spreads_deg, dtype=float), np.asarray(sigmas_deg, dtype=float)
-    expected = np.sqrt(spreads**2 + sigmas**2 + pose_deg**2)
-    rows = zip(spreads.tolist(), sigmas.tolist(), expected.tolist(), strict=True)
-    names = zip(calibration.sensors, calibration.joints, strict=True)
-    return tuple(SensorReport(*name, *row) for name, row in zip(names, rows, strict=True))
-
-
-def aligned(
-    streams: Sequence[SensorStream],
-    joints: Sequence[str],
-    angles: Array,
-    R_held: Array,
-    R_pose: Array,
-    levers: Array,
-) -> ImuCalibration:
-    """The calibration under which sensors held as R_held (S, 3, 3), in references with headings `angles`
-    (S,), give segments orientated as R_pose (S, 3, 3)."""
-    R_world_inertial = so3.about_axis("z", angles)
-    R_sensor_bone = np.swapaxes(R_world_inertial @ R_held, -1, -2) @ R_pose
-    names = tuple(stream.name for stream in streams)
-    return ImuCalibration(names, tuple(joints), R_world_inertial, R_sensor_bone, levers)
-
-
-def chosen_streams(
-    imus: ImuSequence | SensorLog, joints: Mapping[str, str], skeleton: SkeletonModel
-) -> tuple[SensorStream, ...]:
-    """The streams of the sensors that are mapped to segments, in that order.
+        imus: sensors, more than are mapped perhaps. joints: sensor -> segment. skeleton: whose segments.
+        still: (start, stop) s; the first second in which all are still where not given.
+        levers: sensor -> place in its segment's frame (3,), m; by default the usual one, or mid-segment.
 
     Raises:
-        UnknownNameError: a sensor or segment is not known. CalibrationError: there are none, or two are
-            on one segment.
+        UnknownNameError: a sensor or segment is not known.
+        CalibrationError: there are none, two are on one segment, nobody is still, or a sensor has no
+            orientation then.
     """
     if not joints:
         raise CalibrationError("no sensor is mapped to a segment; give joints={sensor: segment, ...}")
-    skeleton.index(*joints.values())
-    double = sorted({joint for joint in joints.values() if list(joints.values()).count(joint) > 1})
+    segments = tuple(joints.values())
+    skeleton.index(*segments)
+    double = sorted({joint for joint in segments if segments.count(joint) > 1})
     if double:
         raise CalibrationError(f"several sensors are mapped to {', '.join(double)}; a segment takes one")
-    streams = streams_of(imus)
-    index = indices_of("sensor", list(joints), [stream.name for stream in streams])
-    return tuple(streams[i] for i in index)
-
-
-def lever_arms(
-    streams: Sequence[SensorStream],
-    joints: Sequence[str],
-    given: Mapping[str, ArrayLike],
-    skeleton: SkeletonModel,
-) -> Array:
-    """Positions (S, 3) of sensors in their segments' frames, m: given, or usual, or mid-segment.
-
-    Raises:
-        UnknownNameError: one is given of a sensor that is not there.
-    """
-    names = [stream.name for stream in streams]
-    indices_of("sensor", list(given), names)
-    return np.array([
-        readonly(f"lever arm of {name}", given[name], (3,)) if name in given
+    streams, given = _selected(imus, list(joints)), levers or {}
+    indices_of("sensor", list(given), list(joints))
+    still = find_still(streams) if still is None else still
+    held = [_mean_orientation(stream, still) for stream in streams]
+    places = [
+        readonly(f"lever arm of {sensor}", given[sensor], (3,)) if sensor in given
         else usual_lever(joint, skeleton)
-        for name, joint in zip(names, joints, strict=True)
-    ])  # fmt: skip
+        for sensor, joint in joints.items()
+    ]  # fmt: skip
+    R, spreads = (np.array(values) for values in zip(*held, strict=True))
+    return Held(streams, segments, still, R, spreads, np.array(places))
 
 
 def usual_lever(joint: str, skeleton: SkeletonModel) -> Array:
@@ -179,14 +157,50 @@ def usual_lever(joint: str, skeleton: SkeletonModel) -> Array:
     return usual.get(joint, skeleton.table.joints[skeleton.index(joint)[0]].end / 2)
 
 
-def calibrated(streams: Sequence[SensorStream], calibration: ImuCalibration) -> BoneImuSequence:
-    """All streams under a calibration, at `RATE_HZ` over the time that they have in common; acceleration
-    is NaN of those that have none."""
-    start, stop = max(s.times[0] for s in streams), min(s.times[-1] for s in streams)
+def calibrated(imus: ImuSequence | SensorLog, calibration: ImuCalibration) -> BoneImuSequence:
+    """The calibrated sensors, at `RATE_HZ` over the time that they have in common, whatever times each
+    has; acceleration is NaN of those that have none.
+
+    Raises:
+        UnknownNameError: one is not there. CalibrationError: one has no orientation.
+    """
+    streams = _selected(imus, calibration.sensors)
     parts = []
     for stream in streams:
         f = np.full((len(stream), 3), np.nan) if stream.f_sensor is None else stream.f_sensor
-        assert stream.R_inertial_sensor is not None
-        imu = ImuSequence(stream.times, stream.R_inertial_sensor[:, None], f[:, None], (stream.name,))
+        R = _orientations(stream)
+        imu = ImuSequence(stream.times, R[:, None], f[:, None], (stream.name,))
         parts.append(calibration.apply(imu))
+    start, stop = max(s.times[0] for s in streams), min(s.times[-1] for s in streams)
     return BoneImuSequence.joined(parts, np.arange(start, stop + 1e-9, 1 / RATE_HZ))
+
+
+# --- parts ---------------------------------------------------------------------------------------
+
+
+def _selected(imus: ImuSequence | SensorLog, sensors: Sequence[str]) -> tuple[SensorStream, ...]:
+    streams = streams_of(imus)
+    index = indices_of("sensor", sensors, [stream.name for stream in streams])
+    return tuple(streams[i] for i in index)
+
+
+def _orientations(stream: SensorStream) -> Array:
+    if stream.R_inertial_sensor is None:
+        raise CalibrationError(
+            f"sensor {stream.name} has no orientation, which calibration needs; make one of its "
+            "gyroscope and accelerometer first (rtof_kin.inertial.orientation)"
+        )
+    return stream.R_inertial_sensor
+
+
+def _mean_orientation(stream: SensorStream, still: tuple[float, float]) -> tuple[Array, float]:
+    """Mean (3, 3), and root mean square angle to it, degrees."""
+    R = _orientations(stream)[(stream.times >= still[0]) & (stream.times <= still[1])]
+    R = R[np.isfinite(R).all(axis=(-2, -1))]
+    if not len(R):
+        raise CalibrationError(
+            f"sensor {stream.name} has no orientation between {still[0]:g} and {still[1]:g} s, when the "
+            f"pose was held; its samples are from {stream.times[0]:g} to {stream.times[-1]:g} s"
+        )
+    mean = so3.nearest_rotation(R.mean(axis=0))
+    return mean, float(np.degrees(np.sqrt(np.mean(so3.angle_between(R, mean) ** 2))))

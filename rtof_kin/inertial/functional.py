@@ -19,17 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from rtof_kin import rotations as so3
 from rtof_kin import signals
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
-from rtof_kin.inertial.alignment import (
-    PoseCalibration,
-    aligned,
-    chosen_streams,
-    held_orientations,
-    lever_arms,
-    reports,
-)
+from rtof_kin.inertial.alignment import Held, PoseCalibration, hold
 from rtof_kin.inertial.axes import LEAST_RATE, hinge_axis, principal_axis, rms_rate
 from rtof_kin.inertial.poses import flexion_axis, pose_rotations, turned_to
-from rtof_kin.inertial.stillness import angular_velocity, find_still
+from rtof_kin.inertial.stillness import angular_velocity
 from rtof_kin.inertial.streams import SensorLog, SensorStream
 from rtof_kin.metrics import hinges
 from rtof_kin.skeleton import SkeletonModel
@@ -95,35 +88,32 @@ def calibrate_by_movement(
     """
     if headings not in ("shared", "own"):
         raise UnknownNameError("kind of headings", [headings], ["shared", "own"])
-    streams = chosen_streams(imus, joints, skeleton)
-    own = tuple(joints[stream.name] for stream in streams)
-    still = find_still(streams) if still is None else still
-    R_held, spreads = held_orientations(streams, still)
+    held = hold(imus, joints, skeleton, still, levers)
     R_all = turned_to(pose_rotations(pose, skeleton), world_facing)
-    by_joint = dict(zip(own, streams, strict=True)), dict(zip(own, R_held, strict=True))
-    standing = _Standing(skeleton, *by_joint, R_all)
+    standing = _Standing(skeleton, held, R_all)
     known: dict[str, float] = {}
     for movement in movements:
         known |= standing.headings(movement)
-    missing = [joint for joint in own if joint not in known]
+    missing = [joint for joint in held.joints if joint not in known]
     if missing and (headings == "own" or not known):
         raise CalibrationError(
             f"no movement tells the heading of the sensors on {', '.join(missing)}; name one of each, or "
             "say that all sensors share one reference (headings='shared')"
         )
     mean = float(np.angle(np.sum(np.exp(1j * np.array(list(known.values()))))))
-    angles = np.array([known.get(joint, mean) for joint in own])
-    R_pose = R_all[skeleton.index(*own)]
-    places = lever_arms(streams, own, levers or {}, skeleton)
-    calibration = aligned(streams, own, angles, R_held, R_pose, places)
+    angles = np.array([known.get(joint, mean) for joint in held.joints])
+    calibration = held.aligned(angles, R_all[skeleton.index(*held.joints)])
     if headings == "shared":
-        R_shared = np.tile(so3.about_axis("z", mean), (len(own), 1, 1))
+        R_shared = np.tile(so3.about_axis("z", mean), (len(angles), 1, 1))
         calibration = replace(calibration, R_world_inertial=R_shared)
-    sigmas = [AXIS_DEG if joint in known else 2 * AXIS_DEG for joint in own]
+    sigmas_deg = [AXIS_DEG if joint in known else 2 * AXIS_DEG for joint in held.joints]
     return PoseCalibration(
-        calibration, f"{pose} and movement", still, world_facing,
-        reports(calibration, spreads, sigmas, POSE_DEG),
-    )  # fmt: skip
+        calibration=calibration,
+        pose=f"{pose} and movement",
+        still=held.still,
+        facing=world_facing,
+        sensors=held.reports(sigmas_deg, POSE_DEG),
+    )
 
 
 # --- parts ---------------------------------------------------------------------------------------
@@ -131,12 +121,10 @@ def calibrate_by_movement(
 
 @dataclass(frozen=True)
 class _Standing:
-    """Sensors on segments while somebody stands, by segment."""
+    """Sensors while somebody stands, and the pose that is stood in."""
 
     skeleton: SkeletonModel
-    streams: Mapping[str, SensorStream]
-    R_held: Mapping[str, Array]
-    """(3, 3) R_inertial_sensor"""
+    held: Held
     R_pose: Array
     """(J, 3, 3) R_world_bone"""
 
@@ -144,9 +132,9 @@ class _Standing:
         """Headings, rad, of the references of the sensors that a movement is about."""
         j = self.skeleton.index(movement.joint)[0]
         parent = self.skeleton.names[self.skeleton.parents[j]] if j else ""
-        if movement.joint not in self.streams:
+        if movement.joint not in self.held.joints:
             raise CalibrationError(f"movement of {movement.joint}: no sensor is mapped to that segment")
-        if j in hinges(self.skeleton) and parent in self.streams:
+        if j in hinges(self.skeleton) and parent in self.held.joints:
             return self._of_hinge(movement, parent)
         return self._of_one(movement)
 
@@ -177,16 +165,22 @@ class _Standing:
                 f"movement of {joint}: only {100 * share:.0f} % of its turning is about one axis; flex "
                 "it, or raise it forwards and back, and nothing else"
             )
-        stream = self.streams[joint]
+        stream = self._stream(joint)
         assert stream.R_inertial_sensor is not None
         R = stream.R_inertial_sensor[(stream.times >= movement.start) & (stream.times <= movement.stop)]
         R = R[np.isfinite(R).all(axis=(-2, -1))]
-        away = so3.log(self.R_held[joint].T @ R) @ axis  # rad from the pose, about the axis
+        away = so3.log(self._R_held(joint).T @ R) @ axis  # rad from the pose, about the axis
         return {joint: self._heading(joint, joint, axis if away.sum() >= 0 else -axis)}
+
+    def _stream(self, joint: str) -> SensorStream:
+        return self.held.streams[self.held.joints.index(joint)]
+
+    def _R_held(self, joint: str) -> Array:
+        return np.asarray(self.held.R_inertial_sensor[self.held.joints.index(joint)])
 
     def _turning(self, movement: Movement, joint: str) -> tuple[Array, Array]:
         """Times (T,) and angular velocity (T, 3) during a movement."""
-        stream = self.streams[joint]
+        stream = self._stream(joint)
         during = (stream.times >= movement.start) & (stream.times <= movement.stop)
         if np.count_nonzero(during) < 10:
             raise CalibrationError(
@@ -197,7 +191,7 @@ class _Standing:
 
     def _heading(self, joint: str, moved: str, axis_sensor: Array) -> float:
         """Heading of a sensor's reference under which an axis of it is that of the movement."""
-        axis_inertial = self.R_held[joint] @ axis_sensor
+        axis_inertial = self._R_held(joint) @ axis_sensor
         axis_world = flexion_axis(moved, self.skeleton, self.R_pose)
         if np.linalg.norm(axis_inertial[:2]) < _UPRIGHT_SHARE:
             raise CalibrationError(
@@ -228,10 +222,10 @@ class _Standing:
 
     def _read(self, movement: Movement, joint: str, axis: Array) -> tuple[Array, Array]:
         """Times (T,) and R_world_bone (T, 3, 3) during a movement if this is the axis in sensor axes."""
-        stream = self.streams[joint]
+        stream = self._stream(joint)
         assert stream.R_inertial_sensor is not None
         during = (stream.times >= movement.start) & (stream.times <= movement.stop)
         turn = so3.about_axis("z", self._heading(joint, movement.joint, axis))
         R_pose = self.R_pose[self.skeleton.index(joint)[0]]
-        R_from_held = stream.R_inertial_sensor[during] @ self.R_held[joint].T
+        R_from_held = stream.R_inertial_sensor[during] @ self._R_held(joint).T
         return stream.times[during], turn @ R_from_held @ turn.T @ R_pose

@@ -18,31 +18,21 @@ An error of the pose (an arm 10 degrees too low) becomes an error of the calibra
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin import rotations as so3
-from rtof_kin.calibration import ImuCalibration
 from rtof_kin.checks import indices_of
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
-from rtof_kin.inertial.alignment import (
-    PoseCalibration,
-    aligned,
-    calibrated,
-    chosen_streams,
-    held_orientations,
-    lever_arms,
-    reports,
-)
+from rtof_kin.inertial.alignment import Held, PoseCalibration, calibrated, hold
 from rtof_kin.inertial.evidence import Evidence
 from rtof_kin.inertial.headings import Headings, own_headings, shared_heading, wrapped
 from rtof_kin.inertial.poses import facing_of, pose_rotations, turned_to
 from rtof_kin.inertial.segment_motion import segment_motions
-from rtof_kin.inertial.stillness import find_still
-from rtof_kin.inertial.streams import SensorLog, SensorStream
+from rtof_kin.inertial.streams import SensorLog
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import ImuSequence
 
@@ -90,7 +80,6 @@ def calibrate_by_pose(
         CalibrationError: nobody is still, a sensor has no orientation then, two sensors sit on one
             segment, or headings cannot be told because nobody moves.
     """
-    streams = chosen_streams(imus, joints, skeleton)
     if headings not in ("shared", "own"):
         raise UnknownNameError("kind of headings", [headings], ["shared", "own"])
     if headings == "own" and facing is not None:
@@ -98,33 +87,27 @@ def calibrate_by_pose(
             "facing has no meaning for sensors with headings of their own: they share no reference; give "
             "world_facing, or headings='shared'"
         )
-    still = find_still(streams) if still is None else still
-    own = tuple(joints[stream.name] for stream in streams)
-    R_held, spreads = held_orientations(streams, still)
+    held = hold(imus, joints, skeleton, still, levers)
     R_all = pose_rotations(pose, skeleton)
     faces = facing_of(R_all) if world_facing is None else world_facing
-    R_pose = turned_to(R_all, faces)[skeleton.index(*own)]
-
-    places = lever_arms(streams, own, levers or {}, skeleton)
-    upright = aligned(streams, own, np.zeros(len(streams)), R_held, R_pose, places)
+    R_pose = turned_to(R_all, faces)[skeleton.index(*held.joints)]
     if facing is None:
-        found = _told_by_movement(streams, upright, R_pose, skeleton, headings, still)
+        found = _told_by_movement(imus, held, R_pose, skeleton, headings)
     else:
-        given = faces - _forward(facing, streams, R_held)
-        found = Headings(np.full(len(streams), given), np.zeros(len(streams)), np.inf)
-    angles = found.angles
-    if headings == "shared" and world_facing is None and isinstance(pose, str):
+        given = np.full(len(held.joints), faces - _forward(facing, held))
+        found = Headings(given, np.zeros(len(given)), np.inf)
+    angles, named = found.angles, isinstance(pose, str)
+    if headings == "shared" and world_facing is None and named:
         # The world is the sensors' own reference: not they are turned but the person.
-        shift = -angles[0]
-        faces, angles, R_pose = faces + shift, angles + shift, so3.about_axis("z", shift) @ R_pose
-    calibration = aligned(streams, own, angles, R_held, R_pose, places)
-    pose_deg = NAMED_POSE_DEG if isinstance(pose, str) else MEASURED_POSE_DEG
+        faces, angles, R_pose = faces - angles[0], 0 * angles, so3.about_axis("z", -angles[0]) @ R_pose
     return PoseCalibration(
-        calibration=calibration,
-        pose=pose if isinstance(pose, str) else "measured",
-        still=still,
+        calibration=held.aligned(angles, R_pose),
+        pose=str(pose) if named else "measured",
+        still=held.still,
         facing=float(wrapped(faces)),
-        sensors=reports(calibration, spreads, np.degrees(found.sigmas), pose_deg),
+        sensors=held.reports(
+            np.degrees(found.sigmas), NAMED_POSE_DEG if named else MEASURED_POSE_DEG
+        ),
         heading_margin=found.margin if facing is None else None,
     )
 
@@ -132,20 +115,18 @@ def calibrate_by_pose(
 # --- parts ---------------------------------------------------------------------------------------
 
 
-def _forward(
-    facing: float | tuple[str, str], streams: Sequence[SensorStream], R_held: Array
-) -> float:
+def _forward(facing: float | tuple[str, str], held: Held) -> float:
     """Heading, rad, of the person in the sensors' shared reference."""
     if not isinstance(facing, tuple):
         if not np.isfinite(facing):
             raise ShapeError(f"facing: {facing} is no angle; give radians about z from the x axis")
         return float(facing)
     sensor, axis = facing
-    s = indices_of("sensor of facing", [sensor], [stream.name for stream in streams])[0]
+    s = indices_of("sensor of facing", [sensor], [stream.name for stream in held.streams])[0]
     if axis not in _AXES:
         raise UnknownNameError("axis of facing", [axis], list(_AXES))
     column, sign = _AXES[axis]
-    forward = sign * R_held[s][:, column]
+    forward = sign * held.R_inertial_sensor[s][:, column]
     if np.hypot(forward[0], forward[1]) < np.sin(np.radians(20.0)):
         raise CalibrationError(
             f"the axis {axis} of {sensor} is within 20 degrees of vertical in the pose, so it does not "
@@ -155,19 +136,15 @@ def _forward(
 
 
 def _told_by_movement(
-    streams: Sequence[SensorStream],
-    upright: ImuCalibration,
-    R_pose: Array,
-    skeleton: SkeletonModel,
-    headings: str,
-    still: tuple[float, float],
+    imus: ImuSequence | SensorLog, held: Held, R_pose: Array, skeleton: SkeletonModel, headings: str
 ) -> Headings:
-    bone_imus = calibrated(streams, upright)
-    first = max(bone_imus.times[0], min(still[0], bone_imus.times[-1] - LONGEST))
+    as_if_upright = held.aligned(np.zeros(len(held.joints)), R_pose)
+    bone_imus = calibrated(imus, as_if_upright)
+    first = max(bone_imus.times[0], min(held.still[0], bone_imus.times[-1] - LONGEST))
     near = (bone_imus.times >= first) & (bone_imus.times <= first + LONGEST)
     start, stop = (int(i) for i in np.flatnonzero(near)[[0, -1]])
     motions = segment_motions(bone_imus[start : stop + 1])
-    fastest = max(float(np.nanmax(np.linalg.norm(r.w_world, axis=-1))) for r in motions)
+    fastest = max(float(np.nanmax(np.linalg.norm(m.w_world, axis=-1))) for m in motions)
     if fastest < LEAST_TURNING:
         raise CalibrationError(
             f"headings cannot be told: no sensor turns faster than {fastest:.2g} rad/s, and a pose alone "
