@@ -97,9 +97,9 @@ def walking(
 
 
 def free(sensors: Sequence[str] = LIMB_SENSORS, seed: int = 0, **options: object) -> Worn:
-    """Somebody who moves everything at once for eight seconds, as people do."""
+    """Somebody who moves everything at once for six seconds, as people do."""
     skeleton = SkeletonModel.default()
-    poses = planted.human(skeleton, 480, seed=seed).poses
+    poses = planted.human(skeleton, 360, seed=seed).poses
     return worn(poses, skeleton, sensors, seed=seed, **options)  # type: ignore[arg-type]
 
 
