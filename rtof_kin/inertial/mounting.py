@@ -5,8 +5,8 @@ A calibration and some movement are compared with each way in which people get i
 explains the movement much better than the calibration as declared; nothing is repaired unless
 `Fault.corrected` is asked to.
 
-Not everything can be told. With no camera, sensors of all left and all right limbs swapped at once look
-like the mirror image of what was done, and a world turned about the vertical looks like another room.
+Not everything can be told. A world turned about the vertical looks like another room where no camera saw
+it. Of lone sensors, with none on the next segment, left and right look like each other's mirror images.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def find_faults(
     while len(found) < most:
         levers = {motion.joint: motion.p_bone_sensor for motion in motions}
         setup = Setup(skeleton, levers, turned_to(R_pose, 0.0))
-        fault = _likeliest(scores, motions, setup, seen is not None)
-        if fault.log_likelihood_ratio < least_ratio * (LONE_FACTOR if setup.is_lone(fault) else 1.0):
+        fault = _likeliest(scores, motions, setup, least_ratio)
+        if fault is None:
             break
         found.append(fault)
         motions = fault.read(motions)
@@ -81,13 +81,17 @@ def find_faults(
 
 
 def _likeliest(
-    scores: _Scores, motions: Sequence[SegmentMotion], setup: Setup, seen: bool
-) -> Fault:
-    """The fault that explains the motions best, and what explains them nearly as well."""
-    faults = list(setup.possible_faults(seen))
+    scores: _Scores, motions: Sequence[SegmentMotion], setup: Setup, least_ratio: float
+) -> Fault | None:
+    """The fault that explains the motions best, and what does nearly as well; None where none does."""
+    faults = list(setup.possible_faults(bool(scores.evidence.seen)))
     base = scores.total(motions)
     ratios = np.array([scores.total(fault.read(motions)) - base for fault in faults])
-    best = int(np.argmax(ratios))
+    asked = [least_ratio * (LONE_FACTOR if setup.is_lone(fault) else 1.0) for fault in faults]
+    enough = np.flatnonzero(ratios >= asked)
+    if not len(enough):
+        return None
+    best = int(enough[np.argmax(ratios[enough])])
     close = [i for i in np.argsort(-ratios) if ratios[i] > ratios[best] - SAME_RATIO and i != best]
     return replace(
         faults[best],
