@@ -25,6 +25,14 @@ def children_of(parents: Sequence[int], joint: int) -> list[int]:
     return [child for child, parent in enumerate(parents) if parent == joint]
 
 
+def line_to_root(parents: Sequence[int], joint: int) -> list[int]:
+    """Indices of a joint, its parent, and so on to the root."""
+    line = [joint]
+    while parents[line[-1]] >= 0:
+        line.append(parents[line[-1]])
+    return line
+
+
 def positions(parents: Sequence[int], offsets: Array, p_root: Array, R_world_bone: Array) -> Array:
     """Joint positions (..., J, 3) in world from segment orientations (..., J, 3, 3) and the root's."""
     p = np.empty((*R_world_bone.shape[:-2], 3))

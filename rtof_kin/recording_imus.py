@@ -13,6 +13,7 @@ from rtof_kin import rotations as so3
 from rtof_kin.calibration import ImuCalibration
 from rtof_kin.errors import FileFormatError, UnknownNameError
 from rtof_kin.io.arrays import read_csv
+from rtof_kin.io.imu_calibration_toml import calibration_of, calibration_table
 from rtof_kin.io.section import Section
 from rtof_kin.recording_files import (
     csv_names,
@@ -34,7 +35,7 @@ def read_imus(
     section: Section, skeleton: SkeletonModel
 ) -> tuple[ImuSequence | None, ImuCalibration | None]:
     """The sensors' data, where the section names a file, and their calibration, where it has one."""
-    calibration = _calibration(section.table("sensors"), skeleton)
+    calibration = calibration_of(section.table("sensors"), skeleton)
     imus = _imu_sequence(section, calibration) if section.has("file") else None
     if imus is not None and calibration is not None:
         missing = [name for name in imus.names if name not in calibration.sensors]
@@ -101,60 +102,6 @@ def _imu_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:
     return names, arrays
 
 
-def _calibration(sensors: Section, skeleton: SkeletonModel) -> ImuCalibration | None:
-    if len(sensors) == 0:
-        return None
-    joints, levers, R_world_inertial, R_sensor_bone = [], [], [], []
-    for name in sensors.keys():  # noqa: SIM118 - a Section is no mapping
-        own = sensors.table(name)
-        usual_joint, usual_lever = skeleton.sensors.get(name, (None, None))
-        joint = own.text("joint", usual_joint)
-        if joint not in skeleton.names:
-            raise UnknownNameError(
-                f"joint in {own.path}, {own.where('joint')}", [joint], skeleton.names
-            )
-        lever = own.optional_array("lever_arm_m", (3,))
-        if lever is None and usual_lever is not None and joint == usual_joint:
-            lever = usual_lever
-        joints.append(joint)
-        levers.append(own.array("lever_arm_m", (3,)) if lever is None else lever)
-        R_world_inertial.append(_rotation(own, "world_inertial"))
-        R_sensor_bone.append(_rotation(own, "sensor_bone"))
-        own.close()
-    with naming(sensors.path):
-        return ImuCalibration(
-            sensors=tuple(sensors.keys()),
-            joints=tuple(joints),
-            R_world_inertial=np.array(R_world_inertial),
-            R_sensor_bone=np.array(R_sensor_bone),
-            p_bone_sensor=np.array(levers),
-        )
-
-
-def _rotation(section: Section, frames: str) -> Array:
-    """A rotation given as the matrix ``R_<frames>`` or as ``quat_wxyz_<frames>``."""
-    matrix, quat = f"R_{frames}", f"quat_wxyz_{frames}"
-    if section.has(matrix) == section.has(quat):
-        raise section.error(matrix, f"give one of {matrix} (3 x 3) and {quat} (4 numbers)")
-    if section.has(matrix):
-        return section.array(matrix, (3, 3))
-    value = section.array(quat, (4,))
-    norm = float(np.linalg.norm(value))
-    if abs(norm - 1) > _QUATERNION_TOLERANCE:
-        raise section.error(quat, f"has norm {norm:.6g}, not 1; normalise it")
-    return so3.from_quat_wxyz(value)
-
-
 def imu_table(calibration: ImuCalibration | None) -> dict[str, Any]:
     """The table ``[imus.sensors]`` that `read_imus` reads back to the same bits."""
-    if calibration is None:
-        return {}
-    return {
-        name: {
-            "joint": calibration.joints[s],
-            "lever_arm_m": calibration.p_bone_sensor[s].tolist(),
-            "R_world_inertial": calibration.R_world_inertial[s].tolist(),
-            "R_sensor_bone": calibration.R_sensor_bone[s].tolist(),
-        }
-        for s, name in enumerate(calibration.sensors)
-    }
+    return {} if calibration is None else calibration_table(calibration)

@@ -26,7 +26,7 @@ fragment_problem   fragment_solution   joint_space   joint_space.settings
 io.arrays   io.articulated   io.folder   io.markers   io.pickled   io.section
 io.world_axes
 io.asf_amc   io.bvh   io.c3d   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
-io.total_capture   io.trc   inertial   inertial.declaration   io.motion_views
+io.imu_calibration_toml   io.total_capture   io.trc   inertial   inertial.declaration   io.motion_views
 io.motion_table   io.opensim_coordinates
 io.opensim_model   io.opensim_mot
 motion_files
@@ -41,6 +41,12 @@ inertial.gravity
 inertial.alternatives
 inertial.physics
 cartesian_banded   joint_space.prior   joint_space.state
+inertial.stillness   inertial.poses   inertial.axes
+inertial.segment_motion   inertial.free_motion
+inertial.evidence
+inertial.alignment   inertial.headings
+inertial.faults   inertial.functional   inertial.pose_calibration
+inertial.mounting
 cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem   joint_space.windows
 joint_space.couplings

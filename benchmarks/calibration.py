@@ -1,0 +1,172 @@
+"""How exactly sensors are calibrated by a pose, by the movement after it, and by exercises.
+
+``python -m benchmarks.calibration --corpus DIR`` with DIR the folder of free motion (see README.md here).
+A motion of each validation subject of split.toml, up to 12 s, after two seconds of a pose that is held as
+it should be, or with joints turned so that segments are off by 5, 10 or 15 degrees in the mean.
+Eight sensors with soft tissue and accelerometer noise. The numbers are angles between segments by their
+sensors and in truth over the movement, degrees, turned to one heading: the mean, and the 90th percentile
+over segments. *right calibration* is what soft tissue alone makes of them. *given*: the facing is known.
+*told*: movement tells it, of sensors with one reference. *own*: movement tells a heading for each sensor.
+*exercises*: knees, elbows and trunk bent one after the other, on the shipped skeleton, after an N-pose
+with the same errors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import zlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.progress import track
+
+from benchmarks.held import HELD, MOVING, exercise, held_then_moving, held_wrongly, movements
+from benchmarks.mounting import pieces
+from rtof_kin import rotations as so3
+from rtof_kin.calibration import ImuCalibration
+from rtof_kin.inertial.functional import calibrate_by_movement
+from rtof_kin.inertial.pose_calibration import calibrate_by_pose
+from rtof_kin.inertial.poses import POSES, facing_of, pose_rotations
+from rtof_kin.mocap import MocapClip
+from rtof_kin.simulation import LIMB_SENSORS
+from rtof_kin.simulation_noise import ImuNoise
+from rtof_kin.simulation_sensors import simulate_imus
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import ImuSequence, PoseSequence
+
+Array = NDArray[np.float64]
+HERE = Path(__file__).parent
+SEED = 1
+POSE_ERRORS_DEG = (0.0, 5.0, 10.0, 15.0)
+KINDS = ("right calibration", "given", "told", "own", "exercises, shared", "exercises, own")
+
+
+@dataclass(frozen=True)
+class Take:
+    """Movement with sensors, and the calibration that is right."""
+
+    skeleton: SkeletonModel
+    poses: PoseSequence
+    imus: ImuSequence
+    truth: ImuCalibration
+
+    @classmethod
+    def of(cls, poses: PoseSequence, skeleton: SkeletonModel, name: str) -> Take:
+        """Simulated; the same name gives the same errors."""
+        rng = np.random.default_rng([SEED, zlib.crc32(name.encode())])
+        noise = replace(ImuNoise(), misalignment_deg=0.0)
+        imus, truth = simulate_imus(rng, poses, skeleton, LIMB_SENSORS, poses.times, noise)
+        return cls(skeleton, poses, imus, truth)
+
+    @property
+    def joints(self) -> dict[str, str]:
+        """Sensor -> segment."""
+        return dict(zip(self.truth.sensors, self.truth.joints, strict=True))
+
+    def aligned(self) -> ImuSequence:
+        """As sensors measure that share the world as their reference."""
+        R = self.truth.R_world_inertial @ self.imus.R_inertial_sensor
+        return replace(self.imus, R_inertial_sensor=R)
+
+    def errors_deg(self, imus: ImuSequence, calibration: ImuCalibration, since: float) -> list[float]:
+        """Mean angle to the truth of every segment from a time on."""
+        moving = self.poses.times >= since
+        R = calibration.apply(imus).R_world_bone[moving]
+        R_true = self.poses.R_world_bone[moving][:, self.skeleton.index(*self.truth.joints)]
+        turn = so3.about_axis("z", so3.heading((R_true @ np.swapaxes(R, -1, -2)).mean(axis=(0, 1))))
+        angles = np.degrees(so3.angle_between(turn @ R, R_true)).mean(axis=0)
+        return [round(float(angle), 2) for angle in angles]
+
+
+def by_pose(clip: MocapClip, pose: str, error_deg: float) -> list[dict[str, Any]]:
+    """Rows of one piece of motion after one pose."""
+    skeleton = SkeletonModel.default().with_offsets(clip.joint_offsets)
+    rng = np.random.default_rng([SEED, zlib.crc32(clip.name.encode())])
+    R_pose = pose_rotations(pose, skeleton)
+    R_held = held_wrongly(rng, R_pose, skeleton, error_deg) if error_deg else R_pose
+    take = Take.of(held_then_moving(clip.poses, R_held, skeleton), skeleton, clip.name)
+    facing, one = facing_of(take.poses.R_world_bone[0]), take.aligned()
+    ways: dict[str, tuple[ImuSequence, dict[str, Any]]] = {
+        "given": (one, {"facing": facing}),
+        "told": (one, {}),
+        "own": (take.imus, {"headings": "own"}),
+    }
+    since = HELD + MOVING
+    rows: list[dict[str, Any]] = [
+        {"kind": "right calibration", "errors": take.errors_deg(take.imus, take.truth, since)}
+    ]
+    for kind, (imus, options) in ways.items():
+        found = calibrate_by_pose(imus, take.joints, pose, skeleton, **options)
+        rows.append({
+            "kind": kind, "errors": take.errors_deg(imus, found.calibration, since),
+            "margin": found.heading_margin,
+            "sigmas_deg": [round(r.heading_sigma_deg, 1) for r in found.sensors],
+        })  # fmt: skip
+    about = {"motion": clip.name, "pose": pose, "pose_error_deg": error_deg}
+    return [{**about, **row} for row in rows]
+
+
+def by_exercises(seed: int, error_deg: float) -> list[dict[str, Any]]:
+    """Rows of one person who exercises after an N-pose."""
+    skeleton = SkeletonModel.default()
+    rng = np.random.default_rng([SEED, seed])
+    R_pose = pose_rotations("N", skeleton)
+    R_held = held_wrongly(rng, R_pose, skeleton, error_deg) if error_deg else R_pose
+    take = Take.of(exercise(skeleton, rng, R_held=R_held), skeleton, f"exercise {seed}")
+    rows = []
+    for kind, imus, headings in (("shared", take.aligned(), "shared"), ("own", take.imus, "own")):
+        done = [m for m in movements() if m.joint in take.truth.joints]
+        found = calibrate_by_movement(
+            imus, take.joints, done, skeleton, headings=headings  # type: ignore[arg-type]
+        )  # fmt: skip
+        rows.append({
+            "motion": f"exercise {seed}", "pose": "N", "pose_error_deg": error_deg,
+            "kind": f"exercises, {kind}", "errors": take.errors_deg(imus, found.calibration, HELD),
+        })  # fmt: skip
+    return rows
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Mean and 90th percentile over segments and pieces, as Markdown."""
+    head = " | ".join(f"{error:.0f} deg off" for error in POSE_ERRORS_DEG)
+    lines = [f"| kind | pose | {head} |", "|---" * (2 + len(POSE_ERRORS_DEG)) + "|"]
+    for kind in KINDS:
+        for pose in POSES:
+            cells = []
+            for error in POSE_ERRORS_DEG:
+                own = [
+                    e for row in rows for e in row["errors"]
+                    if (row["kind"], row["pose"], row["pose_error_deg"]) == (kind, pose, error)
+                ]  # fmt: skip
+                cells.append(f"{np.mean(own):.1f} ({np.percentile(own, 90):.0f})" if own else "")
+            if any(cells):
+                lines.append(f"| {kind} | {pose} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.calibration", description=__doc__)
+    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser.add_argument("--out", type=Path, default=HERE / "results" / "calibration.json")
+    options = parser.parse_args(arguments)
+    clips = list({clip.subject: clip for clip in pieces(options.corpus, "validation")}.values())
+    jobs = [(clip, pose, error) for clip in clips for pose in POSES for error in POSE_ERRORS_DEG]
+    rows = [row for job in track(jobs, "poses") for row in by_pose(*job)]
+    for seed in range(len(clips)):
+        rows += [row for error in POSE_ERRORS_DEG for row in by_exercises(seed, error)]
+    result = {"command": "python -m benchmarks.calibration --corpus DIR", "seed": SEED, "rows": rows}
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    options.out.with_suffix(".md").write_text(table(rows) + "\n", encoding="utf-8")
+    print(table(rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
