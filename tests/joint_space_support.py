@@ -16,7 +16,8 @@ import planted
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.joint_space.frame_energy import FEET, TORSO, FrameEnergy, Shape
+from rtof_kin.contacts import FEET
+from rtof_kin.joint_space.frame_energy import TORSO, FrameEnergy, Shape
 from rtof_kin.joint_space.problem import FragmentData, JointProblem
 from rtof_kin.joint_space.state import StateSpace
 from rtof_kin.skeleton import SkeletonModel

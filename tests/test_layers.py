@@ -20,14 +20,14 @@ signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_c
 levenberg_marquardt   banded   lanes
 types   urdf
 skeleton
-energies   fragment_settings   calibration   metrics   inertial_ik   root_position
-fragment_problem   fragment_solution   joint_space   joint_space.settings
+energies   fragment_settings   calibration   metrics   inertial_ik   root_position   contacts
+fragment_problem   fragment_solution   joint_space   joint_space.settings   root_path
 io   io.arrays   io.articulated   io.folder   io.pickled   io.section
 io.asf_amc   io.bvh   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
 io.total_capture   inertial   inertial.declaration
 inertial.streams
 cartesian_banded   joint_space.prior   joint_space.state
-cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
+inertial_start   cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem   joint_space.windows
 joint_space.couplings
 joint_space.lane_problem
@@ -59,6 +59,7 @@ lifting.predict   lifting.recipes
 lifting.onnx_export   lifting.run   lifting.streaming
 lifting.train
 lifting.__main__
+sensors_alone
 pipeline
 figures
 export

@@ -60,7 +60,7 @@ def curves(
     assert truth is not None
     frames = np.linspace(0, len(truth) - 1, _SNAPSHOTS + 2).round().astype(int)[1:-1]
     arrays: dict[str, Array] = {
-        "R_camera_world": recording.keypoints.camera.R_camera_world,
+        "R_camera_world": recording.video.camera.R_camera_world,
         "snapshot_frames": frames.astype(float),
         "snapshot_truth": truth.p_world_joint[frames],
     }

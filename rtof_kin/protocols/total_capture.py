@@ -237,7 +237,7 @@ def _seen_by(take: Take, job: Job, number: int) -> JobResult:
         methods |= _studies(results["rtof"], truth)
     checks = check_camera(number)
     if protocol.keypoints is not None:
-        checks += check_keypoints(take, number, recording.keypoints)
+        checks += check_keypoints(take, number, recording.video)
     failed = [check.message for check in checks if not check.passed]
     return JobResult(
         {"subject": take.subject, "take": take.name, "camera": number, "methods": methods,
