@@ -28,11 +28,11 @@ FEET = ("LeftFoot", "RightFoot")
 class ContactSettings:
     """What counts as standing."""
 
-    acceleration: float = 3.0
+    acceleration: float = 5.0
     """[m/s^2] root mean square of an ankle's, over `window`, that a standing foot stays below."""
     window: float = 0.12
     """[s] over which an ankle must be quiet."""
-    foot_rate: float = 1.0
+    foot_rate: float = 2.0
     """[rad/s] of a foot with a sensor: faster, it rolls over the toes and the ankle moves."""
     shank_rate: float = 3.0
     """[rad/s] of the shank, where the foot has no sensor: faster, it swings."""

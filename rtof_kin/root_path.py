@@ -35,7 +35,7 @@ class RootPathSettings:
     """[m] height of a standing ankle."""
     sigma_acceleration: float = 1.0
     """[m/s^2] of a sensor on the root."""
-    share_of_motion: float = 0.3
+    share_of_motion: float = 0.2
     """[1] of a sensor's acceleration relative to the root that its orientation's error makes wrong."""
     sigma_velocity: float = 10.0
     """[m/s] of the root: all that is known of it before the first contact."""
