@@ -25,7 +25,10 @@ fragment_problem   fragment_solution   joint_space   joint_space.settings
 io   io.arrays   io.articulated   io.folder   io.pickled   io.section
 io.asf_amc   io.bvh   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
 io.total_capture   inertial   inertial.declaration
-inertial.streams
+inertial.streams   inertial.packets   io.sensor_text
+inertial.readings
+io.imu_csv   io.xsens_mt
+inertial.files
 cartesian_banded   joint_space.prior   joint_space.state
 cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem   joint_space.windows
