@@ -27,8 +27,10 @@ io.asf_amc   io.bvh   io.camera_toml   io.joint_trajectory   io.motion_npz   io.
 io.total_capture   inertial   inertial.declaration
 inertial.streams   inertial.packets   io.sensor_text
 inertial.readings
-io.imu_csv   io.xsens_mt
-inertial.files
+io.xsens_columns
+io.imu_csv   io.imu_mat   io.mvnx   io.opensense_sto   io.total_capture_sensors   io.ximu3
+io.xsens_dot   io.xsens_mt
+inertial.files   inertial.orientation
 cartesian_banded   joint_space.prior   joint_space.state
 cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem   joint_space.windows

@@ -12,7 +12,16 @@ from typing import Any
 
 from rtof_kin.errors import FileFormatError
 from rtof_kin.inertial.streams import SensorLog
-from rtof_kin.io import imu_csv, xsens_mt
+from rtof_kin.io import (
+    imu_csv,
+    imu_mat,
+    mvnx,
+    opensense_sto,
+    total_capture_sensors,
+    ximu3,
+    xsens_dot,
+    xsens_mt,
+)
 
 _HEAD_BYTES = 2**14
 _MOST_FILES = 1000
@@ -36,14 +45,54 @@ class Format:
 
 FORMATS = (
     Format(
+        mvnx.TITLE,
+        "XML whose root is <mvnx>",
+        mvnx.is_mvnx,
+        mvnx.read_mvnx,
+        file_is_trial=True,
+    ),
+    Format(
+        imu_mat.TITLE,
+        "MATLAB v5 to v7: vector t, and for each sensor a struct of acc, gyr, mag, quat",
+        imu_mat.is_imu_mat,
+        imu_mat.read_imu_mat,
+        file_is_trial=True,
+    ),
+    Format(
+        opensense_sto.TITLE,
+        "text with DataType=Quaternion before endheader; columns time and BODY_imu",
+        opensense_sto.is_opensense_sto,
+        opensense_sto.read_opensense_sto,
+        file_is_trial=True,
+    ),
+    Format(
+        total_capture_sensors.TITLE,
+        "text: numbers of sensors and frames; then blocks of a frame's number and a line for each sensor",
+        total_capture_sensors.is_total_capture,
+        total_capture_sensors.read_total_capture_sensors,
+        file_is_trial=True,
+    ),
+    Format(
+        ximu3.TITLE,
+        "folders with Inertial.csv, ..., whose first column is 'Timestamp (us)'",
+        ximu3.is_ximu3,
+        ximu3.read_ximu3,
+    ),
+    Format(
+        xsens_dot.TITLE,
+        "CSV: lines 'DeviceTag:', ..., then columns PacketCounter, SampleTimeFine, Quat_W, ...",
+        xsens_dot.is_xsens_dot,
+        xsens_dot.read_xsens_dot,
+    ),
+    Format(
         xsens_mt.TITLE,
-        "text; '//' lines, then columns PacketCounter, Acc_X, ..., Quat_q0 or Mat[1][1]; a file a sensor",
+        "text: lines of '//', then columns PacketCounter, Acc_X, ..., Quat_q0 or Mat[1][1], ...",
         xsens_mt.is_xsens_mt,
         xsens_mt.read_xsens_mt,
     ),
     Format(
         imu_csv.TITLE,
-        "text; columns time, NAME_fx, NAME_fy, NAME_fz, NAME_wx, ..., NAME_qw, ...",
+        "columns time, NAME_fx, NAME_fy, NAME_fz, NAME_wx, ..., NAME_mx, ..., NAME_qw, ...",
         imu_csv.is_imu_csv,
         imu_csv.read_imu_csv,
         file_is_trial=True,
