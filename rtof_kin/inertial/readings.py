@@ -36,6 +36,8 @@ class Readings:
     """(T, 4)"""
     matrices: Array | None = None
     """(T, 3, 3) instead of quaternions; zero or NaN where missing."""
+    notes: tuple[str, ...] = ()
+    """What its reader met, in sentences."""
 
     def stream(self, declaration: Declaration) -> SensorStream:
         """The same in SI units and this package's frames.
@@ -53,7 +55,7 @@ class Readings:
             f = declaration.specific_force(self.acceleration, R)
         if self.gyroscope is not None:
             w = declaration.angular_velocity(self.gyroscope)
-        return SensorStream(self.name, self.times, f, R, w, self.magnetometer, norm)
+        return SensorStream(self.name, self.times, f, R, w, self.magnetometer, norm, self.notes)
 
 
 def _rotations(name: str, matrices: Array) -> Array:
@@ -75,7 +77,7 @@ def sensor_log(
     title: str,
     readings: Iterable[Readings],
     declaration: Declaration,
-    notes: Iterable[str] = (),
+    file_notes: Iterable[str] = (),
 ) -> SensorLog:
     """The log of one file, or of the files of one trial.
 
@@ -87,6 +89,6 @@ def sensor_log(
         streams = tuple(one.stream(declaration) for one in readings)
         if not streams:
             raise ShapeError("there is no sensor in it")
-        return SensorLog(path, title, streams, declaration, tuple(notes))
+        return SensorLog(path, title, streams, declaration, tuple(file_notes))
     except ShapeError as error:
         raise FileFormatError(path, str(error)) from error

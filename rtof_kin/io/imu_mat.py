@@ -63,7 +63,9 @@ def read_imu_mat(path: Path, **declared: Any) -> SensorLog:
     steps = np.diff(times)
     notes = lost(times, float(1 / np.median(steps))) if len(steps) and np.all(steps > 0) else ()
     sensors = [
-        Readings(name, times, *(fields.get(field) for field in ("acc", "gyr", "mag", "quat")))
+        Readings(
+            name, times, fields.get("acc"), fields.get("gyr"), fields.get("mag"), fields.get("quat")
+        )
         for name, fields in found.items()
     ]
     return sensor_log([path], TITLE, sensors, declaration, notes)

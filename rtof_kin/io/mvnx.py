@@ -35,6 +35,8 @@ LARGEST_BYTES = 2**33
 """Larger files are refused; an hour of MVN at 60 Hz with all its tags has about 4 GB."""
 _SENSOR_TAGS = {"sensorOrientation": 4, "sensorFreeAcceleration": 3, "sensorMagneticField": 3}
 _SEGMENT_TAGS = {"orientation": 4, "position": 3}
+_WIDTHS = _SENSOR_TAGS | _SEGMENT_TAGS
+"""Numbers of each sensor, or of each segment, in the tags that are read."""
 _RAW = {"sensorAcceleration", "sensorAngularVelocity"}
 _MOST = 1000
 """Sensors or segments; more are none."""
@@ -215,7 +217,7 @@ class _Content:
         self.index.append(int(self._number(frame.get("index", str(done)), f"index of {where}")))
         if done and self.index[-1] <= self.index[-2]:
             raise FileFormatError(self.path, f"{where} comes after frame {self.index[-2]}")
-        for tag in (*_SENSOR_TAGS, *_SEGMENT_TAGS):
+        for tag in _WIDTHS:
             values = self._values(tag, children, where)
             if values is not None and tag not in self.numbers:
                 self.numbers[tag] = array("d", [np.nan]) * (done * self._width(tag))
@@ -223,9 +225,8 @@ class _Content:
                 self.numbers[tag].extend([np.nan] * self._width(tag) if values is None else values)
 
     def _width(self, tag: str) -> int:
-        if tag in _SENSOR_TAGS:
-            return len(self.labels["sensor"]) * _SENSOR_TAGS[tag]
-        return len(self.labels["segment"]) * _SEGMENT_TAGS[tag]
+        kind = "sensor" if tag in _SENSOR_TAGS else "segment"
+        return len(self.labels[kind]) * _WIDTHS[tag]
 
     def _values(self, tag: str, children: dict[str, str | None], where: str) -> list[float] | None:
         """The numbers of one tag of a frame; None where it is absent or empty."""
@@ -246,20 +247,26 @@ class _Content:
     def _shaped(self, tag: str, values: array[float] | list[float] | None) -> Array | None:
         if values is None or len(values) == 0:
             return None
-        width = {**_SENSOR_TAGS, **_SEGMENT_TAGS}[tag]
-        table = np.array(values).reshape(-1, width)
+        table = np.array(values).reshape(-1, _WIDTHS[tag])
         return np.asarray(readonly(tag, table, table.shape))
 
     def mvnx(self) -> Mvnx:
         if not self.index:
             raise FileFormatError(self.path, "has no frame of a recording")
         Declaration(rate_hz=self.rate_hz)
-        arrays = []
-        for tag, width in {**_SENSOR_TAGS, **_SEGMENT_TAGS}.items():
-            flat = self._shaped(tag, self.numbers.get(tag))
-            arrays.append(None if flat is None else flat.reshape(len(self.index), -1, width))
-        sensors, segments = (tuple(self.labels[tag]) for tag in ("sensor", "segment"))
-        index = np.array(self.index)
+        T = len(self.index)
+        flat = {tag: self._shaped(tag, self.numbers.get(tag)) for tag in _WIDTHS}
+        of_tag = {tag: v if v is None else v.reshape(T, -1, v.shape[1]) for tag, v in flat.items()}
         return Mvnx(
-            sensors, segments, self.rate_hz, index, self.poses, *arrays, tuple(sorted(self.unread))
+            sensors=tuple(self.labels["sensor"]),
+            segments=tuple(self.labels["segment"]),
+            rate_hz=self.rate_hz,
+            index=np.array(self.index),
+            poses=self.poses,
+            quat_world_sensor=of_tag["sensorOrientation"],
+            a_world=of_tag["sensorFreeAcceleration"],
+            m_sensor=of_tag["sensorMagneticField"],
+            quat_world_segment=of_tag["orientation"],
+            p_world_segment=of_tag["position"],
+            unread=tuple(sorted(self.unread)),
         )

@@ -60,19 +60,12 @@ def read_ximu3(paths: Sequence[Path], **declared: Any) -> SensorLog:
     declaration = own.changed(**declared)
     folders = list(dict.fromkeys(path.parent for path in paths))
     labels = [_label(folder) for folder in folders]
-    sensors, notes = [], []
+    sensors = []
     for folder, (name, serial) in zip(folders, labels, strict=True):
         twice = [label for label, _ in labels].count(name) > 1
         full = f"{name} {serial}" if twice else name
-        reading, told = _sensor(folder, full, declaration.rate_hz)
-        sensors.append(reading)
-        notes += [f"{full}: {note}" for note in told]
-    return sensor_log(_place(paths, folders), TITLE, sensors, declaration, notes)
-
-
-def _place(paths: Sequence[Path], folders: Sequence[Path]) -> Sequence[Path]:
-    """What the log is called by: the one sensor's folder, or the folders (whose parent it is)."""
-    return folders if len(paths) > 1 else paths
+        sensors.append(_sensor(folder, full, declaration.rate_hz))
+    return sensor_log(paths if len(paths) == 1 else folders, TITLE, sensors, declaration)
 
 
 def _label(folder: Path) -> tuple[str, str]:
@@ -90,7 +83,7 @@ def _label(folder: Path) -> tuple[str, str]:
     return (found[1], found[2]) if found else (folder.name, "")
 
 
-def _sensor(folder: Path, name: str, rate_hz: float | None) -> tuple[Readings, list[str]]:
+def _sensor(folder: Path, name: str, rate_hz: float | None) -> Readings:
     inertial = _messages(folder / "Inertial.csv", (*_GYROSCOPE, *_ACCELEROMETER))
     if inertial is None:
         raise FileFormatError(folder, "has no Inertial.csv; log inertial messages")
@@ -107,8 +100,8 @@ def _sensor(folder: Path, name: str, rate_hz: float | None) -> tuple[Readings, l
         times = times[0] + np.arange(len(times)) / rate_hz
     elif len(times) > 1:
         notes += lost(times, float(1 / np.median(np.diff(times))))
-    reading = Readings(name, times, values[:, 3:], values[:, :3], magnetometer, quaternion)
-    return reading, notes
+    f, w = values[:, 3:], values[:, :3]
+    return Readings(name, times, f, w, magnetometer, quaternion, notes=tuple(notes))
 
 
 def _messages(path: Path, columns: Sequence[str]) -> tuple[Array, Array, list[str]] | None:

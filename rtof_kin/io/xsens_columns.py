@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ def is_read(name: str) -> bool:
     return name.lower() in _READ
 
 
-def acceleration_declared(tables: Sequence[SensorTable]) -> dict[str, str]:
+def acceleration_declared(tables: Sequence[SensorTable]) -> dict[str, Any]:
     """Fields of `Declaration` that follow from the columns of one trial: Acc is what the accelerometer
     measured; where there is none FreeAcc is read, without gravity and in axes of the local earth frame.
 
@@ -57,7 +58,9 @@ def acceleration_declared(tables: Sequence[SensorTable]) -> dict[str, str]:
     return {"gravity": "removed", "acceleration_axes": "inertial"}
 
 
-def readings(name: str, table: SensorTable, rows: NDArray[np.int64], times: Array) -> Readings:
+def readings(
+    name: str, table: SensorTable, rows: NDArray[np.int64], times: Array, notes: Iterable[str]
+) -> Readings:
     """One sensor's numbers, of the rows given, at these times.
 
     Orientation is taken from quaternions, else matrices, else Euler angles in degrees (roll, pitch, yaw
@@ -75,7 +78,14 @@ def readings(name: str, table: SensorTable, rows: NDArray[np.int64], times: Arra
     elif euler is not None:
         matrices = so3.euler_to_matrix("zyx", np.deg2rad(euler))
     return Readings(
-        name, times, acceleration, taken(_GYROSCOPE), taken(_MAGNETOMETER), taken(_QUATERNION), matrices
+        name,
+        times,
+        acceleration,
+        taken(_GYROSCOPE),
+        taken(_MAGNETOMETER),
+        taken(_QUATERNION),
+        matrices,
+        tuple(notes),
     )
 
 

@@ -64,17 +64,16 @@ def read_xsens_dot(paths: Sequence[Path], **declared: Any) -> SensorLog:
     declaration = own.changed(**declared)
     stamps = [_in_order(table, STAMP, _LATEST_US) for table in tables]
     shifts = aligned([int(one.count[0]) for one in stamps], WRAP_32)
-    sensors, notes = [], []
+    sensors = []
     for table, by_stamp, shift in zip(tables, stamps, shifts, strict=True):
-        name, one, times = _name(table.path), by_stamp, (by_stamp.count + shift) / 1e6
+        one, times = by_stamp, (by_stamp.count + shift) / 1e6
         if declaration.rate_hz is not None:
             one = _in_order(table, COUNTER, _LATEST_PACKETS)
             times = times[0] + (one.count - one.count[0]) / declaration.rate_hz
         rate = declaration.rate_hz or _rate(table)
-        sensors.append(readings(name, table, one.rows, times))
-        told = (*table.notes, *one.notes, *(() if rate is None else lost(times, rate)))
-        notes += [f"{name}: {note}" for note in told]
-    return sensor_log(paths, TITLE, sensors, declaration, notes)
+        notes = (*table.notes, *one.notes, *(() if rate is None else lost(times, rate)))
+        sensors.append(readings(_name(table.path), table, one.rows, times, notes))
+    return sensor_log(paths, TITLE, sensors, declaration)
 
 
 def _in_order(table: SensorTable, column: str, late: int) -> Packets:

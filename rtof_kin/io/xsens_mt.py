@@ -62,13 +62,12 @@ def read_xsens_mt(paths: Sequence[Path], **declared: Any) -> SensorLog:
     rate = declaration.rate_hz or _rate(tables)
     packets = [_packets(table) for table in tables]
     shifts = aligned([int(one.count[0]) for one in packets], WRAP_16)
-    sensors, notes = [], []
+    sensors = []
     for table, one, shift in zip(tables, packets, shifts, strict=True):
-        name, times = _name(table.path), (one.count + shift) / rate
-        sensors.append(readings(name, table, one.rows, times))
-        told = (*table.notes, *one.notes, *lost(times, rate), *_stamps(table, one, rate))
-        notes += [f"{name}: {note}" for note in told]
-    return sensor_log(paths, TITLE, sensors, declaration, notes)
+        times = (one.count + shift) / rate
+        notes = (*table.notes, *one.notes, *lost(times, rate), *_stamps(table, one, rate))
+        sensors.append(readings(_name(table.path), table, one.rows, times, notes))
+    return sensor_log(paths, TITLE, sensors, declaration)
 
 
 def _name(path: Path) -> str:
