@@ -25,7 +25,12 @@ fragment_problem   fragment_solution   joint_space   joint_space.settings   root
 io   io.arrays   io.articulated   io.folder   io.pickled   io.section
 io.asf_amc   io.bvh   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
 io.total_capture   inertial   inertial.declaration
-inertial.streams
+inertial.streams   inertial.packets   io.sensor_text
+inertial.readings
+io.xsens_columns
+io.imu_csv   io.imu_mat   io.mvnx   io.opensense_sto   io.total_capture_sensors   io.ximu3
+io.xsens_dot   io.xsens_mt
+inertial.files   inertial.orientation
 cartesian_banded   joint_space.prior   joint_space.state
 inertial_start   cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem   joint_space.windows

@@ -36,10 +36,13 @@ class SensorStream:
     """(T, 3) magnetic field in sensor axes, in the maker's unit."""
     quaternion_norm: Array | None = None
     """(T,) of the file's quaternions before they were normalised; None where it has none."""
+    notes: tuple[str, ...] = ()
+    """What a user should know of it, in sentences: packets lost, orientation estimated."""
 
     def __post_init__(self) -> None:
         set_, where = object.__setattr__, f"sensor {self.name}"
         set_(self, "times", checked_times(f"{where} times", self.times))
+        set_(self, "notes", tuple(self.notes))
         T = len(self.times)
         shapes = {
             "f_sensor": (T, 3), "R_inertial_sensor": (T, 3, 3), "w_sensor": (T, 3), "m_sensor": (T, 3),
@@ -90,12 +93,18 @@ class SensorLog:
     streams: tuple[SensorStream, ...]
     declaration: Declaration
     """How its numbers were meant."""
-    notes: tuple[str, ...] = ()
-    """What its reader met that a user should know, in sentences: packets lost, counters wrapped."""
+    file_notes: tuple[str, ...] = ()
+    """What a user should know of the file as a whole, in sentences."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "streams", tuple(self.streams))
         checked_names(f"sensors of {self.path}", self.names)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know: of the file, then of each sensor, by its name."""
+        own = (f"{stream.name}: {note}" for stream in self.streams for note in stream.notes)
+        return (*self.file_notes, *own)
 
     @property
     def names(self) -> tuple[str, ...]:
