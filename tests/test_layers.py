@@ -27,6 +27,10 @@ io.asf_amc   io.bvh   io.camera_toml   io.joint_trajectory   io.motion_npz   io.
 io.total_capture   inertial   inertial.declaration
 inertial.streams
 cartesian_banded   joint_space.prior   joint_space.state
+inertial.stillness   inertial.poses
+inertial.alignment   inertial.evidence
+inertial.headings
+inertial.pose_calibration
 cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem   joint_space.windows
 joint_space.couplings
