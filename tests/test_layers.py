@@ -32,6 +32,10 @@ io.imu_csv   io.imu_mat   io.mvnx   io.opensense_sto   io.total_capture_sensors 
 io.xsens_dot   io.xsens_mt
 inertial.files   inertial.orientation
 cartesian_banded   joint_space.prior   joint_space.state
+inertial.stillness   inertial.poses
+inertial.alignment   inertial.evidence
+inertial.headings
+inertial.pose_calibration
 inertial_start   cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem   joint_space.windows
 joint_space.couplings

@@ -1,0 +1,113 @@
+"""When somebody stands still: turning rates of sensors, and the first moment at which none turns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from rtof_kin import rotations as so3
+from rtof_kin import signals
+from rtof_kin.errors import CalibrationError, ShapeError
+from rtof_kin.inertial.streams import SensorLog, SensorStream
+from rtof_kin.types import ImuSequence
+
+Array = NDArray[np.float64]
+STILL_RATE = 0.25
+"""A sensor that turns more slowly than this, rad/s, sits on somebody who stands as still as people do."""
+STILL_SECONDS = 1.0
+"""How long all sensors must be still, s."""
+_GRID_HZ, _SMOOTHING = 50.0, 0.3
+_LONGEST_STEP = 0.2
+
+
+def streams_of(imus: ImuSequence | SensorLog) -> tuple[SensorStream, ...]:
+    """One stream per sensor, whichever way the sensors were given."""
+    if isinstance(imus, SensorLog):
+        return imus.streams
+    return tuple(
+        SensorStream(name, imus.times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
+        for s, name in enumerate(imus.names)
+    )
+
+
+def angular_velocity(stream: SensorStream) -> Array:
+    """w_sensor (T, 3), rad/s: the gyroscope's, or where there is none the orientation's rate of change.
+
+    Raises:
+        ShapeError: the stream has neither, or fewer than two samples.
+    """
+    if stream.w_sensor is not None:
+        return stream.w_sensor
+    if stream.R_inertial_sensor is None or len(stream) < 2:
+        raise ShapeError(
+            f"sensor {stream.name}: no angular velocity and no orientation over time to have it from; "
+            "log one of the two"
+        )
+    return orientation_rate(stream.times, stream.R_inertial_sensor)
+
+
+def orientation_rate(times: Array, R: Array) -> Array:
+    """Angular velocity (T, 3), rad/s, in the turning frame's own axes, of orientations (T, 3, 3).
+
+    Central differences, ``log(R(t-1)^T R(t+1)) / (t(t+1) - t(t-1))``, one-sided at the two ends; NaN
+    where one of the two orientations is.
+    """
+    last = len(times) - 1
+    before, after = np.maximum(np.arange(last + 1) - 1, 0), np.minimum(np.arange(last + 1) + 1, last)
+    step = np.swapaxes(R[before], -1, -2) @ R[after]
+    known = np.isfinite(step).all(axis=(-2, -1))
+    out = np.full((last + 1, 3), np.nan)
+    out[known] = so3.log(step[known]) / (times[after] - times[before])[known, None]
+    return out
+
+
+def find_still(streams: Sequence[SensorStream], seconds: float = STILL_SECONDS) -> tuple[float, float]:
+    """The first period, at least so many seconds long, in which no sensor turns.
+
+    Rates are averaged over 0.3 s and compared with `STILL_RATE`.
+
+    Returns:
+        (start, stop) in s on the streams' clock.
+
+    Raises:
+        CalibrationError: there is none; the message says when it was stillest.
+    """
+    start, stop = max(s.times[0] for s in streams), min(s.times[-1] for s in streams)
+    if stop - start < seconds:
+        raise CalibrationError(
+            f"the sensors have {max(stop - start, 0):.2g} s in common, too short for a pose held for "
+            f"{seconds:g} s; record the pose, with all sensors on one clock"
+        )
+    times = np.arange(start, stop + 1e-9, 1 / _GRID_HZ)
+    rates = np.stack([_smooth_rate(stream, times) for stream in streams])
+    fastest = rates.max(axis=0)
+    for first, end in signals.runs(fastest < STILL_RATE):
+        if times[end - 1] - times[first] >= seconds - 1.5 / _GRID_HZ:
+            return float(times[first]), float(times[end - 1])
+    raise _never_still(streams, times, rates, seconds)
+
+
+def _smooth_rate(stream: SensorStream, times: Array) -> Array:
+    rate = np.linalg.norm(angular_velocity(stream), axis=-1)
+    on_grid = signals.interpolate(stream.times, rate, times, max_gap=_LONGEST_STEP)
+    on_grid[~np.isfinite(on_grid)] = np.inf
+    known = np.minimum(on_grid, 100.0)
+    return np.asarray(uniform_filter1d(known, max(round(_SMOOTHING * _GRID_HZ), 1), mode="nearest"))
+
+
+def _never_still(
+    streams: Sequence[SensorStream], times: Array, rates: Array, seconds: float
+) -> CalibrationError:
+    width = max(round(seconds * _GRID_HZ), 1)
+    over = uniform_filter1d(rates.max(axis=0), width)
+    inside = slice(width // 2, len(times) - width // 2)
+    best = int(np.argmin(over[inside])) + width // 2
+    restless = streams[int(np.argmax(rates[:, best]))].name
+    return CalibrationError(
+        f"nobody stands still for {seconds:g} s: even around {times[best]:.2f} s {restless} turns at "
+        f"{np.degrees(rates[:, best].max()):.0f} deg/s; hold the pose longer, or say when it is held "
+        "with still=(start, stop)"
+    )
