@@ -36,7 +36,7 @@ class ContactSettings:
     """[rad/s] of a foot with a sensor: faster, it rolls over the toes and the ankle moves."""
     shank_rate: float = 3.0
     """[rad/s] of the shank, where the foot has no sensor: faster, it swings."""
-    height: float = 0.06
+    height: float = 0.1
     """[m] over the lower ankle that a standing foot's may be."""
     shortest: float = 0.1
     """[s] Contacts that last for less are none."""
