@@ -107,8 +107,8 @@ def detect_contacts(
     settings = settings or ContactSettings()
     sources = {foot: _source(foot, bone_imus, skeleton) for foot in FEET if foot in skeleton.names}
     feet = tuple(foot for foot, source in sources.items() if source is not None)
-    if not feet:
-        return Contacts((), np.zeros((len(poses), 0), dtype=bool))
+    if not feet or len(poses) < 3:
+        return Contacts(feet, np.zeros((len(poses), len(feet)), dtype=bool))
     height = poses.p_world_joint[:, skeleton.index(*feet), 2]
     standing = height - height.min(axis=1, keepdims=True) < settings.height
     for i, foot in enumerate(feet):
