@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rtof_kin.joint_space.frame_energy import TERMS
 
 Array = NDArray[np.float64]
-KINDS = ("bare", "whole", "balls")
+KINDS = ("bare", "whole", "balls", "feet")
 
 
 class Frame:
@@ -88,7 +88,7 @@ def test_residuals_in_pixels_are_projections_minus_observations(frame: Frame) ->
     b, O, C = frame.built, frame.data.observation, frame.data.constant
     p, R = js.poses(b, frame.x)
     points = [p[0, j] + R[0, j] @ C["places"][:, i] for i, (j, _) in enumerate(b.shape.landmarks)]
-    expected = js.CAMERA.project(np.array(points)) - O["uv_px"][0]
+    expected = js.CAMERA.project(np.reshape(points, (-1, 3))) - O["uv_px"][0]
     for function in (b.energy.full, b.energy.value):
         residuals = outputs(function, frame.inputs)[-1]
         np.testing.assert_allclose(residuals.reshape(-1, 2), expected, atol=1e-8)
@@ -130,7 +130,7 @@ def test_an_opposite_quaternion_is_the_same_orientation(frame: Frame) -> None:
 def test_functions_are_few_and_their_terms_have_names() -> None:
     energy = js.built("bare").energy
     assert [f.name() for f in energy.functions()] == ["full", "value", "gradient"]
-    assert len(TERMS) == energy.value.size1_out(0) == 7
+    assert len(TERMS) == energy.value.size1_out(0) == 8
 
 
 def test_at_the_mean_pose_the_prior_is_flat_and_its_hessian_the_precision() -> None:
