@@ -37,9 +37,10 @@ class RootPathSettings:
     """[m/s^2] of a sensor on the root."""
     share_of_motion: float = 0.2
     """[1] of a sensor's acceleration relative to the root that its orientation's error makes wrong."""
-    sigma_velocity: float = 10.0
-    """[m/s] of the root: all that is known of it before the first contact."""
-    drift_per_metre: float = 0.08
+    sigma_lower: float = 1.0
+    """[m/s] velocity of the lower ankle, standing or not: in long stretches without a contact it keeps the
+    path from running away, in a jump it gives way to the accelerations."""
+    drift_per_metre: float = 0.05
     """[1] standard deviation of the path by what was walked; measured, see benchmarks/README.md."""
     sigma_flight: float = 0.5
     """[m/s^2] error of the acceleration that carries the path while no foot stands."""
@@ -95,11 +96,12 @@ def root_path(
     system = _System(T)
     system.add([1.0], np.array([0]), begin, np.array([1e-3**-2]))
     rate = poses.rate_hz
-    system.add([-rate, rate], np.arange(T - 1), np.zeros(3), np.full(T - 1, settings.sigma_velocity**-2))
+    stays = -signals.derivative(feet, rate, 1)  # (T - 1, C, 3) m/s of a root whose foot does not move
+    lower = stays[np.arange(T - 1), feet[:-1, :, 2].argmin(axis=1)]
+    system.add([-rate, rate], np.arange(T - 1), lower, np.full(T - 1, settings.sigma_lower**-2))
     for i in range(len(contacts.joints)):
         both = np.flatnonzero(contacts.standing[1:, i] & contacts.standing[:-1, i])
-        slipped = -signals.derivative(feet[:, i], rate, 1)[both]
-        system.add([-rate, rate], both, slipped, np.full(len(both), settings.sigma_slip**-2))
+        system.add([-rate, rate], both, stays[both, i], np.full(len(both), settings.sigma_slip**-2))
         stands = np.flatnonzero(contacts.standing[:, i])
         height = np.where([False, False, True], ankle_height - feet[stands, i], np.nan)
         system.add([1.0], stands, height, np.full(len(stands), settings.sigma_floor**-2))
