@@ -1,10 +1,10 @@
-"""How far inertial sensors alone carry: mode ``imu`` on the benchmark's motions, with 8, 10 and 13 sensors.
+"""How far inertial sensors alone carry: mode ``imu`` on the benchmark's motions, with 8, 10, 13 sensors.
 
-``python -m benchmarks.inertial_only --corpus DIR`` with the harness' motions and noise; ``--subset
-validation`` takes those to tune on. *exact* sensors tell the truth; *realistic* ones are as the harness has
-them: misaligned by 2 degrees per axis, slipping and wobbling with the soft tissue, noisy. The whole of each
-motion is reconstructed, as a walk of four seconds drifts little. Drift is the error of the root's
-horizontal path since the first frame: at the end, by what was walked and by time.
+``python -m benchmarks.inertial_only --corpus DIR`` with the harness' motions; ``--subset validation``
+takes those to tune on. *exact* sensors tell the truth; *realistic* ones are as the harness has them:
+misaligned by 2 degrees per axis, slipping and wobbling with the soft tissue, noisy. Motions are
+reconstructed whole: a walk of four seconds drifts little. Drift is the error of the root's horizontal
+path since the first frame: at the end, by what was walked and by time.
 """
 
 from __future__ import annotations
@@ -134,11 +134,12 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
     far = len({row["motion"] for row in rows if row["walked_m"] > _WALKED})
     motions = len({row["motion"] for row in rows})
     notes = (
-        f"{motions} motions; drift by what was walked is of the {far} that go further than {_WALKED:g} m: "
-        "root of summed squares at the end over that of what was walked; intervals are 95 % bootstraps.",
+        f"{motions} motions; drift by what was walked is of the {far} that go further than "
+        f"{_WALKED:g} m: root of summed squares at the end over that of what was walked; intervals are "
+        "95 % bootstraps.",
         "within 2 sigma: share of these whose drift at the end is less than twice the standard deviation "
         "that the result states.",
-        "sensed segments: mean angle between the estimated and the true orientation of segments with sensors.",
+        "sensed segments: mean angle between estimated and true orientation of segments with sensors.",
     )
     return Table("inertial_only", "Sensors alone", columns, digits, tuple(lines), notes)
 

@@ -1,7 +1,7 @@
 """A real sensor trial, without any camera: ``python examples/sensors_only.py TRIAL PATH [OUT]``.
 
-TRIAL is a table of ``sensor_trials.toml``: which sensor sits where. PATH is what the sensors' maker wrote,
-a file or a folder. The person stands still for a second at the start; that calibrates the sensors.
+TRIAL is a table of ``sensor_trials.toml``: which sensor sits where. PATH is what the sensors' maker
+wrote, a file or a folder. The person stands still for a second at the start; that calibrates the sensors.
 """
 
 import sys

@@ -79,7 +79,8 @@ def _path(ax: Any, result: Reconstruction) -> None:
 
 def _feet(ax: Any, poses: PoseSequence) -> None:
     for name in FEET:
-        ax.plot(poses.times, poses.p_world_joint[:, poses.names.index(name), 2], color=_color(name), label=name)
+        height = poses.p_world_joint[:, poses.names.index(name), 2]
+        ax.plot(poses.times, height, color=_color(name), label=name)
     ax.axhline(0.08, color="0.7", lw=0.8)
     ax.set_ylabel("ankle's height [m]")
     ax.legend(fontsize=8)

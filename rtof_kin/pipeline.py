@@ -28,9 +28,11 @@ if TYPE_CHECKING:
     from lifting.predict import LiftedPoses
 
 Array = NDArray[np.float64]
-MODES = ("lift", "sf2", "rto", "rtof", "imu")
+CAMERA_MODES = ("lift", "sf2", "rto", "rtof")
 """lift: the network alone. sf2: corrected by IMUs frame by frame. rto: optimised, vision alone.
-rtof: sf2, then optimised with everything. imu: no camera at all (`sensors_alone`)."""
+rtof: sf2, then optimised with everything."""
+MODES = (*CAMERA_MODES, "imu")
+"""imu: no camera at all (`sensors_alone`)."""
 Progress = Callable[[str, int, int], None]
 """Called with (stage, done, in all)."""
 _log = logging.getLogger(__name__)

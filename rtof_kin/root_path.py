@@ -38,8 +38,8 @@ class RootPathSettings:
     share_of_motion: float = 0.2
     """[1] of a sensor's acceleration relative to the root that its orientation's error makes wrong."""
     sigma_lower: float = 1.0
-    """[m/s] velocity of the lower ankle, standing or not: in long stretches without a contact it keeps the
-    path from running away, in a jump it gives way to the accelerations."""
+    """[m/s] velocity of the lower ankle, standing or not: in long stretches without a contact it keeps
+    the path from running away, in a jump it gives way to the accelerations."""
     drift_per_metre: float = 0.05
     """[1] standard deviation of the path by what was walked; measured, see benchmarks/README.md."""
     sigma_flight: float = 0.5

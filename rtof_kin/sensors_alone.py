@@ -106,7 +106,8 @@ def frame_times(imus: ImuSequence, rate_hz: float) -> Array:
     first, last = imus.times[[0, -1]]
     own = 1 / float(np.median(np.diff(imus.times))) if len(imus) > 1 else rate_hz
     rate_hz = min(rate_hz, own)
-    return np.asarray(first + np.arange(int(np.floor((last - first) * rate_hz + 1e-6)) + 1) / rate_hz)
+    count = int(np.floor((last - first) * rate_hz + 1e-6)) + 1
+    return np.asarray(np.minimum(first + np.arange(count) / rate_hz, last))
 
 
 def _on_path(

@@ -275,7 +275,8 @@ class ImuSequence:
         if any(not np.array_equal(part.times, times) for part in parts):
             step = min(float(np.median(np.diff(p.times))) for p in parts if len(p) > 1)
             first, last = min(p.times[0] for p in parts), max(p.times[-1] for p in parts)
-            times = first + step * np.arange(int(np.floor((last - first) / step + 1e-6)) + 1)
+            count = int(np.floor((last - first) / step + 1e-6)) + 1
+            times = np.minimum(first + step * np.arange(count), last)
             parts = [part._at(times, max_gap) for part in parts]
         return cls(
             times=times,

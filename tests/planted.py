@@ -113,7 +113,7 @@ def upright(skeleton: SkeletonModel, frames: int) -> MotionSequence:
 def walking(
     skeleton: SkeletonModel, seconds: float, speed: float = 0.8, stride_s: float = 1.2
 ) -> tuple[MotionSequence, NDArray[np.bool_]]:
-    """Somebody who walks along world x on the floor at z = 0, and which ankles stand still (T, 2), left first.
+    """Somebody who walks along x on the floor at z = 0, and which ankles stand still (T, 2), left first.
 
     A foot stands for 0.6 of a stride, flat, its ankle 0.08 m high, and swings without a jerk to the next
     place: both stand for a tenth of a stride twice. Without speed, this is walking in place.

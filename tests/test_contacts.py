@@ -9,7 +9,7 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.contacts import ContactSettings, Contacts, Footholds, detect_contacts, footholds
+from rtof_kin.contacts import Contacts, ContactSettings, Footholds, detect_contacts, footholds
 from rtof_kin.errors import ShapeError
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, PoseSequence
@@ -112,7 +112,7 @@ def test_a_foothold_is_where_the_ankle_is_meanwhile_at_the_floor() -> None:
         (lambda: Contacts(("LeftFoot",), np.zeros((5, 2))), r"expected shape \(T, 1\)"),
         (lambda: Contacts(("LeftFoot", "LeftFoot"), np.zeros((5, 2))), "LeftFoot stands there more"),
         (lambda: Footholds(("LeftFoot",), np.full((5, 1, 3), np.inf)), "finite, or NaN as a whole"),
-        (lambda: Footholds(("LeftFoot",), np.full((5, 1, 3), 0.0) + [0, 0, np.nan]), "NaN as a whole"),
+        (lambda: Footholds(("LeftFoot",), np.full((5, 1, 3), [0, 0, np.nan])), "NaN as a whole"),
     ],
 )
 def test_what_makes_no_sense_is_refused(make: object, message: str) -> None:

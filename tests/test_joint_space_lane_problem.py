@@ -30,7 +30,7 @@ SEEN = ("Hips", "LeftForeArm", "LeftHand", "RightLeg", "RightFoot", "LeftToe", "
 def a_body(
     sensors: tuple[str, ...], hinged: bool, anchored: bool, seen: tuple[str, ...] = SEEN
 ) -> js.Built:
-    """A body whose trunk, arm and leg alone move: little to compile. Nobody sees it: it has a foothold."""
+    """A body whose trunk, arm and leg alone move: little to compile. Unseen, it has a foothold."""
     index, landmarks = js.BODY.index, js.BODY.landmarks
     shape = Shape(
         landmarks=tuple((index(landmarks[n][0])[0], n in js.BODY.names) for n in seen),
