@@ -4,11 +4,13 @@ With r the position of a joint or sensor relative to the root, known from the or
 root's: a standing foot does not move, ``d/dt (p + r_foot) = 0``; its ankle is at the floor's height; and
 every sensor accelerates as it measured, ``d2/dt2 (p + r_sensor) = a``. Steps of time couple three
 frames, so the normal equations are a band of two beside the diagonal. In flight, and from one foot to
-the other, accelerations alone carry the path.
+the other, accelerations alone carry the path. Where no foot stands for long, as in running, what keeps it
+from running away is the lower foot, which moves least: weakly, with Cauchy's loss (reweighted squares).
 """
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +25,8 @@ from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, PoseSequence
 
 Array = NDArray[np.float64]
+_ROUNDS = 5
+"""Of reweighting the lower foot."""
 
 
 @dataclass(frozen=True)
@@ -37,13 +41,16 @@ class RootPathSettings:
     """[m/s^2] of a sensor on the root."""
     share_of_motion: float = 0.2
     """[1] of a sensor's acceleration relative to the root that its orientation's error makes wrong."""
-    sigma_lower: float = 1.0
-    """[m/s] velocity of the lower ankle, standing or not: in long stretches without a contact it keeps
-    the path from running away, in a jump it gives way to the accelerations."""
+    sigma_lower: float = 0.5
+    """[m/s] velocity of the lower ankle, standing or not."""
+    sigma_lower_height: float = 0.5
+    """[m] height of the lower ankle over where it stands, standing or not."""
     drift_per_metre: float = 0.05
     """[1] standard deviation of the path by what was walked; measured, see benchmarks/README.md."""
     sigma_flight: float = 0.5
     """[m/s^2] error of the acceleration that carries the path while no foot stands."""
+    sigma_aloft: float = 0.3
+    """[m/s] error of the velocity that this grows to at most: then the lower foot knows better."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -53,7 +60,7 @@ class RootPathSettings:
 
 @dataclass(frozen=True)
 class RootPath:
-    """Where the root went, from the origin of the floor's plane on."""
+    """Where the root went, from above the origin on."""
 
     p_world: Array
     """(T, 3) m."""
@@ -83,22 +90,21 @@ def root_path(
         ankle_height: z in world of a standing ankle, m.
 
     Returns:
-        A path that begins over the origin. Without any contact it stays there, with the lower ankle of
-        the first frame at that height.
+        A path that begins over the origin. Where no sensor tells of the feet it stays there, with the
+        lowest joint of the first frame at that height.
     """
     settings, T = settings or RootPathSettings(), len(poses)
     relative = poses.p_world_joint - poses.p_world_joint[:, :1]
     feet = relative[:, skeleton.index(*contacts.joints)]
-    lowest = relative[0, :, 2].min() if not contacts.joints else feet[0, :, 2].min()
-    begin = np.array([0.0, 0.0, ankle_height - lowest])
-    if T < 4 or not contacts.standing.any():
+    if T < 4 or not contacts.joints:
+        begin = np.array([0.0, 0.0, ankle_height - relative[0, :, 2].min()])
         return RootPath(np.tile(begin, (T, 1)), np.full(T, np.nan))
-    system = _System(T)
-    system.add([1.0], np.array([0]), begin, np.array([1e-3**-2]))
-    rate = poses.rate_hz
+    system, rate = _System(T), poses.rate_hz
+    system.add([1.0], np.array([0]), np.array([0.0, 0.0, np.nan]), np.array([1e-3**-2]))
     stays = -signals.derivative(feet, rate, 1)  # (T - 1, C, 3) m/s of a root whose foot does not move
-    lower = stays[np.arange(T - 1), feet[:-1, :, 2].argmin(axis=1)]
-    system.add([-rate, rate], np.arange(T - 1), lower, np.full(T - 1, settings.sigma_lower**-2))
+    low = feet[..., 2].argmin(axis=1)
+    height = np.stack([np.full(T, np.nan)] * 2 + [ankle_height - feet[np.arange(T), low, 2]], axis=1)
+    system.add([1.0], np.arange(T), height, np.full(T, settings.sigma_lower_height**-2))
     for i in range(len(contacts.joints)):
         both = np.flatnonzero(contacts.standing[1:, i] & contacts.standing[:-1, i])
         system.add([-rate, rate], both, stays[both, i], np.full(len(both), settings.sigma_slip**-2))
@@ -114,7 +120,13 @@ def root_path(
         wrong = settings.share_of_motion * np.linalg.norm(own[known], axis=1)
         weight = 1 / (settings.sigma_acceleration**2 + wrong**2)
         system.add(list(rate**2 * np.array([1.0, -2.0, 1.0])), known, a[known], weight)
-    p = system.solve()
+    lower, weight = stays[np.arange(T - 1), low[:-1]], np.full(T - 1, settings.sigma_lower**-2)
+    for _ in range(_ROUNDS):
+        whole = system.copy()
+        whole.add([-rate, rate], np.arange(T - 1), lower, weight)
+        p = whole.solve()
+        moves = np.linalg.norm(signals.derivative(p, rate, 1) - lower, axis=1)
+        weight = 1 / (settings.sigma_lower**2 + moves**2)
     return RootPath(p, _drift(p, contacts, rate, settings))
 
 
@@ -124,6 +136,10 @@ class _System:
     def __init__(self, frames: int) -> None:
         self._band = np.zeros((3, 3, frames))  # coordinate, distance from the diagonal, column
         self._right = np.zeros((3, frames))
+
+    def copy(self) -> _System:
+        """One to add more to."""
+        return copy.deepcopy(self)
 
     def add(self, stencil: list[float], first: NDArray[np.intp], target: Array, weight: Array) -> None:
         """Rows ``stencil . p[first : first + n] = target`` with weights, each first once; none where the
@@ -148,5 +164,6 @@ def _drift(p: Array, contacts: Contacts, rate_hz: float, settings: RootPathSetti
     flown = np.zeros(len(p))
     for start, stop in signals.runs(~contacts.standing.any(axis=1)):
         since = np.minimum(np.arange(len(p)) - start, stop - start)[start:] / rate_hz
-        flown[start:] += (settings.sigma_flight * since**2 / 2) ** 2
+        slow = np.minimum(settings.sigma_flight * since / 2, settings.sigma_aloft)
+        flown[start:] += (slow * since) ** 2
     return np.asarray(np.sqrt((settings.drift_per_metre * walked) ** 2 + flown))

@@ -128,15 +128,13 @@ def _warnings(
     """What a user must know of the root."""
     if not contacts.joints:
         return ("no sensor on a foot or shank: the root stays where it is, whatever the person does",)
-    if not contacts.standing.any():
-        return ("no foot was found to stand anywhere: the root stays where it is",)
     out, rate = [], start.rate_hz
     flights = signals.runs(~contacts.standing.any(axis=1))
     longest = max((stop - start_ for start_, stop in flights), default=0) / rate
     if longest > _LONG:
         out.append(
-            f"no foot stands for {longest:.1f} s at a stretch: there accelerations alone carry the root, "
-            "and its error grows with the square of the time"
+            f"no foot stands for {longest:.1f} s at a stretch: there the root follows accelerations and "
+            "the lower foot, and errs by decimetres a second"
         )
     upright, _ = skeleton.forward_kinematics(skeleton.t_pose()[None])
     standing = upright[0, 0, 2] - upright[0, skeleton.index(*contacts.joints), 2].min()

@@ -57,16 +57,24 @@ def test_in_flight_accelerations_carry_the_root() -> None:
     assert np.abs(errors(path, there.p_world_joint[:, 0])).max() < 0.02
 
 
-def test_without_contacts_the_root_stays_over_the_origin_with_its_feet_on_the_floor() -> None:
+def test_where_no_sensor_tells_of_the_feet_the_root_stays_over_the_origin_and_on_the_floor() -> None:
     poses = WALK.poses
-    for contacts in (Contacts((), np.zeros((len(poses), 0))), Contacts(FEET, 0 * STANDS)):
-        imus = planted.bone_imus(BODY, poses, LEGS)
-        path = root_path(poses, imus, contacts, BODY, 0.5)
-        assert np.all(path.p_world == path.p_world[0])
-        np.testing.assert_array_equal(path.p_world[0, :2], 0.0)
-        assert np.isnan(path.sigma).all()
-        lowest = (poses.p_world_joint[0] - poses.p_world_joint[0, 0])[:, 2].min()
-        assert path.p_world[0, 2] + lowest == pytest.approx(0.5)
+    imus = planted.bone_imus(BODY, poses, LEGS)
+    path = root_path(poses, imus, Contacts((), np.zeros((len(poses), 0))), BODY, 0.5)
+    assert np.all(path.p_world == path.p_world[0])
+    np.testing.assert_array_equal(path.p_world[0, :2], 0.0)
+    assert np.isnan(path.sigma).all()
+    lowest = (poses.p_world_joint[0] - poses.p_world_joint[0, 0])[:, 2].min()
+    assert path.p_world[0, 2] + lowest == pytest.approx(0.5)
+
+
+def test_without_any_contact_the_lower_foot_and_accelerations_lead_the_right_way() -> None:
+    imus = planted.bone_imus(BODY, WALK.poses, LEGS)
+    path = root_path(WALK.poses, imus, Contacts(FEET, 0 * STANDS), BODY, 0.08)
+    error = errors(path, WALK.poses.p_world_joint[:, 0])
+    assert np.linalg.norm(error[-1, :2]) < 0.1 * np.ptp(WALK.poses.p_world_joint[:, 0, 0])
+    assert np.abs(error[:, 2]).max() < 0.05
+    assert path.sigma[-1] < 3.0  # decimetres a second, not metres
 
 
 def test_the_drift_grows_with_what_is_walked_and_with_the_square_of_flights() -> None:

@@ -161,7 +161,9 @@ def test_somebody_whose_feet_never_stand_is_warned_of(walk: MotionSequence) -> N
     strict = replace(SensorsAloneSettings().contacts, shortest=5.0)
     settings = replace(SETTINGS, sensors_alone=SensorsAloneSettings(contacts=strict))
     result = reconstruct(recording, mode="imu", settings=settings)
-    assert result.warnings == ("no foot was found to stand anywhere: the root stays where it is",)
+    assert len(result.warnings) == 1
+    assert "no foot stands for 2.5 s at a stretch" in result.warnings[0]
+    assert np.linalg.norm(shift(result, walk)[-1]) < 0.3
 
 
 def test_a_sensor_that_pauses_leaves_a_gap_in_what_is_observed(walk: MotionSequence) -> None:
