@@ -282,7 +282,7 @@ def frame_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
             out.append(Term("floor", height[None], loss))
     for i, j in enumerate(b.shape.contacts):
         r = root["w_contact"][:, i, None] * (p[:, j] - O["p_contact"][:, i])
-        out.append(Term("contact", r, pseudo_huber(3.0)))
+        out.append(Term("floor", r, pseudo_huber(3.0)))
     local = x[:, 7:].reshape(len(x), -1, 4)
     inverse_mean = np.swapaxes(matrices(C["quat_mean"].T), -1, -2)
     turns = inverse_mean @ matrices(local.reshape(-1, 4)).reshape(*local.shape[:2], 3, 3)

@@ -130,7 +130,7 @@ def test_an_opposite_quaternion_is_the_same_orientation(frame: Frame) -> None:
 def test_functions_are_few_and_their_terms_have_names() -> None:
     energy = js.built("bare").energy
     assert [f.name() for f in energy.functions()] == ["full", "value", "gradient"]
-    assert len(TERMS) == energy.value.size1_out(0) == 8
+    assert len(TERMS) == energy.value.size1_out(0) == 7
 
 
 def test_at_the_mean_pose_the_prior_is_flat_and_its_hessian_the_precision() -> None:

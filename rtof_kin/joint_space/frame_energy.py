@@ -36,8 +36,8 @@ Loss = Callable[[Any], tuple[Any, Any]]
 """Weighted squares -> their robust loss and its derivative."""
 Residual = Callable[[Any], Any]
 """Of a point, or of a small rotation vector."""
-TERMS = ("visual", "orientation", "torso", "bone", "root", "floor", "contact", "prior")
-"""Energy terms of a single frame."""
+TERMS = ("visual", "orientation", "torso", "bone", "root", "floor", "prior")
+"""Energy terms of a single frame; the floor's has the footholds too."""
 TORSO = ("Hips", "Spine3")
 """Segments whose orientation may be anchored to the start's."""
 _ROBUST_CONTACT = 3.0
@@ -192,7 +192,7 @@ class FrameEnergy:
     """CasADi functions of one frame.
 
     Attributes:
-        full: (state, observation, constant) -> energies (8), gradient (D), Hessian (D, D, lower part),
+        full: (state, observation, constant) -> energies (7), gradient (D), Hessian (D, D, lower part),
             sensors' positions (3S), their Jacobian (3S, D), reprojection residuals (2L) in px.
         value: the same inputs -> energies, sensors' positions, reprojection residuals.
         gradient: and the force on the sensors' positions (3S) -> gradient with it.
@@ -341,7 +341,7 @@ class FrameEnergy:
             )  # fmt: skip
         for i, j in enumerate(shape.contacts):
             total.add_point(
-                "contact", j, p[j], _stays(O["p_contact"][:, i]), O["w_contact"][i],
+                "floor", j, p[j], _stays(O["p_contact"][:, i]), O["w_contact"][i],
                 _pseudo_huber(_ROBUST_CONTACT),
             )  # fmt: skip
         return visual
