@@ -1,7 +1,7 @@
 """How exactly sensors are calibrated by a pose, by the movement after it, and by exercises.
 
-``python -m benchmarks.calibration_by_pose --corpus DIR`` with DIR the folder of free motion (see README.md here).
-A motion of each validation subject of split.toml, up to 12 s, after two seconds of a pose that is held as
+``python -m benchmarks.calibration_by_pose --corpus DIR`` with DIR the folder of free motion (see README.md
+here). A motion of each validation subject of split.toml, up to 12 s, after two seconds of a pose that is held as
 it should be, or with joints turned so that segments are off by 5, 10 or 15 degrees in the mean.
 Eight sensors with soft tissue and accelerometer noise. The numbers are angles between segments by their
 sensors and in truth over the movement, degrees, turned to one heading: the mean, and the 90th percentile
@@ -160,7 +160,8 @@ def main(arguments: list[str] | None = None) -> int:
     rows = [row for job in track(jobs, "poses") for row in by_pose(*job)]
     for seed in range(len(clips)):
         rows += [row for error in POSE_ERRORS_DEG for row in by_exercises(seed, error)]
-    result = {"command": "python -m benchmarks.calibration_by_pose --corpus DIR", "seed": SEED, "rows": rows}
+    command = "python -m benchmarks.calibration_by_pose --corpus DIR"
+    result = {"command": command, "seed": SEED, "rows": rows}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     options.out.with_suffix(".md").write_text(table(rows) + "\n", encoding="utf-8")

@@ -27,7 +27,7 @@ from rich.progress import Progress
 
 from rtof_kin.metrics import evaluate, motionless
 from rtof_kin.mocap import MocapClip, read_corpus, resample_clip
-from rtof_kin.pipeline import MODES
+from rtof_kin.pipeline import CAMERA_MODES
 from rtof_kin.protocols.measures import reconstructions
 from rtof_kin.recording import Recording
 from rtof_kin.simulation import (
@@ -186,7 +186,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         "|---|---|" + "---|" * (len(COLUMNS) + 2),
     ]
     for kind in dict.fromkeys(row["keypoints"] for row in rows):
-        for mode in ("zero motion", *MODES):
+        for mode in ("zero motion", *CAMERA_MODES):
             chosen = [r for r in rows if r["keypoints"] == kind and r["mode"] == mode]
             if not chosen:
                 continue

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rtof_kin import kinematics, signals
 from rtof_kin.cartesian_banded import BandedProblem
 from rtof_kin.compiled import Buffered
+from rtof_kin.contacts import Footholds
 from rtof_kin.errors import SolverError
 from rtof_kin.fragment_problem import TERMS, fragment_problem
 from rtof_kin.fragment_settings import FragmentSettings
@@ -64,11 +65,14 @@ class CartesianSolver:
     def run(
         self,
         start: PoseSequence,
-        keypoints: KeypointSequence,
+        keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | None,
+        footholds: Footholds | None,
         progress: Progress | None,
     ) -> Iterator[tuple[PoseSequence, list[FragmentReport]]]:
         """Blocks of N/2 frames with the reports that came in since the block before."""
+        if keypoints is None or footholds is not None:
+            raise SolverError("space 'cartesian' needs keypoints and knows no footholds; use 'joint'")
         if not set(keypoints.names) & set(self.skeleton.names):
             raise SolverError("keypoints: none of the landmarks is a joint of the skeleton")
         if self.settings.refit_root:

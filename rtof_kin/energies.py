@@ -52,7 +52,7 @@ def distance(p_a: Matrix, p_b: Matrix, length: Matrix) -> Matrix:
 
 
 def position(p: Matrix, p_prior: Matrix) -> Matrix:
-    """Position minus the one it is weakly pulled to, m (3, n): the named prior E_P."""
+    """Position minus the one it is pulled to, m (3, n): the named prior E_P, or a foothold."""
     return p - p_prior
 
 

@@ -94,6 +94,10 @@ def summary(result: Reconstruction) -> dict[str, Any]:
         "limit_violations_deg": {k: float(np.degrees(v)) for k, v in report.violations.items()},
         "singular_share": float(report.singular.mean()),
     }
+    if result.warnings:
+        out["warnings"] = list(result.warnings)
+    if result.root_sigma is not None:
+        out["root_drift_sigma_m"] = _plain({"last_frame": float(result.root_sigma[-1])})
     if result.solution is not None:
         solution = result.solution
         out["solver"] = {

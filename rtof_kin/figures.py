@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 ESTIMATE, TRUTH = "#c0392b", "#2e8b57"
-STAGE_COLORS = {"lift": "#8c8c8c", "sf2": "#e69f00", "rto": "#0072b2", "rtof": "#c0392b"}
+STAGE_COLORS = {
+    "lift": "#8c8c8c", "sf2": "#e69f00", "rto": "#0072b2", "rtof": "#c0392b",
+    "start": "#e69f00", "imu": "#c0392b",
+}  # fmt: skip
 
 
 def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
@@ -46,14 +49,15 @@ def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
 def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
     """The estimated skeleton (red) over the true one (green) at a few instants, from two sides.
 
-    Positions are relative to the estimate's root and seen from the camera's side and across.
+    Positions are relative to the estimate's root and seen from the camera's side and across; without a
+    camera, from where the person faces.
     """
     poses, parents = result.motion.poses, result.motion.skeleton.parents
     truth = _truth_at(result)
     frames = np.linspace(0, len(poses) - 1, instants + 2).round().astype(int)[1:-1]
     figure = Figure(figsize=(2.6 * instants, 6.4), layout="constrained")
     axes = figure.subplots(2, instants, squeeze=False)
-    sides = views(result.recording.keypoints.camera.R_camera_world)
+    sides, title = _sides(result)
     for column, frame in enumerate(frames):
         root = poses.p_world_joint[frame, 0]
         for row, (view, label) in enumerate(sides):
@@ -69,7 +73,7 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
             if row == 0:
                 ax.set_title(f"{poses.times[frame]:.2f} s")
     axes[0][0].legend(loc="lower left", fontsize=8)
-    figure.suptitle(f"{result.recording.name}: from the camera (top), from its right (bottom)")
+    figure.suptitle(f"{result.recording.name}: {title}")
     return figure
 
 
@@ -121,6 +125,17 @@ def joint_angles(result: Reconstruction) -> Figure:
     axes[-1].set_xlabel("time [s]")
     figure.suptitle(f"{result.recording.name}: flexion angles (0 = straight)")
     return figure
+
+
+def _sides(result: Reconstruction) -> tuple[list[tuple[Array, str]], str]:
+    """`views`, and what they are in words."""
+    if result.keypoints is not None:
+        camera = result.keypoints.camera
+        return views(camera.R_camera_world), "from the camera (top), from its right (bottom)"
+    forward = np.array([*result.motion.poses.R_world_bone[:, 0, :2, 0].mean(axis=0), 0.0])
+    down = np.array([0.0, 0.0, -1.0])
+    (front, _), (side, _) = views(np.stack([np.cross(down, -forward), down, -forward]))
+    return [(front, "left"), (side * [[-1.0], [1.0]], "forward")], "from the front (top) and the right"
 
 
 def views(R_camera_world: Array) -> list[tuple[Array, str]]:

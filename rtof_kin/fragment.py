@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from rtof_kin.cartesian import CartesianSolver
-from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.contacts import Footholds
+from rtof_kin.errors import ShapeError, SolverError, UnknownNameError
 from rtof_kin.fragment_settings import SPACES, FragmentSettings
 from rtof_kin.fragment_solution import FragmentReport, FragmentSolution, SolverStatus
 from rtof_kin.joint_space.prior import has_prior
@@ -83,19 +84,21 @@ class FragmentSolver:
     def solve(
         self,
         start: PoseSequence,
-        keypoints: KeypointSequence,
+        keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None = None,
         progress: Progress | None = None,
+        footholds: Footholds | None = None,
     ) -> FragmentSolution:
-        """Optimise a whole sequence: RTOF with sensors, RTO without.
+        """Optimise a whole sequence: RTOF with sensors, RTO without, sensors alone without keypoints.
 
         Args:
             start: finite poses of this skeleton, usually SF2's; also the centre of weak priors.
             keypoints: one sample a frame of `start`, landmarks named like joints (in joint space also
-                the skeleton's other landmarks); NaN where unseen.
+                the skeleton's other landmarks); NaN where unseen. None for sensors alone, in joint space.
             bone_imus: any subset of the sensors, at any times; several sequences where sensors have
                 times of their own. None for vision alone.
             progress: told after every fragment.
+            footholds: where feet stand still, one row a frame of `start`; in joint space.
 
         Returns:
             The poses and a report for each fragment.
@@ -103,12 +106,13 @@ class FragmentSolver:
         Raises:
             ShapeError: start and keypoints differ in their times, a pose is not finite, or the person
                 is behind the camera. UnknownNameError: joints or sensors of another skeleton.
-            SolverError: none of the landmarks is known.
+            SolverError: none of the landmarks is known; there are neither keypoints nor sensors; it is
+                the joint space alone that can do with what is given.
         """
         bone_imus = _together(bone_imus, start)
-        self._check(start, keypoints, bone_imus)
+        self._check(start, keypoints, bone_imus, footholds)
         blocks, reports = [], []
-        for block, finished in self._solver.run(start, keypoints, bone_imus, progress):
+        for block, finished in self._solver.run(start, keypoints, bone_imus, footholds, progress):
             blocks.append(block)
             reports += finished
         joined = replace(
@@ -126,16 +130,21 @@ class FragmentSolver:
     ) -> Iterator[PoseSequence]:
         """The poses of `solve`, N/2 frames at a time, each as soon as both its fragments are solved."""
         bone_imus = _together(bone_imus, start)
-        self._check(start, keypoints, bone_imus)
-        for block, _ in self._solver.run(start, keypoints, bone_imus, None):
+        self._check(start, keypoints, bone_imus, None)
+        for block, _ in self._solver.run(start, keypoints, bone_imus, None, None):
             yield self._solver.oriented(block, bone_imus)
 
     def _check(
-        self, start: PoseSequence, keypoints: KeypointSequence, bone_imus: BoneImuSequence | None
-    ) -> None:
+        self, start: PoseSequence, keypoints: KeypointSequence | None,
+        bone_imus: BoneImuSequence | None, footholds: Footholds | None,
+    ) -> None:  # fmt: skip
         self.skeleton.check_joints(start.names, "start")
-        if not np.array_equal(start.times, keypoints.times):
+        if keypoints is None and bone_imus is None:
+            raise SolverError("neither keypoints nor bone_imus: give at least one of the two")
+        if keypoints is not None and not np.array_equal(start.times, keypoints.times):
             raise ShapeError("start and keypoints: must have the same times, one sample a frame")
+        if footholds is not None and len(footholds) != len(start):
+            raise ShapeError(f"footholds: {len(footholds)} frames, but start has {len(start)}")
         finite = np.isfinite(start.p_world_joint).all(axis=(1, 2))
         if self.space == "joint":  # the paper's positions have no use for orientations
             finite &= np.isfinite(start.R_world_bone).all(axis=(1, 2, 3))
@@ -150,6 +159,8 @@ class FragmentSolver:
             unknown = [j for j in bone_imus.joints if j not in self.sensor_joints]
             if unknown:
                 raise UnknownNameError("IMU segment", unknown, self.sensor_joints)
+        if keypoints is None:
+            return
         depth = keypoints.camera.to_camera(start.p_world_joint)[..., 2]
         if np.any(depth < 0.05):
             frame = int(np.argwhere(depth < 0.05)[0][0])

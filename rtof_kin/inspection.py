@@ -153,12 +153,15 @@ def _imu_log(path: Path, imus: ImuSequence) -> SensorLog:
 def _recording(path: Path) -> Inspection:
     recording = Recording.load(path)
     keypoints, truth = recording.keypoints, recording.truth
-    contents = [
-        ("keypoints", f"{_span(keypoints.times)}: {len(keypoints.names)} landmarks"),
-        ("seen", f"{100 * float(keypoints.seen.mean()):.0f} % of them"),
-        ("camera", _camera(keypoints.camera)),
-    ]
-    checks = bodies.check_camera("of the recording", keypoints.camera)
+    contents: list[tuple[str, str]] = []
+    checks: list[Check] = []
+    if keypoints is not None:
+        contents += [
+            ("keypoints", f"{_span(keypoints.times)}: {len(keypoints.names)} landmarks"),
+            ("seen", f"{100 * float(keypoints.seen.mean()):.0f} % of them"),
+            ("camera", _camera(keypoints.camera)),
+        ]
+        checks += bodies.check_camera("of the recording", keypoints.camera)
     lengths: Mapping[str, Array] = {}
     log = None
     if recording.imus is not None:
@@ -169,8 +172,9 @@ def _recording(path: Path) -> Inspection:
         contents.append(("truth", f"{_span(truth.times)}: {len(truth.names)} joints"))
         bones = bodies.skeleton_bones(truth.names, recording.skeleton.parents)
         lengths = bodies.bone_lengths(truth.p_world_joint, bones)
-        at = interpolate(truth.times, truth.p_world_joint, keypoints.times)
-        checks.append(bodies.check_reprojection(keypoints, at, truth.names))
+        if keypoints is not None:
+            at = interpolate(truth.times, truth.p_world_joint, keypoints.times)
+            checks.append(bodies.check_reprojection(keypoints, at, truth.names))
         checks += [bodies.check_size(truth.p_world_joint)]
         checks += bodies.check_bone_lengths(lengths, bodies.RIGID_MM)
     return Inspection(

@@ -1,4 +1,4 @@
-"""`reconstruct`: a recording in, a motion out, through the paper's three stages."""
+"""`reconstruct`: a recording in, a motion out: the paper's three stages, or inertial sensors alone."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import Metrics, evaluate
 from rtof_kin.motion_files import DEFAULT
 from rtof_kin.recording import Recording
+from rtof_kin.sensors_alone import SensorsAloneSettings, reconstruct_from_sensors
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence, Provenance
 
@@ -28,9 +29,11 @@ if TYPE_CHECKING:
     from lifting.predict import LiftedPoses
 
 Array = NDArray[np.float64]
-MODES = ("lift", "sf2", "rto", "rtof")
+CAMERA_MODES = ("lift", "sf2", "rto", "rtof")
 """lift: the network alone. sf2: corrected by IMUs frame by frame. rto: optimised, vision alone.
 rtof: sf2, then optimised with everything."""
+MODES = (*CAMERA_MODES, "imu")
+"""imu: no camera at all (`sensors_alone`)."""
 Progress = Callable[[str, int, int], None]
 """Called with (stage, done, in all)."""
 _log = logging.getLogger(__name__)
@@ -62,6 +65,8 @@ class ReconstructionSettings:
     """Of the fragment solver, and by their type its space; its defaults where not given."""
     frames: int = 50
     """N, frames in a fragment."""
+    sensors_alone: SensorsAloneSettings = field(default_factory=SensorsAloneSettings)
+    """Of mode imu: its frames, contacts and path."""
 
 
 @dataclass(frozen=True)
@@ -73,17 +78,23 @@ class Reconstruction:
     motion: MotionSequence
     """The motion of the subject's skeleton: configurations, poses, flags."""
     stages: dict[str, PoseSequence]
-    """Poses after each stage that ran, by mode name; the last is what `motion` was made from."""
-    keypoints: KeypointSequence
-    """The keypoints as used, evenly spaced in time."""
+    """Poses after each stage that ran, by mode name, imu's first one being 'start'; the last is what
+    `motion` was made from."""
+    keypoints: KeypointSequence | None
+    """The keypoints as used, evenly spaced in time; None in mode imu, which looks at none."""
     bone_imus: BoneImuSequence | None
-    """The calibrated sensors at the keypoints' times; None in the modes that use none."""
+    """The calibrated sensors at the motion's times; None in the modes that use none."""
     solution: FragmentSolution | None
     """What the fragment solver reports, in the modes that use it."""
     metrics: Metrics | None
     """Against the recording's truth; None without one."""
     stage_metrics: dict[str, Metrics]
     """The same of every stage; empty without truth."""
+    root_sigma: Array | None = None
+    """(T,) m, standard deviation of each horizontal coordinate of the root since the first frame, in mode
+    imu, where it drifts; NaN where nothing tells of the root."""
+    warnings: tuple[str, ...] = ()
+    """What a user must know before relying on the motion, in sentences."""
 
     def export(
         self, folder: str | Path, overwrite: bool = False, formats: Sequence[str] = DEFAULT
@@ -114,27 +125,32 @@ def reconstruct(
     """Reconstruct the motion of a recording.
 
     Args:
-        recording: keypoints of one camera and, for sf2 and rtof, IMUs with their calibration.
+        recording: keypoints of one camera and, for sf2 and rtof, IMUs with their calibration; for imu
+            these alone.
         skeleton: the subject's; from the recording where not given.
         mode: one of `MODES`.
         lifter: takes keypoints to 3D; the shipped one where not given, loaded only now.
-        settings: of SF2 and the fragment solver.
+        settings: of SF2, the fragment solver and mode imu.
         progress: told how far each stage is.
 
     Raises:
-        UnknownNameError: no such mode. ShapeError: the mode needs IMUs and there are none; the person
-            is behind the camera. Errors of the stages pass through.
+        UnknownNameError: no such mode. ShapeError: the mode needs keypoints or IMUs and there are none;
+            the person is behind the camera. Errors of the stages pass through.
     """
     if mode not in MODES:
         raise UnknownNameError("mode", [mode], MODES)
     skeleton = skeleton or recording.skeleton
     settings = settings or ReconstructionSettings()
+    tell = progress or (lambda stage, done, total: None)
+    if mode == "imu":
+        return _without_camera(recording, skeleton, settings, tell)
+    if recording.keypoints is None:
+        raise ShapeError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
     keypoints = evenly_spaced(recording.keypoints)
     inertial = mode in ("sf2", "rtof")
     bone_imus = replace(recording, keypoints=keypoints).bone_imus() if inertial else None
     if inertial and bone_imus is None:
         raise ShapeError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
-    tell = progress or (lambda stage, done, total: None)
     tell("lift", 0, 1)
     told = bone_imus if settings.lift_with_sensors else None
     lifted, R_lifted = _lift(skeleton, keypoints, told, lifter, recording.floor_height)
@@ -155,6 +171,43 @@ def reconstruct(
     return Reconstruction(
         recording, mode, motion, stages, keypoints, bone_imus, solution, scores.get(mode), scores
     )
+
+
+def _without_camera(
+    recording: Recording, skeleton: SkeletonModel, settings: ReconstructionSettings, tell: Progress
+) -> Reconstruction:
+    """Mode imu."""
+    solver = settings.fragment
+    if isinstance(solver, FragmentSettings):
+        raise ShapeError("mode imu is solved in joint space; give JointSpaceSettings, or none")
+    found = reconstruct_from_sensors(
+        recording, skeleton, settings.sensors_alone, solver, settings.frames,
+        lambda done, total: tell("imu", done, total),
+    )  # fmt: skip
+    for warning in found.warnings:
+        _log.warning("%s: %s", recording.name, warning)
+    motion = skeleton.motion(found.solution.poses)
+    stages = {"start": found.start, "imu": motion.poses}
+    scores = _scores(recording, _at_truth(recording, stages), skeleton)
+    return Reconstruction(
+        recording, "imu", motion, stages, None, found.bone_imus, found.solution, scores.get("imu"),
+        scores, found.path.sigma, found.warnings,
+    )  # fmt: skip
+
+
+def _at_truth(recording: Recording, stages: dict[str, PoseSequence]) -> dict[str, PoseSequence]:
+    """Stages moved so that their roots begin where the true one does: where that is, no sensor knows."""
+    if recording.truth is None:
+        return stages
+    truth, moved = recording.truth, {}
+    for name, poses in stages.items():
+        root = signals.interpolate(truth.times, truth.p_world_joint[:, 0], poses.times)
+        known = np.flatnonzero(np.isfinite(root).all(axis=1))
+        if len(known):
+            shift = root[known[0]] - poses.p_world_joint[known[0], 0]
+            poses = replace(poses, p_world_joint=poses.p_world_joint + shift)
+        moved[name] = poses
+    return moved
 
 
 def evenly_spaced(keypoints: KeypointSequence) -> KeypointSequence:

@@ -1,4 +1,4 @@
-"""`Recording`: one take of one person seen by one camera, with IMUs, as a folder of inputs.
+"""`Recording`: one take of one person, seen by one camera, by IMUs or by both, as a folder of inputs.
 
 A folder holds ``recording.toml`` and the arrays that it names. From arrays in memory to a recording::
 
@@ -23,14 +23,14 @@ A folder holds ``recording.toml`` and the arrays that it names. From arrays in m
     # joint_offsets_m = {Spine = [-0.04, 0.0, 0.07], ...}  # - all but the root, in the parent's frame
     [scene]                              # -
     floor_height_m = 0.0                 # - z of a flat floor that the subject stands on
-    [camera]
+    [camera]                             # - with the keypoints, where there are IMUs
     width_px = 1920
     height_px = 1080
     focal_px = 1250.0                    # with - principal_point_px = [960.0, 540.0], or K (3 x 3)
     position_m = [4.0, 0.0, 1.5]         # with target_m, or R_camera_world (3 x 3) and
     target_m = [0.0, 0.0, 1.0]           # t_camera_world_m (3): p_camera = R p_world + t
     distortion = [0.0, 0.0, 0.0, 0.0, 0.0]  # - k1, k2, p1, p2, k3
-    [keypoints]
+    [keypoints]                          # - with the camera
     file = "keypoints.npz"               # uv_px, - confidence, - times; or .csv
     rate_hz = 60.0                       # where the file has no times
     start_s = 0.0                        # - added to all times
@@ -72,7 +72,7 @@ from typing import Any, Self
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin import recording_files as files
 from rtof_kin import recording_imus
@@ -104,10 +104,12 @@ class Recording:
 
     name: str
     """What to call it in reports."""
-    keypoints: KeypointSequence
-    """2D landmarks, and the camera that saw them. Their names are landmarks of the skeleton."""
+    keypoints: KeypointSequence | None = None
+    """2D landmarks, and the camera that saw them. Their names are landmarks of the skeleton. None where
+    there was no camera; then there are IMUs."""
     imus: ImuSequence | None = None
-    """Sensor data on the keypoints' clock, at times of their own."""
+    """Sensor data on the keypoints' clock, at times of their own; `ImuSequence.joined` makes one of
+    several."""
     calibration: ImuCalibration | None = None
     """How each of those sensors is mounted and oriented."""
     skeleton_table: str = "total_capture"
@@ -135,6 +137,8 @@ class Recording:
     """Anything else."""
 
     def __post_init__(self) -> None:
+        if self.keypoints is None and self.imus is None:
+            raise ShapeError(f"recording {self.name}: has neither keypoints nor IMUs; give either")
         if self.floor_height is not None and not np.isfinite(self.floor_height):
             raise ShapeError("floor_height: not finite; leave it out where there is no floor")
         if self.skeleton_table not in _SKELETONS:
@@ -143,20 +147,15 @@ class Recording:
         if self.bone_lengths is not None:
             lengths = {str(name): float(length) for name, length in self.bone_lengths.items()}
             set_(self, "bone_lengths", lengths)
-        offsets = self._derived_offsets() if self.joint_offsets is None else self.joint_offsets
+        offsets = self.joint_offsets
+        if offsets is None:
+            body = _body(self.skeleton_table, height=self.height, bone_lengths=self.bone_lengths)
+            offsets = body.joint_offsets
         J = len(_shipped(self.skeleton_table).names)
         set_(self, "joint_offsets", readonly("joint_offsets", offsets, (J, 3)))
         self._check_body()
         self._check_names()
         self._check_clocks()
-
-    def _derived_offsets(self) -> Array:
-        skeleton = _shipped(self.skeleton_table)
-        if self.height is not None:
-            skeleton = skeleton.with_height(self.height)
-        if self.bone_lengths:
-            skeleton = skeleton.with_bone_lengths(self.bone_lengths)
-        return skeleton.joint_offsets
 
     def _check_body(self) -> None:
         """The offsets make a body, and one that agrees with the lengths given beside them."""
@@ -177,7 +176,8 @@ class Recording:
 
     def _check_names(self) -> None:
         skeleton = self.skeleton
-        unknown = [name for name in self.keypoints.names if name not in skeleton.landmarks]
+        seen = () if self.keypoints is None else self.keypoints.names
+        unknown = [name for name in seen if name not in skeleton.landmarks]
         if unknown:
             raise UnknownNameError("landmark", unknown, list(skeleton.landmarks))
         if self.calibration is not None:
@@ -191,32 +191,41 @@ class Recording:
             )
 
     def _check_clocks(self) -> None:
-        video = self.keypoints.times
-        for what, other in (("IMU", self.imus), ("truth", self.truth)):
-            if other is not None and not (
-                other.times[0] <= video[-1] and video[0] <= other.times[-1]
-            ):
+        parts = {"keypoints": self.keypoints, "IMU": self.imus, "truth": self.truth}
+        (first, times), *others = (
+            (what, part.times) for what, part in parts.items() if part is not None
+        )
+        for what, other in others:
+            if not (other[0] <= times[-1] and times[0] <= other[-1]):
                 raise ShapeError(
-                    f"{what} times run from {other.times[0]:g} to {other.times[-1]:g} s, those of the "
-                    f"keypoints from {video[0]:g} to {video[-1]:g} s; shift them to one clock"
+                    f"{what} times run from {other[0]:g} to {other[-1]:g} s, those of the "
+                    f"{first} from {times[0]:g} to {times[-1]:g} s; shift them to one clock"
                 )
 
     @cached_property
     def skeleton(self) -> SkeletonModel:
         """The subject's body: the table with these offsets, mass and sex."""
-        skeleton = _shipped(self.skeleton_table)
-        if not np.array_equal(self.joint_offsets, skeleton.joint_offsets):
-            skeleton = skeleton.with_offsets(self.joint_offsets)
-        if self.mass_kg is None and self.sex is None:
-            return skeleton
-        mass_kg = skeleton.table.mass_kg if self.mass_kg is None else self.mass_kg
-        return skeleton.with_mass(mass_kg, self.sex)
+        return _body(self.skeleton_table, self.joint_offsets, mass_kg=self.mass_kg, sex=self.sex)
 
-    def bone_imus(self, max_gap: float = 0.1) -> BoneImuSequence | None:
-        """The IMUs in terms of the body, at the keypoints' times; None where there are none.
+    @property
+    def video(self) -> KeypointSequence:
+        """The keypoints, for what cannot do without.
+
+        Raises:
+            ShapeError: there are none.
+        """
+        if self.keypoints is None:
+            raise ShapeError(f"recording {self.name}: has no keypoints, as nobody filmed it")
+        return self.keypoints
+
+    def bone_imus(
+        self, max_gap: float = 0.1, times: ArrayLike | None = None
+    ) -> BoneImuSequence | None:
+        """The IMUs in terms of the body; None where there are none.
 
         Args:
             max_gap: no value is interpolated across a gap longer than this, s; it becomes NaN.
+            times: (T,) seconds; those of the keypoints where not given, else the sensors' own.
 
         Raises:
             CalibrationError: there are IMUs but no calibration of all of them.
@@ -228,7 +237,10 @@ class Recording:
                 f"recording {self.name}: its IMUs have no calibration; add a table [imus.sensors.*] "
                 "for each, or calibrate them on a known pose first"
             )
-        return self.calibration.apply(self.imus).resample(self.keypoints.times, max_gap)
+        applied = self.calibration.apply(self.imus)
+        if times is None:
+            times = self.imus.times if self.keypoints is None else self.keypoints.times
+        return applied.resample(times, max_gap)
 
     # --- files -----------------------------------------------------------------------------------
 
@@ -265,10 +277,12 @@ class Recording:
             "notes": notes.text("text", ""),
             **_read_skeleton(skeleton),
         }
-        camera = files.read_camera(index.table("camera"))
-        body = _shipped(fields["skeleton_table"])
-        fields["keypoints"] = files.read_keypoints(index.table("keypoints"), camera, body)
-        body = cls(**fields).skeleton
+        if index.has("camera") or index.has("keypoints") or not index.has("imus"):
+            camera = files.read_camera(index.table("camera"))
+            body = _shipped(fields["skeleton_table"])
+            fields["keypoints"] = files.read_keypoints(index.table("keypoints"), camera, body)
+        facts = ("skeleton_table", "joint_offsets", "bone_lengths", "height", "mass_kg", "sex")
+        body = _body(**{name: fields[name] for name in facts if name in fields})
         if index.has("imus"):
             fields["imus"], fields["calibration"] = recording_imus.read_imus(
                 index.table("imus"), body
@@ -298,14 +312,9 @@ class Recording:
     def _write(self, folder: Path) -> None:
         keypoints, imus = self.keypoints, self.imus
         index = self._index()
-        write_npz(
-            folder / "keypoints.npz",
-            {
-                "uv_px": keypoints.uv_px,
-                "confidence": keypoints.confidence,
-                "times": keypoints.times,
-            },
-        )
+        if keypoints is not None:
+            arrays = {"uv_px": keypoints.uv_px, "confidence": keypoints.confidence}
+            write_npz(folder / "keypoints.npz", {**arrays, "times": keypoints.times})
         if imus is not None:
             arrays = {"R_inertial_sensor": imus.R_inertial_sensor, "f_sensor": imus.f_sensor}
             write_npz(folder / "imus.npz", {**arrays, "times": imus.times})
@@ -326,10 +335,11 @@ class Recording:
             "first_frame": int(self.first_frame),
             "subject": {k: v for k, v in subject.items() if v is not None},
             "skeleton": body,
-            "camera": files.camera_table(self.keypoints.camera),
-            "keypoints": {"file": "keypoints.npz", "landmarks": list(self.keypoints.names)},
             "notes": {"acknowledgement": self.acknowledgement, "text": self.notes},
         }
+        if self.keypoints is not None:
+            index["camera"] = files.camera_table(self.keypoints.camera)
+            index["keypoints"] = {"file": "keypoints.npz", "landmarks": list(self.keypoints.names)}
         if self.floor_height is not None:
             index["scene"] = {"floor_height_m": float(self.floor_height)}
         imus: dict[str, Any] = {"sensors": recording_imus.imu_table(self.calibration)}
@@ -340,6 +350,26 @@ class Recording:
         if self.truth is not None:
             index["truth"] = {"file": "truth.npz"}
         return index
+
+
+def _body(
+    skeleton_table: str,
+    joint_offsets: Array | None = None,
+    bone_lengths: Mapping[str, float] | None = None,
+    height: float | None = None,
+    mass_kg: float | None = None,
+    sex: str | None = None,
+) -> SkeletonModel:
+    """A table's skeleton with these offsets, or else this height and then these lengths; mass and sex."""
+    skeleton = _shipped(skeleton_table)
+    if joint_offsets is None:
+        skeleton = skeleton if height is None else skeleton.with_height(height)
+        skeleton = skeleton.with_bone_lengths(bone_lengths) if bone_lengths else skeleton
+    elif not np.array_equal(joint_offsets, skeleton.joint_offsets):
+        skeleton = skeleton.with_offsets(joint_offsets)
+    if mass_kg is None and sex is None:
+        return skeleton
+    return skeleton.with_mass(skeleton.table.mass_kg if mass_kg is None else mass_kg, sex)
 
 
 def _read_skeleton(section: Section) -> dict[str, Any]:

@@ -256,6 +256,45 @@ class ImuSequence:
     def __len__(self) -> int:
         return len(self.times)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Self], max_gap: float = 0.1) -> Self:
+        """Sensors that were sampled at times of their own, together.
+
+        Where their times differ, all are brought to even ones, at the fastest sensor's rate over what any
+        sensor covers: orientation on the geodesic, specific force linearly.
+
+        Args:
+            max_gap: no value is interpolated across a gap longer than this, s: it becomes NaN.
+
+        Raises:
+            ShapeError: there are none, or two of the same name.
+        """
+        if not parts:
+            raise ShapeError("IMUs to join: there are none")
+        times = parts[0].times
+        if any(not np.array_equal(part.times, times) for part in parts):
+            step = min(float(np.median(np.diff(p.times))) for p in parts if len(p) > 1)
+            first, last = min(p.times[0] for p in parts), max(p.times[-1] for p in parts)
+            count = int(np.floor((last - first) / step + 1e-6)) + 1
+            times = np.minimum(first + step * np.arange(count), last)
+            parts = [part._at(times, max_gap) for part in parts]
+        return cls(
+            times=times,
+            R_inertial_sensor=np.concatenate([part.R_inertial_sensor for part in parts], axis=1),
+            f_sensor=np.concatenate([part.f_sensor for part in parts], axis=1),
+            names=tuple(name for part in parts for name in part.names),
+        )
+
+    def _at(self, times: Array, max_gap: float) -> Self:
+        return replace(
+            self,
+            times=times,
+            R_inertial_sensor=signals.interpolate_rotations(
+                self.times, self.R_inertial_sensor, times, max_gap
+            ),
+            f_sensor=signals.interpolate(self.times, self.f_sensor, times, max_gap),
+        )
+
     def select(self, names: Sequence[str]) -> Self:
         """The sensors named, in that order."""
         index = indices_of("sensor", names, self.names)

@@ -16,7 +16,8 @@ import planted
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.joint_space.frame_energy import FEET, TORSO, FrameEnergy, Shape
+from rtof_kin.contacts import FEET
+from rtof_kin.joint_space.frame_energy import TORSO, FrameEnergy, Shape
 from rtof_kin.joint_space.problem import FragmentData, JointProblem
 from rtof_kin.joint_space.state import StateSpace
 from rtof_kin.skeleton import SkeletonModel
@@ -108,11 +109,15 @@ class Built:
 
 @cache
 def built(kind: str) -> Built:
-    """'bare': landmarks alone. 'whole': everything there is. 'balls': without hinges, two sensors."""
+    """'bare': landmarks alone. 'whole': everything seen and sensed. 'balls': without hinges, two sensors.
+    'feet': no camera, four sensors, footholds."""
     inner = {BODY.names[p] for p in BODY.parents if p >= 0}
     moving = inner if kind == "bare" else set(BODY.names)
-    sensors = {"bare": (), "whole": ALL_SENSORS, "balls": ("LeftForeArm", "RightLeg")}[kind]
-    landmarks = (*BODY.names, *(EXTRA if kind == "whole" else ()))
+    sensors = {
+        "bare": (), "whole": ALL_SENSORS, "balls": ("LeftForeArm", "RightLeg"),
+        "feet": ("Hips", "LeftLeg", "RightLeg", "RightForeArm"),
+    }[kind]  # fmt: skip
+    landmarks = () if kind == "feet" else (*BODY.names, *(EXTRA if kind == "whole" else ()))
     space = StateSpace(BODY, [n for n in BODY.names if n in moving], hinged=kind != "balls")
     bones = (("LeftArm", "LeftForeArm"), ("RightLeg", "RightFoot"))
     anchored = kind != "bare"
@@ -124,6 +129,7 @@ def built(kind: str) -> Built:
         feet=tuple(BODY.index(*FEET)) if anchored else (),
         robust_orientation=DELTA_ORIENTATION,
         floor_cutoff=CUTOFF,
+        contacts=tuple(BODY.index(*FEET)) if kind == "feet" else (),
     )
     return Built(space, shape, FrameEnergy(space, shape), landmarks)
 
@@ -151,10 +157,10 @@ def random_data(b: Built, x: Array, seed: int = 1) -> FragmentData:
     """Observations about states, some wide off, with weights of all sizes and some of zero."""
     rng = np.random.default_rng(seed)
     N, L, S = len(x), len(b.names), len(b.shape.sensors)
-    places = np.array([BODY.landmarks[n][1] for n in b.names])
+    places = np.array([BODY.landmarks[n][1] for n in b.names]).reshape(-1, 3)
     p, R = poses(b, x)
-    seen = np.array([p[:, j] + R[:, j] @ c for (j, _), c in zip(b.shape.landmarks, places, strict=True)])
-    uv = np.swapaxes(CAMERA.project(seen), 0, 1) + 6 * rng.normal(size=(N, L, 2))
+    seen = [p[:, j] + R[:, j] @ c for (j, _), c in zip(b.shape.landmarks, places, strict=True)]
+    uv = CAMERA.project(np.reshape(seen, (L, N, 3)).swapaxes(0, 1)) + 6 * rng.normal(size=(N, L, 2))
     uv[rng.random((N, L)) < 0.2] += 100.0
 
     def weights(sigma: float, *shape: int) -> Array:
@@ -177,7 +183,7 @@ def random_data(b: Built, x: Array, seed: int = 1) -> FragmentData:
     levers = 0.1 * rng.normal(size=(3, S))
     sensors = [p[:, j] + R[:, j] @ levers[:, s] for s, j in enumerate(b.shape.sensors)]
     a_world = np.array([np.diff(at, n=2, axis=0) * RATE**2 for at in sensors]).reshape(S, N - 2, 3)
-    return FragmentData(
+    data = FragmentData(
         observation={
             "uv_px": uv, "w_visual": weights(5.0, N, L), "knee_visual": np.full(N, DELTA_PX),
             "quat_sensor": turned(b.shape.sensors, 0.3), "w_sensor": weights(1.0, N, S),
@@ -199,6 +205,10 @@ def random_data(b: Built, x: Array, seed: int = 1) -> FragmentData:
         w_jerk=(rng.random(N - 3) > 0.2).astype(float),
         rate_hz=RATE,
     )  # fmt: skip
+    feet = list(b.shape.contacts)
+    data.observation["p_contact"] = p[:, feet] + 0.05 * rng.normal(size=(N, len(feet), 3))
+    data.observation["w_contact"] = weights(0.02, N, len(feet))
+    return data
 
 
 def sigma_jerk(space: StateSpace) -> Array:
@@ -270,6 +280,9 @@ def frame_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
             loss = cut_off(CUTOFF, 1 / root["w_floor"][t])
             height = root["w_floor"][t] * (p[t, j, 2:] - C["floor"])
             out.append(Term("floor", height[None], loss))
+    for i, j in enumerate(b.shape.contacts):
+        r = root["w_contact"][:, i, None] * (p[:, j] - O["p_contact"][:, i])
+        out.append(Term("floor", r, pseudo_huber(3.0)))
     local = x[:, 7:].reshape(len(x), -1, 4)
     inverse_mean = np.swapaxes(matrices(C["quat_mean"].T), -1, -2)
     turns = inverse_mean @ matrices(local.reshape(-1, 4)).reshape(*local.shape[:2], 3, 3)

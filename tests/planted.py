@@ -101,6 +101,46 @@ def standing(skeleton: SkeletonModel, frames: int) -> MotionSequence:
     return MotionSequence(skeleton, q, poses, skeleton.check(q))
 
 
+def upright(skeleton: SkeletonModel, frames: int) -> MotionSequence:
+    """Somebody who stands straight with hanging arms, ankles 0.08 m high."""
+    q = np.tile(skeleton.n_pose(), (frames, 1))
+    q[:, 2] = 0.08 - skeleton.forward_kinematics(q[:1])[0][0, :, 2].min() + q[0, 2]
+    p, R = skeleton.forward_kinematics(q)
+    poses = PoseSequence(np.arange(frames) / RATE_HZ, p, R, skeleton.names)
+    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+
+
+def walking(
+    skeleton: SkeletonModel, seconds: float, speed: float = 0.8, stride_s: float = 1.2
+) -> tuple[MotionSequence, NDArray[np.bool_]]:
+    """Somebody who walks along x on the floor at z = 0, and which ankles stand still (T, 2), left first.
+
+    A foot stands for 0.6 of a stride, flat, its ankle 0.08 m high, and swings without a jerk to the next
+    place: both stand for a tenth of a stride twice. Without speed, this is walking in place.
+    """
+    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    thigh = -skeleton.joint_offsets[skeleton.index("LeftLeg")[0], 2]
+    hip = skeleton.joint_offsets[skeleton.index("LeftUpLeg")[0]]
+    p_root = np.stack([speed * t, 0 * t, np.full(len(t), 0.08 + 0.9 * 2 * thigh - hip[2])], axis=1)
+    R = np.tile(skeleton.forward_kinematics(skeleton.n_pose()[None])[1][0], (len(t), 1, 1, 1))
+    stands = np.zeros((len(t), 2), dtype=bool)
+    for i, (side, late) in enumerate((("Left", 0.0), ("Right", 0.5))):
+        cycle, phase = np.divmod(t / stride_s + late, 1.0)
+        stands[:, i] = phase < 0.6
+        s = np.clip((phase - 0.6) / 0.4, 0, 1)
+        swung = s**3 * (10 - 15 * s + 6 * s**2)
+        ankle_x = speed * stride_s * (cycle - late + 0.3 + swung)
+        ankle_z = 0.08 + 0.1 * 64 * (s * (1 - s)) ** 3
+        x, z = ankle_x - p_root[:, 0] - hip[0], p_root[:, 2] + hip[2] - ankle_z
+        bend, lean = np.arccos(np.hypot(x, z) / (2 * thigh)), np.arctan2(-x, z)
+        for name, angle in ((f"{side}UpLeg", lean - bend), (f"{side}Leg", lean + bend)):
+            R[:, skeleton.index(name)[0]] = so3.about_axis("y", angle)
+    q = skeleton.inverse_kinematics(np.repeat(p_root[:, None], R.shape[1], axis=1), R)
+    p, R = skeleton.forward_kinematics(q)
+    poses = PoseSequence(t, p, R, skeleton.names)
+    return MotionSequence(skeleton, q, poses, skeleton.check(q)), stands
+
+
 def camera() -> Camera:
     """One camera 4 m away at 1.5 m."""
     return Camera.looking_at([4.0, 0.6, 1.5], [0.0, 0.0, 1.0], focal_px=1250.0)

@@ -230,3 +230,15 @@ def test_a_mode_that_needs_imus_says_so_without_them(
     assert main(["reconstruct", str(folder), "-o", str(tmp_path / "out")]) == 2
     assert "'rto'" in capsys.readouterr().err
     assert main(["reconstruct", str(folder), "-o", str(tmp_path / "out"), "--mode", "lift"]) == 0
+
+
+def test_sensors_are_enough_for_mode_imu(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "sensors_only"
+    replace(Recording.load(short), keypoints=None).save(folder)
+    out = str(tmp_path / "out")
+    assert main(["reconstruct", str(folder), "-o", out]) == 2
+    assert "mode rtof needs keypoints and the recording has none; use 'imu'" in capsys.readouterr().err
+    assert main(["reconstruct", str(folder), "-o", out, "--mode", "imu"]) == 0
+    assert (tmp_path / "out" / "figures" / "skeletons.png").is_file()

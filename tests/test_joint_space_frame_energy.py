@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rtof_kin.joint_space.frame_energy import TERMS
 
 Array = NDArray[np.float64]
-KINDS = ("bare", "whole", "balls")
+KINDS = ("bare", "whole", "balls", "feet")
 
 
 class Frame:
@@ -88,7 +88,7 @@ def test_residuals_in_pixels_are_projections_minus_observations(frame: Frame) ->
     b, O, C = frame.built, frame.data.observation, frame.data.constant
     p, R = js.poses(b, frame.x)
     points = [p[0, j] + R[0, j] @ C["places"][:, i] for i, (j, _) in enumerate(b.shape.landmarks)]
-    expected = js.CAMERA.project(np.array(points)) - O["uv_px"][0]
+    expected = js.CAMERA.project(np.reshape(points, (-1, 3))) - O["uv_px"][0]
     for function in (b.energy.full, b.energy.value):
         residuals = outputs(function, frame.inputs)[-1]
         np.testing.assert_allclose(residuals.reshape(-1, 2), expected, atol=1e-8)

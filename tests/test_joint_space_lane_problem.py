@@ -27,24 +27,28 @@ MOVING = ("Hips", "Spine", "LeftArm", "LeftForeArm", "RightUpLeg", "RightLeg")
 SEEN = ("Hips", "LeftForeArm", "LeftHand", "RightLeg", "RightFoot", "LeftToe", "Nose")
 
 
-def a_body(sensors: tuple[str, ...], hinged: bool, anchored: bool) -> js.Built:
-    """A body whose trunk, arm and leg alone move: little to compile."""
+def a_body(
+    sensors: tuple[str, ...], hinged: bool, anchored: bool, seen: tuple[str, ...] = SEEN
+) -> js.Built:
+    """A body whose trunk, arm and leg alone move: little to compile. Unseen, it has a foothold."""
     index, landmarks = js.BODY.index, js.BODY.landmarks
     shape = Shape(
-        landmarks=tuple((index(landmarks[n][0])[0], n in js.BODY.names) for n in SEEN),
+        landmarks=tuple((index(landmarks[n][0])[0], n in js.BODY.names) for n in seen),
         sensors=tuple(index(*sensors)), torso=tuple(index("Hips")) if anchored else (),
         bones=(tuple(index("RightLeg", "RightFoot")),) if anchored else (),  # type: ignore[arg-type]
         feet=tuple(index("RightFoot")) if anchored else (),
         robust_orientation=js.DELTA_ORIENTATION, floor_cutoff=js.CUTOFF,
+        contacts=() if seen else tuple(index("RightFoot")),
     )  # fmt: skip
     space = StateSpace(js.BODY, MOVING, hinged)
-    return js.Built(space, shape, FrameEnergy(space, shape), SEEN)
+    return js.Built(space, shape, FrameEnergy(space, shape), seen)
 
 
 KINDS = {
     "whole": lambda: a_body(("Hips", "LeftForeArm", "RightUpLeg", "RightLeg"), True, True),
     "balls": lambda: a_body(("LeftForeArm",), False, True),
     "bare": lambda: a_body((), True, False),
+    "feet": lambda: a_body(("Hips", "RightLeg"), True, False, ()),
 }
 
 

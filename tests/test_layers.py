@@ -21,8 +21,8 @@ signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_c
 levenberg_marquardt   banded   lanes
 types   urdf
 skeleton
-energies   fragment_settings   calibration   metrics   inertial_ik   root_position
-fragment_problem   fragment_solution   joint_space   joint_space.settings
+energies   fragment_settings   calibration   metrics   inertial_ik   root_position   contacts
+fragment_problem   fragment_solution   joint_space   joint_space.settings   root_path
 io.arrays   io.articulated   io.folder   io.markers   io.pickled   io.section
 io.world_axes
 io.asf_amc   io.bvh   io.c3d   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
@@ -47,7 +47,7 @@ inertial.evidence
 inertial.alignment   inertial.headings
 inertial.faults   inertial.functional   inertial.pose_calibration
 inertial.mounting
-cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
+inertial_start   cartesian   joint_space.frame_energy   joint_space.limits   joint_space.jerk
 joint_space.problem   joint_space.windows
 joint_space.couplings
 joint_space.lane_problem
@@ -79,6 +79,7 @@ lifting.predict   lifting.recipes
 lifting.onnx_export   lifting.run   lifting.streaming
 lifting.train
 lifting.__main__
+sensors_alone
 pipeline
 figures
 inspection_figures

@@ -23,7 +23,7 @@ from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.pipeline import (
-    MODES,
+    CAMERA_MODES,
     Reconstruction,
     ReconstructionSettings,
     evenly_spaced,
@@ -54,7 +54,7 @@ def recording(truth: MotionSequence) -> Recording:
 def results(truth: MotionSequence, recording: Recording) -> dict[str, Reconstruction]:
     return {
         mode: reconstruct(recording, mode=mode, lifter=planted.PlantedLifter(truth), settings=SETTINGS)
-        for mode in MODES
+        for mode in CAMERA_MODES
     }
 
 
@@ -92,7 +92,7 @@ def test_each_stage_is_better_than_the_one_before(results: dict[str, Reconstruct
     assert results["rtof"].solution.status is SolverStatus.CONVERGED
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", CAMERA_MODES)
 def test_the_motion_is_the_subjects_rigid_skeleton_at_the_keypoints_times(
     results: dict[str, Reconstruction], recording: Recording, mode: str
 ) -> None:
@@ -211,7 +211,7 @@ def test_the_optimiser_starts_from_sf2_with_sensors_and_from_rigid_poses_without
     assert np.abs(start["rto"].p_world_joint - start["rtof"].p_world_joint).max() > 0.05
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", CAMERA_MODES)
 def test_progress_tells_of_every_stage(
     recording: Recording, truth: MotionSequence, mode: str
 ) -> None:
@@ -336,7 +336,7 @@ def test_a_torso_that_the_lifter_knows_well_is_held_to(
 # --- gaps ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", CAMERA_MODES)
 def test_frames_that_nobody_saw_are_bridged_and_not_valid(
     recording: Recording, truth: MotionSequence, mode: str
 ) -> None:

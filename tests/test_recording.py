@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import pickle
+import re
 import textwrap
 import zipfile
 from collections.abc import Callable
@@ -152,6 +153,30 @@ def test_a_recording_without_imus_or_truth_comes_back_to_the_last_bit(tmp_path: 
     recording.save(tmp_path / "take")
     assert_same(Recording.load(tmp_path / "take"), recording)
     assert sorted(p.name for p in (tmp_path / "take").iterdir()) == ["keypoints.npz", INDEX]
+
+
+def test_a_recording_that_nobody_filmed_comes_back_to_the_last_bit(tmp_path: Path) -> None:
+    recording = replace(full_recording(), keypoints=None)
+    recording.save(tmp_path / "take")
+    assert_same(Recording.load(tmp_path / "take"), recording)
+    names = sorted(p.name for p in (tmp_path / "take").iterdir())
+    assert names == ["imus.npz", INDEX, "truth.npz"]
+    assert "[camera]" not in (tmp_path / "take" / INDEX).read_text(encoding="utf-8")
+    with pytest.raises(ShapeError, match="has no keypoints, as nobody filmed it"):
+        _ = recording.video
+
+
+def test_a_camera_without_keypoints_and_a_folder_with_neither_are_refused(tmp_path: Path) -> None:
+    full_recording().save(tmp_path / "take")
+    path = tmp_path / "take" / INDEX
+    text = path.read_text(encoding="utf-8")
+    for kept, message in (("[camera]", "keypoints"), ("", "camera")):
+        parts = re.split(r"(?m)^(?=\[)", text)
+        unwanted = {"[camera]", "[keypoints]"} - {kept} | ({"[imus"} if not kept else set())
+        left = [part for part in parts if not part.startswith(tuple(unwanted))]
+        path.write_text("".join(left), encoding="utf-8")
+        with pytest.raises(FileFormatError, match=message):
+            Recording.load(tmp_path / "take")
 
 
 def test_a_floor_is_written_and_a_floor_at_no_height_is_refused(tmp_path: Path) -> None:
@@ -329,6 +354,23 @@ def test_bone_imus_come_at_the_times_of_the_video_with_the_planted_orientation()
     np.testing.assert_array_equal(bones.times, recording.keypoints.times)
     index = SKELETON.index(*bones.joints)
     assert so3.angle_between(bones.R_world_bone, truth.poses.R_world_bone[:, index]).max() < 1e-9
+
+
+def test_bone_imus_come_at_their_own_times_or_at_those_asked_for_where_nobody_filmed() -> None:
+    recording = replace(full_recording(), keypoints=None)
+    assert recording.imus is not None
+    own = recording.bone_imus()
+    assert own is not None
+    np.testing.assert_array_equal(own.times, recording.imus.times)
+    times = recording.imus.times[2:6]
+    asked = recording.bone_imus(times=times)
+    assert asked is not None
+    np.testing.assert_array_equal(asked.times, times)
+
+
+def test_a_recording_of_nothing_is_refused() -> None:
+    with pytest.raises(ShapeError, match="neither keypoints nor IMUs"):
+        Recording("empty")
 
 
 def test_imus_without_a_calibration_are_refused_when_they_are_used() -> None:

@@ -350,6 +350,43 @@ def test_a_sensor_that_never_spoke_is_not_judged() -> None:
     assert np.isnan(imus(f_sensor=f).f_sensor[:, 1]).all()
 
 
+def test_sensors_with_times_of_their_own_are_joined_at_even_ones() -> None:
+    """One at 100 Hz, one at 60 Hz that starts later and pauses: the same turn about z of both."""
+
+    def turning(times: Array, name: str) -> ImuSequence:
+        R = so3.about_axis("z", 2.0 * times)[:, None]
+        f = np.stack([0 * times, times, 0 * times + 9.81], axis=-1)[:, None]
+        return ImuSequence(times, R, f, (name,))
+
+    fast = turning(np.arange(101) / 100, "fast")
+    late = 0.305 + np.arange(40) / 60
+    slow = turning(late[(late < 0.5) | (late > 0.7)], "slow")
+    both = ImuSequence.joined([slow, fast])
+    assert both.names == ("slow", "fast")
+    np.testing.assert_allclose(both.times, np.arange(101) / 100, atol=1e-12)
+    known = np.isfinite(both.f_sensor[:, 0, 0])
+    np.testing.assert_array_equal(known, np.isfinite(both.R_inertial_sensor[:, 0, 0, 0]))
+    assert known[31:48].all()
+    assert not known[:30].any()
+    assert not known[52:69].any()
+    for s, ok in ((0, known), (1, np.ones(101, dtype=bool))):
+        expected = so3.about_axis("z", 2.0 * both.times[ok])
+        np.testing.assert_allclose(both.R_inertial_sensor[ok, s], expected, atol=1e-9)
+        np.testing.assert_allclose(both.f_sensor[ok, s, 1], both.times[ok], atol=1e-9)
+
+
+def test_sensors_with_the_same_times_are_joined_as_they_are() -> None:
+    base = imus()
+    parts = [base.select([name]) for name in base.names]
+    both = ImuSequence.joined(parts)
+    for field in ("times", "R_inertial_sensor", "f_sensor"):
+        np.testing.assert_array_equal(getattr(both, field), getattr(base, field))
+    with pytest.raises(ShapeError, match="there are none"):
+        ImuSequence.joined([])
+    with pytest.raises(ShapeError, match="stands there more than once"):
+        ImuSequence.joined([parts[0], parts[0]])
+
+
 def test_sensors_are_chosen_by_name_in_the_order_asked() -> None:
     base = imus()
     out = base.select(["wrist", "chest"])

@@ -90,6 +90,8 @@ def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> A
         )
     if result.solution is not None:
         out.print(f"solver: {result.solution.status.value}")
+    if result.root_sigma is not None and (drift := result.root_sigma[-1]) == drift:
+        out.print(f"the root's place drifts: standard deviation {drift:.2f} m per axis at the end")
     return result
 
 
@@ -135,8 +137,8 @@ def _simulate(options: argparse.Namespace) -> None:
         acknowledgement=options.acknowledgement,
     )
     recording.save(options.output, overwrite=options.overwrite)
-    seconds = recording.keypoints.times[-1] - recording.keypoints.times[0]
-    out.print(f"wrote {options.output}: {len(recording.keypoints)} frames, {seconds:.1f} s")
+    times = recording.video.times
+    out.print(f"wrote {options.output}: {len(times)} frames, {times[-1] - times[0]:.1f} s")
 
 
 def _export(options: argparse.Namespace) -> None:
@@ -173,7 +175,7 @@ def _add_demo(commands: Any) -> None:
 def _add_reconstruct(commands: Any) -> None:
     parser = command(
         commands, "reconstruct", _reconstruct, "reconstruct the motion of a recording",
-        "RECORDING is a folder with recording.toml, keypoints and (for sf2 and rtof) IMUs; its "
+        "RECORDING is a folder with recording.toml, keypoints and (for sf2, rtof and imu) IMUs; its "
         "format is described in the README. OUT gets motion.npz, the URDF and its trajectory as "
         "CSV and for ROS, a summary and figures.",
     )  # fmt: skip
@@ -181,10 +183,10 @@ def _add_reconstruct(commands: Any) -> None:
     add_output(parser, None, "folder to write")
     parser.add_argument(
         "--mode",
-        choices=["lift", "sf2", "rto", "rtof"],
+        choices=["lift", "sf2", "rto", "rtof", "imu"],
         default="rtof",
         help="lift: network alone; sf2: + IMU orientations, frame by frame; rto: optimised, vision "
-        "alone; rtof: everything",
+        "alone; rtof: everything; imu: sensors alone, without a camera",
     )
     _add_reconstruction(parser)
 

@@ -33,7 +33,8 @@ class Annealing:
         given = settings.sigma_reprojection
         self.sigma = settings.sigma_reprojection_range[1] if given is None else given
         """[px] of a landmark per axis."""
-        self._left = settings.annealing if given is None else 0
+        sees = bool(problem.energy.shape.landmarks)
+        self._left = settings.annealing if given is None and sees else 0
         self._found = self.sigma
         self._weigh(None)
 

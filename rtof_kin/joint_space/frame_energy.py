@@ -37,10 +37,11 @@ Loss = Callable[[Any], tuple[Any, Any]]
 Residual = Callable[[Any], Any]
 """Of a point, or of a small rotation vector."""
 TERMS = ("visual", "orientation", "torso", "bone", "root", "floor", "prior")
-"""Energy terms of a single frame."""
+"""Energy terms of a single frame; the floor's has the footholds too."""
 TORSO = ("Hips", "Spine3")
 """Segments whose orientation may be anchored to the start's."""
-FEET = ("LeftFoot", "RightFoot")
+_ROBUST_CONTACT = 3.0
+"""[sigma] where the loss of a foothold turns from square to linear: contacts are judged, not seen."""
 UNKNOWNS = ("scale", "delay", "heading", "mounting", "landmarks")
 """What may be wrong all through a fragment, by y; all are zero where nothing is.
 
@@ -69,6 +70,8 @@ class Shape:
     feet: tuple[int, ...]
     robust_orientation: float
     floor_cutoff: float
+    contacts: tuple[int, ...] = ()
+    """Joints that at times stand still at a known place."""
     unknowns: tuple[str, ...] = ()
     """Which of `UNKNOWNS` are estimated, in the order in which they stand in y."""
 
@@ -223,6 +226,9 @@ class FrameEnergy:
             "quat_mean": ca.SX.sym("qm", 4, A - 1), "precision": ca.SX.sym("P", 3 * A - 3, 3 * A - 3),
             "floor": ca.SX.sym("f"),
         }  # fmt: skip
+        if shape.contacts:
+            C = len(shape.contacts)
+            self.observation |= {"p_contact": ca.SX.sym("pc", 3, C), "w_contact": ca.SX.sym("wc", C)}
         self._unknowns = _Unknowns(shape)
         y, border = self._unknowns.y, shape.unknown_count > 0
         if "delay" in shape.unknowns:
@@ -333,6 +339,11 @@ class FrameEnergy:
                 "floor", j, p[j], lambda x: energies.height(x, C["floor"]), O["w_floor"],
                 _cut_off(O["w_floor"], shape.floor_cutoff),
             )  # fmt: skip
+        for i, j in enumerate(shape.contacts):
+            total.add_point(
+                "floor", j, p[j], _stays(O["p_contact"][:, i]), O["w_contact"][i],
+                _pseudo_huber(_ROBUST_CONTACT),
+            )  # fmt: skip
         return visual
 
     def _composed(self, forces: dict[int, Any]) -> tuple[Any, Any, dict[int, Any]]:
@@ -394,6 +405,10 @@ class FrameEnergy:
                     J[3 * s : 3 * s + 3, self.space.columns(i)] = moved @ twists[i]
                 i = parents[i]
         return J
+
+
+def _stays(foothold: Any) -> Residual:
+    return lambda x: energies.position(x, foothold)
 
 
 def _turned(q: Any, e: Any) -> Any:

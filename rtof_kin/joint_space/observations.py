@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
+from rtof_kin.contacts import FEET, Footholds
 from rtof_kin.joint_space.building import Built, built_problem
-from rtof_kin.joint_space.frame_energy import FEET, TORSO, Shape
+from rtof_kin.joint_space.frame_energy import TORSO, Shape
 from rtof_kin.joint_space.prior import shipped_prior
 from rtof_kin.joint_space.problem import FragmentData
 from rtof_kin.joint_space.settings import JointSpaceSettings
@@ -27,6 +28,10 @@ _LIMBS = tuple(
 )
 
 
+_WEIGHTS = {"w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor", "w_contact"}
+"""What is observed in frames that exist alone; the prior holds in the padding too."""
+
+
 class Observations:
     """A recording as the problem wants it, and the problem that fits what it has."""
 
@@ -36,16 +41,19 @@ class Observations:
         frames: int,
         settings: JointSpaceSettings,
         start: PoseSequence,
-        keypoints: KeypointSequence,
+        keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | None,
+        footholds: Footholds | None = None,
     ) -> None:
         """Collect what every frame shows, for fragments of so many frames."""
         self.skeleton, self.frames, self.settings, s = skeleton, frames, settings, settings
         self.rate_hz = start.rate_hz
-        start = refit_root(start, keypoints) if s.refit_root else start
-        known = skeleton.landmarks
-        extra = tuple(n for n in keypoints.names if n in known and n not in skeleton.names)
-        names = (*skeleton.names, *extra)
+        known, extra, names = skeleton.landmarks, tuple[str, ...](), tuple[str, ...]()
+        if keypoints is not None:
+            start = refit_root(start, keypoints) if s.refit_root else start
+            extra = tuple(n for n in keypoints.names if n in known and n not in skeleton.names)
+            names = (*skeleton.names, *extra)
+            keypoints = keypoints.select(names)
         sensors = tuple(name for name in skeleton.names if name in _speaking(bone_imus))
         moving = [
             name for j, name in enumerate(skeleton.names)
@@ -53,9 +61,14 @@ class Observations:
             or any(known[n][0] == name for n in extra)
         ]  # fmt: skip
         self.space = StateSpace(skeleton, moving, s.hinges)
-        built = self._built(tuple(moving), names, sensors)
+        standing = () if footholds is None else footholds.joints
+        built = self._built(tuple(moving), names, sensors, standing)
         self.problem, self.limits = built.problem, built.limits(self.space) if s.limits else None
-        self._observe(start, keypoints.select(names), bone_imus, sensors)
+        self._observe(start, keypoints, bone_imus, sensors)
+        if footholds is not None:
+            known_place = np.isfinite(footholds.p_world[..., 0])
+            self.rows["p_contact"] = np.nan_to_num(footholds.p_world)
+            self.rows["w_contact"] = known_place / s.sigma_contact**2
         x = self.space.from_poses(start.p_world_joint[:, 0], start.R_world_bone)
         self.start = self.space.low_passed(x, start.rate_hz, s.smooth_start_hz)
         self.turned = [
@@ -71,9 +84,10 @@ class Observations:
         return self.space.from_poses(start.p_world_joint[:, 0], R)
 
     def _built(
-        self, moving: tuple[str, ...], names: tuple[str, ...], sensors: tuple[str, ...]
-    ) -> Built:
-        """The problem for some moving joints, landmarks and sensors."""
+        self, moving: tuple[str, ...], names: tuple[str, ...], sensors: tuple[str, ...],
+        standing: tuple[str, ...],
+    ) -> Built:  # fmt: skip
+        """The problem for some moving joints, landmarks, sensors and joints that have footholds."""
         skeleton, s = self.skeleton, self.settings
         index = skeleton.names.index
         shape = Shape(
@@ -84,6 +98,7 @@ class Observations:
             feet=tuple(index(name) for name in FEET if name in skeleton.names),
             robust_orientation=s.robust_orientation,
             floor_cutoff=s.floor_cutoff,
+            contacts=tuple(map(index, standing)),
         )
         return built_problem(
             skeleton.name, shape, moving, self.frames, s.hinges, s.compile,
@@ -91,17 +106,16 @@ class Observations:
         )  # fmt: skip
 
     def _observe(
-        self, start: PoseSequence, seen: KeypointSequence, bone_imus: BoneImuSequence | None,
+        self, start: PoseSequence, seen: KeypointSequence | None, bone_imus: BoneImuSequence | None,
         sensors: tuple[str, ...],
     ) -> None:  # fmt: skip
-        skeleton, s, camera, T = self.skeleton, self.settings, seen.camera, len(start)
-        uv = camera.normalise(seen.uv_px) @ camera.K[:2, :2].T + camera.K[:2, 2]
-        self.confidence = np.where(seen.seen, seen.confidence, 0.0)
+        skeleton, s, T = self.skeleton, self.settings, len(start)
+        rows, constant = _camera_data(seen, T)
+        self.confidence = rows["w_visual"] if seen is None else np.where(seen.seen, seen.confidence, 0.0)
+        free = seen is not None and bool(sensors)
         quat, has, a, w, levers = _sensor_data(start, bone_imus, sensors, s)
         torso = skeleton.index(*[name for name in TORSO if name in skeleton.names])
-        rows = {
-            "uv_px": np.where(seen.seen[..., None], uv, 0.0),
-            "w_visual": seen.seen.astype(float),
+        self.rows = rows | {
             "knee_visual": np.full(T, s.robust_reprojection),
             "quat_sensor": quat,
             "w_sensor": has,
@@ -110,22 +124,19 @@ class Observations:
             "b_world": _bone_vectors(start, () if sensors else _bones(skeleton)),
             "w_bone": np.full(T, 0.0 if s.sigma_bone is None else 1 / s.sigma_bone**2),
             "p_root": start.p_world_joint[:, 0],
-            "w_root": np.full(T, 0.0 if s.sigma_root is None or sensors else 1 / s.sigma_root**2),
+            "w_root": np.full(T, 0.0 if s.sigma_root is None or free else 1 / s.sigma_root**2),
             "w_floor": np.full(T, 0.0 if s.floor_height is None else 1 / s.sigma_floor**2),
             "w_prior": np.ones(T),
         }
-        self.rows = rows
         self.a_world, self.w_acceleration = a, w
         prior, moving = shipped_prior(skeleton.names), self.space.names[1:]
         mean = prior.mean_quat_wxyz[[prior.joints.index(name) - 1 for name in moving]]
-        self.constant = {
+        places = [skeleton.landmarks[name][1] for name in (() if seen is None else seen.names)]
+        self.constant = constant | {
             "offsets": skeleton.joint_offsets.T,
-            "K": camera.K,
-            "R_camera_world": camera.R_camera_world,
-            "t_camera_world": camera.t_camera_world,
             "whitening": _whitening(skeleton, sensors, s),
             "levers": levers.T,
-            "places": np.array([skeleton.landmarks[name][1] for name in seen.names]).T,
+            "places": np.reshape(places, (-1, 3)).T,
             "quat_mean": mean.T,
             "precision": prior.precision(moving, s.prior_inflation, s.sigma_prior_least),
             "floor": np.array([(s.floor_height or 0.0) + s.ankle_height]),
@@ -151,7 +162,7 @@ class Observations:
         inside = (frame >= 0) & (frame < len(self.start))
         index = np.clip(frame, 0, len(self.start) - 1)
         observation = {name: values[index] for name, values in self.rows.items()}
-        for name in ("w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor"):
+        for name in observation.keys() & _WEIGHTS:
             observation[name] = (observation[name].T * inside).T
         whole = inside[2:] & inside[1:-1] & inside[:-2]
         return index, inside, FragmentData(
@@ -165,6 +176,23 @@ class Observations:
         index = np.arange(first, first + self.frames)[inside]
         rows = self.rows["w_visual"], self.rows["w_sensor"], self.w_acceleration
         return any(row[index].any() for row in rows)
+
+
+def _camera_data(
+    seen: KeypointSequence | None, frames: int
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Landmarks without distortion, by frame, and the camera; nothing of either where there is none."""
+    if seen is None:
+        none = {"uv_px": np.zeros((frames, 0, 2)), "w_visual": np.zeros((frames, 0))}
+        return none, {"K": np.eye(3), "R_camera_world": np.eye(3), "t_camera_world": np.zeros(3)}
+    camera = seen.camera
+    uv = camera.normalise(seen.uv_px) @ camera.K[:2, :2].T + camera.K[:2, 2]
+    rows = {
+        "uv_px": np.where(seen.seen[..., None], uv, 0.0),
+        "w_visual": seen.seen.astype(float),
+    }
+    matrices = {name: getattr(camera, name) for name in ("K", "R_camera_world", "t_camera_world")}
+    return rows, matrices
 
 
 def _speaking(bone_imus: BoneImuSequence | None) -> set[str]:

@@ -55,7 +55,8 @@ class JointSpaceSettings:
     is no sensor at all: with some, their acceleration and the prior know better. None leaves it out."""
     sigma_root: float | None = 0.15
     """[m] of the root about the start's position, with a Cauchy loss; only where there is no sensor at
-    all, whose acceleration would know its path better. None leaves it out."""
+    all, whose acceleration would know its path better, or no landmark, which would say where it is. None
+    leaves it out."""
     floor_height: float | None = None
     """[m] of a flat floor in world; None where there is none or it is not known."""
     ankle_height: float = 0.08
@@ -64,6 +65,8 @@ class JointSpaceSettings:
     """[m] of an ankle that stands."""
     floor_cutoff: float = 0.2
     """[m] above which an ankle hardly feels the floor."""
+    sigma_contact: float = 0.02
+    """[m] of a foot's joint about its foothold, where footholds are given."""
     hinges: bool = True
     """Whether knees and elbows turn about one axis alone."""
     limits: bool = True

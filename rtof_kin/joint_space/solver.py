@@ -9,6 +9,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.contacts import Footholds
 from rtof_kin.errors import SolverError
 from rtof_kin.fragment_solution import FragmentReport, SolverStatus
 from rtof_kin.joint_space.annealing import Annealing
@@ -40,14 +41,17 @@ class JointSpaceSolver:
     def run(
         self,
         start: PoseSequence,
-        keypoints: KeypointSequence,
+        keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | None,
+        footholds: Footholds | None,
         progress: Callable[[int, int], None] | None,
     ) -> Iterator[Block]:
         """Blocks of N/2 frames with the reports that came in since the block before."""
-        if not set(keypoints.names) & set(self.skeleton.landmarks):
+        if keypoints is not None and not set(keypoints.names) & set(self.skeleton.landmarks):
             raise SolverError("keypoints: none of the landmarks is one of the skeleton")
-        data = Observations(self.skeleton, self.frames, self.settings, start, keypoints, bone_imus)
+        data = Observations(
+            self.skeleton, self.frames, self.settings, start, keypoints, bone_imus, footholds
+        )
         fragments = _Fragments(data, self.settings)
         half, T = self.frames // 2, len(start)
         i = np.arange(self.frames)

@@ -13,7 +13,7 @@ from rtof_kin.checks import indices_of
 from rtof_kin.datasets.human36m import SUBJECTS_TEST, SUBJECTS_TRAIN, Human36M
 from rtof_kin.errors import FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.metrics import evaluate, motionless
-from rtof_kin.pipeline import MODES
+from rtof_kin.pipeline import CAMERA_MODES
 from rtof_kin.protocols import published
 from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.protocols.measures import curves, provenance, reconstructions, rows_of, save_motion
@@ -161,7 +161,7 @@ def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
         for name, (mpjpe, mpjae, mpjje) in published.HUMAN36M.items()
     ]
     figures = ("mpjpe_rr_mm", "mpjae_frame_mm", "mpjje_frame_mm", "mpjpe_pa_mm", "mpjpe_mm")
-    for name in (*[mode for mode in MODES if mode in protocol.modes], STILL):
+    for name in (*[mode for mode in CAMERA_MODES if mode in protocol.modes], STILL):
         own = [row for row in rows if row["method"] == name]
         label = name if name == STILL else f"{name}, ours"
         printed.append((label, *(pooled(own, figure) for figure in figures)))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.io.motion_npz import write_motion_npz
-from rtof_kin.pipeline import MODES, Reconstruction, ReconstructionSettings, reconstruct
+from rtof_kin.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettings, reconstruct
 from rtof_kin.protocols.jobs import Outcome
 from rtof_kin.recording import Recording
 from rtof_kin.resources import model_path
@@ -27,7 +27,7 @@ def reconstructions(
     lifter: Path | None,
     settings: ReconstructionSettings | None = None,
 ) -> dict[str, Reconstruction]:
-    """For every mode, in the order of `MODES`, a reconstruction that has it among its stages.
+    """For every mode, in the order of `CAMERA_MODES`, a reconstruction that has it among its stages.
 
     Modes that need sensors are left out where the recording has none. *lift* is that of the image alone,
     not the lifter of those modes, which is told the sensors.
@@ -45,7 +45,7 @@ def reconstructions(
             result = reconstruct(recording, mode=mode, lifter=network, settings=settings)
             own = [stage for stage in result.stages if stage != "lift" or result.bone_imus is None]
             runs |= {stage: result for stage in own if stage not in runs}
-    return {mode: runs[mode] for mode in MODES if mode in asked}
+    return {mode: runs[mode] for mode in CAMERA_MODES if mode in asked}
 
 
 def curves(
@@ -60,7 +60,7 @@ def curves(
     assert truth is not None
     frames = np.linspace(0, len(truth) - 1, _SNAPSHOTS + 2).round().astype(int)[1:-1]
     arrays: dict[str, Array] = {
-        "R_camera_world": recording.keypoints.camera.R_camera_world,
+        "R_camera_world": recording.video.camera.R_camera_world,
         "snapshot_frames": frames.astype(float),
         "snapshot_truth": truth.p_world_joint[frames],
     }

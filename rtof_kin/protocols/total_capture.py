@@ -26,7 +26,7 @@ from rtof_kin.fragment import FragmentSolver
 from rtof_kin.fragment_settings import SPACES, FragmentSettings
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import evaluate, motionless
-from rtof_kin.pipeline import MODES, Reconstruction, ReconstructionSettings
+from rtof_kin.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettings
 from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.protocols.measures import curves, provenance, reconstructions, save_motion
 from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
@@ -73,7 +73,7 @@ class TotalCaptureProtocol:
     sensors: tuple[str, ...] = LIMB_SENSORS
     space: str = SPACES[0]
     """Of the fragment solver, one of `SPACES`; the studies are as printed in any case."""
-    modes: tuple[str, ...] = MODES
+    modes: tuple[str, ...] = CAMERA_MODES
     lifter: Path | None = None
     """Checkpoint; the shipped one where not given."""
     studies: bool = True
@@ -89,7 +89,7 @@ class TotalCaptureProtocol:
                 raise ShapeError(f"{name}: none are named, so there is nothing to measure")
         indices_of("subject", self.subjects, SUBJECTS)
         indices_of("take", self.takes, sorted({take for _, take in (*TRAIN, *TEST)}))
-        indices_of("mode", self.modes, MODES)
+        indices_of("mode", self.modes, CAMERA_MODES)
         indices_of("space", [self.space], SPACES)
         indices_of("sensor", self.sensors, list(SkeletonModel.default().sensors))
         indices_of("camera", [str(c) for c in self.cameras], [str(c) for c in range(1, 9)])
@@ -237,7 +237,7 @@ def _seen_by(take: Take, job: Job, number: int) -> JobResult:
         methods |= _studies(results["rtof"], truth)
     checks = check_camera(number)
     if protocol.keypoints is not None:
-        checks += check_keypoints(take, number, recording.keypoints)
+        checks += check_keypoints(take, number, recording.video)
     failed = [check.message for check in checks if not check.passed]
     return JobResult(
         {"subject": take.subject, "take": take.name, "camera": number, "methods": methods,

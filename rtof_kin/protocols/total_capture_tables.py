@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from rtof_kin.pipeline import MODES
+from rtof_kin.pipeline import CAMERA_MODES
 from rtof_kin.protocols import published
 from rtof_kin.protocols.jobs import Outcome
 from rtof_kin.protocols.measures import rows_of
@@ -110,7 +110,7 @@ def ablation(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
     )
     ours = [
         (mode, *published.ABLATION[mode], *_means(rows, mode, figures), _share(rows, mode))
-        for mode in MODES
+        for mode in CAMERA_MODES
         if mode in protocol.modes
     ]
     calibration = [

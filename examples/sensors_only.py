@@ -1,0 +1,38 @@
+"""A real sensor trial, without any camera: ``python examples/sensors_only.py TRIAL PATH [OUT]``.
+
+TRIAL is a table of ``sensor_trials.toml``: which sensor sits where. PATH is what the sensors' maker
+wrote, a file or a folder. The person stands still for a second at the start; that calibrates the sensors.
+"""
+
+import sys
+import tomllib
+from pathlib import Path
+
+from sensors_only_figure import draw
+
+from rtof_kin import Recording, SkeletonModel, reconstruct
+from rtof_kin.inertial.files import read_sensor_log
+from rtof_kin.inertial.orientation import OrientationSettings, log_with_orientation
+from rtof_kin.inertial.pose_calibration import calibrate_by_pose
+from rtof_kin.types import ImuSequence
+
+trial, path = sys.argv[1], Path(sys.argv[2])
+out = Path(sys.argv[3] if len(sys.argv) > 3 else f"out/{trial}")
+facts = tomllib.loads((Path(__file__).parent / "sensor_trials.toml").read_text(encoding="utf-8"))[trial]
+
+log = read_sensor_log(path, **facts.get("declared", {})).select(list(facts["joints"]))
+if facts.get("vqf"):
+    log = log_with_orientation(log, log.names, OrientationSettings(magnetometer=False))
+found = calibrate_by_pose(
+    log, facts["joints"], facts["pose"], SkeletonModel.default(), headings=facts["headings"]
+)
+for sentence in (*log.notes, *found.warnings):
+    print("note:", sentence)
+recording = Recording(trial, imus=ImuSequence.joined(log.imus()), calibration=found.calibration)
+result = reconstruct(recording, mode="imu")
+result.export(out, overwrite=True)
+draw(result, out / "figures" / "moving.png")
+print(f"{len(result.motion.times)} frames; pose held from {found.still[0]:.1f} to {found.still[1]:.1f} s")
+print(f"the root's place at the end: standard deviation {result.root_sigma[-1]:.2f} m per axis")
+for warning in result.warnings:
+    print("note:", warning)

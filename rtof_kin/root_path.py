@@ -1,0 +1,169 @@
+"""The root's path from standing feet and accelerations: linear least squares over a whole recording.
+
+With r the position of a joint or sensor relative to the root, known from the orientations, and p the
+root's: a standing foot does not move, ``d/dt (p + r_foot) = 0``; its ankle is at the floor's height; and
+every sensor accelerates as it measured, ``d2/dt2 (p + r_sensor) = a``. Steps of time couple three
+frames, so the normal equations are a band of two beside the diagonal. In flight, and from one foot to
+the other, accelerations alone carry the path. Where no foot stands for long, as in running, what keeps it
+from running away is the lower foot, which moves least: weakly, with Cauchy's loss (reweighted squares).
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
+
+from rtof_kin import signals
+from rtof_kin.checks import readonly
+from rtof_kin.contacts import Contacts
+from rtof_kin.errors import ShapeError
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import BoneImuSequence, PoseSequence
+
+Array = NDArray[np.float64]
+_ROUNDS = 5
+"""Of reweighting the lower foot."""
+
+
+@dataclass(frozen=True)
+class RootPathSettings:
+    """What is known of the root's path, and how well."""
+
+    sigma_slip: float = 0.1
+    """[m/s] velocity of a standing ankle."""
+    sigma_floor: float = 0.02
+    """[m] height of a standing ankle."""
+    sigma_acceleration: float = 1.0
+    """[m/s^2] of a sensor on the root."""
+    share_of_motion: float = 0.2
+    """[1] of a sensor's acceleration relative to the root that its orientation's error makes wrong."""
+    sigma_lower: float = 0.5
+    """[m/s] velocity of the lower ankle, standing or not."""
+    sigma_lower_height: float = 0.5
+    """[m] height of the lower ankle over where it stands, standing or not."""
+    drift_per_metre: float = 0.05
+    """[1] standard deviation of the path by what was walked; measured, see benchmarks/README.md."""
+    sigma_flight: float = 0.5
+    """[m/s^2] error of the acceleration that carries the path while no foot stands."""
+    sigma_aloft: float = 0.3
+    """[m/s] error of the velocity that this grows to at most: then the lower foot knows better."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0 < value < np.inf:
+                raise ShapeError(f"{name} must be positive and finite")
+
+
+@dataclass(frozen=True)
+class RootPath:
+    """Where the root went, from above the origin on."""
+
+    p_world: Array
+    """(T, 3) m."""
+    sigma: Array
+    """(T,) m, standard deviation of each horizontal coordinate since the first frame: it grows. NaN where
+    no sensor tells of the feet and the root just stays."""
+
+    def __post_init__(self) -> None:
+        p = readonly("root path p_world", self.p_world, ("T", 3))
+        object.__setattr__(self, "p_world", p)
+        object.__setattr__(self, "sigma", readonly("root path sigma", self.sigma, (len(p),)))
+
+
+def root_path(
+    poses: PoseSequence,
+    bone_imus: BoneImuSequence,
+    contacts: Contacts,
+    skeleton: SkeletonModel,
+    ankle_height: float,
+    settings: RootPathSettings | None = None,
+) -> RootPath:
+    """The path that fits standing feet and accelerations best.
+
+    Args:
+        poses: (T, J) rigid, evenly spaced; its root may be anywhere.
+        bone_imus: the sensors at the poses' times. contacts: the same frames.
+        ankle_height: z in world of a standing ankle, m.
+
+    Returns:
+        A path that begins over the origin. Where no sensor tells of the feet it stays there, with the
+        lowest joint of the first frame at that height.
+    """
+    settings, T = settings or RootPathSettings(), len(poses)
+    relative = poses.p_world_joint - poses.p_world_joint[:, :1]
+    feet = relative[:, skeleton.index(*contacts.joints)]
+    if T < 4 or not contacts.joints:
+        begin = np.array([0.0, 0.0, ankle_height - relative[0, :, 2].min()])
+        return RootPath(np.tile(begin, (T, 1)), np.full(T, np.nan))
+    system, rate = _System(T), poses.rate_hz
+    system.add([1.0], np.array([0]), np.array([0.0, 0.0, np.nan]), np.array([1e-3**-2]))
+    stays = -signals.derivative(feet, rate, 1)  # (T - 1, C, 3) m/s of a root whose foot does not move
+    low = feet[..., 2].argmin(axis=1)
+    height = np.stack([np.full(T, np.nan)] * 2 + [ankle_height - feet[np.arange(T), low, 2]], axis=1)
+    system.add([1.0], np.arange(T), height, np.full(T, settings.sigma_lower_height**-2))
+    for i in range(len(contacts.joints)):
+        both = np.flatnonzero(contacts.standing[1:, i] & contacts.standing[:-1, i])
+        system.add([-rate, rate], both, stays[both, i], np.full(len(both), settings.sigma_slip**-2))
+        stands = np.flatnonzero(contacts.standing[:, i])
+        height = np.where([False, False, True], ankle_height - feet[stands, i], np.nan)
+        system.add([1.0], stands, height, np.full(len(stands), settings.sigma_floor**-2))
+    R = poses.R_world_bone
+    for s, j in enumerate(skeleton.index(*bone_imus.joints)):
+        sensor = relative[:, j] + R[:, j] @ bone_imus.p_bone_sensor[s]
+        own = signals.derivative(sensor, rate, 2)
+        a = bone_imus.a_world[1:-1, s] - own
+        known = np.flatnonzero(np.isfinite(a).all(axis=1))
+        wrong = settings.share_of_motion * np.linalg.norm(own[known], axis=1)
+        weight = 1 / (settings.sigma_acceleration**2 + wrong**2)
+        system.add(list(rate**2 * np.array([1.0, -2.0, 1.0])), known, a[known], weight)
+    lower, weight = stays[np.arange(T - 1), low[:-1]], np.full(T - 1, settings.sigma_lower**-2)
+    for _ in range(_ROUNDS):
+        whole = system.copy()
+        whole.add([-rate, rate], np.arange(T - 1), lower, weight)
+        p = whole.solve()
+        moves = np.linalg.norm(signals.derivative(p, rate, 1) - lower, axis=1)
+        weight = 1 / (settings.sigma_lower**2 + moves**2)
+    return RootPath(p, _drift(p, contacts, rate, settings))
+
+
+class _System:
+    """Normal equations (T) of three coordinates, a band of two beside the diagonal."""
+
+    def __init__(self, frames: int) -> None:
+        self._band = np.zeros((3, 3, frames))  # coordinate, distance from the diagonal, column
+        self._right = np.zeros((3, frames))
+
+    def copy(self) -> _System:
+        """One to add more to."""
+        return copy.deepcopy(self)
+
+    def add(self, stencil: list[float], first: NDArray[np.intp], target: Array, weight: Array) -> None:
+        """Rows ``stencil . p[first : first + n] = target`` with weights, each first once; none where the
+        target is NaN."""
+        target = np.broadcast_to(target, (len(first), 3)).T
+        weight = np.where(np.isfinite(target), weight, 0.0)
+        weighted = weight * np.nan_to_num(target)
+        for a, left in enumerate(stencil):
+            self._right[:, first + a] += left * weighted
+            for b, right in enumerate(stencil[a:]):
+                self._band[:, b, first + a] += left * right * weight
+
+    def solve(self) -> Array:
+        """(T, 3)."""
+        columns = [solveh_banded(m, r, lower=True) for m, r in zip(self._band, self._right, strict=True)]
+        return np.stack(columns, axis=1)
+
+
+def _drift(p: Array, contacts: Contacts, rate_hz: float, settings: RootPathSettings) -> Array:
+    """(T,) m: by what was walked, and by flights, whose errors grow with the square of their length."""
+    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1))])
+    flown = np.zeros(len(p))
+    for start, stop in signals.runs(~contacts.standing.any(axis=1)):
+        since = np.minimum(np.arange(len(p)) - start, stop - start)[start:] / rate_hz
+        slow = np.minimum(settings.sigma_flight * since / 2, settings.sigma_aloft)
+        flown[start:] += (slow * since) ** 2
+    return np.asarray(np.sqrt((settings.drift_per_metre * walked) ** 2 + flown))
