@@ -1,7 +1,7 @@
 """How exactly sensors are calibrated by a pose, by the movement after it, and by exercises.
 
-``python -m benchmarks.calibration_by_pose --corpus DIR`` with DIR the folder of free motion (see README.md
-here). A motion of each validation subject of split.toml, up to 12 s, after two seconds of a pose that is held as
+``python -m benchmarks.calibration_by_pose --corpus DIR`` with DIR the folder of free motion (README.md).
+A motion of each validation subject of split.toml, up to 12 s, after two seconds of a pose that is held as
 it should be, or with joints turned so that segments are off by 5, 10 or 15 degrees in the mean.
 Eight sensors with soft tissue and accelerometer noise. The numbers are angles between segments by their
 sensors and in truth over the movement, degrees, turned to one heading: the mean, and the 90th percentile
