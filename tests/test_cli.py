@@ -15,7 +15,7 @@ from rtof_kin.io.motion_npz import read_motion_npz
 from rtof_kin.recording import Recording
 from rtof_kin.resources import model_path
 
-COMMANDS = ("demo", "reconstruct", "inspect", "evaluate", "simulate", "train", "export")
+COMMANDS = ("demo", "reconstruct", "inspect", "analyse", "evaluate", "simulate", "train", "export")
 MOCAP = Path(__file__).parent / "data" / "mocap"
 
 

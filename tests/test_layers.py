@@ -60,6 +60,15 @@ detectors.views   detectors.gaussian   detectors.json_files   detectors.people  
 detectors.adapter   detectors.files   detectors.video
 detectors.recognise
 detectors.keypoints
+clinical   clinical.angle_table
+clinical.joint_coordinate_systems
+clinical.angles
+clinical.range_of_motion
+clinical.gait_events   clinical.repetitions
+clinical.gait
+clinical.torques
+clinical.analysis
+clinical.files
 recording_files   mocap_families   simulation_noise
 recording_imus   mocap_mapping   simulation_sensors
 recording   mocap   body_checks
@@ -82,7 +91,7 @@ lifting.__main__
 sensors_alone
 pipeline
 figures
-inspection_figures
+inspection_figures   clinical_figures
 export
 rtof_kin
 protocols   protocols.published   protocols.tables   protocols.jobs
@@ -90,7 +99,8 @@ protocols.measures   protocols.pictures
 protocols.human36m   protocols.total_capture
 protocols.total_capture_tables
 cli.terminal
-cli.detection   cli.inspection   cli.lifters   cli.recordings   cli.training   cli.protocols
+cli.clinical   cli.detection   cli.inspection   cli.lifters   cli.recordings   cli.training
+cli.protocols
 cli
 cli.__main__
 """
@@ -251,12 +261,12 @@ def test_each_heavy_package_is_imported_where_it_belongs() -> None:
                 if when == "import":
                     users[package].add(name)
     assert all(name.startswith("lifting.") for name in users["torch"])
-    assert users["pinocchio"] == {"skeleton", "io.joint_trajectory"}
+    assert users["pinocchio"] == {"skeleton", "io.joint_trajectory", "clinical.torques"}
     symbolic = ("frame_energy", "limits", "problem", "ipopt", "windows", "couplings")
     joint_space = {f"joint_space.{n}" for n in symbolic}
     assert users["casadi"] <= {"energies", "compiled", "lane_code", "fragment_problem"} | joint_space
     pictures = {"figures", "inspection_figures", "protocols.pictures", "lifting.curves"}
-    assert users["matplotlib"] <= pictures
+    assert users["matplotlib"] <= pictures | {"clinical_figures"}
     assert not users["yourdfpy"]
 
 

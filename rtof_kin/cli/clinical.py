@@ -1,0 +1,99 @@
+"""The command that reads joint angles, gait, repetitions and torques from a motion."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Column, Table
+
+from rtof_kin.cli.terminal import add_output, command, out, print_files
+
+
+def add_commands(commands: Any) -> None:
+    """Declare the commands of this module."""
+    parser = command(
+        commands, "analyse", _analyse, "clinical joint angles, gait and torques of a motion",
+        "MOTION is the output of reconstruct. OUT gets the angles as CSV with a table of their names, "
+        "signs and zeros, ranges of motion, gait cycles, torques where a weight is given, figures, and "
+        "notes on what could not be told and why. An angle that nobody saw is an empty cell.",
+    )  # fmt: skip
+    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
+    add_output(parser, None, "folder to write")
+    parser.add_argument("--weight", type=float, metavar="KG", help="body mass; for joint torques")
+    parser.add_argument("--height", type=float, metavar="M", help="to check the skeleton's size")
+    parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
+    parser.add_argument("--repetitions", choices=["squat", "sit_to_stand"], help="what to count")
+    parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
+
+
+def _analyse(options: argparse.Namespace) -> None:
+    from rtof_kin.clinical.analysis import analyse_motion
+    from rtof_kin.clinical.files import MARKER, write_analysis
+    from rtof_kin.io.folder import check_replaceable, new_folder
+    from rtof_kin.io.motion_npz import read_motion_npz
+
+    check_replaceable(options.output, MARKER, options.overwrite)
+    path = Path(options.motion)
+    motion = read_motion_npz(path / "motion.npz" if path.is_dir() else path).motion()
+    analysis = analyse_motion(
+        motion,
+        weight_kg=options.weight,
+        height=options.height,
+        sex=options.sex,
+        repetitions=options.repetitions,
+    )
+    with new_folder(options.output, MARKER, options.overwrite) as folder:
+        write_analysis(analysis, folder)
+        if not options.no_figures:
+            from rtof_kin.clinical_figures import write_clinical_figures
+
+            write_clinical_figures(analysis, folder / "figures")
+    _print_ranges(analysis)
+    if analysis.gait.strides:
+        _print_gait(analysis.gait)
+    if analysis.repetitions is not None:
+        _print_repetitions(analysis.repetitions)
+    for part, notes in analysis.notes.items():
+        for note in notes:
+            out.print(f"{part}: {note}", markup=False, soft_wrap=True)
+    print_files(options.output)
+
+
+def _print_ranges(analysis: Any) -> None:
+    columns = ("low", "high", "range", "deg/s", "seen")
+    table = Table(Column("angle [deg]", no_wrap=True), *columns)
+    for row in analysis.ranges:
+        if row.known_share > 0:
+            figures = np.degrees([row.low, row.high, row.range, row.peak_velocity])
+            cells = ["" if np.isnan(v) else f"{v:.0f}" for v in figures]
+            table.add_row(row.name, *cells, f"{100 * row.known_share:.0f} %")
+    out.print(table)
+
+
+def _print_gait(gait: Any) -> None:
+    digits = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
+    table = Table(Column("gait", no_wrap=True), *gait.summary, "symmetry")
+    for name in next(iter(gait.summary.values())):
+        cells = [_spread(*measures[name]) for measures in gait.summary.values()]
+        symmetry = f"{100 * gait.symmetry[name]:+.1f} %" if name in gait.symmetry else ""
+        label = f"{name.replace('_', ' ')} {digits.get(name, '')}"
+        table.add_row(label, *cells, symmetry)
+    out.print(table)
+
+
+def _spread(mean: float, spread: float, strides: int) -> str:
+    return f"{mean:.3g}" + (f" \u00b1 {spread:.2g}" if strides > 1 else "") + f" ({strides})"
+
+
+def _print_repetitions(found: Any) -> None:
+    columns = ("down [s]", "below [s]", "up [s]", "depth [m]", "right knee [deg]", "left knee [deg]")
+    table = Table(Column(found.kind.replace("_", " "), no_wrap=True), *columns)
+    for number, r in enumerate(found.repetitions, start=1):
+        knees = [np.degrees(r.knee_flexion[side]) for side in ("right", "left")]
+        figures = (r.descent_time, r.bottom_time, r.ascent_time, r.depth)
+        cells = [f"{v:.2f}" for v in figures] + [f"{v:.0f}" for v in knees]
+        table.add_row(str(number), *("" if cell == "nan" else cell for cell in cells))
+    out.print(table)
