@@ -13,6 +13,7 @@ from clinical_support import walk
 
 from rtof_kin.cli import main
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
+from rtof_kin.clinical.angles import all_observed
 from rtof_kin.clinical.files import write_analysis
 from rtof_kin.clinical_figures import SHOWN, angles_over_time, gait_cycles
 from rtof_kin.errors import ShapeError, UnknownNameError
@@ -139,6 +140,38 @@ def test_a_height_without_a_weight_and_an_unknown_repetition_are_refused() -> No
         analyse_motion(walk(), height=1.8)
     with pytest.raises(UnknownNameError, match="Known: squat, sit_to_stand"):
         analyse_motion(walk(), repetitions="lunge")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("frames", [1, 2, 10])
+def test_a_motion_of_few_frames_has_angles_and_notes(frames: int, any_skeleton: SkeletonModel) -> None:
+    motion = planted.moving(any_skeleton, frames)
+    motion = replace(motion, poses=all_observed(motion.poses))
+    analysis = analyse_motion(motion, weight_kg=70.0, repetitions="sit_to_stand")
+    assert np.isfinite(analysis.angles["right_hip_flexion"]).all()
+    assert analysis.torques is not None
+    assert np.isnan(analysis.torques.torques).all()
+    assert "1 stretch(es) shorter than 0.5 s have no torques" in analysis.torques.notes
+    assert any("no heel strike" in note for note in analysis.gait.notes)
+
+
+def test_a_motion_that_nobody_saw_has_no_number_and_says_so(tmp_path: Path) -> None:
+    motion = planted.moving(SkeletonModel.default(), 60)
+    nothing = replace(
+        motion.poses,
+        p_world_joint=np.full_like(motion.poses.p_world_joint, np.nan),
+        R_world_bone=np.full_like(motion.poses.R_world_bone, np.nan),
+        provenance=None, valid=None,
+    )  # fmt: skip
+    unseen = replace(motion, q=np.full_like(motion.q, np.nan), poses=nothing)
+    analysis = analyse_motion(unseen, weight_kg=70.0, repetitions="squat")
+    write_analysis(analysis, tmp_path)
+    assert not analysis.angles.known.any()
+    assert np.all(analysis.angles.provenance == Provenance.NOBODY)
+    assert "no value at all (not in the data)" in analysis.angles.notes[0]
+    assert "right foot: never seen, so it has no events and no strides" in analysis.gait.notes
+    assert analysis.torques is not None
+    assert np.isnan(analysis.torques.root_wrench).all()
+    angles_over_time(analysis)
 
 
 # --- the command ---

@@ -117,14 +117,17 @@ def analyse_gait(events: GaitEvents) -> GaitAnalysis:
                 f"and a strike of the other foot between them within {LONGEST_STRIDE:g} s: no stride"
             )
         notes += _doubts(side, own)
-    symmetry = {}
-    if len(summary) == 2:
-        for name in MEASURES:
-            right, left = (summary[side][name][0] for side in SIDES)
-            symmetry[name] = 2 * (right - left) / (right + left) if right + left > 0 else float("nan")
-    else:
+    if len(summary) < 2:
         notes.append("symmetry needs a complete stride of either side")
-    return GaitAnalysis(events, tuple(strides), summary, symmetry, tuple(notes))
+    return GaitAnalysis(events, tuple(strides), summary, _symmetry(summary), tuple(notes))
+
+
+def _symmetry(summary: dict[str, dict[str, tuple[float, float, int]]]) -> dict[str, float]:
+    out = {}
+    for name in MEASURES if len(summary) == 2 else ():
+        right, left = (summary[side][name][0] for side in SIDES)
+        out[name] = 2 * (right - left) / (right + left) if right + left > 0 else float("nan")
+    return out
 
 
 def _strides(side: str, events: GaitEvents) -> list[Stride]:
