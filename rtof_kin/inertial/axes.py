@@ -15,7 +15,6 @@ Array = NDArray[np.float64]
 LEAST_RATE = 0.4
 """Root mean square turning, rad/s, from which on a movement has an axis."""
 _ROBUST_RATE = 0.3
-_PLANAR = 0.3
 _STARTS = 6
 
 
@@ -31,16 +30,18 @@ class HingeAxis:
     """Root mean square disagreement of the two, rad/s."""
 
 
-def hinge_axis(w_1: ArrayLike, w_2: ArrayLike) -> HingeAxis:
+def hinge_axis(w_1: ArrayLike, w_2: ArrayLike, planar: float = 0.1) -> HingeAxis:
     """The axis that two segments share, from the angular velocities of sensors on them.
 
-    Minimises ``|w_1 x j_1| - |w_2 x j_2|`` over unit vectors j_1 and j_2 (Seel, Schauer and Raisch 2012:
+    Minimises ``|w_1 x j_1| - |w_2 x j_2|`` over unit vectors j_1 and j_2 (Seel, Schauer, Raisch 2012:
     what is left of both across the axis has the same length), with a robust loss and from several starts.
-    Where all turning is in one plane that tells nothing; so a weak second term asks for as little turning
+    Where all turning is in one plane that tells nothing; so a second term asks for as little turning
     across the axis as may be, since to bend a joint is mostly to turn about it.
 
     Args:
         w_1, w_2: (T, 3) rad/s in each sensor's own axes, at the same instants; NaN where missing.
+        planar: weight of the second term; little where both segments turn in all directions, 1 where they
+            mostly do about the hinge.
 
     Raises:
         CalibrationError: there are fewer than ten instants, or a sensor hardly turns.
@@ -61,7 +62,7 @@ def hinge_axis(w_1: ArrayLike, w_2: ArrayLike) -> HingeAxis:
     def disagreement(axes: Array) -> Array:
         j_1, j_2 = so3.unit(axes[:3]), so3.unit(axes[3:])
         across = [np.linalg.norm(np.cross(w, j), axis=-1) for w, j in ((a, j_1), (b, j_2))]
-        return np.concatenate([across[0] - across[1], _PLANAR * across[0], _PLANAR * across[1]])
+        return np.concatenate([across[0] - across[1], planar * across[0], planar * across[1]])
 
     rng = np.random.default_rng(0)
     starts = [np.concatenate([principal_axis(a)[0], principal_axis(b)[0]])]

@@ -33,6 +33,7 @@ POSE_DEG, AXIS_DEG = 5.0, 5.0
 """What error of inclination while standing, and of an axis of movement, is to be expected."""
 LEAST_SHARE = 0.6
 """Share of the turning that must be about one axis."""
+_PLANAR = 1.0
 _UPRIGHT_SHARE = np.sin(np.radians(30.0))
 
 
@@ -143,7 +144,7 @@ class _Standing:
         times, w_parent = self._turning(movement, parent)
         own_times, w_own = self._turning(movement, child)
         w_child = signals.interpolate(own_times, w_own, times, max_gap=0.1)
-        axis = hinge_axis(w_parent, w_child)
+        axis = hinge_axis(w_parent, w_child, _PLANAR)
         signs = list(product((1.0, -1.0), repeat=2))
         costs = [self._unlikely(movement, parent, s * axis.axis_1, t * axis.axis_2) for s, t in signs]
         s, t = signs[int(np.argmin(costs))]

@@ -15,12 +15,12 @@ from rtof_kin.inertial.streams import SensorLog, SensorStream
 from rtof_kin.types import ImuSequence
 
 Array = NDArray[np.float64]
-STILL_RATE = 0.25
+STILL_RATE = 0.2
 """A sensor that turns more slowly than this, rad/s, sits on somebody who stands as still as people do."""
 STILL_SECONDS = 1.0
 """How long all sensors must be still, s."""
-_GRID_HZ, _SMOOTHING = 50.0, 0.3
-_LONGEST_STEP = 0.2
+_GRID_HZ, _LONGEST_STEP = 50.0, 0.2
+_UNKNOWN_RATE = 100.0
 
 
 def streams_of(imus: ImuSequence | SensorLog) -> tuple[SensorStream, ...]:
@@ -67,7 +67,8 @@ def orientation_rate(times: Array, R: Array) -> Array:
 def find_still(streams: Sequence[SensorStream], seconds: float = STILL_SECONDS) -> tuple[float, float]:
     """The first period, at least so many seconds long, in which no sensor turns.
 
-    Rates are averaged over 0.3 s and compared with `STILL_RATE`; that much is left out at the ends.
+    At every instant the fastest sensor counts; its rate is averaged over so many seconds and compared
+    with `STILL_RATE`.
 
     Returns:
         (start, stop) in s on the streams' clock.
@@ -82,34 +83,28 @@ def find_still(streams: Sequence[SensorStream], seconds: float = STILL_SECONDS) 
             f"{seconds:g} s; record the pose, with all sensors on one clock"
         )
     times = np.arange(start, stop + 1e-9, 1 / _GRID_HZ)
-    rates = np.stack([_smooth_rate(stream, times) for stream in streams])
-    fastest = rates.max(axis=0)
-    for first, end in signals.runs(fastest < STILL_RATE):
-        # Smoothing hides the first and the last moments of movement.
-        held = times[first] + _SMOOTHING / 2, times[end - 1] - _SMOOTHING / 2
-        if held[1] - held[0] >= seconds - 2 / _GRID_HZ:
-            return float(held[0]), float(held[1])
-    raise _never_still(streams, times, rates, seconds)
+    rates = np.stack([_rate(stream, times) for stream in streams])
+    width = min(round(seconds * _GRID_HZ) + 1, len(times))
+    inside = slice(width // 2, len(times) - (width - 1) // 2)
+    centres, mean = times[inside], uniform_filter1d(rates.max(axis=0), width)[inside]
+    still = signals.runs(mean < STILL_RATE)
+    if not still:
+        best = int(np.argmin(mean))
+        restless = streams[int(np.argmax(rates[:, inside][:, best]))].name
+        raise CalibrationError(
+            f"nobody stands still for {seconds:g} s: even around {centres[best]:.2f} s sensors turn at "
+            f"{np.degrees(mean[best]):.0f} deg/s, {restless} most; hold the pose longer, or say when it "
+            "is held with still=(start, stop)"
+        )
+    first, end = still[0]
+    if centres[end - 1] - centres[first] >= seconds:
+        return float(centres[first]), float(centres[end - 1])
+    stillest = float(centres[first + int(np.argmin(mean[first:end]))])
+    return stillest - seconds / 2, stillest + seconds / 2
 
 
-def _smooth_rate(stream: SensorStream, times: Array) -> Array:
-    rate = np.linalg.norm(angular_velocity(stream), axis=-1)
-    on_grid = signals.interpolate(stream.times, rate, times, max_gap=_LONGEST_STEP)
-    on_grid[~np.isfinite(on_grid)] = np.inf
-    known = np.minimum(on_grid, 100.0)
-    return np.asarray(uniform_filter1d(known, max(round(_SMOOTHING * _GRID_HZ), 1), mode="nearest"))
-
-
-def _never_still(
-    streams: Sequence[SensorStream], times: Array, rates: Array, seconds: float
-) -> CalibrationError:
-    width = max(round(seconds * _GRID_HZ), 1)
-    over = uniform_filter1d(rates.max(axis=0), width)
-    inside = slice(width // 2, len(times) - width // 2)
-    best = int(np.argmin(over[inside])) + width // 2
-    restless = streams[int(np.argmax(rates[:, best]))].name
-    return CalibrationError(
-        f"nobody stands still for {seconds:g} s: even around {times[best]:.2f} s {restless} turns at "
-        f"{np.degrees(rates[:, best].max()):.0f} deg/s; hold the pose longer, or say when it is held "
-        "with still=(start, stop)"
-    )
+def _rate(stream: SensorStream, times: Array) -> Array:
+    """Speed of turning (T,), rad/s, at some times; very fast where it is not known."""
+    speed = np.linalg.norm(angular_velocity(stream), axis=-1)
+    on_grid = signals.interpolate(stream.times, speed, times, max_gap=_LONGEST_STEP)
+    return np.minimum(np.nan_to_num(on_grid, nan=_UNKNOWN_RATE), _UNKNOWN_RATE)
