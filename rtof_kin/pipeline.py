@@ -22,9 +22,9 @@ from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import Metrics, evaluate
 from rtof_kin.motion_files import DEFAULT
 from rtof_kin.recording import Recording
-from rtof_kin.sensors_alone import SensorsAloneSettings, reconstruct_from_sensors
 from rtof_kin.self_calibrate import calibrate as calibrate_from
 from rtof_kin.self_calibration import SelfCalibration
+from rtof_kin.sensors_alone import SensorsAloneSettings, reconstruct_from_sensors
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence, Provenance
 

@@ -83,21 +83,22 @@ def shared_fragments(
     frames: int,
 ) -> SharedFragments:
     """The problem that `calibrate` solves; arguments and errors are its own."""
-    imus = recording.imus
-    if imus is None or recording.calibration is None:
+    imus, seen = recording.imus, recording.keypoints
+    if imus is None or recording.calibration is None or seen is None:
         raise CalibrationError(
-            f"recording {recording.name}: without calibrated IMUs there is nothing to calibrate by"
+            f"recording {recording.name}: without calibrated IMUs and a video there is nothing to "
+            "calibrate by"
         )
-    _check_long_enough(recording.keypoints, imus, priors)
+    _check_long_enough(seen, imus, priors)
     native = recording.calibration.apply(imus)
     bone_imus = native.resample(start.times)
-    data = Observations(recording.skeleton, frames, settings, start, recording.keypoints, bone_imus)
+    data = Observations(recording.skeleton, frames, settings, start, seen, bone_imus)
 
     def sampled(times: Array) -> tuple[Array, Array, Array, Array]:
         q, w, a, w_a, _ = sensor_data(times, native, data.sensors, settings)
         return q, w, a, w_a
 
-    unknowns = _unknowns(recording, data, start, priors, sampled)
+    unknowns = _unknowns(recording.skeleton, seen, data, start, priors, sampled)
     worth = Worth(priors.worth_vision, priors.worth_sensors, priors.worth_poses)
     return SharedFragments(data, start.times, unknowns, worth)
 
@@ -115,11 +116,11 @@ def _check_long_enough(
 
 
 def _unknowns(
-    recording: Recording, data: Observations, start: PoseSequence, priors: CalibrationPriors,
-    sampled: kinds.Sampled,
+    skeleton: SkeletonModel, seen: KeypointSequence, data: Observations, start: PoseSequence,
+    priors: CalibrationPriors, sampled: kinds.Sampled,
 ) -> list[Unknown]:  # fmt: skip
     """What is open, in the order in which it corrects the evidence."""
-    p, skeleton, found = priors, recording.skeleton, list[Unknown]()
+    p, found = priors, list[Unknown]()
     if p.sigma_delay is not None:
         found.append(kinds.Delay(p.sigma_delay, p.sigma_clock_drift, sampled))
     if p.sigma_heading is not None:
@@ -136,11 +137,11 @@ def _unknowns(
             tuple(skeleton.parents), groups, p.sigma_size, p.sigma_proportion or 0.0, data.attached
         ))  # fmt: skip
     if p.sigma_image_bias is not None:
-        tall = _height_px(recording.keypoints)
+        tall = _height_px(seen)
         sigma_px = np.full(len(data.names), p.sigma_image_bias * tall / 500.0)
         found.append(kinds.ImageBias(data.names, sigma_px))
     if p.sigma_place is not None:
-        slopes = image_slopes(recording.keypoints.camera, skeleton, start, data.names)
+        slopes = image_slopes(seen.camera, skeleton, start, data.names)
         found.append(kinds.Places(data.names, p.sigma_place, slopes))
     if p.sigma_focal is not None:
         found.append(kinds.Focal(p.sigma_focal))

@@ -141,7 +141,9 @@ class SelfCalibration:
 
     def apply(self, recording: Recording) -> Recording:
         """The recording with what was observed put right; keypoints get the times of what they show."""
-        keypoints = self._keypoints(recording.keypoints)
+        keypoints = recording.keypoints
+        if keypoints is not None:
+            keypoints = self._keypoints(keypoints)
         imus, calibration = recording.imus, recording.calibration
         if imus is not None and calibration is not None:
             imus = self._imus(imus, calibration)

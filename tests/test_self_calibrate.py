@@ -155,7 +155,7 @@ def test_a_recording_shorter_than_the_delay_looked_for_is_refused() -> None:
 
 
 def test_a_recording_without_sensors_is_refused() -> None:
-    with pytest.raises(CalibrationError, match="without calibrated IMUs"):
+    with pytest.raises(CalibrationError, match="without calibrated IMUs and a video"):
         calibrate(replace(recorded(), imus=None), truth().poses)
 
 
