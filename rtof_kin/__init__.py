@@ -13,14 +13,21 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rtof_kin.calibration import ImuCalibration
+    from rtof_kin.calibration_priors import CalibrationPriors
     from rtof_kin.errors import RtofError
     from rtof_kin.fragment import FragmentSolution, FragmentSolver, SolverStatus
     from rtof_kin.fragment_settings import FragmentSettings
     from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
     from rtof_kin.joint_space.settings import JointSpaceSettings
     from rtof_kin.metrics import Metrics, evaluate
-    from rtof_kin.pipeline import Reconstruction, ReconstructionSettings, reconstruct
+    from rtof_kin.pipeline import (
+        Reconstruction,
+        ReconstructionSettings,
+        calibrate_recording,
+        reconstruct,
+    )
     from rtof_kin.recording import Recording
+    from rtof_kin.self_calibration import SelfCalibration
     from rtof_kin.skeleton import MotionSequence, SkeletonModel
     from rtof_kin.types import (
         BoneImuSequence,
@@ -33,6 +40,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "BoneImuSequence": "types",
+    "CalibrationPriors": "calibration_priors",
     "Camera": "types",
     "FragmentSettings": "fragment_settings",
     "FragmentSolution": "fragment",
@@ -51,13 +59,16 @@ _HOME = {
     "ReconstructionSettings": "pipeline",
     "Recording": "recording",
     "RtofError": "errors",
+    "SelfCalibration": "self_calibration",
     "SkeletonModel": "skeleton",
     "SolverStatus": "fragment",
+    "calibrate_recording": "pipeline",
     "evaluate": "metrics",
     "reconstruct": "pipeline",
 }
 __all__ = [
     "BoneImuSequence",
+    "CalibrationPriors",
     "Camera",
     "FragmentSettings",
     "FragmentSolution",
@@ -76,8 +87,10 @@ __all__ = [
     "ReconstructionSettings",
     "Recording",
     "RtofError",
+    "SelfCalibration",
     "SkeletonModel",
     "SolverStatus",
+    "calibrate_recording",
     "evaluate",
     "reconstruct",
 ]

@@ -139,6 +139,15 @@ class StoredFactor:
             raise SolverError(f"{right.size} numbers for a system of {self._size}")
         return np.asarray(self._solved(self._factor, right.ravel()).reshape(right.shape))
 
+    def solve_columns(self, right: Array) -> Array:
+        """As `Factor.solve_columns`."""
+        if right.ndim != 2 or len(right) != self._size:
+            raise SolverError(f"right-hand sides {right.shape} for a system of {self._size}")
+        out = np.empty(right.shape[::-1])
+        for i, column in enumerate(np.ascontiguousarray(right.T)):
+            out[i] = self._solved(self._factor, column)
+        return out.T
+
 
 def _aligned(count: int) -> Array:
     """Numbers, not set, from the beginning of a cache line."""

@@ -141,7 +141,7 @@ class LevenbergMarquardt:
         iteration = 0
         for iteration in range(max_iterations):
             fresh = factor is None
-            gradient = self._linearise(x, m) if factor is None else self._gradient(x, m)
+            gradient = self.linearise(x, m) if factor is None else self._gradient(x, m)
             if factor is None:
                 try:
                     factor = problem.factorise(damping)
@@ -200,8 +200,9 @@ class LevenbergMarquardt:
         pushed = self._pushed(x, m)
         return energy + float(0.5 * _STIFFNESS * np.sum(pushed**2) - 0.5 / _STIFFNESS * np.sum(m**2))
 
-    def _linearise(self, x: Array, m: Array) -> Array:
-        """Gradient (N, D); the Hessian is kept by the problem."""
+    def linearise(self, x: Array, m: Array) -> Array:
+        """Gradient (N, D) with the limits' force at multipliers (N, M); the Hessian, with that of the
+        limits, is kept by the problem."""
         _, gradient = self.problem.linearise(x)
         if self.limits is None or not (pushed := self._pushed(x, m)).any():
             return gradient

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import kinematics, signals
+from rtof_kin.calibration_priors import CalibrationPriors
 from rtof_kin.errors import ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
@@ -21,6 +22,8 @@ from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import Metrics, evaluate
 from rtof_kin.motion_files import DEFAULT
 from rtof_kin.recording import Recording
+from rtof_kin.self_calibrate import calibrate as calibrate_from
+from rtof_kin.self_calibration import SelfCalibration
 from rtof_kin.sensors_alone import SensorsAloneSettings, reconstruct_from_sensors
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence, Provenance
@@ -74,6 +77,7 @@ class Reconstruction:
     """The result of `reconstruct`."""
 
     recording: Recording
+    """As it was reconstructed: with its own calibration where it has one."""
     mode: str
     motion: MotionSequence
     """The motion of the subject's skeleton: configurations, poses, flags."""
@@ -95,6 +99,8 @@ class Reconstruction:
     imu, where it drifts; NaN where nothing tells of the root."""
     warnings: tuple[str, ...] = ()
     """What a user must know before relying on the motion, in sentences."""
+    calibration: SelfCalibration | None = None
+    """What was estimated of the recording and applied; None where it was told not to."""
 
     def export(
         self, folder: str | Path, overwrite: bool = False, formats: Sequence[str] = DEFAULT
@@ -120,6 +126,7 @@ def reconstruct(
     *,
     lifter: LifterLike | None = None,
     settings: ReconstructionSettings | None = None,
+    calibrate: bool | CalibrationPriors | SelfCalibration = False,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Reconstruct the motion of a recording.
@@ -131,6 +138,8 @@ def reconstruct(
         mode: one of `MODES`.
         lifter: takes keypoints to 3D; the shipped one where not given, loaded only now.
         settings: of SF2, the fragment solver and mode imu.
+        calibrate: whether the recording is calibrated from itself first (`calibrate_recording`), in the
+            modes that use sensors; or the priors to do that with, or what to apply of an earlier one.
         progress: told how far each stage is.
 
     Raises:
@@ -139,13 +148,97 @@ def reconstruct(
     """
     if mode not in MODES:
         raise UnknownNameError("mode", [mode], MODES)
-    skeleton = skeleton or recording.skeleton
     settings = settings or ReconstructionSettings()
     tell = progress or (lambda stage, done, total: None)
     if mode == "imu":
-        return _without_camera(recording, skeleton, settings, tell)
+        return _without_camera(recording, skeleton or recording.skeleton, settings, tell)
     if recording.keypoints is None:
         raise ShapeError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
+    found = None
+    if calibrate is not False and mode in ("sf2", "rtof"):
+        found = calibrate if isinstance(calibrate, SelfCalibration) else calibrate_recording(
+            recording, skeleton, None if calibrate is True else calibrate,
+            lifter=lifter, settings=settings, progress=progress,
+        )  # fmt: skip
+        recording = found.apply(recording)
+        skeleton = None if found.of_kind("bones") else skeleton
+    skeleton = skeleton or recording.skeleton
+    begun = _begun(recording, skeleton, mode, lifter, settings, tell)
+    stages, keypoints, solution = dict(begun.stages), begun.keypoints, None
+    if found is not None:
+        keypoints = found.moved(keypoints, begun.start)
+    if mode in ("rto", "rtof"):
+        fragment = _on_floor(settings.fragment, skeleton, recording.floor_height)
+        solver = FragmentSolver(skeleton, settings.frames, fragment)
+        solution = solver.solve(
+            begun.start, keypoints, begun.bone_imus, lambda i, n: tell(mode, i, n)
+        )
+        stages[mode] = solution.poses
+    motion = skeleton.motion(stages[mode])
+    stages[mode] = motion.poses if mode != "lift" else stages["lift"]
+    scores = _scores(recording, stages, skeleton)
+    return Reconstruction(
+        recording, mode, motion, stages, keypoints, begun.bone_imus, solution, scores.get(mode), scores,
+        calibration=found,
+    )  # fmt: skip
+
+
+def calibrate_recording(
+    recording: Recording,
+    skeleton: SkeletonModel | None = None,
+    priors: CalibrationPriors | None = None,
+    *,
+    lifter: LifterLike | None = None,
+    settings: ReconstructionSettings | None = None,
+    progress: Progress | None = None,
+) -> SelfCalibration:
+    """Estimate what is not known well about a recording from itself; see `rtof_kin.self_calibrate`.
+
+    Args:
+        recording: with IMUs and their calibration, however rough.
+        skeleton: the subject's; from the recording where not given.
+        priors: what is open, and how well it is known before; `CalibrationPriors.of` the recording where
+            not given.
+        lifter, settings, progress: as for `reconstruct`.
+
+    Raises:
+        CalibrationError: there is nothing to calibrate by. Errors of the stages pass through.
+    """
+    settings = settings or ReconstructionSettings()
+    tell = progress or (lambda stage, done, total: None)
+    if skeleton is not None:
+        recording = replace(
+            recording, joint_offsets=skeleton.joint_offsets, height=None, bone_lengths=None
+        )
+    begun = _begun(recording, recording.skeleton, "sf2", lifter, settings, tell)
+    fragment = _on_floor(settings.fragment, recording.skeleton, recording.floor_height)
+    return calibrate_from(
+        replace(recording, keypoints=begun.keypoints),
+        begun.start,
+        priors or CalibrationPriors.of(recording),
+        fragment if isinstance(fragment, JointSpaceSettings) else None,
+        settings.frames,
+        lambda done, total: tell("calibrate", done, total),
+    )
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """A recording up to the fragment solver's start."""
+
+    keypoints: KeypointSequence
+    bone_imus: BoneImuSequence | None
+    stages: dict[str, PoseSequence]
+    start: PoseSequence
+
+
+def _begun(
+    recording: Recording, skeleton: SkeletonModel, mode: str, lifter: LifterLike | None,
+    settings: ReconstructionSettings, tell: Progress,
+) -> _Begun:  # fmt: skip
+    """Lift, and with sensors correct what was lifted."""
+    if recording.keypoints is None:
+        raise ShapeError("the recording has no keypoints; without them use mode 'imu'")
     keypoints = evenly_spaced(recording.keypoints)
     inertial = mode in ("sf2", "rtof")
     bone_imus = replace(recording, keypoints=keypoints).bone_imus() if inertial else None
@@ -155,22 +248,13 @@ def reconstruct(
     told = bone_imus if settings.lift_with_sensors else None
     lifted, R_lifted = _lift(skeleton, keypoints, told, lifter, recording.floor_height)
     tell("lift", 1, 1)
-    stages, solution = {"lift": lifted}, None
+    stages, start = {"lift": lifted}, lifted
     if inertial:
         ik = InertialGuidedIK(skeleton, settings.inertial_ik)
-        stages["sf2"] = ik.refine(lifted, bone_imus, R_lifted)
-    if mode in ("rto", "rtof"):
-        fragment = _on_floor(settings.fragment, skeleton, recording.floor_height)
-        solver = FragmentSolver(skeleton, settings.frames, fragment)
-        start = stages["sf2"] if inertial else InertialGuidedIK(skeleton).refine(lifted, None, R_lifted)
-        solution = solver.solve(start, keypoints, bone_imus, lambda i, n: tell(mode, i, n))
-        stages[mode] = solution.poses
-    motion = skeleton.motion(stages[mode])
-    stages[mode] = motion.poses if mode != "lift" else lifted
-    scores = _scores(recording, stages, skeleton)
-    return Reconstruction(
-        recording, mode, motion, stages, keypoints, bone_imus, solution, scores.get(mode), scores
-    )
+        start = stages["sf2"] = ik.refine(lifted, bone_imus, R_lifted)
+    elif mode == "rto":
+        start = InertialGuidedIK(skeleton).refine(lifted, None, R_lifted)
+    return _Begun(keypoints, bone_imus, stages, start)
 
 
 def _without_camera(

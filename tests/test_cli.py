@@ -15,7 +15,9 @@ from rtof_kin.io.motion_npz import read_motion_npz
 from rtof_kin.recording import Recording
 from rtof_kin.resources import model_path
 
-COMMANDS = ("demo", "reconstruct", "inspect", "analyse", "evaluate", "simulate", "train", "export")
+COMMANDS = (
+    "demo", "reconstruct", "inspect", "calibrate", "analyse", "evaluate", "simulate", "train", "export",
+)  # fmt: skip
 MOCAP = Path(__file__).parent / "data" / "mocap"
 
 
@@ -72,6 +74,22 @@ def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
     assert set(summary["metrics"]) == {"lift", "sf2", "rtof"}
     assert summary["metrics"]["rtof"]["mpjpe_rr_mm"] < 90
     assert len(read_motion_npz(reconstructed / "motion.npz").q) == 120
+
+
+def test_calibrate_prints_a_table_and_writes_what_reconstruct_takes(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found, fixed = tmp_path / "found.toml", tmp_path / "fixed"
+    command = ["calibrate", str(short), "-o", str(found), "--recording-output", str(fixed)]
+    assert main(command) == 0
+    text = capsys.readouterr().out
+    assert "calibrated from itself" in text
+    assert "image bias" in text
+    assert Recording.load(fixed).keypoints.names == Recording.load(short).keypoints.names
+    assert main(command) == 2
+    assert "overwrite" in capsys.readouterr().err
+    again = ["reconstruct", str(short), "-o", str(tmp_path / "out"), "--no-figures"]
+    assert main([*again, "--calibration", str(found)]) == 0
 
 
 def test_nothing_is_overwritten_unless_asked(

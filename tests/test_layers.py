@@ -53,8 +53,9 @@ joint_space.couplings
 joint_space.lane_problem
 joint_space.annealing   joint_space.bordered   joint_space.building
 joint_space.ipopt   joint_space.observations
-joint_space.solver
-fragment
+joint_space.solver   joint_space.evidence
+fragment   joint_space.border   joint_space.unknowns
+joint_space.shared
 detectors   detectors.layouts   detectors.detections
 detectors.views   detectors.gaussian   detectors.json_files   detectors.people   detectors.models
 detectors.adapter   detectors.files   detectors.video
@@ -72,6 +73,8 @@ clinical.files
 recording_files   mocap_families   simulation_noise
 recording_imus   mocap_mapping   simulation_sensors
 recording   mocap   body_checks
+self_calibration   calibration_priors
+self_calibrate   io.self_calibration_toml
 datasets   datasets.total_capture_files   datasets.human36m_cameras   datasets.human36m_body
 datasets.detections   datasets.total_capture_truth   datasets.human36m_files
 datasets.total_capture_checks   datasets.human36m

@@ -517,3 +517,28 @@ def test_importing_the_pipeline_loads_neither_torch_nor_a_plotting_library() -> 
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+# --- calibrated from the recording itself --------------------------------------------------------
+
+
+def test_a_recording_is_calibrated_first_where_that_is_asked_for(truth: MotionSequence) -> None:
+    long = planted.human(BODY, 60)
+    given = planted.recording(long, sigma_px=1.0)
+    late = replace(given, keypoints=replace(given.keypoints, times=given.keypoints.times + 0.05))
+    result = run(late, long, calibrate=True)
+    assert result.calibration is not None
+    delay = result.calibration["delay", "video"].value[0]
+    assert delay == pytest.approx(0.05, abs=0.01)
+    np.testing.assert_allclose(result.keypoints.times, late.keypoints.times - delay)
+    np.testing.assert_allclose(result.motion.poses.times, result.keypoints.times)
+    again = run(late, long, calibrate=result.calibration)
+    np.testing.assert_array_equal(again.motion.q, result.motion.q)
+
+
+def test_nothing_is_calibrated_unasked_nor_without_sensors(
+    truth: MotionSequence, recording: Recording, results: dict[str, Reconstruction]
+) -> None:
+    assert results["rtof"].calibration is None
+    assert results["rtof"].recording is recording
+    assert run(recording, truth, "rto", calibrate=True).calibration is None

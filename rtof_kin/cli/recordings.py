@@ -15,6 +15,7 @@ from rtof_kin.cli.terminal import (
     command,
     figure_text,
     out,
+    print_calibration,
     print_files,
     print_scores,
     progress,
@@ -26,6 +27,7 @@ def add_commands(commands: Any) -> None:
     """Declare the commands of this module."""
     _add_demo(commands)
     _add_reconstruct(commands)
+    _add_calibrate(commands)
     _add_evaluate(commands)
     _add_simulate(commands)
     _add_export(commands)
@@ -63,6 +65,44 @@ def _reconstruct(options: argparse.Namespace) -> None:
     print_files(options.output)
 
 
+def _calibrate(options: argparse.Namespace) -> None:
+    from rtof_kin.io.folder import check_replaceable
+    from rtof_kin.io.self_calibration_toml import check_new_file, write_self_calibration_toml
+    from rtof_kin.pipeline import calibrate_recording
+    from rtof_kin.recording import INDEX, Recording
+
+    if options.recording_output is not None:
+        check_replaceable(options.recording_output, INDEX, options.overwrite)
+    check_new_file(options.output, options.overwrite)
+    recording = Recording.load(options.recording)
+    with progress() as tell:
+        found = calibrate_recording(recording, lifter=_lifter(options), progress=tell)
+    print_calibration(found)
+    write_self_calibration_toml(options.output, found, options.overwrite)
+    out.print(f"wrote {options.output}")
+    if options.recording_output is not None:
+        found.apply(recording).save(options.recording_output, options.overwrite)
+        out.print(f"wrote {options.recording_output}")
+
+
+def _lifter(options: argparse.Namespace) -> Any:
+    """The lifter that was named; None for the shipped one."""
+    if options.lifter is None:
+        return None
+    from lifting.predict import Lifter
+
+    return Lifter.load(options.lifter)
+
+
+def _wanted(options: argparse.Namespace) -> Any:
+    """What `reconstruct` is told about calibration."""
+    if not isinstance(options.calibrate, str):
+        return options.calibrate
+    from rtof_kin.io.self_calibration_toml import read_self_calibration_toml
+
+    return read_self_calibration_toml(options.calibrate).for_another_recording()
+
+
 def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> Any:
     """Reconstruct and export, asking first whether the output may be written."""
     from rtof_kin.export import MARKER, export, summary
@@ -71,13 +111,13 @@ def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> A
 
     check_replaceable(options.output, MARKER, options.overwrite)
     settings = ReconstructionSettings(frames=options.frames)
-    lifter = None
-    if options.lifter is not None:
-        from lifting.predict import Lifter
-
-        lifter = Lifter.load(options.lifter)
     with progress() as tell:
-        result = reconstruct(recording, mode=mode, lifter=lifter, settings=settings, progress=tell)
+        result = reconstruct(
+            recording, mode=mode, lifter=_lifter(options), settings=settings,
+            calibrate=_wanted(options), progress=tell,
+        )  # fmt: skip
+    if result.calibration is not None:
+        print_calibration(result.calibration)
     export(result, options.output, options.overwrite, figures=not options.no_figures)
     facts = summary(result)
     shares = {k: v for k, v in facts["provenance"].items() if v > 0}
@@ -198,6 +238,35 @@ def _add_reconstruction(parser: argparse.ArgumentParser) -> None:
         help="checkpoint, or the name of a shipped one: detections (the default), perfect, causal",
     )  # fmt: skip
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument(
+        "--calibrate", action="store_true", default=False,
+        help="estimate from the recording what is not known well about it, first",
+    )  # fmt: skip
+    how.add_argument(
+        "--no-calibrate", dest="calibrate", action="store_false", help="take everything as it is given"
+    )
+    how.add_argument(
+        "--calibration", dest="calibrate", metavar="FILE",
+        help="of an earlier recording of the same person: what `calibrate` wrote",
+    )  # fmt: skip
+
+
+def _add_calibrate(commands: Any) -> None:
+    parser = command(
+        commands, "calibrate", _calibrate, "estimate from a recording what is not known well about it",
+        "How late the video is, how the sensors are mounted, how long the bones are and where the "
+        "detector sees its landmarks; no pose is required. Prints what was found and how well it was "
+        "observed, and writes it to OUT.",
+    )  # fmt: skip
+    parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
+    add_output(parser, "calibration.toml", "file to write")
+    parser.add_argument(
+        "--recording-output", metavar="FOLDER", help="also write the recording put right, to this folder"
+    )
+    parser.add_argument(
+        "--lifter", type=Path, metavar="FILE", help="as for reconstruct",
+    )  # fmt: skip
 
 
 def _add_evaluate(commands: Any) -> None:

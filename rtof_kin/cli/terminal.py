@@ -83,6 +83,14 @@ def print_scores(scores: Mapping[str, Mapping[str, float]]) -> None:
     out.print(table)
 
 
+def print_calibration(calibration: Any) -> None:
+    """What was estimated, in one table."""
+    table = Table("quantity", "of", "value", "+-", "before +-", "verdict", title="calibrated from itself")
+    for row in calibration.table():
+        table.add_row(*row)
+    out.print(table)
+
+
 def figure_text(key: str, value: float | None) -> str:
     if value is None:
         return ""

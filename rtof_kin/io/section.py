@@ -110,6 +110,13 @@ class Section:
             raise self.error(field, "holds a number that is not finite; every one is needed")
         return array
 
+    def numbers(self, field: str) -> Array:
+        """A required row of finite numbers, at least one."""
+        value = self._value(field, "add one or more numbers in brackets")
+        if not isinstance(value, list) or not value:
+            raise self.error(field, "not a row of numbers in brackets")
+        return self.array(field, (len(value),))
+
     def optional_array(self, field: str, shape: Sequence[int]) -> Array | None:
         """An array of finite numbers, or None where the field is absent."""
         return self.array(field, shape) if self.has(field) else None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +34,31 @@ _WEIGHTS = {"w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor", "w
 """What is observed in frames that exist alone; the prior holds in the padding too."""
 
 
+@dataclass(frozen=True)
+class Attached:
+    """On which segments things sit."""
+
+    landmarks: tuple[int, ...]
+    free: Array
+    """(L, 1) 1 where a landmark has a place of its own in its segment, 0 where it is its joint."""
+    sensors: tuple[int, ...]
+    feet: tuple[int, ...]
+
+    @classmethod
+    def of(cls, shape: Shape) -> Self:
+        """Those that a problem is built for."""
+        free = np.array([[0.0 if is_joint else 1.0] for _, is_joint in shape.landmarks])
+        return cls(tuple(j for j, _ in shape.landmarks), free, shape.sensors, shape.feet)
+
+
 class Observations:
-    """A recording as the problem wants it, and the problem that fits what it has."""
+    """A recording as the problem wants it, and the problem that fits what it has.
+
+    Attributes:
+        names: L landmarks. sensors: S segments with a sensor. attached: where both sit.
+        rows, a_world, w_acceleration: what every one of T frames shows; constant: what is known.
+        start: (T, 3 + 4A) states to begin with.
+    """
 
     def __init__(
         self,
@@ -63,6 +88,8 @@ class Observations:
         self.space = StateSpace(skeleton, moving, s.hinges)
         standing = () if footholds is None else footholds.joints
         built = self._built(tuple(moving), names, sensors, standing)
+        self.names, self.sensors = names, sensors
+        self.attached = Attached.of(built.problem.energy.shape)
         self.problem, self.limits = built.problem, built.limits(self.space) if s.limits else None
         self._observe(start, keypoints, bone_imus, sensors)
         if footholds is not None:
@@ -113,7 +140,7 @@ class Observations:
         rows, constant = _camera_data(seen, T)
         self.confidence = rows["w_visual"] if seen is None else np.where(seen.seen, seen.confidence, 0.0)
         free = seen is not None and bool(sensors)
-        quat, has, a, w, levers = _sensor_data(start, bone_imus, sensors, s)
+        quat, has, a, w, levers = sensor_data(start.times, bone_imus, sensors, s)
         torso = skeleton.index(*[name for name in TORSO if name in skeleton.names])
         self.rows = rows | {
             "knee_visual": np.full(T, s.robust_reprojection),
@@ -158,24 +185,33 @@ class Observations:
 
     def fragment(self, first: int) -> tuple[NDArray[np.intp], NDArray[np.bool_], FragmentData]:
         """Indices of a fragment's frames, which of them exist, and their data."""
-        frame = np.arange(first, first + self.frames)
-        inside = (frame >= 0) & (frame < len(self.start))
-        index = np.clip(frame, 0, len(self.start) - 1)
-        observation = {name: values[index] for name, values in self.rows.items()}
-        for name in observation.keys() & _WEIGHTS:
-            observation[name] = (observation[name].T * inside).T
-        whole = inside[2:] & inside[1:-1] & inside[:-2]
-        return index, inside, FragmentData(
-            observation, self.constant, self.a_world[index][1:-1],
-            self.w_acceleration[index][1:-1] * whole[:, None],
-            (np.convolve(inside, np.ones(4), mode="valid") == 4).astype(float), self.rate_hz,
-        )  # fmt: skip
+        return fragment_of(
+            self.rows, self.constant, self.a_world, self.w_acceleration, self.rate_hz, first, self.frames
+        )
 
     def anything_seen(self, first: int, inside: NDArray[np.bool_]) -> bool:
         """Whether a landmark or a sensor says anything in a fragment."""
         index = np.arange(first, first + self.frames)[inside]
         rows = self.rows["w_visual"], self.rows["w_sensor"], self.w_acceleration
         return any(row[index].any() for row in rows)
+
+
+def fragment_of(
+    rows: Mapping[str, Array], constant: Mapping[str, Array], a_world: Array, w_acceleration: Array,
+    rate_hz: float, first: int, frames: int,
+) -> tuple[NDArray[np.intp], NDArray[np.bool_], FragmentData]:  # fmt: skip
+    """Indices of a fragment's frames, which of them exist, and their data, from those of T frames."""
+    frame = np.arange(first, first + frames)
+    inside = (frame >= 0) & (frame < len(a_world))
+    index = np.clip(frame, 0, len(a_world) - 1)
+    observation = {name: values[index] for name, values in rows.items()}
+    for name in observation.keys() & _WEIGHTS:
+        observation[name] = (observation[name].T * inside).T
+    whole = inside[2:] & inside[1:-1] & inside[:-2]
+    return index, inside, FragmentData(
+        observation, dict(constant), a_world[index][1:-1], w_acceleration[index][1:-1] * whole[:, None],
+        (np.convolve(inside, np.ones(4), mode="valid") == 4).astype(float), rate_hz,
+    )  # fmt: skip
 
 
 def _camera_data(
@@ -204,19 +240,19 @@ def _speaking(bone_imus: BoneImuSequence | None) -> set[str]:
     return {bone_imus.joints[s] for s in np.flatnonzero(turns | moves)}
 
 
-def _sensor_data(
-    start: PoseSequence, bone_imus: BoneImuSequence | None, sensors: tuple[str, ...],
+def sensor_data(
+    times: Array, bone_imus: BoneImuSequence | None, sensors: tuple[str, ...],
     settings: JointSpaceSettings,
 ) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
     """Quaternions (T, S, 4), their weights (T, S), accelerations (T, S, 3), weights, levers (S, 3)."""
-    T, S = len(start), len(sensors)
+    T, S = len(times), len(sensors)
     quat = np.zeros((T, S, 4))
     quat[..., 0] = 1.0
     has, a, w, levers = np.zeros((T, S)), np.zeros((T, S, 3)), np.zeros((T, S)), np.zeros((S, 3))
     if bone_imus is None:
         return quat, has, a, w, levers
-    if not np.array_equal(bone_imus.times, start.times):
-        bone_imus = bone_imus.resample(start.times)
+    if not np.array_equal(bone_imus.times, times):
+        bone_imus = bone_imus.resample(times)
     for k, joint in enumerate(sensors):
         if joint not in bone_imus.joints:
             continue

@@ -42,7 +42,10 @@ def reconstructions(
     runs: dict[str, Reconstruction] = {}
     for mode in ("rtof", "sf2", "rto", "lift"):
         if mode in asked and mode not in runs:
-            result = reconstruct(recording, mode=mode, lifter=network, settings=settings)
+            # The papers take every calibration as it is given.
+            result = reconstruct(
+                recording, mode=mode, lifter=network, settings=settings, calibrate=False
+            )
             own = [stage for stage in result.stages if stage != "lift" or result.bone_imus is None]
             runs |= {stage: result for stage in own if stage not in runs}
     return {mode: runs[mode] for mode in CAMERA_MODES if mode in asked}

@@ -1,0 +1,1 @@
+"""What calibrating a recording from itself finds and gains: ``python -m benchmarks.calibration``."""

@@ -1,0 +1,80 @@
+"""What is open when a recording is calibrated from itself, and how well it is known before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+
+from rtof_kin.errors import ShapeError
+from rtof_kin.recording import Recording
+from rtof_kin.skeleton import SkeletonModel
+
+
+@dataclass(frozen=True)
+class CalibrationPriors:
+    """How well things are known before: a standard deviation each; None for what is known exactly, and
+    so is not estimated."""
+
+    sigma_delay: float | None = 0.05
+    """[s] of the video behind the sensors."""
+    sigma_clock_drift: float | None = None
+    """[s/s] by which their clocks differ."""
+    sigma_swing: float | None = np.radians(1.0)
+    """[rad] of a sensor's mounting, about axes across its bone."""
+    sigma_twist: float = np.radians(4.0)
+    """[rad] about the bone."""
+    sigma_heading: float | None = None
+    """[rad] of each sensor's reference about the vertical."""
+    sigma_heading_drift: float | None = None
+    """[rad/s] by which that changes."""
+    sigma_lever_arm: float | None = None
+    """[m] per axis."""
+    sigma_size: float | None = None
+    """[1] of the skeleton as a whole."""
+    sigma_proportion: float | None = None
+    """[1] of each group of bones beside that."""
+    sigma_image_bias: float | None = 6.0
+    """[px] per axis, of each landmark, constant in the image; for a person 500 px tall."""
+    sigma_place: float | None = None
+    """[m] per axis, of each landmark in its segment."""
+    sigma_focal: float | None = None
+    """[1] of the focal length."""
+    sigma_tilt: float | None = None
+    """[rad] of the camera's orientation about each axis."""
+    worth_vision: float = 1.0
+    """[1] What landmarks count here, as a share of what they count in a reconstruction."""
+    worth_sensors: float = 0.1
+    """[1] The same of the sensors' orientations, whose slip on the segments lasts for many seconds."""
+    worth_poses: float = 0.1
+    """[1] The same of the prior of poses and of the start's torso: postures last for seconds."""
+    overcount: float = 3.0
+    """[1] By how much errors that last make the recording's information count for too much: claimed
+    standard deviations allow for it."""
+    rounds: int = 5
+    """Gauss-Newton steps at most."""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if value is None and entry.name.startswith("sigma_"):
+                continue
+            if not isinstance(value, int | float | np.number) or not 0 < value < np.inf:
+                raise ShapeError(
+                    f"{entry.name} is {value}: give a positive, finite number"
+                    + ("; None leaves out what is known" if entry.name.startswith("sigma_") else "")
+                )
+
+    @classmethod
+    def of(cls, recording: Recording) -> Self:
+        """What is usually unknown of such a recording: bones only where nobody measured them."""
+        table = SkeletonModel.named(recording.skeleton_table)
+        priors = cls()
+        if recording.bone_lengths:
+            return priors
+        if recording.height is not None:
+            return replace(priors, sigma_size=0.02, sigma_proportion=0.03)
+        if np.array_equal(recording.joint_offsets, table.joint_offsets):
+            return replace(priors, sigma_size=0.05, sigma_proportion=0.03)
+        return priors

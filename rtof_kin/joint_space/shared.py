@@ -1,0 +1,275 @@
+"""Fragments that share unknowns: what is wrong all through a recording, from all of it at once.
+
+The recording is cut into fragments that do not overlap. Each has states x_f of its own, all share the
+unknowns y. For y as it is, every fragment's states are solved by the solver that reconstruction uses;
+then one Gauss-Newton step is taken on what is left, the energy as a function of y alone:
+
+::
+
+    profile(y)  = sum_f min_x E_f(x; y) + 1/2 y^T P y
+    Hessian     = sum_f (H_f - C_f^T A_f^-1 C_f) + P        A_f banded, C_f its border, H_f the corner
+    gradient    = sum_f (h_f - C_f^T A_f^-1 g_f) + P y
+
+(variable projection; Golub & Pereyra 2003). The Hessian at the end is the inverse covariance of y, as
+far as residuals are worth what their weights say. Errors that last are worth less than one by one a
+frame: `Worth` says how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.optimize import minimize_scalar
+
+from rtof_kin.joint_space.annealing import Annealing
+from rtof_kin.joint_space.border import Border
+from rtof_kin.joint_space.evidence import Evidence, Situation
+from rtof_kin.joint_space.observations import Observations
+from rtof_kin.joint_space.problem import JointProblem
+from rtof_kin.joint_space.unknowns import Unknown
+from rtof_kin.levenberg_marquardt import LevenbergMarquardt
+
+Array = NDArray[np.float64]
+_DAMPING = 1e-6
+_INNER = 8
+"""Iterations of a fragment's states after the first round."""
+_LIVELY = 8
+"""Fragments that a delay is looked for in."""
+_SETTLED = 0.05
+"""Step of every unknown, in its standard deviations, at which rounds end."""
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What residuals count in a calibration, as shares of what they count in a reconstruction."""
+
+    vision: float = 1.0
+    sensors: float = 1.0
+    """Their orientations; accelerations keep their worth."""
+    prior: float = 1.0
+    """That of poses, and the start's torso."""
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What a recording says about its unknowns."""
+
+    y: Array
+    """(G,) the estimate."""
+    hessian: Array
+    """(G, G) of the energy as a function of the unknowns alone, their prior included."""
+    sigma_px: float
+    """Size that the landmarks' errors were taken to have, px."""
+    residuals: Array
+    """(T, L, 2) of reprojection with everything corrected, px."""
+    energies: tuple[float, ...]
+    """After every round."""
+    converged: bool
+    """Whether the last step was small."""
+
+
+class SharedFragments:
+    """The fragments of one recording and the unknowns that they share."""
+
+    def __init__(
+        self, data: Observations, times: Array, unknowns: Sequence[Unknown], worth: Worth
+    ) -> None:
+        """Collect; nothing is solved yet.
+
+        Args:
+            times: (T,) stamps of the frames, s.
+            unknowns: in the order in which they correct the evidence: a delay comes first.
+        """
+        self.data, self.times, self.unknowns, self.worth = data, times, tuple(unknowns), worth
+        self._given = Evidence.of(data, times)
+        stops = np.cumsum([len(u.covariance) for u in unknowns]).tolist()
+        starts = [0, *stops[:-1]]
+        self.columns = tuple(slice(a, b) for a, b in zip(starts, stops, strict=True))
+        self.prior = np.linalg.inv(block_diag(*(u.covariance for u in unknowns)))
+        self._solver = LevenbergMarquardt(data.problem, data.limits)
+        self._firsts = range(0, len(times), data.frames)
+        self._sigma_px = np.nan
+        self._states: dict[int, tuple[Array, Array | None]] = {}
+
+    def estimate(
+        self, rounds: int, progress: Callable[[int, int], None] | None = None
+    ) -> Shared:
+        """Solve.
+
+        Raises:
+            SolverError: a fragment cannot be solved, or the unknowns' Hessian is not positive definite.
+        """
+        tell = progress or (lambda done, total: None)
+        self.begin()
+        tell(1, rounds + 1)
+        y, energies, converged = self._searched(), [], False
+        free = np.flatnonzero(~self._search_columns)
+        best, step = (np.inf, y), np.zeros_like(y)
+        for done in range(rounds):
+            evidence = self.corrected(y)
+            energy = self.settle(evidence) + 0.5 * float(y @ self.prior @ y)
+            energies.append(energy)
+            tell(done + 2, rounds + 1)
+            if energy > best[0] * (1 + 1e-3):  # too far
+                step = step / 2
+                y = best[1] + step
+                continue
+            best = energy, y
+            hessian, gradient = self.profile(evidence, y)
+            step = np.zeros_like(y)
+            step[free] = -cho_solve(cho_factor(hessian[np.ix_(free, free)]), gradient[free])
+            sigma = np.sqrt(np.diag(np.linalg.inv(hessian)))
+            y = y + step
+            converged = bool(np.abs(step / sigma).max(initial=0.0) < _SETTLED)
+            if converged:
+                break
+        tell(rounds + 1, rounds + 1)
+        residuals = self._residuals(self.corrected(y))
+        return Shared(y, hessian, self._sigma_px, residuals, tuple(energies), converged)
+
+    # --- a delay ---------------------------------------------------------------------------------
+
+    @property
+    def _search_columns(self) -> NDArray[np.bool_]:
+        """(G,) whether an unknown is found by search: the first of each kind that asks for it."""
+        chosen = np.zeros(len(self.prior), dtype=bool)
+        for unknown, part in zip(self.unknowns, self.columns, strict=True):
+            chosen[part.start] = unknown.searched
+        return chosen
+
+    def _searched(self) -> Array:
+        """(G,) with what is searched where the energy is least, all others at zero.
+
+        Fast motion makes the energy anything but a parabola in a delay, so Gauss-Newton steps fall short:
+        it is looked for by energies alone, on fragments with much motion.
+        """
+        y = np.zeros(len(self.prior))
+        deviations = np.sqrt(np.diag(np.linalg.inv(self.prior)))
+        for i in np.flatnonzero(self._search_columns).tolist():
+            sigma, energy = float(deviations[i]), partial(self._energy_at, y, i)
+            grid = sigma * np.arange(-2.0, 3.0)
+            best = float(grid[int(np.argmin([energy(value) for value in grid]))])
+            found = minimize_scalar(
+                energy, bounds=(best - sigma, best + sigma), method="bounded",
+                options={"xatol": 0.02 * sigma, "maxiter": 8},
+            )  # fmt: skip
+            y[i] = found.x
+        return y
+
+    def _energy_at(self, y: Array, i: int, value: float) -> float:
+        """Of the liveliest fragments with another value of one unknown, weighed as always."""
+        y = np.where(np.arange(len(y)) == i, value, y)
+        evidence, chosen = self.corrected(y, Worth()), self._liveliest()
+        self.settle(evidence, chosen)
+        return self.settle(evidence, chosen) + 0.5 * float(y @ self.prior @ y)
+
+    def _liveliest(self) -> list[int]:
+        """First frames of the fragments in which accelerations differ most."""
+        a, N = self._given.a_world, self.data.frames
+        lively = {first: float(np.std(a[first : first + N], axis=0).sum()) for first in self._firsts}
+        return sorted(sorted(lively, key=lambda first: -lively[first])[:_LIVELY])
+
+    # --- states ----------------------------------------------------------------------------------
+
+    def corrected(self, y: Array, worth: Worth | None = None) -> Evidence:
+        """The evidence without what the unknowns say is wrong, weighed."""
+        evidence, worth = self._given, worth or self.worth
+        for unknown, part in zip(self.unknowns, self.columns, strict=True):
+            evidence = unknown.correct(evidence, y[part])
+        rows, s = evidence.rows, self.data.settings
+        knee = s.robust_reprojection / s.largest_correlation_factor * np.sqrt(worth.vision)
+        return evidence.changed(
+            w_visual=worth.vision * self.data.confidence / self._sigma_px**2,
+            knee_visual=np.full(len(evidence.times), knee),
+            w_sensor=worth.sensors * rows["w_sensor"],
+            w_prior=worth.prior * rows["w_prior"],
+            w_torso=worth.prior * rows["w_torso"],
+        )
+
+    def begin(self) -> None:
+        """Solve the fragments as reconstruction does, which tells how large landmarks' errors are."""
+        s, data, sizes = self.data.settings, self.data, []
+        for first in self._firsts:
+            index, inside, values = data.fragment(first)
+            data.problem.bind(values)
+            annealing = Annealing(s, data.problem, data.confidence[index], values.observation)
+            solved = self._solver.solve(
+                data.start[index], s.annealing + s.max_iterations, s.tolerance, None, annealing
+            )
+            self._states[first] = solved.x, solved.multipliers
+            if data.anything_seen(first, inside):
+                sizes.append(annealing.sigma)
+        self._sigma_px = float(np.median(sizes))
+
+    def settle(self, evidence: Evidence, firsts: Sequence[int] | None = None) -> float:
+        """Bring the states of all fragments, or some, to their optimum; the energy there."""
+        total, s = 0.0, self.data.settings
+        for first in self._firsts if firsts is None else firsts:
+            problem = self.bound(evidence, first)
+            x, multipliers = self._states[first]
+            solved = self._solver.solve(x, _INNER, s.tolerance, multipliers)
+            self._states[first] = solved.x, solved.multipliers
+            total += problem.total(solved.x)
+        return total
+
+    def states(self, first: int) -> Array:
+        """(N, 3 + 4A) of the fragment from a frame, as they are by now."""
+        return self._states[first][0]
+
+    def bound(self, evidence: Evidence, first: int) -> JointProblem:
+        """The problem with a fragment's evidence."""
+        problem = self.data.problem
+        problem.bind(evidence.fragment(first, self.data.frames))
+        return problem
+
+    def _residuals(self, evidence: Evidence) -> Array:
+        """(T, L, 2) px."""
+        parts = []
+        for first in self._firsts:
+            problem = self.bound(evidence, first)
+            parts.append(problem.value(self._states[first][0])[1])
+        return np.concatenate(parts)[: len(evidence.times)]
+
+    # --- unknowns --------------------------------------------------------------------------------
+
+    def profile(self, evidence: Evidence, y: Array) -> tuple[Array, Array]:
+        """Hessian (G, G) and gradient (G,) of the energy as a function of the unknowns alone."""
+        hessian, gradient = self.prior.copy(), self.prior @ y
+        for first in self._firsts:
+            problem = self.bound(evidence, first)
+            x, multipliers = self._states[first]
+            names = self.data.limits.names if self.data.limits else ()
+            m = np.zeros((len(x), len(names))) if multipliers is None else multipliers
+            slope = self._solver.linearise(x, m)
+            border = self.border(evidence, first, x, y)
+            C = border.columns.reshape(-1, len(y))
+            solved = problem.factorise(_DAMPING).solve_columns(np.column_stack([C, slope.ravel()]))
+            hessian += border.corner - C.T @ solved[:, :-1]
+            gradient += border.gradient - C.T @ solved[:, -1]
+        return (hessian + hessian.T) / 2, gradient
+
+    def border(self, evidence: Evidence, first: int, x: Array, y: Array) -> Border:
+        """Of a fragment's Hessian at states x (N, 3 + 4A)."""
+        at = Situation(self.data.space, self.data.attached, evidence, first, x)
+        changes = [u.changes(at, y[c]) for u, c in zip(self.unknowns, self.columns, strict=True)]
+        border = Border(len(x), self.data.space.size, self.columns, changes)
+        by, values = border.by_unknowns, evidence.fragment(first, len(x))
+        weights, shape, s = values.observation, self.data.problem.energy.shape, self.data.settings
+        pixels = at.pixels(weights["w_visual"], weights["knee_visual"])
+        image = by("points", pixels.value, at.image_by_point[1]) - by("image", pixels.value)
+        border.add(pixels, image)
+        turns, by_turn = at.turns(weights["w_sensor"], shape.robust_orientation)
+        border.add(turns, by("turns", turns.value, by_turn))
+        if shape.feet and weights["w_floor"].any():
+            feet = at.feet(weights["w_floor"], shape.floor_cutoff)
+            border.add(feet, by("feet", feet.value))
+        moves = at.accelerations(values.w_acceleration, s.robust_acceleration)
+        rate = evidence.rate_hz
+        moved = np.diff(by("sensors", at.sensors), n=2, axis=0) * rate**2
+        border.add_second_difference(moves, moved - by("accelerations", moves.value), rate)
+        return border
