@@ -18,10 +18,13 @@ from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.joint_space.prior import has_prior
 from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.keypoint_guards import guarded_keypoints
 from rtof_kin.metrics import Metrics, evaluate
 from rtof_kin.recording import Recording
+from rtof_kin.sensor_guards import disagreeing, guarded_imus, without
 from rtof_kin.sensors_alone import SensorsAloneSettings, reconstruct_from_sensors
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.stream_faults import StreamFault
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence, Provenance
 
 if TYPE_CHECKING:
@@ -64,6 +67,9 @@ class ReconstructionSettings:
     """Of the fragment solver, and by their type its space; its defaults where not given."""
     frames: int = 50
     """N, frames in a fragment."""
+    guard_streams: bool = True
+    """Whether keypoints and sensors are looked through for what may be wrong with them, which is mended
+    or left out (`Reconstruction.faults`)."""
     sensors_alone: SensorsAloneSettings = field(default_factory=SensorsAloneSettings)
     """Of mode imu: its frames, contacts and path."""
 
@@ -92,6 +98,8 @@ class Reconstruction:
     root_sigma: Array | None = None
     """(T,) m, standard deviation of each horizontal coordinate of the root since the first frame, in mode
     imu, where it drifts; NaN where nothing tells of the root."""
+    faults: tuple[StreamFault, ...] = ()
+    """What was found wrong with keypoints and sensors, and what was done about it."""
     warnings: tuple[str, ...] = ()
     """What a user must know before relying on the motion, in sentences."""
 
@@ -139,31 +147,78 @@ def reconstruct(
         return _without_camera(recording, skeleton, settings, tell)
     if recording.keypoints is None:
         raise ShapeError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
-    keypoints = evenly_spaced(recording.keypoints)
+    cleaned, faults = _guarded(recording, settings, camera=True)
+    keypoints = evenly_spaced(cleaned.video)
     inertial = mode in ("sf2", "rtof")
-    bone_imus = replace(recording, keypoints=keypoints).bone_imus() if inertial else None
+    bone_imus = replace(cleaned, keypoints=keypoints).bone_imus() if inertial else None
     if inertial and bone_imus is None:
         raise ShapeError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
-    tell("lift", 0, 1)
-    told = bone_imus if settings.lift_with_sensors else None
-    lifted, R_lifted = _lift(skeleton, keypoints, told, lifter, recording.floor_height)
-    tell("lift", 1, 1)
-    stages, solution = {"lift": lifted}, None
-    if inertial:
-        ik = InertialGuidedIK(skeleton, settings.inertial_ik)
-        stages["sf2"] = ik.refine(lifted, bone_imus, R_lifted)
-    if mode in ("rto", "rtof"):
-        fragment = _on_floor(settings.fragment, skeleton, recording.floor_height)
-        solver = FragmentSolver(skeleton, settings.frames, fragment)
-        start = stages["sf2"] if inertial else InertialGuidedIK(skeleton).refine(lifted, None, R_lifted)
-        solution = solver.solve(start, keypoints, bone_imus, lambda i, n: tell(mode, i, n))
-        stages[mode] = solution.poses
-    motion = skeleton.motion(stages[mode])
-    stages[mode] = motion.poses if mode != "lift" else lifted
-    scores = _scores(recording, stages, skeleton)
+    stages = _Stages(skeleton, keypoints, recording.floor_height, mode, lifter, settings, tell)
+    poses, solution = stages.run(bone_imus)
+    if mode == "rtof" and settings.guard_streams and bone_imus is not None:
+        wrong = disagreeing(poses[mode], bone_imus, skeleton)
+        if wrong:
+            faults, bone_imus = (*faults, *wrong), without(bone_imus, wrong)
+            poses, solution = stages.run(bone_imus)
+    for fault in faults:
+        _log.warning("%s: %s", recording.name, fault)
+    motion = skeleton.motion(poses[mode])
+    poses[mode] = motion.poses if mode != "lift" else poses[mode]
+    scores = _scores(recording, poses, skeleton)
     return Reconstruction(
-        recording, mode, motion, stages, keypoints, bone_imus, solution, scores.get(mode), scores
-    )
+        recording, mode, motion, poses, keypoints, bone_imus, solution, scores.get(mode), scores,
+        faults=faults,
+    )  # fmt: skip
+
+
+def _guarded(
+    recording: Recording, settings: ReconstructionSettings, camera: bool
+) -> tuple[Recording, tuple[StreamFault, ...]]:
+    """A recording whose streams, the camera's too or not, were looked through; and what was found."""
+    keypoints, imus, faults = recording.keypoints, recording.imus, tuple[StreamFault, ...]()
+    if not settings.guard_streams:
+        return recording, faults
+    if camera and keypoints is not None:
+        keypoints, faults = guarded_keypoints(keypoints)
+    if imus is not None:
+        imus, of_sensors = guarded_imus(imus)
+        faults += of_sensors
+    return (replace(recording, keypoints=keypoints, imus=imus) if faults else recording), faults
+
+
+@dataclass(frozen=True)
+class _Stages:
+    """The stages of a mode that looks at keypoints."""
+
+    skeleton: SkeletonModel
+    keypoints: KeypointSequence
+    floor_height: float | None
+    mode: str
+    lifter: LifterLike | None
+    settings: ReconstructionSettings
+    tell: Progress
+
+    def run(
+        self, bone_imus: BoneImuSequence | None
+    ) -> tuple[dict[str, PoseSequence], FragmentSolution | None]:
+        """Poses after each stage, and what the fragment solver reports where it is one."""
+        skeleton, settings, keypoints, mode = self.skeleton, self.settings, self.keypoints, self.mode
+        self.tell("lift", 0, 1)
+        told = bone_imus if settings.lift_with_sensors else None
+        lifted, R_lifted = _lift(skeleton, keypoints, told, self.lifter, self.floor_height)
+        self.tell("lift", 1, 1)
+        poses = {"lift": lifted}
+        if bone_imus is not None:
+            ik = InertialGuidedIK(skeleton, settings.inertial_ik)
+            poses["sf2"] = ik.refine(lifted, bone_imus, R_lifted)
+        if mode not in ("rto", "rtof"):
+            return poses, None
+        fragment = _on_floor(settings.fragment, skeleton, self.floor_height)
+        solver = FragmentSolver(skeleton, settings.frames, fragment)
+        start = poses.get("sf2") or InertialGuidedIK(skeleton).refine(lifted, None, R_lifted)
+        solution = solver.solve(start, keypoints, bone_imus, lambda i, n: self.tell(mode, i, n))
+        poses[mode] = solution.poses
+        return poses, solution
 
 
 def _without_camera(
@@ -173,18 +228,19 @@ def _without_camera(
     solver = settings.fragment
     if isinstance(solver, FragmentSettings):
         raise ShapeError("mode imu is solved in joint space; give JointSpaceSettings, or none")
+    cleaned, faults = _guarded(recording, settings, camera=False)
     found = reconstruct_from_sensors(
-        recording, skeleton, settings.sensors_alone, solver, settings.frames,
+        cleaned, skeleton, settings.sensors_alone, solver, settings.frames,
         lambda done, total: tell("imu", done, total),
     )  # fmt: skip
-    for warning in found.warnings:
+    for warning in (*faults, *found.warnings):
         _log.warning("%s: %s", recording.name, warning)
     motion = skeleton.motion(found.solution.poses)
     stages = {"start": found.start, "imu": motion.poses}
     scores = _scores(recording, _at_truth(recording, stages), skeleton)
     return Reconstruction(
         recording, "imu", motion, stages, None, found.bone_imus, found.solution, scores.get("imu"),
-        scores, found.path.sigma, found.warnings,
+        scores, found.path.sigma, faults, found.warnings,
     )  # fmt: skip
 
 
@@ -284,10 +340,20 @@ def _lift(
         names=skeleton.names,
         provenance=provenance.astype(np.uint8),
         valid=valid,
-        orientation_observed=skeleton.orientation_observed(),
+        orientation_observed=skeleton.orientation_observed() & _enough_points(skeleton, seen),
         sigma_rad=result.sigma_rad,
     )
     return poses, result.R_world_bone
+
+
+def _enough_points(skeleton: SkeletonModel, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(T, J) whether at least three of a segment's joint and children were seen, as its three angles
+    need."""
+    out = np.zeros_like(seen)
+    for j in range(len(skeleton.names)):
+        own = [j, *kinematics.children_of(skeleton.parents, j)]
+        out[:, j] = seen[:, own].sum(axis=1) >= 3
+    return out
 
 
 def _shipped_lifter() -> Any:

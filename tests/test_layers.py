@@ -18,9 +18,10 @@ errors
 rotations   resources   body_mass
 signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_code
 levenberg_marquardt   banded   lanes
-types   urdf
-skeleton
+types   urdf   stream_faults
+skeleton   keypoint_guards
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position   contacts
+sensor_guards
 fragment_problem   fragment_solution   joint_space   joint_space.settings   root_path
 io   io.arrays   io.articulated   io.folder   io.pickled   io.section
 io.asf_amc   io.bvh   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
