@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -19,13 +20,16 @@ from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.joint_space.prior import has_prior
 from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.keypoint_guards import guarded_keypoints
 from rtof_kin.metrics import Metrics, evaluate
 from rtof_kin.motion_files import DEFAULT
 from rtof_kin.recording import Recording
 from rtof_kin.self_calibrate import calibrate as calibrate_from
 from rtof_kin.self_calibration import SelfCalibration
+from rtof_kin.sensor_guards import disagreeing, guarded_imus, without
 from rtof_kin.sensors_alone import SensorsAloneSettings, reconstruct_from_sensors
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.stream_faults import StreamFault
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence, Provenance
 
 if TYPE_CHECKING:
@@ -68,6 +72,9 @@ class ReconstructionSettings:
     """Of the fragment solver, and by their type its space; its defaults where not given."""
     frames: int = 50
     """N, frames in a fragment."""
+    guard_streams: bool = True
+    """Whether keypoints and sensors are looked through for what may be wrong with them, which is mended
+    or left out (`Reconstruction.faults`)."""
     sensors_alone: SensorsAloneSettings = field(default_factory=SensorsAloneSettings)
     """Of mode imu: its frames, contacts and path."""
 
@@ -97,6 +104,8 @@ class Reconstruction:
     root_sigma: Array | None = None
     """(T,) m, standard deviation of each horizontal coordinate of the root since the first frame, in mode
     imu, where it drifts; NaN where nothing tells of the root."""
+    faults: tuple[StreamFault, ...] = ()
+    """What was found wrong with keypoints and sensors, and what was done about it."""
     warnings: tuple[str, ...] = ()
     """What a user must know before relying on the motion, in sentences."""
     calibration: SelfCalibration | None = None
@@ -154,32 +163,30 @@ def reconstruct(
         return _without_camera(recording, skeleton or recording.skeleton, settings, tell)
     if recording.keypoints is None:
         raise ShapeError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
+    cleaned, faults = _guarded(recording, settings, camera=True)
     found = None
     if calibrate is not False and mode in ("sf2", "rtof"):
-        found = calibrate if isinstance(calibrate, SelfCalibration) else calibrate_recording(
-            recording, skeleton, None if calibrate is True else calibrate,
-            lifter=lifter, settings=settings, progress=progress,
+        found = calibrate if isinstance(calibrate, SelfCalibration) else _calibration(
+            cleaned, skeleton, None if calibrate is True else calibrate, lifter, settings, tell
         )  # fmt: skip
-        recording = found.apply(recording)
+        cleaned = found.apply(cleaned)
         skeleton = None if found.of_kind("bones") else skeleton
-    skeleton = skeleton or recording.skeleton
-    begun = _begun(recording, skeleton, mode, lifter, settings, tell)
-    stages, keypoints, solution = dict(begun.stages), begun.keypoints, None
-    if found is not None:
-        keypoints = found.moved(keypoints, begun.start)
-    if mode in ("rto", "rtof"):
-        fragment = _on_floor(settings.fragment, skeleton, recording.floor_height)
-        solver = FragmentSolver(skeleton, settings.frames, fragment)
-        solution = solver.solve(
-            begun.start, keypoints, begun.bone_imus, lambda i, n: tell(mode, i, n)
-        )
-        stages[mode] = solution.poses
-    motion = skeleton.motion(stages[mode])
-    stages[mode] = motion.poses if mode != "lift" else stages["lift"]
-    scores = _scores(recording, stages, skeleton)
+    stages = _Stages(cleaned, skeleton or cleaned.skeleton, mode, lifter, settings, tell, found)
+    bone_imus = stages.bone_imus()
+    poses, solution = stages.run(bone_imus)
+    if mode == "rtof" and settings.guard_streams and bone_imus is not None:
+        wrong = disagreeing(poses[mode], bone_imus, stages.skeleton)
+        if wrong:
+            faults, bone_imus = (*faults, *wrong), without(bone_imus, wrong)
+            poses, solution = stages.run(bone_imus)
+    for fault in faults:
+        _log.warning("%s: %s", recording.name, fault)
+    motion = stages.skeleton.motion(poses[mode])
+    poses[mode] = motion.poses if mode != "lift" else poses[mode]
+    scores = _scores(cleaned, poses, stages.skeleton)
     return Reconstruction(
-        recording, mode, motion, stages, keypoints, begun.bone_imus, solution, scores.get(mode), scores,
-        calibration=found,
+        cleaned, mode, motion, poses, stages.seen(poses), bone_imus, solution, scores.get(mode), scores,
+        faults=faults, calibration=found,
     )  # fmt: skip
 
 
@@ -206,15 +213,27 @@ def calibrate_recording(
     """
     settings = settings or ReconstructionSettings()
     tell = progress or (lambda stage, done, total: None)
+    cleaned, faults = _guarded(recording, settings, camera=True)
+    for fault in faults:
+        _log.warning("%s: %s", recording.name, fault)
+    return _calibration(cleaned, skeleton, priors, lifter, settings, tell)
+
+
+def _calibration(
+    recording: Recording, skeleton: SkeletonModel | None, priors: CalibrationPriors | None,
+    lifter: LifterLike | None, settings: ReconstructionSettings, tell: Progress,
+) -> SelfCalibration:  # fmt: skip
+    """The same of a recording whose streams were looked through."""
     if skeleton is not None:
         recording = replace(
             recording, joint_offsets=skeleton.joint_offsets, height=None, bone_lengths=None
         )
-    begun = _begun(recording, recording.skeleton, "sf2", lifter, settings, tell)
+    stages = _Stages(recording, recording.skeleton, "sf2", lifter, settings, tell)
+    poses, _ = stages.run(stages.bone_imus())
     fragment = _on_floor(settings.fragment, recording.skeleton, recording.floor_height)
     return calibrate_from(
-        replace(recording, keypoints=begun.keypoints),
-        begun.start,
+        replace(recording, keypoints=stages.keypoints),
+        poses["sf2"],
         priors or CalibrationPriors.of(recording),
         fragment if isinstance(fragment, JointSpaceSettings) else None,
         settings.frames,
@@ -222,39 +241,82 @@ def calibrate_recording(
     )
 
 
+def _guarded(
+    recording: Recording, settings: ReconstructionSettings, camera: bool
+) -> tuple[Recording, tuple[StreamFault, ...]]:
+    """A recording whose streams, the camera's too or not, were looked through; and what was found."""
+    keypoints, imus, faults = recording.keypoints, recording.imus, tuple[StreamFault, ...]()
+    if not settings.guard_streams:
+        return recording, faults
+    if camera and keypoints is not None:
+        keypoints, faults = guarded_keypoints(keypoints)
+    if imus is not None:
+        imus, of_sensors = guarded_imus(imus)
+        faults += of_sensors
+    return (replace(recording, keypoints=keypoints, imus=imus) if faults else recording), faults
+
+
 @dataclass(frozen=True)
-class _Begun:
-    """A recording up to the fragment solver's start."""
+class _Stages:
+    """The stages of a mode that looks at keypoints."""
 
-    keypoints: KeypointSequence
-    bone_imus: BoneImuSequence | None
-    stages: dict[str, PoseSequence]
-    start: PoseSequence
+    recording: Recording
+    skeleton: SkeletonModel
+    mode: str
+    lifter: LifterLike | None
+    settings: ReconstructionSettings
+    tell: Progress
+    calibration: SelfCalibration | None = None
+    """What was applied to the recording; of it what takes a pose to apply is applied here."""
 
+    @cached_property
+    def keypoints(self) -> KeypointSequence:
+        """Evenly spaced in time."""
+        if self.recording.keypoints is None:
+            raise ShapeError("the recording has no keypoints; without them use mode 'imu'")
+        return evenly_spaced(self.recording.keypoints)
 
-def _begun(
-    recording: Recording, skeleton: SkeletonModel, mode: str, lifter: LifterLike | None,
-    settings: ReconstructionSettings, tell: Progress,
-) -> _Begun:  # fmt: skip
-    """Lift, and with sensors correct what was lifted."""
-    if recording.keypoints is None:
-        raise ShapeError("the recording has no keypoints; without them use mode 'imu'")
-    keypoints = evenly_spaced(recording.keypoints)
-    inertial = mode in ("sf2", "rtof")
-    bone_imus = replace(recording, keypoints=keypoints).bone_imus() if inertial else None
-    if inertial and bone_imus is None:
-        raise ShapeError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
-    tell("lift", 0, 1)
-    told = bone_imus if settings.lift_with_sensors else None
-    lifted, R_lifted = _lift(skeleton, keypoints, told, lifter, recording.floor_height)
-    tell("lift", 1, 1)
-    stages, start = {"lift": lifted}, lifted
-    if inertial:
-        ik = InertialGuidedIK(skeleton, settings.inertial_ik)
-        start = stages["sf2"] = ik.refine(lifted, bone_imus, R_lifted)
-    elif mode == "rto":
-        start = InertialGuidedIK(skeleton).refine(lifted, None, R_lifted)
-    return _Begun(keypoints, bone_imus, stages, start)
+    def bone_imus(self) -> BoneImuSequence | None:
+        """Calibrated, at the keypoints' times; None in the modes that use none."""
+        if self.mode not in ("sf2", "rtof"):
+            return None
+        found = replace(self.recording, keypoints=self.keypoints).bone_imus()
+        if found is None:
+            raise ShapeError(
+                f"mode {self.mode} needs IMUs and the recording has none; use 'lift' or 'rto'"
+            )
+        return found
+
+    def run(
+        self, bone_imus: BoneImuSequence | None
+    ) -> tuple[dict[str, PoseSequence], FragmentSolution | None]:
+        """Poses after each stage, and what the fragment solver reports where it is one."""
+        skeleton, settings, mode = self.skeleton, self.settings, self.mode
+        floor_height = self.recording.floor_height
+        self.tell("lift", 0, 1)
+        told = bone_imus if settings.lift_with_sensors else None
+        lifted, R_lifted = _lift(skeleton, self.keypoints, told, self.lifter, floor_height)
+        self.tell("lift", 1, 1)
+        poses = {"lift": lifted}
+        if bone_imus is not None:
+            ik = InertialGuidedIK(skeleton, settings.inertial_ik)
+            poses["sf2"] = ik.refine(lifted, bone_imus, R_lifted)
+        if mode not in ("rto", "rtof"):
+            return poses, None
+        solver = FragmentSolver(
+            skeleton, settings.frames, _on_floor(settings.fragment, skeleton, floor_height)
+        )
+        start = poses.get("sf2") or InertialGuidedIK(skeleton).refine(lifted, None, R_lifted)
+        seen = self.seen({"sf2": start})
+        solution = solver.solve(start, seen, bone_imus, lambda i, n: self.tell(mode, i, n))
+        poses[mode] = solution.poses
+        return poses, solution
+
+    def seen(self, poses: dict[str, PoseSequence]) -> KeypointSequence:
+        """The keypoints as the solver has them."""
+        if self.calibration is None:
+            return self.keypoints
+        return self.calibration.moved(self.keypoints, poses["sf2"])
 
 
 def _without_camera(
@@ -264,18 +326,19 @@ def _without_camera(
     solver = settings.fragment
     if isinstance(solver, FragmentSettings):
         raise ShapeError("mode imu is solved in joint space; give JointSpaceSettings, or none")
+    cleaned, faults = _guarded(recording, settings, camera=False)
     found = reconstruct_from_sensors(
-        recording, skeleton, settings.sensors_alone, solver, settings.frames,
+        cleaned, skeleton, settings.sensors_alone, solver, settings.frames,
         lambda done, total: tell("imu", done, total),
     )  # fmt: skip
-    for warning in found.warnings:
+    for warning in (*faults, *found.warnings):
         _log.warning("%s: %s", recording.name, warning)
     motion = skeleton.motion(found.solution.poses)
     stages = {"start": found.start, "imu": motion.poses}
     scores = _scores(recording, _at_truth(recording, stages), skeleton)
     return Reconstruction(
         recording, "imu", motion, stages, None, found.bone_imus, found.solution, scores.get("imu"),
-        scores, found.path.sigma, found.warnings,
+        scores, found.path.sigma, faults, found.warnings,
     )  # fmt: skip
 
 
@@ -375,10 +438,20 @@ def _lift(
         names=skeleton.names,
         provenance=provenance.astype(np.uint8),
         valid=valid,
-        orientation_observed=skeleton.orientation_observed(),
+        orientation_observed=skeleton.orientation_observed() & _enough_points(skeleton, seen),
         sigma_rad=result.sigma_rad,
     )
     return poses, result.R_world_bone
+
+
+def _enough_points(skeleton: SkeletonModel, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(T, J) whether at least three of a segment's joint and children were seen, as its three angles
+    need."""
+    out = np.zeros_like(seen)
+    for j in range(len(skeleton.names)):
+        own = [j, *kinematics.children_of(skeleton.parents, j)]
+        out[:, j] = seen[:, own].sum(axis=1) >= 3
+    return out
 
 
 def _shipped_lifter() -> Any:
