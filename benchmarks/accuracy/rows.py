@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from benchmarks import harness
 from benchmarks.accuracy.cases import Case, cases
-from benchmarks.accuracy.faults import FAULTS, NOMINAL, Fault, bounds
+from benchmarks.accuracy.faults import FAULTS, NOMINAL, Fault
+from benchmarks.accuracy.windows import bounds
 from benchmarks.harness import SENSOR_SETS
 from rtof_kin import rotations as so3
 from rtof_kin.errors import RtofError
@@ -25,7 +26,7 @@ from rtof_kin.mocap import MocapClip
 from rtof_kin.pipeline import ReconstructionSettings, reconstruct
 from rtof_kin.recording import Recording
 from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import BoneImuSequence, PoseSequence
+from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -62,6 +63,8 @@ class Prepared:
     """Everything up to the fragment solver's start."""
 
     recording: Recording
+    keypoints: KeypointSequence
+    """As they are used, evenly spaced."""
     lifted: PoseSequence
     sf2: PoseSequence
     """Without sensors: the lifted poses with the skeleton's bone lengths."""
@@ -97,7 +100,8 @@ class Scene:
         assert truth is not None
         first = int(np.searchsorted(truth.times, lifted.times[0] - 1e-9))
         truth = truth[first : first + len(lifted)]
-        return Prepared(recording, lifted, sf2, result.bone_imus, truth)
+        assert result.keypoints is not None
+        return Prepared(recording, result.keypoints, lifted, sf2, result.bone_imus, truth)
 
     def _recorded(self, case: Case) -> Recording:
         """The recording of a case: of all sensors' recording those it has, with its fault."""
@@ -171,7 +175,7 @@ def solve(prepared: Prepared, settings: JointSpaceSettings) -> tuple[PoseSequenc
     """The joint-space solver's poses, and how it ended."""
     skeleton = prepared.recording.skeleton
     solution = FragmentSolver(skeleton, 50, settings).solve(
-        prepared.sf2, prepared.recording.keypoints, prepared.bone_imus
+        prepared.sf2, prepared.keypoints, prepared.bone_imus
     )
     reports = solution.fragments
     facts = {
