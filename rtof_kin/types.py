@@ -231,8 +231,12 @@ class ImuSequence:
         self._check_unit()
 
     def _check_unit(self) -> None:
-        """Over a recording the median specific force is near one gravity."""
+        """Over a recording the median specific force is near one gravity.
+
+        Samples that repeat the one before count for nothing: a sensor may stick in the middle of a blow.
+        """
         norm = np.linalg.norm(self.f_sensor, axis=-1)
+        norm[1:][(self.f_sensor[1:] == self.f_sensor[:-1]).all(axis=-1)] = np.nan
         for s, name in enumerate(self.names):
             if not np.any(np.isfinite(norm[:, s])):
                 continue

@@ -75,12 +75,11 @@ def with_somebody_else(recording: Recording, rng: Generator) -> Recording:
     keypoints = recording.video
     during = np.flatnonzero(inside(keypoints.times, keypoints.times, MIDDLE_HALF_SECOND))
     other = (during + len(keypoints) // 2) % len(keypoints)
-    uv = keypoints.uv_px.copy()
-    height = float(np.median(np.ptp(uv[:, :, 1], axis=1)))
-    centre = np.nanmean(uv[during], axis=(0, 1))
-    theirs = uv[other] - np.nanmean(uv[other], axis=1, keepdims=True)
+    uv, root = keypoints.uv_px.copy(), keypoints.names.index("Hips")
+    height = float(np.nanmedian(np.ptp(uv[:, :, 1], axis=1)))
     side = np.array([rng.choice([-1.0, 1.0]) * height, 0.0])
-    uv[during] = centre + side + 0.75 * theirs
+    theirs = uv[other] - uv[other, root][:, None]
+    uv[during] = uv[during, root][:, None] + side + 0.75 * theirs
     return _with_keypoints(recording, uv_px=uv)
 
 
