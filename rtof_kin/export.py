@@ -94,6 +94,8 @@ def summary(result: Reconstruction) -> dict[str, Any]:
         "limit_violations_deg": {k: float(np.degrees(v)) for k, v in report.violations.items()},
         "singular_share": float(report.singular.mean()),
     }
+    if result.faults:
+        out["stream_faults"] = [str(fault) for fault in result.faults]
     if result.warnings:
         out["warnings"] = list(result.warnings)
     if result.root_sigma is not None:

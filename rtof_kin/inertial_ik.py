@@ -57,7 +57,8 @@ class InertialGuidedIK:
         """Poses with the skeleton's bone lengths, limb directions corrected by the sensors there are.
 
         Args:
-            poses: (T, J) joints of this skeleton; only positions are used. Frames with NaN stay NaN.
+            poses: (T, J) joints of this skeleton; positions are used, and what is told to be seen stays
+                so beside what the sensors see. Frames with NaN stay NaN.
             bone_imus: any subset of segments, at any times (they are resampled to the poses'); samples
                 that are NaN leave the observed bone as it is. None for no sensors.
             R_observed: (T, J, 3, 3) orientations that were observed too (a lifter gives them), NaN where
@@ -93,7 +94,7 @@ class InertialGuidedIK:
             R_world_bone=R,
             provenance=self._provenance(poses.provenance, sensed),
             sigma_rad=np.where(sensed, np.nan, poses.sigma_rad),
-            orientation_observed=sensed | skeleton.orientation_observed(),
+            orientation_observed=sensed | poses.orientation_observed,
         )
 
     def _sensor_rotations(

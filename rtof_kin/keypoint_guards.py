@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ _APART, _NEARER = 0.08, 0.5
 """In a person's size: the least by which a point must be off; and to what share of that an exchange of
 sides must bring it."""
 _REACH, _REACH_RATE = 0.25, 5.0
-"""In a person's size: how far off a person may be from one frame to the next, and how that grows per s."""
+"""In a person's size: how far a person may come from one frame to the next, and how that grows per s."""
 _FEWEST = 4
 """Points that tell who somebody is."""
 _LOWER = ("Leg", "Foot", "Toe", "Heel", "Hip", "Knee")
@@ -83,9 +84,9 @@ class _Past:
         if len(self.times) < 3 or time - self.times[-1] > _PAST:
             return None
         t = np.array(self.times) - time
-        past = np.stack(self.points)
-        line = np.linalg.lstsq(np.stack([np.ones_like(t), t], axis=1), past.reshape(len(t), -1))[0]
-        return np.asarray(line[0].reshape(past.shape[1:]))
+        off = t - t.mean()
+        share = 1 / len(t) - t.mean() * off / (off @ off)
+        return np.asarray(np.tensordot(share, np.stack(self.points), axes=1))
 
 
 def _with_sides_mended(
@@ -152,10 +153,7 @@ def _without_somebody_else(
 ) -> tuple[KeypointSequence, list[StreamFault]]:
     times, frames = keypoints.times, np.flatnonzero(keypoints.seen.sum(axis=1) >= _FEWEST)
     size = _size(keypoints)
-    jumps = [
-        (a, b) for a, b in zip(frames[:-1], frames[1:], strict=True)
-        if _step(keypoints, a, b, size) > 1.0
-    ]  # fmt: skip
+    jumps = [ab for ab in pairwise(frames.tolist()) if _step(keypoints, *ab, size) > 1.0]
     faults, gone = [], np.zeros(len(times), dtype=bool)
     for i, (before, first) in enumerate(jumps):
         if gone[before]:

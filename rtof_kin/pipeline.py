@@ -3,73 +3,51 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics, signals
+from rtof_kin import signals
 from rtof_kin.calibration_priors import CalibrationPriors
 from rtof_kin.errors import ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
-from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
-from rtof_kin.joint_space.prior import has_prior
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import Metrics, evaluate
 from rtof_kin.motion_files import DEFAULT
 from rtof_kin.recording import Recording
 from rtof_kin.self_calibrate import calibrate as calibrate_from
 from rtof_kin.self_calibration import SelfCalibration
-from rtof_kin.sensors_alone import SensorsAloneSettings, reconstruct_from_sensors
+from rtof_kin.sensor_guards import disagreeing
+from rtof_kin.sensors_alone import reconstruct_from_sensors
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence, Provenance
+from rtof_kin.stages import (
+    Begun,
+    LifterLike,
+    Progress,
+    ReconstructionSettings,
+    begin,
+    evenly_spaced,
+    guarded,
+    on_floor,
+)
+from rtof_kin.stream_faults import StreamFault
+from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
-if TYPE_CHECKING:
-    from lifting.predict import LiftedPoses
-
+__all__ = [
+    "CAMERA_MODES", "MODES", "LifterLike", "Progress", "Reconstruction", "ReconstructionSettings",
+    "calibrate_recording", "evenly_spaced", "reconstruct",
+]  # fmt: skip
 Array = NDArray[np.float64]
 CAMERA_MODES = ("lift", "sf2", "rto", "rtof")
 """lift: the network alone. sf2: corrected by IMUs frame by frame. rto: optimised, vision alone.
 rtof: sf2, then optimised with everything."""
 MODES = (*CAMERA_MODES, "imu")
 """imu: no camera at all (`sensors_alone`)."""
-Progress = Callable[[str, int, int], None]
-"""Called with (stage, done, in all)."""
 _log = logging.getLogger(__name__)
-
-
-class LifterLike(Protocol):
-    """Anything that takes keypoints to 3D joints, e.g. `lifting.predict.Lifter`."""
-
-    def predict(
-        self,
-        keypoints: KeypointSequence,
-        joint_offsets: Array | None = None,
-        *,
-        bone_imus: BoneImuSequence | None = None,
-        floor_height: float | None = None,
-    ) -> LiftedPoses:
-        """Poses in world for each frame, with orientations where the lifter has them."""
-
-
-@dataclass(frozen=True)
-class ReconstructionSettings:
-    """Settings of all stages."""
-
-    lift_with_sensors: bool = True
-    """Whether the lifter is told the sensors' orientations too, in the modes that use sensors; a lifter
-    that knows none ignores them."""
-    inertial_ik: InertialGuidedIKSettings = field(default_factory=InertialGuidedIKSettings)
-    fragment: JointSpaceSettings | FragmentSettings | None = None
-    """Of the fragment solver, and by their type its space; its defaults where not given."""
-    frames: int = 50
-    """N, frames in a fragment."""
-    sensors_alone: SensorsAloneSettings = field(default_factory=SensorsAloneSettings)
-    """Of mode imu: its frames, contacts and path."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +75,8 @@ class Reconstruction:
     root_sigma: Array | None = None
     """(T,) m, standard deviation of each horizontal coordinate of the root since the first frame, in mode
     imu, where it drifts; NaN where nothing tells of the root."""
+    faults: tuple[StreamFault, ...] = ()
+    """What was found wrong with keypoints and sensors, and what was done about it."""
     warnings: tuple[str, ...] = ()
     """What a user must know before relying on the motion, in sentences."""
     calibration: SelfCalibration | None = None
@@ -163,24 +143,39 @@ def reconstruct(
         recording = found.apply(recording)
         skeleton = None if found.of_kind("bones") else skeleton
     skeleton = skeleton or recording.skeleton
-    begun = _begun(recording, skeleton, mode, lifter, settings, tell)
-    stages, keypoints, solution = dict(begun.stages), begun.keypoints, None
-    if found is not None:
-        keypoints = found.moved(keypoints, begun.start)
-    if mode in ("rto", "rtof"):
-        fragment = _on_floor(settings.fragment, skeleton, recording.floor_height)
-        solver = FragmentSolver(skeleton, settings.frames, fragment)
-        solution = solver.solve(
-            begun.start, keypoints, begun.bone_imus, lambda i, n: tell(mode, i, n)
-        )
-        stages[mode] = solution.poses
-    motion = skeleton.motion(stages[mode])
-    stages[mode] = motion.poses if mode != "lift" else stages["lift"]
+    begun = begin(recording, skeleton, mode, lifter, settings, tell)
+    keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
+    if mode == "rtof" and settings.guard_streams and begun.bone_imus is not None:
+        wrong = disagreeing(poses, begun.bone_imus, skeleton)
+        if wrong:
+            begun = begin(recording, skeleton, mode, lifter, settings, tell, wrong)
+            keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
+    for fault in begun.faults:
+        _log.warning("%s: %s", recording.name, fault)
+    motion = skeleton.motion(poses)
+    stages = begun.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = _scores(recording, stages, skeleton)
     return Reconstruction(
         recording, mode, motion, stages, keypoints, begun.bone_imus, solution, scores.get(mode), scores,
-        calibration=found,
+        faults=begun.faults, calibration=found,
     )  # fmt: skip
+
+
+def _solved(
+    begun: Begun, skeleton: SkeletonModel, mode: str, settings: ReconstructionSettings, tell: Progress,
+    found: SelfCalibration | None,
+) -> tuple[KeypointSequence, PoseSequence, FragmentSolution | None]:  # fmt: skip
+    """The keypoints as used, the mode's poses, and what the fragment solver reports where it is used."""
+    keypoints = begun.recording.video
+    if found is not None:
+        keypoints = found.moved(keypoints, begun.start)
+    if mode not in ("rto", "rtof"):
+        return keypoints, begun.stages[mode], None
+    fragment = on_floor(settings.fragment, skeleton, begun.recording.floor_height)
+    solution = FragmentSolver(skeleton, settings.frames, fragment).solve(
+        begun.start, keypoints, begun.bone_imus, lambda i, n: tell(mode, i, n)
+    )
+    return keypoints, solution.poses, solution
 
 
 def calibrate_recording(
@@ -210,51 +205,16 @@ def calibrate_recording(
         recording = replace(
             recording, joint_offsets=skeleton.joint_offsets, height=None, bone_lengths=None
         )
-    begun = _begun(recording, recording.skeleton, "sf2", lifter, settings, tell)
-    fragment = _on_floor(settings.fragment, recording.skeleton, recording.floor_height)
+    begun = begin(recording, recording.skeleton, "sf2", lifter, settings, tell)
+    fragment = on_floor(settings.fragment, recording.skeleton, recording.floor_height)
     return calibrate_from(
-        replace(recording, keypoints=begun.keypoints),
+        begun.recording,
         begun.start,
         priors or CalibrationPriors.of(recording),
         fragment if isinstance(fragment, JointSpaceSettings) else None,
         settings.frames,
         lambda done, total: tell("calibrate", done, total),
     )
-
-
-@dataclass(frozen=True)
-class _Begun:
-    """A recording up to the fragment solver's start."""
-
-    keypoints: KeypointSequence
-    bone_imus: BoneImuSequence | None
-    stages: dict[str, PoseSequence]
-    start: PoseSequence
-
-
-def _begun(
-    recording: Recording, skeleton: SkeletonModel, mode: str, lifter: LifterLike | None,
-    settings: ReconstructionSettings, tell: Progress,
-) -> _Begun:  # fmt: skip
-    """Lift, and with sensors correct what was lifted."""
-    if recording.keypoints is None:
-        raise ShapeError("the recording has no keypoints; without them use mode 'imu'")
-    keypoints = evenly_spaced(recording.keypoints)
-    inertial = mode in ("sf2", "rtof")
-    bone_imus = replace(recording, keypoints=keypoints).bone_imus() if inertial else None
-    if inertial and bone_imus is None:
-        raise ShapeError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
-    tell("lift", 0, 1)
-    told = bone_imus if settings.lift_with_sensors else None
-    lifted, R_lifted = _lift(skeleton, keypoints, told, lifter, recording.floor_height)
-    tell("lift", 1, 1)
-    stages, start = {"lift": lifted}, lifted
-    if inertial:
-        ik = InertialGuidedIK(skeleton, settings.inertial_ik)
-        start = stages["sf2"] = ik.refine(lifted, bone_imus, R_lifted)
-    elif mode == "rto":
-        start = InertialGuidedIK(skeleton).refine(lifted, None, R_lifted)
-    return _Begun(keypoints, bone_imus, stages, start)
 
 
 def _without_camera(
@@ -264,18 +224,19 @@ def _without_camera(
     solver = settings.fragment
     if isinstance(solver, FragmentSettings):
         raise ShapeError("mode imu is solved in joint space; give JointSpaceSettings, or none")
+    cleaned, faults = guarded(recording, settings, camera=False)
     found = reconstruct_from_sensors(
-        recording, skeleton, settings.sensors_alone, solver, settings.frames,
+        cleaned, skeleton, settings.sensors_alone, solver, settings.frames,
         lambda done, total: tell("imu", done, total),
     )  # fmt: skip
-    for warning in found.warnings:
+    for warning in (*faults, *found.warnings):
         _log.warning("%s: %s", recording.name, warning)
     motion = skeleton.motion(found.solution.poses)
     stages = {"start": found.start, "imu": motion.poses}
     scores = _scores(recording, _at_truth(recording, stages), skeleton)
     return Reconstruction(
         recording, "imu", motion, stages, None, found.bone_imus, found.solution, scores.get("imu"),
-        scores, found.path.sigma, found.warnings,
+        scores, found.path.sigma, faults, found.warnings,
     )  # fmt: skip
 
 
@@ -292,99 +253,6 @@ def _at_truth(recording: Recording, stages: dict[str, PoseSequence]) -> dict[str
             poses = replace(poses, p_world_joint=poses.p_world_joint + shift)
         moved[name] = poses
     return moved
-
-
-def evenly_spaced(keypoints: KeypointSequence) -> KeypointSequence:
-    """Keypoints at even steps of time, as differences over time need them.
-
-    Times that jitter by less than 1 % of a frame are kept. Otherwise positions are interpolated to the
-    mean rate (dropped frames counted) between neighbouring samples; where frames were dropped nothing
-    is filled in: they are NaN with confidence 0.
-    """
-    times = keypoints.times
-    if len(times) < 3:
-        return keypoints
-    steps = np.diff(times)
-    usual = np.median(steps)
-    if np.all(np.abs(steps - usual) < 0.01 * usual):
-        return keypoints
-    frames = max(int(np.round(steps / usual).sum()), 1)
-    times_even, step = np.linspace(times[0], times[-1], frames + 1, retstep=True)
-    even = _snapped(times_even, times, 0.01 * step)
-    uv = signals.interpolate(times, keypoints.uv_px, even, max_gap=1.5 * step)
-    confidence = signals.interpolate(times, keypoints.confidence, even, max_gap=1.5 * step)
-    _log.warning(
-        "keypoint times are uneven: %d samples brought to %d even frames of %.1f ms",
-        len(times), len(even), 1000 * step,
-    )  # fmt: skip
-    confidence = np.clip(np.nan_to_num(confidence), 0, 1)
-    return replace(keypoints, times=times_even, uv_px=uv, confidence=confidence)
-
-
-def _snapped(at: Array, times: Array, tolerance: float) -> Array:
-    """Instants, those that lie next to one of the times exactly there: rounding is no gap."""
-    right = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
-    left = right - 1
-    nearest = np.where(at - times[left] < times[right] - at, times[left], times[right])
-    return np.where(np.abs(nearest - at) < tolerance, nearest, at)
-
-
-def _on_floor(
-    settings: JointSpaceSettings | FragmentSettings | None,
-    skeleton: SkeletonModel,
-    floor_height: float | None,
-) -> JointSpaceSettings | FragmentSettings | None:
-    """The fragment solver's settings with the recording's floor, where they know floors and have none."""
-    if settings is None and has_prior(skeleton.name):
-        settings = JointSpaceSettings()
-    if isinstance(settings, JointSpaceSettings) and settings.floor_height is None:
-        return replace(settings, floor_height=floor_height)
-    return settings
-
-
-def _lift(
-    skeleton: SkeletonModel,
-    keypoints: KeypointSequence,
-    bone_imus: BoneImuSequence | None,
-    lifter: LifterLike | None,
-    floor_height: float | None,
-) -> tuple[PoseSequence, Array]:
-    """The lifter's poses, orientations from positions where it gives none, and who saw what; and the
-    orientations (T, J, 3, 3) that it gives, NaN where not."""
-    if lifter is None:
-        lifter = _shipped_lifter()
-    result = lifter.predict(
-        keypoints, skeleton.joint_offsets, bone_imus=bone_imus, floor_height=floor_height
-    )
-    p = np.asarray(result.p_world_joint)
-    depth = keypoints.camera.to_camera(p)[..., 2]
-    if np.any(depth <= 0):
-        frame = int(np.argwhere(depth <= 0)[0][0])
-        raise ShapeError(f"lifted pose of frame {frame} is behind the camera; check its extrinsics")
-    R = kinematics.rotations_from_positions(skeleton.parents, skeleton.joint_offsets, p)
-    R = np.where(np.isfinite(result.R_world_bone), result.R_world_bone, R)
-    seen = keypoints.select(skeleton.names).seen
-    provenance = np.where(seen, Provenance.CAMERA, Provenance.PRIOR)
-    bridged = ~np.asarray(result.seen)
-    provenance[bridged] = Provenance.BRIDGED
-    valid = np.broadcast_to(~bridged[:, None], seen.shape)
-    poses = PoseSequence(
-        times=keypoints.times,
-        p_world_joint=p,
-        R_world_bone=R,
-        names=skeleton.names,
-        provenance=provenance.astype(np.uint8),
-        valid=valid,
-        orientation_observed=skeleton.orientation_observed(),
-        sigma_rad=result.sigma_rad,
-    )
-    return poses, result.R_world_bone
-
-
-def _shipped_lifter() -> Any:
-    from lifting.predict import Lifter
-
-    return Lifter.load()
 
 
 def _scores(

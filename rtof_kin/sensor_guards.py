@@ -33,7 +33,7 @@ _AROUND = 0.06
 """s before and after a saturated sample that are left out with it: an average over them would be too
 small, and so would be what a gap is bridged with."""
 DISAGREES, _STILL_DISAGREES = np.radians(12.0), np.radians(6.0)
-"""rad by which a sensor may differ from the solved motion, for `_LASTING`, and how far it must come back."""
+"""rad by which a sensor may differ from the solved motion for long, and to which it must come back."""
 _LASTING = 0.5
 """s of the running median of that difference."""
 
@@ -64,7 +64,7 @@ def _stuck(imus: ImuSequence) -> Mask:
     T, S = imus.f_sensor.shape[:2]
     values = np.concatenate([imus.R_inertial_sensor.reshape(T, S, 9), imus.f_sensor], axis=2)
     with np.errstate(invalid="ignore"):
-        same = (np.abs(np.diff(values, axis=0)) < _SAME).all(axis=2)
+        same = np.asarray(np.all(np.abs(np.diff(values, axis=0)) < _SAME, axis=2))
     stuck = np.zeros((T, S), dtype=np.bool_)
     if same.all():
         return stuck
@@ -85,7 +85,7 @@ def _saturated(f_sensor: Array, times: Array) -> Mask:
     at_end &= stays & (at_end.sum(axis=0) >= _FEWEST_AT_END)
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     wide = 2 * int(np.ceil(_AROUND / step)) + 1
-    return np.asarray(binary_dilation(at_end.any(axis=2), np.ones((wide, 1))))
+    return np.asarray(binary_dilation(at_end.any(axis=2), np.ones((wide, 1), dtype=np.bool_)))
 
 
 def _told(kind: FaultKind, where: Mask, imus: ImuSequence) -> Iterator[StreamFault]:

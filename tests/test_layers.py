@@ -19,9 +19,10 @@ rotations   resources   body_mass   io
 io.text
 signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_code
 levenberg_marquardt   banded   lanes
-types   urdf
-skeleton
+types   urdf   stream_faults
+skeleton   keypoint_guards
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position   contacts
+sensor_guards
 fragment_problem   fragment_solution   joint_space   joint_space.settings   root_path
 io.arrays   io.articulated   io.folder   io.markers   io.pickled   io.section
 io.world_axes
@@ -92,6 +93,7 @@ lifting.onnx_export   lifting.run   lifting.streaming
 lifting.train
 lifting.__main__
 sensors_alone
+stages
 pipeline
 figures
 inspection_figures   clinical_figures

@@ -17,7 +17,7 @@ from benchmarks.accuracy.windows import bounds
 from benchmarks.harness import SENSOR_SETS
 from rtof_kin import rotations as so3
 from rtof_kin.errors import RtofError
-from rtof_kin.fragment import FragmentSolver, SolverStatus
+from rtof_kin.fragment import FragmentSolution, FragmentSolver, SolverStatus
 from rtof_kin.inertial_ik import InertialGuidedIK
 from rtof_kin.joint_space.frame_energy import TORSO
 from rtof_kin.joint_space.settings import JointSpaceSettings
@@ -26,6 +26,7 @@ from rtof_kin.mocap import MocapClip
 from rtof_kin.pipeline import ReconstructionSettings, reconstruct
 from rtof_kin.recording import Recording
 from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.stream_faults import StreamFault
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
@@ -71,6 +72,10 @@ class Prepared:
     bone_imus: BoneImuSequence | None
     truth: PoseSequence
     """At the times of the video."""
+    solution: FragmentSolution | None = None
+    """The pipeline's own, with its settings, in the table of faults."""
+    found: tuple[StreamFault, ...] = ()
+    """What the pipeline found wrong."""
 
 
 class Scene:
@@ -91,6 +96,8 @@ class Scene:
     def _prepare(self, case: Case) -> Prepared:
         recording = self._recorded(case)
         mode, lifter = "lift" if recording.imus is None else "sf2", _lifter(self._job.lifter)
+        if self._job.table == "robustness":  # sensors that disagree are found by solving
+            mode = "rtof"
         settings = ReconstructionSettings(lift_with_sensors=case.lift_with_sensors)
         result = reconstruct(recording, mode=mode, lifter=lifter, settings=settings)
         lifted = result.stages["lift"]
@@ -101,7 +108,10 @@ class Scene:
         first = int(np.searchsorted(truth.times, lifted.times[0] - 1e-9))
         truth = truth[first : first + len(lifted)]
         assert result.keypoints is not None
-        return Prepared(recording, result.keypoints, lifted, sf2, result.bone_imus, truth)
+        return Prepared(
+            recording, result.keypoints, lifted, sf2, result.bone_imus, truth, result.solution,
+            result.faults,
+        )  # fmt: skip
 
     def _recorded(self, case: Case) -> Recording:
         """The recording of a case: of all sensors' recording those it has, with its fault."""
@@ -150,7 +160,7 @@ def run(job: Job) -> list[Row]:
                 if key not in told:
                     told.add(key)
                     rows.append(about | {"mode": mode} | scored(poses, prepared, case.fault))
-            poses, facts = solve(prepared, case.settings)
+            poses, facts = solved(prepared, case.settings)
             mode = "rto" if prepared.bone_imus is None else "rtof"
             rows.append(about | {"mode": mode} | scored(poses, prepared, case.fault) | facts)
         except RtofError as error:  # told in the table, instead of losing the other cases
@@ -171,16 +181,18 @@ def stages(prepared: Prepared) -> dict[str, PoseSequence]:
     }
 
 
-def solve(prepared: Prepared, settings: JointSpaceSettings) -> tuple[PoseSequence, Row]:
+def solved(prepared: Prepared, settings: JointSpaceSettings) -> tuple[PoseSequence, Row]:
     """The joint-space solver's poses, and how it ended."""
-    skeleton = prepared.recording.skeleton
-    solution = FragmentSolver(skeleton, 50, settings).solve(
-        prepared.sf2, prepared.keypoints, prepared.bone_imus
-    )
+    skeleton, solution = prepared.recording.skeleton, prepared.solution
+    if solution is None:
+        solution = FragmentSolver(skeleton, 50, settings).solve(
+            prepared.sf2, prepared.keypoints, prepared.bone_imus
+        )
     reports = solution.fragments
     facts = {
         "converged": float(np.mean([r.status is SolverStatus.CONVERGED for r in reports])),
         "sigma_reprojection": float(np.median([r.sigma_reprojection for r in reports])),
+        "found": [str(fault) for fault in prepared.found],
     }
     return skeleton.motion(solution.poses).poses, facts
 
