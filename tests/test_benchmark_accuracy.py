@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 
 from benchmarks import harness
 from benchmarks.accuracy import __main__ as command
-from benchmarks.accuracy import faults, tables
 from benchmarks.accuracy import rows as scoring
+from benchmarks.accuracy import tables
 from benchmarks.accuracy.cases import Case, cases
-from benchmarks.accuracy.faults import FAULTS, MIDDLE_SECOND, NOMINAL, SECOND_AFTER_HALF, Fault
+from benchmarks.accuracy.faults import FAULTS, NOMINAL, Fault
 from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.accuracy.rows import FIGURES, Job, Prepared, Scene
 from benchmarks.accuracy.tables import TABLES
+from benchmarks.accuracy.windows import MIDDLE_SECOND, SECOND_AFTER_HALF, bounds, inside
 from rtof_kin import rotations as so3
+from rtof_kin import signals
 from rtof_kin.calibration import ImuCalibration
 from rtof_kin.errors import RtofError, ShapeError
 from rtof_kin.joint_space.settings import JointSpaceSettings
@@ -78,7 +80,22 @@ PARTS: dict[str, set[str]] = {
     NOMINAL: set(),
     "10 % outliers of 80 px": {"uv"},
     "left arm and leg unseen for 1 s": {"uv", "confidence"},
+    "person out of the picture for 1 s": {"uv", "confidence"},
+    "left and right exchanged for 0.5 s": {"uv"},
+    "left and right leg exchanged for 0.5 s": {"uv"},
+    "somebody else followed for 0.5 s": {"uv"},
+    "0.5 s of frames lost, stamps jitter": {"times", "uv", "confidence"},
+    "video's clock jumps by 100 ms halfway": {"times", "uv", "confidence"},
+    "sensors of 40 and 100 Hz, clocks of their own": {"imu times", "orientation", "force"},
+    "10 % of packets lost, one by one": {"orientation", "force"},
+    "10 % of packets lost, in bursts of 0.5 s": {"orientation", "force"},
+    "packets twice and late, counter wraps": {"imu times"},
+    "accelerometers saturate at 2 g": {"force"},
     "left forearm's sensor missing": {"orientation", "force"},
+    "left forearm's sensor sticks halfway": {"orientation", "force"},
+    "left forearm's sensor slips by 30 deg halfway": {"orientation", "force"},
+    "left forearm's heading off by 40 deg for 1 s": {"orientation"},
+    "left forearm's heading drifts by 20 deg from halfway": {"orientation"},
     "left forearm's sensor stops halfway": {"orientation", "force"},
     "all sensors stop halfway": {"orientation", "force"},
     "bones wrong by 3 % at random": {"offsets"},
@@ -143,6 +160,124 @@ def test_sensors_that_stop_say_nothing_after_half_of_the_video(
     np.testing.assert_array_equal(imus.f_sensor[~gone], whole.f_sensor[~gone])
 
 
+def test_a_stuck_sensor_repeats_its_sample_and_the_others_go_on() -> None:
+    imus, whole = sensors(faulty("left forearm's sensor sticks halfway")), sensors(RECORDING)
+    s = imus.names.index("L_LowArm")
+    late = np.flatnonzero(imus.times >= RECORDING.video.times[[0, -1]].mean())
+    assert len(np.unique(imus.f_sensor[late, s], axis=0)) == 1
+    np.testing.assert_array_equal(imus.f_sensor[late[0], s], whole.f_sensor[late[0], s])
+    others = [name for name in imus.names if name != "L_LowArm"]
+    np.testing.assert_array_equal(imus.select(others).f_sensor, whole.select(others).f_sensor)
+
+
+def error_of_forearm(name: str) -> Array:
+    """(T, 3) deg, by which the forearm is believed turned, in world axes."""
+    apply = calibration(RECORDING).apply
+    wrong, own = apply(sensors(faulty(name))), apply(sensors(RECORDING))
+    s = own.joints.index("LeftForeArm")
+    turn = wrong.R_world_bone[:, s] @ np.swapaxes(own.R_world_bone[:, s], -1, -2)
+    return np.asarray(np.degrees(so3.log(turn)))
+
+
+def test_a_sensor_slips_by_thirty_degrees_and_stays_so_and_its_acceleration_with_it() -> None:
+    size = np.linalg.norm(error_of_forearm("left forearm's sensor slips by 30 deg halfway"), axis=1)
+    after = sensors(RECORDING).times - RECORDING.video.times[[0, -1]].mean()
+    np.testing.assert_allclose(size[after < 0], 0.0, atol=1e-6)
+    np.testing.assert_allclose(size[after > 0.2], 30.0, atol=1e-6)
+    wrong, own = (
+        calibration(RECORDING).apply(sensors(r)).a_world
+        for r in (faulty("left forearm's sensor slips by 30 deg halfway"), RECORDING)
+    )
+    np.testing.assert_allclose(wrong, own, atol=1e-9)
+
+
+def test_a_magnet_turns_a_heading_for_a_second_and_drift_does_not_end() -> None:
+    after = sensors(RECORDING).times - RECORDING.video.times[[0, -1]].mean()
+    magnet = error_of_forearm("left forearm's heading off by 40 deg for 1 s")
+    drift = error_of_forearm("left forearm's heading drifts by 20 deg from halfway")
+    np.testing.assert_allclose(magnet[np.abs(after) < 0.4], [[0, 0, 40]] * 48, atol=1e-6)
+    np.testing.assert_allclose(magnet[np.abs(after) > 0.5], 0.0, atol=1e-6)
+    np.testing.assert_allclose(drift[after < 0], 0.0, atol=1e-6)
+    assert drift[-1, 2] == pytest.approx(20.0)
+    assert np.all(np.diff(drift[after > 0, 2]) > 0)
+
+
+def test_a_tenth_of_the_packets_is_lost_one_by_one_or_in_bursts() -> None:
+    for name, longest in (("one by one", 8), ("in bursts of 0.5 s", 60)):
+        imus = sensors(faulty(f"10 % of packets lost, {name}"))
+        gone = np.isnan(imus.f_sensor).all(axis=2)
+        assert gone.mean() == pytest.approx(0.1, abs=0.08)
+        np.testing.assert_array_equal(np.isnan(imus.R_inertial_sensor).all(axis=(2, 3)), gone)
+        lengths = [b - a for s in range(8) for a, b in signals.runs(gone[:, s])]
+        assert max(lengths) <= longest
+        assert min(lengths) >= (30 if "bursts" in name else 1)
+
+
+def test_packets_that_come_twice_and_late_make_the_stream_they_were() -> None:
+    again, own = sensors(faulty("packets twice and late, counter wraps")), sensors(RECORDING)
+    np.testing.assert_allclose(again.times, own.times, atol=1e-9)
+    np.testing.assert_array_equal(again.f_sensor, own.f_sensor)
+
+
+def test_sensors_of_other_rates_measure_the_same_motion() -> None:
+    other = faulty("sensors of 40 and 100 Hz, clocks of their own").bone_imus()
+    own = RECORDING.bone_imus()
+    assert other is not None
+    assert own is not None
+    off = so3.angle_between(other.R_world_bone[5:-5], own.R_world_bone[5:-5])
+    assert 0 < np.degrees(np.median(off)) < 1.0
+
+
+def test_accelerometers_read_two_g_at_most() -> None:
+    f = sensors(RECORDING).f_sensor.copy()
+    f[20:40] *= 5.0
+    fast = replace(RECORDING, imus=replace(sensors(RECORDING), f_sensor=f))
+    cut = sensors(faulty("accelerometers saturate at 2 g", fast)).f_sensor
+    assert np.abs(cut).max() == 2 * 9.81
+    within = np.abs(f) <= 2 * 9.81
+    np.testing.assert_array_equal(cut[within], f[within])
+
+
+@pytest.mark.parametrize(
+    "name, seconds",
+    [("person out of the picture for 1 s", 1.0), ("0.5 s of frames lost, stamps jitter", 0.5)],
+)
+def test_nothing_is_seen_for_a_while(name: str, seconds: float) -> None:
+    keypoints = faulty(name).video
+    times = keypoints.times[keypoints.seen.any(axis=1)]
+    assert np.diff(times).max() == pytest.approx(seconds, abs=0.03)
+
+
+@pytest.mark.parametrize("legs", [False, True])
+def test_left_and_right_are_exchanged_for_half_a_second(legs: bool) -> None:
+    wrong = faulty(f"left and right{' leg' * legs} exchanged for 0.5 s")
+    uv, own = wrong.video.uv_px, RECORDING.video.uv_px
+    frames = np.flatnonzero((uv != own).any(axis=(1, 2)))
+    assert len(frames) == 30
+    index = RECORDING.video.names.index
+    np.testing.assert_array_equal(uv[frames, index("LeftFoot")], own[frames, index("RightFoot")])
+    hand = own[frames, index("LeftHand" if legs else "RightHand")]
+    np.testing.assert_array_equal(uv[frames, index("LeftHand")], hand)
+
+
+def test_somebody_else_stands_beside_and_is_smaller() -> None:
+    uv, own = faulty("somebody else followed for 0.5 s").video.uv_px, RECORDING.video.uv_px
+    frames = np.flatnonzero((uv != own).any(axis=(1, 2)))
+    assert len(frames) == 30
+    height = np.median(np.ptp(own[..., 1], axis=1))
+    away = np.abs(uv[frames, 0, 0] - own[frames, 0, 0])
+    np.testing.assert_allclose(away, height, rtol=1e-9)
+    assert np.ptp(uv[frames, :, 1], axis=1).max() < 0.9 * np.ptp(own[..., 1], axis=1).max()
+
+
+def test_a_clock_that_jumps_leaves_a_gap_and_is_late_from_there_on() -> None:
+    times, own = faulty("video's clock jumps by 100 ms halfway").video.times, RECORDING.video.times
+    assert np.diff(times).max() == pytest.approx(0.1 + 1 / 60)
+    shift = times - own[: len(times)]
+    np.testing.assert_allclose(shift[own[: len(times)] > 1.6], 0.1, atol=1e-9)
+    assert times[-1] <= own[-1] + 1e-9
+
+
 def test_bones_that_are_too_long_are_so_by_the_same_share() -> None:
     lengths = faulty("all bones 3 % too long").skeleton.bone_lengths
     for name, length in RECORDING.skeleton.bone_lengths.items():
@@ -204,8 +339,9 @@ def test_mountings_are_off_by_six_degrees_about_each_axis() -> None:
 
 def test_windows_are_the_middle_second_and_the_one_after_half() -> None:
     times = np.arange(181) / 60
-    assert faults.bounds(times, MIDDLE_SECOND) == pytest.approx((1.0, 2.0))
-    assert faults.bounds(times, SECOND_AFTER_HALF) == pytest.approx((1.5, 2.5))
+    assert bounds(times, MIDDLE_SECOND) == pytest.approx((1.0, 2.0))
+    assert bounds(times, SECOND_AFTER_HALF) == pytest.approx((1.5, 2.5))
+    assert inside(times, times, MIDDLE_SECOND).sum() == 60
 
 
 # --- cases and motions ---------------------------------------------------------------------------
@@ -280,7 +416,7 @@ def lifter(monkeypatch: pytest.MonkeyPatch) -> planted.PlantedLifter:
     return own
 
 
-def job(table: str = "robustness", frames: int = 180) -> Job:
+def job(table: str = "ablation", frames: int = 180) -> Job:
     return Job(table, replace(CLIP, poses=MOTION.poses[:frames]), 0, 0, None)
 
 
@@ -367,8 +503,9 @@ def test_a_job_gives_a_row_for_each_stage_and_the_error_of_a_case_that_fails(
 
 
 def test_every_stage_scores_what_the_pipeline_itself_scores(lifter: planted.PlantedLifter) -> None:
-    prepared = Scene(job(frames=60)).prepared(Case("", "white", "8"))
-    poses, _ = scoring.solve(prepared, JointSpaceSettings())
+    prepared = Scene(job("ablation", frames=60)).prepared(Case("", "white", "8"))
+    assert prepared.solution is None
+    poses, _ = scoring.solved(prepared, JointSpaceSettings())
     own = {"lift": prepared.lifted, "sf2": prepared.sf2, "rtof": poses}
     scores = reconstruct(prepared.recording, mode="rtof", lifter=lifter).stage_metrics
     assert set(scores) == set(own)
@@ -387,7 +524,7 @@ def row(motion: str, mode: str, seconds: list[float], **fields: Any) -> dict[str
     base: dict[str, Any] = {
         "motion": motion, "source": motion.split("/")[0], "camera": 0, "keypoints": "white",
         "sensors": "8", "case": NOMINAL, "mode": mode, "frames": 60 * len(seconds), "coverage": 1.0,
-        "converged": 1.0, "seconds_rr_mm": [[60, value] for value in seconds],
+        "converged": 1.0, "found": [], "seconds_rr_mm": [[60, value] for value in seconds],
     }  # fmt: skip
     phases = {n: [[60, 1.0, 2.0]] * 3 for n, f in FAULTS.items() if f.window is not None}
     figures = dict.fromkeys(FIGURES, float(np.mean(seconds)))

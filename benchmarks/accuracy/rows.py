@@ -95,9 +95,10 @@ class Scene:
 
     def _prepare(self, case: Case) -> Prepared:
         recording = self._recorded(case)
-        mode, lifter = "lift" if recording.imus is None else "sf2", _lifter(self._job.lifter)
-        if self._job.table == "robustness":  # sensors that disagree are found by solving
-            mode = "rtof"
+        lifter = _lifter(self._job.lifter)
+        # Sensors that disagree are found by solving.
+        inertial = "rtof" if self._job.table == "robustness" else "sf2"
+        mode = "lift" if recording.imus is None else inertial
         settings = ReconstructionSettings(lift_with_sensors=case.lift_with_sensors)
         result = reconstruct(recording, mode=mode, lifter=lifter, settings=settings)
         lifted = result.stages["lift"]
