@@ -4,7 +4,8 @@
 
 * sensors: 0, 4, 8 and 10 IMUs x kinds of 2D, four cameras a motion; and on which motions the solver is
   worse than its own start, SF2.
-* robustness: 8 IMUs, white 5 px, one thing wrong at a time, one camera a motion.
+* robustness: 8 IMUs, white 5 px, one thing wrong at a time, one camera a motion; through the whole
+  pipeline, which may find what is wrong and leave it out.
 * ablation: 8 IMUs, white and realistic 2D, one ingredient left out at a time, one camera a motion.
 
 Rows are written as they come: an interrupted run goes on where it stopped. ``--subset validation`` takes
