@@ -59,16 +59,14 @@ def guarded_imus(imus: ImuSequence) -> tuple[ImuSequence, tuple[StreamFault, ...
 def _stuck(imus: ImuSequence) -> Mask:
     """(T, S) which samples repeat the one before, in runs of at least `STUCK`.
 
-    Where no sensor ever changes, somebody made up a recording in which nothing moves.
+    A sensor that never says anything else did not begin to: it is made up, of a body that is still there.
     """
     T, S = imus.f_sensor.shape[:2]
     values = np.concatenate([imus.R_inertial_sensor.reshape(T, S, 9), imus.f_sensor], axis=2)
     with np.errstate(invalid="ignore"):
         same = np.asarray(np.all(np.abs(np.diff(values, axis=0)) < _SAME, axis=2))
     stuck = np.zeros((T, S), dtype=np.bool_)
-    if same.all():
-        return stuck
-    for s in range(S):
+    for s in np.flatnonzero(~same.all(axis=0)):
         for start, stop in signals.runs(same[:, s]):
             if imus.times[stop] - imus.times[start] >= STUCK:
                 stuck[start + 1 : stop + 1, s] = True

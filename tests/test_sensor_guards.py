@@ -57,11 +57,9 @@ def test_a_packet_that_came_twice_is_no_sensor_that_sticks() -> None:
     assert guarded_imus(own)[1] == ()
 
 
-def test_a_recording_in_which_nothing_ever_moves_is_made_up_and_let_be() -> None:
-    still = stuck(stuck(stuck(imus(), 0, slice(0, T)), 1, slice(0, T)), 2, slice(0, T))
-    assert guarded_imus(still)[1] == ()
-    one = stuck(imus(), 2, slice(0, T))
-    assert [(f.kind, f.what) for f in guarded_imus(one)[1]] == [(FaultKind.STUCK, "c")]
+def test_a_sensor_that_never_changes_is_made_up_and_let_be() -> None:
+    assert guarded_imus(stuck(imus(), 2, slice(0, T)))[1] == ()
+    assert len(guarded_imus(stuck(imus(), 2, slice(0, T - 1)))[1]) == 1
 
 
 def test_a_sensor_that_stuck_in_a_blow_is_no_question_of_units() -> None:
