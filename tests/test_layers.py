@@ -93,6 +93,7 @@ lifting.onnx_export   lifting.run   lifting.streaming
 lifting.train
 lifting.__main__
 sensors_alone
+stages
 pipeline
 figures
 inspection_figures   clinical_figures

@@ -1,0 +1,236 @@
+"""What a recording goes through before the fragment solver: guards, even times, lifter and SF2."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import kinematics, signals
+from rtof_kin.errors import ShapeError
+from rtof_kin.fragment_settings import FragmentSettings
+from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+from rtof_kin.joint_space.prior import has_prior
+from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.keypoint_guards import guarded_keypoints
+from rtof_kin.recording import Recording
+from rtof_kin.sensor_guards import guarded_imus, without
+from rtof_kin.sensors_alone import SensorsAloneSettings
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.stream_faults import StreamFault
+from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence, Provenance
+
+if TYPE_CHECKING:
+    from lifting.predict import LiftedPoses
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+"""Called with (stage, done, in all)."""
+_log = logging.getLogger(__name__)
+
+
+class LifterLike(Protocol):
+    """Anything that takes keypoints to 3D joints, e.g. `lifting.predict.Lifter`."""
+
+    def predict(
+        self,
+        keypoints: KeypointSequence,
+        joint_offsets: Array | None = None,
+        *,
+        bone_imus: BoneImuSequence | None = None,
+        floor_height: float | None = None,
+    ) -> LiftedPoses:
+        """Poses in world for each frame, with orientations where the lifter has them."""
+
+
+@dataclass(frozen=True)
+class ReconstructionSettings:
+    """Settings of all stages."""
+
+    lift_with_sensors: bool = True
+    """Whether the lifter is told the sensors' orientations too, in the modes that use sensors; a lifter
+    that knows none ignores them."""
+    inertial_ik: InertialGuidedIKSettings = field(default_factory=InertialGuidedIKSettings)
+    fragment: JointSpaceSettings | FragmentSettings | None = None
+    """Of the fragment solver, and by their type its space; its defaults where not given."""
+    frames: int = 50
+    """N, frames in a fragment."""
+    guard_streams: bool = True
+    """Whether keypoints and sensors are looked through for what may be wrong with them, which is mended
+    or left out (`Reconstruction.faults`)."""
+    sensors_alone: SensorsAloneSettings = field(default_factory=SensorsAloneSettings)
+    """Of mode imu: its frames, contacts and path."""
+
+
+@dataclass(frozen=True)
+class Begun:
+    """A recording up to the fragment solver's start."""
+
+    recording: Recording
+    """Its streams looked through, the keypoints evenly spaced."""
+    bone_imus: BoneImuSequence | None
+    """The sensors at the keypoints' times, in the modes that use some."""
+    stages: dict[str, PoseSequence]
+    start: PoseSequence
+    faults: tuple[StreamFault, ...]
+    """What was found wrong with the streams, and what was left out besides."""
+
+
+def begin(
+    recording: Recording, skeleton: SkeletonModel, mode: str, lifter: LifterLike | None,
+    settings: ReconstructionSettings, tell: Progress, left_out: tuple[StreamFault, ...] = (),
+) -> Begun:  # fmt: skip
+    """Look the streams through, lift, and with sensors correct what was lifted.
+
+    Args:
+        left_out: faults of sensors that later stages found, by their segments.
+
+    Raises:
+        ShapeError: there are no keypoints; the mode needs IMUs and there are none.
+    """
+    if recording.keypoints is None:
+        raise ShapeError("the recording has no keypoints; without them use mode 'imu'")
+    recording, faults = guarded(recording, settings)
+    keypoints = evenly_spaced(recording.video)
+    recording = replace(recording, keypoints=keypoints)
+    inertial = mode in ("sf2", "rtof")
+    bone_imus = recording.bone_imus() if inertial else None
+    if inertial and bone_imus is None:
+        raise ShapeError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
+    if bone_imus is not None and left_out:
+        bone_imus = without(bone_imus, left_out)
+    tell("lift", 0, 1)
+    told = bone_imus if settings.lift_with_sensors else None
+    lifted, R_lifted = _lift(skeleton, keypoints, told, lifter, recording.floor_height)
+    tell("lift", 1, 1)
+    stages, start = {"lift": lifted}, lifted
+    if inertial:
+        ik = InertialGuidedIK(skeleton, settings.inertial_ik)
+        start = stages["sf2"] = ik.refine(lifted, bone_imus, R_lifted)
+    elif mode == "rto":
+        start = InertialGuidedIK(skeleton).refine(lifted, None, R_lifted)
+    return Begun(recording, bone_imus, stages, start, (*faults, *left_out))
+
+
+def guarded(
+    recording: Recording, settings: ReconstructionSettings, camera: bool = True
+) -> tuple[Recording, tuple[StreamFault, ...]]:
+    """A recording whose streams were looked through, and what was found.
+
+    Args:
+        camera: whether the keypoints are looked through too.
+    """
+    keypoints, imus, faults = recording.keypoints, recording.imus, tuple[StreamFault, ...]()
+    if settings.guard_streams and camera and keypoints is not None:
+        keypoints, faults = guarded_keypoints(keypoints)
+    if settings.guard_streams and imus is not None:
+        imus, of_sensors = guarded_imus(imus)
+        faults += of_sensors
+    return (replace(recording, keypoints=keypoints, imus=imus) if faults else recording), faults
+
+
+def evenly_spaced(keypoints: KeypointSequence) -> KeypointSequence:
+    """Keypoints at even steps of time, as differences over time need them.
+
+    Times that jitter by less than 1 % of a frame are kept. Otherwise positions are interpolated to the
+    mean rate (dropped frames counted) between neighbouring samples; where frames were dropped nothing
+    is filled in: they are NaN with confidence 0.
+    """
+    times = keypoints.times
+    if len(times) < 3:
+        return keypoints
+    steps = np.diff(times)
+    usual = np.median(steps)
+    if np.all(np.abs(steps - usual) < 0.01 * usual):
+        return keypoints
+    frames = max(int(np.round(steps / usual).sum()), 1)
+    times_even, step = np.linspace(times[0], times[-1], frames + 1, retstep=True)
+    even = _snapped(times_even, times, 0.01 * step)
+    uv = signals.interpolate(times, keypoints.uv_px, even, max_gap=1.5 * step)
+    confidence = signals.interpolate(times, keypoints.confidence, even, max_gap=1.5 * step)
+    _log.warning(
+        "keypoint times are uneven: %d samples brought to %d even frames of %.1f ms",
+        len(times), len(even), 1000 * step,
+    )  # fmt: skip
+    confidence = np.clip(np.nan_to_num(confidence), 0, 1)
+    return replace(keypoints, times=times_even, uv_px=uv, confidence=confidence)
+
+
+def _snapped(at: Array, times: Array, tolerance: float) -> Array:
+    """Instants, those that lie next to one of the times exactly there: rounding is no gap."""
+    right = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
+    left = right - 1
+    nearest = np.where(at - times[left] < times[right] - at, times[left], times[right])
+    return np.where(np.abs(nearest - at) < tolerance, nearest, at)
+
+
+def on_floor(
+    settings: JointSpaceSettings | FragmentSettings | None,
+    skeleton: SkeletonModel,
+    floor_height: float | None,
+) -> JointSpaceSettings | FragmentSettings | None:
+    """The fragment solver's settings with the recording's floor, where they know floors and have none."""
+    if settings is None and has_prior(skeleton.name):
+        settings = JointSpaceSettings()
+    if isinstance(settings, JointSpaceSettings) and settings.floor_height is None:
+        return replace(settings, floor_height=floor_height)
+    return settings
+
+
+def _lift(
+    skeleton: SkeletonModel,
+    keypoints: KeypointSequence,
+    bone_imus: BoneImuSequence | None,
+    lifter: LifterLike | None,
+    floor_height: float | None,
+) -> tuple[PoseSequence, Array]:
+    """The lifter's poses, orientations from positions where it gives none, and who saw what; and the
+    orientations (T, J, 3, 3) that it gives, NaN where not."""
+    if lifter is None:
+        lifter = _shipped_lifter()
+    result = lifter.predict(
+        keypoints, skeleton.joint_offsets, bone_imus=bone_imus, floor_height=floor_height
+    )
+    p = np.asarray(result.p_world_joint)
+    depth = keypoints.camera.to_camera(p)[..., 2]
+    if np.any(depth <= 0):
+        frame = int(np.argwhere(depth <= 0)[0][0])
+        raise ShapeError(f"lifted pose of frame {frame} is behind the camera; check its extrinsics")
+    R = kinematics.rotations_from_positions(skeleton.parents, skeleton.joint_offsets, p)
+    R = np.where(np.isfinite(result.R_world_bone), result.R_world_bone, R)
+    seen = keypoints.select(skeleton.names).seen
+    provenance = np.where(seen, Provenance.CAMERA, Provenance.PRIOR)
+    bridged = ~np.asarray(result.seen)
+    provenance[bridged] = Provenance.BRIDGED
+    valid = np.broadcast_to(~bridged[:, None], seen.shape)
+    poses = PoseSequence(
+        times=keypoints.times,
+        p_world_joint=p,
+        R_world_bone=R,
+        names=skeleton.names,
+        provenance=provenance.astype(np.uint8),
+        valid=valid,
+        orientation_observed=skeleton.orientation_observed() & _enough_points(skeleton, seen),
+        sigma_rad=result.sigma_rad,
+    )
+    return poses, result.R_world_bone
+
+
+def _enough_points(skeleton: SkeletonModel, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(T, J) whether at least three of a segment's joint and children were seen, as its three angles
+    need."""
+    out = np.zeros_like(seen)
+    for j in range(len(skeleton.names)):
+        own = [j, *kinematics.children_of(skeleton.parents, j)]
+        out[:, j] = seen[:, own].sum(axis=1) >= 3
+    return out
+
+
+def _shipped_lifter() -> Any:
+    from lifting.predict import Lifter
+
+    return Lifter.load()
