@@ -101,6 +101,14 @@ def test_a_recording_is_checked_by_its_truth_and_its_sensors(demo: Path) -> None
         assert {"median reprojection error", "direction of gravity", "spread of length"} <= names
 
 
+def test_a_recording_that_nobody_filmed_is_checked_by_its_sensors_and_its_truth(
+    demo: Path, tmp_path: Path
+) -> None:
+    replace(Recording.load(demo), keypoints=None).save(tmp_path / "blind")
+    found = inspect(tmp_path / "blind")
+    assert [name for name, _ in found.contents] == ["IMUs", "truth"]
+
+
 def test_a_recording_whose_camera_is_another_fails_by_reprojection(demo: Path, tmp_path: Path) -> None:
     recording = Recording.load(demo)
     keypoints = replace(recording.keypoints, uv_px=recording.keypoints.uv_px + np.array([120.0, 0.0]))
