@@ -256,7 +256,7 @@ def test_the_fragment_solver_refuses_what_it_cannot_solve(walked: Reconstruction
 
 
 def squats() -> Recording:
-    """Three squats, Movella DOTs on pelvis, right thigh and right shank; they stand for two seconds first.
+    """Three squats after a stand of two seconds: Movella DOTs on pelvis, right thigh and right shank.
 
     The thigh turns backwards about the body's left: so it tells where the person faces.
     """
