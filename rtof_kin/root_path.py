@@ -27,6 +27,10 @@ from rtof_kin.types import BoneImuSequence, PoseSequence
 Array = NDArray[np.float64]
 _ROUNDS = 5
 """Of reweighting the lower foot."""
+_ORIGIN = 1e-3
+"""[m] of the first frame's horizontal place about the origin."""
+_DIFFERENCES = ((1.0,), (-1.0, 1.0), (1.0, -2.0, 1.0))
+"""Of order 0 to 2, forward."""
 
 
 @dataclass(frozen=True)
@@ -95,45 +99,28 @@ def root_path(
     """
     settings, T = settings or RootPathSettings(), len(poses)
     relative = poses.p_world_joint - poses.p_world_joint[:, :1]
-    feet = relative[:, skeleton.index(*contacts.joints)]
     if T < 4 or not contacts.joints:
         begin = np.array([0.0, 0.0, ankle_height - relative[0, :, 2].min()])
         return RootPath(np.tile(begin, (T, 1)), np.full(T, np.nan))
-    system, rate = _System(T), poses.rate_hz
-    system.add([1.0], np.array([0]), np.array([0.0, 0.0, np.nan]), np.array([1e-3**-2]))
-    stays = -signals.derivative(feet, rate, 1)  # (T - 1, C, 3) m/s of a root whose foot does not move
-    low = feet[..., 2].argmin(axis=1)
-    height = np.stack([np.full(T, np.nan)] * 2 + [ankle_height - feet[np.arange(T), low, 2]], axis=1)
-    system.add([1.0], np.arange(T), height, np.full(T, settings.sigma_lower_height**-2))
-    for i in range(len(contacts.joints)):
-        both = np.flatnonzero(contacts.standing[1:, i] & contacts.standing[:-1, i])
-        system.add([-rate, rate], both, stays[both, i], np.full(len(both), settings.sigma_slip**-2))
-        stands = np.flatnonzero(contacts.standing[:, i])
-        height = np.where([False, False, True], ankle_height - feet[stands, i], np.nan)
-        system.add([1.0], stands, height, np.full(len(stands), settings.sigma_floor**-2))
-    R = poses.R_world_bone
-    for s, j in enumerate(skeleton.index(*bone_imus.joints)):
-        sensor = relative[:, j] + R[:, j] @ bone_imus.p_bone_sensor[s]
-        own = signals.derivative(sensor, rate, 2)
-        a = bone_imus.a_world[1:-1, s] - own
-        known = np.flatnonzero(np.isfinite(a).all(axis=1))
-        wrong = settings.share_of_motion * np.linalg.norm(own[known], axis=1)
-        weight = 1 / (settings.sigma_acceleration**2 + wrong**2)
-        system.add(list(rate**2 * np.array([1.0, -2.0, 1.0])), known, a[known], weight)
-    lower, weight = stays[np.arange(T - 1), low[:-1]], np.full(T - 1, settings.sigma_lower**-2)
-    for _ in range(_ROUNDS):
-        whole = system.copy()
-        whole.add([-rate, rate], np.arange(T - 1), lower, weight)
-        p = whole.solve()
-        moves = np.linalg.norm(signals.derivative(p, rate, 1) - lower, axis=1)
-        weight = 1 / (settings.sigma_lower**2 + moves**2)
-    return RootPath(p, _drift(p, contacts, rate, settings))
+    system = _System(T, poses.rate_hz)
+    system.add(0, np.array([0]), np.array([0.0, 0.0, np.nan]), _ORIGIN**-2)
+    feet = relative[:, skeleton.index(*contacts.joints)]
+    _add_feet(system, feet, contacts, ankle_height, settings)
+    index = skeleton.index(*bone_imus.joints)
+    turned = np.einsum("tsij,sj->tsi", poses.R_world_bone[:, index], bone_imus.p_bone_sensor)
+    _add_sensors(system, relative[:, index] + turned, bone_imus.a_world, settings)
+    p = _with_lower_foot(system, feet, settings.sigma_lower)
+    return RootPath(p, _drift(p, contacts, poses.rate_hz, settings))
+
+
+# --- parts ---------------------------------------------------------------------------------------
 
 
 class _System:
     """Normal equations (T) of three coordinates, a band of two beside the diagonal."""
 
-    def __init__(self, frames: int) -> None:
+    def __init__(self, frames: int, rate_hz: float) -> None:
+        self.frames, self.rate_hz = frames, rate_hz
         self._band = np.zeros((3, 3, frames))  # coordinate, distance from the diagonal, column
         self._right = np.zeros((3, frames))
 
@@ -141,21 +128,68 @@ class _System:
         """One to add more to."""
         return copy.deepcopy(self)
 
-    def add(self, stencil: list[float], first: NDArray[np.intp], target: Array, weight: Array) -> None:
-        """Rows ``stencil . p[first : first + n] = target`` with weights, each first once; none where the
-        target is NaN."""
-        target = np.broadcast_to(target, (len(first), 3)).T
+    def add(self, order: int, frames: NDArray[np.intp], target: Array, weight: Array | float) -> None:
+        """Derivatives of an order (0 to 2) of the path, by differences from each of some frames on.
+
+        Args:
+            frames: (n,), none twice. target: (n, 3) or (3,), m/s^order; NaN where nothing is known.
+            weight: (n,) or one for all, inverse variances.
+        """
+        target = np.broadcast_to(target, (len(frames), 3)).T
         weight = np.where(np.isfinite(target), weight, 0.0)
         weighted = weight * np.nan_to_num(target)
+        stencil = self.rate_hz**order * np.array(_DIFFERENCES[order])
         for a, left in enumerate(stencil):
-            self._right[:, first + a] += left * weighted
+            self._right[:, frames + a] += left * weighted
             for b, right in enumerate(stencil[a:]):
-                self._band[:, b, first + a] += left * right * weight
+                self._band[:, b, frames + a] += left * right * weight
 
     def solve(self) -> Array:
-        """(T, 3)."""
-        columns = [solveh_banded(m, r, lower=True) for m, r in zip(self._band, self._right, strict=True)]
-        return np.stack(columns, axis=1)
+        """(T, 3) m."""
+        each = zip(self._band, self._right, strict=True)
+        return np.stack([solveh_banded(band, right, lower=True) for band, right in each], axis=1)
+
+
+def _add_feet(
+    system: _System, feet: Array, contacts: Contacts, ankle_height: float, settings: RootPathSettings
+) -> None:
+    """Standing ankles (T, C, 3), relative to the root, do not move and are at a height; weakly, so is the
+    lower one always."""
+    heights = np.where([False, False, True], ankle_height - feet, np.nan)
+    every = np.arange(system.frames)
+    lower = heights[every, feet[..., 2].argmin(axis=1)]
+    system.add(0, every, lower, settings.sigma_lower_height**-2)
+    moves = -signals.derivative(feet, system.rate_hz, 1)
+    for i, stands in enumerate(contacts.standing.T):
+        still = np.flatnonzero(stands[1:] & stands[:-1])
+        system.add(1, still, moves[still, i], settings.sigma_slip**-2)
+        system.add(0, np.flatnonzero(stands), heights[stands, i], settings.sigma_floor**-2)
+
+
+def _add_sensors(
+    system: _System, sensors: Array, a_world: Array, settings: RootPathSettings
+) -> None:
+    """Sensors (T, S, 3), relative to the root, accelerate as measured; those that move much about it tell
+    less, for they do so by orientations that are off."""
+    own = signals.derivative(sensors, system.rate_hz, 2)
+    wrong = settings.share_of_motion * np.linalg.norm(own, axis=2)
+    weight = 1 / (settings.sigma_acceleration**2 + wrong**2)
+    for s in range(sensors.shape[1]):
+        system.add(2, np.arange(len(own)), a_world[1:-1, s] - own[:, s], weight[:, s])
+
+
+def _with_lower_foot(system: _System, feet: Array, sigma: float) -> Array:
+    """The path (T, 3) with Cauchy's loss of the lower ankle's velocity, by reweighted least squares."""
+    every = np.arange(system.frames - 1)
+    moves = -signals.derivative(feet, system.rate_hz, 1)[every, feet[:-1, :, 2].argmin(axis=1)]
+    weight = np.full(len(every), sigma**-2)
+    for _ in range(_ROUNDS):
+        whole = system.copy()
+        whole.add(1, every, moves, weight)
+        p = whole.solve()
+        slip = np.linalg.norm(signals.derivative(p, system.rate_hz, 1) - moves, axis=1)
+        weight = 1 / (sigma**2 + slip**2)
+    return p
 
 
 def _drift(p: Array, contacts: Contacts, rate_hz: float, settings: RootPathSettings) -> Array:
