@@ -8,12 +8,12 @@ import sys
 import tomllib
 from pathlib import Path
 
-from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 from sensors_only_figure import draw
 
 from rtof_kin import Recording, SkeletonModel, reconstruct
 from rtof_kin.inertial.files import read_sensor_log
 from rtof_kin.inertial.orientation import OrientationSettings, log_with_orientation
+from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 from rtof_kin.types import ImuSequence
 
 trial, path = sys.argv[1], Path(sys.argv[2])
