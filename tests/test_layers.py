@@ -214,7 +214,7 @@ def test_the_walk_finds_real_imports() -> None:
     assert ("skeleton", "urdf", "import") in known
     assert ("signals", "rotations", "import") in known
     assert ("io.motion_npz", "skeleton", "import") in known
-    assert ("pipeline", "lifting.predict", "call") in known
+    assert ("stages", "lifting.predict", "call") in known
     assert ("rtof_kin", "pipeline", "typing") in known
     assert ("export", "pipeline", "typing") in known
     assert len(ALL) > 120
@@ -248,7 +248,7 @@ def test_only_a_call_makes_rtof_kin_import_lifting() -> None:
     """torch must not come with the package: `lifting` is imported where a lifter is made."""
     outside = [i for i in ALL if i.imported.split(".")[0] == "lifting" != i.importer.split(".")[0]]
     assert {i.importer for i in outside} == {
-        "pipeline", "protocols.measures", "cli.lifters", "cli.recordings", "cli.training"
+        "stages", "protocols.measures", "cli.lifters", "cli.recordings", "cli.training"
     }  # fmt: skip
     assert {i.when for i in outside} <= {"call", "typing"}
 
