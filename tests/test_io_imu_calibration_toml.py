@@ -69,7 +69,8 @@ def test_a_usual_sensor_needs_no_segment_and_no_place(
 @pytest.mark.parametrize(
     ("text", "error", "message"),
     [
-        ("", FileFormatError, r"no table \[sensors.NAME\]"),
+        ("", FileFormatError, "empty; expected TOML"),
+        ("[sensors]", FileFormatError, r"no table \[sensors.NAME\]"),
         (ONE.replace("UpArm", "UpperArm"), FileFormatError, r"\[sensors.L_UpperArm\] joint: missing"),
         (ONE + 'joint = "LeftArmm"', UnknownNameError, "Did you mean 'LeftArm'"),
         (ONE + "lever = [0, 0, 0]", UnknownNameError, "unknown field .* 'lever'"),
