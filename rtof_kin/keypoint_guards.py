@@ -21,8 +21,9 @@ from rtof_kin.types import KeypointSequence
 Array = NDArray[np.float64]
 LONGEST = 2.0
 """s for which sides or people may be exchanged; what is longer is in doubt."""
-_PAST, _FRAMES_OF_PAST = 0.15, 5
-"""s and frames before one from which it is expected where points will be."""
+_PAST, _FRAMES_OF_PAST, _FEWEST_FRAMES = 0.15, 5, 3
+"""s and frames before one from which it is expected where points will be, and in how many of them a point
+must have been seen for that."""
 _APART, _NEARER = 0.08, 0.5
 """In a person's size: the least by which a point must be off; and to what share of that an exchange of
 sides must bring it."""
@@ -30,6 +31,8 @@ _REACH, _REACH_RATE = 0.25, 5.0
 """In a person's size: how far a person may come from one frame to the next, and how that grows per s."""
 _FEWEST = 4
 """Points that tell who somebody is."""
+_FEWEST_PAIRS = 2
+"""Pairs of points that tell whether sides are exchanged."""
 _LOWER = ("Leg", "Foot", "Toe", "Heel", "Hip", "Knee")
 
 
@@ -64,7 +67,7 @@ def _pairs(names: tuple[str, ...]) -> dict[str, NDArray[np.intp]]:
                 group = "legs" if any(part in name for part in _LOWER) else "arms and head"
                 groups[group].append((i, names.index(other)))
                 break
-    return {group: np.array(pairs) for group, pairs in groups.items() if len(pairs) > 1}
+    return {group: np.array(pairs) for group, pairs in groups.items() if len(pairs) >= _FEWEST_PAIRS}
 
 
 @dataclass
@@ -80,13 +83,20 @@ class _Past:
         self.points = [*(self.points[i] for i in keep), points]
 
     def expected(self, time: float) -> Array | None:
-        """The points at a time by straight lines through the past; None where there is too little."""
-        if len(self.times) < 3 or time - self.times[-1] > _PAST:
+        """The points at a time by straight lines through the past, NaN of those that were seldom seen;
+        None where there is too little of it."""
+        if len(self.times) < _FEWEST_FRAMES or time - self.times[-1] > _PAST:
             return None
-        t = np.array(self.times) - time
-        off = t - t.mean()
-        share = 1 / len(t) - t.mean() * off / (off @ off)
-        return np.asarray(np.tensordot(share, np.stack(self.points), axes=1))
+        past = np.stack(self.points)
+        known = np.isfinite(past).all(axis=-1, keepdims=True)
+        past, count = np.where(known, past, 0.0), known.sum(axis=0)
+        t = np.reshape(np.array(self.times) - time, (-1, 1, 1, 1))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            middle = (t * known).sum(axis=0) / count
+            off = (t - middle) * known
+            slope = (off * past).sum(axis=0) / (off**2).sum(axis=0)
+            line = past.sum(axis=0) / count - slope * middle
+        return np.where(count < _FEWEST_FRAMES, np.nan, line)
 
 
 def _with_sides_mended(
@@ -113,7 +123,8 @@ def _exchanged(
     """First and last frame of each stretch with sides exchanged, and whether its end was seen too."""
     sides, size = keypoints.uv_px[:, pairs], _size(keypoints)
     past, begun, last = _Past(), None, 0
-    for t in np.flatnonzero(np.isfinite(sides).all(axis=(1, 2, 3))):
+    whole = np.isfinite(sides).all(axis=(2, 3)).sum(axis=1)
+    for t in np.flatnonzero(whole >= _FEWEST_PAIRS):
         time = keypoints.times[t]
         if begun is not None and (
             time - keypoints.times[begun] > LONGEST or time - keypoints.times[last] > _PAST
@@ -135,14 +146,15 @@ def _exchanged(
 
 
 def _crossed(now: Array, expected: Array | None, size: float) -> bool:
-    """Whether pairs of points (n, 2, 2) are where their other sides were expected."""
+    """Whether pairs of points (n, 2, 2) are where their other sides were expected; those that were not
+    seen, NaN, have no say."""
     if expected is None:
         return False
     off = np.linalg.norm(now - expected, axis=-1).mean(axis=1) / size
     off_crossed = np.linalg.norm(now[:, ::-1] - expected, axis=-1).mean(axis=1) / size
     for_it = (off > _APART) & (off_crossed < _NEARER * off)
     against = (off_crossed > _APART) & (off < _NEARER * off_crossed)
-    return bool(for_it.sum() > 1 and for_it.sum() > 2 * against.sum())
+    return bool(for_it.sum() >= _FEWEST_PAIRS and for_it.sum() > 2 * against.sum())
 
 
 # --- people --------------------------------------------------------------------------------------

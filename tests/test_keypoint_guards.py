@@ -80,6 +80,15 @@ def test_legs_alone_may_be_exchanged_and_confidence_goes_with_them() -> None:
     assert [f.what for f in faults] == ["keypoints of legs"]
 
 
+def test_points_that_a_detector_never_or_seldom_sees_have_no_say_in_sides() -> None:
+    seen = planted.unseen(SEEN, slice(None), BODY.index("LeftHand", "RightFoot"))
+    seen = planted.unseen(seen, slice(0, None, 3), BODY.index("LeftForeArm"))
+    mended, faults = guarded_keypoints(exchanged(seen, slice(61, 91)))
+    np.testing.assert_array_equal(mended.uv_px, seen.uv_px)
+    assert {f.kind for f in faults} == {FaultKind.SIDES}
+    assert len(faults) == 2
+
+
 def test_sides_at_30_hz_are_exchanged_back_too() -> None:
     slow = at_rate(SEEN, 2)
     mended, faults = guarded_keypoints(exchanged(slow, slice(30, 50)))
