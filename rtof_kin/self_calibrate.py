@@ -17,11 +17,12 @@ from rtof_kin import kinematics
 from rtof_kin import rotations as so3
 from rtof_kin.calibration_priors import CalibrationPriors
 from rtof_kin.errors import CalibrationError
-from rtof_kin.joint_space import unknowns as kinds
+from rtof_kin.joint_space import sensor_unknowns as sensing
+from rtof_kin.joint_space import vision_unknowns as seeing
 from rtof_kin.joint_space.observations import Observations, sensor_data
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.joint_space.shared import Shared, SharedFragments, Worth
-from rtof_kin.joint_space.unknowns import Unknown
+from rtof_kin.joint_space.unknowns import Bones, Unknown
 from rtof_kin.recording import Recording
 from rtof_kin.self_calibration import (
     BONE_GROUPS,
@@ -117,36 +118,36 @@ def _check_long_enough(
 
 def _unknowns(
     skeleton: SkeletonModel, seen: KeypointSequence, data: Observations, start: PoseSequence,
-    priors: CalibrationPriors, sampled: kinds.Sampled,
+    priors: CalibrationPriors, sampled: sensing.Sampled,
 ) -> list[Unknown]:  # fmt: skip
     """What is open, in the order in which it corrects the evidence."""
     p, found = priors, list[Unknown]()
     if p.sigma_delay is not None:
-        found.append(kinds.Delay(p.sigma_delay, p.sigma_clock_drift, sampled))
+        found.append(sensing.Delay(p.sigma_delay, p.sigma_clock_drift, sampled))
     if p.sigma_heading is not None:
-        found.append(kinds.Heading(data.sensors, p.sigma_heading, p.sigma_heading_drift))
+        found.append(sensing.Heading(data.sensors, p.sigma_heading, p.sigma_heading_drift))
     if p.sigma_swing is not None:
         axes = np.array([_bone_axis(skeleton, joint) for joint in data.sensors])
-        found.append(kinds.Mounting(data.sensors, axes, p.sigma_swing, p.sigma_twist))
+        found.append(sensing.Mounting(data.sensors, axes, p.sigma_swing, p.sigma_twist))
     if p.sigma_lever_arm is not None:
-        found.append(kinds.LeverArm(data.sensors, p.sigma_lever_arm))
+        found.append(sensing.LeverArm(data.sensors, p.sigma_lever_arm))
     if p.sigma_size is not None:
         names = ("all",) if p.sigma_proportion is None else tuple(BONE_GROUPS)
         groups = bone_groups(skeleton, names)
-        found.append(kinds.Bones(
+        found.append(Bones(
             tuple(skeleton.parents), groups, p.sigma_size, p.sigma_proportion or 0.0, data.attached
         ))  # fmt: skip
     if p.sigma_image_bias is not None:
         tall = _height_px(seen)
         sigma_px = np.full(len(data.names), p.sigma_image_bias * tall / 500.0)
-        found.append(kinds.ImageBias(data.names, sigma_px))
+        found.append(seeing.ImageBias(data.names, sigma_px))
     if p.sigma_place is not None:
         slopes = image_slopes(seen.camera, skeleton, start, data.names)
-        found.append(kinds.Places(data.names, p.sigma_place, slopes))
+        found.append(seeing.Places(data.names, p.sigma_place, slopes))
     if p.sigma_focal is not None:
-        found.append(kinds.Focal(p.sigma_focal))
+        found.append(seeing.Focal(p.sigma_focal))
     if p.sigma_tilt is not None:
-        found.append(kinds.Tilt(p.sigma_tilt))
+        found.append(seeing.Tilt(p.sigma_tilt))
     if not found:
         raise CalibrationError("nothing is left open: give a standard deviation of what is not known")
     return found

@@ -220,3 +220,16 @@ def test_without_compiled_code_nothing_is_stored(monkeypatch: pytest.MonkeyPatch
     assert not Store.available()
     with pytest.raises(ShapeError, match="not compiled here; use `factorise`"):
         Store(10, 2)
+
+
+@pytest.mark.usefixtures("compiled")
+def test_a_stored_factor_solves_columns_as_it_solves_one() -> None:
+    store = Store(12, 3)
+    store.entries[:, 0] = 4.0
+    store.entries[:-1, 1] = -1.0
+    factor, right = store.factorise(0.0), np.random.default_rng(0).normal(size=(12, 3))
+    columns = factor.solve_columns(right)
+    for i in range(3):
+        np.testing.assert_array_equal(columns[:, i], factor.solve(right[:, i]))
+    with pytest.raises(SolverError, match="right-hand sides"):
+        factor.solve_columns(right[:5])

@@ -96,3 +96,12 @@ def test_columns_and_corner_are_derivatives_of_the_gradients_where_residuals_van
     expected, expected_y = border.columns @ direction, border.corner @ direction
     np.testing.assert_allclose((x_up - x_down) / 2, expected, atol=2e-3 * np.abs(expected).max())
     np.testing.assert_allclose((y_up - y_down) / 2, expected_y, atol=2e-3 * np.abs(expected_y).max())
+
+
+def test_a_detector_whose_errors_are_white_leaves_no_room_for_biases() -> None:
+    shared = open_fragments("image bias", "mounting")
+    mounting, bias = shared.unknowns
+    assert mounting.limited(0.0) is mounting
+    assert np.sqrt(np.diag(bias.limited(0.0).covariance)).max() < 0.1
+    assert np.sqrt(np.diag(bias.limited(2.0).covariance)).max() == pytest.approx(2.0)
+    np.testing.assert_array_equal(bias.limited(50.0).covariance, bias.covariance)

@@ -56,7 +56,7 @@ joint_space.annealing   joint_space.bordered   joint_space.building
 joint_space.ipopt   joint_space.observations
 joint_space.solver   joint_space.evidence
 fragment   joint_space.border   joint_space.unknowns
-joint_space.shared
+joint_space.shared   joint_space.sensor_unknowns   joint_space.vision_unknowns
 detectors   detectors.layouts   detectors.detections
 detectors.views   detectors.gaussian   detectors.json_files   detectors.people   detectors.models
 detectors.adapter   detectors.files   detectors.video

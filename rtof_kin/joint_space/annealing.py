@@ -33,6 +33,8 @@ class Annealing:
         given = settings.sigma_reprojection
         self.sigma = settings.sigma_reprojection_range[1] if given is None else given
         """[px] of a landmark per axis."""
+        self.factor = 1.0
+        """[1] By how much that is larger because errors last."""
         sees = bool(problem.energy.shape.landmarks)
         self._left = settings.annealing if given is None and sees else 0
         self._found = self.sigma
@@ -43,6 +45,7 @@ class Annealing:
         if self._left == 0:
             return False
         size, factor = self._estimated(self._problem.value(x)[1])
+        self.factor = factor
         first = self._left == self._settings.annealing
         if abs(size * factor / self._found - 1) < _SETTLED and not first:
             return False
@@ -51,6 +54,12 @@ class Annealing:
         self.sigma = float(np.clip(self._found, *self._settings.sigma_reprojection_range))
         self._weigh(factor)
         return True
+
+    @property
+    def lasting_px(self) -> float:
+        """Size of that part of a landmark's errors that is the same from frame to frame, px per axis."""
+        square = self.factor**2  # (1 + r) / (1 - r) with the correlation r
+        return float(self.sigma / self.factor * np.sqrt((square - 1) / (square + 1)))
 
     def _weigh(self, factor: float | None) -> None:
         """Weights for errors that correlation in time makes count as if larger by a factor.

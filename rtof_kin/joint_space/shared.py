@@ -40,8 +40,8 @@ _INNER = 8
 """Iterations of a fragment's states after the first round."""
 _LIVELY = 8
 """Fragments that a delay is looked for in."""
-_SETTLED = 0.05
-"""Step of every unknown, in its standard deviations, at which rounds end."""
+_ENOUGH = 1e-3
+"""Share of the energy by which a step must lower it for another one; the states are solved to less."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,9 @@ class Shared:
     residuals: Array
     """(T, L, 2) of reprojection with everything corrected, px."""
     energies: tuple[float, ...]
-    """After every round."""
+    """After every step that was taken, none first."""
     converged: bool
-    """Whether the last step was small."""
+    """Whether the last step changed the energy by next to nothing."""
 
 
 class SharedFragments:
@@ -90,7 +90,7 @@ class SharedFragments:
         stops = np.cumsum([len(u.covariance) for u in unknowns]).tolist()
         starts = [0, *stops[:-1]]
         self.columns = tuple(slice(a, b) for a, b in zip(starts, stops, strict=True))
-        self.prior = np.linalg.inv(block_diag(*(u.covariance for u in unknowns)))
+        self.prior = _precision(self.unknowns)
         self._solver = LevenbergMarquardt(data.problem, data.limits)
         self._firsts = range(0, len(times), data.frames)
         self._sigma_px = np.nan
@@ -110,24 +110,24 @@ class SharedFragments:
         y, energies, converged = self._searched(), [], False
         free = np.flatnonzero(~self._search_columns)
         best, step = (np.inf, y), np.zeros_like(y)
-        for done in range(rounds):
+        for done in range(rounds + 1):
             evidence = self.corrected(y)
             energy = self.settle(evidence) + 0.5 * float(y @ self.prior @ y)
-            energies.append(energy)
-            tell(done + 2, rounds + 1)
-            if energy > best[0] * (1 + 1e-3):  # too far
-                step = step / 2
+            tell(done + 1, rounds + 1)
+            if energy > best[0] * (1 + _ENOUGH):  # too far
+                step = step / 4
                 y = best[1] + step
                 continue
+            energies.append(energy)
+            converged = best[0] - energy < _ENOUGH * energy
             best = energy, y
             hessian, gradient = self.profile(evidence, y)
-            step = np.zeros_like(y)
-            step[free] = -cho_solve(cho_factor(hessian[np.ix_(free, free)]), gradient[free])
-            sigma = np.sqrt(np.diag(np.linalg.inv(hessian)))
-            y = y + step
-            converged = bool(np.abs(step / sigma).max(initial=0.0) < _SETTLED)
             if converged:
                 break
+            step = np.zeros_like(y)
+            step[free] = -cho_solve(cho_factor(hessian[np.ix_(free, free)]), gradient[free])
+            y = y + step
+        y = best[1]
         tell(rounds + 1, rounds + 1)
         residuals = self._residuals(self.corrected(y))
         return Shared(y, hessian, self._sigma_px, residuals, tuple(energies), converged)
@@ -192,8 +192,10 @@ class SharedFragments:
         )
 
     def begin(self) -> None:
-        """Solve the fragments as reconstruction does, which tells how large landmarks' errors are."""
-        s, data, sizes = self.data.settings, self.data, []
+        """Solve the fragments as reconstruction does, which tells how large landmarks' errors are, and so
+        how large those can be that stay.
+        """
+        s, data, sizes, lasting = self.data.settings, self.data, list[float](), list[float]()
         for first in self._firsts:
             index, inside, values = data.fragment(first)
             data.problem.bind(values)
@@ -204,7 +206,10 @@ class SharedFragments:
             self._states[first] = solved.x, solved.multipliers
             if data.anything_seen(first, inside):
                 sizes.append(annealing.sigma)
+                lasting.append(annealing.lasting_px)
         self._sigma_px = float(np.median(sizes))
+        self.unknowns = tuple(u.limited(float(np.median(lasting))) for u in self.unknowns)
+        self.prior = _precision(self.unknowns)
 
     def settle(self, evidence: Evidence, firsts: Sequence[int] | None = None) -> float:
         """Bring the states of all fragments, or some, to their optimum; the energy there."""
@@ -273,3 +278,8 @@ class SharedFragments:
         moved = np.diff(by("sensors", at.sensors), n=2, axis=0) * rate**2
         border.add_second_difference(moves, moved - by("accelerations", moves.value), rate)
         return border
+
+
+def _precision(unknowns: Sequence[Unknown]) -> Array:
+    """(G, G) of all kinds' priors."""
+    return np.asarray(np.linalg.inv(block_diag(*(u.covariance for u in unknowns))))

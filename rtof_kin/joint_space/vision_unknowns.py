@@ -1,0 +1,134 @@
+"""What may be wrong with the camera and the detector all through a recording; see `unknowns`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import quaternions as quat
+from rtof_kin import rotations as so3
+from rtof_kin.joint_space.evidence import Changes, Evidence, Situation
+from rtof_kin.joint_space.unknowns import Unlimited, each
+
+Array = NDArray[np.float64]
+_LEAST_PX = 0.05
+"""Prior of a bias where errors are white."""
+
+
+@dataclass(frozen=True)
+class ImageBias:
+    """By how much a detector sees each landmark beside where it is, always in the same direction."""
+
+    items: tuple[str, ...]
+    sigma_px: Array
+    """(L,) px per axis."""
+    name = "image bias"
+    searched = False
+
+    def limited(self, lasting_px: float) -> Self:
+        """With biases of at most the errors that last: white errors leave no room for any."""
+        most = max(lasting_px, _LEAST_PX)
+        return replace(self, sigma_px=np.minimum(self.sigma_px, most))
+
+    @property
+    def covariance(self) -> Array:
+        """Of u and v, landmark after landmark."""
+        return np.diag(np.repeat(self.sigma_px, 2) ** 2)
+
+    def correct(self, evidence: Evidence, y: Array) -> Evidence:
+        """Landmarks moved back."""
+        return evidence.changed(uv_px=evidence.rows["uv_px"] - y.reshape(-1, 2))
+
+    def changes(self, at: Situation, y: Array) -> Changes:
+        """Each its own."""
+        return Changes(image=-each(np.broadcast_to(np.eye(2), (len(at.times), len(self.items), 2, 2))))
+
+
+@dataclass(frozen=True)
+class Places(Unlimited):
+    """Where each landmark of a detector really sits, from where it is held to sit in its segment.
+
+    The image of an offset is taken at the poses that the calibration starts from; it is linear in it.
+    """
+
+    items: tuple[str, ...]
+    sigma: float
+    """[m] per axis."""
+    slopes: Array
+    """(T, L, 2, 3) px per m along the segment's axes: `image_slopes`."""
+    name = "place"
+    searched = False
+
+    @property
+    def covariance(self) -> Array:
+        """Of three axes, landmark after landmark."""
+        return np.eye(3 * len(self.items)) * self.sigma**2
+
+    def correct(self, evidence: Evidence, y: Array) -> Evidence:
+        """Landmarks seen where they are held to sit."""
+        shift = np.einsum("tlij,lj->tli", self.slopes, y.reshape(-1, 3))
+        return evidence.changed(uv_px=evidence.rows["uv_px"] - shift)
+
+    def changes(self, at: Situation, y: Array) -> Changes:
+        """Along the segments' axes."""
+        return Changes(image=-each(self.slopes[at.index]))
+
+
+@dataclass(frozen=True)
+class Focal(Unlimited):
+    """By how much longer the focal length is."""
+
+    sigma: float
+    """[1]"""
+    name = "focal length"
+    searched = False
+    items = ("camera",)
+
+    @property
+    def covariance(self) -> Array:
+        """(1, 1)"""
+        return np.full((1, 1), self.sigma**2)
+
+    def correct(self, evidence: Evidence, y: Array) -> Evidence:
+        """Another focal length."""
+        K = np.array(evidence.constant["K"])
+        K[:2, :2] *= 1 + y[0]
+        return evidence.known(K=K)
+
+    def changes(self, at: Situation, y: Array) -> Changes:
+        """Away from the principal point."""
+        from_centre = at.image_by_point[0] - at.evidence.constant["K"][:2, 2]
+        return Changes(image=-from_centre[..., None] / (1 + y[0]))
+
+
+@dataclass(frozen=True)
+class Tilt(Unlimited):
+    """How the camera is turned from where it is held to look, about its centre."""
+
+    sigma: float
+    """[rad] about each axis."""
+    name = "camera tilt"
+    searched = False
+    items = ("camera",)
+
+    @property
+    def covariance(self) -> Array:
+        """(3, 3)"""
+        return np.eye(3) * self.sigma**2
+
+    def correct(self, evidence: Evidence, y: Array) -> Evidence:
+        """Another orientation of the camera."""
+        turn, known = so3.exp(y), evidence.constant
+        return evidence.known(
+            R_camera_world=turn @ known["R_camera_world"], t_camera_world=turn @ known["t_camera_world"]
+        )
+
+    def changes(self, at: Situation, y: Array) -> Changes:
+        """As if the landmarks turned the other way about the camera."""
+        R = at.evidence.constant["R_camera_world"]
+        camera = at.landmarks @ R.T + at.evidence.constant["t_camera_world"]
+        left = quat.right_jacobian(-y)
+        return Changes(points=-R.T @ so3.skew(camera) @ left)
