@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.gait import PHASES
+from rtof_kin.figures import save_figures
 
 SIDE_COLORS = {"right": "#0072b2", "left": "#c0392b", "": "0.25"}
 SHOWN = (
@@ -28,18 +28,10 @@ def write_clinical_figures(analysis: MotionAnalysis, folder: str | Path) -> list
     Returns:
         The paths written: ``angles.png``, and ``gait_cycles.png`` where there are strides.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     figures = {"angles": angles_over_time(analysis)}
     if analysis.curves:
         figures["gait_cycles"] = gait_cycles(analysis)
-    paths = []
-    for name, figure in figures.items():
-        path = folder / f"{name}.png"
-        figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
-        figure.savefig(path)
-        paths.append(path)
-    return paths
+    return save_figures(figures, folder)
 
 
 def gait_cycles(analysis: MotionAnalysis) -> Figure:

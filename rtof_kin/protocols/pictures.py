@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from rtof_kin.figures import STAGE_COLORS, TRUTH, views
+from rtof_kin.figures import STAGE_COLORS, TRUTH, save_figures, views
 from rtof_kin.protocols.jobs import Outcome
 from rtof_kin.skeleton_table import SkeletonTable
 
@@ -27,17 +26,11 @@ def write_pictures(
     keys = _characters(outcome)
     if not keys:
         return []
-    folder.mkdir(parents=True, exist_ok=True)
     figures = {
         "error_curves": error_curves(outcome, keys, rate_hz),
         "skeletons": skeletons(outcome, keys[-1], table.parents, rate_hz),
     }
-    paths = []
-    for name, figure in figures.items():
-        figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
-        paths.append(folder / f"{name}.png")
-        figure.savefig(paths[-1])
-    return paths
+    return save_figures(figures, folder)
 
 
 def _characters(outcome: Outcome) -> list[str]:
