@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.errors import FileFormatError, OutputExistsError, RtofError, ShapeError
+from rtof_kin.errors import FileFormatError, RtofError, ShapeError
 from rtof_kin.io.markers import MarkerSequence
-from rtof_kin.io.text import check_file
+from rtof_kin.io.text import check_file, check_new_file
 from rtof_kin.io.world_axes import METRES, world_of_file
 
 Array = NDArray[np.float64]
@@ -284,8 +284,7 @@ def write_c3d(
     import ezc3d  # only who writes waits for it
 
     path, R_world_file = Path(path), world_of_file(up)
-    if path.exists() and not overwrite:
-        raise OutputExistsError(f"{path}: is there already; ask to overwrite it or name another file")
+    check_new_file(path, overwrite)
     rate = markers.rate_hz
     first = round(float(markers.times[0]) * rate)
     if first < 0 or np.abs(markers.times * rate - first - np.arange(len(markers))).max() > 1e-3:

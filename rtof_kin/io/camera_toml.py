@@ -23,8 +23,9 @@ import tomli_w
 from numpy.typing import NDArray
 
 from rtof_kin import rotations as so3
-from rtof_kin.errors import FileFormatError, OutputExistsError, RtofError, ShapeError, UnitError
+from rtof_kin.errors import FileFormatError, ShapeError, UnitError
 from rtof_kin.io.section import Section
+from rtof_kin.io.text import write_text
 from rtof_kin.io.world_axes import world_of_file
 from rtof_kin.types import Camera
 
@@ -151,11 +152,6 @@ def write_camera_toml(
         OutputExistsError: the file exists and overwriting was not asked for.
         RtofError: it cannot be written.
     """
-    path = Path(path)
-    if path.exists() and not overwrite:
-        raise OutputExistsError(
-            f"{path}: is there already; ask to overwrite it or name another file"
-        )
     tables: dict[str, dict[str, Any]] = {
         name: {
             "name": name,
@@ -168,7 +164,4 @@ def write_camera_toml(
         }
         for name, camera in cameras.items()
     }
-    try:
-        path.write_text(tomli_w.dumps(tables), encoding="utf-8")
-    except OSError as error:
-        raise RtofError(f"{path}: cannot be written ({error}); name another file") from error
+    write_text(Path(path), tomli_w.dumps(tables), overwrite)

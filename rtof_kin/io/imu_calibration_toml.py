@@ -24,12 +24,11 @@ from rtof_kin.calibration import ImuCalibration
 from rtof_kin.errors import (
     CalibrationError,
     FileFormatError,
-    OutputExistsError,
-    RtofError,
     ShapeError,
     UnknownNameError,
 )
 from rtof_kin.io.section import Section
+from rtof_kin.io.text import write_text
 from rtof_kin.skeleton import SkeletonModel
 
 Array = NDArray[np.float64]
@@ -64,15 +63,8 @@ def write_imu_calibration_toml(
         OutputExistsError: the file exists and overwriting was not asked for.
         RtofError: it cannot be written.
     """
-    path = Path(path)
-    if path.exists() and not overwrite:
-        raise OutputExistsError(
-            f"{path}: is there already; ask to overwrite it or name another file"
-        )
-    try:
-        path.write_text(tomli_w.dumps({"sensors": calibration_table(calibration)}), encoding="utf-8")
-    except OSError as error:
-        raise RtofError(f"{path}: cannot be written ({error}); name another file") from error
+    content = {"sensors": calibration_table(calibration)}
+    write_text(Path(path), tomli_w.dumps(content), overwrite)
 
 
 def calibration_of(sensors: Section, skeleton: SkeletonModel) -> ImuCalibration | None:

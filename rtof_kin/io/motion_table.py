@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.errors import OutputExistsError, RtofError
+from rtof_kin.errors import RtofError
 from rtof_kin.io.joint_trajectory import BASE_COLUMNS
-from rtof_kin.io.text import write_text
+from rtof_kin.io.text import check_new_file, write_text
 from rtof_kin.skeleton import MotionSequence
 from rtof_kin.types import Provenance
 
@@ -101,8 +101,7 @@ def write_motion_parquet(
     except ImportError as error:
         raise RtofError("Parquet needs pyarrow: install the extra, rtof_kin[parquet]") from error
     path, columns = Path(path), motion_columns(motion)
-    if path.exists() and not overwrite:
-        raise OutputExistsError(f"{path}: is there already; ask to overwrite it or name another file")
+    check_new_file(path, overwrite)
     arrays = [pa.array(c.values, from_pandas=True) for c in columns]  # from_pandas: NaN is null
     fields = [
         pa.field(c.name, array.type, metadata=({"unit": c.unit} if c.unit else {}) | c.also)

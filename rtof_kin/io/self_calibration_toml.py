@@ -20,8 +20,9 @@ from typing import Any
 
 import tomli_w
 
-from rtof_kin.errors import FileFormatError, OutputExistsError, RtofError, ShapeError
+from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.io.section import Section
+from rtof_kin.io.text import write_text
 from rtof_kin.self_calibration import Detector, Quantity, SelfCalibration
 
 SCHEMA_VERSION = 1
@@ -36,8 +37,6 @@ def write_self_calibration_toml(
         OutputExistsError: the file exists and overwriting was not asked for.
         RtofError: it cannot be written.
     """
-    check_new_file(path, overwrite)
-    path = Path(path)
     quantities: dict[str, dict[str, Any]] = {}
     for q in calibration.quantities:
         quantities.setdefault(q.kind, {})[q.item] = {
@@ -53,22 +52,7 @@ def write_self_calibration_toml(
             d.landmark: {"sigma_px": d.sigma_px, "memory_s": d.memory} for d in calibration.detector
         },
     }
-    try:
-        path.write_text(tomli_w.dumps(content), encoding="utf-8")
-    except OSError as error:
-        raise RtofError(f"{path}: cannot be written ({error}); name another file") from error
-
-
-def check_new_file(path: str | Path, overwrite: bool) -> None:
-    """Refuse to replace a file unasked.
-
-    Raises:
-        OutputExistsError: something stands there.
-    """
-    if Path(path).exists() and not overwrite:
-        raise OutputExistsError(
-            f"{path}: is there already; ask to overwrite it or name another file"
-        )
+    write_text(Path(path), tomli_w.dumps(content), overwrite)
 
 
 def read_self_calibration_toml(path: str | Path) -> SelfCalibration:

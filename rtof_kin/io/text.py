@@ -103,14 +103,23 @@ def measurable(array: NDArray[np.float64]) -> bool:
         return not np.any((np.abs(array) > LARGEST_NUMBER) & np.isfinite(array))
 
 
+def check_new_file(path: str | Path, overwrite: bool) -> None:
+    """Refuse to replace a file unasked.
+
+    Raises:
+        OutputExistsError: something stands there.
+    """
+    if Path(path).exists() and not overwrite:
+        raise OutputExistsError(f"{path}: is there already; ask to overwrite it or name another file")
+
+
 def write_text(path: Path, text: str, overwrite: bool = False) -> None:
     """Write a file in UTF-8.
 
     Raises:
         OutputExistsError: it exists and overwriting was not asked for. RtofError: it cannot be written.
     """
-    if path.exists() and not overwrite:
-        raise OutputExistsError(f"{path}: is there already; ask to overwrite it or name another file")
+    check_new_file(path, overwrite)
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
