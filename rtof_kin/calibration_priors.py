@@ -21,7 +21,7 @@ class CalibrationPriors:
     """[s] of the video behind the sensors."""
     sigma_clock_drift: float | None = None
     """[s/s] by which their clocks differ."""
-    sigma_swing: float | None = np.radians(1.0)
+    sigma_swing: float | None = np.radians(1.5)
     """[rad] of a sensor's mounting, about axes across its bone."""
     sigma_twist: float = np.radians(4.0)
     """[rad] about the bone."""
@@ -45,7 +45,7 @@ class CalibrationPriors:
     """[rad] of the camera's orientation about each axis."""
     worth_vision: float = 1.0
     """[1] What landmarks count here, as a share of what they count in a reconstruction."""
-    worth_sensors: float = 0.1
+    worth_sensors: float = 0.3
     """[1] The same of the sensors' orientations, whose slip on the segments lasts for many seconds."""
     worth_poses: float = 0.1
     """[1] The same of the prior of poses and of the start's torso: postures last for seconds."""

@@ -108,7 +108,6 @@ class SharedFragments:
         self.begin()
         tell(1, rounds + 1)
         y, energies, converged = self._searched(), [], False
-        free = np.flatnonzero(~self._search_columns)
         best, step = (np.inf, y), np.zeros_like(y)
         for done in range(rounds + 1):
             evidence = self.corrected(y)
@@ -124,8 +123,7 @@ class SharedFragments:
             hessian, gradient = self.profile(evidence, y)
             if converged:
                 break
-            step = np.zeros_like(y)
-            step[free] = -cho_solve(cho_factor(hessian[np.ix_(free, free)]), gradient[free])
+            step = -cho_solve(cho_factor(hessian), gradient)
             y = y + step
         y = best[1]
         tell(rounds + 1, rounds + 1)
@@ -276,7 +274,9 @@ class SharedFragments:
         moves = at.accelerations(values.w_acceleration, s.robust_acceleration)
         rate = evidence.rate_hz
         moved = np.diff(by("sensors", at.sensors), n=2, axis=0) * rate**2
-        border.add_second_difference(moves, moved - by("accelerations", moves.value), rate)
+        border.add_differences(moves, moved - by("accelerations", moves.value), 2, rate)
+        jerk = at.jerk(values.w_jerk, self.data.problem.sigma_jerk[:3] * evidence.length_scale)
+        border.add_differences(jerk, by("jerk", jerk.value), 3, rate)
         return border
 
 
