@@ -24,8 +24,8 @@ def check_height(recording: Recording) -> None:
     told, made = recording.height, recording.skeleton.height
     if told is not None and abs(made / told - 1) > _HEIGHT_SHARE:
         raise CalibrationError(
-            f"recording {recording.name}: its height is told to be {told:.2f} m, but its bone lengths make "
-            f"a body {made:.2f} m tall; measure again, or give only one of the two"
+            f"recording {recording.name}: its height is told to be {told:.2f} m, but its bone lengths "
+            f"make a body {made:.2f} m tall; measure again, or give only one of the two"
         )
 
 
@@ -48,5 +48,5 @@ def contradictions(recording: Recording, calibration: SelfCalibration) -> tuple[
     told = recording.height
     if told is not None and any(line.startswith("bones") for line in found):
         made = calibration.apply(recording).skeleton.height
-        found.append(f"the height is told to be {told:.2f} m; the bones that were found make {made:.2f} m")
+        found.append(f"the height is told to be {told:.2f} m; the bones found make {made:.2f} m")
     return tuple(found)

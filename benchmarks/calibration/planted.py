@@ -1,10 +1,10 @@
 """Planted errors and what a calibration from the recording recovers of them.
 
-``python -m benchmarks.calibration.planted --corpus DIR [--subset validation]``: in recordings of 20 s with
-realistic 2D and 8 sensors every error of `planting.ERRORS` alone, beside what is usually wrong, and all of
-them together, at the sizes of docs/calibration.md and at three times those, with a floor that is told and
-without; recordings of 4 to 40 s of walking, standing work and varied motion; and recordings in which next to
-nothing is wrong. An interrupted run goes on where it stopped; ``--report`` only writes tables and figure.
+``python -m benchmarks.calibration.planted --corpus DIR [--subset validation]``: in recordings of 20 s
+with realistic 2D and 8 sensors every error of `planting.ERRORS` alone, besides what is usually wrong, and
+all of them together, at the sizes of docs/calibration.md and at three times those, with a floor that is
+told and without; recordings of 4 to 40 s of walking, standing work and varied motion; and recordings in
+which next to nothing is wrong. An interrupted run goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -19,7 +19,17 @@ from pathlib import Path
 from benchmarks import harness
 from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.calibration import planted_figure, planted_tables
-from benchmarks.calibration.planted_rows import ALL, GOOD, KNOWN, PLAIN, SESSIONS, Job, Row, row, session
+from benchmarks.calibration.planted_rows import (
+    ALL,
+    GOOD,
+    KNOWN,
+    PLAIN,
+    SESSIONS,
+    Job,
+    Row,
+    row,
+    session,
+)
 from benchmarks.calibration.planting import ERRORS
 
 STUDIES = ("planted", "length", "harm")

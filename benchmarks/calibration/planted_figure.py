@@ -1,4 +1,4 @@
-"""The figure: what was recovered of what was planted, and errors of the motion by the recording's length."""
+"""The figure: what was recovered of what was planted, and joint errors by the recording's length."""
 
 from __future__ import annotations
 
@@ -10,8 +10,15 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from benchmarks.calibration.planted_rows import ALL, PLAIN, Row
-from benchmarks.calibration.planted_tables import STAGES, UNITS, mean, numbers, with_known
+from benchmarks.calibration.planted_rows import ALL, Row
+from benchmarks.calibration.planted_tables import (
+    STAGES,
+    UNITS,
+    chosen_lengths,
+    mean,
+    numbers,
+    with_known,
+)
 from benchmarks.calibration.planting import ERRORS
 
 CASES = {"alone x1": "#0072b2", "all x1": "#c0392b", "all x1, floor told": "#2e8b57"}
@@ -30,9 +37,8 @@ def write_figure(path: Path, rows: Sequence[Row]) -> None:
         _recovered(ax, rows, error)
     handles, labels = axes.flat[0].get_legend_handles_labels()
     recovered.legend(handles, labels, loc="outside upper center", ncols=len(CASES))
-    for ax, (key, name) in zip(
-        growing.subplots(1, 2), {"mpjpe_rr_mm": "root-relative", "mpjpe_mm": "absolute"}.items(), strict=True
-    ):
+    names = {"mpjpe_rr_mm": "root-relative", "mpjpe_mm": "absolute"}
+    for ax, (key, name) in zip(growing.subplots(1, 2), names.items(), strict=True):
         _by_length(ax, rows, key)
         ax.set_ylabel(f"{name} joint error [mm]")
     figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
@@ -69,8 +75,7 @@ def _recovered(ax: Axes, rows: Sequence[Row], error: str) -> None:
 
 def _by_length(ax: Axes, rows: Sequence[Row], key: str) -> None:
     """Errors of all at once, floor told, a colour for each motion."""
-    own = [r for r in rows if r["case"] in (ALL, PLAIN) and r["scale"] == 1 and r["floor"]]
-    own = [r for r in own if r["case"] == ALL and r["sensors"] == "8"]
+    own = chosen_lengths(rows)
     for i, session in enumerate(dict.fromkeys(r["session"] for r in own)):
         mine = [r for r in own if r["session"] == session]
         seconds = sorted({r["seconds"] for r in mine})

@@ -22,7 +22,7 @@ from rtof_kin.mocap import MocapClip
 from rtof_kin.pipeline import reconstruct
 from rtof_kin.recording import Recording
 from rtof_kin.self_calibration import Detector, SelfCalibration
-from rtof_kin.simulation import SimulationSettings, simulate, standard_cameras
+from rtof_kin.simulation import simulate, standard_cameras
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -32,15 +32,13 @@ SESSIONS = {
         "walking": [f"16_{n}" for n in ("15", "16", "21", "22", "31", "32", "47", "58")],
         "standing": ["02_06", "02_10", "02_05"],
         "varied": ["14_14", "14_08"],
-        "about": ["09_12", "09_01", "09_02", "09_03"],
     },
     "validation": {
         "walking": [f"08_{n:02d}" for n in (1, 2, 3, 4, 5, 6, 8, 9, 10, 11)],
         "standing": ["131_01", "131_02", "131_03"],
     },
 }
-"""Subset -> what is done -> motions of one person; 'standing' works on the spot, 'about' goes there and
-runs."""
+"""Subset -> what is done -> motions of one person; 'standing' works on the spot."""
 KNOWN, PLAIN, ALL, GOOD = "known", "usual", "all", "good"
 
 

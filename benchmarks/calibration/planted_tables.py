@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ def report(rows: Sequence[Row]) -> str:
     rows = with_known(rows)
     planted = [r for r in rows if r["study"] == "planted"]
     parts = [
-        ("Joint errors (mm) and flexion (deg): as told, calibrated, and with nothing wrong", motion(planted)),
+        ("Joint errors (mm) and flexion (deg): as told, calibrated, nothing wrong", motion(planted)),
         ("Each error alone, besides what is usually wrong", alone(planted)),
         ("What is found where all are wrong, and where only the usual is", together(planted)),
         ("Claimed standard deviations: truths within one and two", coverage(planted)),
@@ -104,7 +104,8 @@ def _recovered(rows: Sequence[Row], error: str) -> list[str] | None:
     sizes = [f"{factor * np.sqrt(np.mean(v**2)):.3g}" for v in (n["truth"], left, n["sigma"])]
     count = Counter(n["verdict"].tolist())
     verdicts = " / ".join(f"{100 * count[v.value] / len(z):.0f}" for v in Verdict)
-    return [unit, *sizes, f"{100 * np.mean(z < 1):.0f} / {100 * np.mean(z < 2):.0f}", verdicts, str(len(z))]
+    within = f"{100 * np.mean(z < 1):.0f} / {100 * np.mean(z < 2):.0f}"
+    return [unit, *sizes, within, verdicts, str(len(z))]
 
 
 _FOUND = ["unit", "planted rms", "left rms", "claimed", "within 1 / 2 sigma, %",
@@ -160,15 +161,22 @@ def detector(rows: Sequence[Row]) -> str:
             continue
         cells = []
         for claimed, true in (("claimed", "sigma"), ("claimed_memory", "memory")):
-            ratio = [c / t for r in own for c, t in zip(r["detector"][claimed], r["detector"][true], strict=True)]
+            pairs = [zip(r["detector"][claimed], r["detector"][true], strict=True) for r in own]
+            ratio = [c / t for pair in pairs for c, t in pair]
             cells.append("{:.2f} / {:.2f} / {:.2f}".format(*np.percentile(ratio, [25, 50, 75])))
         lines.append([str(case), f"x{scale:g}", *cells])
     return _table(["wrong", "size", "sigma 25 / 50 / 75 %", "memory 25 / 50 / 75 %"], lines)
 
 
+def chosen_lengths(rows: Sequence[Row]) -> list[Row]:
+    """All errors at once, the floor told, 8 sensors, however long."""
+    own = [r for r in rows if r["case"] == ALL and r["scale"] == 1]
+    return [r for r in own if r["floor"] and r["sensors"] == "8"]
+
+
 def lengths(rows: Sequence[Row]) -> str:
     """Errors of joints and verdicts by what is done and for how long."""
-    own = [r for r in rows if r["case"] == ALL and r["scale"] == 1 and r["floor"] and r["sensors"] == "8"]
+    own = chosen_lengths(rows)
     errors = [e for e in ERRORS if numbers(own, e)]
     lines = []
     for (session, seconds), same in sorted(_grouped(own, "session", "seconds").items(), key=str_key):
@@ -197,14 +205,14 @@ def harm(rows: Sequence[Row]) -> str:
     """Change of every figure, in percent; the largest over recordings too."""
     own = [r for r in rows if r["case"] == GOOD]
 
-    def change(some: Sequence[Row], figure: str, pick: Callable[[list[float]], float]) -> str:
-        return f"{100 * (pick([mean([r], 'after', figure) / mean([r], 'before', figure) for r in some]) - 1):+.1f}"
+    def change(some: Sequence[Row], figure: str) -> float:
+        return 100 * (mean(some, "after", figure) / mean(some, "before", figure) - 1)
 
     lines = []
     for (keypoints, seconds), same in _grouped(own, "keypoints", "seconds").items():
         cells = []
         for f in FIGURES:
-            pooled = 100 * (mean(same, "after", f) / mean(same, "before", f) - 1)
-            cells.append(f"{mean(same, 'before', f):.1f}: {pooled:+.1f} (worst {change(same, f, max)})")
+            worst = max(change([r], f) for r in same)
+            cells.append(f"{mean(same, 'before', f):.1f}: {change(same, f):+.1f} (worst {worst:+.1f})")
         lines.append([str(keypoints), f"{seconds:g}", str(len(same)), *cells])
     return _table(["2D", "s", "recordings", *(f"{_HEADS[f]}: change, %" for f in FIGURES)], lines)

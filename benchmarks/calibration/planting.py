@@ -124,7 +124,7 @@ ERRORS = {
         lambda recording, rng: {"camera": rng.standard_normal(3)}, _opening(sigma_tilt=1),
     ),
 }  # fmt: skip
-"""In the order of the issue; the drift of a clock is that of a video stamped with 60 Hz that has 59.94."""
+"""In the order of the issue; a clock drifts as that of a video of 59.94 Hz that is stamped with 60."""
 USUAL = {"delay": 0.045, "mounting": np.radians(2.0), "image bias": 6.0}
 """What is wrong with a realistic recording whatever else is planted, and its size."""
 
