@@ -75,6 +75,7 @@ recording_files   mocap_families   simulation_noise
 recording_imus   mocap_mapping   simulation_sensors
 recording   mocap   body_checks
 self_calibration   calibration_priors
+contradictions
 self_calibrate   io.self_calibration_toml
 datasets   datasets.total_capture_files   datasets.human36m_cameras   datasets.human36m_body
 datasets.detections   datasets.total_capture_truth   datasets.human36m_files

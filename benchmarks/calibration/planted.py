@@ -1,0 +1,125 @@
+"""Planted errors and what a calibration from the recording recovers of them.
+
+``python -m benchmarks.calibration.planted --corpus DIR [--subset validation]``: in recordings of 20 s
+with realistic 2D and 8 sensors every error of `planting.ERRORS` alone, besides what is usually wrong, and
+all of them together, at the sizes of docs/calibration.md and at three times those, with a floor that is
+told and without; recordings of 4 to 40 s of walking, standing work and varied motion; and recordings in
+which next to nothing is wrong. An interrupted run goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from benchmarks import harness
+from benchmarks.accuracy.row_file import RowFile, version_of
+from benchmarks.calibration import planted_figure, planted_tables
+from benchmarks.calibration.planted_rows import (
+    ALL,
+    GOOD,
+    KNOWN,
+    PLAIN,
+    SESSIONS,
+    Job,
+    Row,
+    row,
+    session,
+)
+from benchmarks.calibration.planting import ERRORS
+
+STUDIES = ("planted", "length", "harm")
+LENGTHS = (4.0, 10.0, 20.0, 40.0)
+OF_SCALE = ("size", "proportions", "focal length", "camera tilt")
+"""What a floor tells of most: planted alone with one too."""
+
+
+def jobs(subset: str, studies: list[str], seconds: float, cameras: int) -> Iterator[Job]:
+    """Every recording that is made, those that tell most first; some stand there twice."""
+    for study in studies:
+        for one in {"planted": _planted, "length": _lengths, "harm": _harm}[study](seconds):
+            for name in SESSIONS[subset]:
+                for camera in range(cameras):
+                    yield replace(one, session=name, camera=camera)
+
+
+def _planted(seconds: float) -> Iterator[Job]:
+    one = Job("planted", "", KNOWN, seconds=seconds)
+    for floor in (False, True):
+        for case in (KNOWN, PLAIN, ALL):
+            yield replace(one, case=case, floor=floor)
+    for name in ERRORS:
+        yield replace(one, case=name)
+    for case in (KNOWN, ALL):
+        yield replace(one, case=case, floor=True, sensors="10")
+    for floor in (False, True):
+        yield replace(one, case=ALL, scale=3.0, floor=floor)
+    for name in OF_SCALE:
+        yield replace(one, case=name, floor=True)
+    for name in ERRORS:
+        yield replace(one, case=name, scale=3.0)
+
+
+def _lengths(seconds: float) -> Iterator[Job]:
+    for length in LENGTHS:
+        for case in (KNOWN, ALL):
+            yield Job("length", "", case, seconds=length, floor=True)
+
+
+def _harm(seconds: float) -> Iterator[Job]:
+    for keypoints in harness.KEYPOINTS:
+        for length in (4.0, seconds):
+            yield Job("harm", "", GOOD, keypoints=keypoints, seconds=length)
+
+
+def measured(options: argparse.Namespace) -> list[Row]:
+    """Rows of all jobs, from the file or made now."""
+    own = [Path(__file__).with_name(f"{n}.py").read_bytes() for n in ("planting", "planted_rows")]
+    version = version_of(options.subset, options.lifter, *own)
+    file = RowFile(options.rows, version, options.restart)
+    wanted = {}
+    for job in jobs(options.subset, options.studies.split(","), options.seconds, options.cameras):
+        wanted.setdefault(job.key, job)
+    for i, (key, job) in enumerate(wanted.items()):
+        if key not in file.rows:
+            print(f"{i + 1}/{len(wanted)} {key}", file=sys.stderr, flush=True)
+            clip = session(options.corpus, options.subset, job.session, job.seconds)
+            enough = len(clip.poses) >= 0.9 * job.seconds * clip.poses.rate_hz
+            file.add(key, [row(clip, job, options.lifter)] if enough else [])
+    return [one for key in wanted for one in file.rows[key]]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.calibration.planted", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    results = harness.HERE / "results"
+    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser.add_argument("--subset", default="test", choices=tuple(SESSIONS))
+    parser.add_argument("--studies", default=",".join(STUDIES))
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--cameras", type=int, default=1, choices=range(1, 5))
+    parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
+    parser.add_argument("--rows", type=Path, default=results / "calibration_planted.rows")
+    parser.add_argument("--restart", action="store_true", help="throw away rows of other code")
+    parser.add_argument("--out", type=Path, default=results / "calibration_planted.json")
+    options = parser.parse_args(arguments)
+    rows = measured(options)
+    text = planted_tables.report(rows)
+    lines = ",\n".join("  " + json.dumps(one) for one in rows)
+    head = json.dumps({"subset": options.subset})[:-1]
+    options.out.write_text(f'{head},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
+    options.out.with_suffix(".md").write_text(text, encoding="utf-8")
+    planted_figure.write_figure(options.out.with_suffix(".png"), rows)
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,210 @@
+"""What one recording with planted errors gives: found beside planted, and errors of the motion."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import harness
+from benchmarks.calibration import planting
+from benchmarks.calibration.planting import ERRORS, USUAL, Wrong
+from benchmarks.calibration.sessions import joined
+from rtof_kin import rotations as so3
+from rtof_kin.calibration_priors import CalibrationPriors
+from rtof_kin.mocap import MocapClip
+from rtof_kin.pipeline import reconstruct
+from rtof_kin.recording import Recording
+from rtof_kin.self_calibration import Detector, SelfCalibration
+from rtof_kin.simulation import simulate, standard_cameras
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+FIGURES = ("mpjpe_rr_mm", "mpjpe_mm", "flexion_deg")
+SESSIONS = {
+    "test": {
+        "walking": [f"16_{n}" for n in ("15", "16", "21", "22", "31", "32", "47", "58")],
+        "standing": ["02_06", "02_10", "02_05"],
+        "varied": ["14_14", "14_08"],
+    },
+    "validation": {
+        "walking": [f"08_{n:02d}" for n in (1, 2, 3, 4, 5, 6, 8, 9, 10, 11)],
+        "standing": ["131_01", "131_02", "131_03"],
+    },
+}
+"""Subset -> what is done -> motions of one person; 'standing' works on the spot."""
+KNOWN, PLAIN, ALL, GOOD = "known", "usual", "all", "good"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording, wrong in one way."""
+
+    study: str
+    session: str
+    case: str
+    """`KNOWN`: nothing is wrong. `PLAIN`: what usually is. One of `ERRORS`: that besides. `ALL`: all of
+    them. `GOOD`: sensors mounted 2 degrees wrongly, nothing else."""
+    scale: float = 1.0
+    """Of the planted sizes."""
+    seconds: float = 20.0
+    floor: bool = False
+    """Whether the flat floor is told."""
+    keypoints: str = "realistic"
+    sensors: str = "8"
+    camera: int = 0
+
+    @property
+    def key(self) -> str:
+        """Everything, as a line."""
+        floor = "floor" if self.floor else "no floor"
+        return (
+            f"{self.session} {self.seconds:g} s camera {self.camera} {floor} {self.keypoints} "
+            f"{self.sensors} sensors: {self.case} x{self.scale:g}"
+        )
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Error -> its standard deviation."""
+        if self.case == KNOWN:
+            return {}
+        if self.case == GOOD:
+            return {"mounting": USUAL["mounting"]}
+        chosen = list(ERRORS) if self.case == ALL else [self.case] if self.case in ERRORS else []
+        return USUAL | {name: self.scale * ERRORS[name].size for name in chosen}
+
+    @property
+    def priors(self) -> CalibrationPriors:
+        """Those of everybody, with what is planted besides open."""
+        priors = CalibrationPriors()
+        for name in ERRORS:
+            if self.case in (ALL, name):
+                priors = ERRORS[name].opened(priors, self.scale * ERRORS[name].size)
+        return priors
+
+
+@cache
+def _whole_clips(corpus: Path, subset: str) -> dict[str, MocapClip]:
+    names = [name for motions in SESSIONS[subset].values() for name in motions]
+    return {c.name: c for c in harness.whole_clips(corpus, harness.split()[subset], names)}
+
+
+def session(corpus: Path, subset: str, name: str, seconds: float) -> MocapClip:
+    """Motions of one person, one after the other, of so many seconds or what there is."""
+    clips = _whole_clips(corpus, subset)
+    return joined([clips[n] for n in SESSIONS[subset][name]], seconds, name)
+
+
+def right(clip: MocapClip, job: Job) -> Recording:
+    """What is recorded with nothing wrong that a calibration could find."""
+    settings = harness.KEYPOINTS[job.keypoints]()
+    settings = replace(
+        settings,
+        sensors=harness.SENSOR_SETS[job.sensors],
+        keypoints=replace(settings.keypoints, bias_px=0.0),
+        imu=replace(settings.imu, misalignment_deg=0.0),
+        video_lag_frames=(0.0, 0.0),
+    )
+    own = zlib.crc32(clip.name.encode())
+    camera = standard_cameras(clip.poses, own)[job.camera]
+    recording = simulate(
+        clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=own + job.camera,
+        name=clip.name,
+    )  # fmt: skip
+    return replace(recording, floor_height=0.0 if job.floor else None)
+
+
+@cache
+def _lifter(path: str | None) -> Any:
+    from lifting.predict import Lifter
+
+    return Lifter.load(path)
+
+
+def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
+    """Plant, reconstruct, calibrate and reconstruct again."""
+    recording = right(clip, job)
+    seed = zlib.crc32(clip.name.encode()) + job.camera
+    wrong = planting.drawn(recording, job.sizes, seed)
+    out: Row = {**vars(job), "frames": len(recording.video)}
+    told = planting.planted(recording, wrong)
+    before = reconstruct(told, lifter=_lifter(lifter), calibrate=False)
+    out["before"] = _figures(before.metrics)
+    if job.case == KNOWN:
+        return out
+    after = reconstruct(told, lifter=_lifter(lifter), calibrate=job.priors)
+    assert after.calibration is not None
+    out |= {
+        "after": _figures(after.metrics),
+        "converged": after.calibration.converged,
+        "found": found(after.calibration, truths(recording, wrong)),
+        "detector": detected(recording, after.calibration.detector),
+    }
+    return out
+
+
+def _figures(metrics: Mapping[str, Any] | None) -> dict[str, float]:
+    assert metrics is not None
+    return {name: round(float(metrics[name]), 3) for name in FIGURES}
+
+
+def truths(recording: Recording, wrong: Wrong) -> dict[tuple[str, str], Array]:
+    """What a perfect calibration would find, sensors' mean slip included."""
+    known = planting.unknowns(recording, wrong)
+    for joint, slip in planting.slips(recording).items():
+        known["mounting", joint] = so3.log(so3.exp(known["mounting", joint]) @ so3.exp(slip))
+    return known
+
+
+def found(calibration: SelfCalibration, known: Mapping[tuple[str, str], Array]) -> Row:
+    """Error -> columns of item, truth, value, sigma, prior, one number a row, and the verdict."""
+    out: Row = {}
+    for q in calibration.quantities:
+        truth = known[q.kind, q.item]
+        for i in range(len(q.value)):
+            error = _error(q.kind, q.item, i)
+            columns = out.setdefault(
+                error, {n: [] for n in ("item", "truth", "value", "sigma", "prior", "verdict")}
+            )
+            numbers = (truth[i], q.value[i], q.sigma[i], q.sigma_prior[i])
+            for name, number in zip(("truth", "value", "sigma", "prior"), numbers, strict=True):
+                columns[name].append(float(f"{number:.4g}"))
+            columns["item"].append(q.item)
+            columns["verdict"].append(q.verdict.value)
+    return out
+
+
+def _error(kind: str, item: str, number: int) -> str:
+    """Which of `ERRORS` a number of an unknown belongs to."""
+    if kind == "bones":
+        return "size" if item == "all" else "proportions"
+    return {("delay", 1): "clock drift", ("heading", 1): "heading drift"}.get((kind, number), kind)
+
+
+def detected(right: Recording, claimed: tuple[Detector, ...]) -> Row:
+    """Landmark after landmark: size [px] and memory [s] of the detector's errors, and as claimed.
+
+    The true size is the median's, as outliers are no part of it, of errors without their bias.
+    """
+    truth, seen = right.truth, right.video
+    assert truth is not None
+    columns: dict[str, list[float]] = {n: [] for n in ("sigma", "claimed", "memory", "claimed_memory")}
+    for detector in claimed:
+        j = truth.names.index(detector.landmark)
+        e = seen.uv_px[:, seen.names.index(detector.landmark)]
+        e = e - seen.camera.project(truth.p_world_joint[:, j])
+        sigma = float(np.nanmedian(np.linalg.norm(e - np.nanmedian(e, axis=0), axis=1))) / 1.177
+        kept = np.where(np.linalg.norm(e, axis=1, keepdims=True) < 4 * max(sigma, 1e-9), e, np.nan)
+        steps = np.nanmean((kept[1:] - kept[:-1]) ** 2) / max(np.nanvar(kept), 1e-12)
+        share = np.clip(1 - steps / 2, 1e-6, 0.999)
+        rate = 1 / float(np.median(np.diff(seen.times)))
+        values = sigma, detector.sigma_px, -1 / (rate * np.log(share)), detector.memory
+        for name, value in zip(columns, values, strict=True):
+            columns[name].append(round(float(value), 3))
+    return columns
