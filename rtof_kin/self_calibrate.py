@@ -104,7 +104,7 @@ def shared_fragments(
 
     unknowns = _unknowns(recording.skeleton, seen, data, start, priors, sampled)
     worth = Worth(priors.worth_vision, priors.worth_sensors, priors.worth_poses)
-    return SharedFragments(data, start.times, unknowns, worth)
+    return SharedFragments(data, start.times, unknowns, worth, priors.most_seconds)
 
 
 def _with_even_noise(imus: BoneImuSequence) -> BoneImuSequence:
@@ -196,8 +196,8 @@ def _quantities(
     """
     P, S, y = fragments.prior, shared.hessian, shared.y
     inverse, variance = np.linalg.inv(S), np.diag(np.linalg.inv(P))
-    known = np.clip(1 - np.diag(inverse) / variance, 0.0, 1.0)
     claimed = np.minimum(np.diag(inverse @ (P + overcount * (S - P)) @ inverse), variance)
+    known = np.clip(1 - claimed / variance, 0.0, 1.0)
     parts = []
     for unknown, columns in zip(fragments.unknowns, fragments.columns, strict=True):
         stops = np.linspace(columns.start, columns.stop, len(unknown.items) + 1).astype(int)
@@ -226,6 +226,7 @@ def _detector(data: Observations, residuals: Array, rate_hz: float) -> tuple[Det
     for i, name in enumerate(data.names):
         seen = data.confidence[:, i] > 0
         r = residuals[:, i]
+        seen &= np.isfinite(r).all(axis=1)
         if seen.sum() < 10:
             continue
         sigma = max(float(np.median(np.linalg.norm(r[seen], axis=1))) / _NORMAL_MEDIAN, 1e-6)
