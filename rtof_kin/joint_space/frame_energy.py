@@ -215,7 +215,8 @@ class FrameEnergy:
             "quat_torso": ca.SX.sym("qt", 4, len(shape.torso)),
             "w_torso": ca.SX.sym("wt", len(shape.torso)),
             "b_world": ca.SX.sym("b", 3, len(shape.bones)), "w_bone": ca.SX.sym("wb"),
-            "p_root": ca.SX.sym("pr", 3), "w_root": ca.SX.sym("wr"), "w_floor": ca.SX.sym("wf", len(shape.feet)),
+            "p_root": ca.SX.sym("pr", 3), "w_root": ca.SX.sym("wr"),
+            "w_floor": ca.SX.sym("wf", len(shape.feet)),
             "w_prior": ca.SX.sym("wp"),
         }  # fmt: skip
         self.constant = {

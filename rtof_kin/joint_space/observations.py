@@ -101,8 +101,8 @@ class Observations:
         if s.floor_height is not None:
             smooth = start.posed(slice(None), *self.space.poses(self.start))
             at_frames = None if bone_imus is None else bone_imus.resample(start.times)
-            standing = standing_feet(smooth, at_frames, skeleton).standing
-            self.rows["w_floor"] = standing / s.sigma_floor**2
+            contacts = standing_feet(smooth, at_frames, skeleton)
+            self.rows["w_floor"] = contacts.standing / s.sigma_floor**2
         self.turned = [
             self.space.low_passed(self._turned(start, yaw), start.rate_hz, s.smooth_start_hz)
             for yaw in s.torso_yaws

@@ -55,8 +55,8 @@ class FragmentData:
     """(N - 3,) whether four frames in a row are the recording's."""
     rate_hz: float
     length_scale: float = 1.0
-    """[1] By how much longer than it is held to be the body is taken to be: the jerk of its root is judged
-    in body lengths."""
+    """[1] By how much longer than it is held to be the body is taken to be: the jerk of its root is
+    judged in body lengths."""
 
 
 class JointProblem:

@@ -63,8 +63,8 @@ class JointSpaceSettings:
     ankle_height: float = 0.08
     """[m] of the ankle over the floor it stands on."""
     sigma_floor: float = 0.1
-    """[m] of an ankle that stands, in one frame: how high it is over the floor differs by some cm from body
-    to body and from shoe to shoe, for as long as it stands."""
+    """[m] of an ankle that stands, in one frame: how high it is over the floor differs by some cm from
+    body to body and from shoe to shoe, for as long as it stands."""
     floor_cutoff: float = 0.1
     """[m] above or below which an ankle hardly feels the floor."""
     sigma_contact: float = 0.02
@@ -92,8 +92,8 @@ class JointSpaceSettings:
 
     @classmethod
     def calibrated(cls) -> Self:
-        """For a recording that was calibrated from itself: of the sensors' errors slip and wobble are left,
-        without a mounting that is wrong all through."""
+        """For a recording that was calibrated from itself: of the sensors' errors slip and wobble are
+        left, without a mounting that is wrong all through."""
         return cls(sigma_swing=np.radians(3.5), sigma_twist=np.radians(15.0))
 
     def __post_init__(self) -> None:

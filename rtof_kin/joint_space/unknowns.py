@@ -84,9 +84,9 @@ class _Groups:
 class Bones(Unlimited):
     """By how much longer groups of bones are than they are held to be.
 
-    Accelerations and jerk are compared in body lengths (that of all groups' mean), so that neither says how
-    large somebody is. In metres they would: whatever is smoothed has the less energy the smaller it is, and
-    the less it is like measured accelerations, by so many frames that no height would stand against it.
+    Accelerations and jerk are compared in body lengths (that of all groups' mean), so that neither says
+    how large somebody is. In metres they would: whatever is smoothed has the less energy the smaller it
+    is, and the less like measured accelerations, by so many frames that no height stands against it.
     """
 
     parents: tuple[int, ...]
