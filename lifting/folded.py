@@ -61,12 +61,11 @@ class FoldedNetwork(nn.Module):
         for temporal, pointwise, width in zip(
             self.temporal, self.pointwise, self.config.filter_widths[1:], strict=True
         ):
-            B, length, channels = x.shape
             kept = x[:, (width - 1 if self.config.causal else width // 2) :: width]
-            hidden = temporal(x.reshape(B * length // width, width * channels)).relu_()
+            hidden = temporal(x.reshape(-1, width * x.shape[2])).relu_()
             x = pointwise(hidden).relu_().reshape(kept.shape).add_(kept)
-        both = torch.cat(x[:, 0].chunk(2), dim=1) if self.flip else x[:, 0]
-        out: Tensor = self.shrink(both)
+        # Of both scenes side by side, see `shrink`.
+        out: Tensor = self.shrink(torch.cat(x.chunk(2), dim=2)[:, 0] if self.flip else x[:, 0])
         return out
 
     def _first(self, features: Tensor, shift: Tensor) -> Tensor:
@@ -80,7 +79,7 @@ class FoldedNetwork(nn.Module):
         even, odd = self.parity(x)
         a = self.even(even).reshape(B, length, -1).add_(shift)
         b = self.odd(odd).reshape(B, length, -1)
-        return torch.cat([a + b, a - b]).relu_()
+        return torch.cat([a + b, a.sub_(b)]).relu_()
 
 
 class _Map(nn.Module):

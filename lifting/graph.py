@@ -97,6 +97,6 @@ class LifterGraph(nn.Module):
         """
         rays = torch.where(seen[..., None], rays_world, 0.0).permute(0, 3, 1, 2)
         axes = torch.stack([R_world_sensed[..., 0], R_world_sensed[..., 2]], dim=2)
-        axes = axes.permute(0, 4, 1, 2, 3)
+        axes = torch.where(sensed[:, :, None, :, None], axes, 0.0).permute(0, 4, 1, 2, 3)
         out: WindowPoses = self.lift(rays, seen, bones, camera_height, axes, sensed)
         return out
