@@ -1,7 +1,7 @@
 """One window at a time: what `windows.encode` and `windows.decode` do, in NumPy.
 
-Of a single window torch spends ten times as long on handing out operations as on computing them. What stands
-here are the formulas of `windows` without the batch, and its constants; the network is the same. Tests
+Of one window torch spends longer on handing out these operations than on computing them. Here are the
+formulas of `windows` without the batch, and with its constants; the network is that of `predict`. Tests
 compare the two frame by frame.
 """
 

@@ -169,8 +169,7 @@ class _Instants:
             return right
         right |= (self.share == 0)[..., None]
         left = values.take(self.left, axis=0) | (self.share == 1)[..., None]
-        known: NDArray[np.bool_] = left & right & ~self.far[..., None]
-        return known
+        return np.asarray(left & right & ~self.far[..., None])
 
     def mixed(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """(B, C, W, n) of n vectors of C components in each frame (T, n, C)."""
@@ -181,5 +180,4 @@ class _Instants:
         if not self.mixes:
             return right
         left, share = flat.take(self.left[:, None] + offsets, axis=0), self.share[:, None, :, None]
-        mixed: NDArray[np.float32] = (1 - share) * left + share * right
-        return mixed
+        return np.asarray((1 - share) * left + share * right, np.float32)

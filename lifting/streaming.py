@@ -137,6 +137,16 @@ class StreamingLifter:
         self._history.append(time, rays, seen, axes, sensed)
         return self._answer()
 
+    def flush(self) -> list[StreamedPose]:
+        """The poses still owed at the end of a stream, one per frame; none of a causal lifter.
+
+        After the last frame it stands still, as in `Lifter.predict`. Frames may follow all the same;
+        those answered here are not answered again.
+        """
+        owed = [self._lifted(time) for time in self._history.times_after(self._answered)]
+        self._answered = self._history.newest
+        return [pose for pose in owed if pose is not None]
+
     def _rays(
         self, uv_px: ArrayLike, confidence: ArrayLike
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -248,6 +258,12 @@ class _History:
         times = self._times[: self._count]
         found = int(np.searchsorted(times, times[-1] - age, side="right"))
         return float(times[min(found, len(times)) - 1]) if found else None
+
+    def times_after(self, time: float) -> list[float]:
+        """Times of all frames after this one."""
+        times = self._times[: self._count]
+        after: list[float] = times[times > time].tolist()
+        return after
 
     def append(self, time: float, *values: NDArray[Any]) -> None:
         """Add a frame."""

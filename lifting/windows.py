@@ -282,7 +282,8 @@ def _across(like: Tensor) -> Tensor:
 
 
 def _sensed_axes(windows: Windows, R_ray_world: Tensor) -> list[Tensor]:
-    """Axes in the ray frame, zero where not sensed, each component (B, W, 2 S); whether sensed (B, W, S)."""
+    """Three components (B, W, 2 S) of the axes in the ray frame, zero where not sensed, and whether
+    they are sensed (B, W, S)."""
     axes, weight = windows.axes_world, windows.sensed.to(R_ray_world.dtype)
     turned = torch.bmm(R_ray_world, axes.flatten(2)).reshape(axes.shape)
     turned = turned * weight[:, None, :, None]  # several times faster than `where`
