@@ -22,6 +22,9 @@ from lifting.threads import torch_threads
 
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+_TINY = 1e-12
+_AHEAD = np.array([_TINY, 0.0, 0.0], np.float32)
+"""Where nothing is seen; of no weight where anything is."""
 
 
 class SinglePose(NamedTuple):
@@ -98,12 +101,11 @@ class SingleWindowLifter:
         """(3,) see `windows.encode`."""
         frames = np.flatnonzero(seen.any(axis=1))
         if not len(frames):
-            return np.array([1.0, 0.0, 0.0], np.float32)
+            return _AHEAD
         frame = frames[np.abs(frames - self._estimated).argmin()]
         rank = self._rank * seen[frame]
         ray = rays[:, frame, rank == rank.max()]
-        centre: Array = _unit(ray).sum(axis=1)
-        return centre
+        return np.asarray(_unit(ray).sum(axis=1) + _AHEAD)
 
     def _standing(self, rays: Array, seen: Mask, scale: float) -> tuple[Array, Mask]:
         """Log(horizontal distance x scale) of each foot if it stands, and whether known; (W, F) each."""
@@ -143,9 +145,9 @@ class SingleWindowLifter:
 def _frames(centre: Array) -> tuple[Array, Array, float]:
     """R_view_world and R_ray_world (3, 3) of a window centred on (3,), and its elevation."""
     x, y, up = centre.tolist()
-    across = hypot(x, y)
+    across = max(hypot(x, y), _TINY)
     length = hypot(across, up)
-    cos_a, sin_a = (x / across, y / across) if across > 0 else (1.0, 0.0)
+    cos_a, sin_a = x / across, y / across
     cos_e, sin_e = across / length, up / length
     view = [
         [sin_a, -cos_a, 0.0],
@@ -167,5 +169,5 @@ def _scale(image: Array, weight: Array) -> float:
 
 def _unit(v: Array) -> Array:
     """Vectors (3, ...) of length 1; zero stays zero."""
-    unit: Array = v / np.maximum(np.sqrt((v * v).sum(axis=0)), np.float32(1e-12))
+    unit: Array = v / np.maximum(np.sqrt((v * v).sum(axis=0)), np.float32(_TINY))
     return unit

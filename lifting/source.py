@@ -176,8 +176,8 @@ class _Instants:
         planes = np.ascontiguousarray(values[self.frames].transpose(2, 0, 1))
         C, frames, n = planes.shape
         flat, offsets = planes.reshape(C * frames, n), frames * np.arange(C)[:, None]
-        right = flat.take(self.right[:, None] + offsets, axis=0)
+        right: NDArray[np.float32] = flat.take(self.right[:, None] + offsets, axis=0)
         if not self.mixes:
             return right
         left, share = flat.take(self.left[:, None] + offsets, axis=0), self.share[:, None, :, None]
-        return np.asarray((1 - share) * left + share * right, np.float32)
+        return np.asarray((1 - share) * left + share * right)
