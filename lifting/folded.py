@@ -77,7 +77,7 @@ class FoldedNetwork:
             for part, weight in zip(parts, self._firsts, strict=True)
         )
         first.add_(shift)
-        return torch.cat([first + odd[0], first.sub_(odd[0])]).relu_() if odd else first.relu_()
+        return (_sum_and_difference(first, odd[0]) if odd else first).relu_()
 
 
 class _Map(NamedTuple):
@@ -102,6 +102,16 @@ def _maps(layers: nn.ModuleList) -> Iterable[_Map]:
         _map(*_folded(layer.linear, layer.norm)[:2])  # type: ignore[arg-type]
         for layer in layers
     )
+
+
+def _sum_and_difference(a: Tensor, b: Tensor) -> Tensor:
+    """(2 B, ...) of two times (B, ...)."""
+    if torch.onnx.is_in_onnx_export():  # where nothing is written in place
+        return torch.cat([a + b, a - b])
+    both = a.new_empty((2, *a.shape))
+    torch.add(a, b, out=both[0])
+    torch.sub(a, b, out=both[1])
+    return both.flatten(0, 1)
 
 
 def _transposed(weight: Tensor) -> Tensor:

@@ -49,20 +49,22 @@ class Source:
         rays = keypoints.camera.rays_world(keypoints.uv_px)
         seen = keypoints.seen & np.isfinite(rays).all(axis=-1)
         rays = np.where(seen[..., None], rays, 0.0)
-        R = np.full((len(keypoints), len(body.sensors), 3, 3), np.nan)
+        sensed = np.zeros((len(keypoints), len(body.sensors)), bool)
+        axes = np.zeros((len(keypoints), 2, len(body.sensors), 3), np.float32)
         if bone_imus is not None and body.sensors:
             if not np.array_equal(bone_imus.times, keypoints.times):
                 bone_imus = bone_imus.resample(keypoints.times)
-            for s, joint in enumerate(bone_imus.joints):
+            for joint, R in zip(bone_imus.joints, bone_imus.R_world_bone.swapaxes(0, 1), strict=True):
                 if joint in body.sensors:
-                    R[:, body.sensors.index(joint)] = bone_imus.R_world_bone[:, s]
-        sensed = np.isfinite(R).all(axis=(2, 3))
-        axes = np.where(sensed[..., None, None], R, 0.0)[..., [0, 2]].transpose(0, 3, 1, 2)
+                    s = body.sensors.index(joint)
+                    known = np.isfinite(R).all(axis=(1, 2))
+                    sensed[:, s] = known
+                    axes[known, :, s] = R[known][..., [0, 2]].swapaxes(1, 2)
         camera = keypoints.camera
         middle = np.array([camera.width_px, camera.height_px]) / 2
         xy = np.where(seen[..., None], (keypoints.uv_px - middle) / middle[0], 0.0)
         return cls(
-            keypoints.times, rays.astype(np.float32), seen, axes.astype(np.float32, order="C"), sensed,
+            keypoints.times, rays.astype(np.float32), seen, axes, sensed,
             xy.astype(np.float32), camera.R_camera_world.astype(np.float32),
         )  # fmt: skip
 

@@ -285,9 +285,9 @@ def _sensed_axes(windows: Windows, R_ray_world: Tensor) -> list[Tensor]:
     """Three components (B, W, 2 S) of the axes in the ray frame, zero where not sensed, and whether
     they are sensed (B, W, S)."""
     axes, weight = windows.axes_world, windows.sensed.to(R_ray_world.dtype)
-    turned = torch.bmm(R_ray_world, axes.flatten(2)).reshape(axes.shape)
-    turned = turned * weight[:, None, :, None]  # several times faster than `where`
-    return [*turned.flatten(3).unbind(dim=1), weight]
+    turned = torch.bmm(R_ray_world, axes.flatten(2)).reshape(*axes.shape[:3], -1)
+    turned = turned * torch.cat([weight, weight], dim=2)[:, None]  # many times faster than `where`
+    return [*turned.unbind(dim=1), weight]
 
 
 def _centre_ray(body: Body, rays: Tensor, seen: Tensor, estimated: int) -> Tensor:
