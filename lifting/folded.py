@@ -8,6 +8,9 @@ mirrored scene the one less the other: together they cost one scene. Mirroring b
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
 
@@ -16,10 +19,11 @@ from lifting.model import TemporalNetwork
 from lifting.windows import mirror_features, mirror_output
 
 
-class FoldedNetwork(nn.Module):
+class FoldedNetwork:
     """A copy of a trained network of the package's own kind, in its strided form.
 
-    `forward` answers as `windows.answer` does. The weights cannot be trained further.
+    It answers as `windows.answer` does, and does not learn. It is no `nn.Module`: of a single window,
+    calling modules takes as long as computing.
     """
 
     def __init__(self, body: Body, network: TemporalNetwork, flip: bool = True):
@@ -30,92 +34,98 @@ class FoldedNetwork(nn.Module):
             network: in evaluation mode.
             flip: average with the mirrored scene.
         """
-        super().__init__()
-        self.config, self.flip = network.config, flip
-        weight, bias, gain = _folded(network.expand.linear, network.expand.norm)
         assert network.constant is not None
-        self.constant = _Map(gain[:, None] * network.constant.weight, bias)
-        self.temporal = _maps(network.temporal)
-        self.pointwise = _maps(network.pointwise)
-        width, inputs = self.config.filter_widths[0], self.config.inputs
-        out, out_bias = network.shrink.weight.detach(), network.shrink.bias.detach()
+        config, expand, shrink = network.config, network.expand, network.shrink
+        self._width, *widths = config.filter_widths
+        weight, bias, gain = _folded(expand.linear, expand.norm)
+        self._constant = _map(gain[:, None] * network.constant.weight, bias)
+        self._parity = _Parity(body, self._width, config.inputs) if flip else None
+        firsts = self._parity.split_weight(weight) if self._parity else (weight,)
+        self._firsts = [_transposed(first) for first in firsts]
+        kept = [width - 1 if config.causal else width // 2 for width in widths]
+        self._blocks = list(
+            zip(_maps(network.temporal), _maps(network.pointwise), widths, kept, strict=True)
+        )
+        out = torch.cat([shrink.weight, shrink.bias[:, None]], dim=1).detach()
         if flip:
-            self.parity = _Parity(body, width, inputs)
-            self.even, self.odd = map(_Map, self.parity.split_weight(weight))
-            mirrored = mirror_output(body, torch.cat([out, out_bias[:, None]], dim=1).T).T
-            out = torch.cat([out, mirrored[:, :-1]], dim=1) / 2
-            out_bias = (out_bias + mirrored[:, -1]) / 2
-        else:
-            self.first = _Map(weight)
-        self.shrink = _Map(out, out_bias)
-        self.eval()
+            mirrored = mirror_output(body, out.T).T
+            out = torch.cat([out[:, :-1], mirrored[:, :-1], out[:, -1:] + mirrored[:, -1:]], dim=1) / 2
+        self._shrink = _map(out[:, :-1], out[:, -1])
 
-    def forward(self, features: Tensor, constants: Tensor) -> Tensor:
+    def __call__(self, features: Tensor, constants: Tensor) -> Tensor:
         """The network's output (B, outputs).
 
         Args:
             features: (B, receptive_field, inputs).
             constants: (B, constants).
         """
-        x = self._first(features, self.constant(constants)[:, None])
-        for temporal, pointwise, width in zip(
-            self.temporal, self.pointwise, self.config.filter_widths[1:], strict=True
-        ):
-            B, length, channels = x.shape
-            kept = x[:, (width - 1 if self.config.causal else width // 2) :: width]
-            hidden = temporal(x.reshape(B * length // width, width * channels)).relu_()
+        x = self._first(features, self._constant(constants)[:, None])
+        for temporal, pointwise, width, which in self._blocks:
+            kept = x[:, which::width]
+            hidden = temporal(x.reshape(-1, width * x.shape[2])).relu_()
             x = pointwise(hidden).relu_().reshape(kept.shape).add_(kept)
-        both = torch.cat(x[:, 0].chunk(2), dim=1) if self.flip else x[:, 0]
-        out: Tensor = self.shrink(both)
-        return out
+        x = x[:, 0]
+        return self._shrink(torch.cat(x.chunk(2), dim=1) if self._parity else x)
 
     def _first(self, features: Tensor, shift: Tensor) -> Tensor:
         """(B, T, channels) after the first map; or (2 B, T, channels), the mirrored windows last."""
-        width = self.config.filter_widths[0]
-        B, length = features.shape[0], features.shape[1] // width
-        x = features.reshape(B * length, width * features.shape[2])
-        if not self.flip:
-            first: Tensor = self.first(x).reshape(B, length, -1)
-            return first.add_(shift).relu_()
-        even, odd = self.parity(x)
-        a = self.even(even).reshape(B, length, -1).add_(shift)
-        b = self.odd(odd).reshape(B, length, -1)
-        return torch.cat([a + b, a - b]).relu_()
+        B, frames, inputs = features.shape
+        x = features.reshape(-1, self._width * inputs)
+        parts = self._parity(x) if self._parity else (x,)
+        first, *odd = (
+            (part @ weight).reshape(B, frames // self._width, -1)
+            for part, weight in zip(parts, self._firsts, strict=True)
+        )
+        first.add_(shift)
+        return (_sum_and_difference(first, odd[0]) if odd else first).relu_()
 
 
-class _Map(nn.Module):
-    """A linear map (n, inputs) -> (n, outputs) that does not learn.
-
-    Its weight lies transposed, which is faster for the few rows of a single window.
-    """
+class _Map(NamedTuple):
+    """A linear map (n, inputs) -> (n, outputs)."""
 
     weight: Tensor
-    bias: Tensor | None
+    """(inputs, outputs): the way it lies is faster for the few rows of a single window."""
+    bias: Tensor
 
-    def __init__(self, weight: Tensor, bias: Tensor | None = None):
-        super().__init__()
-        transposed = weight.detach().t().clone(memory_format=torch.contiguous_format)
-        self.register_buffer("weight", transposed)
-        self.register_buffer("bias", None if bias is None else bias.detach().clone())
 
-    def forward(self, x: Tensor) -> Tensor:
-        if self.bias is None:
-            return x @ self.weight
+    def __call__(self, x: Tensor) -> Tensor:
         return torch.addmm(self.bias, x, self.weight)
 
 
-class _Parity(nn.Module):
+def _map(weight: Tensor, bias: Tensor) -> _Map:
+    """Of a weight (outputs, inputs)."""
+    return _Map(_transposed(weight), bias.detach().clone())
+
+
+def _maps(layers: nn.ModuleList) -> Iterable[_Map]:
+    return (
+        _map(*_folded(layer.linear, layer.norm)[:2])  # type: ignore[arg-type]
+        for layer in layers
+    )
+
+
+def _sum_and_difference(a: Tensor, b: Tensor) -> Tensor:
+    """(2 B, ...) of two times (B, ...)."""
+    if torch.onnx.is_in_onnx_export():  # where nothing is written in place
+        return torch.cat([a + b, a - b])
+    both = a.new_empty((2, *a.shape))
+    torch.add(a, b, out=both[0])
+    torch.sub(a, b, out=both[1])
+    return both.flatten(0, 1)
+
+
+def _transposed(weight: Tensor) -> Tensor:
+    return weight.detach().t().clone(memory_format=torch.contiguous_format)
+
+
+class _Parity:
     """Features of a few frames into the part that mirroring leaves, and the part that it negates.
 
     They are cut from one array that is put in order once and then changed in place: any other way costs
     as much as the linear map after it.
     """
 
-    order: Tensor
-    signs: Tensor
-
     def __init__(self, body: Body, frames: int, inputs: int):
-        super().__init__()
         n = frames * inputs
         # Row i of the mirrored identity holds, at i's counterpart, the sign.
         matrix = mirror_features(body, torch.eye(n).reshape(n, frames, inputs)).flatten(1)
@@ -123,10 +133,10 @@ class _Parity(nn.Module):
         first = index[other > index]
         even, odd = (index[(other == index) & (sign == s)] for s in (1.0, -1.0))
         self.sizes = [len(first), len(even), len(first), len(odd)]
-        self.register_buffer("order", torch.cat([first, even, other[first], odd]))
-        self.register_buffer("signs", sign[first])
+        self.order = torch.cat([first, even, other[first], odd])
+        self.signs = sign[first]
 
-    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+    def __call__(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Even and odd part (n, even), (n, odd) of features (n, frames * inputs)."""
         return self._split(features.index_select(1, self.order))
 
@@ -149,13 +159,6 @@ class _Parity(nn.Module):
         other.copy_(difference)
         n = one.shape[1] + even.shape[1]
         return ordered[:, :n], ordered[:, n:]
-
-
-def _maps(layers: nn.ModuleList) -> nn.ModuleList:
-    return nn.ModuleList(
-        _Map(*_folded(layer.linear, layer.norm)[:2])  # type: ignore[arg-type]
-        for layer in layers
-    )
 
 
 def _folded(before: nn.Linear, norm: nn.BatchNorm1d) -> tuple[Tensor, Tensor, Tensor]:

@@ -1,7 +1,7 @@
 """A whole lifter as one function of plain arrays: what is seen and sensed in windows to poses.
 
-It is what leaves for other languages (`onnx_export`) and what runs frame by frame (`streaming`). Arrays
-are (B, time, element, component), as everywhere outside `lifting`; `Lifter.predict` makes the windows.
+It is what leaves for other languages (`onnx_export`). Arrays are (B, time, element, component), as
+everywhere outside `lifting`.
 """
 
 from __future__ import annotations
@@ -33,47 +33,14 @@ class WindowPoses(NamedTuple):
     """(B, J) their standard deviation per axis, rad; likewise."""
 
 
-class WindowLifter(nn.Module):
-    """Encode, network and decode of the package's own kind of lifter, of the arrays of `Windows`."""
+class LifterGraph(nn.Module):
+    """Encode, network and decode of the package's own kind of lifter."""
 
     def __init__(self, body: Body, network: TemporalNetwork, flip: bool = True):
         """Take a network in evaluation mode; `flip` averages with the mirrored scene."""
         super().__init__()
         self.body, self.network = body, FoldedNetwork(body, network, flip)
         self.estimated = network.estimated()
-        self.eval()
-
-    def forward(
-        self,
-        rays_world: Tensor,
-        seen: Tensor,
-        bones: Tensor,
-        camera_height: Tensor,
-        axes_world: Tensor,
-        sensed: Tensor,
-    ) -> WindowPoses:
-        """Poses of windows, see `Windows`."""
-        windows = Windows(
-            rays_world, seen, bones, camera_height, axes_world, sensed, self.estimated
-        )
-        encoded = encode(self.body, windows)
-        estimate = decode(self.body, self.network(encoded.features, encoded.constants), encoded)
-        sigma = estimate.sigma_m()
-        if estimate.axes is None or estimate.log_turn is None:
-            R, turn = sigma.new_zeros((sigma.shape[0], 0, 3, 3)), sigma.new_zeros((sigma.shape[0], 0))
-        else:
-            R = rotations(estimate.axes).permute(0, 3, 1, 2)
-            turn = SIGMA_TURN * estimate.log_turn.exp()
-        return WindowPoses(estimate.pose.transpose(1, 2), estimate.root, sigma, R, turn)
-
-
-class LifterGraph(nn.Module):
-    """The same of arrays in the order that everybody else has them."""
-
-    def __init__(self, body: Body, network: TemporalNetwork, flip: bool = True):
-        """See `WindowLifter`."""
-        super().__init__()
-        self.lift = WindowLifter(body, network, flip)
         self.eval()
 
     def forward(
@@ -97,6 +64,14 @@ class LifterGraph(nn.Module):
         """
         rays = torch.where(seen[..., None], rays_world, 0.0).permute(0, 3, 1, 2)
         axes = torch.stack([R_world_sensed[..., 0], R_world_sensed[..., 2]], dim=2)
-        axes = axes.permute(0, 4, 1, 2, 3)
-        out: WindowPoses = self.lift(rays, seen, bones, camera_height, axes, sensed)
-        return out
+        axes = torch.where(sensed[:, :, None, :, None], axes, 0.0).permute(0, 4, 1, 2, 3)
+        windows = Windows(rays, seen, bones, camera_height, axes, sensed, self.estimated)
+        encoded = encode(self.body, windows)
+        estimate = decode(self.body, self.network(encoded.features, encoded.constants), encoded)
+        sigma = estimate.sigma_m()
+        if estimate.axes is None or estimate.log_turn is None:
+            R, turn = sigma.new_zeros((sigma.shape[0], 0, 3, 3)), sigma.new_zeros((sigma.shape[0], 0))
+        else:
+            R = rotations(estimate.axes).permute(0, 3, 1, 2)
+            turn = SIGMA_TURN * estimate.log_turn.exp()
+        return WindowPoses(estimate.pose.transpose(1, 2), estimate.root, sigma, R, turn)

@@ -6,6 +6,7 @@ This is the boundary between the package's float64 arrays and float32 tensors.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,7 +32,7 @@ class Source:
     seen: NDArray[np.bool_]
     """(T, J)."""
     axes: NDArray[np.float32]
-    """(T, S, 2, 3) x and z axes in world of the segments that may carry sensors; zeros where unknown."""
+    """(T, 2, S, 3) x and z axes in world of the segments that may carry sensors; zeros where unknown."""
     sensed: NDArray[np.bool_]
     """(T, S)."""
     picture: NDArray[np.float32]
@@ -48,20 +49,22 @@ class Source:
         rays = keypoints.camera.rays_world(keypoints.uv_px)
         seen = keypoints.seen & np.isfinite(rays).all(axis=-1)
         rays = np.where(seen[..., None], rays, 0.0)
-        R = np.full((len(keypoints), len(body.sensors), 3, 3), np.nan)
+        sensed = np.zeros((len(keypoints), len(body.sensors)), bool)
+        axes = np.zeros((len(keypoints), 2, len(body.sensors), 3), np.float32)
         if bone_imus is not None and body.sensors:
             if not np.array_equal(bone_imus.times, keypoints.times):
                 bone_imus = bone_imus.resample(keypoints.times)
-            for s, joint in enumerate(bone_imus.joints):
+            for joint, R in zip(bone_imus.joints, bone_imus.R_world_bone.swapaxes(0, 1), strict=True):
                 if joint in body.sensors:
-                    R[:, body.sensors.index(joint)] = bone_imus.R_world_bone[:, s]
-        sensed = np.isfinite(R).all(axis=(2, 3))
-        axes = np.where(sensed[..., None, None], R, 0.0)[..., [0, 2]].swapaxes(2, 3)
+                    s = body.sensors.index(joint)
+                    known = np.isfinite(R).all(axis=(1, 2))
+                    sensed[:, s] = known
+                    axes[known, :, s] = R[known][..., [0, 2]].swapaxes(1, 2)
         camera = keypoints.camera
         middle = np.array([camera.width_px, camera.height_px]) / 2
         xy = np.where(seen[..., None], (keypoints.uv_px - middle) / middle[0], 0.0)
         return cls(
-            keypoints.times, rays.astype(np.float32), seen, axes.astype(np.float32), sensed,
+            keypoints.times, rays.astype(np.float32), seen, axes, sensed,
             xy.astype(np.float32), camera.R_camera_world.astype(np.float32),
         )  # fmt: skip
 
@@ -81,24 +84,41 @@ class Source:
         last frame the nearest one stands. `bones` (3 G) and the camera's `height` hold for all. Without
         `picture` the windows have none.
         """
-        at = times[:, None] + (np.arange(size) - estimated) / rate_hz
-        instants = _Instants.at(self.times, at, near=0.1 / rate_hz)
+        instants = self._instants(times, size, estimated, rate_hz)
         B = len(times)
         R_camera = torch.from_numpy(self.R_camera_world).expand(B, 3, 3)
-        axes = self.axes[instants.frames].transpose(3, 0, 2, 1)
-        n, S = axes.shape[1], axes.shape[3]
+        rays, seen, axes, sensed = map(torch.from_numpy, self._observed(instants))
         return Windows(
-            instants.mixed(self.rays[instants.frames].transpose(2, 0, 1)),
-            instants.known(self.seen),
+            rays,
+            seen,
             torch.from_numpy(bones).float().expand(B, -1),
             torch.full((B,), height),
-            instants.mixed(axes.reshape(3, n, 2 * S)).reshape(B, 3, size, 2, S),
-            instants.known(self.sensed),
+            axes,
+            sensed,
             estimated,
-            Picture(instants.mixed(self.picture[instants.frames].transpose(2, 0, 1)), R_camera)
-            if picture
-            else None,
+            Picture(torch.from_numpy(instants.mixed(self.picture)), R_camera) if picture else None,
         )
+
+    def window(
+        self, time: float, size: int, estimated: int, rate_hz: float
+    ) -> tuple[NDArray[Any], ...]:
+        """What `windows` observes in the one around `time`: rays (3, W, J), seen (W, J), axes
+        (3, W, 2, S), sensed (W, S)."""
+        instants = self._instants(np.array([time]), size, estimated, rate_hz)
+        return tuple(values[0] for values in self._observed(instants))
+
+    def _instants(self, times: Array, size: int, estimated: int, rate_hz: float) -> _Instants:
+        at = times[:, None] + (np.arange(size) - estimated) / rate_hz
+        return _Instants.at(self.times, at, near=0.1 / rate_hz)
+
+    def _observed(self, instants: _Instants) -> tuple[NDArray[Any], ...]:
+        """Rays (B, 3, W, J), seen (B, W, J), axes (B, 3, W, 2, S), sensed (B, W, S)."""
+        B, W = instants.left.shape
+        S = self.sensed.shape[1]
+        axes = instants.mixed(self.axes.reshape(len(self.axes), 2 * S, 3)).reshape(B, 3, W, 2, S)
+        return (
+            instants.mixed(self.rays), instants.known(self.seen), axes, instants.known(self.sensed),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -107,21 +127,21 @@ class _Instants:
 
     frames: slice
     """All frames that are concerned; the numbers below count within."""
-    left: torch.Tensor
+    left: NDArray[np.int64]
     """(B, W) number of the frame before."""
-    right: torch.Tensor
+    right: NDArray[np.int64]
     """(B, W) number of the frame after."""
-    share: torch.Tensor
+    share: NDArray[np.float32]
     """(B, W) of the one after."""
     mixes: bool
     """Whether any is truly between two; if none is, `left` and `right` are one."""
-    far: torch.Tensor
+    far: NDArray[np.bool_]
     """(B, W) whether the two are too far apart."""
 
     @classmethod
     def at(cls, times: Array, at: Array, near: float) -> _Instants:
         """Instants `at` (B, W), s; an image less than `near` away stands alone."""
-        at = np.clip(at, times[0], times[-1])
+        at = at.clip(times[0], times[-1])
         right = np.searchsorted(times, at)
         left = np.maximum(right - 1, 0)
         before, after = times[left], times[right]
@@ -136,35 +156,30 @@ class _Instants:
         first, last = int(left.min()), int(right.max()) + 1
         return cls(
             slice(first, last),
-            torch.from_numpy(left - first),
-            torch.from_numpy(right - first),
-            torch.from_numpy(share.astype(np.float32)),
+            left - first,
+            right - first,
+            share.astype(np.float32),
             mixes,
-            torch.from_numpy(between & (step > MAX_STEP)),
+            between & (step > MAX_STEP),
         )
 
-    def known(self, mask: NDArray[np.bool_]) -> torch.Tensor:
+    def known(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(B, W, n) bool of (T, n): whether all frames that an instant is made of are."""
-        values = torch.from_numpy(mask[self.frames])
-        right = _rows(values, self.right)
+        values = mask[self.frames]
+        right = values.take(self.right, axis=0)
         if not self.mixes:
             return right
         right |= (self.share == 0)[..., None]
-        left = _rows(values, self.left) | (self.share == 1)[..., None]
-        return left & right & ~self.far[..., None]
+        left = values.take(self.left, axis=0) | (self.share == 1)[..., None]
+        return np.asarray(left & right & ~self.far[..., None])
 
-    def mixed(self, values: NDArray[np.float32]) -> torch.Tensor:
-        """(B, C, W, n) of C planes of the frames concerned (C, frames, n)."""
-        planes, frames = values.shape[:2]
-        flat = torch.from_numpy(np.ascontiguousarray(values)).reshape(planes * frames, -1)
-        offsets = (frames * torch.arange(planes))[:, None]
-        right = _rows(flat, self.right[:, None] + offsets)
+    def mixed(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(B, C, W, n) of n vectors of C components in each frame (T, n, C)."""
+        planes = np.ascontiguousarray(values[self.frames].transpose(2, 0, 1))
+        C, frames, n = planes.shape
+        flat, offsets = planes.reshape(C * frames, n), frames * np.arange(C)[:, None]
+        right: NDArray[np.float32] = flat.take(self.right[:, None] + offsets, axis=0)
         if not self.mixes:
             return right
-        left, share = _rows(flat, self.left[:, None] + offsets), self.share[:, None, :, None]
-        return (1 - share) * left + share * right
-
-
-def _rows(values: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
-    """Rows (*index, n) of values (frames, n)."""
-    return values.index_select(0, index.reshape(-1)).reshape(*index.shape, values.shape[1])
+        left, share = flat.take(self.left[:, None] + offsets, axis=0), self.share[:, None, :, None]
+        return np.asarray((1 - share) * left + share * right)

@@ -1,28 +1,22 @@
 """`StreamingLifter`: a lifter frame by frame, as they come from a camera.
 
-It gives what `Lifter.predict` gives of the same frames, since both look windows up in a `Source` and
-compute the same function of them. Here that function is recorded once for a single window and run without
-Python.
+It gives what `Lifter.predict` gives of the same frames: both look windows up in a `Source`, and
+`SingleWindowLifter` computes of one what `predict` computes of many.
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
-from torch import Tensor
 
-from lifting.graph import WindowLifter
 from lifting.models import RAYS
 from lifting.predict import MIN_JOINTS, Lifter, camera_height
+from lifting.single_window import SingleWindowLifter
 from lifting.source import Source
-from lifting.threads import torch_threads
-from lifting.windows import Windows
 from rtof_kin.checks import checked_names
 from rtof_kin.errors import ShapeError, UnknownNameError
 from rtof_kin.types import Camera
@@ -30,8 +24,6 @@ from rtof_kin.types import Camera
 Array = NDArray[np.float64]
 FIRST_CAPACITY = 512
 """Frames kept at least; more only where so many come within one window."""
-_WARM_UP = 4
-"""Runs after which a recorded function is as fast as it gets."""
 
 
 @dataclass(frozen=True)
@@ -94,17 +86,16 @@ class StreamingLifter:
         self._camera, self._body, self._rate_hz = camera, description.body, description.rate_hz
         self._size = lifter.receptive_field()
         self._estimated = lifter.estimated()
-        self._bones = lifter.bones_of(joint_offsets)
-        self._height = camera_height(camera, floor_height)
-        self._center = camera.center_world
+        self._lift = SingleWindowLifter(
+            self._body, lifter.network, lifter.bones_of(joint_offsets),
+            camera_height(camera, floor_height), flip,
+        )  # fmt: skip
         bent = bool(camera.distortion.any())
         self._from_pixels = None if bent else camera.R_camera_world.T @ np.linalg.inv(camera.K)
         span = (self._size - 1) / self._rate_hz
         self._history = _History(len(lifter.names), len(description.body.sensors), span)
         self._last: StreamedPose | None = None
         self._answered = -np.inf
-        with torch_threads(1), torch.inference_mode():
-            self._lift = _recorded(WindowLifter(self._body, lifter.network, flip), self._windows(0.0))
 
     @property
     def delay_s(self) -> float:
@@ -146,6 +137,16 @@ class StreamingLifter:
         self._history.append(time, rays, seen, axes, sensed)
         return self._answer()
 
+    def flush(self) -> list[StreamedPose]:
+        """The poses still owed at the end of a stream, one per frame; none of a causal lifter.
+
+        After the last frame it stands still, as in `Lifter.predict`. Frames may follow all the same;
+        those answered here are not answered again.
+        """
+        owed = [self._lifted(time) for time in self._history.times_after(self._answered)]
+        self._answered = self._history.newest
+        return [pose for pose in owed if pose is not None]
+
     def _rays(
         self, uv_px: ArrayLike, confidence: ArrayLike
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -175,9 +176,9 @@ class StreamingLifter:
     def _axes(
         self, given: Mapping[str, ArrayLike]
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """X and z axes (S, 2, 3), zero where not sensed, and whether sensed (S,)."""
+        """X and z axes (2, S, 3), zero where not sensed, and whether sensed (S,)."""
         sensors = self._body.sensors
-        axes, sensed = np.zeros((len(sensors), 2, 3), np.float32), np.zeros(len(sensors), bool)
+        axes, sensed = np.zeros((2, len(sensors), 3), np.float32), np.zeros(len(sensors), bool)
         unknown = given.keys() - set(self._body.names)
         if unknown:
             raise UnknownNameError("joint", sorted(unknown), self._body.names)
@@ -194,7 +195,7 @@ class StreamingLifter:
             first = worn[int(np.flatnonzero(known & (off > 1e-3))[0])]
             raise ShapeError(f"R_world_bone of {first}: not a rotation matrix; NaN where missing")
         index = [sensors.index(name) for name in worn]
-        axes[index] = np.where(known[:, None, None], R, 0.0)[..., [0, 2]].swapaxes(1, 2)
+        axes[:, index] = np.where(known[:, None, None], R, 0.0)[..., [0, 2]].transpose(2, 0, 1)
         sensed[index] = known
         return axes, sensed
 
@@ -204,40 +205,31 @@ class StreamingLifter:
         if time is None or time <= self._answered:
             return None
         self._answered = time
-        with torch_threads(1), torch.inference_mode():
-            windows = self._windows(time)
-            p_root, p_camera, *others = (x[0].numpy() for x in self._lift(*windows))
-        p = self._center + p_root + p_camera
-        seen = windows[1].numpy().any(axis=(0, 1))
-        if np.count_nonzero(seen) >= MIN_JOINTS and np.isfinite(p).all():
-            self._last = _pose(time, p, True, *others)
+        return self._lifted(time)
+
+    def _lifted(self, time: float) -> StreamedPose | None:
+        """The pose of the frame of this time; the last one that was seen if it is not."""
+        window = self._history.source().window(time, self._size, self._estimated, self._rate_hz)
+        p, *others = self._lift(*window)
+        if np.count_nonzero(window[1].any(axis=0)) >= MIN_JOINTS and np.isfinite(p).all():
+            self._last = _pose(time, self._camera.center_world + p, True, *others)
         elif self._last is not None:
             self._last = _pose(time, self._last.p_world_joint, False)
         return self._last
-
-    def _windows(self, time: float) -> tuple[Tensor, ...]:
-        """The arrays of the one window whose estimated frame is at this time."""
-        w: Windows = self._history.source().windows(
-            np.array([time]), self._size, self._estimated, self._rate_hz, self._bones, self._height,
-            picture=False,
-        )  # fmt: skip
-        return w.rays_world, w.seen, w.bones, w.camera_height, w.axes_world, w.sensed
 
 
 def _pose(
     time: float,
     p: Array,
     seen: bool,
-    sigma_m: Array | float = np.nan,
-    R: Array | float = np.nan,
-    sigma_rad: Array | float = np.nan,
+    sigma_m: ArrayLike | None = None,
+    R: ArrayLike | None = None,
+    sigma_rad: ArrayLike | None = None,
 ) -> StreamedPose:
-    """A pose of read-only arrays; what is unknown is NaN, or of no length."""
-    def full(values: Array | float, *shape: int) -> Array:
-        if np.size(values) == 0:
-            values = np.nan
+    """A pose of read-only arrays; what is unknown is NaN."""
+    def full(values: ArrayLike | None, *shape: int) -> Array:
         array = np.empty(shape)
-        array[:] = values
+        array[:] = np.nan if values is None else values
         array.setflags(write=False)
         return array
 
@@ -266,6 +258,12 @@ class _History:
         times = self._times[: self._count]
         found = int(np.searchsorted(times, times[-1] - age, side="right"))
         return float(times[min(found, len(times)) - 1]) if found else None
+
+    def times_after(self, time: float) -> list[float]:
+        """Times of all frames after this one."""
+        times = self._times[: self._count]
+        after: list[float] = times[times > time].tolist()
+        return after
 
     def append(self, time: float, *values: NDArray[Any]) -> None:
         """Add a frame."""
@@ -304,22 +302,6 @@ class _History:
         return [
             np.zeros((capacity, joints, 3), np.float32),
             np.zeros((capacity, joints), bool),
-            np.zeros((capacity, sensors, 2, 3), np.float32),
+            np.zeros((capacity, 2, sensors, 3), np.float32),
             np.zeros((capacity, sensors), bool),
         ]
-
-
-def _recorded(
-    lift: WindowLifter, example: tuple[Tensor, ...]
-) -> Callable[..., tuple[Tensor, ...]]:
-    """The operations on one window as a list that runs without Python: half the time."""
-    with warnings.catch_warnings():
-        # Deprecated for `torch.compile`, which needs a C++ compiler on the user's machine.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        trace: Any = torch.jit.trace
-        recorded: Callable[..., tuple[Tensor, ...]] = torch.jit.freeze(
-            trace(lift, example, check_trace=False)
-        )
-        for _ in range(_WARM_UP):
-            recorded(*example)
-    return recorded

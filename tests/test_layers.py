@@ -88,7 +88,7 @@ lifting.threads
 lifting.corpus   lifting.distributed   lifting.noise   lifting.sensors   lifting.windows
 lifting.data   lifting.datasets   lifting.folded   lifting.source   lifting.videopose3d
 lifting.losses   lifting.models   lifting.supply
-lifting.checkpoint   lifting.graph   lifting.settings   lifting.validation
+lifting.checkpoint   lifting.graph   lifting.settings   lifting.single_window   lifting.validation
 lifting.predict   lifting.recipes
 lifting.onnx_export   lifting.run   lifting.streaming
 lifting.train

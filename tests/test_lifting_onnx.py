@@ -56,6 +56,7 @@ def random_windows(lifter: Lifter, seed: int, batch: int) -> dict[str, NDArray[A
     height[1::3] = np.nan
     R = np.linalg.qr(rng.normal(size=(batch, W, S, 3, 3)))[0]
     sensed = rng.uniform(size=(batch, W, S)) < 0.5
+    R[~sensed] = np.nan
     values = [rays, seen, bones, height, R, sensed]
     return {
         name: value if value.dtype == bool else value.astype(np.float32)

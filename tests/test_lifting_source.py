@@ -73,7 +73,7 @@ def test_windows_lie_around_the_estimated_frame(
         rays = source.rays[first : first + W]
         np.testing.assert_array_equal(shown.rays_world[b].permute(1, 2, 0).numpy(), rays)
         axes = source.axes[first : first + W]
-        np.testing.assert_array_equal(shown.axes_world[b].permute(1, 3, 2, 0).numpy(), axes)
+        np.testing.assert_array_equal(shown.axes_world[b].permute(1, 2, 3, 0).numpy(), axes)
     np.testing.assert_allclose(shown.bones.numpy(), 0.1)
     np.testing.assert_allclose(shown.camera_height.numpy(), 1.5)
 
@@ -114,7 +114,7 @@ def test_what_sensors_did_not_say_is_not_sensed_and_zero(
     s = body.sensors.index("RightForeArm")
     assert np.flatnonzero(~source.sensed[:, s]).tolist() == list(range(10, 20))
     assert np.isfinite(source.axes).all()
-    assert np.abs(source.axes[10:20, s]).max() == 0
+    assert np.abs(source.axes[10:20, :, s]).max() == 0
     assert source.sensed[:, body.sensors.index("LeftForeArm")].all()
     shown = windows(source, keypoints.times[15:16])
     assert (~shown.sensed[0, :, s]).nonzero().flatten().tolist() == list(range(8, 18))
@@ -130,7 +130,7 @@ def test_between_two_frames_a_sensor_counts_where_both_have_it(
     shown = windows(source, keypoints.times[20:21] + 0.5 / 60)
     assert (~shown.sensed[0, :, s]).nonzero().flatten().tolist() == [12, 13]
     h = body.sensors.index("Hips")
-    between = (source.axes[20, h] + source.axes[21, h]) / 2
+    between = (source.axes[20, :, h] + source.axes[21, :, h]) / 2
     np.testing.assert_allclose(shown.axes_world[0, :, 13, :, h].numpy().T, between, atol=1e-5)
 
 
@@ -153,5 +153,5 @@ def test_without_sensors_or_with_unknown_ones_nothing_is_sensed(
     elsewhere = replace(imus, joints=("Neck", "LeftHand", "Tail"))
     assert not Source.of(body, keypoints, elsewhere).sensed.any()
     none = Source.of(support.tiny_corpus(table=support.TABLE_17).body(), keypoints, imus)
-    assert none.axes.shape == (T, 0, 2, 3)
+    assert none.axes.shape == (T, 2, 0, 3)
     assert none.sensed.shape == (T, 0)

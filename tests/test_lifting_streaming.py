@@ -122,6 +122,35 @@ def test_a_centred_lifter_answers_after_its_delay(
     assert_same(poses, centred.predict(keypoints, OFFSETS, bone_imus=imus))
 
 
+@pytest.mark.parametrize("frames", [1, 9, 40])
+def test_flushing_gives_the_poses_still_owed_as_predict_does(
+    centred: Lifter, camera: Camera, keypoints: KeypointSequence, imus: BoneImuSequence, frames: int
+) -> None:
+    streaming = StreamingLifter(centred, camera, OFFSETS)
+    short, worn = support.seen_by(camera, support.positions(0, frames)), support.worn_by(0, frames, WORN)
+    pushed = [pose for pose in streamed(streaming, short, worn) if pose is not None]
+    owed = streaming.flush()
+    assert len(owed) == min(13, frames)
+    assert [pose.time for pose in pushed + owed] == short.times.tolist()
+    assert_same([*pushed, *owed], centred.predict(short, OFFSETS, bone_imus=worn))
+    assert streaming.flush() == []
+
+
+def test_after_flushing_frames_may_follow_and_none_is_answered_twice(
+    causal: Lifter, centred: Lifter, camera: Camera, keypoints: KeypointSequence
+) -> None:
+    streaming = StreamingLifter(centred, camera)
+    assert streaming.flush() == []
+    streamed(streaming, keypoints[:30])
+    flushed = streaming.flush()
+    assert flushed[-1].time == keypoints.times[29]
+    later = [pose for pose in streamed(streaming, keypoints[30:]) if pose is not None]
+    assert [pose.time for pose in later] == keypoints.times[30:-13].tolist()
+    at_once = StreamingLifter(causal, camera)
+    streamed(at_once, keypoints[:5])
+    assert at_once.flush() == []
+
+
 @pytest.mark.parametrize("rate_hz", [25.0, 50.0, 144.0, 240.0])
 @pytest.mark.parametrize("causal_one", [True, False])
 def test_any_frame_rate_and_jitter_give_the_same_as_predict(
