@@ -1,8 +1,8 @@
 """Symmetric systems that are banded in time: Cholesky factorisation, and parts of the inverse.
 
 `inverse_diagonal` walks from the last block column of the factor to the first and keeps of the inverse Z
-what the next step needs (Takahashi's equations by blocks; Rue & Held 2005, section 2.3.1). With G = L_below
-L_tt^-1, where L_below are the blocks of column t below the diagonal::
+what the next step needs (Takahashi's equations by blocks; Rue & Held 2005, section 2.3.1). With
+G = L_below L_tt^-1, where L_below are the blocks of column t below the diagonal::
 
     Z_below = -Z_window G             Z_tt = L_tt^-T L_tt^-1 - G^T Z_below
 """

@@ -1,21 +1,30 @@
 """`Inflation`: what errors that last add to what the Hessian knows.
 
-A Hessian takes residuals for independent draws. A detector's bias, a sensor that sits askew or a foot that
-is no joint centre stay for seconds: they do not average out, and no weight of a fragment knows them. So
-every covariance C of the Hessian becomes
+A Hessian takes residuals for independent draws. A detector's bias, a sensor that sits askew or a
+landmark that is no joint centre stay for seconds: they do not average out, and no weight of a fragment
+knows of them. So every covariance C of the Hessian becomes
 
 ::
 
-    K C K + diag(b)^2
+    K C K + B^2
 
-with a factor K and a floor b for every joint and every pair of segments, the same for right and left, that
-were fitted on recordings of other people (``python -m benchmarks.confidence --fit``): the numbers with
-which errors are likeliest under normal distributions of that width.
+with diagonal matrices of a factor and a floor for every joint and every pair of segments, the same for
+right and left. How much is not in the Hessian depends on who saw it:
+
+=======  ==========================================================================================
+camera   there is no sensor anywhere
+fused    there are sensors, but not where the next row says
+sensed   both segments of a pair carry one (or the one that is told against the world); of positions
+         relative to the root, the root's segment does
+=======  ==========================================================================================
+
+The numbers were fitted on recordings of other people, as those under which their errors are likeliest
+(``python -m benchmarks.confidence --fit``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -24,15 +33,18 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.confidence import Confidence
+from rtof_kin.confidence import WORLD, Confidence
 from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.io.text import load_toml
 from rtof_kin.resources import model_path
 
 Array = NDArray[np.float64]
-KINDS = {"position": "m", "relative": "m", "turn": "rad"}
-"""Covariances of a `Confidence` and the unit of their floors."""
+UNITS = {"position": "m", "relative": "m", "turn": "rad"}
+"""Covariances of a `Confidence`, and the unit of their floors."""
+SEEN = {"camera": tuple(UNITS), "fused": tuple(UNITS), "sensed": ("relative", "turn")}
+"""Who saw it, and of which covariances that is told apart."""
 OTHER = "other"
+"""Name of the widening of what has none of its own."""
 
 
 @dataclass(frozen=True)
@@ -40,29 +52,31 @@ class Widening:
     """Of one covariance."""
 
     factor: Array
-    """(3,) by axis: world's of positions, the child segment's of turns."""
+    """(3,) by axis: world's of positions, the child segment's of turns. At least 1: nobody knows more than
+    the Hessian."""
     floor: Array
     """(3,) standard deviation, m or rad."""
 
     def __post_init__(self) -> None:
-        for field in ("factor", "floor"):
-            value = np.broadcast_to(np.asarray(getattr(self, field), dtype=float), 3)
-            if not (np.isfinite(value).all() and (value >= 0).all()):
-                raise ShapeError(f"widening {field}: {value} must be three finite numbers, not negative")
-            object.__setattr__(self, field, value)
+        for field, least in (("factor", 1.0), ("floor", 0.0)):
+            value = np.asarray(getattr(self, field), dtype=float)
+            if value.shape not in ((), (3,)) or not np.all(np.isfinite(value) & (value >= least)):
+                raise ShapeError(f"widening {field}: {value} must be one or three numbers from {least:g} on")
+            object.__setattr__(self, field, np.broadcast_to(value, 3))
 
 
 @dataclass(frozen=True)
 class Inflation:
-    """Widenings of all covariances of a skeleton, by `unsided` name."""
+    """Widenings of all covariances of a skeleton."""
 
-    widenings: Mapping[str, Mapping[str, Widening]]
-    """Kind of `KINDS` -> joint, or parent and child -> widening; `OTHER` is for what has none."""
+    widenings: Mapping[str, Mapping[str, Mapping[str, Widening]]]
+    """By who saw it (`SEEN`), kind (`UNITS`) and `unsided` name of the joint, or of parent and child."""
 
     def __post_init__(self) -> None:
-        missing = [kind for kind in KINDS if OTHER not in self.widenings.get(kind, {})]
-        if missing:
-            raise ShapeError(f"inflation: no widening {OTHER!r} of {', '.join(missing)}")
+        for seen, kinds in SEEN.items():
+            for kind in kinds:
+                if OTHER not in self.widenings.get(seen, {}).get(kind, {}):
+                    raise ShapeError(f"inflation: no widening {OTHER!r} of {seen}.{kind}")
 
     @classmethod
     def shipped(cls) -> Inflation:
@@ -79,46 +93,82 @@ class Inflation:
         data = load_toml(Path(path))
         try:
             return cls({
-                kind: {name: Widening(**entry) for name, entry in data[kind].items()} for kind in KINDS
+                seen: {
+                    kind: {name: Widening(**entry) for name, entry in data[seen][kind].items()}
+                    for kind in kinds
+                }
+                for seen, kinds in SEEN.items()
             })  # fmt: skip
-        except (KeyError, TypeError, AttributeError, ShapeError) as error:
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise FileFormatError(path, f"no table of widenings: {error}") from error
 
     def text(self) -> str:
         """As TOML."""
         lines = []
-        for kind, unit in KINDS.items():
-            lines += [f"[{kind}]  # floor in {unit}"]
-            for name, w in self.widenings[kind].items():
-                factor, floor = ([float(f"{v:.3g}") for v in value] for value in (w.factor, w.floor))
-                lines.append(f'"{name}" = {{ factor = {factor}, floor = {floor} }}')
-            lines.append("")
+        for seen, kinds in SEEN.items():
+            for kind in kinds:
+                lines.append(f"[{seen}.{kind}]  # floor in {UNITS[kind]}")
+                for name, w in self.widenings[seen][kind].items():
+                    lines.append(f'"{name}" = {{ factor = {_text(w.factor)}, floor = {_text(w.floor)} }}')
+                lines.append("")
         return "\n".join(lines)
 
-    def apply(self, confidence: Confidence) -> Confidence:
-        """The confidence with every covariance widened."""
-        names, pairs = confidence.names, [f"{parent} {child}" for parent, child in confidence.pairs]
-        relative = self._widened("relative", names, confidence.relative_covariance)
-        relative[:, 0] = 0.0  # the root, less itself
+    def apply(self, confidence: Confidence, sensors: Collection[str] = ()) -> Confidence:
+        """A confidence of the Hessian alone, widened.
+
+        Args:
+            sensors: joints whose segments carry one.
+        """
+        names, root = confidence.names, confidence.names[0]
+        pairs = [" ".join(pair) for pair in confidence.pairs]
+
+        def widened(kind: str, entries: Sequence[str], covariance: Array) -> Array:
+            who = [seen_by(kind, entry, root, sensors) for entry in entries]
+            return self._widened(kind, entries, who, covariance)
+
+        relative = widened("relative", names, confidence.relative_covariance)
+        relative[:, 0] = 0.0  # the root less itself
         return replace(
             confidence,
-            position_covariance=self._widened("position", names, confidence.position_covariance),
+            position_covariance=widened("position", names, confidence.position_covariance),
             relative_covariance=relative,
-            turn_covariance=self._widened("turn", pairs, confidence.turn_covariance),
+            turn_covariance=widened("turn", pairs, confidence.turn_covariance),
         )
 
-    def _widened(self, kind: str, names: Sequence[str], covariance: Array) -> Array:
-        known = self.widenings[kind]
-        chosen = [known.get(unsided(name), known[OTHER]) for name in names]
+    def _widened(self, kind: str, names: Sequence[str], who: Sequence[str], covariance: Array) -> Array:
+        chosen = []
+        for name, seen in zip(names, who, strict=True):
+            known = self.widenings[seen][kind]
+            chosen.append(known.get(unsided(name), known[OTHER]))
         factor = np.reshape([widening.factor for widening in chosen], (-1, 3))
         floor = np.reshape([widening.floor for widening in chosen], (-1, 3))
         scale = factor[:, :, None] * factor[:, None, :]
         return np.asarray(covariance * scale + np.eye(3) * floor[:, :, None] ** 2)
 
 
+def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
+    """Who saw what a covariance is of: a key of `SEEN`.
+
+    Args:
+        kind: of `UNITS`. name: the joint, or parent and child. root: the root joint's name.
+        sensors: joints whose segments carry one.
+    """
+    if not sensors:
+        return "camera"
+    if kind not in SEEN["sensed"]:
+        return "fused"
+    needs = {root} if kind == "relative" else {*name.split()} - {WORLD}
+    return "sensed" if needs <= {*sensors} else "fused"
+
+
 def unsided(name: str) -> str:
     """A joint's name, or those of a pair, without its side: what is symmetric is fitted once."""
     return " ".join(word.removeprefix("Right").removeprefix("Left") for word in name.split())
+
+
+def _text(value: Array) -> str:
+    rounded = [f"{max(float(f'{v:.3g}'), 0.0):g}" for v in value]
+    return rounded[0] if len(set(rounded)) == 1 else f"[{', '.join(rounded)}]"
 
 
 @cache

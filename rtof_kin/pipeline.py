@@ -156,7 +156,8 @@ def reconstruct(
         _log.warning("%s: %s", recording.name, fault)
     confidence = None if solution is None else solution.confidence
     if confidence is not None:
-        confidence = Inflation.shipped().apply(confidence)
+        sensors = () if begun.bone_imus is None else begun.bone_imus.joints
+        confidence = Inflation.shipped().apply(confidence, sensors)
     motion = skeleton.motion(poses, confidence)
     stages = begun.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = _scores(recording, stages, skeleton)

@@ -15,8 +15,8 @@ from benchmarks import harness
 from rtof_kin import rotations as so3
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.confidence import WORLD, Confidence
-from rtof_kin.mocap import MocapClip
 from rtof_kin.metrics import at_times
+from rtof_kin.mocap import MocapClip
 from rtof_kin.pipeline import reconstruct
 from rtof_kin.skeleton import MotionSequence
 from rtof_kin.types import PoseSequence
@@ -38,6 +38,8 @@ class Case:
     name: str
     keypoints: str
     sensors: str
+    carriers: tuple[str, ...]
+    """Joints whose segments carry them."""
     motion: MotionSequence
     """With the confidence of the Hessian alone."""
     truth: PoseSequence
@@ -65,10 +67,12 @@ def reconstructed(
         recording, mode="rtof" if own else "rto", lifter=_lifter(lifter),
         calibrate=calibrate and bool(own),
     )  # fmt: skip
-    assert recording.truth is not None and result.solution is not None
+    assert recording.truth is not None
+    assert result.solution is not None
     motion = replace(result.motion, confidence=result.solution.confidence)[::EVERY]
     truth = at_times(recording.truth, motion.times)
-    return Case(f"{clip.name}/{camera}", keypoints, sensors, motion, truth)
+    carriers = () if result.bone_imus is None else result.bone_imus.joints
+    return Case(f"{clip.name}/{camera}", keypoints, sensors, carriers, motion, truth)
 
 
 @cache
@@ -79,7 +83,7 @@ def _lifter(path: str | None) -> Any:
 
 
 def errors(case: Case, confidence: Confidence | None = None) -> Iterator[tuple[str, str, Errors]]:
-    """What every entry of a confidence says, beside the errors: (kind, name, errors), where both are known.
+    """(kind, name, errors) of every entry of a confidence, where both are known.
 
     Args:
         confidence: in place of the motion's own.

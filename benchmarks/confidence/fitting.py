@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from benchmarks.confidence.cases import Case, Errors, errors
-from rtof_kin.inflation import KINDS, OTHER, Inflation, Widening, unsided
+from rtof_kin.inflation import OTHER, SEEN, Inflation, Widening, seen_by, unsided
 
 Array = NDArray[np.float64]
 _LEAST = {"position": 1e-3, "relative": 1e-4, "turn": np.radians(0.1)}
@@ -18,17 +18,20 @@ _LEAST = {"position": 1e-3, "relative": 1e-4, "turn": np.radians(0.1)}
 
 
 def fitted(cases: Sequence[Case]) -> Inflation:
-    """One widening for every joint and every pair, right and left together."""
-    found: dict[str, dict[str, list[Errors]]] = {kind: defaultdict(list) for kind in KINDS}
+    """One widening for every joint and every pair by who saw it, right and left together."""
+    found: dict[tuple[str, str], dict[str, list[Errors]]] = defaultdict(lambda: defaultdict(list))
     for case in cases:
         for kind, name, both in errors(case):
-            found[kind][unsided(name)].append(both)
-    widenings = {}
-    for kind, by_name in found.items():
-        known = {name: own for name, own in by_name.items() if sum(len(e.error) for e in own)}
-        widenings[kind] = {name: _fitted(kind, own) for name, own in known.items()}
-        everything = [both for own in known.values() for both in own]
-        widenings[kind][OTHER] = _fitted(kind, everything)
+            if len(both.error):
+                who = seen_by(kind, name, case.motion.skeleton.root, case.carriers)
+                found[who, kind][unsided(name)].append(both)
+    widenings: dict[str, dict[str, dict[str, Widening]]] = {who: {} for who in SEEN}
+    for who, kinds in SEEN.items():
+        for kind in kinds:
+            own = found[who, kind]
+            widenings[who][kind] = {name: _fitted(kind, parts) for name, parts in own.items()}
+            everything = [both for parts in own.values() for both in parts]
+            widenings[who][kind][OTHER] = _fitted(kind, everything)
     return Inflation(widenings)
 
 
@@ -55,10 +58,11 @@ def likeliest(error: Array, variance: Array, least: float) -> tuple[float, float
         total = np.exp(2 * logs[0]) * variance + np.exp(2 * logs[1])
         return float(np.mean(np.log(total) + error**2 / total))
 
-    size = np.sqrt(np.mean(error**2)) + least
-    expected = np.sqrt(np.mean(variance)) + 1e-9
-    bounds = [(np.log(0.1), np.log(30.0)), (np.log(least), np.log(10 * size))]
-    starts = [(np.log(np.clip(size / expected, 0.2, 20)), np.log(max(least, size / 3)))]
+    size, expected = np.sqrt(np.mean(error**2)) + least, np.sqrt(np.mean(variance))
+    if expected < 1e-6:  # the model has no such freedom
+        return 1.0, float(size)
+    bounds = [(0.0, np.log(30.0)), (np.log(least), np.log(10 * size))]
+    starts = [(np.log(np.clip(size / expected, 1.0, 20.0)), np.log(max(least, size / 3)))]
     starts.append((0.0, np.log(max(least, size))))
     found = min(
         (minimize(energy, start, method="L-BFGS-B", bounds=bounds) for start in starts),

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import kinematics
-from rtof_kin import rotations as so3
 from rtof_kin.banded import inverse_diagonal
 from rtof_kin.confidence import WORLD, Confidence
 from rtof_kin.errors import SolverError
@@ -68,18 +67,15 @@ def segment_pairs(skeleton: SkeletonModel) -> tuple[tuple[str, str], ...]:
 
 def confidence_of(space: StateSpace, times: Array, x: Array, covariance: Array) -> Confidence:
     """What covariances (T, D, D) of states x (T, 3 + 4A) say of positions and orientations."""
-    skeleton = space.skeleton
-    moves, turns = _rates(space, x)
-    R = space.poses(x)[1]
+    skeleton, (p, R) = space.skeleton, space.poses(x)
+    moves, turns = _rates(space, p, R)
     pairs = segment_pairs(skeleton)
-    seen_from = np.zeros((len(x), len(pairs), *turns.shape[2:]))
-    for k, (parent, child) in enumerate(pairs):
-        c = skeleton.names.index(child)
-        rate = turns[:, c] - (0.0 if parent == WORLD else turns[:, skeleton.names.index(parent)])
-        seen_from[:, k] = np.swapaxes(R[:, c], 1, 2) @ rate
+    names = (*skeleton.names, WORLD)
+    parents, children = np.array([[names.index(name) for name in pair] for pair in pairs]).T
+    turns = np.concatenate([turns, np.zeros_like(turns[:, :1])], axis=1)  # the world's
+    seen_from = np.swapaxes(R[:, children], -1, -2) @ (turns[:, children] - turns[:, parents])
     turned = _covariance(seen_from, covariance)
-    fixed = [child not in space.names for _, child in pairs]  # the model turns it with its parent
-    turned[:, fixed] = np.nan
+    turned[:, [child not in space.names for _, child in pairs]] = np.nan  # turned with its parent
     positions = _covariance(moves, covariance)
     positions[np.trace(positions, axis1=2, axis2=3) > 3 * _NOWHERE**2] = np.nan
     moves[..., :3] = 0.0  # as seen from the root
@@ -94,18 +90,20 @@ def _covariance(J: Array, covariance: Array) -> Array:
     return np.asarray((out + np.swapaxes(out, -1, -2)) / 2)
 
 
-def _rates(space: StateSpace, x: Array) -> tuple[Array, Array]:
-    """Derivatives (T, J, 3, D) of joints' positions, and of segments' small turns, in world by a state's
-    tangent."""
-    skeleton, (p, R) = space.skeleton, space.poses(x)
-    T, J = len(x), len(skeleton.names)
-    moves, turns = np.zeros((T, J, 3, space.size)), np.zeros((T, J, 3, space.size))
-    moves[..., :3] = np.eye(3)
-    for a, i in enumerate(space.joints):
-        axes = R[:, i] @ space.axes(a)
-        columns = slice(int(space.first[a]), int(space.first[a]) + axes.shape[-1])
-        beyond = [j for j in range(J) if i in kinematics.line_to_root(skeleton.parents, j)]
-        turns[:, beyond, :, columns] = axes[:, None]
-        arms = so3.skew(p[:, beyond] - p[:, [i]])
-        moves[:, beyond, :, columns] = -arms @ axes[:, None]
+def _rates(space: StateSpace, p: Array, R: Array) -> tuple[Array, Array]:
+    """Derivatives (T, J, 3, D) of joints' positions (T, J, 3), and of small turns of segments (T, J, 3, 3),
+    in world by a state's tangent."""
+    parents, joints = space.skeleton.parents, np.array(space.joints)
+    widths = np.where(space.hinge_axis < 0, 3, 1)
+    of = np.repeat(joints, widths)  # the joint of each coordinate that turns
+    local = np.concatenate([space.axes(a) for a in range(len(joints))], axis=1)
+    axes = np.einsum("tdij,jd->tdi", R[:, of], local)
+    above = np.zeros((len(parents), len(parents)), dtype=bool)
+    for j in range(len(parents)):
+        above[j, kinematics.line_to_root(parents, j)] = True
+    turn = np.where(above[:, of, None], axes[:, None], 0.0)
+    move = np.cross(turn, p[:, :, None] - p[:, None, of])
+    root = np.broadcast_to(np.eye(3), (*p.shape, 3))
+    moves = np.concatenate([root, np.swapaxes(move, -1, -2)], axis=-1)
+    turns = np.concatenate([np.zeros_like(root), np.swapaxes(turn, -1, -2)], axis=-1)
     return moves, turns
