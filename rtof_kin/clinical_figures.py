@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.gait import PHASES
+from rtof_kin.confidence import BAND_95
 from rtof_kin.figures import save_figures
 
 SIDE_COLORS = {"right": "#0072b2", "left": "#c0392b", "": "0.25"}
@@ -61,11 +62,16 @@ def angles_over_time(analysis: MotionAnalysis) -> Figure:
         side = next((s for s in ("right", "left") if name.startswith(f"{s}_")), "")
         shown = name.removeprefix(f"{side}_")
         if shown in axes and np.isfinite(angles[name]).any():
-            axes[shown].plot(
-                angles.times, np.degrees(angles[name]), color=SIDE_COLORS[side], lw=1, label=side or None
-            )
+            value = np.degrees(angles[name])
+            axes[shown].plot(angles.times, value, color=SIDE_COLORS[side], lw=1, label=side or None)
+            if angles.sigma is not None:
+                half = BAND_95 * np.degrees(angles.sigma[:, angles.names.index(name)])
+                axes[shown].fill_between(
+                    angles.times, value - half, value + half, color=SIDE_COLORS[side], alpha=0.15, lw=0
+                )
     _finish(axes)
-    figure.suptitle("Joint angles; a gap: nobody saw the angle")
+    bands = "" if angles.sigma is None else "; bands: 95 %"
+    figure.suptitle(f"Joint angles{bands}; a gap: nobody saw the angle")
     return figure
 
 

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
 from rtof_kin.checks import indices_of, readonly
+from rtof_kin.confidence import Confidence
 from rtof_kin.errors import FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.io.text import read_text
 from rtof_kin.resources import model_path
@@ -62,6 +63,15 @@ class MotionSequence:
     """Forward kinematics of q, with validity and provenance."""
     report: ConfigurationReport
     """Singular postures and limit violations."""
+    confidence: Confidence | None = None
+    """How well it is known, where that is known at all."""
+
+    def __post_init__(self) -> None:
+        confidence, poses = self.confidence, self.poses
+        if confidence is None:
+            return
+        if confidence.names != poses.names or not np.array_equal(confidence.times, poses.times):
+            raise ShapeError("motion: its confidence is of other joints or other times")
 
     def __getitem__(self, frames: slice) -> MotionSequence:
         report = replace(
@@ -69,7 +79,10 @@ class MotionSequence:
             singular=self.report.singular[frames],
             limit_excess=self.report.limit_excess[frames],
         )
-        return replace(self, q=self.q[frames], poses=self.poses[frames], report=report)
+        confidence = None if self.confidence is None else self.confidence[frames]
+        return replace(
+            self, q=self.q[frames], poses=self.poses[frames], report=report, confidence=confidence
+        )
 
     @property
     def times(self) -> Array:
@@ -374,7 +387,7 @@ class SkeletonModel:
         excess = np.maximum(np.maximum(self.limits[:, 0] - angles, angles - self.limits[:, 1]), 0.0)
         return ConfigurationReport(singular, excess, self.dof_names)
 
-    def motion(self, poses: PoseSequence) -> MotionSequence:
+    def motion(self, poses: PoseSequence, confidence: Confidence | None = None) -> MotionSequence:
         """The motion of this skeleton that poses describe; their positions become its own.
 
         The root follows the poses' root; every other joint stands where this skeleton's bones put it.
@@ -383,7 +396,7 @@ class SkeletonModel:
         q = self.inverse_kinematics(poses.p_world_joint, poses.R_world_bone)
         p, R = self.forward_kinematics(q)
         return MotionSequence(
-            self, q, replace(poses, p_world_joint=p, R_world_bone=R), self.check(q)
+            self, q, replace(poses, p_world_joint=p, R_world_bone=R), self.check(q), confidence
         )
 
     def landmark_positions(self, p: Array, R: Array) -> Array:

@@ -19,7 +19,7 @@ rotations   resources   body_mass   io
 io.text
 signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_code
 levenberg_marquardt   banded   lanes
-types   urdf   stream_faults
+types   urdf   stream_faults   confidence
 skeleton   keypoint_guards
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position   contacts
 sensor_guards
@@ -64,6 +64,7 @@ detectors.recognise
 detectors.keypoints
 clinical   clinical.angle_table
 clinical.joint_coordinate_systems
+clinical.angle_confidence
 clinical.angles
 clinical.range_of_motion
 clinical.gait_events   clinical.repetitions

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from rtof_kin.confidence import WORLD
 from rtof_kin.errors import UnknownNameError
 from rtof_kin.io.text import load_toml
 from rtof_kin.resources import model_path
 from rtof_kin.skeleton_table import SkeletonTable
 
-WORLD = "world"
-"""What stands in the place of a parent where an angle is against the world."""
 SIDES = ("right", "left")
 
 

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from rtof_kin import kinematics, signals
 from rtof_kin.checks import checked_times, indices_of, readonly
 from rtof_kin.clinical import joint_coordinate_systems as jcs
+from rtof_kin.clinical.angle_confidence import angle_sigmas
 from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem, angle_table
 from rtof_kin.errors import ShapeError
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
@@ -56,6 +57,9 @@ class ClinicalAngles:
     """A rows of the table: name, sign, range, OpenSim coordinate."""
     notes: tuple[str, ...] = ()
     """What could not be told, and why."""
+    sigma: Array | None = None
+    """(T, A) rad, standard deviation of each value; NaN where there is no value or nobody knows how good
+    it is. None where the motion has no confidence."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -64,6 +68,11 @@ class ClinicalAngles:
         set_(self, "values", readonly("angle values", self.values, shape))
         set_(self, "provenance", readonly("angle provenance", self.provenance, shape, np.uint8))
         set_(self, "singular", readonly("angle singular", self.singular, shape, np.bool_))
+        if self.sigma is not None:
+            sigma: Array = readonly("angle sigma", self.sigma, shape)
+            if np.any(sigma < 0) or np.isinf(sigma).any():
+                raise ShapeError("angle sigma: negative or infinite; write NaN where it is not known")
+            set_(self, "sigma", sigma)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -101,6 +110,7 @@ class ClinicalAngles:
             provenance=self.provenance[:, index],
             singular=self.singular[:, index],
             rows=tuple(self.rows[i] for i in index),
+            sigma=None if self.sigma is None else self.sigma[:, index],
         )
 
 
@@ -132,8 +142,11 @@ def clinical_angles(
     levels = _observation(poses, skeleton)
     parts = [_joint_angles(joint, R[joint.name], poses, levels) for joint in table.joints]
     values, provenance, singular = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    sigma = None
+    if isinstance(motion, MotionSequence) and motion.confidence is not None:
+        sigma = np.where(np.isfinite(values), angle_sigmas(R, table, skeleton, motion.confidence), np.nan)
     return ClinicalAngles(
-        poses.times, values, provenance, singular, table.rows, _notes(table, values, provenance)
+        poses.times, values, provenance, singular, table.rows, _notes(table, values, provenance), sigma
     )
 
 

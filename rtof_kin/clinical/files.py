@@ -1,7 +1,8 @@
 """The analysis of a motion as files, every number with its name and unit.
 
 ==============================  ==================================================================
-angles.csv, angles.json         angles over time, degrees; the table of their names and signs
+angles.csv, angles.json         angles over time, degrees, and their standard deviations where the motion
+                                has a confidence; the table of their names and signs
 angles_provenance.csv           who saw each angle when (`Provenance` by number)
 range_of_motion.csv             lowest, highest and mean value, peak velocity of every angle
 gait.json                       events, strides, mean and spread by side, symmetry
@@ -41,8 +42,11 @@ def write_analysis(analysis: MotionAnalysis, folder: str | Path) -> None:
     """Write every file there is something for into an existing folder."""
     folder = Path(folder)
     angles = analysis.angles
-    degrees = [f"{name}_deg" for name in angles.names]
-    _write_csv(folder / MARKER, ("time", *degrees), _timed(angles.times, angles.values_deg))
+    columns, values = [f"{name}_deg" for name in angles.names], angles.values_deg
+    if angles.sigma is not None:
+        columns += [f"{name}_sigma_deg" for name in angles.names]
+        values = np.hstack([values, np.degrees(angles.sigma)])
+    _write_csv(folder / MARKER, ("time", *columns), _timed(angles.times, values))
     _write_json(folder / "angles.json", _angles_sidecar(analysis))
     _write_csv(
         folder / "angles_provenance.csv", ("time", *angles.names), _timed(angles.times, angles.provenance)
@@ -117,6 +121,7 @@ def _angles_sidecar(analysis: MotionAnalysis) -> dict[str, Any]:
         "gaps": "an empty cell: nobody saw this angle",
         "continuity": "continuous between gaps; whole turns are chosen so that each stretch lies in "
         "range_deg",
+        "sigma": "columns ..._sigma_deg: standard deviations; 95 % of errors lie within 1.96 of them",
         "provenance": {str(int(p)): p.name.lower() for p in Provenance},
         "angles": analysis.table.sidecar(),
     }

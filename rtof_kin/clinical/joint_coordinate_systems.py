@@ -48,6 +48,11 @@ def mirrored(R: Array) -> Array:
     return np.asarray(_MIRROR[:, None] * R * _MIRROR)
 
 
+def mirror_image(v: Array) -> Array:
+    """Vectors (3, ...) in ISB axes as a mirror in the sagittal plane shows them."""
+    return np.asarray((_MIRROR * v.T).T)
+
+
 def decompose(sequence: str, R: Array) -> Array:
     """Angles (..., 3) in radians of rotations (..., 3, 3) in ISB axes.
 

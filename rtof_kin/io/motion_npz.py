@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.checks import readonly
+from rtof_kin.confidence import Confidence
 from rtof_kin.errors import FileFormatError, RtofError, ShapeError
 from rtof_kin.io.arrays import read_npz_as_saved
 from rtof_kin.io.text import LARGEST_NUMBER, measurable
@@ -18,6 +19,8 @@ from rtof_kin.types import PoseSequence
 
 SCHEMA_VERSION = 1
 _LARGEST_BYTES = 8 * 2**30
+_COVARIANCES = ("position_covariance", "relative_covariance", "turn_covariance")
+"""Fields of `Confidence` that the file has."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +43,15 @@ class MotionFile:
     """How it was made: 'lift', 'sf2', 'rto' or 'rtof'."""
     skeleton: str
     """Name of the skeleton, see `SkeletonModel.named`."""
+    confidence: Confidence | None = None
+    """How well the motion is known; None in files that do not say."""
 
     def motion(self) -> MotionSequence:
         """The motion of the subject's skeleton that the file describes."""
         skeleton = SkeletonModel.named(self.skeleton).with_offsets(self.joint_offsets)
-        return MotionSequence(skeleton, self.q, self.poses, skeleton.check(self.q))
+        return MotionSequence(
+            skeleton, self.q, self.poses, skeleton.check(self.q), self.confidence
+        )
 
 
 def write_motion_npz(
@@ -69,6 +76,7 @@ def write_motion_npz(
         first_frame=np.array(first_frame),
         mode=np.array(mode),
         skeleton=np.array(motion.skeleton.name),
+        **_confidence_arrays(motion.confidence),
     )
 
 
@@ -108,6 +116,7 @@ def read_motion_npz(path: str | Path) -> MotionFile:
             first_frame=int(data["first_frame"]),
             mode=str(data["mode"]),
             skeleton=str(data["skeleton"]),
+            confidence=_confidence(data, poses),
         )
     except KeyError as error:
         raise FileFormatError(path, f"the array {error} is missing") from error
@@ -115,6 +124,24 @@ def read_motion_npz(path: str | Path) -> MotionFile:
         if isinstance(error, FileFormatError):
             raise
         raise FileFormatError(path, str(error)) from error
+
+
+def _confidence_arrays(confidence: Confidence | None) -> dict[str, Any]:
+    """What the file holds of a confidence, in single precision; nothing where there is none."""
+    if confidence is None:
+        return {}
+    arrays = {name: getattr(confidence, name).astype(np.float32) for name in _COVARIANCES}
+    return {"confidence_pairs": np.array(confidence.pairs)} | arrays
+
+
+def _confidence(data: dict[str, NDArray[Any]], poses: PoseSequence) -> Confidence | None:
+    if "confidence_pairs" not in data:
+        return None
+    pairs = data["confidence_pairs"]
+    if pairs.ndim != 2 or pairs.shape[1] != 2:
+        raise ShapeError(f"confidence_pairs: expected pairs of names, got shape {pairs.shape}")
+    covariances = {name: data[name] for name in _COVARIANCES}
+    return Confidence(times=poses.times, names=poses.names, pairs=tuple(map(tuple, pairs)), **covariances)
 
 
 def _names(field: str, value: NDArray[Any]) -> tuple[str, ...]:
