@@ -67,7 +67,7 @@ A .csv has a header line: ``time``, then for each keypoint ``<name>_u_px``, ``<n
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -132,7 +132,7 @@ class Recording:
     """What the data's owner asks to be printed with it."""
     notes: str = ""
     """Anything else."""
-    session: Session = Session()
+    session: Session = field(default_factory=Session)
     """Who was recorded, by whom, when and where."""
 
     def __post_init__(self) -> None:
@@ -381,10 +381,10 @@ def _read_skeleton(section: Section) -> dict[str, Any]:
         raise UnknownNameError(where, [table], _SKELETONS)
     joints = _shipped(table).names
     fields: dict[str, Any] = {"skeleton_table": table}
-    for field in ("bone_lengths_m", "joint_offsets_m"):
-        unknown = [n for n in section.table(field).keys() if n not in joints[1:]]  # noqa: SIM118
+    for name in ("bone_lengths_m", "joint_offsets_m"):
+        unknown = [n for n in section.table(name).keys() if n not in joints[1:]]  # noqa: SIM118
         if unknown:
-            where = f"joint in {section.path}, {section.where(field)}"
+            where = f"joint in {section.path}, {section.where(name)}"
             raise UnknownNameError(where, unknown, joints[1:])
     lengths, offsets = section.table("bone_lengths_m"), section.table("joint_offsets_m")
     if len(lengths):

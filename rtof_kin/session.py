@@ -48,7 +48,8 @@ def read_session(section: Section) -> Session:
     """The labels of a table ``[session]``; all of its fields may be left out.
 
     Raises:
-        FileFormatError: a field is no text, or the date no day. UnknownNameError: a field is none of these.
+        FileFormatError: a field is no text, or the date no day.
+        UnknownNameError: a field is none of these.
     """
     labels = {field.name: section.text(field.name, "") for field in fields(Session)}
     section.close()

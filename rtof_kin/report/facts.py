@@ -1,4 +1,4 @@
-"""What a reconstruction was made from, as plain data: the part of ``summary.json`` that a report needs."""
+"""What a reconstruction was made from, as plain data: a part of ``summary.json``."""
 
 from __future__ import annotations
 

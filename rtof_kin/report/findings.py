@@ -32,16 +32,17 @@ class Grade(Enum):
     WARN = "warn"
     FAIL = "fail"
     UNTOLD = "not told"
+    INFORMATION = "for information"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One figure against its limits. Larger is worse."""
+    """One figure against its limits, where larger is worse; or something to know, in words."""
 
     section: str
     """One of `SECTIONS`."""
     name: str
-    """What the figure is."""
+    """What the figure is; '' where the note says everything."""
     subject: str
     """Whose: a landmark, a sensor, an angle, the whole."""
     value: float
@@ -49,7 +50,7 @@ class Finding:
     unit: str
     """Of the value and its limits; '' for none."""
     warn: float = math.inf
-    """Above this the figure warns."""
+    """Above this the figure warns; without a limit it is for information."""
     fail: float = math.inf
     """Above this it fails."""
     source: str = ""
@@ -70,6 +71,8 @@ class Finding:
         """By value and limits."""
         if math.isnan(self.value):
             return Grade.UNTOLD
+        if math.isinf(self.warn):
+            return Grade.INFORMATION
         if self.value > self.fail:
             return Grade.FAIL
         return Grade.WARN if self.value > self.warn else Grade.PASS
@@ -77,16 +80,27 @@ class Finding:
     @property
     def text(self) -> str:
         """One line: whose, what, the figure, the limit it is above, when, and what that may mean."""
+        if not self.name:
+            return f"{self.subject}: {self.note}"
         if self.grade is Grade.UNTOLD:
             return f"{self.subject}: {self.name}: {self.note}"
-        parts = [f"{self.subject}: {self.name} {self.value:.3g} {self.unit}".rstrip()]
-        if self.grade is not Grade.PASS:
-            limit = self.fail if self.grade is Grade.FAIL else self.warn
-            parts.append(f"(above {limit:.3g}{f' {self.unit}'.rstrip()})")
-        if math.isfinite(self.at) and self.grade is not Grade.PASS:
-            parts.append(f"at {self.at:.1f} s")
-        line = " ".join(parts)
-        return f"{line}: {self.note}" if self.note and self.grade is not Grade.PASS else line
+        line = f"{self.subject}: {self.name} {self.value:.3g} {self.unit}".rstrip()
+        if self.grade in (Grade.PASS, Grade.INFORMATION):
+            return line
+        limit = self.fail if self.grade is Grade.FAIL else self.warn
+        line += f" (above {limit:.3g}{f' {self.unit}'.rstrip()})" if limit >= 0 else ""
+        line += f" at {self.at:.1f} s" if math.isfinite(self.at) else ""
+        return f"{line}: {self.note}" if self.note else line
+
+    @classmethod
+    def doubt(cls, section: str, subject: str, note: str, at: float = math.nan) -> Self:
+        """Something that warns, in words."""
+        return cls(section, "", subject, 1.0, "", 0.0, source="any warns", note=note, at=at)
+
+    @classmethod
+    def untold(cls, section: str, subject: str, why: str, name: str = "") -> Self:
+        """Something that could not be told, and why."""
+        return cls(section, name, subject, math.nan, "", note=why)
 
     def plain(self) -> dict[str, Any]:
         """The fields as JSON knows them: null for what is not finite; and the grade."""
@@ -143,12 +157,11 @@ def section_verdict(section: str, findings: Sequence[Finding], most: int = 6) ->
         most: reasons that are spelt out; the others are counted.
     """
     own = [finding for finding in findings if finding.section == section]
-    told = [finding.grade for finding in own if finding.grade is not Grade.UNTOLD]
-    grade = Grade.UNTOLD
-    for worse in (Grade.PASS, Grade.WARN, Grade.FAIL):
-        grade = worse if worse in told else grade
-    chosen = [f for g in (Grade.FAIL, Grade.WARN, Grade.UNTOLD) for f in own if f.grade is g]
-    reasons = [finding.text for finding in chosen]
+    grades = {finding.grade for finding in own}
+    order = (Grade.FAIL, Grade.WARN, Grade.PASS, Grade.INFORMATION, Grade.UNTOLD)
+    grade = next((worse for worse in order if worse in grades), Grade.UNTOLD)
+    told = (Grade.FAIL, Grade.WARN, Grade.INFORMATION, Grade.UNTOLD)
+    reasons = [finding.text for wanted in told for finding in own if finding.grade is wanted]
     if not own:
         reasons = ["nothing was checked"]
     if len(reasons) > most:

@@ -1,9 +1,9 @@
-"""What a study with inertial sensors should state, after the recommendations of the International Society of
-Biomechanics, in our own words: filled in where the package knows it, left blank for the user where not.
+"""What a study with inertial sensors should state, after the recommendations of the International
+Society of Biomechanics, in our own words: filled in where the package knows it, else left to the user.
 
-A. Cereatti, R. Gurchiek, A. Muendermann, S. Fantozzi, F. Horak, S. Delp, K. Aminian: ISB recommendations on
-the definition, estimation, and reporting of joint kinematics in human motion analysis applications using
-wearable inertial measurement technology. Journal of Biomechanics, 112225, 2024.
+A. Cereatti, R. Gurchiek, A. Muendermann, S. Fantozzi, F. Horak, S. Delp, K. Aminian: ISB recommendations
+on the definition, estimation, and reporting of joint kinematics in human motion analysis applications
+using wearable inertial measurement technology. Journal of Biomechanics, 112225, 2024.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _METHODS = {
     "lift": "a temporal convolution network on 2D keypoints alone",
     "sf2": "a network on 2D keypoints, corrected frame by frame by the sensors' orientations",
     "rto": "a network on 2D keypoints, then a posterior optimised in fragments; no sensors",
-    "rtof": "2D keypoints of one camera and sensors fused in a posterior over the skeleton's configuration, "
-    "optimised in overlapping fragments; orientation residuals are weighed apart across the bone and about "
-    "it, acceleration at the lever arm",
-    "imu": "sensors alone: orientation, acceleration at the lever arm, standing feet, pose prior and limits",
+    "rtof": "2D keypoints of one camera and sensors fused in a posterior over the skeleton's "
+    "configuration, optimised in overlapping fragments; orientation residuals are weighed apart across "
+    "the bone and about it, acceleration at the lever arm",
+    "imu": "sensors alone: orientation, acceleration at the lever arm, standing feet, prior and limits",
 }
 
 
@@ -116,13 +116,15 @@ def _joints(inputs: Mapping[str, Any], mode: str) -> tuple[Item, ...]:
     subject = inputs.get("subject") or {}
     hinges = "" if mode in ("lift", "sf2") else "; knees and elbows are hinges, anatomical limits hold"
     return (
-        Item(topic, "body model", f"21 or 17 joints, rigid segments, {subject.get('bones', 'bones not stated')}"
-             + hinges),
-        Item(topic, "segment frames", "x forward, y up, z right in the anatomical standing posture (ISB axes)"),
+        Item(topic, "body model",
+             f"tree of rigid segments, {subject.get('bones', 'bones not stated')}{hinges}"),
+        Item(topic, "segment frames",
+             "x forward, y up, z right in the anatomical standing posture (the ISB's axes)"),
         Item(topic, "joint coordinate systems and sequences",
-             "Z-X-Y for spine, hip, knee, ankle, elbow, wrist (Grood and Suntay); shoulder Y-X-Y (Wu 2005) "
-             "and X-Z-Y; pelvis Y-X-Z (Baker 2001); left mirrored; signs in angles.json"),
-        Item(topic, "zero of the angles", "anatomical standing posture of the model; no own posture subtracted"),
+             "Z-X-Y for spine, hip, knee, ankle, elbow, wrist (Grood and Suntay); shoulder Y-X-Y (Wu "
+             "2005) and X-Z-Y; pelvis Y-X-Z (Baker 2001); left mirrored; signs in angles.json"),
+        Item(topic, "zero of the angles",
+             "anatomical standing posture of the model; nobody's own posture is subtracted"),
         Item(topic, "filters", "none on angles; velocities from angles low-passed at 6 Hz"),
     )  # fmt: skip
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.confidence import BAND_95
 from rtof_kin.report.findings import Finding
 
 WIDEST = (10.0, 30.0)
@@ -31,19 +32,19 @@ def _angles(analysis: MotionAnalysis) -> Iterator[Finding]:
         )  # fmt: skip
     yield from _bands(analysis)
     for note in analysis.notes["angles"]:
-        yield Finding("angles", "what could not be told", "angles", np.nan, "", note=note)
+        yield Finding.untold("angles", "angles", note)
 
 
 def _bands(analysis: MotionAnalysis) -> Iterator[Finding]:
     sigma = analysis.angles.sigma
     if sigma is None:
         why = "the mode that made this motion does not say how certain it is"
-        yield Finding("angles", "95 % bands", "angles", np.nan, "deg", note=why)
+        yield Finding.untold("angles", "95 % bands", why)
         return
     for a, row in enumerate(analysis.angles.rows):
         known = np.isfinite(sigma[:, a]) & analysis.angles.known[:, a]
         if known.any():
-            half = float(1.96 * np.degrees(np.median(sigma[known, a])))
+            half = float(BAND_95 * np.degrees(np.median(sigma[known, a])))
             yield Finding(
                 "angles", "half width of the 95 % band, median", row.label, half, "deg", *WIDEST, _USER,
                 "hardly anything fixes this angle: a sensor on its segments would",
@@ -54,7 +55,7 @@ def _gait(analysis: MotionAnalysis) -> Iterator[Finding]:
     gait = analysis.gait
     if not gait.strides:
         why = "; ".join(gait.notes) or "no two strikes of a foot with a toe off between were found"
-        yield Finding("gait", "strides", "motion", np.nan, "", note=why)
+        yield Finding.untold("gait", "strides", why)
         return
     for side, measures in gait.summary.items():
         count = measures["stride_time"][2]
@@ -63,19 +64,19 @@ def _gait(analysis: MotionAnalysis) -> Iterator[Finding]:
             source=_USER, note=f"{count} complete: a mean of so few says little about usual walking",
         )  # fmt: skip
     for note in gait.notes:
-        yield Finding("gait", "doubt", "gait", 1.0, "", 0.0, source="any doubt warns", note=note)
+        yield Finding.doubt("gait", "gait", note)
 
 
 def _torques(analysis: MotionAnalysis) -> Iterator[Finding]:
     torques = analysis.torques
     if torques is None:
         why = "not computed: no weight is given, and torques are proportional to it"
-        yield Finding("torques", "joint torques", "motion", np.nan, "N m", note=why)
+        yield Finding.untold("torques", "torques", why)
         return
     known = float(np.isfinite(torques.torques).mean())
     yield Finding(
-        "torques", "share of torques that could not be told", "joints", 100 * (1 - known), "%", 50.0, 99.9,
-        _USER, "no force was measured; which foot carries is not always known",
+        "torques", "share of torques that could not be told", "joints", 100 * (1 - known), "%",
+        50.0, 99.9, _USER, "no force was measured; which foot carries is not always known",
     )  # fmt: skip
     for note in torques.notes:
-        yield Finding("torques", "what could not be told", "torques", np.nan, "", note=note)
+        yield Finding.untold("torques", "torques", note)
