@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from datetime import date
-from typing import Self
+from typing import Any, Self
 
 from rtof_kin.errors import ShapeError
 from rtof_kin.io.section import Section
@@ -35,13 +36,26 @@ class Session:
                 f"session date: {self.date!r} is no day; write year, month and day, as 2026-01-31"
             ) from error
 
+    @classmethod
+    def of(cls, labels: Mapping[str, Any]) -> Self:
+        """The labels of plain data; what is not there is not known.
+
+        Raises:
+            ShapeError: a label is no text, or the date no day.
+        """
+        known = {field.name: labels.get(field.name, "") for field in fields(cls)}
+        for name, text in known.items():
+            if not isinstance(text, str):
+                raise ShapeError(f"session {name}: {str(text)[:40]!r} is no text")
+        return cls(**known)
+
     def plain(self) -> dict[str, str]:
         """What is known, by field."""
         return {name: text for name, text in asdict(self).items() if text}
 
-    def updated(self, other: Self) -> Session:
+    def updated(self, other: Session) -> Session:
         """These labels, with what another one knows in their place."""
-        return Session(**(self.plain() | other.plain()))
+        return Session.of(self.plain() | other.plain())
 
 
 def read_session(section: Section) -> Session:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -50,9 +52,8 @@ def _study(options: argparse.Namespace) -> None:
     if recording.imus is not None:
         runs = number_of_runs(len(recording.imus.names), camera, greedy)
         out.print(f"{len(recording.imus.names)} sensors: {runs} reconstructions, one after the other")
-    logging.getLogger("rtof_kin").setLevel(logging.ERROR)  # one warning a run would be noise
-    lifter = Lifter.load(*([options.lifter] if options.lifter else [])) if camera else None
-    with progress() as tell:
+    lifter = Lifter.load(options.lifter) if camera else None
+    with progress() as tell, _quiet():
         study = study_sensors(recording, greedy=greedy, lifter=lifter, progress=tell)
     with new_folder(options.output, MARKER, options.overwrite) as folder:
         write_study(study, folder)
@@ -64,6 +65,18 @@ def _study(options: argparse.Namespace) -> None:
     for sentence in sentences(study):
         out.print(sentence, markup=False, soft_wrap=True)
     print_files(options.output)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without warnings: the same ones at every run would be noise."""
+    logger = logging.getLogger("rtof_kin")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 def _print_way_down(study: Any) -> None:

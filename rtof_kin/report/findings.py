@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from enum import Enum
 from typing import Any, Self
@@ -160,10 +160,22 @@ def section_verdict(section: str, findings: Sequence[Finding], most: int = 6) ->
     grades = {finding.grade for finding in own}
     order = (Grade.FAIL, Grade.WARN, Grade.PASS, Grade.INFORMATION, Grade.UNTOLD)
     grade = next((worse for worse in order if worse in grades), Grade.UNTOLD)
-    told = (Grade.FAIL, Grade.WARN, Grade.INFORMATION, Grade.UNTOLD)
-    reasons = [finding.text for wanted in told for finding in own if finding.grade is wanted]
+    reasons = [line for wanted in order if wanted is not Grade.PASS for line in _lines(own, wanted)]
     if not own:
         reasons = ["nothing was checked"]
     if len(reasons) > most:
         reasons = [*reasons[:most], f"and {len(reasons) - most} more, see the table"]
     return SectionVerdict(section, grade, tuple(reasons))
+
+
+def _lines(findings: Sequence[Finding], grade: Grade) -> Iterator[str]:
+    """Findings of one grade; of several of one figure the worst stands for all."""
+    chosen = [finding for finding in findings if finding.grade is grade]
+    for name in dict.fromkeys(finding.name for finding in chosen):
+        alike = [finding for finding in chosen if finding.name == name]
+        if not name or len(alike) == 1 or grade in (Grade.UNTOLD, Grade.INFORMATION):
+            yield from (finding.text for finding in alike)
+            continue
+        worst = max(alike, key=lambda finding: finding.value - finding.warn)
+        others = ", ".join(finding.subject for finding in alike if finding is not worst)
+        yield f"{worst.text}; also {others}"

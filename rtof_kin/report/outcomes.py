@@ -10,6 +10,8 @@ from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.confidence import BAND_95
 from rtof_kin.report.findings import Finding
 
+SECOND_PELVIS = "pelvis_opensim"
+"""Angles of the pelvis in OpenSim's own sequence, for comparison: a report shows one pelvis."""
 WIDEST = (10.0, 30.0)
 """Degrees to either side at which the 95 % band of an angle warns and fails."""
 _USER = "a convention of this report"
@@ -24,7 +26,7 @@ def _angles(analysis: MotionAnalysis) -> Iterator[Finding]:
     angles = analysis.angles
     for a, row in enumerate(angles.rows):
         known = angles.known[:, a]
-        if not known.any():
+        if not known.any() or row.name.startswith(SECOND_PELVIS):
             continue
         yield Finding(
             "angles", "share of frames in which nobody saw it", row.label, 100 * float(1 - known.mean()),
@@ -43,7 +45,7 @@ def _bands(analysis: MotionAnalysis) -> Iterator[Finding]:
         return
     for a, row in enumerate(analysis.angles.rows):
         known = np.isfinite(sigma[:, a]) & analysis.angles.known[:, a]
-        if known.any():
+        if known.any() and not row.name.startswith(SECOND_PELVIS):
             half = float(BAND_95 * np.degrees(np.median(sigma[known, a])))
             yield Finding(
                 "angles", "half width of the 95 % band, median", row.label, half, "deg", *WIDEST, _USER,

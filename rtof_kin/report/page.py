@@ -20,7 +20,7 @@ from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.confidence import BAND_95
 from rtof_kin.report.findings import SECTIONS, section_verdict
 from rtof_kin.report.isb import CITATION, isb_items
-from rtof_kin.report.outcomes import outcomes
+from rtof_kin.report.outcomes import SECOND_PELVIS, outcomes
 from rtof_kin.report.summary_file import Summary
 from rtof_kin.session import Session
 from rtof_kin.signals import runs
@@ -130,7 +130,7 @@ def _ranges(analysis: MotionAnalysis) -> list[Data]:
     """A row for each angle without its side: low, high, range, peak velocity of right and left."""
     rows: dict[str, Data] = {}
     for found in analysis.ranges:
-        if not found.known_share > 0 or found.name.startswith("pelvis_opensim"):
+        if not found.known_share > 0 or found.name.startswith(SECOND_PELVIS):
             continue
         side, name = side_and_name(found.name)
         rows.setdefault(name, {"name": name.replace("_", " ")})[side or "both"] = _range(found)
@@ -193,7 +193,7 @@ def _angles(analysis: MotionAnalysis, shown: slice) -> Data:
     angles = analysis.angles
     groups: dict[str, Data] = {}
     for a, row in enumerate(angles.rows):
-        if not angles.known[:, a].any() or row.name.startswith("pelvis_opensim"):
+        if not angles.known[:, a].any() or row.name.startswith(SECOND_PELVIS):
             continue
         side, name = side_and_name(row.name)
         own = groups.setdefault(
@@ -211,7 +211,7 @@ def _cycles(analysis: MotionAnalysis) -> Data:
     groups: dict[str, Data] = {}
     for curve in analysis.curves:
         name = side_and_name(curve.name)[1]
-        if name.startswith("pelvis_opensim"):
+        if name.startswith(SECOND_PELVIS):
             continue
         own = groups.setdefault(name, {"name": name.replace("_", " "), "series": []})
         own["series"].append(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,11 +10,12 @@ from typing import Any
 from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.io.text import load_json
 from rtof_kin.report.findings import Finding
+from rtof_kin.session import Session
 
 SUMMARY = "summary.json"
-_TABLES = ("session", "subject", "camera", "calibration")
 _NUMBERS = ("_m", "_kg", "_hz", "_px", "_share", "_s2")
 """Ends of the names of fields that hold numbers."""
+_LISTS = ("lever_arm_m", "landmarks")
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,8 @@ class Summary:
     recording: str
     mode: str
     acknowledgement: str
+    session: Session
+    """The recording's own labels."""
     inputs: dict[str, Any]
     """As `report.facts` has them; empty where the file has none."""
     findings: tuple[Finding, ...] | None
@@ -51,41 +54,48 @@ def read_summary(path: str | Path) -> Summary:
     inputs, audit = data.get("inputs", {}), data.get("audit")
     try:
         _check_inputs(inputs)
+        session = Session.of(inputs.get("session") or {})
         if not (audit is None or isinstance(audit, list)):
             raise ShapeError("audit: no list")
         findings = None if audit is None else tuple(Finding.from_plain(entry) for entry in audit)
     except ShapeError as error:
         raise FileFormatError(path, f"{error}; reconstruct again") from error
-    return Summary(**texts, inputs=inputs, findings=findings)
+    return Summary(**texts, session=session, inputs=inputs, findings=findings)
 
 
 def _check_inputs(inputs: Any) -> None:
     """Raise `ShapeError` where they are not such as `report.facts` makes them."""
-    if not isinstance(inputs, dict):
-        raise ShapeError("inputs: no table")
-    for name in _TABLES:
-        table = inputs.get(name)
-        if table is not None:
-            _check_table(name, table)
+    _check_table("inputs", inputs, {"session", "subject", "camera", "calibration", "sensors"})
+    for name in ("session", "subject", "camera"):
+        _check_table(f"inputs, {name}", inputs.get(name) or {})
     sensors = inputs.get("sensors") or []
-    if not isinstance(sensors, list):
-        raise ShapeError("inputs, sensors: no list")
+    _check_list("inputs, sensors", sensors)
     for sensor in sensors:
-        _check_table("sensors", sensor)
+        _check_table("inputs, sensors", sensor)
+    calibration = inputs.get("calibration") or {}
+    _check_table("inputs, calibration", calibration, {"columns", "rows"})
     for name in ("columns", "rows"):
-        if not isinstance((inputs.get("calibration") or {}).get(name, []), list):
-            raise ShapeError(f"inputs, calibration, {name}: no list")
+        _check_list(f"inputs, calibration, {name}", calibration.get(name, []))
+    for row in calibration.get("rows", []):
+        _check_list("inputs, calibration, rows", row)
 
 
-def _check_table(name: str, table: Any) -> None:
-    if not isinstance(table, Mapping):
-        raise ShapeError(f"inputs, {name}: no table")
+def _check_list(name: str, given: Any) -> None:
+    if not isinstance(given, list):
+        raise ShapeError(f"{name}: no list")
+
+
+def _check_table(name: str, table: Any, parts: Collection[str] = ()) -> None:
+    """Raise where this is no table of numbers (by the ends of their names) and texts; `parts` of it are
+    looked at elsewhere."""
+    if not isinstance(table, dict):
+        raise ShapeError(f"{name}: no table")
     for field, value in table.items():
-        wanted: tuple[type, ...] = (int, float) if field.endswith(_NUMBERS) else (str, bool, list)
-        wanted = (str,) if name == "session" else wanted
-        if field == "lever_arm_m":
-            values = value if isinstance(value, list) else [] if value is None else [""]
-        else:
-            values = [] if value is None else [value]
+        if field in parts or value is None:
+            continue
+        wanted: type | tuple[type, ...] = (str, bool)
+        if field.endswith(_NUMBERS) or field == "first_frame":
+            wanted = (int, float)
+        values = value if field in _LISTS and isinstance(value, list) else [value]
         if not all(isinstance(part, wanted) for part in values):
-            raise ShapeError(f"inputs, {name}, {field}: {str(value)[:40]!r} is not what belongs there")
+            raise ShapeError(f"{name}, {field}: {str(value)[:40]!r} is not what belongs there")

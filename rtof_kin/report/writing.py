@@ -43,9 +43,7 @@ def report(
     weight_kg = weight_kg or subject.get("mass_kg")
     sex = sex or subject.get("sex")
     analysis = analyse_motion(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
-    known = summary.inputs.get("session") or {}
-    labels = Session(**{name: known[name] for name in Session.__dataclass_fields__ if name in known})
-    labels = labels.updated(session or Session())
+    labels = summary.session.updated(session or Session())
     inputs = summary.inputs | {"subject": {**subject, "mass_kg": weight_kg, "sex": sex}}
     data = page_data(
         motion, analysis, summary.with_inputs(inputs), labels, (made or date.today()).isoformat()
