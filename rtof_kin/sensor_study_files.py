@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.sensor_study import LEAST_SEEN, TOLERANCE, SensorSet, SensorStudy
+from rtof_kin.sensor_sets import SensorSet
+from rtof_kin.sensor_study import LEAST_SEEN, TOLERANCE, SensorStudy
 
 MARKER = "study.csv"
 COLUMNS = ("set", "sensors", "number", "angle", "difference_deg", "seen_share", "error_deg",

@@ -71,7 +71,7 @@ clinical.gait_events   clinical.repetitions
 clinical.gait
 clinical.torques
 clinical.analysis
-clinical.files
+clinical.files   sensor_sets
 session
 recording_files   mocap_families   simulation_noise
 recording_imus   mocap_mapping   simulation_sensors
@@ -99,7 +99,8 @@ stages
 pipeline
 sensor_study
 sensor_study_files   figures   report   report.findings   report.isb
-report.audit   report.facts   report.outcomes   report.summary_file
+report.facts   report.outcomes   report.residuals   report.summary_file
+report.audit   report.drawn
 report.page
 report.html
 report.writing

@@ -12,13 +12,13 @@ import pytest
 
 from rtof_kin import rotations as so3
 from rtof_kin.pipeline import Reconstruction, ReconstructionSettings, reconstruct
-from rtof_kin.report.audit import (
+from rtof_kin.report.audit import audit
+from rtof_kin.report.findings import Finding, Grade
+from rtof_kin.report.residuals import (
     acceleration_residuals,
-    audit,
     orientation_residuals,
     reprojection_errors,
 )
-from rtof_kin.report.findings import Finding, Grade
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.stream_faults import FaultKind, StreamFault
 

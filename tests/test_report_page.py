@@ -20,9 +20,9 @@ from report_support import BROWSER, Page, certain_to, drawn_data, folder_of, ren
 
 from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.errors import FileFormatError, ShapeError
+from rtof_kin.report.drawn import MISSING, packed, side_and_name, unpacked
 from rtof_kin.report.findings import Finding
 from rtof_kin.report.isb import isb_items
-from rtof_kin.report.page import MISSING, packed, side_and_name, unpacked
 from rtof_kin.report.writing import report
 from rtof_kin.session import Session
 from rtof_kin.skeleton import MotionSequence, SkeletonModel

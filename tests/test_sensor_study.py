@@ -18,12 +18,8 @@ from rtof_kin import sensor_study
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.errors import ShapeError
 from rtof_kin.recording import Recording
-from rtof_kin.sensor_study import (
-    SensorStudy,
-    measured,
-    number_of_runs,
-    study_sensors,
-)
+from rtof_kin.sensor_sets import measured
+from rtof_kin.sensor_study import SensorStudy, number_of_runs, study_sensors
 from rtof_kin.sensor_study_figures import write_study_figures
 from rtof_kin.sensor_study_files import NO_ERROR, sentences, study_facts, write_study
 from rtof_kin.skeleton import SkeletonModel

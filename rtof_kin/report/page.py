@@ -1,23 +1,26 @@
 """Everything that a report shows, as one structure of plain data: `page_data`.
 
-``rtof_kin.report.html`` turns it into a page. What a reader reads is text and tables; what is drawn are
-curves and a skeleton, quantised to 0.1 deg and mm and packed as 16-bit numbers.
+``rtof_kin.report.html`` turns it into a page. What a reader reads is text and tables, made here; what is
+drawn is ``rtof_kin.report.drawn``'s.
 """
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.clinical.analysis import MotionAnalysis
-from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.clinical.gait import MEASURES, PHASES
+from rtof_kin.clinical.gait import MEASURES
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
-from rtof_kin.confidence import BAND_95
+from rtof_kin.report.drawn import (
+    Data,
+    angle_curves,
+    cycle_drawings,
+    player_data,
+    shown_frames,
+    side_and_name,
+)
 from rtof_kin.report.findings import SECTIONS, section_verdict
 from rtof_kin.report.isb import CITATION, isb_items
 from rtof_kin.report.outcomes import SECOND_PELVIS, outcomes
@@ -26,14 +29,6 @@ from rtof_kin.session import Session
 from rtof_kin.signals import runs
 from rtof_kin.skeleton import MotionSequence
 
-Array = NDArray[np.float64]
-Data = dict[str, Any]
-SHOWN_HZ = 30.0
-"""Frames a second that are drawn at most; every figure is of all frames."""
-MOST_SHOWN = 6000
-"""Frames that are drawn at most, as long as that leaves 10 a second."""
-MISSING = -32768
-"""What stands for NaN among packed numbers."""
 _GAIT_UNITS = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
 NO_AUDIT = (
     "The folder has no audit: an earlier version of rtof_kin wrote it. Reconstruct again to have one."
@@ -53,7 +48,7 @@ def page_data(
         Plain data: JSON knows all of it.
     """
     findings = (*(summary.findings or ()), *outcomes(analysis))
-    shown = _shown(motion.times)
+    shown = shown_frames(motion.times)
     verdicts = [section_verdict(section, findings) for section in SECTIONS]
     if not any(finding.section == "truth" for finding in findings):
         verdicts = [verdict for verdict in verdicts if verdict.section != "truth"]
@@ -72,10 +67,10 @@ def page_data(
         "ranges": _ranges(analysis),
         "gait": _gait(analysis),
         "torques": _torques(analysis),
-        "angles": _angles(analysis, shown),
-        "cycles": _cycles(analysis),
+        "angles": angle_curves(analysis, shown),
+        "cycles": cycle_drawings(analysis),
         "bands": bands,
-        "player": _player(motion, shown, inputs.get("floor_height_m")),
+        "player": player_data(motion, shown, inputs.get("floor_height_m")),
         "isb": [{"topic": i.topic, "name": i.name, "known": i.known}
                 for i in isb_items(inputs, summary.mode, bands, _gaps_text(motion))],
         "citation": CITATION,
@@ -169,101 +164,6 @@ def _torques(analysis: MotionAnalysis) -> list[Data]:
             known = float(np.isfinite(column).mean())
             out.append({"name": name, "peak": _rounded(peak), "per_kg": per_kg, "known": known})
     return out
-
-
-def side_and_name(name: str) -> tuple[str, str]:
-    """'right', 'left' or '', and an angle's name without it."""
-    side = next((side for side in SIDES if name.startswith(f"{side}_")), "")
-    return side, name.removeprefix(f"{side}_") if side else name
-
-
-# --- curves and skeleton -------------------------------------------------------------------------
-
-
-def _shown(times: Array) -> slice:
-    """The frames that are drawn."""
-    rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else SHOWN_HZ
-    step = max(1, round(rate / SHOWN_HZ))
-    slowest = max(step, int(rate / 10))
-    return slice(None, None, int(np.clip(np.ceil(len(times) / MOST_SHOWN), step, slowest)))
-
-
-def _angles(analysis: MotionAnalysis, shown: slice) -> Data:
-    """Curves over time, both sides of an angle together."""
-    angles = analysis.angles
-    groups: dict[str, Data] = {}
-    for a, row in enumerate(angles.rows):
-        if not angles.known[:, a].any() or row.name.startswith(SECOND_PELVIS):
-            continue
-        side, name = side_and_name(row.name)
-        own = groups.setdefault(
-            name, {"name": name.replace("_", " "), "positive": row.positive, "series": []}
-        )
-        series = {"side": side, "y": packed(np.degrees(angles.values[shown, a]), 10)}
-        if angles.sigma is not None:
-            series["half"] = packed(BAND_95 * np.degrees(angles.sigma[shown, a]), 10)
-        own["series"].append(series)
-    return {"times": _times(angles.times[shown]), "groups": list(groups.values())}
-
-
-def _cycles(analysis: MotionAnalysis) -> Data:
-    """Mean and standard deviation over the gait cycle, right against left."""
-    groups: dict[str, Data] = {}
-    for curve in analysis.curves:
-        name = side_and_name(curve.name)[1]
-        if name.startswith(SECOND_PELVIS):
-            continue
-        own = groups.setdefault(name, {"name": name.replace("_", " "), "series": []})
-        own["series"].append(
-            {"side": curve.side, "n": len(curve.curves), "y": packed(np.degrees(curve.mean), 10),
-             "half": packed(np.degrees(curve.sd), 10)}
-        )  # fmt: skip
-    stance = {side: float(m["stance_share"][0]) for side, m in analysis.gait.summary.items()}
-    return {"phase": [round(100 * float(p), 2) for p in PHASES], "stance": stance,
-            "groups": list(groups.values())}  # fmt: skip
-
-
-def _player(motion: MotionSequence, shown: slice, floor: Any) -> Data:
-    """The skeleton's positions, from the middle of its way."""
-    poses, skeleton = motion.poses, motion.skeleton
-    p = poses.p_world_joint[shown]
-    known = np.isfinite(p).all(axis=(1, 2))
-    middle = np.zeros(3)
-    if known.any():
-        root = p[known, 0]
-        middle[:2] = (root[:, :2].min(axis=0) + root[:, :2].max(axis=0)) / 2
-        lowest = float(np.percentile(p[known][..., 2].min(axis=1), 5)) - 0.08
-        middle[2] = floor if isinstance(floor, int | float) else lowest
-    return {
-        "times": _times(motion.times[shown]),
-        "joints": list(skeleton.names),
-        "parents": [int(parent) for parent in skeleton.parents],
-        "p": packed(p - middle, 1000),
-        "valid": packed(poses.valid[shown].mean(axis=1), 100),
-        "height": float(skeleton.height),
-    }
-
-
-def _times(times: Array) -> list[float]:
-    return [round(float(t), 4) for t in times]
-
-
-def packed(values: Array, scale: int) -> str:
-    """Numbers times `scale`, rounded, as base64 of little-endian 16-bit integers; NaN is `MISSING`.
-
-    What lies outside is `MISSING` too: it could not be drawn beside the rest.
-    """
-    with np.errstate(invalid="ignore"):
-        whole = np.round(np.asarray(values, dtype=float) * scale)
-        inside = np.abs(whole) <= -MISSING - 1
-    numbers = np.where(inside, np.nan_to_num(np.where(inside, whole, 0.0)), MISSING).astype("<i2")
-    return base64.b64encode(numbers.tobytes()).decode("ascii")
-
-
-def unpacked(text: str, scale: int, shape: Sequence[int] = (-1,)) -> Array:
-    """What `packed` packed, to its precision."""
-    numbers = np.frombuffer(base64.b64decode(text), dtype="<i2").astype(float)
-    return np.asarray(np.where(numbers == MISSING, np.nan, numbers / scale).reshape(shape))
 
 
 def _rounded(value: Any, digits: int = 1) -> float | None:

@@ -51,75 +51,106 @@ function extent(series) {
   return [low - room, high + room];
 }
 
+// From values to places in the picture.
+function scales(chart, axis) {
+  const {width, height, left, right, top, bottom} = SIZE;
+  const [low, high] = extent(chart.series);
+  const first = axis.x[0], span = axis.x[axis.x.length - 1] - first || 1;
+  return {
+    low, high, first, last: first + span,
+    X: x => left + (x - first) / span * (width - left - right),
+    Y: y => top + (high - y) / (high - low) * (height - top - bottom),
+    x_under: place => first + (place - left) / (width - left - right) * span,
+  };
+}
+
+function draw_axes(picture, axis, {low, high, first, last, X, Y}) {
+  const {width, height, left, right, top, bottom} = SIZE;
+  const foot = height - bottom, middle = (top + foot) / 2;
+  const write = (text, attributes) => { svg("text", attributes, picture).textContent = text; };
+  for (const y of ticks(low, high, 5)) {
+    svg("line", {x1: left, x2: width - right, y1: Y(y), y2: Y(y), class: y === 0 ? "zero" : "grid"}, picture);
+    write(+y.toFixed(2), {x: left - 5, y: Y(y) + 4, "text-anchor": "end"});
+  }
+  for (const x of ticks(first, last, 6)) {
+    svg("line", {x1: X(x), x2: X(x), y1: top, y2: foot, class: "grid"}, picture);
+    write(+x.toFixed(2), {x: X(x), y: foot + 14, "text-anchor": "middle"});
+  }
+  write(axis.label, {x: width - right, y: height - 4, "text-anchor": "end"});
+  write("deg", {x: 11, y: middle, "text-anchor": "middle", transform: `rotate(-90 11 ${middle})`});
+  for (const mark of axis.marks || [])
+    svg("line", {x1: X(mark.at), x2: X(mark.at), y1: top, y2: foot, class: "toe " + mark.side}, picture);
+}
+
+function draw_band(picture, series, x, {X, Y}) {
+  if (!series.half) return;
+  const {y, half} = series;
+  for (const [start, stop] of stretches(half.map((h, i) => h + 0 * y[i]))) {
+    const edge = (i, sign) => `${X(x[i]).toFixed(1)} ${Y(y[i] + sign * half[i]).toFixed(1)}`;
+    const there = [], back = [];
+    for (let i = start; i < stop; i++) { there.push(edge(i, 1)); back.push(edge(i, -1)); }
+    const d = "M" + there.concat(back.reverse()).join("L") + "Z";
+    svg("path", {d, class: "band " + (series.side || "both")}, picture);
+  }
+}
+
+function draw_curve(picture, series, x, {X, Y}) {
+  for (const [start, stop] of stretches(series.y)) {
+    const points = [];
+    for (let i = start; i < stop; i++) points.push(`${X(x[i]).toFixed(1)} ${Y(series.y[i]).toFixed(1)}`);
+    if (points.length === 1) points.push(points[0]);
+    const d = "M" + points.join("L");
+    svg("path", {d, class: "curve " + (series.side || "both"), "stroke-linecap": "round"}, picture);
+  }
+}
+
+// What stands under a chart: what is drawn, or the values at one place.
+function describe(caption, chart) {
+  caption.replaceChildren();
+  for (const s of chart.series)
+    element("span", (s.side || "") + (s.n ? ` (${s.n})` : "") + " ", caption).className = s.side || "both";
+  if (chart.positive) caption.append("positive: " + chart.positive);
+}
+
+function read_off(caption, chart, axis, i) {
+  caption.replaceChildren(`${axis.x[i].toFixed(axis.unit === "s" ? 2 : 0)} ${axis.unit}: `);
+  for (const s of chart.series) {
+    const half = s.half && !Number.isNaN(s.half[i]) ? ` \u00b1 ${s.half[i].toFixed(1)}` : "";
+    const text = Number.isNaN(s.y[i]) ? "not seen" : s.y[i].toFixed(1) + half;
+    element("span", `${s.side || ""} ${text}  `, caption).className = s.side || "both";
+  }
+  caption.append("deg");
+}
+
 // chart: {name, positive, series: [{side, y, half, n}]}; axis: {x, label, unit, marks: [{at, side}]}.
 // Returns a function that puts the cursor at an x.
 function draw_chart(parent, chart, axis, chosen) {
+  const {width, height, top, bottom} = SIZE;
   const figure = element("figure", "", parent);
   element("h3", chart.name, figure);
-  const {width, height, left, right, top, bottom} = SIZE;
   const picture = svg("svg", {viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": chart.name}, figure);
-  const [low, high] = extent(chart.series);
-  const first = axis.x[0], last = axis.x[axis.x.length - 1], span = last - first || 1;
-  const X = x => left + (x - first) / span * (width - left - right);
-  const Y = y => top + (high - y) / (high - low) * (height - top - bottom);
-  for (const y of ticks(low, high, 5)) {
-    svg("line", {x1: left, x2: width - right, y1: Y(y), y2: Y(y), class: y === 0 ? "zero" : "grid"}, picture);
-    svg("text", {x: left - 5, y: Y(y) + 4, "text-anchor": "end"}, picture).textContent = +y.toFixed(2);
-  }
-  for (const x of ticks(first, first + span, 6)) {
-    svg("line", {x1: X(x), x2: X(x), y1: top, y2: height - bottom, class: "grid"}, picture);
-    svg("text", {x: X(x), y: height - bottom + 14, "text-anchor": "middle"}, picture).textContent = +x.toFixed(2);
-  }
-  svg("text", {x: width - right, y: height - 4, "text-anchor": "end"}, picture).textContent = axis.label;
-  svg("text", {x: 11, y: (top + height - bottom) / 2, "text-anchor": "middle",
-    transform: `rotate(-90 11 ${(top + height - bottom) / 2})`}, picture).textContent = "deg";
-  for (const mark of axis.marks || [])
-    svg("line", {x1: X(mark.at), x2: X(mark.at), y1: top, y2: height - bottom, class: "toe " + mark.side}, picture);
-  for (const s of chart.series) {
-    const side = s.side || "both";
-    for (const [start, stop] of s.half ? stretches(s.half.map((h, i) => h + 0 * s.y[i])) : []) {
-      const edge = (i, sign) => `${X(axis.x[i]).toFixed(1)} ${Y(s.y[i] + sign * s.half[i]).toFixed(1)}`;
-      const there = [], back = [];
-      for (let i = start; i < stop; i++) { there.push(edge(i, 1)); back.unshift(edge(i, -1)); }
-      svg("path", {d: "M" + there.concat(back).join("L") + "Z", class: "band " + side}, picture);
-    }
-    for (const [start, stop] of stretches(s.y)) {
-      const points = [];
-      for (let i = start; i < stop; i++) points.push(`${X(axis.x[i]).toFixed(1)} ${Y(s.y[i]).toFixed(1)}`);
-      if (points.length === 1) points.push(points[0]);
-      svg("path", {d: "M" + points.join("L"), class: "curve " + side, "stroke-linecap": "round"}, picture);
-    }
-  }
+  const scale = scales(chart, axis);
+  draw_axes(picture, axis, scale);
+  for (const series of chart.series) draw_band(picture, series, axis.x, scale);
+  for (const series of chart.series) draw_curve(picture, series, axis.x, scale);
   const cursor = svg("line", {y1: top, y2: height - bottom, class: "cursor", visibility: "hidden"}, picture);
-  const caption = element("figcaption", "", figure);
-  const usual = () => {
-    caption.replaceChildren();
-    for (const s of chart.series)
-      element("span", (s.side || "") + (s.n ? ` (${s.n})` : "") + " ", caption).className = s.side || "both";
-    if (chart.positive) caption.append("positive: " + chart.positive);
-  };
-  usual();
-  const read = i => {
-    caption.replaceChildren(`${axis.x[i].toFixed(axis.unit === "s" ? 2 : 0)} ${axis.unit}: `);
-    for (const s of chart.series) {
-      const half = s.half && !Number.isNaN(s.half[i]) ? ` \u00b1 ${s.half[i].toFixed(1)}` : "";
-      const text = Number.isNaN(s.y[i]) ? "not seen" : s.y[i].toFixed(1) + half;
-      element("span", `${s.side || ""} ${text}  `, caption).className = s.side || "both";
-    }
-    caption.append("deg");
-  };
   const place = x => {
     cursor.setAttribute("visibility", "visible");
-    cursor.setAttribute("x1", X(x));
-    cursor.setAttribute("x2", X(x));
+    cursor.setAttribute("x1", scale.X(x));
+    cursor.setAttribute("x2", scale.X(x));
   };
+  const caption = element("figcaption", "", figure);
+  describe(caption, chart);
   const under = event => {
     const box = picture.getBoundingClientRect();
-    const x = (event.clientX - box.left) / box.width * width;
-    return nearest(axis.x, first + (x - left) / (width - left - right) * span);
+    return nearest(axis.x, scale.x_under((event.clientX - box.left) / box.width * width));
   };
-  picture.addEventListener("pointermove", event => { const i = under(event); place(axis.x[i]); read(i); });
-  picture.addEventListener("pointerleave", usual);
+  picture.addEventListener("pointermove", event => {
+    const i = under(event);
+    place(axis.x[i]);
+    read_off(caption, chart, axis, i);
+  });
+  picture.addEventListener("pointerleave", () => describe(caption, chart));
   if (chosen) picture.addEventListener("click", event => chosen(axis.x[under(event)]));
   return place;
 }

@@ -13,5 +13,8 @@ window.addEventListener("error", event => {
   const cycle = {x: data.cycles.phase, label: "gait cycle, from heel strike [%]; dashed: toe off", unit: "%", marks};
   draw_charts(document.getElementById("cycle-charts"), data.cycles.groups, cycle, null);
   move.go = start_player(data.player, t => move.cursors(t));
+  // On paper nothing can be opened.
+  window.addEventListener("beforeprint", () =>
+    document.querySelectorAll("details").forEach(details => { details.open = true; }));
   document.documentElement.dataset.state = "ready";
 })();
