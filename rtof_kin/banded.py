@@ -1,4 +1,11 @@
-"""Symmetric systems that are banded in time: LAPACK's Cholesky factorisation."""
+"""Symmetric systems that are banded in time: Cholesky factorisation, and parts of the inverse.
+
+`inverse_diagonal` walks from the last block column of the factor to the first and keeps of the inverse Z
+what the next step needs (Takahashi's equations by blocks; Rue & Held 2005, section 2.3.1). With
+G = L_below L_tt^-1, where L_below are the blocks of column t below the diagonal::
+
+    Z_below = -Z_window G             Z_tt = L_tt^-T L_tt^-1 - G^T Z_below
+"""
 
 from __future__ import annotations
 
@@ -52,6 +59,32 @@ class Factor:
         if info:
             raise SolverError("the banded system could not be solved")
         return np.asarray(x)
+
+    def blocks(self, size: int, lags: int) -> Array:
+        """(N, lags, size, size) of the factor L, whose product with its transpose is the matrix.
+
+        The system consists of N blocks of `size` unknowns, each coupled with the next lags - 1; [t, k] has
+        the rows of block t + k and the columns of block t, 0 beyond the end.
+        """
+        return _blocks(self.band.ravel(order="F"), self.band.shape[0] - 1, self.band.shape, size, lags)
+
+
+def inverse_diagonal(factor: Array) -> Array:
+    """(N, D, D) diagonal blocks of the inverse of a matrix with this factor (N, lags, D, D), as
+    `Factor.blocks` gives it."""
+    N, lags, D, _ = factor.shape
+    out, window = np.empty((N, D, D)), np.zeros(((lags - 1) * D,) * 2)
+    for t in range(N - 1, -1, -1):
+        inverse, _ = lapack.dtrtri(factor[t, 0], lower=1)
+        G = factor[t, 1:].reshape(-1, D) @ inverse
+        above = window @ G  # -Z_below
+        own = inverse.T @ inverse + G.T @ above
+        out[t] = (own + own.T) / 2  # without this, rounding's asymmetry grows from frame to frame
+        if lags > 1:
+            window[D:, D:] = window[:-D, :-D]
+            window[:D, :D], window[D:, :D] = out[t], -above[:-D]
+            window[:D, D:] = window[D:, :D].T
+    return out
 
 
 def factorise(band: Array) -> Factor:
@@ -114,7 +147,7 @@ class Store:
         )
         if failed:
             raise SolverError("the fragment's Hessian is not positive definite")
-        return StoredFactor(factor, self.size, self._solve)
+        return StoredFactor(factor, self.size, self.band, self.step, self._solve)
 
     def _solve(self, factor: Array, right: Array) -> Array:
         x = np.zeros(self._blocked + self._padding)
@@ -131,6 +164,8 @@ class StoredFactor:
 
     _factor: Array
     _size: int
+    _band: int
+    _step: int
     _solved: Any
 
     def solve(self, right: Array) -> Array:
@@ -147,6 +182,31 @@ class StoredFactor:
         for i, column in enumerate(np.ascontiguousarray(right.T)):
             out[i] = self._solved(self._factor, column)
         return out.T
+
+    def blocks(self, size: int, lags: int) -> Array:
+        """As `Factor.blocks`."""
+        return _blocks(self._factor, self._step, (self._band + 1, self._size), size, lags)
+
+
+def _blocks(flat: Array, step: int, shape: tuple[int, ...], size: int, lags: int) -> Array:
+    """`Factor.blocks` of numbers of which ``flat[i + j * step]`` is entry (i, j).
+
+    Args:
+        shape: diagonals from the main one downwards that there are, and unknowns.
+    """
+    band, frames = shape[0] - 1, shape[1] // size
+    if shape[1] % size or band >= lags * size:
+        raise SolverError(f"{shape[1]} unknowns with a band of {band}: not {lags} blocks of {size}")
+    out, word = np.zeros((frames, lags, size, size)), flat.itemsize
+    for k in range(min(lags, frames)):
+        columns = np.lib.stride_tricks.as_strided(
+            flat[k * size :], (frames - k, size, size),
+            (size * (1 + step) * word, step * word, word),
+        )  # fmt: skip
+        out[: frames - k, k] = np.swapaxes(columns, 1, 2)
+    # What is above the diagonal or below the band was the store of other columns.
+    below = np.arange(lags * size).reshape(lags, size)[:, :, None] - np.arange(size)
+    return np.where((below >= 0) & (below <= band), out, 0.0)
 
 
 def _aligned(count: int) -> Array:

@@ -19,7 +19,7 @@ from rtof_kin.contacts import Footholds
 from rtof_kin.errors import SolverError
 from rtof_kin.fragment_problem import TERMS, fragment_problem
 from rtof_kin.fragment_settings import FragmentSettings
-from rtof_kin.fragment_solution import FragmentReport, SolverStatus
+from rtof_kin.fragment_solution import Block, FragmentReport, SolverStatus
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.root_position import refit_root
@@ -69,8 +69,9 @@ class CartesianSolver:
         bone_imus: BoneImuSequence | None,
         footholds: Footholds | None,
         progress: Progress | None,
-    ) -> Iterator[tuple[PoseSequence, list[FragmentReport]]]:
-        """Blocks of N/2 frames with the reports that came in since the block before."""
+        confidence: bool = False,
+    ) -> Iterator[Block]:
+        """Blocks of N/2 frames, without any confidence, which is nowhere told in this space."""
         if keypoints is None or footholds is not None:
             raise SolverError("space 'cartesian' needs keypoints and knows no footholds; use 'joint'")
         if not set(keypoints.names) & set(self.skeleton.names):
@@ -95,7 +96,7 @@ class CartesianSolver:
                     weights[0][:, None, None] * previous[half:]
                     + weights[1][:, None, None] * X[:half]
                 ) / (weights[0] + weights[1])[:, None, None]
-                yield start.posed(slice(first, stop), blended[: stop - first]), reports
+                yield Block(start.posed(slice(first, stop), blended[: stop - first]), tuple(reports))
                 reports = []
             previous = X
 

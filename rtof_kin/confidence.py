@@ -126,5 +126,15 @@ def _check_covariance(field: str, covariance: Array) -> None:
     off = np.abs(known - np.swapaxes(known, -1, -2)).max(axis=(-2, -1), initial=0.0)
     if np.any(off > _ROUNDING * size):
         raise ShapeError(f"{field}: a matrix is not symmetric")
-    if len(known) and np.any(np.linalg.eigvalsh(known)[..., 0] < -_ROUNDING * size):
+    if np.any(_least_minors(known / np.maximum(size, 1e-300)[:, None, None]) < -_ROUNDING):
         raise ShapeError(f"{field}: a variance is negative")
+
+
+def _least_minors(matrices: Array) -> Array:
+    """(n,) smallest principal minor of symmetric matrices (n, 3, 3), negative where one is not positive
+    semidefinite (Sylvester)."""
+    a, b, c = (matrices[:, i, i] for i in range(3))
+    d, e, f = matrices[:, 1, 2], matrices[:, 0, 2], matrices[:, 0, 1]
+    pairs = b * c - d * d, a * c - e * e, a * b - f * f
+    whole = a * pairs[0] - f * (f * c - d * e) + e * (f * d - b * e)
+    return np.asarray(np.min([a, b, c, *pairs, whole], axis=0, initial=0.0))

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from rtof_kin.cartesian import CartesianSolver
+from rtof_kin.confidence import joined
 from rtof_kin.contacts import Footholds
 from rtof_kin.errors import ShapeError, SolverError, UnknownNameError
 from rtof_kin.fragment_settings import SPACES, FragmentSettings
@@ -88,6 +89,7 @@ class FragmentSolver:
         bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None = None,
         progress: Progress | None = None,
         footholds: Footholds | None = None,
+        confidence: bool = False,
     ) -> FragmentSolution:
         """Optimise a whole sequence: RTOF with sensors, RTO without, sensors alone without keypoints.
 
@@ -99,6 +101,7 @@ class FragmentSolver:
                 times of their own. None for vision alone.
             progress: told after every fragment.
             footholds: where feet stand still, one row a frame of `start`; in joint space.
+            confidence: whether to tell how well the poses are known; in Cartesian space nobody does.
 
         Returns:
             The poses and a report for each fragment.
@@ -111,16 +114,20 @@ class FragmentSolver:
         """
         bone_imus = _together(bone_imus, start)
         self._check(start, keypoints, bone_imus, footholds)
-        blocks, reports = [], []
-        for block, finished in self._solver.run(start, keypoints, bone_imus, footholds, progress):
-            blocks.append(block)
-            reports += finished
-        joined = replace(
-            start,
-            p_world_joint=np.concatenate([block.p_world_joint for block in blocks]),
-            R_world_bone=np.concatenate([block.R_world_bone for block in blocks]),
+        blocks = list(
+            self._solver.run(start, keypoints, bone_imus, footholds, progress, confidence=confidence)
         )
-        return FragmentSolution(self._solver.oriented(joined, bone_imus), tuple(reports))
+        whole = replace(
+            start,
+            p_world_joint=np.concatenate([block.poses.p_world_joint for block in blocks]),
+            R_world_bone=np.concatenate([block.poses.R_world_bone for block in blocks]),
+        )
+        told = [block.confidence for block in blocks if block.confidence is not None]
+        return FragmentSolution(
+            self._solver.oriented(whole, bone_imus),
+            tuple(report for block in blocks for report in block.fragments),
+            joined(told) if told else None,
+        )
 
     def stream(
         self,
@@ -131,8 +138,8 @@ class FragmentSolver:
         """The poses of `solve`, N/2 frames at a time, each as soon as both its fragments are solved."""
         bone_imus = _together(bone_imus, start)
         self._check(start, keypoints, bone_imus, None)
-        for block, _ in self._solver.run(start, keypoints, bone_imus, None, None):
-            yield self._solver.oriented(block, bone_imus)
+        for block in self._solver.run(start, keypoints, bone_imus, None, None):
+            yield self._solver.oriented(block.poses, bone_imus)
 
     def _check(
         self, start: PoseSequence, keypoints: KeypointSequence | None,

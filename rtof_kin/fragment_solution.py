@@ -7,6 +7,7 @@ from enum import Enum
 
 import numpy as np
 
+from rtof_kin.confidence import Confidence
 from rtof_kin.types import PoseSequence
 
 
@@ -43,6 +44,17 @@ class FragmentReport:
 
 
 @dataclass(frozen=True)
+class Block:
+    """Finished frames of a recording, N/2 at a time."""
+
+    poses: PoseSequence
+    fragments: tuple[FragmentReport, ...]
+    """Reports that came in since the block before."""
+    confidence: Confidence | None = None
+    """Where it was asked for."""
+
+
+@dataclass(frozen=True)
 class FragmentSolution:
     """Optimised poses of a recording and how they came about."""
 
@@ -51,6 +63,9 @@ class FragmentSolution:
     they were found, orientations from them, twist from the sensors."""
     fragments: tuple[FragmentReport, ...]
     """One report for every fragment."""
+    confidence: Confidence | None = None
+    """How well the poses are known by the Hessian alone, in joint space, where it was asked for: what
+    lasts (biases, a sensor that slipped) is not in it, see `rtof_kin.inflation`."""
 
     @property
     def status(self) -> SolverStatus:

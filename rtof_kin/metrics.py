@@ -67,7 +67,7 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
     """
     skeleton.check_joints(estimate.names, "estimate")
     skeleton.check_joints(truth.names, "truth")
-    truth = _at(truth, estimate.times)
+    truth = at_times(truth, estimate.times)
     both = np.asarray(np.isfinite(truth.p_world_joint).all(axis=(1, 2)))
     both &= truth.valid.all(axis=1)
     both &= np.isfinite(estimate.p_world_joint).all(axis=(1, 2))
@@ -164,7 +164,8 @@ def _angle_error(estimate: PoseSequence, truth: PoseSequence, skeleton: Skeleton
     )
 
 
-def _at(truth: PoseSequence, times: Array) -> PoseSequence:
+def at_times(truth: PoseSequence, times: Array) -> PoseSequence:
+    """A truth at other times, by interpolation; NaN where it is not valid, or covers none of them."""
     if np.array_equal(truth.times, times):
         return truth
     p = np.where(truth.valid[..., None], truth.p_world_joint, np.nan)

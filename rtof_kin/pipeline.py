@@ -15,6 +15,7 @@ from rtof_kin.calibration_priors import CalibrationPriors
 from rtof_kin.errors import ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
+from rtof_kin.inflation import Inflation
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import Metrics, evaluate
 from rtof_kin.motion_files import DEFAULT
@@ -58,7 +59,8 @@ class Reconstruction:
     """As it was reconstructed: with its own calibration where it has one."""
     mode: str
     motion: MotionSequence
-    """The motion of the subject's skeleton: configurations, poses, flags."""
+    """The motion of the subject's skeleton: configurations, poses, flags, and in modes rto and rtof in
+    joint space how well they are known."""
     stages: dict[str, PoseSequence]
     """Poses after each stage that ran, by mode name, imu's first one being 'start'; the last is what
     `motion` was made from."""
@@ -152,7 +154,11 @@ def reconstruct(
             keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
     for fault in begun.faults:
         _log.warning("%s: %s", recording.name, fault)
-    motion = skeleton.motion(poses)
+    confidence = None if solution is None else solution.confidence
+    if confidence is not None:
+        sensors = () if begun.bone_imus is None else begun.bone_imus.joints
+        confidence = Inflation.shipped().apply(confidence, sensors)
+    motion = skeleton.motion(poses, confidence)
     stages = begun.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = _scores(recording, stages, skeleton)
     return Reconstruction(
@@ -173,8 +179,9 @@ def _solved(
         return keypoints, begun.stages[mode], None
     fragment = on_floor(settings.fragment, skeleton, begun.recording.floor_height)
     solution = FragmentSolver(skeleton, settings.frames, fragment).solve(
-        begun.start, keypoints, begun.bone_imus, lambda i, n: tell(mode, i, n)
-    )
+        begun.start, keypoints, begun.bone_imus, lambda i, n: tell(mode, i, n),
+        confidence=settings.confidence,
+    )  # fmt: skip
     return keypoints, solution.poses, solution
 
 

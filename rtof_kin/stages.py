@@ -62,6 +62,9 @@ class ReconstructionSettings:
     guard_streams: bool = True
     """Whether keypoints and sensors are looked through for what may be wrong with them, which is mended
     or left out (`Reconstruction.faults`)."""
+    confidence: bool = True
+    """Whether to tell how well the motion is known (`MotionSequence.confidence`), in modes rto and rtof
+    in joint space."""
     sensors_alone: SensorsAloneSettings = field(default_factory=SensorsAloneSettings)
     """Of mode imu: its frames, contacts and path."""
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rtof_kin.banded import Store, factorise
+from rtof_kin.banded import Store, factorise, inverse_diagonal
 from rtof_kin.errors import ShapeError, SolverError
 
 Array = NDArray[np.float64]
@@ -147,6 +147,42 @@ def test_a_right_hand_side_that_is_too_long_is_refused() -> None:
         factorise(band_of(system(4, 2), 2)).solve(np.ones(5))
 
 
+# --- parts of the inverse ------------------------------------------------------------------------
+
+
+def diagonal_of_inverse(H: Array, size: int) -> Array:
+    inverse = np.linalg.inv(H).reshape(len(H) // size, size, -1, size)
+    return np.array([inverse[t, :, t] for t in range(len(inverse))])
+
+
+@pytest.mark.parametrize("size, lags, frames", [(1, 1, 4), (3, 1, 5), (1, 4, 9), (4, 3, 7), (5, 4, 12), (6, 4, 2)])
+def test_the_diagonal_of_the_inverse_is_that_of_the_dense_one(size: int, lags: int, frames: int) -> None:
+    H = system(size * frames, min((lags - 1) * size + 1, size * frames))
+    factor = factorise(band_of(H, min((lags - 1) * size + 1, size * frames)))
+    found = inverse_diagonal(factor.blocks(size, lags))
+    np.testing.assert_allclose(found, diagonal_of_inverse(H, size), rtol=1e-9, atol=1e-12)
+
+
+def test_the_inverse_of_a_long_stiff_chain_stays_exact_and_positive() -> None:
+    """Third differences, as of jerk, and little else: rounding that is not kept symmetric explodes."""
+    frames, size = 120, 3
+    third = np.kron(np.diff(np.eye(frames), n=3, axis=0), np.eye(size))
+    H = 1e6 * third.T @ third + np.kron(np.eye(frames), system(size, size, 3))
+    factor = factorise(band_of(H, 3 * size + 1))
+    found = inverse_diagonal(factor.blocks(size, 4))
+    np.testing.assert_allclose(found, diagonal_of_inverse(H, size), rtol=1e-6)
+    assert np.linalg.eigvalsh(found).min() > 0
+    np.testing.assert_array_equal(found, np.swapaxes(found, 1, 2))
+
+
+def test_blocks_that_do_not_fit_the_band_are_refused() -> None:
+    factor = factorise(band_of(system(12, 5), 5))
+    with pytest.raises(SolverError, match="12 unknowns with a band of 4: not 2 blocks of 5"):
+        factor.blocks(5, 2)
+    with pytest.raises(SolverError, match="not 2 blocks of 2"):
+        factor.blocks(2, 2)
+
+
 # --- compiled ------------------------------------------------------------------------------------
 
 
@@ -220,6 +256,16 @@ def test_without_compiled_code_nothing_is_stored(monkeypatch: pytest.MonkeyPatch
     assert not Store.available()
     with pytest.raises(ShapeError, match="not compiled here; use `factorise`"):
         Store(10, 2)
+
+
+@pytest.mark.usefixtures("compiled")
+def test_a_stored_factor_has_the_blocks_of_the_other() -> None:
+    H = system(60, 18)
+    expected = factorise(band_of(H, 18)).blocks(6, 4)
+    found = stored(H, 18).factorise(0.0).blocks(6, 4)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    L = np.linalg.cholesky(H)
+    np.testing.assert_allclose(found[3, 2], L[30:36, 18:24], atol=1e-12)
 
 
 @pytest.mark.usefixtures("compiled")

@@ -20,7 +20,7 @@ io.text
 signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_code
 levenberg_marquardt   banded   lanes
 types   urdf   stream_faults   confidence
-skeleton   keypoint_guards
+skeleton   keypoint_guards   inflation
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position   contacts
 sensor_guards
 fragment_problem   fragment_solution   joint_space   joint_space.settings   root_path
@@ -53,7 +53,7 @@ joint_space.problem   joint_space.windows
 joint_space.couplings
 joint_space.lane_problem
 joint_space.annealing   joint_space.bordered   joint_space.building
-joint_space.ipopt   joint_space.observations
+joint_space.ipopt   joint_space.observations   joint_space.uncertainty
 joint_space.solver   joint_space.evidence
 fragment   joint_space.border   joint_space.unknowns
 joint_space.shared   joint_space.sensor_unknowns   joint_space.vision_unknowns

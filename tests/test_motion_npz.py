@@ -14,6 +14,7 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
+from rtof_kin.confidence import WORLD, Confidence
 from rtof_kin.errors import FileFormatError, UnknownNameError
 from rtof_kin.io.motion_npz import SCHEMA_VERSION, read_motion_npz, write_motion_npz
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
@@ -32,6 +33,50 @@ def motion() -> MotionSequence:
         orientation_observed=np.arange(21) % 2 == 0,
     )
     return replace(motion, poses=poses)
+
+
+def known(motion: MotionSequence, seed: int = 0) -> MotionSequence:
+    """The motion with a confidence, of which a frame is not known."""
+    T, J = motion.poses.p_world_joint.shape[:2]
+    root = np.random.default_rng(seed).normal(size=(3, T, J, 3, 3))
+    covariance = root @ np.swapaxes(root, -1, -2)
+    covariance[:, 3] = np.nan
+    pairs = tuple((WORLD, name) for name in BODY.names)
+    return replace(motion, confidence=Confidence(
+        motion.times, BODY.names, covariance[0], covariance[1], pairs, covariance[2]
+    ))  # fmt: skip
+
+
+def test_a_confidence_comes_back_to_single_precision(tmp_path: Path, motion: MotionSequence) -> None:
+    given = known(motion).confidence
+    assert given is not None
+    write_motion_npz(tmp_path / "motion.npz", known(motion))
+    read = read_motion_npz(tmp_path / "motion.npz").motion().confidence
+    assert read is not None and read.pairs == given.pairs and read.names == given.names
+    for field in ("position_covariance", "relative_covariance", "turn_covariance"):
+        np.testing.assert_allclose(getattr(read, field), getattr(given, field), rtol=1e-6)
+
+
+def test_a_file_without_confidence_has_none(path: Path) -> None:
+    assert read_motion_npz(path).motion().confidence is None
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"confidence_pairs": np.array(["world", "Hips"])}, "confidence_pairs: expected pairs of names"),
+        ({"confidence_pairs": np.array([["world", "Hip"]] * 21)}, "unknown segment in confidence pairs 'Hip'"),
+        ({"turn_covariance": None}, "the array 'turn_covariance' is missing"),
+        ({"position_covariance": np.zeros((12, 20, 3, 3))}, "position_covariance: expected shape"),
+        ({"relative_covariance": np.full((12, 21, 3, 3), -1.0)}, "a variance is negative"),
+    ],
+)  # fmt: skip
+def test_a_confidence_that_is_damaged_is_refused(
+    tmp_path: Path, motion: MotionSequence, changes: dict[str, Any], message: str
+) -> None:
+    write_motion_npz(tmp_path / "motion.npz", known(motion))
+    with pytest.raises(FileFormatError, match=message):
+        read_motion_npz(changed(tmp_path / "motion.npz", **changes))
 
 
 @pytest.fixture

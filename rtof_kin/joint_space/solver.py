@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 
 from rtof_kin.contacts import Footholds
 from rtof_kin.errors import SolverError
-from rtof_kin.fragment_solution import FragmentReport, SolverStatus
+from rtof_kin.fragment_solution import Block, FragmentReport, SolverStatus
 from rtof_kin.joint_space.annealing import Annealing
 from rtof_kin.joint_space.ipopt import Ipopt
 from rtof_kin.joint_space.observations import Observations
 from rtof_kin.joint_space.problem import TERMS
 from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.joint_space.uncertainty import blended, confidence_of, state_covariances
 from rtof_kin.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
-Block = tuple[PoseSequence, list[FragmentReport]]
 
 
 class JointSpaceSolver:
@@ -45,47 +45,65 @@ class JointSpaceSolver:
         bone_imus: BoneImuSequence | None,
         footholds: Footholds | None,
         progress: Callable[[int, int], None] | None,
+        confidence: bool = False,
     ) -> Iterator[Block]:
-        """Blocks of N/2 frames with the reports that came in since the block before."""
+        """Blocks of N/2 frames."""
         if keypoints is not None and not set(keypoints.names) & set(self.skeleton.landmarks):
             raise SolverError("keypoints: none of the landmarks is one of the skeleton")
         data = Observations(
             self.skeleton, self.frames, self.settings, start, keypoints, bone_imus, footholds
         )
-        fragments = _Fragments(data, self.settings)
+        fragments = _Fragments(data, self.settings, confidence)
         half, T = self.frames // 2, len(start)
         i = np.arange(self.frames)
         taper = np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
+        share = taper[:half] / (taper[half:] + taper[:half])
         firsts, previous = range(-half, T, half), None
         reports: list[FragmentReport] = []
         for done, first in enumerate(firsts, start=1):
-            x, report = fragments.solve(first)
-            reports.append(report)
+            piece = fragments.solve(first)
+            reports.append(piece.report)
             if progress is not None:
                 progress(done, len(firsts))
             if previous is not None:
-                stop = min(first + half, T)
-                blended = data.space.blend(previous[half:], x[:half], taper[half:], taper[:half])
-                p, R = data.space.poses(blended[: stop - first])
-                yield start.posed(slice(first, stop), p, R), reports
+                frames = slice(first, min(first + half, T))
+                count = frames.stop - first
+                x = data.space.blend(previous.x[half:], piece.x[:half], taper[half:], taper[:half])
+                x, told = x[:count], None
+                if previous.covariance is not None and piece.covariance is not None:
+                    C = blended(previous.covariance[half:], piece.covariance[:half], share)[:count]
+                    told = confidence_of(data.space, start.times[frames], x, C)
+                yield Block(start.posed(frames, *data.space.poses(x)), tuple(reports), told)
                 reports = []
-            previous = x
+            previous = piece
 
     def oriented(self, poses: PoseSequence, bone_imus: BoneImuSequence | None) -> PoseSequence:
         """The poses as they are: their orientations are part of the solution."""
         return poses
 
 
+@dataclass(frozen=True)
+class _Piece:
+    """A solved fragment."""
+
+    x: Array
+    """(N, 3 + 4A) states."""
+    report: FragmentReport
+    covariance: Array | None
+    """(N, D, D) of their tangents, where asked for; NaN where the fragment tells nothing."""
+
+
 class _Fragments:
     """Solves the fragments of one recording."""
 
-    def __init__(self, data: Observations, settings: JointSpaceSettings) -> None:
+    def __init__(self, data: Observations, settings: JointSpaceSettings, confidence: bool) -> None:
         self.data, self.settings, problem = data, settings, data.problem
+        self._confidence = confidence
         self._real_time = LevenbergMarquardt(problem, data.limits)
         self._ipopt = Ipopt(problem, data.limits) if settings.backend == "ipopt" else None
 
-    def solve(self, first: int) -> tuple[Array, FragmentReport]:
-        """(N, 3 + 4A) states of the frames from `first`, and what happened."""
+    def solve(self, first: int) -> _Piece:
+        """The frames from `first`."""
         data = self.data
         index, inside, values = data.fragment(first)
         began = perf_counter()
@@ -104,7 +122,16 @@ class _Fragments:
             solved = Solved(x, 0, False, np.zeros((len(x), M)))
         seconds = perf_counter() - began
         report = self._report(solved, first, annealing.sigma, seconds, inside)
-        return solved.x, replace(report, status=SolverStatus.FAILED) if failed else report
+        if failed:
+            report = replace(report, status=SolverStatus.FAILED)
+        return _Piece(solved.x, report, self._covariance(solved, report) if self._confidence else None)
+
+    def _covariance(self, solved: Solved, report: FragmentReport) -> Array:
+        """(N, D, D) of the states' tangents."""
+        if report.status in (SolverStatus.UNOBSERVED, SolverStatus.FAILED):
+            D = self.data.space.size
+            return np.full((len(solved.x), D, D), np.nan)
+        return state_covariances(self.data.problem, self._real_time, solved)
 
     def _from(self, x: Array, annealing: Annealing, index: NDArray[np.intp]) -> Solved:
         """The solution from a start: the lowest of several where there are more starts."""

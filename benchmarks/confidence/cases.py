@@ -1,0 +1,126 @@
+"""Reconstructions beside their truth, and their errors beside what the Hessian says of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import harness
+from rtof_kin import rotations as so3
+from rtof_kin.clinical.angles import all_observed, clinical_angles
+from rtof_kin.confidence import WORLD, Confidence
+from rtof_kin.metrics import at_times
+from rtof_kin.mocap import MocapClip
+from rtof_kin.pipeline import reconstruct
+from rtof_kin.skeleton import MotionSequence
+from rtof_kin.types import PoseSequence
+
+Array = NDArray[np.float64]
+EVERY = 4
+"""Of so many frames one is looked at: neighbours say the same."""
+KINDS = (
+    ("realistic", "0"), ("realistic", "4"), ("realistic", "8"), ("realistic", "10"),
+    ("white", "8"), ("perfect", "8"),
+)  # fmt: skip
+"""2D and numbers of sensors; the first four are what the inflation is fitted on."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One reconstructed recording, one frame in `EVERY`."""
+
+    name: str
+    keypoints: str
+    sensors: str
+    carriers: tuple[str, ...]
+    """Joints whose segments carry them."""
+    motion: MotionSequence
+    """With the confidence of the Hessian alone."""
+    truth: PoseSequence
+    """At the motion's times."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one quantity, and their covariance."""
+
+    error: Array
+    """(n, 3) by axis."""
+    covariance: Array
+    """(n, 3, 3)."""
+
+
+def reconstructed(
+    clip: MocapClip, camera: int, keypoints: str, sensors: str, seed: int, calibrate: bool,
+    lifter: str | None = None,
+) -> Case:  # fmt: skip
+    """One motion seen by one camera."""
+    own = harness.SENSOR_SETS.get(sensors, ())
+    recording = harness.recorded(clip, camera, keypoints, own, seed)
+    result = reconstruct(
+        recording, mode="rtof" if own else "rto", lifter=_lifter(lifter),
+        calibrate=calibrate and bool(own),
+    )  # fmt: skip
+    assert recording.truth is not None
+    assert result.solution is not None
+    motion = replace(result.motion, confidence=result.solution.confidence)[::EVERY]
+    truth = at_times(recording.truth, motion.times)
+    carriers = () if result.bone_imus is None else result.bone_imus.joints
+    return Case(f"{clip.name}/{camera}", keypoints, sensors, carriers, motion, truth)
+
+
+@cache
+def _lifter(path: str | None) -> Any:
+    from lifting.predict import Lifter
+
+    return Lifter.load(Path(path) if path else None)
+
+
+def errors(case: Case, confidence: Confidence | None = None) -> Iterator[tuple[str, str, Errors]]:
+    """(kind, name, errors) of every entry of a confidence, where both are known.
+
+    Args:
+        confidence: in place of the motion's own.
+    """
+    told = confidence or case.motion.confidence
+    assert told is not None
+    p, p_true = case.motion.poses.p_world_joint, case.truth.p_world_joint
+    seen = [p - p_true, (p - p[:, :1]) - (p_true - p_true[:, :1])]
+    covariances = told.position_covariance, told.relative_covariance
+    for kind, error, covariance in zip(("position", "relative"), seen, covariances, strict=True):
+        for j, name in enumerate(told.names):
+            if kind == "position" or j > 0:
+                yield kind, name, _known(error[:, j], covariance[:, j])
+    R, R_true = case.motion.poses.R_world_bone, case.truth.R_world_bone
+    for k, (parent, child) in enumerate(told.pairs):
+        turned = [_seen_from(r, told.names, parent, child) for r in (R, R_true)]
+        error = so3.log(np.swapaxes(turned[1], -1, -2) @ turned[0])
+        yield "turn", f"{parent} {child}", _known(error, told.turn_covariance[:, k])
+
+
+def angle_errors(case: Case, confidence: Confidence) -> Iterator[tuple[str, Array, Array]]:
+    """Name, errors (n,) and standard deviations (n,) of every clinical angle, rad, where known."""
+    found = clinical_angles(replace(case.motion, confidence=confidence))
+    true = clinical_angles(all_observed(case.truth), case.motion.skeleton)
+    assert found.sigma is not None
+    off = (found.values - true.values + np.pi) % (2 * np.pi) - np.pi
+    for a, name in enumerate(found.names):
+        known = np.isfinite(off[:, a] + found.sigma[:, a])
+        if known.any():
+            yield name, off[known, a], found.sigma[known, a]
+
+
+def _seen_from(R: Array, names: Sequence[str], parent: str, child: str) -> Array:
+    own = R[:, names.index(child)]
+    return own if parent == WORLD else np.swapaxes(R[:, names.index(parent)], -1, -2) @ own
+
+
+def _known(error: Array, covariance: Array) -> Errors:
+    known = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
+    return Errors(error[known], covariance[known])

@@ -1,0 +1,176 @@
+"""`Inflation`: what errors that last add to what the Hessian knows.
+
+A Hessian takes residuals for independent draws. A detector's bias, a sensor that sits askew or a
+landmark that is no joint centre stay for seconds: they do not average out, and no weight of a fragment
+knows of them. So every covariance C of the Hessian becomes
+
+::
+
+    K C K + B^2
+
+with diagonal matrices of a factor and a floor for every joint and every pair of segments, the same for
+right and left. How much is not in the Hessian depends on who saw it:
+
+=======  ==========================================================================================
+camera   there is no sensor anywhere
+fused    there are sensors, but not where the next row says
+sensed   both segments of a pair carry one (or the one that is told against the world); of positions
+         relative to the root, the root's segment does
+=======  ==========================================================================================
+
+The numbers were fitted on recordings of other people, as those under which their errors are likeliest
+(``python -m benchmarks.confidence --fit``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.confidence import WORLD, Confidence
+from rtof_kin.errors import FileFormatError, ShapeError
+from rtof_kin.io.text import load_toml
+from rtof_kin.resources import model_path
+
+Array = NDArray[np.float64]
+UNITS = {"position": "m", "relative": "m", "turn": "rad"}
+"""Covariances of a `Confidence`, and the unit of their floors."""
+SEEN = {"camera": tuple(UNITS), "fused": tuple(UNITS), "sensed": ("relative", "turn")}
+"""Who saw it, and of which covariances that is told apart."""
+OTHER = "other"
+"""Name of the widening of what has none of its own."""
+
+
+@dataclass(frozen=True)
+class Widening:
+    """Of one covariance."""
+
+    factor: Array
+    """(3,) by axis: world's of positions, the child segment's of turns. At least 1: nobody knows more than
+    the Hessian."""
+    floor: Array
+    """(3,) standard deviation, m or rad."""
+
+    def __post_init__(self) -> None:
+        for field, least in (("factor", 1.0), ("floor", 0.0)):
+            value = np.asarray(getattr(self, field), dtype=float)
+            if value.shape not in ((), (3,)) or not np.all(np.isfinite(value) & (value >= least)):
+                raise ShapeError(f"widening {field}: {value} must be one or three numbers from {least:g} on")
+            object.__setattr__(self, field, np.broadcast_to(value, 3))
+
+
+@dataclass(frozen=True)
+class Inflation:
+    """Widenings of all covariances of a skeleton."""
+
+    widenings: Mapping[str, Mapping[str, Mapping[str, Widening]]]
+    """By who saw it (`SEEN`), kind (`UNITS`) and `unsided` name of the joint, or of parent and child."""
+
+    def __post_init__(self) -> None:
+        for seen, kinds in SEEN.items():
+            for kind in kinds:
+                if OTHER not in self.widenings.get(seen, {}).get(kind, {}):
+                    raise ShapeError(f"inflation: no widening {OTHER!r} of {seen}.{kind}")
+
+    @classmethod
+    def shipped(cls) -> Inflation:
+        """That of ``models/confidence.toml``, read once."""
+        return _shipped()
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a file that `text` wrote.
+
+        Raises:
+            FileFormatError: it is not one.
+        """
+        data = load_toml(Path(path))
+        try:
+            return cls({
+                seen: {
+                    kind: {name: Widening(**entry) for name, entry in data[seen][kind].items()}
+                    for kind in kinds
+                }
+                for seen, kinds in SEEN.items()
+            })  # fmt: skip
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            raise FileFormatError(path, f"no table of widenings: {error}") from error
+
+    def text(self) -> str:
+        """As TOML."""
+        lines = []
+        for seen, kinds in SEEN.items():
+            for kind in kinds:
+                lines.append(f"[{seen}.{kind}]  # floor in {UNITS[kind]}")
+                for name, w in self.widenings[seen][kind].items():
+                    lines.append(f'"{name}" = {{ factor = {_text(w.factor)}, floor = {_text(w.floor)} }}')
+                lines.append("")
+        return "\n".join(lines)
+
+    def apply(self, confidence: Confidence, sensors: Collection[str] = ()) -> Confidence:
+        """A confidence of the Hessian alone, widened.
+
+        Args:
+            sensors: joints whose segments carry one.
+        """
+        names, root = confidence.names, confidence.names[0]
+        pairs = [" ".join(pair) for pair in confidence.pairs]
+
+        def widened(kind: str, entries: Sequence[str], covariance: Array) -> Array:
+            who = [seen_by(kind, entry, root, sensors) for entry in entries]
+            return self._widened(kind, entries, who, covariance)
+
+        relative = widened("relative", names, confidence.relative_covariance)
+        relative[:, 0] = 0.0  # the root less itself
+        return replace(
+            confidence,
+            position_covariance=widened("position", names, confidence.position_covariance),
+            relative_covariance=relative,
+            turn_covariance=widened("turn", pairs, confidence.turn_covariance),
+        )
+
+    def _widened(self, kind: str, names: Sequence[str], who: Sequence[str], covariance: Array) -> Array:
+        chosen = []
+        for name, seen in zip(names, who, strict=True):
+            known = self.widenings[seen][kind]
+            chosen.append(known.get(unsided(name), known[OTHER]))
+        factor = np.reshape([widening.factor for widening in chosen], (-1, 3))
+        floor = np.reshape([widening.floor for widening in chosen], (-1, 3))
+        scale = factor[:, :, None] * factor[:, None, :]
+        return np.asarray(covariance * scale + np.eye(3) * floor[:, :, None] ** 2)
+
+
+def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
+    """Who saw what a covariance is of: a key of `SEEN`.
+
+    Args:
+        kind: of `UNITS`. name: the joint, or parent and child. root: the root joint's name.
+        sensors: joints whose segments carry one.
+    """
+    if not sensors:
+        return "camera"
+    if kind not in SEEN["sensed"]:
+        return "fused"
+    needs = {root} if kind == "relative" else {*name.split()} - {WORLD}
+    return "sensed" if needs <= {*sensors} else "fused"
+
+
+def unsided(name: str) -> str:
+    """A joint's name, or those of a pair, without its side: what is symmetric is fitted once."""
+    return " ".join(word.removeprefix("Right").removeprefix("Left") for word in name.split())
+
+
+def _text(value: Array) -> str:
+    rounded = [f"{max(float(f'{v:.3g}'), 0.0):g}" for v in value]
+    return rounded[0] if len(set(rounded)) == 1 else f"[{', '.join(rounded)}]"
+
+
+@cache
+def _shipped() -> Inflation:
+    return Inflation.read(model_path("confidence.toml"))
