@@ -74,7 +74,7 @@ def error_by_number(study: SensorStudy) -> Figure:
         ax.set_ylabel("RMS [deg]", fontsize=8)
         ax.set_ylim(bottom=0)
         ax.set_xlim(max(number) + 0.3, min(number) - 0.3)
-        ax.legend(fontsize=6)
+        ax.legend(fontsize=6, ncols=2 if len(own) > 6 else 1, framealpha=0.6)
         ax.grid(alpha=0.3)
     for ax in panels[len(joints) :]:
         ax.set_visible(False)

@@ -23,6 +23,8 @@ SECTIONS = {
     "torques": "Joint torques",
 }
 """Parts of an audit, and their titles."""
+_NAMED = 5
+"""Of many findings alike, so many are named beside the worst."""
 
 
 class Grade(Enum):
@@ -177,5 +179,6 @@ def _lines(findings: Sequence[Finding], grade: Grade) -> Iterator[str]:
             yield from (finding.text for finding in alike)
             continue
         worst = max(alike, key=lambda finding: finding.value - finding.warn)
-        others = ", ".join(finding.subject for finding in alike if finding is not worst)
-        yield f"{worst.text}; also {others}"
+        others = [finding.subject for finding in alike if finding is not worst]
+        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
+        yield f"{worst.text}; also {', '.join(others[:_NAMED])}{more}"

@@ -143,7 +143,7 @@ def _ranges(rows: Iterable[Data]) -> str:
         both = row.get("both")
         difference = ""
         if right and left and None not in (right["range"], left["range"]):
-            difference = f"{right['range'] - left['range']:+.0f}"
+            difference = f"{round(right['range'] - left['range']) + 0:+d}"
         sides = (*cells(both), "", "", "") if both else (*cells(right), *cells(left))
         out.append((escape(row["name"]), *sides, difference))
     columns = ("angle [deg]", "right: from, to", "range", "peak deg/s", "left: from, to", "range",

@@ -49,7 +49,7 @@ def _bands(analysis: MotionAnalysis) -> Iterator[Finding]:
             half = float(BAND_95 * np.degrees(np.median(sigma[known, a])))
             yield Finding(
                 "angles", "half width of the 95 % band, median", row.label, half, "deg", *WIDEST, _USER,
-                "hardly anything fixes this angle: a sensor on its segments would",
+                "known loosely; a sensor on each of its two segments would tell more",
             )  # fmt: skip
 
 
