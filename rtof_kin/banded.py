@@ -63,8 +63,8 @@ class Factor:
     def blocks(self, size: int, lags: int) -> Array:
         """(N, lags, size, size) of the factor L, whose product with its transpose is the matrix.
 
-        The system consists of N blocks of `size` unknowns, each coupled with the next lags - 1; [t, k] has
-        the rows of block t + k and the columns of block t, 0 beyond the end.
+        The system consists of N blocks of `size` unknowns, each coupled with the next lags - 1. [t, k]
+        has the rows of block t + k and the columns of block t, 0 beyond the end.
         """
         return _blocks(self.band.ravel(order="F"), self.band.shape[0] - 1, self.band.shape, size, lags)
 

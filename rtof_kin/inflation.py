@@ -18,8 +18,7 @@ sensed   both segments of a pair carry one (or the one that is told against the 
          relative to the root, the root's segment does
 =======  ==========================================================================================
 
-The numbers were fitted on recordings of other people, as those under which their errors are likeliest
-(``python -m benchmarks.confidence --fit``).
+The numbers were fitted on recordings of other people (``python -m benchmarks.confidence --fit``).
 """
 
 from __future__ import annotations
@@ -52,8 +51,8 @@ class Widening:
     """Of one covariance."""
 
     factor: Array
-    """(3,) by axis: world's of positions, the child segment's of turns. At least 1: nobody knows more than
-    the Hessian."""
+    """(3,) by axis: world's of positions, the child segment's of turns. At least 1: nobody knows more
+    than the Hessian."""
     floor: Array
     """(3,) standard deviation, m or rad."""
 
@@ -61,7 +60,9 @@ class Widening:
         for field, least in (("factor", 1.0), ("floor", 0.0)):
             value = np.asarray(getattr(self, field), dtype=float)
             if value.shape not in ((), (3,)) or not np.all(np.isfinite(value) & (value >= least)):
-                raise ShapeError(f"widening {field}: {value} must be one or three numbers from {least:g} on")
+                raise ShapeError(
+                    f"widening {field}: {value} must be one or three numbers, none below {least:g}"
+                )
             object.__setattr__(self, field, np.broadcast_to(value, 3))
 
 

@@ -76,11 +76,11 @@ def spoilt(value: float, *where: int) -> Array:
 @pytest.mark.parametrize(
     "changes, message",
     [
-        ({"position_covariance": covariances(5, 3)}, r"position_covariance: expected shape \(6, 3, 3, 3\)"),
+        ({"position_covariance": covariances(5, 3)}, r"position_cov.*: expected shape \(6, 3, 3, 3\)"),
         ({"turn_covariance": covariances(6, 3)}, r"turn_covariance: expected shape \(6, 2, 3, 3\)"),
-        ({"position_covariance": spoilt(np.nan, 1, 2, 0, 0)}, "position_covariance: not finite; write NaN as"),
+        ({"position_covariance": spoilt(np.nan, 1, 2, 0, 0)}, "position_covariance: not finite; write"),
         ({"relative_covariance": spoilt(np.inf, 1, 2)}, "relative_covariance: not finite"),
-        ({"relative_covariance": spoilt(50.0, 1, 2, 0, 1)}, "relative_covariance: a matrix is not symmetric"),
+        ({"relative_covariance": spoilt(50.0, 1, 2, 0, 1)}, "relative_cov.*: a matrix is not symmetric"),
         ({"relative_covariance": -covariances(6, 3)}, "relative_covariance: a variance is negative"),
         ({"times": np.zeros(6)}, "time does not increase"),
         ({"names": ("Hips", "Hips", "LeftLeg")}, "Hips stands there more than once"),

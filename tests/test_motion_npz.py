@@ -52,7 +52,8 @@ def test_a_confidence_comes_back_to_single_precision(tmp_path: Path, motion: Mot
     assert given is not None
     write_motion_npz(tmp_path / "motion.npz", known(motion))
     read = read_motion_npz(tmp_path / "motion.npz").motion().confidence
-    assert read is not None and read.pairs == given.pairs and read.names == given.names
+    assert read is not None
+    assert (read.pairs, read.names) == (given.pairs, given.names)
     for field in ("position_covariance", "relative_covariance", "turn_covariance"):
         np.testing.assert_allclose(getattr(read, field), getattr(given, field), rtol=1e-6)
 
@@ -65,7 +66,7 @@ def test_a_file_without_confidence_has_none(path: Path) -> None:
     "changes, message",
     [
         ({"confidence_pairs": np.array(["world", "Hips"])}, "confidence_pairs: expected pairs of names"),
-        ({"confidence_pairs": np.array([["world", "Hip"]] * 21)}, "unknown segment in confidence pairs 'Hip'"),
+        ({"confidence_pairs": np.array([["world", "Hip"]] * 21)}, "unknown segment in .* pairs 'Hip'"),
         ({"turn_covariance": None}, "the array 'turn_covariance' is missing"),
         ({"position_covariance": np.zeros((12, 20, 3, 3))}, "position_covariance: expected shape"),
         ({"relative_covariance": np.full((12, 21, 3, 3), -1.0)}, "a variance is negative"),

@@ -24,11 +24,10 @@ from rtof_kin.types import PoseSequence
 Array = NDArray[np.float64]
 EVERY = 4
 """Of so many frames one is looked at: neighbours say the same."""
-KINDS = (
-    ("realistic", "0"), ("realistic", "4"), ("realistic", "8"), ("realistic", "10"),
-    ("white", "8"), ("perfect", "8"),
-)  # fmt: skip
-"""2D and numbers of sensors; the first four are what the inflation is fitted on."""
+FITTED = (("realistic", "0"), ("realistic", "4"), ("realistic", "8"), ("realistic", "10"))
+"""2D and numbers of sensors that the inflation is fitted on."""
+KINDS = (*FITTED, ("white", "8"), ("perfect", "8"))
+"""Those that it is looked at with."""
 
 
 @dataclass(frozen=True)

@@ -91,8 +91,8 @@ def _covariance(J: Array, covariance: Array) -> Array:
 
 
 def _rates(space: StateSpace, p: Array, R: Array) -> tuple[Array, Array]:
-    """Derivatives (T, J, 3, D) of joints' positions (T, J, 3), and of small turns of segments (T, J, 3, 3),
-    in world by a state's tangent."""
+    """Derivatives (T, J, 3, D) of joints' positions (T, J, 3) and of small turns of their segments
+    (T, J, 3, 3), in world, by a state's tangent."""
     parents, joints = space.skeleton.parents, np.array(space.joints)
     widths = np.where(space.hinge_axis < 0, 3, 1)
     of = np.repeat(joints, widths)  # the joint of each coordinate that turns

@@ -1,0 +1,100 @@
+"""Whether the confidence is honest: ``python -m benchmarks.confidence --corpus DIR``.
+
+The benchmark's motions x 4 cameras with realistic 2D and 0, 4, 8 and 10 sensors, and with white and
+perfect 2D and 8; every fourth frame. ``--fit`` fits the inflation on the validation motions instead, and
+writes ``models/confidence.toml``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.progress import track
+
+from benchmarks import harness
+from benchmarks.accuracy.__main__ import clips
+from benchmarks.confidence.cases import FITTED, KINDS, Case, reconstructed
+from benchmarks.confidence.figure import reliability
+from benchmarks.confidence.fitting import fitted
+from benchmarks.confidence.study import Row, rows
+from benchmarks.confidence.tables import report
+from rtof_kin.inflation import Inflation
+from rtof_kin.resources import CHECKOUT
+
+HEAD = """\
+# What errors that last add to the Hessian's covariances; see rtof_kin/inflation.py.
+# Made by: python -m benchmarks.confidence --corpus DIR --fit{more}
+# from {count} recordings of the validation subjects, of benchmarks/split.toml.
+
+"""
+
+
+def collected(options: argparse.Namespace, subset: str, kinds: Any) -> list[Case]:
+    """Every motion of a subset seen by every camera."""
+    jobs = [
+        (clip, camera, *kind)
+        for clip in clips(options.corpus, subset) for camera in range(options.cameras) for kind in kinds
+    ]  # fmt: skip
+    return [
+        reconstructed(*job, options.seed, options.calibrate, options.lifter)
+        for job in track(jobs, "recordings")
+    ]
+
+
+def fit(options: argparse.Namespace) -> None:
+    """Write the inflation."""
+    cases = collected(options, "validation", FITTED)
+    more = " --calibrate" if options.calibrate else ""
+    head = HEAD.format(more=more, count=len(cases))
+    path = CHECKOUT / "confidence.toml"
+    path.write_text(head + fitted(cases).text(), encoding="utf-8")
+    print(f"wrote {path}")
+
+
+def study(options: argparse.Namespace) -> None:
+    """Write the tables, their numbers and the figure."""
+    found = rows(collected(options, "test", KINDS), Inflation.shipped())
+    write(found, options.out, options.calibrate)
+
+
+def write(found: list[Row], out: Path, calibrate: bool) -> None:
+    """The same for rows that are there."""
+    how = f"The benchmark's motions and cameras, `calibrate={calibrate}`."
+    out.parent.mkdir(parents=True, exist_ok=True)
+    lines = ",\n".join(" " + json.dumps(row, default=float) for row in _rounded(found))
+    out.write_text(f'{{"calibrate": {json.dumps(calibrate)}, "rows": [\n{lines}\n]}}\n', encoding="utf-8")
+    text = report(found, how)
+    out.with_suffix(".md").write_text(text, encoding="utf-8")
+    reliability(found, out.with_suffix(".png"))
+    print(text)
+
+
+def _rounded(value: Any) -> Any:
+    """Four significant digits are plenty in a file."""
+    return json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.4g}"))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.confidence", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser.add_argument("--fit", action="store_true", help="fit the inflation that ships")
+    parser.add_argument("--calibrate", action="store_true", help="calibrate recordings from themselves")
+    parser.add_argument("--cameras", type=int, default=4, choices=range(1, 5))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
+    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "confidence.json")
+    options = parser.parse_args(arguments)
+    (fit if options.fit else study)(options)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

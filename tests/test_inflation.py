@@ -1,0 +1,125 @@
+"""What is added to the Hessian's covariances: by whom a thing was seen, and from which file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.confidence import WORLD, Confidence
+from rtof_kin.errors import FileFormatError, ShapeError
+from rtof_kin.inflation import OTHER, SEEN, Inflation, Widening, seen_by, unsided
+from rtof_kin.joint_space.uncertainty import segment_pairs
+from rtof_kin.skeleton import SkeletonModel
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+PAIRS = ((WORLD, "Hips"), ("Hips", "LeftUpLeg"))
+
+
+def confidence(size: float = 1.0) -> Confidence:
+    unit = np.tile(size * np.eye(3), (2, 3, 1, 1))
+    names = ("Hips", "LeftUpLeg", "RightUpLeg")
+    return Confidence(np.arange(2.0), names, unit, unit, PAIRS, unit[:, :2])
+
+
+def inflation(**others: dict[str, Widening]) -> Inflation:
+    """Factors 1, 2 and 3 by who saw it, and no floor; `others` are of turns, by who saw them."""
+    return Inflation({
+        who: {kind: {OTHER: Widening(i, 0.0), **(others.get(who, {}) if kind == "turn" else {})}
+              for kind in kinds}
+        for i, (who, kinds) in enumerate(SEEN.items(), start=1)
+    })  # fmt: skip
+
+
+def test_a_covariance_is_scaled_on_both_sides_and_gets_a_floor() -> None:
+    root = np.random.default_rng(0).normal(size=(2, 2, 3, 3))
+    covariance = root @ np.swapaxes(root, -1, -2)
+    wide = Widening([1.0, 2.0, 4.0], [0.1, 0.2, 0.3])
+    found = inflation(camera={"world Hips": wide}).apply(
+        replace(confidence(), turn_covariance=covariance)
+    )
+    K = np.diag([1.0, 2.0, 4.0])
+    expected = K @ covariance[:, 0] @ K + np.diag([0.01, 0.04, 0.09])
+    np.testing.assert_allclose(found.turn_covariance[:, 0], expected)
+    np.testing.assert_allclose(found.turn_covariance[:, 1], covariance[:, 1])
+
+
+@pytest.mark.parametrize(
+    "sensors, position, relative, turns",
+    [
+        ((), 1, 1, [1, 1]),
+        (("LeftLeg",), 2, 2, [2, 2]),
+        (("LeftUpLeg",), 2, 2, [2, 2]),
+        (("Hips",), 2, 3, [3, 2]),
+        (("Hips", "LeftUpLeg"), 2, 3, [3, 3]),
+    ],
+)
+def test_it_depends_on_the_sensors_of_what_is_told(
+    sensors: tuple[str, ...], position: float, relative: float, turns: list[float]
+) -> None:
+    found = inflation().apply(confidence(), sensors)
+    np.testing.assert_allclose(found.position_sigma, position)
+    np.testing.assert_allclose(found.relative_sigma[:, 1:], relative)
+    np.testing.assert_allclose(found.turn_covariance[0, :, 0, 0], np.square(turns))
+    np.testing.assert_array_equal(found.relative_sigma[:, 0], 0.0)
+
+
+def test_right_and_left_are_widened_alike() -> None:
+    assert unsided("Hips LeftUpLeg") == unsided("Hips RightUpLeg") == "Hips UpLeg"
+    found = Inflation.shipped().apply(confidence(1e-4))
+    np.testing.assert_array_equal(found.position_sigma[:, 1], found.position_sigma[:, 2])
+
+
+def test_what_is_unknown_stays_unknown() -> None:
+    unknown = replace(confidence(), position_covariance=np.full((2, 3, 3, 3), np.nan))
+    assert np.isnan(Inflation.shipped().apply(unknown, ("Hips",)).position_covariance).all()
+
+
+def test_a_file_is_what_was_written(tmp_path: Path) -> None:
+    given = inflation(sensed={"Hips UpLeg": Widening([1.0, 2.5, 3.0], [0.0, 0.01, 0.02])})
+    (tmp_path / "a.toml").write_text(given.text())
+    read = Inflation.read(tmp_path / "a.toml")
+    assert read.text() == given.text()
+    np.testing.assert_array_equal(read.widenings["sensed"]["turn"]["Hips UpLeg"].factor, [1.0, 2.5, 3.0])
+
+
+def test_the_shipped_one_knows_every_joint_and_every_pair_of_eight_sensors() -> None:
+    shipped = Inflation.shipped()
+    carriers = tuple(joint for name, (joint, _) in BODY.sensors.items() if name.endswith(("Arm", "Leg")))
+    assert len(carriers) == 8
+    for kind in ("position", "relative"):
+        known = shipped.widenings["fused"][kind]
+        assert {unsided(name) for name in BODY.names[1:]} <= set(known)
+    for pair in segment_pairs(BODY):
+        if not pair[1].endswith(("Head", "Hand", "Foot")):  # leaves, which no sensor of the eight turns
+            name = " ".join(pair)
+            who = seen_by("turn", name, BODY.root, carriers)
+            assert unsided(name) in shipped.widenings[who]["turn"], name
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("", "empty; expected TOML"),
+        ("[fused]", "no table of widenings: 'camera'"),
+        ("camera = 3", "no table of widenings"),
+        ("[camera.position]\nother = {factor = 0.5, floor = 0}", "factor: 0.5 must be one or three"),
+        ("[camera.position]\nother = {factor = 2, floor = -1}", "floor: -1.0 must be"),
+        ("[camera.position]\nother = {factor = [1, 2], floor = 0}", "must be one or three numbers"),
+        ("[camera.position]\nother = {factor = 2, width = 0}", "no table of widenings"),
+        ("[camera.position]\nother = {factor = nan, floor = 0}", "factor: nan must be"),
+    ],
+)
+def test_a_file_that_is_none_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(FileFormatError, match=message):
+        Inflation.read(tmp_path / "a.toml")
+
+
+def test_there_must_be_a_widening_for_what_has_none_of_its_own() -> None:
+    with pytest.raises(ShapeError, match=r"no widening 'other' of camera\.position"):
+        Inflation({})
