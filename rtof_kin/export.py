@@ -8,7 +8,8 @@ joint_trajectory.csv, .json   configurations with named columns, and their units
 motion.csv                    the same with landmarks, validity and provenance
 ros_joint_trajectory.json     trajectory_msgs/JointTrajectory
 ros_base_trajectory.json      trajectory_msgs/MultiDOFJointTrajectory of the free base
-summary.json                  mode, solver's report, limit violations, figures against the truth
+summary.json                  mode, solver's report, limit violations, figures against the truth; what it
+                              was made from, and the audit (`report`)
 figures/*.png                 see `rtof_kin.figures`
 ============================  ==================================================================
 
@@ -27,6 +28,8 @@ import numpy as np
 from rtof_kin.io.folder import new_folder
 from rtof_kin.io.motion_npz import write_motion_npz
 from rtof_kin.motion_files import DEFAULT, check_formats, write_motion_files
+from rtof_kin.report.audit import audit
+from rtof_kin.report.facts import facts
 from rtof_kin.types import Provenance
 
 if TYPE_CHECKING:
@@ -94,6 +97,8 @@ def summary(result: Reconstruction) -> dict[str, Any]:
         "limit_violations_deg": {k: float(np.degrees(v)) for k, v in report.violations.items()},
         "singular_share": float(report.singular.mean()),
     }
+    out["inputs"] = facts(result)
+    out["audit"] = [finding.plain() for finding in audit(result)]
     if result.faults:
         out["stream_faults"] = [str(fault) for fault in result.faults]
     if result.warnings:

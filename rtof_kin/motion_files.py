@@ -101,7 +101,9 @@ def check_formats(formats: Sequence[str]) -> None:
 
 
 def _with_even_times(motion: MotionSequence) -> MotionSequence:
-    return replace(motion, poses=replace(motion.poses, times=even_times(motion.times)))
+    """At even times; without a confidence, which none of these files has a place for."""
+    poses = replace(motion.poses, times=even_times(motion.times))
+    return replace(motion, poses=poses, confidence=None)
 
 
 def _index(motion: MotionSequence, files: Files) -> Facts:

@@ -13,6 +13,8 @@ A folder holds ``recording.toml`` and the arrays that it names. From arrays in m
     schema_version = 1
     name = "walk"                        # - the folder's name where absent
     first_frame = 0                      # - index of the first frame in the take this was cut from
+    [session]                            # - labels for reports, as are all of its fields
+    subject = "P07"                      # - also operator, date = "2026-01-31", place, protocol
     [subject]                            # -
     height_m = 1.78                      # - standing height: scales the table's proportions
     mass_kg = 70.0                       # -
@@ -65,7 +67,7 @@ A .csv has a header line: ``time``, then for each keypoint ``<name>_u_px``, ``<n
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -78,16 +80,11 @@ from rtof_kin import recording_files as files
 from rtof_kin import recording_imus
 from rtof_kin.calibration import ImuCalibration
 from rtof_kin.checks import readonly
-from rtof_kin.errors import (
-    CalibrationError,
-    FileFormatError,
-    OutputExistsError,
-    ShapeError,
-    UnknownNameError,
-)
+from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.io.arrays import write_npz
 from rtof_kin.io.folder import check_replaceable, new_folder
 from rtof_kin.io.section import Section
+from rtof_kin.session import Session, read_session
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, ImuSequence, KeypointSequence, PoseSequence
 
@@ -135,6 +132,8 @@ class Recording:
     """What the data's owner asks to be printed with it."""
     notes: str = ""
     """Anything else."""
+    session: Session = field(default_factory=Session)
+    """Who was recorded, by whom, when and where."""
 
     def __post_init__(self) -> None:
         if self.keypoints is None and self.imus is None:
@@ -275,6 +274,7 @@ class Recording:
             "floor_height": scene.optional_number("floor_height_m"),
             "acknowledgement": notes.text("acknowledgement", ""),
             "notes": notes.text("text", ""),
+            "session": read_session(index.table("session")),
             **_read_skeleton(skeleton),
         }
         if index.has("camera") or index.has("keypoints") or not index.has("imus"):
@@ -305,7 +305,7 @@ class Recording:
         """
         target = Path(folder).resolve()
         check_replaceable(target, INDEX, overwrite)
-        _check_nothing_else(target)
+        files.check_nothing_else(target, INDEX)
         with new_folder(target, INDEX, overwrite) as fresh:
             self._write(fresh)
 
@@ -333,6 +333,7 @@ class Recording:
             "schema_version": SCHEMA_VERSION,
             "name": self.name,
             "first_frame": int(self.first_frame),
+            "session": self.session.plain(),
             "subject": {k: v for k, v in subject.items() if v is not None},
             "skeleton": body,
             "notes": {"acknowledgement": self.acknowledgement, "text": self.notes},
@@ -380,10 +381,10 @@ def _read_skeleton(section: Section) -> dict[str, Any]:
         raise UnknownNameError(where, [table], _SKELETONS)
     joints = _shipped(table).names
     fields: dict[str, Any] = {"skeleton_table": table}
-    for field in ("bone_lengths_m", "joint_offsets_m"):
-        unknown = [n for n in section.table(field).keys() if n not in joints[1:]]  # noqa: SIM118
+    for name in ("bone_lengths_m", "joint_offsets_m"):
+        unknown = [n for n in section.table(name).keys() if n not in joints[1:]]  # noqa: SIM118
         if unknown:
-            where = f"joint in {section.path}, {section.where(field)}"
+            where = f"joint in {section.path}, {section.where(name)}"
             raise UnknownNameError(where, unknown, joints[1:])
     lengths, offsets = section.table("bone_lengths_m"), section.table("joint_offsets_m")
     if len(lengths):
@@ -393,21 +394,3 @@ def _read_skeleton(section: Section) -> dict[str, Any]:
         given = [offsets.array(name, (3,)) for name in joints[1:]]
         fields["joint_offsets"] = np.array([np.zeros(3), *given])
     return fields
-
-
-def _check_nothing_else(folder: Path) -> None:
-    """Refuse to replace a recording in whose folder somebody keeps files of their own."""
-    if not (folder / INDEX).is_file():
-        return
-    own = {INDEX}
-    try:
-        index = Section.of_file(folder / INDEX)
-        own |= {index.table(n).text("file", INDEX) for n in ("keypoints", "imus", "truth")}
-    except FileFormatError:
-        pass
-    foreign = sorted({path.name for path in folder.iterdir()} - own)
-    if foreign:
-        raise OutputExistsError(
-            f"{folder}: holds {foreign[0]}, which is no part of the recording, so it is not "
-            "replaced; move that file or name another folder"
-        )

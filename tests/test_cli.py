@@ -17,6 +17,7 @@ from rtof_kin.resources import model_path
 
 COMMANDS = (
     "demo", "reconstruct", "inspect", "calibrate", "analyse", "evaluate", "simulate", "train", "export",
+    "report", "study",
 )  # fmt: skip
 MOCAP = Path(__file__).parent / "data" / "mocap"
 

@@ -9,7 +9,16 @@ from __future__ import annotations
 import argparse
 import logging
 
-from rtof_kin.cli import clinical, detection, inspection, lifters, protocols, recordings, training
+from rtof_kin.cli import (
+    clinical,
+    detection,
+    inspection,
+    lifters,
+    protocols,
+    recordings,
+    reporting,
+    training,
+)
 from rtof_kin.cli.terminal import err
 from rtof_kin.errors import RtofError
 
@@ -37,6 +46,6 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Each command explains itself: rtof-kin reconstruct --help",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for module in (recordings, inspection, clinical, detection, training, lifters, protocols):
+    for module in (recordings, inspection, clinical, reporting, detection, training, lifters, protocols):
         module.add_commands(commands)
     return parser

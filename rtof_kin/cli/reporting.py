@@ -1,0 +1,134 @@
+"""The commands that tell how far to trust a recording: report and study."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from rtof_kin.cli.terminal import add_output, command, out, print_files, progress
+from rtof_kin.session import Session
+
+
+def add_commands(commands: Any) -> None:
+    """Declare the commands of this module."""
+    _add_report(commands)
+    _add_study(commands)
+
+
+# --- what they do --------------------------------------------------------------------------------
+
+
+def _report(options: argparse.Namespace) -> None:
+    from rtof_kin.io.text import check_new_file, write_text
+    from rtof_kin.report.writing import PAGE, report
+
+    folder = Path(options.motion)
+    path = Path(options.output or folder / PAGE)
+    check_new_file(path, options.overwrite)
+    session = Session(**{field.name: getattr(options, field.name) for field in fields(Session)})
+    write_text(path, report(folder, session, options.weight, options.sex), options.overwrite)
+    out.print(f"wrote {path}: {path.stat().st_size / 1e3:.0f} kB, opens in any browser", soft_wrap=True)
+
+
+def _study(options: argparse.Namespace) -> None:
+    from lifting.predict import Lifter
+    from rtof_kin.io.folder import check_replaceable, new_folder
+    from rtof_kin.recording import Recording
+    from rtof_kin.sensor_study import number_of_runs, study_sensors
+    from rtof_kin.sensor_study_files import MARKER, sentences, write_study
+
+    check_replaceable(options.output, MARKER, options.overwrite)
+    recording = Recording.load(options.recording)
+    greedy = {"greedy": True, "ranked": False}.get(options.path)
+    camera = recording.keypoints is not None
+    if recording.imus is not None:
+        runs = number_of_runs(len(recording.imus.names), camera, greedy)
+        out.print(f"{len(recording.imus.names)} sensors: {runs} reconstructions, one after the other")
+    lifter = Lifter.load(options.lifter) if camera else None
+    with progress() as tell, _quiet():
+        study = study_sensors(recording, greedy=greedy, lifter=lifter, progress=tell)
+    with new_folder(options.output, MARKER, options.overwrite) as folder:
+        write_study(study, folder)
+        if not options.no_figures:
+            from rtof_kin.sensor_study_figures import write_study_figures
+
+            write_study_figures(study, folder / "figures")
+    _print_way_down(study)
+    for sentence in sentences(study):
+        out.print(sentence, markup=False, soft_wrap=True)
+    print_files(options.output)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without warnings: the same ones at every run would be noise."""
+    logger = logging.getLogger("rtof_kin")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+def _print_way_down(study: Any) -> None:
+    from rtof_kin.sensor_study_files import NO_ERROR
+
+    what = "error" if study.has_truth else "difference"
+    table = Table("sensors", "without", f"mean {what} [deg]", "angles kept")
+    for before, found in zip((study.path[0], *study.path), study.path, strict=False):
+        gone = [study.segments[name] for name in before.sensors if name not in found.sensors]
+        kept = f"{int(study.kept(found).sum())} of {len(study.angles)}"
+        table.add_row(str(len(found.sensors)), *gone or ("",), f"{np.degrees(found.loss):.1f}", kept)
+    out.print(table)
+    if not study.has_truth:
+        out.print(NO_ERROR, soft_wrap=True)
+
+
+# --- their arguments -----------------------------------------------------------------------------
+
+
+def _add_report(commands: Any) -> None:
+    parser = command(
+        commands, "report", _report, "one page of a reconstructed motion that opens in any browser",
+        "MOTION is the output of reconstruct. The page has a verdict on every part and its reason, "
+        "curves of angles, ranges of motion left against right, gait cycles where there are some, a "
+        "skeleton that plays, and what to report of a study with inertial sensors. It needs no network.",
+    )  # fmt: skip
+    parser.add_argument("motion", metavar="MOTION", help="output folder of reconstruct")
+    add_output(parser, "", "file to write; report.html in MOTION where not given")
+    labels = {
+        "subject": "name or code of who was recorded", "operator": "who recorded",
+        "date": "day of the recording, as 2026-01-31", "place": "where", "protocol": "what was asked for",
+    }  # fmt: skip
+    for name, what in labels.items():
+        parser.add_argument(f"--{name}", default="", help=f"{what}; over that of the recording")
+    parser.add_argument("--weight", type=float, metavar="KG", help="body mass; for joint torques")
+    parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
+
+
+def _add_study(commands: Any) -> None:
+    parser = command(
+        commands, "study", _study, "what each sensor of a recording is worth, angle by angle",
+        "Reconstructs RECORDING with all its sensors, without each of them, and with fewer and fewer, "
+        "the one that is missed least going first. OUT gets a table, figures, and how many sensors each "
+        "angle needs. Without a truth in the recording, the difference from the full set is told, "
+        "which is no error.",
+    )  # fmt: skip
+    parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
+    add_output(parser, None, "folder to write")
+    parser.add_argument(
+        "--path", choices=["greedy", "ranked"],
+        help="greedy: each step tries every sensor that is left; ranked: in the order in which they are "
+        "missed alone, which takes fewer runs; not given: greedy up to eight sensors",
+    )  # fmt: skip
+    parser.add_argument("--lifter", type=Path, metavar="FILE", help="as for reconstruct")
+    parser.add_argument("--no-figures", action="store_true", help="do not draw figures")

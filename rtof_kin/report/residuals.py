@@ -1,0 +1,70 @@
+"""What the motion that is written leaves unexplained of keypoints and sensors, sample by sample."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import kinematics
+from rtof_kin import rotations as so3
+
+if TYPE_CHECKING:
+    from rtof_kin.pipeline import Reconstruction
+
+Array = NDArray[np.float64]
+
+
+def reprojection_errors(result: Reconstruction) -> tuple[Array, float]:
+    """(T, L) px between keypoints and the motion's landmarks in the image, NaN where one is not known;
+    and the median height of the body there, px.
+
+    Raises:
+        ShapeError: there are no keypoints.
+    """
+    motion, keypoints = result.motion, result.keypoints or result.recording.video
+    p, R = motion.poses.p_world_joint, motion.poses.R_world_bone
+    known = motion.skeleton.landmarks
+    at = motion.skeleton.landmark_positions(p, R)
+    at = at[:, [list(known).index(name) for name in keypoints.names]]
+    error = np.linalg.norm(keypoints.camera.project(at) - keypoints.uv_px, axis=-1)
+    owners = motion.skeleton.index(*(known[name][0] for name in keypoints.names))
+    error[~motion.poses.valid[:, owners]] = np.nan
+    depth = keypoints.camera.to_camera(p[:, 0])[:, 2]
+    return error, float(np.nanmedian(keypoints.camera.K[1, 1] * motion.skeleton.height / depth))
+
+
+def orientation_residuals(result: Reconstruction) -> tuple[Array, Array]:
+    """(T, S) rad between each sensor's segment and the motion's: across its bone, and about it; of a
+    segment with several children or none, all of it is across."""
+    skeleton, imus = result.motion.skeleton, result.bone_imus
+    assert imus is not None
+    index = skeleton.index(*imus.joints)
+    R = result.motion.poses.R_world_bone[:, index]
+    known = np.isfinite(R).all(axis=(2, 3)) & np.isfinite(imus.R_world_bone).all(axis=(2, 3))
+    off = np.full((*known.shape, 3), np.nan)
+    off[known] = so3.log(np.swapaxes(R[known], -1, -2) @ imus.R_world_bone[known])
+    about = np.zeros(known.shape)
+    for s, j in enumerate(index):
+        children = kinematics.children_of(skeleton.parents, j)
+        if len(children) == 1:
+            bone = so3.unit(skeleton.joint_offsets[children[0]])
+            about[:, s] = off[:, s] @ bone
+            off[:, s] -= about[:, s, None] * bone
+    return np.linalg.norm(off, axis=-1), np.where(known, np.abs(about), np.nan)
+
+
+def acceleration_residuals(result: Reconstruction) -> Array:
+    """(T, S) m/s^2 between each sensor's acceleration and the second difference of the motion at its
+    lever arm; NaN at the ends and where either is not known."""
+    imus, poses = result.bone_imus, result.motion.poses
+    assert imus is not None
+    index = result.motion.skeleton.index(*imus.joints)
+    lever = np.einsum("tsij,sj->tsi", poses.R_world_bone[:, index], imus.p_bone_sensor)
+    out = np.full(imus.a_world.shape[:2], np.nan)
+    if len(poses) < 3:
+        return out
+    a = np.diff(poses.p_world_joint[:, index] + lever, n=2, axis=0) * poses.rate_hz**2
+    out[1:-1] = np.linalg.norm(a - imus.a_world[1:-1], axis=-1)
+    return out
