@@ -21,7 +21,7 @@ class CalibrationPriors:
     """[s] of the video behind the sensors."""
     sigma_clock_drift: float | None = None
     """[s/s] by which their clocks differ."""
-    sigma_swing: float | None = np.radians(1.0)
+    sigma_swing: float | None = np.radians(2.0)
     """[rad] of a sensor's mounting, about axes across its bone."""
     sigma_twist: float = np.radians(4.0)
     """[rad] about the bone."""
@@ -45,13 +45,15 @@ class CalibrationPriors:
     """[rad] of the camera's orientation about each axis."""
     worth_vision: float = 1.0
     """[1] What landmarks count here, as a share of what they count in a reconstruction."""
-    worth_sensors: float = 0.1
-    """[1] The same of the sensors' orientations, whose slip on the segments lasts for many seconds."""
+    worth_sensors: float = 1.0
+    """[1] The same of the sensors' orientations."""
     worth_poses: float = 0.1
     """[1] The same of the prior of poses and of the start's torso: postures last for seconds."""
     overcount: float = 3.0
     """[1] By how much errors that last make the recording's information count for too much: claimed
     standard deviations allow for it."""
+    most_seconds: float = 60.0
+    """[s] of the recording that is looked at, in fragments all over it."""
     rounds: int = 5
     """Gauss-Newton steps at most."""
 

@@ -40,6 +40,8 @@ class ContactSettings:
     """[m] over the lower ankle that a standing foot's may be."""
     shortest: float = 0.1
     """[s] Contacts that last for less are none."""
+    speed: float = 0.8
+    """[m/s] of an ankle that no sensor tells of, as the poses have it: faster, it swings."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -104,15 +106,36 @@ def detect_contacts(
     Returns:
         Contacts of the feet that have such a sensor; where it says nothing, the foot does not stand.
     """
-    settings = settings or ContactSettings()
-    sources = {foot: _source(foot, bone_imus, skeleton) for foot in FEET if foot in skeleton.names}
-    feet = tuple(foot for foot, source in sources.items() if source is not None)
+    feet = tuple(f for f in FEET if f in skeleton.names and _source(f, bone_imus, skeleton) is not None)
+    return _contacts(feet, poses, bone_imus, skeleton, settings or ContactSettings())
+
+
+def standing_feet(
+    poses: PoseSequence,
+    bone_imus: BoneImuSequence | None,
+    skeleton: SkeletonModel,
+    settings: ContactSettings | None = None,
+) -> Contacts:
+    """The same of both feet: one that no sensor tells of stands where the poses hardly move its ankle."""
+    feet = tuple(foot for foot in FEET if foot in skeleton.names)
+    return _contacts(feet, poses, bone_imus, skeleton, settings or ContactSettings())
+
+
+def _contacts(
+    feet: tuple[str, ...], poses: PoseSequence, bone_imus: BoneImuSequence | None,
+    skeleton: SkeletonModel, settings: ContactSettings,
+) -> Contacts:  # fmt: skip
     if not feet or len(poses) < 3:
         return Contacts(feet, np.zeros((len(poses), len(feet)), dtype=bool))
-    height = poses.p_world_joint[:, skeleton.index(*feet), 2]
-    standing = height - height.min(axis=1, keepdims=True) < settings.height
+    p = poses.p_world_joint[:, skeleton.index(*feet)]
+    standing = p[..., 2] - p[..., 2].min(axis=1, keepdims=True) < settings.height
     for i, foot in enumerate(feet):
-        standing[:, i] &= _still(poses, bone_imus, skeleton, foot, str(sources[foot]), settings)
+        source = None if bone_imus is None else _source(foot, bone_imus, skeleton)
+        if bone_imus is None or source is None:
+            speed = np.linalg.norm(np.gradient(p[:, i], axis=0), axis=-1) * poses.rate_hz
+            standing[:, i] &= speed < settings.speed
+        else:
+            standing[:, i] &= _still(poses, bone_imus, skeleton, foot, source, settings)
         for start, stop in signals.runs(standing[:, i]):
             if stop - start < settings.shortest * poses.rate_hz:
                 standing[start:stop, i] = False

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from rtof_kin import signals
 from rtof_kin.calibration_priors import CalibrationPriors
-from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.contradictions import check_height, contradictions
+from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.joint_space.settings import JointSpaceSettings
@@ -106,7 +107,7 @@ def reconstruct(
     *,
     lifter: LifterLike | None = None,
     settings: ReconstructionSettings | None = None,
-    calibrate: bool | CalibrationPriors | SelfCalibration = False,
+    calibrate: bool | CalibrationPriors | SelfCalibration = True,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Reconstruct the motion of a recording.
@@ -119,7 +120,8 @@ def reconstruct(
         lifter: takes keypoints to 3D; the shipped one where not given, loaded only now.
         settings: of SF2, the fragment solver and mode imu.
         calibrate: whether the recording is calibrated from itself first (`calibrate_recording`), in the
-            modes that use sensors; or the priors to do that with, or what to apply of an earlier one.
+            modes that use sensors; where it cannot be, a warning says why and it is taken as it is given.
+            Or the priors to do that with, or what to apply of an earlier calibration.
         progress: told how far each stage is.
 
     Raises:
@@ -134,12 +136,10 @@ def reconstruct(
         return _without_camera(recording, skeleton or recording.skeleton, settings, tell)
     if recording.keypoints is None:
         raise ShapeError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
-    found = None
-    if calibrate is not False and mode in ("sf2", "rtof"):
-        found = calibrate if isinstance(calibrate, SelfCalibration) else calibrate_recording(
-            recording, skeleton, None if calibrate is True else calibrate,
-            lifter=lifter, settings=settings, progress=progress,
-        )  # fmt: skip
+    found, warnings = None, tuple[str, ...]()
+    if calibrate is not False and mode in ("sf2", "rtof") and recording.imus is not None:
+        found, warnings = _calibrated(recording, skeleton, calibrate, lifter, settings, progress)
+    if found is not None:
         recording = found.apply(recording)
         skeleton = None if found.of_kind("bones") else skeleton
     skeleton = skeleton or recording.skeleton
@@ -150,15 +150,35 @@ def reconstruct(
         if wrong:
             begun = begin(recording, skeleton, mode, lifter, settings, tell, wrong)
             keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
-    for fault in begun.faults:
-        _log.warning("%s: %s", recording.name, fault)
+    for warning in (*begun.faults, *warnings):
+        _log.warning("%s: %s", recording.name, warning)
     motion = skeleton.motion(poses)
     stages = begun.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = _scores(recording, stages, skeleton)
     return Reconstruction(
         recording, mode, motion, stages, keypoints, begun.bone_imus, solution, scores.get(mode), scores,
-        faults=begun.faults, calibration=found,
+        faults=begun.faults, warnings=warnings, calibration=found,
     )  # fmt: skip
+
+
+def _calibrated(
+    recording: Recording, skeleton: SkeletonModel | None,
+    how: bool | CalibrationPriors | SelfCalibration, lifter: LifterLike | None,
+    settings: ReconstructionSettings, progress: Progress | None,
+) -> tuple[SelfCalibration | None, tuple[str, ...]]:  # fmt: skip
+    """What is to be applied to a recording, and what a user must know of it."""
+    if isinstance(how, SelfCalibration):
+        return how, ()
+    try:
+        found = calibrate_recording(
+            recording, skeleton, None if isinstance(how, bool) else how,
+            lifter=lifter, settings=settings, progress=progress,
+        )  # fmt: skip
+    except CalibrationError as error:
+        if not isinstance(how, bool):
+            raise
+        return None, (f"not calibrated from the recording, which is taken as it is given: {error}",)
+    return found, contradictions(recording, found)
 
 
 def _solved(
@@ -171,7 +191,8 @@ def _solved(
         keypoints = found.moved(keypoints, begun.start)
     if mode not in ("rto", "rtof"):
         return keypoints, begun.stages[mode], None
-    fragment = on_floor(settings.fragment, skeleton, begun.recording.floor_height)
+    floor = begun.recording.floor_height
+    fragment = on_floor(settings.fragment, skeleton, floor, found is not None)
     solution = FragmentSolver(skeleton, settings.frames, fragment).solve(
         begun.start, keypoints, begun.bone_imus, lambda i, n: tell(mode, i, n)
     )
@@ -199,6 +220,7 @@ def calibrate_recording(
     Raises:
         CalibrationError: there is nothing to calibrate by. Errors of the stages pass through.
     """
+    check_height(recording)
     settings = settings or ReconstructionSettings()
     tell = progress or (lambda stage, done, total: None)
     if skeleton is not None:

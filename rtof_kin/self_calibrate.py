@@ -9,9 +9,11 @@ how long bones are, where a detector sees its landmarks.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
@@ -34,7 +36,7 @@ from rtof_kin.self_calibration import (
     image_slopes,
 )
 from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import ImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.types import BoneImuSequence, ImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
 _NORMAL_MEDIAN = 1.177
@@ -94,6 +96,7 @@ def shared_fragments(
     native = recording.calibration.apply(imus)
     bone_imus = native.resample(start.times)
     data = Observations(recording.skeleton, frames, settings, start, seen, bone_imus)
+    native = _with_even_noise(native)
 
     def sampled(times: Array) -> tuple[Array, Array, Array, Array]:
         q, w, a, w_a, _ = sensor_data(times, native, data.sensors, settings)
@@ -101,7 +104,20 @@ def shared_fragments(
 
     unknowns = _unknowns(recording.skeleton, seen, data, start, priors, sampled)
     worth = Worth(priors.worth_vision, priors.worth_sensors, priors.worth_poses)
-    return SharedFragments(data, start.times, unknowns, worth)
+    return SharedFragments(data, start.times, unknowns, worth, priors.most_seconds)
+
+
+def _with_even_noise(imus: BoneImuSequence) -> BoneImuSequence:
+    """Sensors with accelerations smoothed by a Gaussian of one sample.
+
+    Interpolation averages noise away between samples and leaves it at them. The energy of many samples
+    would fall by hundreds of nats wherever a delay puts frames halfway between two of them.
+    """
+    known = np.isfinite(imus.a_world)
+    smooth = gaussian_filter1d(np.where(known, imus.a_world, 0.0), 1.0, axis=0)
+    share = gaussian_filter1d(known.astype(float), 1.0, axis=0)
+    a_world = np.where(known, smooth / np.where(known, share, 1.0), np.nan)
+    return replace(imus, a_world=a_world)
 
 
 def _check_long_enough(
@@ -180,8 +196,8 @@ def _quantities(
     """
     P, S, y = fragments.prior, shared.hessian, shared.y
     inverse, variance = np.linalg.inv(S), np.diag(np.linalg.inv(P))
-    known = np.clip(1 - np.diag(inverse) / variance, 0.0, 1.0)
     claimed = np.minimum(np.diag(inverse @ (P + overcount * (S - P)) @ inverse), variance)
+    known = np.clip(1 - claimed / variance, 0.0, 1.0)
     parts = []
     for unknown, columns in zip(fragments.unknowns, fragments.columns, strict=True):
         stops = np.linspace(columns.start, columns.stop, len(unknown.items) + 1).astype(int)
@@ -210,6 +226,7 @@ def _detector(data: Observations, residuals: Array, rate_hz: float) -> tuple[Det
     for i, name in enumerate(data.names):
         seen = data.confidence[:, i] > 0
         r = residuals[:, i]
+        seen &= np.isfinite(r).all(axis=1)
         if seen.sum() < 10:
             continue
         sigma = max(float(np.median(np.linalg.norm(r[seen], axis=1))) / _NORMAL_MEDIAN, 1e-6)

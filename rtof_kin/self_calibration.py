@@ -70,8 +70,7 @@ class Quantity:
     sigma_prior: Array
     """(w,) before."""
     known: float
-    """Share of the prior's variance that the recording took away, of the number it knows best; errors
-    that last are not allowed for, as they are in `sigma`."""
+    """Share of the prior's variance that the recording took away, of the number it knows best."""
 
     def __post_init__(self) -> None:
         if self.kind not in _UNITS:

@@ -172,10 +172,15 @@ def on_floor(
     settings: JointSpaceSettings | FragmentSettings | None,
     skeleton: SkeletonModel,
     floor_height: float | None,
+    calibrated: bool = False,
 ) -> JointSpaceSettings | FragmentSettings | None:
-    """The fragment solver's settings with the recording's floor, where they know floors and have none."""
+    """The fragment solver's settings with the recording's floor, where they know floors and have none.
+
+    Args:
+        calibrated: whether the recording was calibrated from itself, for defaults where there are none.
+    """
     if settings is None and has_prior(skeleton.name):
-        settings = JointSpaceSettings()
+        settings = JointSpaceSettings.calibrated() if calibrated else JointSpaceSettings()
     if isinstance(settings, JointSpaceSettings) and settings.floor_height is None:
         return replace(settings, floor_height=floor_height)
     return settings

@@ -25,10 +25,9 @@ def fragments(*kinds: str, frames: int = 24, **more: float) -> SharedFragments:
 
 
 def test_columns_and_corner_are_those_of_the_compiled_oracle() -> None:
-    shared = fragments("heading", "mounting", "bones", frames=12)
-    shared = replace_with_one_size(shared)
+    shared = without_growth(fragments("heading", "mounting", frames=12))
     data, s, x = shared.data, shared.data.settings, shared.states(0)
-    shape = replace(data.problem.energy.shape, unknowns=("heading", "mounting", "scale"))
+    shape = replace(data.problem.energy.shape, unknowns=("heading", "mounting"))
     oracle = built_problem(
         data.skeleton.name, shape, data.space.names, cs.FRAMES, s.hinges, "never", s.jerk,
         s.robust_acceleration,
@@ -44,21 +43,21 @@ def test_columns_and_corner_are_those_of_the_compiled_oracle() -> None:
         np.testing.assert_allclose(ours, theirs, atol=1e-8 * np.abs(theirs).max())
 
 
-def replace_with_one_size(shared: SharedFragments) -> SharedFragments:
-    """The same with heading's growth and proportions left out, which the oracle does not know."""
-    heading, mounting, bones = shared.unknowns
-    kinds = [
-        replace(heading, sigma_drift=None), mounting,
-        replace(bones, groups=(("all", tuple(range(1, len(bones.parents)))),)),
-    ]  # fmt: skip
+def without_growth(shared: SharedFragments) -> SharedFragments:
+    """The same with headings that stay, as the oracle has them."""
+    heading, mounting = shared.unknowns
+    kinds = [replace(heading, sigma_drift=None), mounting]
     other = SharedFragments(shared.data, shared.times, kinds, shared.worth)
     other.begin()
     return other
 
 
-def test_the_profiles_gradient_is_that_of_the_energy_with_states_at_their_optimum() -> None:
-    shared = fragments("heading", "image bias", frames=24)
-    y = np.zeros(len(shared.prior))
+@pytest.mark.parametrize("kinds", [("heading", "image bias"), ("bones",)])
+def test_the_profiles_gradient_is_that_of_the_energy_with_states_at_their_optimum(
+    kinds: tuple[str, ...]
+) -> None:
+    shared = fragments(*kinds, frames=24)
+    y = np.full(len(shared.prior), 0.01)
     evidence = shared.corrected(y)
     for _ in range(4):
         shared.settle(evidence)
@@ -66,7 +65,8 @@ def test_the_profiles_gradient_is_that_of_the_energy_with_states_at_their_optimu
     rng = np.random.default_rng(2)
     direction = 0.1 * np.sqrt(np.diag(np.linalg.inv(shared.prior))) * rng.normal(size=len(y))
 
-    def energy(y: Array) -> float:
+    def energy(step: Array) -> float:
+        y = 0.01 + step
         evidence = shared.corrected(y)
         total = [shared.settle(evidence) for _ in range(4)][-1]
         return total + 0.5 * float(y @ shared.prior @ y)
@@ -74,6 +74,18 @@ def test_the_profiles_gradient_is_that_of_the_energy_with_states_at_their_optimu
     slope = (energy(direction) - energy(-direction)) / 2
     # States are solved to 1e-4 of the energy.
     assert slope == pytest.approx(float(gradient @ direction), rel=0.1)
+
+
+def test_how_large_somebody_is_neither_accelerations_nor_jerk_tell() -> None:
+    shared = fragments("bones", frames=24)
+    y = np.zeros(len(shared.prior))
+    evidence = shared.corrected(y)
+    for _ in range(4):
+        shared.settle(evidence)
+    hessian, gradient = shared.profile(evidence, y)
+    told, all_alike = hessian - shared.prior, np.ones(len(y))
+    assert abs(all_alike @ told @ all_alike) < 1e-4 * np.trace(told)
+    assert abs(gradient @ all_alike) < 1e-3 * np.abs(gradient).sum()
 
 
 def test_the_profiles_hessian_never_knows_less_than_the_prior() -> None:

@@ -241,8 +241,8 @@ def _add_reconstruction(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
-        "--calibrate", action="store_true", default=False,
-        help="estimate from the recording what is not known well about it, first",
+        "--calibrate", action="store_true", default=True,
+        help="estimate from the recording what is not known well about it, first (the default)",
     )  # fmt: skip
     how.add_argument(
         "--no-calibrate", dest="calibrate", action="store_false", help="take everything as it is given"

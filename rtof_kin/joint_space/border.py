@@ -52,16 +52,16 @@ class Border:
         self._count(residuals.value, weighted, by_unknowns)
         self._spread(residuals.by_state, weighted)
 
-    def add_second_difference(
-        self, residuals: Residuals, by_unknowns: Array, rate_hz: float
+    def add_differences(
+        self, residuals: Residuals, by_unknowns: Array, order: int, rate_hz: float
     ) -> None:
-        """Residuals (N - 2, R, i) of central second differences: `by_state` (N, R, i, D) is that of
-        what they are taken of."""
+        """Residuals (N - order, R, i) of differences over time: `by_state` (N, R, i, D) is that of what
+        they are taken of."""
         weighted = residuals.weight[..., None, None] * by_unknowns
         self._count(residuals.value, weighted, by_unknowns)
-        spread = np.zeros((len(weighted) + 2, *weighted.shape[1:]))
-        for k, factor in enumerate((1.0, -2.0, 1.0)):
-            spread[k : k + len(weighted)] += factor * rate_hz**2 * weighted
+        spread = np.zeros((len(weighted) + order, *weighted.shape[1:]))
+        for k, factor in enumerate(np.diff(np.eye(order + 1), n=order, axis=0)[0]):
+            spread[k : k + len(weighted)] += factor * rate_hz**order * weighted
         self._spread(residuals.by_state, spread)
 
     def _count(self, value: Array, weighted: Array, by_unknowns: Array) -> None:

@@ -42,6 +42,8 @@ class Evidence:
     """(T, S, 3) acceleration of the sensors, m/s^2."""
     w_acceleration: Array
     """(T, S) 1 / sigma^2 of each."""
+    length_scale: float = 1.0
+    """[1] As `FragmentData` has it."""
 
     @classmethod
     def of(cls, data: Observations, times: Array) -> Self:
@@ -73,9 +75,10 @@ class Evidence:
 
     def fragment(self, first: int, frames: int) -> FragmentData:
         """N frames from `first`; weights are 0 where they are not the recording's."""
-        return fragment_of(
+        data = fragment_of(
             self.rows, self.constant, self.a_world, self.w_acceleration, self.rate_hz, first, frames
         )[2]
+        return replace(data, length_scale=self.length_scale)
 
 
 @dataclass(frozen=True)
@@ -94,6 +97,8 @@ class Changes:
     """(N, S, 3, k) places of the sensors in world, m."""
     feet: Array | None = None
     """(N, F, 1, k) height of the ankles, m."""
+    jerk: Array | None = None
+    """(N - 3, 1, 3, k) jerk of the root, m/s^3, relative to the size that it is judged by."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +177,16 @@ class Situation:
         owners = [j for a, j in enumerate(space.joints) for _ in range(space.axes(a).shape[1])]
         return beyond[:, owners]
 
+    @property
+    def a_sensors(self) -> Array:
+        """(N - 2, S, 3) acceleration of the sensors as the states have it, m/s^2."""
+        return np.asarray(np.diff(self.sensors, n=2, axis=0) * self.evidence.rate_hz**2)
+
+    @property
+    def root_jerk(self) -> Array:
+        """(N - 3, 3) of the states, m/s^3."""
+        return np.asarray(np.diff(self.p[:, 0], n=3, axis=0) * self.evidence.rate_hz**3)
+
     def points_by_state(self, joints: Sequence[int], points: Array) -> Array:
         """(N, K, 3, D) of points (N, K, 3) that sit on segments."""
         axes, places = self._axes
@@ -209,17 +224,24 @@ class Situation:
     def accelerations(self, weight: Array, robust: float) -> Residuals:
         """Of the sensors' accelerations (N - 2, S, 3), m/s^2; `by_state` is that of the sensors' places
         (N, S, 3, D), m."""
-        r = np.diff(self.sensors, n=2, axis=0) * self.evidence.rate_hz**2 - self.a_world
+        r = self.a_sensors - self.a_world
         by_state = self.points_by_state(self.joints.sensors, self.sensors)
         return Residuals(r, by_state, _robust(weight, r, robust))
 
+    def jerk(self, weight: Array, sigma: Array) -> Residuals:
+        """Of the root's place (N - 3, 1, 3), m/s^3, with weights (N - 3,) and sigma (3,); `by_state` is
+        that of the root (N, 1, 3, D), m."""
+        by_state = np.zeros((len(self.p), 1, 3, self.space.size))
+        by_state[..., :3] = np.eye(3)
+        return Residuals(self.root_jerk[:, None], by_state, (weight / sigma[0] ** 2)[:, None])
+
     def feet(self, weight: Array, cutoff: float) -> Residuals:
-        """Heights of the ankles over where they are when standing, m."""
+        """Heights of the ankles over where they are when standing, m, with weights (N, F)."""
         own = list(self.joints.feet)
         r = self.p[:, own, 2:] - self.evidence.constant["floor"]
         by_state = self.points_by_state(own, self.p[:, own])[:, :, 2:]
         slope = 1 / (1 + r[..., 0] ** 2 / cutoff**2)
-        return Residuals(r, by_state, weight[:, None] * slope)
+        return Residuals(r, by_state, weight * slope)
 
 
 def _robust(weight: Array, r: Array, delta: Array | float) -> Array:

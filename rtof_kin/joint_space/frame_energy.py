@@ -215,7 +215,7 @@ class FrameEnergy:
             "quat_torso": ca.SX.sym("qt", 4, len(shape.torso)),
             "w_torso": ca.SX.sym("wt", len(shape.torso)),
             "b_world": ca.SX.sym("b", 3, len(shape.bones)), "w_bone": ca.SX.sym("wb"),
-            "p_root": ca.SX.sym("pr", 3), "w_root": ca.SX.sym("wr"), "w_floor": ca.SX.sym("wf"),
+            "p_root": ca.SX.sym("pr", 3), "w_root": ca.SX.sym("wr"), "w_floor": ca.SX.sym("wf", len(shape.feet)),
             "w_prior": ca.SX.sym("wp"),
         }  # fmt: skip
         self.constant = {
@@ -334,10 +334,11 @@ class FrameEnergy:
         total.add_point(
             "root", 0, p[0], lambda x: energies.position(x, O["p_root"]), O["w_root"], _cauchy
         )
-        for j in shape.feet:
+        for i, j in enumerate(shape.feet):
+            weight = O["w_floor"][i]
             total.add_point(
-                "floor", j, p[j], lambda x: energies.height(x, C["floor"]), O["w_floor"],
-                _cut_off(O["w_floor"], shape.floor_cutoff),
+                "floor", j, p[j], lambda x: energies.height(x, C["floor"]), weight,
+                _cut_off(weight, shape.floor_cutoff),
             )  # fmt: skip
         for i, j in enumerate(shape.contacts):
             total.add_point(

@@ -23,10 +23,11 @@ class Jerk:
 
     Attributes:
         sigma: (D,) of every tangent coordinate, m/s^3 and rad/s^3; equal for the axes of a joint.
+            The root's displacements have that of a body of the length scale that is bound.
     """
 
     def __init__(self, space: StateSpace, frames: int, sigma: Array) -> None:
-        self.space, self.frames, self.sigma = space, frames, sigma
+        self.space, self.frames, self.sigma, self._sigma = space, frames, sigma, sigma
         ball = space.hinge_axis < 0
         self._balls = np.flatnonzero(ball)
         self._columns = space.first[self._balls][:, None] + np.arange(3)
@@ -34,9 +35,12 @@ class Jerk:
         self._bound: tuple[Array, float] | None = None
         self._precision = 1 / sigma[self._columns[:, 0]] ** 2
 
-    def bind(self, w_jerk: Array, rate_hz: float) -> None:
-        """Take the weights (N - 3,) of the fragment that is asked about from now on."""
+    def bind(self, w_jerk: Array, rate_hz: float, length_scale: float = 1.0) -> None:
+        """Take the weights (N - 3,) of the fragment that is asked about from now on, and how long its
+        body is."""
         N = self.frames
+        if length_scale != 1 or self.sigma is not self._sigma:
+            self.sigma = self._sigma * np.where(np.arange(len(self._sigma)) < 3, length_scale, 1.0)
         if self._bound is not None and self._bound[1] == rate_hz and (self._bound[0] == w_jerk).all():
             return
         self._bound = w_jerk.copy(), rate_hz

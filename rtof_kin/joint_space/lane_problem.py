@@ -74,7 +74,7 @@ class LaneProblem(JointProblem):
         zeros, shape = self._columns.zeros, energy.value.nnz_out
         self._x, self._observed = zeros(energy.value.nnz_in(0)), zeros(energy.value.nnz_in(1))
         self._constant, self._rate = np.zeros(energy.value.nnz_in(2)), np.zeros(1)
-        self._sigma = np.ascontiguousarray(sigma_jerk, dtype=float)
+        self._sigma = np.array(sigma_jerk, dtype=float)
         self._terms, self._points, self._residuals = (zeros(shape(i)) for i in range(3))
         self._step, self._tension, self._gradient_now = zeros(size), zeros(size), zeros(size)
         self._motion_energy, self._slope, self._force = zeros(2), zeros(S), zeros(3 * S)
@@ -145,7 +145,8 @@ class LaneProblem(JointProblem):
         self._a[:, first : first + N - 2] = data.a_world.reshape(N - 2, -1).T
         self._w[:, first : first + N - 2] = data.w_acceleration.T
         self._w_jerk[0, first : first + N - 3] = data.w_jerk
-        self._jerk.bind(data.w_jerk, data.rate_hz)
+        self._jerk.bind(data.w_jerk, data.rate_hz, data.length_scale)
+        self._sigma[:] = self._jerk.sigma
         self._coefficients[:, inside] = self._jerk.coefficients().T
 
     def reweigh(self, name: str, weight: Array) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
-from rtof_kin.contacts import FEET, Footholds
+from rtof_kin.contacts import FEET, Footholds, standing_feet
 from rtof_kin.joint_space.building import Built, built_problem
 from rtof_kin.joint_space.frame_energy import TORSO, Shape
 from rtof_kin.joint_space.prior import shipped_prior
@@ -98,6 +98,11 @@ class Observations:
             self.rows["w_contact"] = known_place / s.sigma_contact**2
         x = self.space.from_poses(start.p_world_joint[:, 0], start.R_world_bone)
         self.start = self.space.low_passed(x, start.rate_hz, s.smooth_start_hz)
+        if s.floor_height is not None:
+            smooth = start.posed(slice(None), *self.space.poses(self.start))
+            at_frames = None if bone_imus is None else bone_imus.resample(start.times)
+            standing = standing_feet(smooth, at_frames, skeleton).standing
+            self.rows["w_floor"] = standing / s.sigma_floor**2
         self.turned = [
             self.space.low_passed(self._turned(start, yaw), start.rate_hz, s.smooth_start_hz)
             for yaw in s.torso_yaws
@@ -152,7 +157,7 @@ class Observations:
             "w_bone": np.full(T, 0.0 if s.sigma_bone is None else 1 / s.sigma_bone**2),
             "p_root": start.p_world_joint[:, 0],
             "w_root": np.full(T, 0.0 if s.sigma_root is None or free else 1 / s.sigma_root**2),
-            "w_floor": np.full(T, 0.0 if s.floor_height is None else 1 / s.sigma_floor**2),
+            "w_floor": np.zeros((T, len(self.attached.feet))),
             "w_prior": np.ones(T),
         }
         self.a_world, self.w_acceleration = a, w

@@ -54,6 +54,9 @@ class FragmentData:
     w_jerk: Array
     """(N - 3,) whether four frames in a row are the recording's."""
     rate_hz: float
+    length_scale: float = 1.0
+    """[1] By how much longer than it is held to be the body is taken to be: the jerk of its root is judged
+    in body lengths."""
 
 
 class JointProblem:
@@ -92,7 +95,7 @@ class JointProblem:
         for mapped in (self._full, self._value, self._gradient):
             mapped.inputs[1][:] = rows.ravel()
             mapped.inputs[2].reshape(self.frames, -1)[:] = fixed
-        self._jerk.bind(data.w_jerk, data.rate_hz)
+        self._jerk.bind(data.w_jerk, data.rate_hz, data.length_scale)
         self._y = np.array(data.constant["unknowns"], float) if len(self._y) else self._y
 
     def reweigh(self, name: str, weight: Array) -> None:
@@ -212,7 +215,7 @@ class JointProblem:
         terms, points, residuals = self._value(x.ravel())
         out = self._temporal(
             points, self._tangent(steps).ravel(), self._a_world.ravel(), data.w_acceleration.ravel(),
-            data.w_jerk, np.array([data.rate_hz]), self.sigma_jerk,
+            data.w_jerk, np.array([data.rate_hz]), self._jerk.sigma,
         )  # fmt: skip
         shapes = (N, N - 1, N - 2)
         force, pull, slope = (v.reshape(n, -1) for v, n in zip(out[2:], shapes, strict=True))

@@ -39,8 +39,6 @@ class Delay(Unlimited):
 
     def correct(self, evidence: Evidence, y: Array) -> Evidence:
         """The sensors at the times of what the video shows."""
-        if not y.any():
-            return evidence
         times = evidence.times
         q, w, a, w_a = self.sampled(times - powers_of_time(times, times, len(y)) @ y)
         return replace(evidence.changed(quat_sensor=q, w_sensor=w), a_world=a, w_acceleration=w_a)

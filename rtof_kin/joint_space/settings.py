@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -61,10 +62,11 @@ class JointSpaceSettings:
     """[m] of a flat floor in world; None where there is none or it is not known."""
     ankle_height: float = 0.08
     """[m] of the ankle over the floor it stands on."""
-    sigma_floor: float = 0.03
-    """[m] of an ankle that stands."""
-    floor_cutoff: float = 0.2
-    """[m] above which an ankle hardly feels the floor."""
+    sigma_floor: float = 0.1
+    """[m] of an ankle that stands, in one frame: how high it is over the floor differs by some cm from body
+    to body and from shoe to shoe, for as long as it stands."""
+    floor_cutoff: float = 0.1
+    """[m] above or below which an ankle hardly feels the floor."""
     sigma_contact: float = 0.02
     """[m] of a foot's joint about its foothold, where footholds are given."""
     hinges: bool = True
@@ -87,6 +89,12 @@ class JointSpaceSettings:
     """'realtime' (Levenberg-Marquardt on the banded system) or 'ipopt'."""
     compile: str = "auto"
     """'auto' compiles the energy once where there is a C compiler and keeps it; 'never' interprets."""
+
+    @classmethod
+    def calibrated(cls) -> Self:
+        """For a recording that was calibrated from itself: of the sensors' errors slip and wobble are left,
+        without a mounting that is wrong all through."""
+        return cls(sigma_swing=np.radians(3.5), sigma_twist=np.radians(15.0))
 
     def __post_init__(self) -> None:
         for field, values in {

@@ -66,7 +66,7 @@ class Shared:
     sigma_px: float
     """Size that the landmarks' errors were taken to have, px."""
     residuals: Array
-    """(T, L, 2) of reprojection with everything corrected, px."""
+    """(T, L, 2) of reprojection with everything corrected, px; NaN in fragments that were left out."""
     energies: tuple[float, ...]
     """After every step that was taken, none first."""
     converged: bool
@@ -77,13 +77,15 @@ class SharedFragments:
     """The fragments of one recording and the unknowns that they share."""
 
     def __init__(
-        self, data: Observations, times: Array, unknowns: Sequence[Unknown], worth: Worth
-    ) -> None:
+        self, data: Observations, times: Array, unknowns: Sequence[Unknown], worth: Worth,
+        most_seconds: float = np.inf,
+    ) -> None:  # fmt: skip
         """Collect; nothing is solved yet.
 
         Args:
             times: (T,) stamps of the frames, s.
             unknowns: in the order in which they correct the evidence: a delay comes first.
+            most_seconds: of fragments; of a longer recording they are chosen evenly.
         """
         self.data, self.times, self.unknowns, self.worth = data, times, tuple(unknowns), worth
         self._given = Evidence.of(data, times)
@@ -92,7 +94,10 @@ class SharedFragments:
         self.columns = tuple(slice(a, b) for a, b in zip(starts, stops, strict=True))
         self.prior = _precision(self.unknowns)
         self._solver = LevenbergMarquardt(data.problem, data.limits)
-        self._firsts = range(0, len(times), data.frames)
+        firsts = np.arange(0, len(times), data.frames)
+        most = max(min(len(firsts), int(most_seconds * self._given.rate_hz / data.frames)), 1)
+        chosen = np.linspace(0, len(firsts) - 1, most).round().astype(int)
+        self._firsts: list[int] = firsts[chosen].tolist()
         self._sigma_px = np.nan
         self._states: dict[int, tuple[Array, Array | None]] = {}
 
@@ -108,7 +113,6 @@ class SharedFragments:
         self.begin()
         tell(1, rounds + 1)
         y, energies, converged = self._searched(), [], False
-        free = np.flatnonzero(~self._search_columns)
         best, step = (np.inf, y), np.zeros_like(y)
         for done in range(rounds + 1):
             evidence = self.corrected(y)
@@ -124,8 +128,7 @@ class SharedFragments:
             hessian, gradient = self.profile(evidence, y)
             if converged:
                 break
-            step = np.zeros_like(y)
-            step[free] = -cho_solve(cho_factor(hessian[np.ix_(free, free)]), gradient[free])
+            step = -cho_solve(cho_factor(hessian), gradient)
             y = y + step
         y = best[1]
         tell(rounds + 1, rounds + 1)
@@ -234,11 +237,11 @@ class SharedFragments:
 
     def _residuals(self, evidence: Evidence) -> Array:
         """(T, L, 2) px."""
-        parts = []
+        out = np.full((len(evidence.times), len(self.data.names), 2), np.nan)
         for first in self._firsts:
-            problem = self.bound(evidence, first)
-            parts.append(problem.value(self._states[first][0])[1])
-        return np.concatenate(parts)[: len(evidence.times)]
+            own = out[first : first + self.data.frames]
+            own[:] = self.bound(evidence, first).value(self._states[first][0])[1][: len(own)]
+        return out
 
     # --- unknowns --------------------------------------------------------------------------------
 
@@ -276,7 +279,9 @@ class SharedFragments:
         moves = at.accelerations(values.w_acceleration, s.robust_acceleration)
         rate = evidence.rate_hz
         moved = np.diff(by("sensors", at.sensors), n=2, axis=0) * rate**2
-        border.add_second_difference(moves, moved - by("accelerations", moves.value), rate)
+        border.add_differences(moves, moved - by("accelerations", moves.value), 2, rate)
+        jerk = at.jerk(values.w_jerk, self.data.problem.sigma_jerk[:3] * evidence.length_scale)
+        border.add_differences(jerk, by("jerk", jerk.value), 3, rate)
         return border
 
 

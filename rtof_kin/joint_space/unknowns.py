@@ -20,7 +20,7 @@ numbers are zero where nothing is wrong; their prior is normal about zero.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, Self
 
@@ -82,7 +82,12 @@ class _Groups:
 
 @dataclass(frozen=True)
 class Bones(Unlimited):
-    """By how much longer groups of bones are than they are held to be."""
+    """By how much longer groups of bones are than they are held to be.
+
+    Accelerations and jerk are compared in body lengths (that of all groups' mean), so that neither says how
+    large somebody is. In metres they would: whatever is smoothed has the less energy the smaller it is, and
+    the less it is like measured accelerations, by so many frames that no height would stand against it.
+    """
 
     parents: tuple[int, ...]
     """(J,) of the skeleton."""
@@ -124,13 +129,16 @@ class Bones(Unlimited):
 
     def correct(self, evidence: Evidence, y: Array) -> Evidence:
         """Other offsets, and with them whatever sits on the segments."""
-        known, of = evidence.constant, self._of
-        longer = 1 + y[of.bones]
-        return evidence.known(
-            offsets=known["offsets"] * longer,
+        known, of, scale = evidence.constant, self._of, 1 + float(y.mean())
+        longer = evidence.known(
+            offsets=known["offsets"] * (1 + y[of.bones]),
             places=known["places"] * (1 + y[of.landmarks]),
             levers=known["levers"] * (1 + y[of.sensors]),
         )
+        return replace(
+            longer, a_world=scale * evidence.a_world,
+            w_acceleration=evidence.w_acceleration / scale**2, length_scale=scale,
+        )  # fmt: skip
 
     def changes(self, at: Situation, y: Array) -> Changes:
         """Along the chains from the root."""
@@ -147,10 +155,13 @@ class Bones(Unlimited):
             mine = groups[:, None] == np.arange(len(y))
             return np.asarray(p[:, list(on)] + turned[..., None] * mine[:, None])
 
+        by_scale = np.full(len(y), 1 / (len(y) * at.evidence.length_scale))
         return Changes(
             points=attached(joints.landmarks, known["places"] * joints.free.T, of.landmarks),
             sensors=attached(joints.sensors, known["levers"], of.sensors),
             feet=p[:, list(joints.feet), 2:],
+            accelerations=at.a_sensors[..., None] * by_scale,
+            jerk=-at.root_jerk[:, None, :, None] * by_scale,
         )
 
 

@@ -14,8 +14,10 @@ from rtof_kin.joint_space.evidence import Changes, Evidence, Situation
 from rtof_kin.joint_space.unknowns import Unlimited, each
 
 Array = NDArray[np.float64]
-_LEAST_PX = 0.05
-"""Prior of a bias where errors are white."""
+_LEAST_SHARE = 0.25
+"""Of a bias' prior, that errors which last must have for one to be looked for."""
+_CLOSED_PX = 1e-3
+"""Prior of a bias where there is none to look for."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +31,10 @@ class ImageBias:
     searched = False
 
     def limited(self, lasting_px: float) -> Self:
-        """With biases of at most the errors that last: white errors leave no room for any."""
-        most = max(lasting_px, _LEAST_PX)
-        return replace(self, sigma_px=np.minimum(self.sigma_px, most))
+        """With biases of at most the errors that last: white errors leave no room for any, nor do those
+        that a body model leaves of a perfect detector."""
+        lasts = lasting_px > _LEAST_SHARE * self.sigma_px
+        return replace(self, sigma_px=np.where(lasts, np.minimum(self.sigma_px, lasting_px), _CLOSED_PX))
 
     @property
     def covariance(self) -> Array:
