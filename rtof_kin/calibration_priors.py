@@ -49,7 +49,7 @@ class CalibrationPriors:
     """[1] The same of the sensors' orientations."""
     worth_poses: float = 0.1
     """[1] The same of the prior of poses and of the start's torso: postures last for seconds."""
-    overcount: float = 3.0
+    overcount: float = 9.0
     """[1] By how much errors that last make the recording's information count for too much: claimed
     standard deviations allow for it."""
     most_seconds: float = 60.0

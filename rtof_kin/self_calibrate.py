@@ -196,8 +196,8 @@ def _quantities(
     """
     P, S, y = fragments.prior, shared.hessian, shared.y
     inverse, variance = np.linalg.inv(S), np.diag(np.linalg.inv(P))
+    known = np.clip(1 - np.diag(inverse) / variance, 0.0, 1.0)
     claimed = np.minimum(np.diag(inverse @ (P + overcount * (S - P)) @ inverse), variance)
-    known = np.clip(1 - claimed / variance, 0.0, 1.0)
     parts = []
     for unknown, columns in zip(fragments.unknowns, fragments.columns, strict=True):
         stops = np.linspace(columns.start, columns.stop, len(unknown.items) + 1).astype(int)

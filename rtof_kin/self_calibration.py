@@ -23,7 +23,7 @@ from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import Camera, ImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
-_OBSERVED, _WEAKLY = 0.75, 0.1
+_OBSERVED, _WEAKLY = 0.9, 0.5
 """Share of the prior's variance that the recording takes away, above which something is observed, and
 weakly observed."""
 _DEGREES = (float(np.degrees(1.0)), "deg")
@@ -70,7 +70,8 @@ class Quantity:
     sigma_prior: Array
     """(w,) before."""
     known: float
-    """Share of the prior's variance that the recording took away, of the number it knows best."""
+    """Share of the prior's variance that the recording took away, of the number it knows best; errors
+    that last are not allowed for, as they are in `sigma`."""
 
     def __post_init__(self) -> None:
         if self.kind not in _UNITS:
