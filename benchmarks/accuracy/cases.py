@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,16 @@ from rtof_kin.joint_space.settings import JointSpaceSettings
 
 _HUGE = 1e4
 _BLIND = "sensors in the lifter"
+_AS_GIVEN = "calibration from the recording itself"
 _ABLATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     NOMINAL: ("8", {}),
     "orientation of the sensors": ("8", {"sigma_swing": _HUGE, "sigma_twist": _HUGE}),
     "acceleration": ("8", {"sigma_acceleration": _HUGE}),
-    "swing and twist apart: both 6 deg": ("8", {"sigma_twist": np.radians(6.0)}),
-    "swing and twist apart: both 12.6 deg, their root mean square": (
-        "8", {"sigma_swing": np.radians(12.6), "sigma_twist": np.radians(12.6)}
+    "swing and twist apart: both 3.5 deg": ("8", {"sigma_twist": np.radians(3.5)}),
+    "swing and twist apart: both 9.1 deg, their root mean square": (
+        "8", {"sigma_swing": np.radians(9.1), "sigma_twist": np.radians(9.1)}
     ),
+    _AS_GIVEN: ("8", {}),
     "robust 2D": ("8", {"robust_reprojection": 1e3}),
     "refitting the root": ("8", {"refit_root": False}),
     "robust orientation": ("8", {"robust_orientation": 1e3}),
@@ -52,7 +55,17 @@ class Case:
     keypoints: str
     sensors: str
     fault: str = NOMINAL
-    settings: JointSpaceSettings = field(default_factory=JointSpaceSettings)
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of the solver that are not the default."""
+    as_given: bool = False
+    """Whether the recording is not calibrated from itself."""
+
+    @property
+    def settings(self) -> JointSpaceSettings:
+        """Of the solver."""
+        calibrated = self.sensors != "0" and not self.as_given
+        usual = JointSpaceSettings.calibrated() if calibrated else JointSpaceSettings()
+        return replace(usual, **self.changes)
 
     @property
     def lift_with_sensors(self) -> bool:
@@ -64,12 +77,13 @@ def cases(table: str) -> list[Case]:
     """All cases of a table; those that share a recording stand together."""
     if table == "sensors":
         return [
-            Case(f"{count} sensors", kind, count)
+            Case(f"{count} sensors" + ", as given" * as_given, kind, count, as_given=as_given)
             for kind in KEYPOINTS for count in sorted({*SENSOR_SETS, "0"}, key=int)
+            for as_given in ([False, True] if count != "0" else [False])
         ]  # fmt: skip
     if table == "robustness":
         return [Case(name, "white", "8", name) for name in FAULTS]
     return [
-        Case(name, kind, sensors, settings=JointSpaceSettings(**changes))
+        Case(name, kind, sensors, changes=changes, as_given=name == _AS_GIVEN)
         for kind in ("white", "realistic") for name, (sensors, changes) in _ABLATIONS.items()
     ]  # fmt: skip

@@ -16,6 +16,7 @@ from benchmarks.accuracy.faults import FAULTS, NOMINAL, Fault
 from benchmarks.accuracy.windows import bounds
 from benchmarks.harness import SENSOR_SETS
 from rtof_kin import rotations as so3
+from rtof_kin import signals
 from rtof_kin.errors import RtofError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver, SolverStatus
 from rtof_kin.inertial_ik import InertialGuidedIK
@@ -84,11 +85,11 @@ class Scene:
     def __init__(self, job: Job) -> None:
         self._job = job
         self._recordings: dict[str, Recording] = {}
-        self._prepared: dict[tuple[str, str, str, bool], Prepared] = {}
+        self._prepared: dict[tuple[str, str, str, bool, bool], Prepared] = {}
 
     def prepared(self, case: Case) -> Prepared:
         """What the solver of a case starts from."""
-        key = case.keypoints, case.sensors, case.fault, case.lift_with_sensors
+        key = case.keypoints, case.sensors, case.fault, case.lift_with_sensors, case.as_given
         if key not in self._prepared:
             self._prepared[key] = self._prepare(case)
         return self._prepared[key]
@@ -100,18 +101,18 @@ class Scene:
         inertial = "rtof" if self._job.table == "robustness" else "sf2"
         mode = "lift" if recording.imus is None else inertial
         settings = ReconstructionSettings(lift_with_sensors=case.lift_with_sensors)
-        result = reconstruct(recording, mode=mode, lifter=lifter, settings=settings)
+        result = reconstruct(
+            recording, mode=mode, lifter=lifter, settings=settings, calibrate=not case.as_given
+        )
         lifted = result.stages["lift"]
         ik = InertialGuidedIK(recording.skeleton)
         sf2 = result.stages.get("sf2") or ik.refine(lifted, None, lifted.R_world_bone)
         truth = recording.truth
         assert truth is not None
-        first = int(np.searchsorted(truth.times, lifted.times[0] - 1e-9))
-        truth = truth[first : first + len(lifted)]
         assert result.keypoints is not None
         return Prepared(
-            recording, result.keypoints, lifted, sf2, result.bone_imus, truth, result.solution,
-            result.faults,
+            recording, result.keypoints, lifted, sf2, result.bone_imus, at(truth, lifted.times),
+            result.solution, result.faults,
         )  # fmt: skip
 
     def _recorded(self, case: Case) -> Recording:
@@ -155,7 +156,7 @@ def run(job: Job) -> list[Row]:
         }
         try:
             prepared = scene.prepared(case)
-            for mode, poses in stages(prepared).items():
+            for mode, poses in ({} if case.as_given else stages(prepared)).items():
                 sensors = None if mode == "zero motion" else case.sensors
                 key = (mode, case.keypoints, case.fault, sensors, case.lift_with_sensors)
                 if key not in told:
@@ -163,10 +164,23 @@ def run(job: Job) -> list[Row]:
                     rows.append(about | {"mode": mode} | scored(poses, prepared, case.fault))
             poses, facts = solved(prepared, case.settings)
             mode = "rto" if prepared.bone_imus is None else "rtof"
+            if case.as_given and job.table == "sensors":
+                mode = "rtof, as given"
             rows.append(about | {"mode": mode} | scored(poses, prepared, case.fault) | facts)
         except RtofError as error:  # told in the table, instead of losing the other cases
             rows.append(about | {"mode": "failed", "error": str(error)})
     return rows
+
+
+def at(truth: PoseSequence, times: Array) -> PoseSequence:
+    """The truth at other times, which a delay may put some milliseconds beyond its ends."""
+    inside = np.clip(times, truth.times[0], truth.times[-1])
+    return PoseSequence(
+        times,
+        signals.interpolate(truth.times, truth.p_world_joint, inside),
+        signals.interpolate_rotations(truth.times, truth.R_world_bone, inside),
+        truth.names,
+    )
 
 
 def stages(prepared: Prepared) -> dict[str, PoseSequence]:

@@ -87,7 +87,7 @@ def sensors_tables(rows: Sequence[Row]) -> list[Table]:
         same = chosen(rows, keypoints=kind)
         lines.append((kind, "-", "zero motion", *_figures(chosen(same, mode="zero motion"))))
         for count in dict.fromkeys(row["sensors"] for row in same):
-            for mode in ("lift", "sf2", "rto" if count == "0" else "rtof"):
+            for mode in ("lift", "sf2", *(("rto",) if count == "0" else ("rtof, as given", "rtof"))):
                 lines.append((kind, count, mode, *_figures(chosen(same, mode=mode, sensors=count))))
     main = Table(
         "sensors", "Sensors", ("2D", "sensors", "stage", *_HEADINGS), (0, 0, 0, *_DIGITS),
