@@ -118,9 +118,10 @@ def joint_angles(result: Reconstruction) -> Figure:
             if dof.clinical.endswith("flexion")
         )
         if true is not None:
-            error = float(np.nanmean(np.abs(estimated[:, j] - true[:, j])))
             ax.plot(poses.times, true[:, j], color=TRUTH, lw=1.5, label="truth")
-            name += f" (error {error:.1f} deg)"
+            off = np.abs(estimated[:, j] - true[:, j])
+            if np.isfinite(off).any():
+                name += f" (error {np.nanmean(off):.1f} deg)"
         ax.plot(poses.times, estimated[:, j], color=ESTIMATE, lw=1, label=result.mode)
         _shade_gaps(ax, result)
         ax.set_title(name, fontsize=9)

@@ -23,7 +23,7 @@ from rtof_kin.motion_files import DEFAULT
 from rtof_kin.recording import Recording
 from rtof_kin.self_calibrate import calibrate as calibrate_from
 from rtof_kin.self_calibration import SelfCalibration
-from rtof_kin.sensor_guards import disagreeing
+from rtof_kin.sensor_guards import disagreeing, joined
 from rtof_kin.sensors_alone import reconstruct_from_sensors
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.stages import (
@@ -49,6 +49,8 @@ CAMERA_MODES = ("lift", "sf2", "rto", "rtof")
 rtof: sf2, then optimised with everything."""
 MODES = (*CAMERA_MODES, "imu")
 """imu: no camera at all (`sensors_alone`)."""
+_LASTING_SHARE = 0.8
+"""Of a recording, for which a sensor must differ from the others for that to be its mounting."""
 _log = logging.getLogger(__name__)
 
 
@@ -138,18 +140,28 @@ def reconstruct(
         return _without_camera(recording, skeleton or recording.skeleton, settings, tell)
     if recording.keypoints is None:
         raise ShapeError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
-    found, warnings = None, tuple[str, ...]()
-    if calibrate is not False and mode in ("sf2", "rtof") and recording.imus is not None:
-        found, warnings = _calibrated(recording, skeleton, calibrate, lifter, settings, progress)
+    found, slipped, warnings = None, tuple[StreamFault, ...](), tuple[str, ...]()
+    if isinstance(calibrate, SelfCalibration):
+        found = calibrate
+    elif calibrate is not False and mode in ("sf2", "rtof") and recording.imus is not None:
+        priors = None if isinstance(calibrate, bool) else calibrate
+        try:
+            found, slipped = _calibrated(recording, skeleton, priors, lifter, settings, tell)
+            warnings = contradictions(recording, found)
+        except CalibrationError as error:
+            if priors is not None:
+                raise
+            warnings = (f"not calibrated from the recording, which is taken as it is given: {error}",)
     if found is not None:
         recording = found.apply(recording)
         skeleton = None if found.of_kind("bones") else skeleton
     skeleton = skeleton or recording.skeleton
-    begun = begin(recording, skeleton, mode, lifter, settings, tell)
+    begun = begin(recording, skeleton, mode, lifter, settings, tell, slipped)
     keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
     if mode == "rtof" and settings.guard_streams and begun.bone_imus is not None:
         wrong = disagreeing(poses, begun.bone_imus, skeleton)
         if wrong:
+            wrong = joined((*slipped, *wrong))
             begun = begin(recording, skeleton, mode, lifter, settings, tell, wrong)
             keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
     for warning in (*begun.faults, *warnings):
@@ -165,26 +177,6 @@ def reconstruct(
         recording, mode, motion, stages, keypoints, begun.bone_imus, solution, scores.get(mode), scores,
         faults=begun.faults, warnings=warnings, calibration=found,
     )  # fmt: skip
-
-
-def _calibrated(
-    recording: Recording, skeleton: SkeletonModel | None,
-    how: bool | CalibrationPriors | SelfCalibration, lifter: LifterLike | None,
-    settings: ReconstructionSettings, progress: Progress | None,
-) -> tuple[SelfCalibration | None, tuple[str, ...]]:  # fmt: skip
-    """What is to be applied to a recording, and what a user must know of it."""
-    if isinstance(how, SelfCalibration):
-        return how, ()
-    try:
-        found = calibrate_recording(
-            recording, skeleton, None if isinstance(how, bool) else how,
-            lifter=lifter, settings=settings, progress=progress,
-        )  # fmt: skip
-    except CalibrationError as error:
-        if not isinstance(how, bool):
-            raise
-        return None, (f"not calibrated from the recording, which is taken as it is given: {error}",)
-    return found, contradictions(recording, found)
 
 
 def _solved(
@@ -227,23 +219,48 @@ def calibrate_recording(
     Raises:
         CalibrationError: there is nothing to calibrate by. Errors of the stages pass through.
     """
-    check_height(recording)
     settings = settings or ReconstructionSettings()
     tell = progress or (lambda stage, done, total: None)
+    return _calibrated(recording, skeleton, priors, lifter, settings, tell)[0]
+
+
+def _calibrated(
+    recording: Recording, skeleton: SkeletonModel | None, priors: CalibrationPriors | None,
+    lifter: LifterLike | None, settings: ReconstructionSettings, tell: Progress,
+) -> tuple[SelfCalibration, tuple[StreamFault, ...]]:  # fmt: skip
+    """What a recording says of itself, and what was not listened to for that."""
+    check_height(recording)
     if skeleton is not None:
         recording = replace(
             recording, joint_offsets=skeleton.joint_offsets, height=None, bone_lengths=None
         )
     begun = begin(recording, recording.skeleton, "sf2", lifter, settings, tell)
+    slipped = _slipped(begun, recording.skeleton, settings)
     fragment = on_floor(settings.fragment, recording.skeleton, recording.floor_height)
-    return calibrate_from(
+    found = calibrate_from(
         begun.recording,
         begun.start,
         priors or CalibrationPriors.of(recording),
         fragment if isinstance(fragment, JointSpaceSettings) else None,
         settings.frames,
         lambda done, total: tell("calibrate", done, total),
+        slipped,
     )
+    return found, slipped
+
+
+def _slipped(
+    begun: Begun, skeleton: SkeletonModel, settings: ReconstructionSettings
+) -> tuple[StreamFault, ...]:
+    """Sensors that differ from the motion solved with all of them, but not all the time: what they say of
+    their mounting is no constant."""
+    if not settings.guard_streams or begun.bone_imus is None:
+        return ()
+    plain = replace(settings, confidence=False)
+    _, poses, _ = _solved(begun, skeleton, "rtof", plain, lambda *_: None, None)
+    most = _LASTING_SHARE * (poses.times[-1] - poses.times[0])
+    wrong = disagreeing(poses, begun.bone_imus, skeleton)
+    return tuple(fault for fault in wrong if fault.stop - fault.start < most)
 
 
 def _without_camera(

@@ -35,7 +35,9 @@ from rtof_kin.self_calibration import (
     bone_groups,
     image_slopes,
 )
+from rtof_kin.sensor_guards import without
 from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.stream_faults import StreamFault
 from rtof_kin.types import BoneImuSequence, ImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
@@ -52,6 +54,7 @@ def calibrate(
     settings: JointSpaceSettings | None = None,
     frames: int = 50,
     progress: Callable[[int, int], None] | None = None,
+    left_out: tuple[StreamFault, ...] = (),
 ) -> SelfCalibration:
     """Estimate what is not known well about a recording, from all of it.
 
@@ -61,6 +64,7 @@ def calibrate(
         priors: what is open; `CalibrationPriors.of` the recording where not given.
         settings: of the joint-space solver. frames: N of a fragment.
         progress: told how far it is.
+        left_out: faults of sensors, by their segments: what they said meanwhile is not listened to.
 
     Raises:
         CalibrationError: there are no IMUs, or they and the video have too little time in common.
@@ -68,7 +72,7 @@ def calibrate(
     """
     priors = priors or CalibrationPriors.of(recording)
     settings = settings or JointSpaceSettings(floor_height=recording.floor_height)
-    fragments = shared_fragments(recording, start, priors, settings, frames)
+    fragments = shared_fragments(recording, start, priors, settings, frames, left_out)
     shared = fragments.estimate(priors.rounds, progress)
     return SelfCalibration(
         quantities=_quantities(fragments, shared, priors.overcount),
@@ -84,6 +88,7 @@ def shared_fragments(
     priors: CalibrationPriors,
     settings: JointSpaceSettings,
     frames: int,
+    left_out: tuple[StreamFault, ...] = (),
 ) -> SharedFragments:
     """The problem that `calibrate` solves; arguments and errors are its own."""
     imus, seen = recording.imus, recording.keypoints
@@ -93,7 +98,7 @@ def shared_fragments(
             "calibrate by"
         )
     _check_long_enough(seen, imus, priors)
-    native = recording.calibration.apply(imus)
+    native = without(recording.calibration.apply(imus), left_out)
     bone_imus = native.resample(start.times)
     data = Observations(recording.skeleton, frames, settings, start, seen, bone_imus)
     native = _with_even_noise(native)

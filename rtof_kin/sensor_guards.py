@@ -145,6 +145,19 @@ def _running_median(values: Array, width: int) -> Array:
     return np.asarray(np.median(sliding_window_view(padded, max(width, 1)), axis=1))
 
 
+def joined(faults: Iterable[StreamFault]) -> tuple[StreamFault, ...]:
+    """Faults of one kind and segment that overlap or nearly touch, as one."""
+    out: list[StreamFault] = []
+    for fault in sorted(faults, key=lambda f: (f.what, f.kind.name, f.start)):
+        before = out[-1] if out else None
+        same = before is not None and (before.what, before.kind) == (fault.what, fault.kind)
+        if before is not None and same and fault.start < before.stop + _LASTING:
+            out[-1] = replace(before, stop=max(before.stop, fault.stop))
+        else:
+            out.append(fault)
+    return tuple(out)
+
+
 def without(bone_imus: BoneImuSequence, faults: Iterable[StreamFault]) -> BoneImuSequence:
     """The sensors without what they said during faults, which name their segments."""
     R, a = bone_imus.R_world_bone.copy(), bone_imus.a_world.copy()

@@ -20,7 +20,7 @@ from rtof_kin.types import PoseSequence
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
 FRAMES = 12
-SETTINGS = JointSpaceSettings(floor_height=0.0, compile="never")
+SETTINGS = JointSpaceSettings(floor_height=0.0, sigma_floor=0.03, compile="never")
 OPEN = {
     "delay": {"sigma_delay": 0.05, "sigma_clock_drift": 0.01},
     "heading": {"sigma_heading": 0.1, "sigma_heading_drift": 0.05},

@@ -33,7 +33,7 @@ def result() -> Reconstruction:
     truth = planted.moving(BODY, T)
     settings = ReconstructionSettings(frames=16)
     lifter = planted.PlantedLifter(truth, blind=slice(8, 12))
-    return reconstruct(planted.recording(truth), lifter=lifter, settings=settings)
+    return reconstruct(planted.recording(truth), lifter=lifter, settings=settings, calibrate=False)
 
 
 @pytest.fixture(scope="module")
