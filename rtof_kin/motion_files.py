@@ -101,7 +101,8 @@ def check_formats(formats: Sequence[str]) -> None:
 
 
 def _with_even_times(motion: MotionSequence) -> MotionSequence:
-    return replace(motion, poses=replace(motion.poses, times=even_times(motion.times)))
+    even = replace(motion.poses, times=even_times(motion.times))
+    return replace(motion, poses=even, confidence=None)  # which these files do not hold
 
 
 def _index(motion: MotionSequence, files: Files) -> Facts:
