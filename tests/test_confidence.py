@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.confidence import WORLD, Confidence, joined, per_axis
 from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.motion_files import write_motion_files
 from rtof_kin.skeleton import SkeletonModel
 
 Array = NDArray[np.float64]
@@ -131,3 +133,12 @@ def test_a_motion_is_cut_together_with_its_confidence() -> None:
 def test_a_confidence_of_another_motion_is_refused(other: Confidence) -> None:
     with pytest.raises(ShapeError, match="confidence is of other joints or other times"):
         replace(planted.moving(BODY, 9), confidence=other)
+
+
+def test_files_that_want_even_times_are_written_of_a_motion_that_has_a_confidence(tmp_path: Path) -> None:
+    motion = planted.moving(BODY, 9)
+    times = motion.times + 1e-5 * np.sin(np.arange(9))
+    poses = replace(motion.poses, times=times)
+    told = replace(of_body(9), times=times)
+    write_motion_files(tmp_path, replace(motion, poses=poses, confidence=told), ["trc"])
+    assert (tmp_path / "motion.trc").is_file()

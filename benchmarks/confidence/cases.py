@@ -99,7 +99,10 @@ def errors(case: Case, confidence: Confidence | None = None) -> Iterator[tuple[s
     R, R_true = case.motion.poses.R_world_bone, case.truth.R_world_bone
     for k, (parent, child) in enumerate(told.pairs):
         turned = [_seen_from(r, told.names, parent, child) for r in (R, R_true)]
-        error = so3.log(np.swapaxes(turned[1], -1, -2) @ turned[0])
+        off = np.swapaxes(turned[1], -1, -2) @ turned[0]
+        known = np.isfinite(off).all(axis=(1, 2))  # a truth that was moved in time ends sooner
+        error = np.full((len(off), 3), np.nan)
+        error[known] = so3.log(off[known])
         yield "turn", f"{parent} {child}", _known(error, told.turn_covariance[:, k])
 
 

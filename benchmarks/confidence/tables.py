@@ -23,7 +23,7 @@ def report(found: Sequence[Row], how: str) -> str:
         "# How honest the bands are\n",
         f"{how} A cell has the share of errors inside the 95 % band, the root mean square error, and "
         "the band's mean width from edge to edge in such errors; of positions all three axes count. "
-        "Errors are much alike from frame to frame and last through a recording: the share is over frames, "
+        "Errors last: frames of a recording are much alike. The share is over frames, "
         "cameras and motions together, and only the motions are independent (95 % bootstrap over them, "
         "median over the rows: see the end). Bold: less than "
         f"{100 * COVERED[0]:.0f} % or more than {100 * COVERED[1]:.0f} %, or wider than {WIDEST:g}.\n",

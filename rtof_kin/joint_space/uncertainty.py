@@ -29,14 +29,16 @@ _NOWHERE = 3.0
 
 
 def state_covariances(problem: JointProblem, solver: LevenbergMarquardt, solved: Solved) -> Array:
-    """(N, D, D) of the states' tangents in every frame; NaN where the Hessian is not definite."""
+    """(N, D, D) of the states' tangents in every frame; NaN where the Hessian does not tell."""
     N, D = len(solved.x), problem.space.size
     solver.linearise(solved.x, solved.multipliers)
     try:
         factor = problem.factorise(_DAMPING)
     except SolverError:
         return np.full((N, D, D), np.nan)
-    return inverse_diagonal(factor.blocks(D, LAGS))
+    covariance = inverse_diagonal(factor.blocks(D, LAGS))
+    covariance[~np.isfinite(covariance).all(axis=(1, 2))] = np.nan
+    return covariance
 
 
 def blended(earlier: Array, later: Array, share: Array) -> Array:
