@@ -175,7 +175,7 @@ def test_what_was_found_stands_beside_what_was_planted() -> None:
     wrong = planting.drawn(right, {"delay": 0.033, "clock drift": 1e-3}, seed=0)
     known = planted_rows.truths(right, wrong)
     ones = np.ones(2)
-    calibration = SelfCalibration((Quantity("delay", "video", 0.03 * ones, ones, ones, 0.9),))
+    calibration = SelfCalibration((Quantity("delay", "video", 0.03 * ones, ones, ones, 0.99),))
     columns = planted_rows.found(calibration, known)
     assert columns["delay"]["truth"] == [0.033]
     assert columns["delay"]["value"] == [0.03]

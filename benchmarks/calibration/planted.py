@@ -54,8 +54,8 @@ def _planted(seconds: float) -> Iterator[Job]:
             yield replace(one, case=case, floor=floor)
     for name in ERRORS:
         yield replace(one, case=name)
-    for case in (KNOWN, ALL):
-        yield replace(one, case=case, floor=True, sensors="10")
+    for case in (KNOWN, PLAIN, ALL):
+        yield replace(one, case=case, sensors="10")
     for floor in (False, True):
         yield replace(one, case=ALL, scale=3.0, floor=floor)
     for name in OF_SCALE:

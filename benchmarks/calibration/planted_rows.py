@@ -19,7 +19,7 @@ from benchmarks.calibration.sessions import joined
 from rtof_kin import rotations as so3
 from rtof_kin.calibration_priors import CalibrationPriors
 from rtof_kin.mocap import MocapClip
-from rtof_kin.pipeline import reconstruct
+from rtof_kin.pipeline import calibrate_recording, reconstruct
 from rtof_kin.recording import Recording
 from rtof_kin.self_calibration import Detector, SelfCalibration
 from rtof_kin.simulation import simulate, standard_cameras
@@ -128,7 +128,7 @@ def _lifter(path: str | None) -> Any:
 
 
 def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
-    """Plant, reconstruct, calibrate and reconstruct again."""
+    """Plant, reconstruct, calibrate and reconstruct again; of errors planted alone, calibrate only."""
     recording = right(clip, job)
     seed = zlib.crc32(clip.name.encode()) + job.camera
     wrong = planting.drawn(recording, job.sizes, seed)
@@ -137,16 +137,16 @@ def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
     if job.case == KNOWN:  # as one that was calibrated, with nothing left to correct
         known = reconstruct(told, lifter=_lifter(lifter), calibrate=SelfCalibration(()))
         return {**out, "before": _figures(known.metrics)}
-    before = reconstruct(told, lifter=_lifter(lifter), calibrate=False)
-    out["before"] = _figures(before.metrics)
-    after = reconstruct(told, lifter=_lifter(lifter), calibrate=job.priors)
-    assert after.calibration is not None
+    calibration = calibrate_recording(told, None, job.priors, lifter=_lifter(lifter))
     out |= {
-        "after": _figures(after.metrics),
-        "converged": after.calibration.converged,
-        "found": found(after.calibration, truths(recording, wrong)),
-        "detector": detected(recording, after.calibration.detector),
+        "converged": calibration.converged,
+        "found": found(calibration, truths(recording, wrong)),
+        "detector": detected(recording, calibration.detector),
     }
+    if job.case not in ERRORS:
+        for stage, how in {"before": False, "after": calibration}.items():
+            made = reconstruct(told, lifter=_lifter(lifter), calibrate=how)
+            out[stage] = _figures(made.metrics)
     return out
 
 

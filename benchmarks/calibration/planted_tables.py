@@ -86,7 +86,7 @@ def motion(rows: Sequence[Row]) -> str:
     """Errors of joints, pooled over recordings."""
     head = ["wrong", "size", "floor", "sensors", "recordings"]
     head += [f"{_HEADS[f]} {' / '.join(STAGES)}" for f in FIGURES]
-    lines = []
+    lines, rows = [], [r for r in rows if "after" in r]
     for (case, scale, floor, sensors), own in _grouped(rows, "case", "scale", "floor", "sensors").items():
         cells = [" / ".join(f"{mean(own, s, f):.1f}" for s in STAGES) for f in FIGURES]
         lines.append([str(case), f"x{scale:g}", _floor(floor), str(sensors), str(len(own)), *cells])
