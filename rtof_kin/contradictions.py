@@ -11,8 +11,9 @@ from rtof_kin.self_calibration import SelfCalibration, Verdict
 _HEIGHT_SHARE = 0.1
 """By how much a body's height may differ from that of its bones: five times what bodies do of one sum of
 bone lengths, where only some of them were measured."""
-_SIGMAS = 4.0
-"""Beyond which a value contradicts what was held before: of 200 numbers one in 80 recordings does."""
+_SIGMAS = 6.0
+"""Prior standard deviations beyond which a value contradicts what was held before; sensors that slip all
+through a recording of some seconds reach four in one of three."""
 
 
 def check_height(recording: Recording) -> None:

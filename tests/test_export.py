@@ -40,7 +40,7 @@ def result() -> Reconstruction:
     )
     lifter = planted.PlantedLifter(truth, blind=slice(4, 8))
     settings = ReconstructionSettings(frames=16)
-    return reconstruct(recording, lifter=lifter, settings=settings)
+    return reconstruct(recording, lifter=lifter, settings=settings, calibrate=False)
 
 
 @pytest.fixture(scope="module")

@@ -75,7 +75,7 @@ def test_a_planted_bias_of_the_detector_is_found_but_for_what_moves_the_whole_pe
 def test_with_a_floor_a_body_too_small_is_found() -> None:
     body = truth().skeleton
     small = replace(recorded(), joint_offsets=body.joint_offsets / 1.05)
-    priors = cs.only("bones", sigma_proportion=None)
+    priors = cs.only("bones", sigma_proportion=None, sigma_size=0.2)
     result = found(small, priors)
     assert result["bones", "all"].value[0] == pytest.approx(0.05, abs=0.025)
     offsets = result.apply(small).joint_offsets

@@ -44,7 +44,9 @@ BESIDE = {"LeftHand": BOTH, "RightHand": BOTH, "LeftFoot": BOTH, "Head": CAMERA,
 def reconstructed(name: str, mode: str = "sf2", guard: bool = True) -> Reconstruction:
     faulty = FAULTS[name].apply(RECORDING, np.random.default_rng(3))
     settings = ReconstructionSettings(guard_streams=guard)
-    return reconstruct(faulty, mode=mode, lifter=planted.PlantedLifter(MOTION), settings=settings)
+    return reconstruct(
+        faulty, mode=mode, lifter=planted.PlantedLifter(MOTION), settings=settings, calibrate=False
+    )
 
 
 def inside(result: Reconstruction, window: Window, spare: float = 0.0) -> NDArray[np.bool_]:

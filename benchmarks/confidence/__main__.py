@@ -48,7 +48,7 @@ def collected(options: argparse.Namespace, subset: str, kinds: Any) -> list[Case
 def fit(options: argparse.Namespace) -> None:
     """Write the inflation."""
     cases = collected(options, "validation", FITTED)
-    more = " --calibrate" if options.calibrate else ""
+    more = f" --cameras {options.cameras}" + ("" if options.calibrate else " --as-given")
     head = HEAD.format(more=more, count=len(cases))
     path = CHECKOUT / "confidence.toml"
     path.write_text(head + fitted(cases).text(), encoding="utf-8")
@@ -86,7 +86,9 @@ def main(arguments: list[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--fit", action="store_true", help="fit the inflation that ships")
-    parser.add_argument("--calibrate", action="store_true", help="calibrate recordings from themselves")
+    parser.add_argument(
+        "--as-given", dest="calibrate", action="store_false", help="do not calibrate recordings first"
+    )
     parser.add_argument("--cameras", type=int, default=4, choices=range(1, 5))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")

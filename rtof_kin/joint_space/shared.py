@@ -95,8 +95,8 @@ class SharedFragments:
         self.prior = _precision(self.unknowns)
         self._solver = LevenbergMarquardt(data.problem, data.limits)
         firsts = np.arange(0, len(times), data.frames)
-        most = max(min(len(firsts), int(most_seconds * self._given.rate_hz / data.frames)), 1)
-        chosen = np.linspace(0, len(firsts) - 1, most).round().astype(int)
+        most = min(float(len(firsts)), most_seconds * self._given.rate_hz / data.frames)
+        chosen = np.linspace(0, len(firsts) - 1, max(int(most), 1)).round().astype(int)
         self._firsts: list[int] = firsts[chosen].tolist()
         self._sigma_px = np.nan
         self._states: dict[int, tuple[Array, Array | None]] = {}
