@@ -23,6 +23,7 @@ from benchmarks.calibration.planted_rows import (
     ALL,
     GOOD,
     KNOWN,
+    LENGTHS,
     PLAIN,
     SESSIONS,
     Job,
@@ -34,7 +35,6 @@ from benchmarks.calibration.planting import ERRORS
 from rtof_kin.errors import RtofError
 
 STUDIES = ("planted", "length", "harm")
-LENGTHS = (4.0, 10.0, 20.0, 40.0)
 OF_SCALE = ("size", "proportions", "focal length", "camera tilt")
 """What a floor tells of most: planted alone with one too."""
 
