@@ -23,6 +23,7 @@ from benchmarks.calibration.planted_rows import (
     ALL,
     GOOD,
     KNOWN,
+    LENGTHS,
     PLAIN,
     SESSIONS,
     Job,
@@ -31,9 +32,9 @@ from benchmarks.calibration.planted_rows import (
     session,
 )
 from benchmarks.calibration.planting import ERRORS
+from rtof_kin.errors import RtofError
 
 STUDIES = ("planted", "length", "harm")
-LENGTHS = (4.0, 10.0, 20.0, 40.0)
 OF_SCALE = ("size", "proportions", "focal length", "camera tilt")
 """What a floor tells of most: planted alone with one too."""
 
@@ -80,7 +81,10 @@ def measured(options: argparse.Namespace) -> list[Row]:
     """Rows of all jobs, from the file or made now."""
     own = [Path(__file__).with_name(f"{n}.py").read_bytes() for n in ("planting", "planted_rows")]
     version = version_of(options.subset, options.lifter, *own)
-    file = RowFile(options.rows, version, options.restart)
+    try:
+        file = RowFile(options.out.with_suffix(".jsonl"), version, options.restart)
+    except RtofError as error:
+        sys.exit(f"error: {error}")
     wanted = {}
     for job in jobs(options.subset, options.studies.split(","), options.seconds, options.cameras):
         wanted.setdefault(job.key, job)
@@ -106,17 +110,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--cameras", type=int, default=1, choices=range(1, 5))
     parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
-    parser.add_argument("--rows", type=Path, default=results / "calibration_planted.rows")
-    parser.add_argument("--restart", action="store_true", help="throw away rows of other code")
+    parser.add_argument("--restart", action="store_true", help="throw away rows of a run cut short")
     parser.add_argument("--out", type=Path, default=results / "calibration_planted.json")
     options = parser.parse_args(arguments)
     rows = measured(options)
     text = planted_tables.report(rows)
-    lines = ",\n".join("  " + json.dumps(one) for one in rows)
+    lines = ",\n".join("  " + json.dumps(one, separators=(",", ":")) for one in rows)
     head = json.dumps({"subset": options.subset})[:-1]
     options.out.write_text(f'{head},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
     options.out.with_suffix(".md").write_text(text, encoding="utf-8")
     planted_figure.write_figure(options.out.with_suffix(".png"), rows)
+    options.out.with_suffix(".jsonl").unlink()
     print(text)
     return 0
 

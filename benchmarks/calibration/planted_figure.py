@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from benchmarks.calibration.planted_rows import ALL, Row
+from benchmarks.calibration.planted_rows import ALL, LENGTHS, Row
 from benchmarks.calibration.planted_tables import (
     STAGES,
     UNITS,
@@ -55,18 +55,17 @@ def _chosen(rows: Sequence[Row], case: str, error: str) -> list[Row]:
 def _recovered(ax: Axes, rows: Sequence[Row], error: str) -> None:
     """Found against planted, with claimed standard deviations."""
     factor, unit = UNITS[error]
-    widest = 0.0
-    for case, color in CASES.items():
-        n = numbers(_chosen(rows, case, error), error)
-        if not n:
-            continue
-        every = slice(None, None, 1 + len(n["truth"]) // _MOST)
-        truth, value, sigma = (factor * n[name][every] for name in ("truth", "value", "sigma"))
-        ax.errorbar(truth, value, sigma, fmt="o", ms=3, lw=0.7, color=color, alpha=0.7, label=case)
-        widest = max(widest, float(np.abs(truth).max()))
+    found = {case: numbers(_chosen(rows, case, error), error) for case in CASES}
+    widest = max((factor * float(np.abs(n["truth"]).max()) for n in found.values() if n), default=1.0)
+    for i, (case, color) in enumerate(CASES.items()):
+        if n := found[case]:
+            every = slice(None, None, 1 + len(n["truth"]) // _MOST)
+            truth, value, sigma = (factor * n[name][every] for name in ("truth", "value", "sigma"))
+            beside = truth + 0.03 * widest * (i - 1)
+            ax.errorbar(beside, value, sigma, fmt="o", ms=3, lw=0.7, color=color, alpha=0.7, label=case)
     ax.axline((0, 0), slope=1, color="black", lw=0.7)
-    ax.set_xlim(-1.15 * widest or -1, 1.15 * widest or 1)
-    ax.set_ylim(-2 * widest or -1, 2 * widest or 1)
+    ax.set_xlim(-1.15 * widest, 1.15 * widest)
+    ax.set_ylim(-2 * widest, 2 * widest)
     ax.set_title(error)
     ax.set_xlabel(f"planted [{unit}]")
     ax.set_ylabel(f"found [{unit}]")
@@ -84,6 +83,8 @@ def _by_length(ax: Axes, rows: Sequence[Row], key: str) -> None:
             label = f"{session}, {stage}"
             ax.plot(seconds, values, STYLES[stage], marker="o", ms=3, color=f"C{i}", label=label)
     ax.set_xscale("log")
+    ax.minorticks_off()
+    ax.set_xticks(LENGTHS, [f"{s:g}" for s in LENGTHS])
     ax.set_xlabel("length of the recording [s]")
     ax.set_ylim(bottom=0)
     ax.grid(True, alpha=0.3)

@@ -39,6 +39,8 @@ SESSIONS = {
     },
 }
 """Subset -> what is done -> motions of one person; 'standing' works on the spot."""
+LENGTHS = (4.0, 10.0, 20.0, 40.0)
+"""[s] of recordings, where it is asked how long they must be."""
 KNOWN, PLAIN, ALL, GOOD = "known", "usual", "all", "good"
 
 
