@@ -1,7 +1,7 @@
 """Whether the confidence is honest: ``python -m benchmarks.confidence --corpus DIR``.
 
 The benchmark's motions x 4 cameras with realistic 2D and 0, 4, 8 and 10 sensors, and with white and
-perfect 2D and 8; every fourth frame. ``--fit`` fits the inflation on the validation motions instead, and
+perfect 2D and 8; every fourth frame; what ships was made with ``--cameras 2``. ``--fit`` fits the inflation on the validation motions instead, and
 writes ``models/confidence.toml``.
 """
 
@@ -58,12 +58,12 @@ def fit(options: argparse.Namespace) -> None:
 def study(options: argparse.Namespace) -> None:
     """Write the tables, their numbers and the figure."""
     found = rows(collected(options, "test", KINDS), Inflation.shipped())
-    write(found, options.out, options.calibrate)
+    write(found, options.out, options.calibrate, options.cameras)
 
 
-def write(found: list[Row], out: Path, calibrate: bool) -> None:
+def write(found: list[Row], out: Path, calibrate: bool, cameras: int = 4) -> None:
     """The same for rows that are there."""
-    how = f"The benchmark's motions and cameras, `calibrate={calibrate}`."
+    how = f"The benchmark's motions, {cameras} cameras each, `calibrate={calibrate}`."
     out.parent.mkdir(parents=True, exist_ok=True)
     lines = ",\n".join(" " + json.dumps(row, default=float) for row in _rounded(found))
     out.write_text(f'{{"calibrate": {json.dumps(calibrate)}, "rows": [\n{lines}\n]}}\n', encoding="utf-8")
