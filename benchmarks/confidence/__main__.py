@@ -1,8 +1,8 @@
 """Whether the confidence is honest: ``python -m benchmarks.confidence --corpus DIR``.
 
 The benchmark's motions x 4 cameras with realistic 2D and 0, 4, 8 and 10 sensors, and with white and
-perfect 2D and 8; every fourth frame; what ships was made with ``--cameras 2``. ``--fit`` fits the inflation
-on the validation motions instead, and writes ``models/confidence.toml``.
+perfect 2D and 8; every fourth frame; what ships was made with ``--cameras 2``. ``--fit`` fits the
+inflation on the validation motions instead, and writes ``models/confidence.toml``.
 """
 
 from __future__ import annotations
