@@ -43,13 +43,16 @@ class CalibrationPriors:
     """[1] of the focal length."""
     sigma_tilt: float | None = None
     """[rad] of the camera's orientation about each axis."""
+    lasting_seconds: float = 6.0
+    """[s] of a recording that all of it counts for where it is longer: errors that last, of landmarks,
+    sensors and poses alike, do not average out however long it is."""
     worth_vision: float = 1.0
     """[1] What landmarks count here, as a share of what they count in a reconstruction."""
     worth_sensors: float = 1.0
     """[1] The same of the sensors' orientations."""
     worth_poses: float = 0.1
     """[1] The same of the prior of poses and of the start's torso: postures last for seconds."""
-    overcount: float = 9.0
+    overcount: float = 3.0
     """[1] By how much errors that last make the recording's information count for too much: claimed
     standard deviations allow for it."""
     most_seconds: float = 60.0

@@ -108,7 +108,9 @@ def shared_fragments(
         return q, w, a, w_a
 
     unknowns = _unknowns(recording.skeleton, seen, data, start, priors, sampled)
-    worth = Worth(priors.worth_vision, priors.worth_sensors, priors.worth_poses)
+    seconds = min(float(start.times[-1] - start.times[0]), priors.most_seconds)
+    share = priors.lasting_seconds / max(seconds, priors.lasting_seconds)
+    worth = Worth(*(share * w for w in (priors.worth_vision, priors.worth_sensors, priors.worth_poses)))
     return SharedFragments(data, start.times, unknowns, worth, priors.most_seconds)
 
 

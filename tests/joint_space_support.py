@@ -191,7 +191,7 @@ def random_data(b: Built, x: Array, seed: int = 1) -> FragmentData:
             "w_torso": weights(0.2, N)[:, None] * share[:, : len(b.shape.torso)],
             "b_world": b_world + 0.1 * rng.normal(size=b_world.shape), "w_bone": weights(0.08, N),
             "p_root": x[:, :3] + 0.2 * rng.normal(size=(N, 3)), "w_root": weights(0.15, N),
-            "w_floor": weights(0.03, N), "w_prior": weights(1.0, N),
+            "w_floor": weights(0.03, N, len(b.shape.feet)), "w_prior": weights(1.0, N),
         },
         constant={
             "offsets": BODY.joint_offsets.T, "K": CAMERA.K, "R_camera_world": CAMERA.R_camera_world,
@@ -275,10 +275,10 @@ def frame_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
         r = p[:, child] - p[:, j] - O["b_world"][:, i]
         out.append(Term("bone", root["w_bone"][:, None] * r, cauchy))
     out.append(Term("root", root["w_root"][:, None] * (p[:, 0] - O["p_root"]), cauchy))
-    for j in b.shape.feet:
-        for t in np.flatnonzero(O["w_floor"]):
-            loss = cut_off(CUTOFF, 1 / root["w_floor"][t])
-            height = root["w_floor"][t] * (p[t, j, 2:] - C["floor"])
+    for i, j in enumerate(b.shape.feet):
+        for t in np.flatnonzero(O["w_floor"][:, i]):
+            loss = cut_off(CUTOFF, 1 / root["w_floor"][t, i])
+            height = root["w_floor"][t, i] * (p[t, j, 2:] - C["floor"])
             out.append(Term("floor", height[None], loss))
     for i, j in enumerate(b.shape.contacts):
         r = root["w_contact"][:, i, None] * (p[:, j] - O["p_contact"][:, i])
