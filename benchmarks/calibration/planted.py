@@ -34,15 +34,14 @@ from benchmarks.calibration.planted_rows import (
 from benchmarks.calibration.planting import ERRORS
 from rtof_kin.errors import RtofError
 
-STUDIES = ("planted", "length", "harm")
-OF_SCALE = ("size", "proportions", "focal length", "camera tilt")
-"""What a floor tells of most: planted alone with one too."""
-
 
 def jobs(subset: str, studies: list[str], seconds: float, cameras: int) -> Iterator[Job]:
-    """Every recording that is made, those that tell most first; some stand there twice."""
+    """Every recording that is made; some stand there twice."""
+    unknown = [name for name in studies if name not in STUDIES]
+    if unknown:
+        sys.exit(f"error: no study {', '.join(unknown)}; there are {', '.join(STUDIES)}")
     for study in studies:
-        for one in {"planted": _planted, "length": _lengths, "harm": _harm}[study](seconds):
+        for one in STUDIES[study](seconds):
             for name in SESSIONS[subset]:
                 for camera in range(cameras):
                     yield replace(one, session=name, camera=camera)
@@ -57,12 +56,13 @@ def _planted(seconds: float) -> Iterator[Job]:
         yield replace(one, case=name)
     for case in (KNOWN, PLAIN, ALL):
         yield replace(one, case=case, sensors="10")
+
+
+def _large(seconds: float) -> Iterator[Job]:
     for floor in (False, True):
-        yield replace(one, case=ALL, scale=3.0, floor=floor)
-    for name in OF_SCALE:
-        yield replace(one, case=name, floor=True)
+        yield Job("planted", "", ALL, 3.0, seconds, floor)
     for name in ERRORS:
-        yield replace(one, case=name, scale=3.0)
+        yield Job("planted", "", name, 3.0, seconds)
 
 
 def _lengths(seconds: float) -> Iterator[Job]:
@@ -75,6 +75,10 @@ def _harm(seconds: float) -> Iterator[Job]:
     for keypoints in harness.KEYPOINTS:
         for length in (4.0, seconds):
             yield Job("harm", "", GOOD, keypoints=keypoints, seconds=length)
+
+
+STUDIES = {"planted": _planted, "harm": _harm, "length": _lengths, "large": _large}
+"""Errors at their usual size; next to none; recordings of several lengths; thrice the usual size."""
 
 
 def measured(options: argparse.Namespace) -> list[Row]:
@@ -106,7 +110,7 @@ def main(arguments: list[str] | None = None) -> int:
     results = harness.HERE / "results"
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--subset", default="test", choices=tuple(SESSIONS))
-    parser.add_argument("--studies", default=",".join(STUDIES))
+    parser.add_argument("--studies", default=",".join(STUDIES), help="some, separated by commas")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--cameras", type=int, default=1, choices=range(1, 5))
     parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
