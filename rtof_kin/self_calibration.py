@@ -24,7 +24,7 @@ from rtof_kin.types import Camera, ImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
 _OBSERVED, _WEAKLY = 0.9, 0.5
-"""Share of the prior's variance that the recording takes away, above which something is observed, and
+"""Share of the prior's variance that the recording takes away, from which on something is observed, and
 weakly observed."""
 _DEGREES = (float(np.degrees(1.0)), "deg")
 _UNITS = {
@@ -89,9 +89,9 @@ class Quantity:
     @property
     def verdict(self) -> Verdict:
         """How well it was observed."""
-        if self.known > _OBSERVED:
+        if self.known >= _OBSERVED:
             return Verdict.OBSERVED
-        return Verdict.WEAKLY if self.known > _WEAKLY else Verdict.PRIOR
+        return Verdict.WEAKLY if self.known >= _WEAKLY else Verdict.PRIOR
 
 
 @dataclass(frozen=True)

@@ -191,7 +191,7 @@ def random_data(b: Built, x: Array, seed: int = 1) -> FragmentData:
             "w_torso": weights(0.2, N)[:, None] * share[:, : len(b.shape.torso)],
             "b_world": b_world + 0.1 * rng.normal(size=b_world.shape), "w_bone": weights(0.08, N),
             "p_root": x[:, :3] + 0.2 * rng.normal(size=(N, 3)), "w_root": weights(0.15, N),
-            "w_floor": weights(0.03, N, len(b.shape.feet)), "w_prior": weights(1.0, N),
+            "w_floor": np.tile(weights(0.03, N)[:, None], len(b.shape.feet)), "w_prior": weights(1.0, N),
         },
         constant={
             "offsets": BODY.joint_offsets.T, "K": CAMERA.K, "R_camera_world": CAMERA.R_camera_world,
