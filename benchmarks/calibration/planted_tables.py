@@ -179,13 +179,13 @@ def lengths(rows: Sequence[Row]) -> str:
     own = chosen_lengths(rows)
     errors = [e for e in ERRORS if numbers(own, e)]
     lines = []
-    for (session, seconds), same in sorted(_grouped(own, "session", "seconds").items(), key=str_key):
+    for (session, seconds), same in sorted(_grouped(own, "session", "seconds").items(), key=_in_order):
         cells = [" / ".join(f"{mean(same, s, f):.0f}" for s in STAGES) for f in FIGURES[:2]]
         lines.append([str(session), f"{seconds:g}", *cells, *(_verdicts(same, e) for e in errors)])
     return _table(["motion", "s", *(f"{h} {' / '.join(STAGES)}" for h in ("rr", "abs")), *errors], lines)
 
 
-def str_key(entry: tuple[tuple[object, ...], object]) -> tuple[str, float]:
+def _in_order(entry: tuple[tuple[object, ...], object]) -> tuple[str, float]:
     """By motion, then length."""
     (session, seconds), _ = entry
     return str(session), float(str(seconds))
