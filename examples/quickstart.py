@@ -18,5 +18,5 @@ result.export(out, overwrite=True)
 
 # or each stage by hand:
 sf2 = InertialGuidedIK(skeleton).refine(result.stages["lift"], result.bone_imus)
-solution = FragmentSolver(skeleton, frames=50).solve(sf2, recording.keypoints, result.bone_imus)
+solution = FragmentSolver(skeleton, frames=50).solve(sf2, result.keypoints, result.bone_imus)
 print(solution.status, solution.energy, solution.poses.p_world_joint.shape)
