@@ -90,13 +90,14 @@ class CartesianSolver:
             if progress is not None:
                 progress(done, len(firsts))
             if previous is not None:
-                stop = min(first + half, T)
+                frames = slice(first, min(first + half, T))
                 weights = taper[half:], taper[:half]
                 blended = (
                     weights[0][:, None, None] * previous[half:]
                     + weights[1][:, None, None] * X[:half]
                 ) / (weights[0] + weights[1])[:, None, None]
-                yield Block(start.posed(slice(first, stop), blended[: stop - first]), tuple(reports))
+                p = blended[: frames.stop - first]
+                yield Block(frames, p, start.R_world_bone[frames], tuple(reports))
                 reports = []
             previous = X
 
@@ -145,7 +146,10 @@ class CartesianSolver:
         if status is SolverStatus.FAILED or not np.all(np.isfinite(x)):
             status, x = SolverStatus.FAILED, x0
         g = np.zeros(0)
-        gradient = self._gradient(x, p)[0]
+        if self._banded is not None:
+            gradient = self._banded.gradient(self._banded.ordered(x))
+        else:
+            gradient = self._gradient(x, p)[0]
         if len(lam_g):
             g = np.asarray(problem.constraints(x, p)).ravel()
             gradient = gradient + np.asarray(problem.constraint_gradient(x, p, lam_g)).ravel()
@@ -224,6 +228,7 @@ class CartesianSolver:
                     own[1:-1] = signals.derivative(beside, start.rate_hz, 2)
                     b[:, k], a[:, k] = R @ rest, bone_imus.a_world[:, s] - own
         return {
+            "rate_hz": np.array([start.rate_hz]),
             "shares": shares,
             "uv_px": np.where(seen.seen[..., None], uv, 0.0),
             "w_visual": np.where(seen.seen, seen.confidence, 0.0),
@@ -258,7 +263,7 @@ class CartesianSolver:
             "R_camera_world": data["R_camera_world"],
             "t_camera_world": data["t_camera_world"],
             "K": data["K"],
-            "rate_hz": np.array([start.rate_hz]),
+            "rate_hz": data["rate_hz"],
             "uv_px": data["uv_px"][index].reshape(-1, 2).T,
             "w_visual": _mean(visual, 2).ravel(),
             "shares": data["shares"],
@@ -267,16 +272,14 @@ class CartesianSolver:
             "b_world": data["b_world"][index].reshape(columns).T,
             "w_bone": _mean(bone, 3),
             "w_smooth": _mean(smooth, 3 * J),
-            "j_world": self._jerk_target(index, start, data),
+            "j_world": self._jerk_target(index, data),
             "w_length": _mean(length, len(self._problem.pairs)),
             "lengths": self._lengths,
             "p_prior": start.p_world_joint[index].reshape(columns).T,
             "k": np.array([self.settings.term_weights()[term] for term in TERMS]),
         }
 
-    def _jerk_target(
-        self, index: NDArray[np.intp], start: PoseSequence, data: dict[str, Array]
-    ) -> Array:
+    def _jerk_target(self, index: NDArray[np.intp], data: dict[str, Array]) -> Array:
         """(3J, N - 3) m/s^3: the differentiated acceleration of each joint that carries a sensor.
 
         Zero where one of the two accelerations is missing.
@@ -286,7 +289,7 @@ class CartesianSolver:
             return np.zeros((3 * J, 0))
         a, known = data["a_world"][index][1:-1], data["w_acceleration"][index][1:-1] > 0
         both = (known[1:] & known[:-1])[..., None]
-        jerk = np.where(both, np.diff(a, axis=0) * start.rate_hz, 0.0)
+        jerk = np.where(both, np.diff(a, axis=0) * data["rate_hz"], 0.0)
         target = np.zeros((N - 3, J, 3))
         for k, (joint, _) in enumerate(self._problem.sensor_bones):
             target[:, joint] = jerk[:, k]

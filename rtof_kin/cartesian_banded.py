@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from rtof_kin.banded import Factor, Store, StoredFactor, factorise
 from rtof_kin.compiled import Buffered
 from rtof_kin.errors import ShapeError
-from rtof_kin.fragment_problem import FragmentProblem
+from rtof_kin.fragment_problem import CURVED_BY, FragmentProblem
 from rtof_kin.lane_code import FrameFunction
 from rtof_kin.lanes import Columns, Over, in_lanes
 
@@ -58,8 +58,8 @@ class BandedProblem:
             parts.append((problem.rigid_distance, np.concatenate([a, b], axis=-1).reshape(-1, 6)))
         functions = [FrameFunction(function, (2,)) for function, _ in parts]
         code = (in_lanes(functions) if compile == "auto" else None) or {}
-        self._quadratic = Buffered(problem.quadratic)
-        row, column = problem.quadratic.sparsity_out(0).get_triplet()
+        self._curvature, self._slope_of = Buffered(problem.curvature), Buffered(problem.slope)
+        row, column = problem.curvature.sparsity_out(0).get_triplet()
         self._order = _grouped(N * 3 * J, np.array(row), np.array(column), [i for _, i in parts])
         place = np.argsort(self._order)
         self.at = _entries(place[row], place[column])
@@ -77,8 +77,10 @@ class BandedProblem:
 
     def bind(self, values: dict[str, Array], parameters: Array) -> None:
         """Take the fragment that is asked about from now on: by name, and packed."""
-        hessian, gradient, constant = self._quadratic(parameters)
-        self._base[self.at] = hessian
+        curved_by = np.concatenate([np.ravel(values[name], order="F") for name in CURVED_BY])
+        if not np.array_equal(curved_by, self._curvature.inputs[0]):  # often the same as before
+            self._base[self.at] = self._curvature(curved_by)[0]
+        gradient, constant = self._slope_of(parameters)
         self._slope, self._constant = gradient[self._order], float(constant[0])
         self._start = self.ordered(values["p_prior"].ravel(order="F"))
         camera = [values[n].ravel(order="F") for n in ("R_camera_world", "t_camera_world", "K")]

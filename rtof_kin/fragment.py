@@ -119,8 +119,8 @@ class FragmentSolver:
         )
         whole = replace(
             start,
-            p_world_joint=np.concatenate([block.poses.p_world_joint for block in blocks]),
-            R_world_bone=np.concatenate([block.poses.R_world_bone for block in blocks]),
+            p_world_joint=np.concatenate([block.p_world_joint for block in blocks]),
+            R_world_bone=np.concatenate([block.R_world_bone for block in blocks]),
         )
         told = [block.confidence for block in blocks if block.confidence is not None]
         return FragmentSolution(
@@ -139,7 +139,9 @@ class FragmentSolver:
         bone_imus = _together(bone_imus, start)
         self._check(start, keypoints, bone_imus, None)
         for block in self._solver.run(start, keypoints, bone_imus, None, None):
-            yield self._solver.oriented(block.poses, bone_imus)
+            p, R = block.p_world_joint, block.R_world_bone
+            poses = replace(start[block.frames], p_world_joint=p, R_world_bone=R)
+            yield self._solver.oriented(poses, bone_imus)
 
     def _check(
         self, start: PoseSequence, keypoints: KeypointSequence | None,

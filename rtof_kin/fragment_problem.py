@@ -25,6 +25,8 @@ from rtof_kin.kinematics import children_of
 
 Array = NDArray[np.float64]
 TERMS = ("visual", "acceleration", "bone", "smooth", "length", "prior")
+CURVED_BY = ("rate_hz", "shares", "w_acceleration", "w_bone", "w_smooth", "k")
+"""Parameters that the Hessian of the terms linear in the positions depends on: nothing measured."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,8 @@ class FragmentProblem:
         parameters: name -> shape of each parameter, in order.
         solver: (x0, p) -> x, with IPOPT. energy: (x, p) -> one value per term of `TERMS` (weighted).
         gradient: (x, p) -> dE/dx.
-        quadratic: p -> of the terms that are linear in x: upper triangle of the Hessian, gradient and
-            value at the start.
+        curvature: values of `CURVED_BY` -> upper triangle of the Hessian of the terms linear in x.
+        slope: p -> their gradient and value at the start.
         landmark, rigid_distance: the others, one element each: (positions, what it observes, what is the
             same for all) -> value, gradient, Hessian.
     """
@@ -176,7 +178,7 @@ class FragmentProblem:
         lagrangian = lam_f * hessian
         if constraints.numel():
             lagrangian += ca.hessian(ca.dot(lam_g, constraints), x)[0]
-        self.quadratic = self._quadratic(x, p)
+        self.curvature, self.slope = self._quadratic(x, p)
         hess_lag = ca.Function(
             "hess_lag",
             [x, p, lam_f, lam_g],
@@ -191,7 +193,7 @@ class FragmentProblem:
             self._options(hess_lag),
         )
 
-    def _quadratic(self, x: Any, p: Any) -> Any:
+    def _quadratic(self, x: Any, p: Any) -> tuple[Any, Any]:
         """The terms whose residuals are linear in the positions, as one quadratic form."""
         value, hessian = ca.SX(0), ca.SX(x.numel(), x.numel())
         for i, name in enumerate(TERMS):
@@ -203,8 +205,9 @@ class FragmentProblem:
             hessian += ca.triu(2 * k * ca.mtimes(J_r.T, ca.diag(term.weight) @ J_r))
         start = ca.vec(self.parameters["p_prior"])
         there = ca.substitute(ca.vertcat(ca.gradient(value, x), value), x, start)
-        outputs = [hessian, ca.densify(there[:-1]), ca.densify(there[-1])]
-        return ca.Function("quadratic", [p], outputs)
+        curved_by = ca.vertcat(*(ca.vec(self.parameters[name]) for name in CURVED_BY))
+        curvature = ca.Function("curvature", [curved_by], [hessian])
+        return curvature, ca.Function("slope", [p], [ca.densify(there[:-1]), ca.densify(there[-1])])
 
     @property
     def landmark(self) -> Any:

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.confidence import Confidence
 from rtof_kin.types import PoseSequence
+
+Array = NDArray[np.float64]
 
 
 class SolverStatus(Enum):
@@ -47,7 +50,12 @@ class FragmentReport:
 class Block:
     """Finished frames of a recording, N/2 at a time."""
 
-    poses: PoseSequence
+    frames: slice
+    """Which of the recording's they are."""
+    p_world_joint: Array
+    """(n, J, 3), m."""
+    R_world_bone: Array
+    """(n, J, 3, 3)."""
     fragments: tuple[FragmentReport, ...]
     """Reports that came in since the block before."""
     confidence: Confidence | None = None

@@ -110,17 +110,18 @@ class InertialGuidedIK:
 
     def _solve(self, p: Array, R_seen: Array, R_imu: dict[int, Array]) -> Array:
         parents, offsets = self.skeleton.parents, self.skeleton.joint_offsets
-        R = np.empty((*p.shape[:2], 3, 3))
+        R, none = np.empty((*p.shape[:2], 3, 3)), np.full((len(p), 3, 3), np.nan)
         for j, parent in enumerate(parents):
             identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
             R_parent = identity if parent < 0 else R[:, parent]
-            has = np.isfinite(R_seen[:, j, 0, 0])
-            if not has.all() or len(kinematics.children_of(parents, j)) > 1:
-                R[:, j] = kinematics.segment_rotation(parents, offsets, j, p, R_parent)
-            R[has, j] = self._observed(j, p[has], R_seen[has, j], R[has, j])
-            if j in R_imu:
-                has = np.isfinite(R_imu[j][:, 0, 0])
-                R[has, j] = self._correct(j, p[has], R[has, j], R_imu[j][has])
+            has, sensed = (np.isfinite(seen[:, 0, 0]) for seen in (R_seen[:, j], R_imu.get(j, none)))
+            bones = len(kinematics.children_of(parents, j))
+            if bones != 1 or not sensed.all():  # of one bone the sensor gives the twist, it alone
+                if bones > 1 or not has.all():
+                    R[:, j] = kinematics.segment_rotation(parents, offsets, j, p, R_parent)
+                R[has, j] = self._observed(j, p[has], R_seen[has, j], R[has, j])
+            if sensed.any():
+                R[sensed, j] = self._correct(j, p[sensed], R[sensed, j], R_imu[j][sensed])
         return R
 
     def _observed(self, joint: int, p: Array, R_seen: Array, R_positions: Array) -> Array:

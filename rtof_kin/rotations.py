@@ -102,16 +102,20 @@ def minimal_rotation(a: ArrayLike, b: ArrayLike) -> Array:
     # common normal takes a to -a, and the rest is less than a right angle.
     far = cos < 0
     cross = np.cross(np.where(far[..., None], -a, a), b)
-    K = skew(cross)
-    R = np.eye(3) + K + K @ K / (1 + np.abs(cos))[..., None, None]
+    R = cross[..., :, None] * (cross / (1 + np.abs(cos))[..., None])[..., None, :] + skew(cross)
+    R += (1 - np.sum(cross**2, axis=-1) / (1 + np.abs(cos)))[..., None, None] * np.eye(3)
     if np.any(far):
-        helper = np.where(np.abs(a[..., :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0])
-        opposite = np.linalg.norm(cross, axis=-1, keepdims=True) < 1e-12
-        normal = unit(np.where(opposite, np.cross(a, helper), cross))
-        normal = unit(normal - a * np.sum(a * normal, axis=-1, keepdims=True))
-        half_turn = 2 * normal[..., :, None] * normal[..., None, :] - np.eye(3)
-        R = np.where(far[..., None, None], R @ half_turn, R)
+        R[far] = R[far] @ _half_turn(a[far], cross[far])
     return np.asarray(R)
+
+
+def _half_turn(a: Array, cross: Array) -> Array:
+    """Half turns (n, 3, 3) about normals of directions a (n, 3): `cross` where that is one."""
+    helper = np.where(np.abs(a[:, :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0])
+    opposite = np.linalg.norm(cross, axis=-1, keepdims=True) < 1e-12
+    normal = unit(np.where(opposite, np.cross(a, helper), cross))
+    normal = unit(normal - a * np.sum(a * normal, axis=-1, keepdims=True))
+    return 2 * normal[:, :, None] * normal[:, None, :] - np.eye(3)
 
 
 def nearest_rotation(M: ArrayLike) -> Array:
@@ -155,8 +159,9 @@ def is_rotation(R: ArrayLike, tolerance: float = 1e-6) -> bool:
     R = np.asarray(R, dtype=float)
     if not np.all(np.abs(R) <= 1 + tolerance):  # as it is where one is NaN or infinite
         return False
-    error = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3))
-    return bool(np.all(error < tolerance) and np.all(np.linalg.det(R) > 0))
+    x, y, z = R.reshape(-1, 9).T.copy().reshape(3, 3, -1)  # rows of all matrices: x cross y is z
+    errors = (x * x).sum(0) - 1, (y * y).sum(0) - 1, (x * y).sum(0), np.cross(x, y, axis=0) - z
+    return all(bool(np.all(np.abs(error) < tolerance)) for error in errors)
 
 
 # --- Euler angles: intrinsic, any of the six sequences of three different axes -------------------

@@ -30,11 +30,11 @@ class Material:
 
     @classmethod
     def demo(cls) -> Material:
-        """The demo recording with SF2's poses."""
+        """The demo recording as it is given, not calibrated from itself, with SF2's poses."""
         recording = Recording.load(model_path("demo"))
         imus = recording.bone_imus()
         assert imus is not None
-        start = reconstruct(recording, mode="sf2").stages["sf2"]
+        start = reconstruct(recording, mode="sf2", calibrate=False).stages["sf2"]
         return cls(recording.skeleton, start, recording.keypoints, imus)
 
     def __getitem__(self, frames: slice) -> Material:

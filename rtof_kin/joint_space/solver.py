@@ -73,7 +73,7 @@ class JointSpaceSolver:
                 if previous.covariance is not None and piece.covariance is not None:
                     C = blended(previous.covariance[half:], piece.covariance[:half], share)[:count]
                     told = confidence_of(data.space, start.times[frames], x, C)
-                yield Block(start.posed(frames, *data.space.poses(x)), tuple(reports), told)
+                yield Block(frames, *data.space.poses(x), tuple(reports), told)
                 reports = []
             previous = piece
 
