@@ -258,6 +258,7 @@ def test_a_problem_without_code_is_the_one_on_whole_arrays(both: Both) -> None:
     shape = both.built.shape
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RTOF_KIN_COMPILE", "never")
-        made = built_problem(js.BODY.name, shape, MOVING, 8, True, "auto", 1.25, 2.0)
+        jerk = (1.25,) * (1 + len(StateSpace(js.BODY, MOVING, True).names))
+        made = built_problem(js.BODY.name, shape, MOVING, 8, True, "auto", jerk, 2.0)
     assert type(made.problem) is JointProblem
     assert made.code is None

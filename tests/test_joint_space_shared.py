@@ -30,8 +30,8 @@ def test_columns_and_corner_are_those_of_the_compiled_oracle() -> None:
     data, s, x = shared.data, shared.data.settings, shared.states(0)
     shape = replace(data.problem.energy.shape, unknowns=("heading", "mounting"))
     oracle = built_problem(
-        data.skeleton.name, shape, data.space.names, cs.FRAMES, s.hinges, "never", s.jerk,
-        s.robust_acceleration,
+        data.skeleton.name, shape, data.space.names, cs.FRAMES, s.hinges, "never",
+        (s.jerk,) * (1 + len(data.space.names)), s.robust_acceleration,
     ).problem  # fmt: skip
     y = np.zeros(len(shared.prior))
     evidence = shared.corrected(y)

@@ -36,14 +36,19 @@ class Built:
 @lru_cache(maxsize=8)
 def built_problem(
     name: str, shape: Shape, moving: tuple[str, ...], frames: int, hinges: bool, compile: str,
-    jerk: float, robust_acceleration: float,
+    jerk: tuple[float, ...], robust_acceleration: float,
 ) -> Built:  # fmt: skip
-    """The problem of a fragment, built once for all bodies and recordings that it fits."""
+    """The problem of a fragment, built once for all bodies and recordings that it fits.
+
+    Args:
+        jerk: factors on the jerk of free motion, of the root's position and of every joint that moves.
+    """
     energy, limits = _energy(name, shape, moving, hinges)
     space, prior = energy.space, shipped_prior(SkeletonModel.named(name).names)
     sigma = prior.sigma_jerk[[prior.joints.index(joint) for joint in space.names]]
-    tangent = np.repeat(sigma, 3) @ (space.expand != 0)
-    sigma_jerk = jerk * np.concatenate([np.full(3, prior.sigma_root_jerk), tangent])
+    root, *turns = jerk
+    tangent = np.repeat(sigma * turns, 3) @ (space.expand != 0)
+    sigma_jerk = np.concatenate([np.full(3, root * prior.sigma_root_jerk), tangent])
     if compile == "auto" and not shape.unknowns and Store.available():
         lanes = _lanes(name, shape, moving, hinges, robust_acceleration)
         if lanes is not None:

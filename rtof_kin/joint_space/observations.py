@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -24,12 +24,11 @@ from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
 _LIMBS = tuple(
-    side + part
+    tuple(side + part for part in parts)
     for side in ("Left", "Right")
-    for part in ("Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot")
+    for parts in (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot"))
 )
-
-
+"""Segments of the limbs: two long bones, and their end."""
 _WEIGHTS = {"w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor", "w_contact"}
 """What is observed in frames that exist alone; the prior holds in the padding too."""
 
@@ -111,7 +110,7 @@ class Observations:
     def _turned(self, start: PoseSequence, yaw: float) -> Array:
         """States of the start with its trunk turned about the vertical, the limbs as they are."""
         R = start.R_world_bone.copy()
-        trunk = [j for j, name in enumerate(start.names) if not name.startswith(_LIMBS)]
+        trunk = [j for j, name in enumerate(start.names) if name not in sum(_LIMBS, ())]
         R[:, trunk] = so3.about_axis("z", yaw) @ R[:, trunk]
         return self.space.from_poses(start.p_world_joint[:, 0], R)
 
@@ -126,16 +125,22 @@ class Observations:
             landmarks=tuple((index(skeleton.landmarks[n][0]), n in skeleton.names) for n in names),
             sensors=tuple(map(index, sensors)),
             torso=tuple(index(name) for name in TORSO if name in skeleton.names),
-            bones=() if sensors else _bones(skeleton),
+            bones=_bare_bones(skeleton, sensors),
             feet=tuple(index(name) for name in FEET if name in skeleton.names),
             robust_orientation=s.robust_orientation,
             floor_cutoff=s.floor_cutoff,
             contacts=tuple(map(index, standing)),
         )
         return built_problem(
-            skeleton.name, shape, moving, self.frames, s.hinges, s.compile,
-            s.jerk if sensors else s.jerk_without_sensors, s.robust_acceleration,
+            skeleton.name, shape, moving, self.frames, s.hinges, s.compile, self._jerk(sensors),
+            s.robust_acceleration,
         )  # fmt: skip
+
+    def _jerk(self, sensors: tuple[str, ...]) -> tuple[float, ...]:
+        """Factors on the jerk of the root's position and of every joint that moves."""
+        s, bare = self.settings, _bare(sensors)
+        others = s.jerk if sensors else s.jerk_without_sensors
+        return others, *(s.jerk_without_sensors if name in bare else others for name in self.space.names)
 
     def _observe(
         self, start: PoseSequence, seen: KeypointSequence | None, bone_imus: BoneImuSequence | None,
@@ -144,7 +149,7 @@ class Observations:
         skeleton, s, T = self.skeleton, self.settings, len(start)
         rows, constant = _camera_data(seen, T)
         self.confidence = rows["w_visual"] if seen is None else np.where(seen.seen, seen.confidence, 0.0)
-        free = seen is not None and bool(sensors)
+        free = seen is not None and any({*limb[:2]} <= {*sensors} for limb in _LIMBS)
         quat, has, a, w, levers = sensor_data(start.times, bone_imus, sensors, s)
         torso = skeleton.index(*[name for name in TORSO if name in skeleton.names])
         self.rows = rows | {
@@ -153,7 +158,7 @@ class Observations:
             "w_sensor": has,
             "quat_torso": so3.to_quat_wxyz(start.R_world_bone[:, torso]),
             "w_torso": self._torso_weights(start, torso, sensors, has),
-            "b_world": _bone_vectors(start, () if sensors else _bones(skeleton)),
+            "b_world": _bone_vectors(start, self.problem.energy.shape.bones),
             "w_bone": np.full(T, 0.0 if s.sigma_bone is None else 1 / s.sigma_bone**2),
             "p_root": start.p_world_joint[:, 0],
             "w_root": np.full(T, 0.0 if s.sigma_root is None or free else 1 / s.sigma_root**2),
@@ -272,12 +277,15 @@ def sensor_data(
     return quat, has, a, w, levers
 
 
-def _bones(skeleton: SkeletonModel) -> tuple[tuple[int, int], ...]:
-    """Joint and child of the limbs' bones: those of the usual sensors' segments."""
-    usual = {joint for joint, _ in skeleton.sensors.values()} - set(TORSO)
-    pairs = [
-        (joint, kinematics.children_of(skeleton.parents, joint)) for joint in skeleton.index(*usual)
-    ]
+def _bare(sensors: Collection[str]) -> set[str]:
+    """Segments of the limbs that carry no sensor at all."""
+    return {name for limb in _LIMBS if not {*limb} & {*sensors} for name in limb}
+
+
+def _bare_bones(skeleton: SkeletonModel, sensors: Collection[str]) -> tuple[tuple[int, int], ...]:
+    """Joint and child of the bones of those limbs."""
+    bare = {*skeleton.names} & _bare(sensors)
+    pairs = [(joint, kinematics.children_of(skeleton.parents, joint)) for joint in skeleton.index(*bare)]
     return tuple(sorted((joint, children[0]) for joint, children in pairs if len(children) == 1))
 
 

@@ -41,7 +41,8 @@ class JointSpaceSettings:
     jerk: float = 2.5
     """[1] factor on the jerk of free motion (`PosePrior`), the standard deviation of the jerk's."""
     jerk_without_sensors: float = 1.0
-    """[1] the same where no sensor is: vision alone knows little of what is fast."""
+    """[1] the same of limbs that carry no sensor, and of all where there is none: vision alone knows
+    little of what is fast."""
     prior_inflation: float = 1.7
     """[1] factor on the standard deviations of the pose prior: frames are not independent."""
     sigma_prior_least: float = np.radians(3.0)
@@ -52,12 +53,12 @@ class JointSpaceSettings:
     torso_inflation: float = 2.0
     """[1] factor on the start's own standard deviations of them: a lifter's errors last for seconds."""
     sigma_bone: float | None = 0.05
-    """[m] of the end of a limb's bone about where the start has it, with a Cauchy loss; only where there
-    is no sensor at all: with some, their acceleration and the prior know better. None leaves it out."""
+    """[m] of the end of a limb's bone about where the start has it, with a Cauchy loss; only of limbs
+    that carry no sensor: with one, its acceleration and the prior know better. None leaves it out."""
     sigma_root: float | None = 0.15
-    """[m] of the root about the start's position, with a Cauchy loss; only where there is no sensor at
-    all, whose acceleration would know its path better, or no landmark, which would say where it is. None
-    leaves it out."""
+    """[m] of the root about the start's position, with a Cauchy loss; only where no limb has a sensor on
+    each of its two bones, from whose accelerations the root's path is known better, or where there is no
+    landmark, which would say where it is. None leaves it out."""
     floor_height: float | None = None
     """[m] of a flat floor in world; None where there is none or it is not known."""
     ankle_height: float = 0.08
