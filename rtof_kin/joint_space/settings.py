@@ -94,8 +94,11 @@ class JointSpaceSettings:
     @classmethod
     def calibrated(cls) -> Self:
         """For a recording that was calibrated from itself: of the sensors' errors slip and wobble are
-        left, without a mounting that is wrong all through, and quick motion is told well."""
-        return cls(sigma_swing=np.radians(2.5), sigma_twist=np.radians(15.0), jerk=3.0)
+        left, without a mounting that is wrong all through. Orientations then tell quick motion, so
+        accelerations, which bring their noise along, are worth less."""
+        return cls(
+            sigma_swing=np.radians(2.5), sigma_twist=np.radians(15.0), sigma_acceleration=3.0
+        )
 
     def __post_init__(self) -> None:
         for field, values in {
