@@ -253,6 +253,17 @@ def test_placements_actions_and_joints_stand_apart() -> None:
     assert [line for line in tables.joints(rows).rows] == [("Hips", 0.0), ("Head", 5.0)]
 
 
+def test_seeds_of_a_training_are_one_line_and_the_first_stands_for_them_elsewhere() -> None:
+    found = {"ours_seed0": 40.0, "ours_seed1": 43.0, "ours_seed2": 46.0, "v_seed0 (videopose3d)": 90.0}
+    rows = [row(lifter=name, mpjpe_rr_mm=rr) for name, rr in found.items()] + [row()]
+    assert tables.seeds(rows).rows == (
+        ("perfect", "ours", "image only", "3", 43.0, 3.0, 20.0, 0.0),
+        ("perfect", "v (videopose3d)", "image only", "1", 90.0, None, 20.0, None),
+    )
+    first = [line["lifter"] for line in tables.first_seeds(rows)]
+    assert first == ["ours_seed0", "v_seed0 (videopose3d)", "x"]
+
+
 def test_calibration_says_what_to_expect_and_leaves_out_who_states_nothing() -> None:
     silent = {name: None for name in row() if "within" in name}
     lines = tables.calibration([row(), row(lifter="base", **silent)]).rows

@@ -28,7 +28,7 @@ from benchmarks.harness import HERE
 from benchmarks.lifter.figure import write_figure
 from benchmarks.lifter.placements import PLACEMENTS
 from benchmarks.lifter.rows import Job, Row, load, names_of, run
-from benchmarks.lifter.tables import TABLES, failures, measured
+from benchmarks.lifter.tables import TABLES, failures, first_seeds, measured, seeds
 from rtof_kin.errors import RtofError
 from rtof_kin.protocols.tables import Table
 
@@ -99,9 +99,10 @@ def main(arguments: list[str] | None = None) -> int:
         version = version_of(_sources(), [job.key for job in work], options.seed, digests)
         kept = RowFile(out.with_suffix(".jsonl"), version, options.restart)
         rows = measure(work, kept, options.workers)
-        tables = [table(measured(rows)) for table in TABLES]
+        first = first_seeds(measured(rows))
+        tables = [*(table(first) for table in TABLES), seeds(measured(rows))]
         curves = [path for path in (Path(f"{file}.curves.json") for file in lifters) if path.is_file()]
-        write_figure(out.with_suffix(".png"), measured(rows), [*curves, *options.curves])
+        write_figure(out.with_suffix(".png"), first, [*curves, *options.curves])
     except RtofError as error:
         sys.exit(f"error: {error}")
     facts = {

@@ -1,8 +1,15 @@
-"""Tables of the rows: in all, by placement, action and joint; the torso; calibration."""
+"""Tables of the rows: in all, by placement, action and joint; the torso; calibration; by seed.
+
+Lifters named like ``NAME_seed0``, ``NAME_seed1`` differ in the seed of their training alone: the first
+of them stands in all tables, the others in the last one.
+"""
 
 from __future__ import annotations
 
+import re
+from collections import defaultdict
 from collections.abc import Callable, Sequence
+from statistics import mean, stdev
 
 from benchmarks import harness
 from benchmarks.lifter.measures import (
@@ -18,6 +25,7 @@ from rtof_kin.protocols.tables import Cell, Table, pooled
 
 ERRORS = {"rr": "mpjpe_rr_mm", "abs": "mpjpe_mm"}
 WORN = {"0": "image only", "8": "+ 8 sensors", "10": "+ 10 sensors"}
+_SEEDED = re.compile(r"(.+)_seed(\d+)(.*)")
 _POOLED = "Means over the frames in which the camera saw enough, pooled over motions and placements."
 
 
@@ -34,6 +42,28 @@ def values(rows: Sequence[Row], field: str) -> list[str]:
 def measured(rows: Sequence[Row]) -> list[Row]:
     """Those that did not fail."""
     return [row for row in rows if "error" not in row]
+
+
+def first_seeds(rows: Sequence[Row]) -> list[Row]:
+    """Those of no further seed of a training."""
+    return [row for row in rows if not (seeded := _SEEDED.fullmatch(row["lifter"])) or seeded[2] == "0"]
+
+
+def seeds(rows: Sequence[Row]) -> Table:
+    """What another seed of a training changes."""
+    ways: dict[tuple[str, str, str], list[tuple[str, str, str]]] = defaultdict(list)
+    for way in _ways(rows):
+        if seeded := _SEEDED.fullmatch(way[1]):
+            ways[way[0], seeded[1] + seeded[3], way[2]].append(way)
+    lines: list[tuple[Cell, ...]] = []
+    for label, same in ways.items():
+        cells: list[Cell] = [*_label(label), str(len(same))]
+        for figure in ERRORS.values():
+            found = [pooled(_of(rows, way), figure) or 0.0 for way in same]
+            cells += [mean(found), stdev(found) if len(found) > 1 else None]
+        lines.append(tuple(cells))
+    columns = "2D", "training", "given", "seeds", "rr mm", "sd", "abs mm", "sd"
+    return Table("seeds", "By seed", columns, (0, 0, 0, 0, 1, 1, 1, 1), tuple(lines))
 
 
 def _ways(rows: Sequence[Row]) -> list[tuple[str, str, str]]:
