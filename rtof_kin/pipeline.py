@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rtof_kin import signals
 from rtof_kin.calibration_priors import CalibrationPriors
+from rtof_kin.confidence import Confidence
 from rtof_kin.contradictions import check_height, contradictions
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
@@ -140,43 +141,63 @@ def reconstruct(
         return _without_camera(recording, skeleton or recording.skeleton, settings, tell)
     if recording.keypoints is None:
         raise ShapeError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
-    found, slipped, warnings = None, tuple[StreamFault, ...](), tuple[str, ...]()
-    if isinstance(calibrate, SelfCalibration):
-        found = calibrate
-    elif calibrate is not False and mode in ("sf2", "rtof") and recording.imus is not None:
-        priors = None if isinstance(calibrate, bool) else calibrate
-        try:
-            found, slipped = _calibrated(recording, skeleton, priors, lifter, settings, tell)
-            warnings = contradictions(recording, found)
-        except CalibrationError as error:
-            if priors is not None:
-                raise
-            warnings = (f"not calibrated from the recording, which is taken as it is given: {error}",)
+    uses_sensors = mode in ("sf2", "rtof") and recording.imus is not None
+    if not uses_sensors and not isinstance(calibrate, SelfCalibration):
+        calibrate = False
+    found, slipped, warnings = _as_told(calibrate, recording, skeleton, lifter, settings, tell)
     if found is not None:
         recording = found.apply(recording)
         skeleton = None if found.of_kind("bones") else skeleton
     skeleton = skeleton or recording.skeleton
     begun = begin(recording, skeleton, mode, lifter, settings, tell, slipped)
     keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
-    if mode == "rtof" and settings.guard_streams and begun.bone_imus is not None:
-        wrong = disagreeing(poses, begun.bone_imus, skeleton)
-        if wrong:
-            wrong = joined((*slipped, *wrong))
-            begun = begin(recording, skeleton, mode, lifter, settings, tell, wrong)
-            keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
+    if (
+        mode == "rtof" and settings.guard_streams and begun.bone_imus is not None
+        and (wrong := disagreeing(poses, begun.bone_imus, skeleton))
+    ):  # fmt: skip
+        wrong = joined((*slipped, *wrong))
+        begun = begin(recording, skeleton, mode, lifter, settings, tell, wrong)
+        keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
     for warning in (*begun.faults, *warnings):
         _log.warning("%s: %s", recording.name, warning)
-    confidence = None if solution is None else solution.confidence
-    if confidence is not None:
-        sensors = () if begun.bone_imus is None else begun.bone_imus.joints
-        confidence = Inflation.shipped().apply(confidence, sensors)
-    motion = skeleton.motion(poses, confidence)
+    motion = skeleton.motion(poses, _confidence(solution, begun.bone_imus))
     stages = begun.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = _scores(recording, stages, skeleton)
     return Reconstruction(
         recording, mode, motion, stages, keypoints, begun.bone_imus, solution, scores.get(mode), scores,
         faults=begun.faults, warnings=warnings, calibration=found,
     )  # fmt: skip
+
+
+def _as_told(
+    calibrate: bool | CalibrationPriors | SelfCalibration, recording: Recording,
+    skeleton: SkeletonModel | None, lifter: LifterLike | None, settings: ReconstructionSettings,
+    tell: Progress,
+) -> tuple[SelfCalibration | None, tuple[StreamFault, ...], tuple[str, ...]]:  # fmt: skip
+    """What a recording says of itself, what was not listened to for that, and warnings."""
+    if calibrate is False:
+        return None, (), ()
+    if isinstance(calibrate, SelfCalibration):
+        return calibrate, (), ()
+    priors = None if calibrate is True else calibrate
+    try:
+        found, slipped = _calibrated(recording, skeleton, priors, lifter, settings, tell)
+    except CalibrationError as error:
+        if priors is not None:
+            raise
+        reason = f"not calibrated from the recording, which is taken as it is given: {error}"
+        return None, (), (reason,)
+    return found, slipped, contradictions(recording, found)
+
+
+def _confidence(
+    solution: FragmentSolution | None, bone_imus: BoneImuSequence | None
+) -> Confidence | None:
+    """How well a solution is known, errors that last included."""
+    if solution is None or solution.confidence is None:
+        return None
+    sensors = () if bone_imus is None else bone_imus.joints
+    return Inflation.shipped().apply(solution.confidence, sensors)
 
 
 def _solved(
