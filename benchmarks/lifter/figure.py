@@ -11,9 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from benchmarks.lifter.rows import STILL, Row
-from benchmarks.lifter.tables import ERRORS, WORN, chosen, values
+from benchmarks.lifter.tables import ERRORS, WORN, chosen, unseeded, values
 from lifting.curves import windows_axis
 from rtof_kin.errors import FileFormatError
 from rtof_kin.protocols.tables import pooled
@@ -47,7 +48,7 @@ def write_figure(path: Path, rows: Sequence[Row], curves: Sequence[Path]) -> Non
         FileFormatError: a file of curves cannot be read.
     """
     trainings = [(file.name.partition(".")[0], read_curves(file)) for file in curves]
-    figure = Figure(figsize=(15, 9 if trainings else 5), layout="constrained")
+    figure = Figure(figsize=(15, 10 if trainings else 5), layout="constrained")
     axes = figure.subplots(1 + bool(trainings), len(ERRORS), squeeze=False)
     for ax, (error, key) in zip(axes[0], ERRORS.items(), strict=True):
         _placements(ax, rows, key)
@@ -56,8 +57,9 @@ def write_figure(path: Path, rows: Sequence[Row], curves: Sequence[Path]) -> Non
         for ax, error in zip(axes[1], ERRORS, strict=True):
             _windows(ax, trainings, f"{error}_mm")
             ax.set_ylabel(f"validation: {LABELS[error]}")
-    bars, labels = axes[0][0].get_legend_handles_labels()
-    figure.legend(bars, labels, loc="outside upper center", ncols=4, fontsize=8)
+    for row, place in zip(axes, ("upper", "lower"), strict=False):
+        handles, labels = row[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc=f"outside {place} center", ncols=4, fontsize=8)
     figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
     figure.savefig(path, dpi=110)
 
@@ -83,17 +85,23 @@ def _placements(ax: Axes, rows: Sequence[Row], key: str) -> None:
 
 
 def _windows(ax: Axes, trainings: Sequence[tuple[str, dict[str, Any]]], key: str) -> None:
-    """Error against windows seen, one line a training and kind of 2D."""
-    for i, (name, training) in enumerate(trainings):
-        history = training["history"]
+    """Error against windows seen, one line a training and kind of 2D; seeds have one colour."""
+    names = list(dict.fromkeys(unseeded(name) for name, _ in trainings))
+    labels = set[str]()
+    for name, training in trainings:
+        history, what = training["history"], unseeded(name)
         for kind, style in SHOWN.items():
+            label = f"{what}, {kind} 2D"
             ax.plot(
                 [row["windows"] for row in history],
                 [row["validation"].get(kind, {}).get(key, np.nan) for row in history],
-                style, color=COLORS[i % len(COLORS)],
-                label=f"{name}, seed {training['recipe']['seed']}, {kind} 2D",
+                style, color=COLORS[names.index(what) % len(COLORS)], lw=1,
+                label=None if label in labels else label,
             )  # fmt: skip
+            labels.add(label)
     windows_axis(ax, "windows seen in training")
-    ax.set_ylim(bottom=0)
+    ax.set_yscale("log")
+    ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
     ax.grid(True, alpha=0.3)
-    ax.legend(fontsize=8, loc="lower left")

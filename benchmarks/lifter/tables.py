@@ -49,12 +49,18 @@ def first_seeds(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if not (seeded := _SEEDED.fullmatch(row["lifter"])) or seeded[2] == "0"]
 
 
+def unseeded(name: str) -> str:
+    """A lifter's name without the seed of its training."""
+    seeded = _SEEDED.fullmatch(name)
+    return seeded[1] + seeded[3] if seeded else name
+
+
 def seeds(rows: Sequence[Row]) -> Table:
     """What another seed of a training changes."""
     ways: dict[tuple[str, str, str], list[tuple[str, str, str]]] = defaultdict(list)
     for way in _ways(rows):
-        if seeded := _SEEDED.fullmatch(way[1]):
-            ways[way[0], seeded[1] + seeded[3], way[2]].append(way)
+        if (name := unseeded(way[1])) != way[1]:
+            ways[way[0], name, way[2]].append(way)
     lines: list[tuple[Cell, ...]] = []
     for label, same in ways.items():
         cells: list[Cell] = [*_label(label), str(len(same))]
