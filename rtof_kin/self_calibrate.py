@@ -73,7 +73,7 @@ def calibrate(
     priors = priors or CalibrationPriors.of(recording)
     settings = settings or JointSpaceSettings(floor_height=recording.floor_height)
     fragments = shared_fragments(recording, start, priors, settings, frames, left_out)
-    shared = fragments.estimate(priors.rounds, progress)
+    shared = fragments.estimate(priors.rounds, progress, priors.overcount)
     return SelfCalibration(
         quantities=_quantities(fragments, shared, priors.overcount),
         detector=_detector(fragments.data, shared.residuals, start.rate_hz),

@@ -62,7 +62,7 @@ def test_the_profiles_gradient_is_that_of_the_energy_with_states_at_their_optimu
     evidence = shared.corrected(y)
     for _ in range(4):
         shared.settle(evidence)
-    _, gradient = shared.profile(evidence, y)
+    gradient = shared.profile(evidence, y)[1] + shared.prior @ y
     rng = np.random.default_rng(2)
     direction = 0.1 * np.sqrt(np.diag(np.linalg.inv(shared.prior))) * rng.normal(size=len(y))
 
@@ -86,17 +86,17 @@ def test_how_large_somebody_is_neither_accelerations_nor_jerk_tell() -> None:
     evidence = shared.corrected(y)
     for _ in range(4):
         shared.settle(evidence)
-    hessian, gradient = shared.profile(evidence, y)
-    told, all_alike = hessian - shared.prior, np.ones(len(y))
+    told, gradient = shared.profile(evidence, y)
+    all_alike = np.ones(len(y))
     assert abs(all_alike @ told @ all_alike) < 1e-4 * np.trace(told)
     assert abs(gradient @ all_alike) < 1e-3 * np.abs(gradient).sum()
 
 
-def test_the_profiles_hessian_never_knows_less_than_the_prior() -> None:
+def test_the_profiles_hessian_is_never_negative() -> None:
     shared = fragments("delay", "heading", "mounting", "image bias", "place")
     y = np.zeros(len(shared.prior))
     hessian, _ = shared.profile(shared.corrected(y), y)
-    assert np.linalg.eigvalsh(hessian - shared.prior)[0] > -1e-6 * np.abs(hessian).max()
+    assert np.linalg.eigvalsh(hessian)[0] > -1e-6 * np.abs(hessian).max()
 
 
 def test_energies_fall_from_round_to_round() -> None:

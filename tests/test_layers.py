@@ -54,7 +54,7 @@ joint_space.couplings
 joint_space.lane_problem
 joint_space.annealing   joint_space.bordered   joint_space.building
 joint_space.ipopt   joint_space.observations   joint_space.uncertainty
-joint_space.solver   joint_space.evidence
+joint_space.solver   joint_space.evidence   joint_space.learned_prior
 fragment   joint_space.border   joint_space.unknowns
 joint_space.shared   joint_space.sensor_unknowns   joint_space.vision_unknowns
 detectors   detectors.layouts   detectors.detections

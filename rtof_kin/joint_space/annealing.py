@@ -64,16 +64,17 @@ class Annealing:
     def _weigh(self, factor: float | None) -> None:
         """Weights for errors that correlation in time makes count as if larger by a factor.
 
-        Outliers are landmarks that are far out by the size of the others. A sensor's error and the
-        distance from the prior's mean stay for a whole fragment; counted once a frame, their standard
-        deviations hold beside a vision whose errors stay too. Where those average out they give way.
+        Outliers are landmarks that are far out by the size of the others. A sensor's error, the start's
+        root and the distance from the prior's mean stay for a whole fragment; counted once a frame, their
+        standard deviations hold beside a vision whose errors stay too. Where those average out they give
+        way.
         """
         self._problem.reweigh("w_visual", self._confidence * self._seen / self.sigma**2)
         knee = self._settings.robust_reprojection / (factor or 1.0)
         self._problem.reweigh("knee_visual", np.full(len(self._seen), knee))
         largest = self._settings.largest_correlation_factor
         share = (factor or largest) / largest
-        for name in ("w_sensor", "w_prior"):
+        for name in ("w_sensor", "w_prior", "w_root"):
             self._problem.reweigh(name, share * self._others[name])
 
     def _estimated(self, residuals: Array) -> tuple[float, float]:

@@ -29,6 +29,8 @@ _LIMBS = tuple(
     for parts in (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot"))
 )
 """Segments of the limbs: two long bones, and their end."""
+_ROOT_BESIDE_SENSORS = 2.0
+"""By how much wider the root's anchor is where there are landmarks and sensors."""
 _WEIGHTS = {"w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor", "w_contact"}
 """What is observed in frames that exist alone; the prior holds in the padding too."""
 
@@ -149,7 +151,6 @@ class Observations:
         skeleton, s, T = self.skeleton, self.settings, len(start)
         rows, constant = _camera_data(seen, T)
         self.confidence = rows["w_visual"] if seen is None else np.where(seen.seen, seen.confidence, 0.0)
-        free = seen is not None and any({*limb[:2]} <= {*sensors} for limb in _LIMBS)
         quat, has, a, w, levers = sensor_data(start.times, bone_imus, sensors, s)
         torso = skeleton.index(*[name for name in TORSO if name in skeleton.names])
         self.rows = rows | {
@@ -161,7 +162,7 @@ class Observations:
             "b_world": _bone_vectors(start, self.problem.energy.shape.bones),
             "w_bone": np.full(T, 0.0 if s.sigma_bone is None else 1 / s.sigma_bone**2),
             "p_root": start.p_world_joint[:, 0],
-            "w_root": np.full(T, 0.0 if s.sigma_root is None or free else 1 / s.sigma_root**2),
+            "w_root": np.full(T, self._root_weight(sensors, seen is not None)),
             "w_floor": np.zeros((T, len(self.attached.feet))),
             "w_prior": np.ones(T),
         }
@@ -178,6 +179,14 @@ class Observations:
             "precision": prior.precision(moving, s.prior_inflation, s.sigma_prior_least),
             "floor": np.array([(s.floor_height or 0.0) + s.ankle_height]),
         }
+
+    def _root_weight(self, sensors: tuple[str, ...], seen: bool) -> float:
+        """Of the anchor to the start's root, 1/m^2."""
+        s = self.settings
+        known = seen and any({*limb[:2]} <= {*sensors} for limb in _LIMBS)
+        if s.sigma_root is None or known:
+            return 0.0
+        return 1 / (_ROOT_BESIDE_SENSORS * s.sigma_root if seen and sensors else s.sigma_root) ** 2
 
     def _torso_weights(
         self, start: PoseSequence, torso: Sequence[int], sensors: tuple[str, ...], has: Array

@@ -58,7 +58,8 @@ class JointSpaceSettings:
     sigma_root: float | None = 0.15
     """[m] of the root about the start's position, with a Cauchy loss; only where no limb has a sensor on
     each of its two bones, from whose accelerations the root's path is known better, or where there is no
-    landmark, which would say where it is. None leaves it out."""
+    landmark, which would say where it is; twice as far where landmarks and other sensors tell of it too.
+    None leaves it out."""
     floor_height: float | None = None
     """[m] of a flat floor in world; None where there is none or it is not known."""
     ankle_height: float = 0.08

@@ -29,6 +29,7 @@ from scipy.optimize import minimize_scalar
 from rtof_kin.joint_space.annealing import Annealing
 from rtof_kin.joint_space.border import Border
 from rtof_kin.joint_space.evidence import Evidence, Situation
+from rtof_kin.joint_space.learned_prior import learned_precision
 from rtof_kin.joint_space.observations import Observations
 from rtof_kin.joint_space.problem import JointProblem
 from rtof_kin.joint_space.unknowns import Unknown
@@ -102,9 +103,14 @@ class SharedFragments:
         self._states: dict[int, tuple[Array, Array | None]] = {}
 
     def estimate(
-        self, rounds: int, progress: Callable[[int, int], None] | None = None
+        self, rounds: int, progress: Callable[[int, int], None] | None = None, overcount: float = 1.0
     ) -> Shared:
-        """Solve.
+        """Solve, and learn on the way how large the errors are of those kinds that shrink.
+
+        Args:
+            rounds: Gauss-Newton steps at most.
+            progress: told how far it is.
+            overcount: by how much errors that last make the data count too much.
 
         Raises:
             SolverError: a fragment cannot be solved, or the unknowns' Hessian is not positive definite.
@@ -113,27 +119,39 @@ class SharedFragments:
         self.begin()
         tell(1, rounds + 1)
         y, energies, converged = self._searched(), [], False
-        best, step = (np.inf, y), np.zeros_like(y)
+        best, step, given = (np.inf, y), np.zeros_like(y), self.prior
         for done in range(rounds + 1):
             evidence = self.corrected(y)
-            energy = self.settle(evidence) + 0.5 * float(y @ self.prior @ y)
+            of_data = self.settle(evidence)
+            energy, before = of_data + self._unlikely(y), best[0] + self._unlikely(best[1])
             tell(done + 1, rounds + 1)
-            if energy > best[0] * (1 + _ENOUGH):  # too far
+            if energy > before * (1 + _ENOUGH):  # too far
                 step = step / 4
                 y = best[1] + step
                 continue
             energies.append(energy)
-            converged = best[0] - energy < _ENOUGH * energy
-            best = energy, y
-            hessian, gradient = self.profile(evidence, y)
+            converged = before - energy < _ENOUGH * energy
+            best = of_data, y
+            information, slope = self.profile(evidence, y)
+            self.prior = learned_precision(given, information, slope, y, self._shrinking, overcount)
+            hessian = information + self.prior
             if converged:
                 break
-            step = -cho_solve(cho_factor(hessian), gradient)
+            step = -cho_solve(cho_factor(hessian), slope + self.prior @ y)
             y = y + step
         y = best[1]
         tell(rounds + 1, rounds + 1)
         residuals = self._residuals(self.corrected(y))
         return Shared(y, hessian, self._sigma_px, residuals, tuple(energies), converged)
+
+    @property
+    def _shrinking(self) -> list[slice]:
+        """Columns of the kinds whose prior is learned."""
+        return [c for u, c in zip(self.unknowns, self.columns, strict=True) if u.shrinks]
+
+    def _unlikely(self, y: Array) -> float:
+        """The prior's energy."""
+        return 0.5 * float(y @ self.prior @ y)
 
     # --- a delay ---------------------------------------------------------------------------------
 
@@ -169,7 +187,7 @@ class SharedFragments:
         y = np.where(np.arange(len(y)) == i, value, y)
         evidence, chosen = self.corrected(y, Worth()), self._liveliest()
         self.settle(evidence, chosen)
-        return self.settle(evidence, chosen) + 0.5 * float(y @ self.prior @ y)
+        return self.settle(evidence, chosen) + self._unlikely(y)
 
     def _liveliest(self) -> list[int]:
         """First frames of the fragments in which accelerations differ most."""
@@ -246,8 +264,8 @@ class SharedFragments:
     # --- unknowns --------------------------------------------------------------------------------
 
     def profile(self, evidence: Evidence, y: Array) -> tuple[Array, Array]:
-        """Hessian (G, G) and gradient (G,) of the energy as a function of the unknowns alone."""
-        hessian, gradient = self.prior.copy(), self.prior @ y
+        """Hessian (G, G) and gradient (G,) of the data's energy as a function of the unknowns alone."""
+        hessian, gradient = np.zeros_like(self.prior), np.zeros(len(y))
         for first in self._firsts:
             problem = self.bound(evidence, first)
             x, multipliers = self._states[first]

@@ -50,6 +50,10 @@ class Unknown(Protocol):
         """Whether its first number is found by search before all others are found by steps."""
 
     @property
+    def shrinks(self) -> bool:
+        """Whether a recording in which all of them are small makes their prior as small."""
+
+    @property
     def covariance(self) -> Array:
         """(k, k) of the prior."""
 
@@ -65,6 +69,8 @@ class Unknown(Protocol):
 
 class Unlimited:
     """A kind that has nothing to do with a detector's errors."""
+
+    shrinks = False
 
     def limited(self, lasting_px: float) -> Self:
         """As it is."""

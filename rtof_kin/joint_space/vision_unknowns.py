@@ -29,6 +29,7 @@ class ImageBias:
     """(L,) px per axis."""
     name = "image bias"
     searched = False
+    shrinks = True
 
     def limited(self, lasting_px: float) -> Self:
         """With biases of at most the errors that last: white errors leave no room for any, nor do those
