@@ -5,9 +5,9 @@ A. Cereatti, R. Gurchiek, A. Muendermann, S. Fantozzi, F. Horak, S. Delp, K. Ami
 on the definition, estimation, and reporting of joint kinematics in human motion analysis applications
 using wearable inertial measurement technology. Journal of Biomechanics 173, 112225, 2024.
 
-The items, their grouping and their words are ours and follow the steps from sensor to joint angle that the
-title names; they are no copy of the article's own list and have not been held against it: who must satisfy
-a journal reads the article.
+The items, their grouping and their words are ours and follow the steps from sensor to joint angle that
+the title names; they have not been held against the article's own list: who must satisfy a journal reads
+the article.
 """
 
 from __future__ import annotations
