@@ -18,7 +18,8 @@ for right and left, which hold for a detector as they are. Three things of the r
 - who saw what:
 
 =======  ==========================================================================================
-camera   there is no sensor anywhere
+camera   there is no sensor anywhere; of positions in world, no limb has one on both of its bones: there
+         the solver leaves the root where the lifter has it
 fused    there are sensors, but not where the next row says
 sensed   both segments of a pair carry one (or the one that is told against the world); of positions
          relative to the root, the root's segment does
@@ -53,6 +54,12 @@ OTHER = "other"
 """Name of the widening of what has none of its own."""
 USUAL_TORSO_SIGMA = 0.09
 """[rad] of pelvis and upper trunk as the lifter tells it of a usual recording."""
+_LIMBS = tuple(
+    {side + upper, side + lower}
+    for side in ("Left", "Right")
+    for upper, lower in (("Arm", "ForeArm"), ("UpLeg", "Leg"))
+)
+"""The two bones of each limb."""
 _WHITE_FACTOR = 1.2
 """k0: errors in such of the Hessian's standard deviations with white 2D and eight real sensors, of
 people of the fit; the same of positions and turns."""
@@ -199,8 +206,8 @@ def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
     """
     if not sensors:
         return "camera"
-    if kind not in SEEN["sensed"]:
-        return "fused"
+    if kind == "position":
+        return "fused" if any(limb <= {*sensors} for limb in _LIMBS) else "camera"
     needs = {root} if kind == "relative" else {*name.split()} - {WORLD}
     return "sensed" if needs <= {*sensors} else "fused"
 

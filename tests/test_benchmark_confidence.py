@@ -28,7 +28,7 @@ from rtof_kin.types import PoseSequence
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
 PAIRS = segment_pairs(BODY)
-CARRIERS = {"0": (), "8": ("LeftLeg",), "10": ("Hips", "LeftLeg")}
+CARRIERS = {"0": (), "8": ("LeftUpLeg", "LeftLeg"), "10": ("Hips", "LeftUpLeg", "LeftLeg")}
 SIGMA_M, SIGMA_RAD = 0.01, np.radians(1.0)
 
 
@@ -93,7 +93,9 @@ def test_the_fit_finds_by_how_much_the_hessian_is_too_sure() -> None:
         assert 0.9 < row["coverage"]["0.95"] < 0.98, row
     hips = found.widenings["fused"]["position"]["Hips"]
     assert np.hypot(hips.factor[0] * SIGMA_M / 3, hips.floor[0]) == pytest.approx(SIGMA_M, rel=0.1)
-    assert set(found.widenings["sensed"]["turn"]) == {"world Hips", "world Leg", OTHER}
+    assert set(found.widenings["sensed"]["turn"]) == {
+        "world Hips", "world UpLeg", "world Leg", "Hips UpLeg", "UpLeg Leg", OTHER
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("factor, floor", [(3.0, 0.02), (1.0, 0.05), (5.0, 1e-3)])

@@ -62,10 +62,11 @@ def test_a_covariance_is_scaled_on_both_sides_and_gets_a_floor() -> None:
     "sensors, position, relative, turns",
     [
         ((), 1, 1, [1, 1]),
-        (("LeftLeg",), 2, 2, [2, 2]),
-        (("LeftUpLeg",), 2, 2, [2, 2]),
-        (("Hips",), 2, 3, [3, 2]),
-        (("Hips", "LeftUpLeg"), 2, 3, [3, 3]),
+        (("LeftLeg",), 1, 2, [2, 2]),
+        (("LeftUpLeg", "RightLeg"), 1, 2, [2, 2]),
+        (("LeftUpLeg", "LeftLeg"), 2, 2, [2, 2]),
+        (("Hips",), 1, 3, [3, 2]),
+        (("Hips", "LeftUpLeg", "LeftLeg"), 2, 3, [3, 3]),
     ],
 )
 def test_it_depends_on_the_sensors_of_what_is_told(
