@@ -18,8 +18,8 @@ for right and left, which hold for a detector as they are. Three things of the r
 - who saw what:
 
 =======  ==========================================================================================
-camera   there is no sensor anywhere; of positions in world, no limb has one on both of its bones: there
-         the solver leaves the root where the lifter has it
+camera   there is no sensor anywhere; of positions in world, no limb has one on both of its
+         bones, and the solver leaves the root about where the lifter has it
 fused    there are sensors, but not where the next row says
 sensed   both segments of a pair carry one (or the one that is told against the world); of positions
          relative to the root, the root's segment does
