@@ -6,13 +6,20 @@ knows of them. So every covariance C of the Hessian becomes
 
 ::
 
-    K C K + B^2
+    K C K + B^2      K = k0 + m (k - k0)      B = m d b
 
-with diagonal matrices of a factor and a floor for every joint and every pair of segments, the same for
-right and left. How much is not in the Hessian depends on who saw it:
+with diagonal matrices of a factor k and a floor b for every joint and every pair of segments, the same
+for right and left, which hold for a detector as they are. Three things of the recording itself
+(`Circumstances`) say how much of that is in it:
+
+- *m*: how far residuals of its keypoints last. Where they are white they average out as the Hessian
+  says, and only the sensors' errors are left, which k0 stands for.
+- *d*: how sure the lifter is of the trunk, against what is usual; only of what no sensor holds.
+- who saw what:
 
 =======  ==========================================================================================
-camera   there is no sensor anywhere
+camera   there is no sensor anywhere; of positions in world, no limb has one on both of its
+         bones, and the solver leaves the root about where the lifter has it
 fused    there are sensors, but not where the next row says
 sensed   both segments of a pair carry one (or the one that is told against the world); of positions
          relative to the root, the root's segment does
@@ -30,8 +37,9 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from rtof_kin.checks import checked_names
 from rtof_kin.confidence import WORLD, Confidence
 from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.io.text import load_toml
@@ -44,6 +52,41 @@ SEEN = {"camera": tuple(UNITS), "fused": tuple(UNITS), "sensed": ("relative", "t
 """Who saw it, and of which covariances that is told apart."""
 OTHER = "other"
 """Name of the widening of what has none of its own."""
+USUAL_TORSO_SIGMA = 0.09
+"""[rad] of pelvis and upper trunk as the lifter tells it of a usual recording."""
+_LIMBS = tuple(
+    {side + upper, side + lower}
+    for side in ("Left", "Right")
+    for upper, lower in (("Arm", "ForeArm"), ("UpLeg", "Leg"))
+)
+"""The two bones of each limb."""
+_WHITE_FACTOR = 1.2
+"""k0: errors in such of the Hessian's standard deviations with white 2D and eight real sensors, of
+people of the fit; the same of positions and turns."""
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """What a recording tells of its own errors; by default as a usual one without sensors."""
+
+    sensors: tuple[str, ...] = ()
+    """Joints whose segments carry one."""
+    lasting: float = 1.0
+    """m, 0 to 1: how far residuals of the keypoints last, from white to a detector's."""
+    torso_sigma: float = USUAL_TORSO_SIGMA
+    """[rad] how sure the lifter is of pelvis and upper trunk."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sensors", checked_names("circumstances sensors", self.sensors))
+        if not 0 <= self.lasting <= 1:
+            raise ShapeError(f"circumstances lasting: {self.lasting} is not in [0, 1]")
+        if not 0 < self.torso_sigma < np.inf:
+            raise ShapeError(f"circumstances torso_sigma: {self.torso_sigma} must be positive and finite")
+
+    def doubt(self, kind: str, seen: str) -> float:
+        """d of a covariance of `UNITS` by who saw it."""
+        held = kind == "position" or seen == "sensed"
+        return 1.0 if held else self.torso_sigma / USUAL_TORSO_SIGMA
 
 
 @dataclass(frozen=True)
@@ -114,18 +157,15 @@ class Inflation:
                 lines.append("")
         return "\n".join(lines)
 
-    def apply(self, confidence: Confidence, sensors: Collection[str] = ()) -> Confidence:
-        """A confidence of the Hessian alone, widened.
-
-        Args:
-            sensors: joints whose segments carry one.
-        """
-        names, root = confidence.names, confidence.names[0]
+    def apply(self, confidence: Confidence, circumstances: Circumstances) -> Confidence:
+        """A confidence of the Hessian alone, widened."""
+        names = confidence.names
         pairs = [" ".join(pair) for pair in confidence.pairs]
 
         def widened(kind: str, entries: Sequence[str], covariance: Array) -> Array:
-            who = [seen_by(kind, entry, root, sensors) for entry in entries]
-            return self._widened(kind, entries, who, covariance)
+            factor, floor = self._of(kind, entries, names[0], circumstances)
+            scale = factor[:, :, None] * factor[:, None, :]
+            return np.asarray(covariance * scale + np.eye(3) * floor[:, :, None] ** 2)
 
         relative = widened("relative", names, confidence.relative_covariance)
         relative[:, 0] = 0.0  # the root less itself
@@ -136,15 +176,25 @@ class Inflation:
             turn_covariance=widened("turn", pairs, confidence.turn_covariance),
         )
 
-    def _widened(self, kind: str, names: Sequence[str], who: Sequence[str], covariance: Array) -> Array:
-        chosen = []
-        for name, seen in zip(names, who, strict=True):
+    def _of(
+        self, kind: str, names: Sequence[str], root: str, circumstances: Circumstances
+    ) -> tuple[Array, Array]:
+        """K and B (n, 3) of some entries of a kind of covariance."""
+        factors, floors = [], []
+        for name in names:
+            seen = seen_by(kind, name, root, circumstances.sensors)
             known = self.widenings[seen][kind]
-            chosen.append(known.get(unsided(name), known[OTHER]))
-        factor = np.reshape([widening.factor for widening in chosen], (-1, 3))
-        floor = np.reshape([widening.floor for widening in chosen], (-1, 3))
-        scale = factor[:, :, None] * factor[:, None, :]
-        return np.asarray(covariance * scale + np.eye(3) * floor[:, :, None] ** 2)
+            widening = known.get(unsided(name), known[OTHER])
+            factors.append(factor_where(widening.factor, circumstances.lasting))
+            floors.append(widening.floor * circumstances.lasting * circumstances.doubt(kind, seen))
+        return np.array(factors), np.array(floors)
+
+
+def factor_where(factor: ArrayLike, lasting: ArrayLike) -> Array:
+    """K of factors k where residuals last as far as `lasting` says, 0 to 1."""
+    k = np.asarray(factor, dtype=float)
+    white = np.minimum(k, _WHITE_FACTOR)
+    return np.asarray(white + (k - white) * lasting)
 
 
 def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
@@ -156,8 +206,8 @@ def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
     """
     if not sensors:
         return "camera"
-    if kind not in SEEN["sensed"]:
-        return "fused"
+    if kind == "position":
+        return "fused" if any(limb <= {*sensors} for limb in _LIMBS) else "camera"
     needs = {root} if kind == "relative" else {*name.split()} - {WORLD}
     return "sensed" if needs <= {*sensors} else "fused"
 

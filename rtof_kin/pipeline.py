@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rtof_kin import signals
 from rtof_kin.calibration_priors import CalibrationPriors
-from rtof_kin.confidence import Confidence
+from rtof_kin.circumstances import circumstances
 from rtof_kin.contradictions import check_height, contradictions
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
@@ -160,7 +160,7 @@ def reconstruct(
         keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
     for warning in (*begun.faults, *warnings):
         _log.warning("%s: %s", recording.name, warning)
-    motion = skeleton.motion(poses, _confidence(solution, begun.bone_imus))
+    motion = _told(skeleton.motion(poses), keypoints, begun, solution)
     stages = begun.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = _scores(recording, stages, skeleton)
     return Reconstruction(
@@ -190,14 +190,15 @@ def _as_told(
     return found, slipped, contradictions(recording, found)
 
 
-def _confidence(
-    solution: FragmentSolution | None, bone_imus: BoneImuSequence | None
-) -> Confidence | None:
-    """How well a solution is known, errors that last included."""
+def _told(
+    motion: MotionSequence, keypoints: KeypointSequence, begun: Begun, solution: FragmentSolution | None
+) -> MotionSequence:
+    """A motion with how well it is known, where the solver says so: what lasts is added."""
     if solution is None or solution.confidence is None:
-        return None
-    sensors = () if bone_imus is None else bone_imus.joints
-    return Inflation.shipped().apply(solution.confidence, sensors)
+        return motion
+    sensors = () if begun.bone_imus is None else begun.bone_imus.joints
+    told = circumstances(keypoints, motion, begun.stages["lift"], sensors)
+    return replace(motion, confidence=Inflation.shipped().apply(solution.confidence, told))
 
 
 def _solved(

@@ -9,16 +9,18 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks import harness
 from benchmarks.confidence import __main__ as command
 from benchmarks.confidence.cases import Case, angle_errors, errors
 from benchmarks.confidence.figure import reliability
 from benchmarks.confidence.fitting import fitted, sharpest
+from benchmarks.confidence.motions import FITTED_ON
 from benchmarks.confidence.study import NOMINAL, honest, rows
 from benchmarks.confidence.tables import report
 from rtof_kin import rotations as so3
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.confidence import Confidence
-from rtof_kin.inflation import OTHER, SEEN, Inflation, Widening
+from rtof_kin.inflation import OTHER, SEEN, Circumstances, Inflation, Widening, factor_where
 from rtof_kin.joint_space.uncertainty import segment_pairs
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import PoseSequence
@@ -26,7 +28,7 @@ from rtof_kin.types import PoseSequence
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
 PAIRS = segment_pairs(BODY)
-CARRIERS = {"0": (), "8": ("LeftLeg",), "10": ("Hips", "LeftLeg")}
+CARRIERS = {"0": (), "8": ("LeftUpLeg", "LeftLeg"), "10": ("Hips", "LeftUpLeg", "LeftLeg")}
 SIGMA_M, SIGMA_RAD = 0.01, np.radians(1.0)
 
 
@@ -47,7 +49,7 @@ def case(number: int, sensors: str = "8", sigma: float = 1.0) -> Case:
     told = Confidence(truth.times, BODY.names, one, 2 * one, PAIRS, turn)
     q = np.tile(BODY.t_pose(), (T, 1))
     motion = MotionSequence(BODY, q, poses, BODY.check(q), told)
-    return Case(f"m{number}/0", "realistic", sensors, CARRIERS[sensors], motion, truth)
+    return Case(f"m{number}/0", "realistic", sensors, Circumstances(CARRIERS[sensors]), motion, truth)
 
 
 def as_told() -> Inflation:
@@ -76,7 +78,7 @@ def test_bands_that_are_too_narrow_or_too_wide_are_not_honest(sigma: float) -> N
 
 def test_errors_of_a_truth_against_itself_are_nothing() -> None:
     given = case(0)
-    exact = Case("m/0", "realistic", "8", (), given.motion, given.motion.poses)
+    exact = Case("m/0", "realistic", "8", Circumstances(), given.motion, given.motion.poses)
     for kind, name, both in errors(exact):
         assert np.abs(both.error).max(initial=0.0) < 1e-6, (kind, name)
     assert given.motion.confidence is not None
@@ -91,7 +93,9 @@ def test_the_fit_finds_by_how_much_the_hessian_is_too_sure() -> None:
         assert 0.9 < row["coverage"]["0.95"] < 0.98, row
     hips = found.widenings["fused"]["position"]["Hips"]
     assert np.hypot(hips.factor[0] * SIGMA_M / 3, hips.floor[0]) == pytest.approx(SIGMA_M, rel=0.1)
-    assert set(found.widenings["sensed"]["turn"]) == {"world Hips", "world Leg", OTHER}
+    assert set(found.widenings["sensed"]["turn"]) == {
+        "world Hips", "world UpLeg", "world Leg", "Hips UpLeg", "UpLeg Leg", OTHER
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("factor, floor", [(3.0, 0.02), (1.0, 0.05), (5.0, 1e-3)])
@@ -99,13 +103,30 @@ def test_a_planted_factor_and_floor_are_recovered(factor: float, floor: float) -
     rng = np.random.default_rng(0)
     variance = rng.uniform(0.001, 0.1, 40000) ** 2
     error = np.sqrt(factor**2 * variance + floor**2) * rng.normal(size=len(variance))
-    found = sharpest(error, variance, 1e-3)
+    one = np.ones(len(variance))
+    found = sharpest(error, variance, one, one, 1e-3)
     assert found == pytest.approx((factor, floor), rel=0.05, abs=2e-3)
 
 
+def test_they_are_recovered_from_recordings_that_tell_different_things_of_themselves() -> None:
+    rng = np.random.default_rng(1)
+    variance = rng.uniform(0.01, 0.1, 40000) ** 2
+    lasting, doubt = rng.uniform(0.0, 1.0, 40000), rng.uniform(0.5, 2.0, 40000)
+    size = np.sqrt(factor_where(3.0, lasting) ** 2 * variance + (0.05 * lasting * doubt) ** 2)
+    found = sharpest(size * rng.normal(size=len(size)), variance, lasting, doubt, 1e-3)
+    assert found == pytest.approx((3.0, 0.05), rel=0.1)
+
+
 def test_a_freedom_that_the_model_has_not_is_told_by_its_floor_alone() -> None:
-    error = 0.2 * np.random.default_rng(0).normal(size=5000)
-    assert sharpest(error, np.zeros(5000), 1e-3) == pytest.approx((1.0, 0.2), rel=0.05)
+    error, one = 0.2 * np.random.default_rng(0).normal(size=5000), np.ones(5000)
+    assert sharpest(error, 0 * one, one, one, 1e-3) == pytest.approx((1.0, 0.2), rel=0.05)
+
+
+def test_nobody_of_the_test_is_among_those_who_are_fitted_on() -> None:
+    split = harness.split()
+    assert not {*FITTED_ON} & {*split["test"], *split["excluded"]}
+    names = {name for motions in FITTED_ON.values() for name in motions}
+    assert not names & {*split["benchmark"]["motions"]}
 
 
 def test_the_report_sets_apart_what_is_not_honest_and_the_figure_is_drawn(tmp_path: Path) -> None:

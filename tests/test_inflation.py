@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,16 @@ from numpy.typing import NDArray
 
 from rtof_kin.confidence import WORLD, Confidence
 from rtof_kin.errors import FileFormatError, ShapeError
-from rtof_kin.inflation import OTHER, SEEN, Inflation, Widening, seen_by, unsided
+from rtof_kin.inflation import (
+    OTHER,
+    SEEN,
+    USUAL_TORSO_SIGMA,
+    Circumstances,
+    Inflation,
+    Widening,
+    seen_by,
+    unsided,
+)
 from rtof_kin.joint_space.uncertainty import segment_pairs
 from rtof_kin.skeleton import SkeletonModel
 
@@ -40,7 +50,7 @@ def test_a_covariance_is_scaled_on_both_sides_and_gets_a_floor() -> None:
     covariance = root @ np.swapaxes(root, -1, -2)
     wide = Widening([1.0, 2.0, 4.0], [0.1, 0.2, 0.3])
     found = inflation(camera={"world Hips": wide}).apply(
-        replace(confidence(), turn_covariance=covariance)
+        replace(confidence(), turn_covariance=covariance), Circumstances()
     )
     K = np.diag([1.0, 2.0, 4.0])
     expected = K @ covariance[:, 0] @ K + np.diag([0.01, 0.04, 0.09])
@@ -52,31 +62,65 @@ def test_a_covariance_is_scaled_on_both_sides_and_gets_a_floor() -> None:
     "sensors, position, relative, turns",
     [
         ((), 1, 1, [1, 1]),
-        (("LeftLeg",), 2, 2, [2, 2]),
-        (("LeftUpLeg",), 2, 2, [2, 2]),
-        (("Hips",), 2, 3, [3, 2]),
-        (("Hips", "LeftUpLeg"), 2, 3, [3, 3]),
+        (("LeftLeg",), 1, 2, [2, 2]),
+        (("LeftUpLeg", "RightLeg"), 1, 2, [2, 2]),
+        (("LeftUpLeg", "LeftLeg"), 2, 2, [2, 2]),
+        (("Hips",), 1, 3, [3, 2]),
+        (("Hips", "LeftUpLeg", "LeftLeg"), 2, 3, [3, 3]),
     ],
 )
 def test_it_depends_on_the_sensors_of_what_is_told(
     sensors: tuple[str, ...], position: float, relative: float, turns: list[float]
 ) -> None:
-    found = inflation().apply(confidence(), sensors)
+    found = inflation().apply(confidence(), Circumstances(sensors))
     np.testing.assert_allclose(found.position_sigma, position)
     np.testing.assert_allclose(found.relative_sigma[:, 1:], relative)
     np.testing.assert_allclose(found.turn_covariance[0, :, 0, 0], np.square(turns))
     np.testing.assert_array_equal(found.relative_sigma[:, 0], 0.0)
 
 
+def test_white_residuals_leave_what_the_hessian_says_but_for_the_sensors() -> None:
+    wide = {"world Hips": Widening(3.0, 0.5), "Hips UpLeg": Widening(1.1, 0.5)}
+    white = inflation(camera=wide).apply(confidence(), Circumstances(lasting=0.0))
+    np.testing.assert_allclose(white.turn_covariance[0, :, 0, 0], np.square([1.2, 1.1]))
+    half = inflation(camera=wide).apply(confidence(), Circumstances(lasting=0.5))
+    np.testing.assert_allclose(half.turn_covariance[0, 0, 0, 0], 2.1**2 + 0.25**2)
+
+
+def test_a_lifter_in_doubt_raises_floors_where_no_sensor_holds() -> None:
+    wide = {"world Hips": Widening(2.0, 0.5)}
+    unsure = Circumstances(torso_sigma=2 * USUAL_TORSO_SIGMA)
+    found = inflation(camera=wide, sensed=wide)
+    free = found.apply(confidence(), unsure)
+    held = found.apply(confidence(), replace(unsure, sensors=("Hips",)))
+    assert free.turn_covariance[0, 0, 0, 0] == pytest.approx(2.0**2 + 1.0)
+    assert held.turn_covariance[0, 0, 0, 0] == pytest.approx(2.0**2 + 0.25)
+
+
+@pytest.mark.parametrize(
+    "wrong, message",
+    [
+        ({"lasting": 1.1}, r"lasting: 1.1 is not in \[0, 1\]"),
+        ({"lasting": np.nan}, "lasting: nan is not"),
+        ({"torso_sigma": 0.0}, "torso_sigma: 0.0 must be positive"),
+        ({"sensors": ("Hips", "Hips")}, "sensors: Hips stands there more than once"),
+    ],
+)
+def test_circumstances_that_cannot_be_are_refused(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ShapeError, match=message):
+        Circumstances(**wrong)
+
+
 def test_right_and_left_are_widened_alike() -> None:
     assert unsided("Hips LeftUpLeg") == unsided("Hips RightUpLeg") == "Hips UpLeg"
-    found = Inflation.shipped().apply(confidence(1e-4))
+    found = Inflation.shipped().apply(confidence(1e-4), Circumstances())
     np.testing.assert_array_equal(found.position_sigma[:, 1], found.position_sigma[:, 2])
 
 
 def test_what_is_unknown_stays_unknown() -> None:
     unknown = replace(confidence(), position_covariance=np.full((2, 3, 3, 3), np.nan))
-    assert np.isnan(Inflation.shipped().apply(unknown, ("Hips",)).position_covariance).all()
+    found = Inflation.shipped().apply(unknown, Circumstances(("Hips",)))
+    assert np.isnan(found.position_covariance).all()
 
 
 def test_a_file_is_what_was_written(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ levenberg_marquardt   banded   lanes
 types   urdf   stream_faults   confidence
 skeleton   keypoint_guards   inflation
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position   contacts
-sensor_guards
+sensor_guards   circumstances
 fragment_problem   fragment_solution   joint_space   joint_space.settings   root_path
 io.arrays   io.articulated   io.folder   io.markers   io.pickled   io.section
 io.world_axes

@@ -2,7 +2,7 @@
 
 The benchmark's motions x 4 cameras with realistic 2D and 0, 4, 8 and 10 sensors, and with white and
 perfect 2D and 8; every fourth frame; what ships was made with ``--cameras 2``. ``--fit`` fits the
-inflation on the validation motions instead, and writes ``models/confidence.toml``.
+inflation instead, on other people (`motions.FITTED_ON`), and writes ``models/confidence.toml``.
 """
 
 from __future__ import annotations
@@ -10,35 +10,36 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.progress import track
 
 from benchmarks import harness
-from benchmarks.accuracy.__main__ import clips
+from benchmarks.confidence import motions
 from benchmarks.confidence.cases import FITTED, KINDS, Case, reconstructed
 from benchmarks.confidence.figure import reliability
 from benchmarks.confidence.fitting import fitted
 from benchmarks.confidence.study import Row, rows
 from benchmarks.confidence.tables import report
 from rtof_kin.inflation import Inflation
+from rtof_kin.mocap import MocapClip
 from rtof_kin.resources import CHECKOUT
 
 HEAD = """\
 # What errors that last add to the Hessian's covariances; see rtof_kin/inflation.py.
 # Made by: python -m benchmarks.confidence --corpus DIR --fit{more}
-# from {count} recordings of the validation subjects, of benchmarks/split.toml.
+# from {count} recordings of {people} people, see benchmarks/confidence/motions.py.
 
 """
 
 
-def collected(options: argparse.Namespace, subset: str, kinds: Any) -> list[Case]:
-    """Every motion of a subset seen by every camera."""
+def collected(options: argparse.Namespace, clips: Sequence[MocapClip], kinds: Any) -> list[Case]:
+    """Every motion seen by every camera."""
     jobs = [
-        (clip, camera, *kind)
-        for clip in clips(options.corpus, subset) for camera in range(options.cameras) for kind in kinds
-    ]  # fmt: skip
+        (clip, camera, *kind) for clip in clips for camera in range(options.cameras) for kind in kinds
+    ]
     return [
         reconstructed(*job, options.seed, options.calibrate, options.lifter)
         for job in track(jobs, "recordings")
@@ -47,9 +48,9 @@ def collected(options: argparse.Namespace, subset: str, kinds: Any) -> list[Case
 
 def fit(options: argparse.Namespace) -> None:
     """Write the inflation."""
-    cases = collected(options, "validation", FITTED)
+    cases = collected(options, motions.clips(options.corpus), FITTED)
     more = f" --cameras {options.cameras}" + ("" if options.calibrate else " --as-given")
-    head = HEAD.format(more=more, count=len(cases))
+    head = HEAD.format(more=more, count=len(cases), people=len(motions.FITTED_ON))
     path = CHECKOUT / "confidence.toml"
     path.write_text(head + fitted(cases).text(), encoding="utf-8")
     print(f"wrote {path}")
@@ -57,7 +58,8 @@ def fit(options: argparse.Namespace) -> None:
 
 def study(options: argparse.Namespace) -> None:
     """Write the tables, their numbers and the figure."""
-    found = rows(collected(options, "test", KINDS), Inflation.shipped())
+    cases = collected(options, harness.test_clips(options.corpus), KINDS)
+    found = rows(cases, Inflation.shipped())
     write(found, options.out, options.calibrate, options.cameras)
 
 

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from benchmarks import harness
 from rtof_kin import rotations as so3
+from rtof_kin.circumstances import circumstances
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.confidence import WORLD, Confidence
+from rtof_kin.inflation import Circumstances
 from rtof_kin.metrics import at_times
 from rtof_kin.mocap import MocapClip
 from rtof_kin.pipeline import reconstruct
@@ -37,8 +39,8 @@ class Case:
     name: str
     keypoints: str
     sensors: str
-    carriers: tuple[str, ...]
-    """Joints whose segments carry them."""
+    circumstances: Circumstances
+    """What the recording tells of its own errors, its sensors' segments among it."""
     motion: MotionSequence
     """With the confidence of the Hessian alone."""
     truth: PoseSequence
@@ -71,7 +73,9 @@ def reconstructed(
     motion = replace(result.motion, confidence=result.solution.confidence)[::EVERY]
     truth = at_times(recording.truth, motion.times)
     carriers = () if result.bone_imus is None else result.bone_imus.joints
-    return Case(f"{clip.name}/{camera}", keypoints, sensors, carriers, motion, truth)
+    assert result.keypoints is not None
+    told = circumstances(result.keypoints, result.motion, result.stages["lift"], carriers)
+    return Case(f"{clip.name}/{camera}", keypoints, sensors, told, motion, truth)
 
 
 @cache

@@ -1,9 +1,13 @@
-"""What a study with inertial sensors should state, after the recommendations of the International
-Society of Biomechanics, in our own words: filled in where the package knows it, else left to the user.
+"""What a study with inertial sensors should state, in the spirit of the recommendations of the
+International Society of Biomechanics: filled in where the package knows it, else left to the user.
 
 A. Cereatti, R. Gurchiek, A. Muendermann, S. Fantozzi, F. Horak, S. Delp, K. Aminian: ISB recommendations
 on the definition, estimation, and reporting of joint kinematics in human motion analysis applications
-using wearable inertial measurement technology. Journal of Biomechanics, 112225, 2024.
+using wearable inertial measurement technology. Journal of Biomechanics 173, 112225, 2024.
+
+The items, their grouping and their words are ours and follow the steps from sensor to joint angle that
+the title names; they have not been held against the article's own list: who must satisfy a journal reads
+the article.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from typing import Any
 CITATION = (
     "A. Cereatti et al.: ISB recommendations on the definition, estimation, and reporting of joint "
     "kinematics in human motion analysis applications using wearable inertial measurement technology. "
-    "Journal of Biomechanics, 112225, 2024, doi 10.1016/j.jbiomech.2024.112225"
+    "Journal of Biomechanics 173, 112225, 2024, doi 10.1016/j.jbiomech.2024.112225"
 )
 _METHODS = {
     "lift": "a temporal convolution network on 2D keypoints alone",
