@@ -110,7 +110,10 @@ def shared_fragments(
     unknowns = _unknowns(recording.skeleton, seen, data, start, priors, sampled)
     seconds = min(float(start.times[-1] - start.times[0]), priors.most_seconds)
     share = priors.lasting_seconds / max(seconds, priors.lasting_seconds)
-    worth = Worth(*(share * w for w in (priors.worth_vision, priors.worth_sensors, priors.worth_poses)))
+    worth = Worth(
+        vision=share * priors.worth_vision, sensors=share * priors.worth_sensors, motion=share,
+        prior=share * priors.worth_poses,
+    )  # fmt: skip
     return SharedFragments(data, start.times, unknowns, worth, priors.most_seconds)
 
 

@@ -44,6 +44,8 @@ class Evidence:
     """(T, S) 1 / sigma^2 of each."""
     length_scale: float = 1.0
     """[1] As `FragmentData` has it."""
+    worth_of_motion: float = 1.0
+    """[1] What accelerations and jerk count."""
 
     @classmethod
     def of(cls, data: Observations, times: Array) -> Self:
@@ -78,7 +80,11 @@ class Evidence:
         data = fragment_of(
             self.rows, self.constant, self.a_world, self.w_acceleration, self.rate_hz, first, frames
         )[2]
-        return replace(data, length_scale=self.length_scale)
+        worth = self.worth_of_motion
+        return replace(
+            data, length_scale=self.length_scale, w_acceleration=worth * data.w_acceleration,
+            w_jerk=worth * data.w_jerk,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ frame: `Worth` says how much.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -51,7 +51,10 @@ class Worth:
 
     vision: float = 1.0
     sensors: float = 1.0
-    """Their orientations; accelerations keep their worth."""
+    """Their orientations."""
+    motion: float = 1.0
+    """Accelerations and jerk. Both are smaller of who keeps the arms bent, so they must not count for
+    more than the rest."""
     prior: float = 1.0
     """That of poses, and the start's torso."""
 
@@ -204,6 +207,7 @@ class SharedFragments:
             evidence = unknown.correct(evidence, y[part])
         rows, s = evidence.rows, self.data.settings
         knee = s.robust_reprojection / s.largest_correlation_factor * np.sqrt(worth.vision)
+        evidence = replace(evidence, worth_of_motion=worth.motion)
         return evidence.changed(
             w_visual=worth.vision * self.data.confidence / self._sigma_px**2,
             knee_visual=np.full(len(evidence.times), knee),
