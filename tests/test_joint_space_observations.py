@@ -1,4 +1,4 @@
-"""A recording as the joint-space problem wants it: how strongly the start's torso is held to."""
+"""A recording as the joint-space problem wants it: how strongly it holds to the start, and where."""
 
 from __future__ import annotations
 
@@ -120,3 +120,61 @@ def test_what_the_torso_is_held_to_is_the_start() -> None:
 def test_an_inflation_must_be_positive_and_finite(wrong: float) -> None:
     with pytest.raises(ShapeError, match="torso_inflation"):
         JointSpaceSettings(torso_inflation=wrong)
+
+
+ARM = ("LeftArm", "LeftForeArm")
+ALL_BONES = {side + bone for side in ("Left", "Right") for bone in ("Arm", "ForeArm", "UpLeg", "Leg")}
+
+
+@pytest.mark.parametrize(
+    ("sensors", "bare"),
+    [
+        ((), ALL_BONES),
+        (("Hips", "Spine3"), ALL_BONES),
+        (("LeftForeArm",), ALL_BONES - {*ARM}),
+        (("LeftHand",), ALL_BONES - {*ARM}),
+        (("LeftForeArm", "RightForeArm", "LeftLeg", "RightLeg"), set()),
+    ],
+)
+def test_bones_of_limbs_without_a_sensor_are_held_to_the_start(
+    sensors: tuple[str, ...], bare: set[str]
+) -> None:
+    found = observed(start(), worn(*sensors) if sensors else None)
+    bones = found.problem.energy.shape.bones
+    assert {BODY.names[joint] for joint, _ in bones} == bare
+    p = POSES.p_world_joint
+    for i, (joint, child) in enumerate(bones):
+        np.testing.assert_allclose(found.rows["b_world"][:, i], p[:, child] - p[:, joint])
+
+
+def test_limbs_without_a_sensor_move_as_smoothly_as_where_there_is_none() -> None:
+    def sigma_jerk(*sensors: str) -> dict[str, float]:
+        found = observed(start(), worn(*sensors) if sensors else None)
+        first = {BODY.names[j]: found.space.columns(j).stop - 1 for j in found.space.joints}
+        return {name: float(found.problem.sigma_jerk[i]) for name, i in first.items()}
+
+    alone, one_arm = sigma_jerk(), sigma_jerk("LeftForeArm")
+    ratio = SETTINGS.jerk / SETTINGS.jerk_without_sensors
+    for name in alone:
+        limb = name.removeprefix("Left").removeprefix("Right")
+        is_bare = limb in ("Arm", "ForeArm", "UpLeg", "Leg") and name not in ARM
+        assert one_arm[name] / alone[name] == pytest.approx(1 if is_bare else ratio), name
+
+
+@pytest.mark.parametrize(
+    ("sensors", "times_wider"),
+    [
+        ((), 1),
+        (("LeftForeArm",), 2),
+        (("Hips", "LeftForeArm", "RightForeArm", "LeftLeg", "RightLeg"), 2),
+        (ARM, np.inf),
+        (("LeftUpLeg", "LeftLeg", "RightForeArm"), np.inf),
+    ],
+)
+def test_the_root_is_held_to_the_start_until_a_limbs_two_bones_are_sensed(
+    sensors: tuple[str, ...], times_wider: float
+) -> None:
+    found = observed(start(), worn(*sensors) if sensors else None)
+    assert SETTINGS.sigma_root is not None
+    expected = 1 / (times_wider * SETTINGS.sigma_root) ** 2
+    np.testing.assert_allclose(found.rows["w_root"], expected)
