@@ -43,6 +43,7 @@ from rtof_kin.checks import checked_names
 from rtof_kin.confidence import WORLD, Confidence
 from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.io.text import load_toml
+from rtof_kin.limbs import both_bones_sensed
 from rtof_kin.resources import model_path
 
 Array = NDArray[np.float64]
@@ -54,12 +55,6 @@ OTHER = "other"
 """Name of the widening of what has none of its own."""
 USUAL_TORSO_SIGMA = 0.09
 """[rad] of pelvis and upper trunk as the lifter tells it of a usual recording."""
-_LIMBS = tuple(
-    {side + upper, side + lower}
-    for side in ("Left", "Right")
-    for upper, lower in (("Arm", "ForeArm"), ("UpLeg", "Leg"))
-)
-"""The two bones of each limb."""
 _WHITE_FACTOR = 1.2
 """k0: errors in such of the Hessian's standard deviations with white 2D and eight real sensors, of
 people of the fit; the same of positions and turns."""
@@ -207,7 +202,7 @@ def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
     if not sensors:
         return "camera"
     if kind == "position":
-        return "fused" if any(limb <= {*sensors} for limb in _LIMBS) else "camera"
+        return "fused" if both_bones_sensed(sensors) else "camera"
     needs = {root} if kind == "relative" else {*name.split()} - {WORLD}
     return "sensed" if needs <= {*sensors} else "fused"
 

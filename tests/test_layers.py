@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 ROWS = """
-errors   plausibility
+errors   plausibility   limbs
 rotations   resources   body_mass   io
 io.text
 signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_code

@@ -18,17 +18,12 @@ from rtof_kin.joint_space.prior import shipped_prior
 from rtof_kin.joint_space.problem import FragmentData
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.joint_space.state import StateSpace
+from rtof_kin.limbs import LIMBS, bare, both_bones_sensed
 from rtof_kin.root_position import refit_root
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
-_LIMBS = tuple(
-    tuple(side + part for part in parts)
-    for side in ("Left", "Right")
-    for parts in (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot"))
-)
-"""Segments of the limbs: two long bones, and their end."""
 _ROOT_BESIDE_SENSORS = 2.0
 """By how much wider the root's anchor is where there are landmarks and sensors."""
 _WEIGHTS = {"w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor", "w_contact"}
@@ -112,7 +107,7 @@ class Observations:
     def _turned(self, start: PoseSequence, yaw: float) -> Array:
         """States of the start with its trunk turned about the vertical, the limbs as they are."""
         R = start.R_world_bone.copy()
-        trunk = [j for j, name in enumerate(start.names) if name not in sum(_LIMBS, ())]
+        trunk = [j for j, name in enumerate(start.names) if name not in sum(LIMBS, ())]
         R[:, trunk] = so3.about_axis("z", yaw) @ R[:, trunk]
         return self.space.from_poses(start.p_world_joint[:, 0], R)
 
@@ -140,9 +135,9 @@ class Observations:
 
     def _jerk(self, sensors: tuple[str, ...]) -> tuple[float, ...]:
         """Factors on the jerk of the root's position and of every joint that moves."""
-        s, bare = self.settings, _bare(sensors)
-        others = s.jerk if sensors else s.jerk_without_sensors
-        return others, *(s.jerk_without_sensors if name in bare else others for name in self.space.names)
+        unseen, smooth = self.settings.jerk_without_sensors, bare(sensors)
+        others = self.settings.jerk if sensors else unseen
+        return others, *(unseen if name in smooth else others for name in self.space.names)
 
     def _observe(
         self, start: PoseSequence, seen: KeypointSequence | None, bone_imus: BoneImuSequence | None,
@@ -183,7 +178,7 @@ class Observations:
     def _root_weight(self, sensors: tuple[str, ...], seen: bool) -> float:
         """Of the anchor to the start's root, 1/m^2."""
         s = self.settings
-        known = seen and any({*limb[:2]} <= {*sensors} for limb in _LIMBS)
+        known = seen and both_bones_sensed(sensors)
         if s.sigma_root is None or known:
             return 0.0
         return 1 / (_ROOT_BESIDE_SENSORS * s.sigma_root if seen and sensors else s.sigma_root) ** 2
@@ -286,15 +281,10 @@ def sensor_data(
     return quat, has, a, w, levers
 
 
-def _bare(sensors: Collection[str]) -> set[str]:
-    """Segments of the limbs that carry no sensor at all."""
-    return {name for limb in _LIMBS if not {*limb} & {*sensors} for name in limb}
-
-
 def _bare_bones(skeleton: SkeletonModel, sensors: Collection[str]) -> tuple[tuple[int, int], ...]:
-    """Joint and child of the bones of those limbs."""
-    bare = {*skeleton.names} & _bare(sensors)
-    pairs = [(joint, kinematics.children_of(skeleton.parents, joint)) for joint in skeleton.index(*bare)]
+    """Joint and child of the bones of limbs that carry no sensor at all."""
+    joints = skeleton.index(*({*skeleton.names} & bare(sensors)))
+    pairs = [(joint, kinematics.children_of(skeleton.parents, joint)) for joint in joints]
     return tuple(sorted((joint, children[0]) for joint, children in pairs if len(children) == 1))
 
 
