@@ -19,8 +19,8 @@ _ABLATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     NOMINAL: ("8", {}),
     "orientation of the sensors": ("8", {"sigma_swing": _HUGE, "sigma_twist": _HUGE}),
     "acceleration": ("8", {"sigma_acceleration": _HUGE}),
-    "swing and twist apart: both 3.5 deg": ("8", {"sigma_twist": np.radians(3.5)}),
-    "swing and twist apart: both 9.1 deg, their root mean square": (
+    "swing and twist apart: twist 3.5 deg": ("8", {"sigma_twist": np.radians(3.5)}),
+    "swing and twist apart: both 9.1 deg": (
         "8", {"sigma_swing": np.radians(9.1), "sigma_twist": np.radians(9.1)}
     ),
     _AS_GIVEN: ("8", {}),
