@@ -126,6 +126,23 @@ def low_pass(values: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 2
     return np.asarray(signal.sosfiltfilt(sos, values, axis=0, padlen=padding))
 
 
+def low_pass_known(times: Array, values: Array, cutoff_hz: float) -> Array:
+    """`low_pass` of what is known of a signal at even times, run by run; gaps stay open.
+
+    Args:
+        times: (T,) seconds.
+        values: (T, n) any unit; a row is missing where any of it is NaN.
+        cutoff_hz: where it is not below half the rate, nothing is filtered.
+    """
+    rate_hz = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    out = np.array(values, dtype=float)
+    if cutoff_hz < rate_hz / 2:
+        for start, stop in runs(np.isfinite(out).all(axis=1)):
+            if stop - start > 3:
+                out[start:stop] = low_pass(out[start:stop], rate_hz, cutoff_hz)
+    return out
+
+
 def runs(mask: ArrayLike) -> list[tuple[int, int]]:
     """Half-open index ranges [start, stop) in which a mask (T,) is true."""
     padded = np.concatenate([[False], np.asarray(mask, dtype=bool), [False]])

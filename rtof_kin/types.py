@@ -310,6 +310,9 @@ class ImuSequence:
         )
 
 
+_ABSURD_ACCELERATION = 1e4  # [m/s^2] hundreds of times what IMUs measure
+
+
 @dataclass(frozen=True)
 class BoneImuSequence:
     """IMUs after calibration: orientation of the segment that carries each, acceleration in world."""
@@ -377,6 +380,15 @@ class BoneImuSequence:
             p_bone_sensor=np.concatenate([part.p_bone_sensor for part in own]),
             joints=tuple(joints),
         )
+
+    def low_passed(self, cutoff_hz: float) -> Self:
+        """The same sensors, their accelerations without what is faster than a frequency. What no sensor
+        measures stays as it is, and is kept out of the others."""
+        absurd = (np.abs(self.a_world) > _ABSURD_ACCELERATION).any(axis=-1, keepdims=True)
+        out = np.where(absurd, np.nan, self.a_world)
+        for s in range(len(self.joints)):
+            out[:, s] = signals.low_pass_known(self.times, out[:, s], cutoff_hz)
+        return replace(self, a_world=np.where(absurd, self.a_world, out))
 
     def resample(self, times: ArrayLike, max_gap: float = 0.1) -> Self:
         """The same sensors at other times, usually those of the video.

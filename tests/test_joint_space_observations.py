@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin import rotations as so3
+from rtof_kin import signals
 from rtof_kin.errors import ShapeError
 from rtof_kin.joint_space.frame_energy import TORSO
 from rtof_kin.joint_space.observations import Observations
@@ -178,3 +179,32 @@ def test_the_root_is_held_to_the_start_until_a_limbs_two_bones_are_sensed(
     assert SETTINGS.sigma_root is not None
     expected = 1 / (times_wider * SETTINGS.sigma_root) ** 2
     np.testing.assert_allclose(found.rows["w_root"], expected)
+
+
+def noisy(imus: BoneImuSequence) -> BoneImuSequence:
+    return replace(imus, a_world=imus.a_world + np.random.default_rng(1).normal(size=imus.a_world.shape))
+
+
+def test_accelerations_are_low_passed_unless_told_not_to() -> None:
+    imus, plain = noisy(worn("LeftLeg")), replace(SETTINGS, acceleration_cutoff_hz=None)
+    slow = signals.low_pass(imus.a_world, 60.0, 12.0)
+    np.testing.assert_allclose(observed(start(), imus).a_world, slow, atol=1e-9)
+    np.testing.assert_allclose(observed(start(), imus, plain).a_world, imus.a_world)
+
+
+def test_a_sensor_is_low_passed_at_its_own_rate_before_it_is_brought_to_the_frames() -> None:
+    times = np.arange(4 * T) / 240
+    a = np.random.default_rng(2).normal(size=(4 * T, 1, 3))
+    imus = replace(worn("LeftLeg").resample(times), a_world=a)
+    slow = replace(imus, a_world=signals.low_pass(a, 240.0, 12.0)).resample(POSES.times)
+    np.testing.assert_allclose(observed(start(), imus).a_world, np.nan_to_num(slow.a_world), atol=1e-9)
+
+
+def test_an_absurd_acceleration_stays_where_it_is() -> None:
+    imus = noisy(worn("LeftLeg", "RightLeg"))
+    a = imus.a_world.copy()
+    a[8, 0, 1] = 1e100
+    data = observed(start(), replace(imus, a_world=a))
+    a_world = data.a_world[:, [data.sensors.index(joint) for joint in imus.joints]]
+    assert a_world[8, 0, 1] == 1e100
+    assert np.abs(np.delete(a_world, 8, axis=0)).max() < 50

@@ -230,6 +230,28 @@ def test_a_signal_shorter_than_the_padding_can_be_filtered() -> None:
     assert_close(signals.low_pass(np.full((5, 2), 3.0), 60.0, 6.0), np.full((5, 2), 3.0), 1e-9)
 
 
+def test_what_is_known_is_low_passed_run_by_run_and_gaps_stay_open() -> None:
+    t = np.arange(60) / 60
+    x = RNG.normal(size=(60, 3))
+    x[20, 1] = np.nan
+    x[22:] += 100.0
+    x[21:22] = np.nan
+    out = signals.low_pass_known(t, x, 12.0)
+    assert_close(out[:20], signals.low_pass(x[:20], 60.0, 12.0), 1e-12)
+    assert_close(out[22:], signals.low_pass(x[22:], 60.0, 12.0), 1e-12)
+    assert np.isnan(out[20, 1])
+    assert np.isnan(out[21]).all()
+    assert_close(out[20, [0, 2]], x[20, [0, 2]])
+
+
+@pytest.mark.parametrize(
+    ("frames", "cutoff_hz"), [(60, 30.0), (60, 50.0), (3, 12.0), (1, 12.0), (0, 12.0)]
+)
+def test_what_is_too_slow_or_too_short_is_not_filtered(frames: int, cutoff_hz: float) -> None:
+    x = RNG.normal(size=(frames, 3))
+    assert_close(signals.low_pass_known(np.arange(frames) / 60, x, cutoff_hz), x)
+
+
 @pytest.mark.parametrize(
     ("mask", "expected"),
     [

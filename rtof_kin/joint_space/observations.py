@@ -265,6 +265,8 @@ def sensor_data(
     has, a, w, levers = np.zeros((T, S)), np.zeros((T, S, 3)), np.zeros((T, S)), np.zeros((S, 3))
     if bone_imus is None:
         return quat, has, a, w, levers
+    if (cutoff := settings.acceleration_cutoff_hz) is not None:
+        bone_imus = bone_imus.low_passed(cutoff)
     if not np.array_equal(bone_imus.times, times):
         bone_imus = bone_imus.resample(times)
     for k, joint in enumerate(sensors):

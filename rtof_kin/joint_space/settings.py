@@ -36,6 +36,9 @@ class JointSpaceSettings:
     """[sigma] where the loss of an orientation turns from square to linear."""
     sigma_acceleration: float = 2.0
     """[m/s^2] of a sensor."""
+    acceleration_cutoff_hz: float | None = 12.0
+    """[Hz] low-pass of the sensors' accelerations, both ways: what is faster is soft tissue and noise,
+    which the motion would follow. None takes them as they are."""
     robust_acceleration: float = 2.0
     """[sigma] where the loss of an acceleration turns from square to linear."""
     jerk: float = 2.5
@@ -96,9 +99,9 @@ class JointSpaceSettings:
     def calibrated(cls) -> Self:
         """For a recording that was calibrated from itself: of the sensors' errors slip and wobble are
         left, without a mounting that is wrong all through. Orientations then tell quick motion, so
-        accelerations, which bring their noise along, are worth less."""
+        accelerations and the jerk of free motion are worth less."""
         return cls(
-            sigma_swing=np.radians(2.5), sigma_twist=np.radians(15.0), sigma_acceleration=3.0
+            sigma_swing=np.radians(2.0), sigma_twist=np.radians(12.0), sigma_acceleration=2.5, jerk=3.0
         )
 
     def __post_init__(self) -> None:
@@ -113,12 +116,14 @@ class JointSpaceSettings:
         low, high = self.sigma_reprojection_range
         if not 0 < low <= high < np.inf:
             raise ShapeError("sigma_reprojection_range must be positive, the smaller one first")
-        optional = ("sigma_reprojection", "sigma_torso", "sigma_bone", "sigma_root")
+        optional = ["sigma_reprojection", "sigma_torso", "sigma_bone", "sigma_root"]
+        optional += ["acceleration_cutoff_hz"]
         object.__setattr__(self, "sigma_reprojection_range", (float(low), float(high)))
         object.__setattr__(self, "torso_yaws", tuple(float(yaw) for yaw in self.torso_yaws))
         positive = [name for name in vars(self) if name.startswith(("sigma_", "robust_"))]
         positive += ["torso_inflation", "jerk", "jerk_without_sensors", "prior_inflation", "floor_cutoff"]
         positive += ["smooth_start_hz", "tolerance", "ankle_height", "largest_correlation_factor"]
+        positive += ["acceleration_cutoff_hz"]
         for field in positive:
             value = getattr(self, field)
             if isinstance(value, tuple) or (value is None and field in optional):
