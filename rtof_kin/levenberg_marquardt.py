@@ -26,7 +26,8 @@ _SLOW = 0.5
 """Share of the decrease promised before that a step on an old factor may promise at most."""
 _STIFFNESS = 1 / np.radians(1.0) ** 2
 """Of the limits' penalty, 1/rad^2; multipliers make them exact."""
-_LIMIT_TOLERANCE = np.radians(0.1)
+_USUAL_TOLERANCE, _LIMIT_TOLERANCE = 1e-4, np.radians(0.1)
+"""How far limits may be off where the energy's tolerance is the usual one; less with its square root."""
 _EARLY = 10.0
 """Multipliers are updated when a step promises less than this many tolerances."""
 
@@ -120,7 +121,8 @@ class LevenbergMarquardt:
         """Minimise from a state.
 
         Args:
-            tolerance: relative decrease of the energy, predicted for a step, below which it ends.
+            tolerance: relative decrease of the energy, predicted for a step, below which it ends; limits
+                are kept to a tenth of a degree, and closer where it is below 1e-4.
             multipliers: of an earlier solution, to go on with.
             reweigh: called with the start and every new state; may change the problem's weights, and
                 returns whether it did.
@@ -133,6 +135,7 @@ class LevenbergMarquardt:
         M = 0 if self.limits is None else len(self.limits.names)
         m = np.zeros((len(x), M)) if multipliers is None else multipliers
         promised = np.inf
+        allowed = _LIMIT_TOLERANCE * min(1.0, np.sqrt(tolerance / _USUAL_TOLERANCE))
         if reweigh is not None:
             reweigh(x)
         energy = self._energy(x, m)
@@ -155,9 +158,9 @@ class LevenbergMarquardt:
             small = predicted / (tolerance * (1 + abs(energy)) + 1e-300)
             if small < _EARLY and not updated:
                 new, outside = self._updated(x, m)
-                if small < 1 and outside <= _LIMIT_TOLERANCE:
+                if small < 1 and outside <= allowed:
                     return Solved(x, iteration, True, new)
-                updated = outside > _LIMIT_TOLERANCE
+                updated = outside > allowed
                 if updated:
                     m, energy = new, self._energy(x, new)
                     continue

@@ -43,12 +43,8 @@ class Start:
         return Ipopt(self.problem, self.limits if limited else None).solve(self.x, most, tolerance)
 
     def real_time(self, limited: bool) -> Solved:
-        """Also its multipliers to many digits, which one call has no need of."""
         solver = LevenbergMarquardt(self.problem, self.limits if limited else None)
-        solved = solver.solve(self.x, 400, 1e-12)
-        for _ in range(15 if limited else 0):
-            solved = solver.solve(solved.x, 100, 1e-12, solved.multipliers)
-        return solved
+        return solver.solve(self.x, 400, 1e-9 if limited else 1e-12)
 
     def excess(self, x: Array) -> Array:
         return self.limits.excess(self.limits.values(x))

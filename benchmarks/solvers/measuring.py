@@ -28,8 +28,8 @@ class Effort:
     agreement_every: int = 1
     """Every how many fragments IPOPT and the real-time solver are compared."""
     lengths: tuple[int, ...] = tuple(PAPER_FPS)
-    frames: int = 600
-    """Of the recording, for settings and N."""
+    frames: int = 1500
+    """Of the recording, for settings and N; the demo has 1436."""
     runs: int = 3
     patience_s: float = 10.0
     """After which no further run of the same settings begins."""

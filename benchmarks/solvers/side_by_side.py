@@ -36,9 +36,9 @@ from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.levenberg_marquardt import LevenbergMarquardt
 
 N = 50
-CERES_CAP, IPOPT_CAP, TIGHT_CAP = 100, 100, 200
+CERES_CAP, IPOPT_CAP, TIGHT_CAP = 100, 200, 200
 """Iteration caps of Ceres, of IPOPT, and of the real-time solver at its tight tolerance."""
-TIGHT, IPOPT_TIGHT = 1e-9, 1e-6
+TIGHT, IPOPT_TIGHT = 1e-9, 1e-8
 """Tolerances of the real-time solver and of IPOPT where their answers are compared: either leaves about
 1e-9 of the energy. Everywhere else they are those of the settings."""
 BASIN_MM = 1.0
