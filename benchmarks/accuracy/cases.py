@@ -13,15 +13,18 @@ from benchmarks.harness import KEYPOINTS, SENSOR_SETS
 from rtof_kin.joint_space.settings import JointSpaceSettings
 
 _HUGE = 1e4
+_USUAL = JointSpaceSettings.calibrated()
+_BETWEEN = float(np.sqrt(_USUAL.sigma_swing * _USUAL.sigma_twist))
 _BLIND = "sensors in the lifter"
 _AS_GIVEN = "calibration from the recording itself"
 _ABLATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     NOMINAL: ("8", {}),
     "orientation of the sensors": ("8", {"sigma_swing": _HUGE, "sigma_twist": _HUGE}),
     "acceleration": ("8", {"sigma_acceleration": _HUGE}),
-    "swing and twist apart: twist 3.5 deg": ("8", {"sigma_twist": np.radians(3.5)}),
-    "swing and twist apart: both 9.1 deg": (
-        "8", {"sigma_swing": np.radians(9.1), "sigma_twist": np.radians(9.1)}
+    "acceleration's low-pass": ("8", {"acceleration_cutoff_hz": None}),
+    "swing and twist apart: twist as swing": ("8", {"sigma_twist": _USUAL.sigma_swing}),
+    "swing and twist apart: both between": (
+        "8", {"sigma_swing": _BETWEEN, "sigma_twist": _BETWEEN}
     ),
     _AS_GIVEN: ("8", {}),
     "robust 2D": ("8", {"robust_reprojection": 1e3}),
@@ -64,7 +67,7 @@ class Case:
     def settings(self) -> JointSpaceSettings:
         """Of the solver."""
         calibrated = self.sensors != "0" and not self.as_given
-        usual = JointSpaceSettings.calibrated() if calibrated else JointSpaceSettings()
+        usual = _USUAL if calibrated else JointSpaceSettings()
         return replace(usual, **self.changes)
 
     @property
