@@ -26,7 +26,6 @@ from rtof_kin.datasets.total_capture import TotalCapture
 from rtof_kin.errors import FileFormatError, OutputExistsError, ShapeError, UnknownNameError
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.io.motion_npz import read_motion_npz
-from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.protocols import pictures, published, total_capture
 from rtof_kin.protocols.jobs import Outcome
 from rtof_kin.protocols.tables import Table
@@ -668,18 +667,34 @@ def test_the_space_asked_for_is_the_solvers(
 ) -> None:
     given = []
 
-    def reconstructions(recording: Any, modes: Any, lifter: Any, settings: Any) -> dict[str, Any]:
+    def reconstructions(
+        recording: Any, modes: Any, lifter: Any, settings: Any, calibrate: bool
+    ) -> dict[str, Any]:
         given.append(type(settings.fragment))
         return {}
 
     monkeypatch.setattr(total_capture, "reconstructions", reconstructions)
     about = protocol(root, subjects=("S1",), takes=("walking2",), cameras=(1,))
-    spaces = {"joint": JointSpaceSettings, "cartesian": FragmentSettings}
+    spaces = {"joint": type(None), "cartesian": FragmentSettings}  # none: those of joint space
     for space in spaces:
         chosen = replace(about, space=space)
         outcome = run(chosen, tmp_path / space, workers=1)
         assert f"solved in {space} space" in tables_of(chosen, outcome)["by_take"].notes[0]
     assert given == list(spaces.values())
+
+
+def test_a_take_calibrated_from_itself_makes_up_for_sensors_that_sit_askew(tmp_path: Path) -> None:
+    """Noisy sensors are turned by some degrees on their segments."""
+    tc.dataset(tmp_path / "data", tc.take("S1", "walking2", noisy=True, frames=240))
+    about = protocol(tmp_path / "data", subjects=("S1",), takes=("walking2",), cameras=(1,))
+    errors = {}
+    for calibrate in (False, True):
+        chosen = replace(about, modes=("rtof",), calibrate=calibrate)
+        outcome = run(chosen, tmp_path / str(calibrate), workers=1)
+        errors[calibrate] = figures(outcome)["S1_walking2_cam1"]["rtof"]["flexion_deg"]
+        where = "found from each take itself" if calibrate else "as the files have it"
+        assert where in tables_of(chosen, outcome)["by_take"].notes[0]
+    assert errors[True] < 0.8 * errors[False]
 
 
 # --- studies -------------------------------------------------------------------------------------

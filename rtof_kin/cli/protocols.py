@@ -60,6 +60,7 @@ def _total_capture(options: argparse.Namespace) -> None:
             space=space,
             modes=_names(options.modes),
             lifter=options.lifter,
+            calibrate=options.calibrate,
             studies=space == "cartesian" and not options.no_studies,
             seed=options.seed,
             save=options.save and options.save / name,
@@ -258,6 +259,10 @@ def _add_total_capture(commands: Any) -> None:
         "they are defined",
     )
     parser.add_argument("--modes", default="lift,rto,sf2,rtof", help="stages to measure")
+    parser.add_argument(
+        "--calibrate", action="store_true",
+        help="calibrate every take from itself first; the paper takes its files as they are",
+    )  # fmt: skip
     parser.add_argument(
         "--no-studies", action="store_true", help="leave out the tables of fragment length and k_V"
     )

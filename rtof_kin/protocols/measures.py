@@ -26,6 +26,7 @@ def reconstructions(
     modes: Iterable[str],
     lifter: Path | None,
     settings: ReconstructionSettings | None = None,
+    calibrate: bool = False,
 ) -> dict[str, Reconstruction]:
     """For every mode, in the order of `CAMERA_MODES`, a reconstruction that has it among its stages.
 
@@ -34,6 +35,8 @@ def reconstructions(
 
     Args:
         lifter: checkpoint; the shipped one where not given. settings: of the stages after it.
+        calibrate: whether recordings are calibrated from themselves, where the mode has sensors; the
+            papers take every calibration as it is given.
     """
     from lifting.predict import Lifter
 
@@ -42,9 +45,8 @@ def reconstructions(
     runs: dict[str, Reconstruction] = {}
     for mode in ("rtof", "sf2", "rto", "lift"):
         if mode in asked and mode not in runs:
-            # The papers take every calibration as it is given.
             result = reconstruct(
-                recording, mode=mode, lifter=network, settings=settings, calibrate=False
+                recording, mode=mode, lifter=network, settings=settings, calibrate=calibrate
             )
             own = [stage for stage in result.stages if stage != "lift" or result.bone_imus is None]
             runs |= {stage: result for stage in own if stage not in runs}

@@ -24,7 +24,6 @@ from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints
 from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.fragment import FragmentSolver
 from rtof_kin.fragment_settings import SPACES, FragmentSettings
-from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import evaluate, motionless
 from rtof_kin.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettings
 from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
@@ -76,6 +75,8 @@ class TotalCaptureProtocol:
     modes: tuple[str, ...] = CAMERA_MODES
     lifter: Path | None = None
     """Checkpoint; the shipped one where not given."""
+    calibrate: bool = False
+    """Whether every take is calibrated from itself first; the paper takes its files as they are."""
     studies: bool = True
     """Whether fragment length and k_V are varied as well."""
     seed: int = 0
@@ -113,7 +114,8 @@ class TotalCaptureProtocol:
             "subjects": list(self.subjects), "takes": list(self.takes), "cameras": list(self.cameras),
             "keypoints": str(self.keypoints.resolve()) if self.keypoints else "ground truth",
             "noise_px": self.noise_px, "sensors": list(self.sensors), "space": self.space,
-            "modes": list(self.modes), "studies": self.studies, "seed": self.seed,
+            "modes": list(self.modes), "calibrate": self.calibrate, "studies": self.studies,
+            "seed": self.seed,
         }  # fmt: skip
 
     def jobs(self) -> dict[str, Job]:
@@ -226,9 +228,11 @@ def _seen_by(take: Take, job: Job, number: int) -> JobResult:
     )
     truth, skeleton = recording.truth, recording.skeleton
     assert truth is not None
-    solver = JointSpaceSettings() if protocol.space == "joint" else FragmentSettings()
-    settings = ReconstructionSettings(fragment=solver)
-    results = reconstructions(recording, protocol.modes, protocol.lifter, settings)
+    settings = ReconstructionSettings(fragment=None if protocol.space == "joint" else FragmentSettings())
+    results = reconstructions(
+        recording, protocol.modes, protocol.lifter, settings, protocol.calibrate
+    )
+    notes += sorted({warning for result in results.values() for warning in result.warnings})
     methods: dict[str, Any] = {}
     for mode, result in results.items():
         methods[mode] = _scores(result.stages[mode], truth, skeleton)

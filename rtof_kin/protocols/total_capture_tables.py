@@ -256,7 +256,9 @@ def _setup(protocol: TotalCaptureProtocol, rows: list[Row]) -> str:
     return (
         f"Ours: one camera at a time ({', '.join(map(str, cameras)) or 'none'}), pooled over all "
         f"{frames} frames of all cameras; {len(protocol.sensors)} IMUs where a mode uses them; 2D: "
-        f"{keypoints}; 21 joints, root included; solved in {protocol.space} space. {_lifter(protocol)}"
+        f"{keypoints}; 21 joints, root included; solved in {protocol.space} space, the sensors' calibration "
+        f"{'found from each take itself' if protocol.calibrate else 'as the files have it'}. "
+        f"{_lifter(protocol)}"
     )
 
 
