@@ -251,14 +251,14 @@ def _setup(protocol: TotalCaptureProtocol, rows: list[Row]) -> str:
         keypoints = f"ground-truth 2D with {protocol.noise_px:g} px of white noise per axis"
     else:
         keypoints = "ground-truth 2D of every joint, also outside the picture"
+    calibration = "found from each take itself" if protocol.calibrate else "as the files have it"
     cameras = sorted({row["camera"] for row in rows if row["camera"]})
     frames = sum(row["frames"] for row in rows if row["method"] == protocol.modes[0])
     return (
         f"Ours: one camera at a time ({', '.join(map(str, cameras)) or 'none'}), pooled over all "
         f"{frames} frames of all cameras; {len(protocol.sensors)} IMUs where a mode uses them; 2D: "
-        f"{keypoints}; 21 joints, root included; solved in {protocol.space} space, the sensors' calibration "
-        f"{'found from each take itself' if protocol.calibrate else 'as the files have it'}. "
-        f"{_lifter(protocol)}"
+        f"{keypoints}; 21 joints, root included; solved in {protocol.space} space, the "
+        f"sensors' calibration {calibration}. {_lifter(protocol)}"
     )
 
 
