@@ -43,6 +43,8 @@ class CalibrationPriors:
     """[1] of the focal length."""
     sigma_tilt: float | None = None
     """[rad] of the camera's orientation about each axis."""
+    sigma_ankle_height: float | None = 0.02
+    """[m] of ankles over the floor that they stand on; only where there is one."""
     lasting_seconds: float = 6.0
     """[s] of a recording that all of it counts for where it is longer: errors that last, of landmarks,
     sensors and poses alike, do not average out however long it is."""

@@ -212,7 +212,7 @@ def _solved(
     if mode not in ("rto", "rtof"):
         return keypoints, begun.stages[mode], None
     floor = begun.recording.floor_height
-    fragment = on_floor(settings.fragment, skeleton, floor, found is not None)
+    fragment = on_floor(settings.fragment, skeleton, floor, found)
     solution = FragmentSolver(skeleton, settings.frames, fragment).solve(
         begun.start, keypoints, begun.bone_imus, lambda i, n: tell(mode, i, n),
         confidence=settings.confidence,

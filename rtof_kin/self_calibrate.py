@@ -174,6 +174,8 @@ def _unknowns(
         found.append(seeing.Focal(p.sigma_focal))
     if p.sigma_tilt is not None:
         found.append(seeing.Tilt(p.sigma_tilt))
+    if p.sigma_ankle_height is not None and data.rows["w_floor"].any():
+        found.append(seeing.Ankles(p.sigma_ankle_height))
     if not found:
         raise CalibrationError("nothing is left open: give a standard deviation of what is not known")
     return found
@@ -198,8 +200,8 @@ def _height_px(keypoints: KeypointSequence) -> float:
 def _quantities(
     fragments: SharedFragments, shared: Shared, overcount: float
 ) -> tuple[Quantity, ...]:
-    """Every item with its standard deviations. What the recording did not observe is held at zero, and
-    what it did observe is what it is given that.
+    """Every item with its standard deviations. What the recording did not observe is held at zero, but
+    for a nuisance, and what it did observe is what it is given that.
 
     With prior P and information D of the recording, of which errors that last make k times too much, the
     estimate's covariance is (P + D)^-1 (P + k D) (P + D)^-1 (White 1982, eq. 3.3).
@@ -221,9 +223,9 @@ def _quantities(
             for kind, item, own in parts
         )  # fmt: skip
 
-    kept = np.zeros(len(y), dtype=bool)
+    kept, nuisances = np.zeros(len(y), dtype=bool), {u.name for u in fragments.unknowns if u.nuisance}
     for quantity, (_, _, own) in zip(listed(y, claimed), parts, strict=True):
-        kept[own] = quantity.verdict is not Verdict.PRIOR
+        kept[own] = quantity.kind in nuisances or quantity.verdict is not Verdict.PRIOR
     given = np.where(kept, y, 0.0)
     if kept.any() and not kept.all():
         given[kept] += np.linalg.solve(S[np.ix_(kept, kept)], S[np.ix_(kept, ~kept)] @ y[~kept])

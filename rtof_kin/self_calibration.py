@@ -30,7 +30,7 @@ _DEGREES = (float(np.degrees(1.0)), "deg")
 _UNITS = {
     "delay": (1e3, "ms"), "heading": _DEGREES, "mounting": _DEGREES, "lever arm": (1e3, "mm"),
     "bones": (100.0, "%"), "image bias": (1.0, "px"), "place": (1e3, "mm"),
-    "focal length": (100.0, "%"), "camera tilt": _DEGREES,
+    "focal length": (100.0, "%"), "camera tilt": _DEGREES, "ankle height": (1e3, "mm"),
 }  # fmt: skip
 """Kind -> factor and unit of what people read; of what drifts, the constant's."""
 _DRIFTING = ("delay", "heading")
@@ -62,7 +62,7 @@ class Quantity:
     kind: str
     """As `joint_space.unknowns` names it."""
     item: str
-    """Whose: a segment with a sensor, a landmark, a group of bones, 'video' or 'camera'."""
+    """Whose: a segment with a sensor, a landmark, a group of bones, 'video', 'camera' or 'feet'."""
     value: Array
     """(w,) in SI units or px; zero where nothing was wrong."""
     sigma: Array
@@ -132,6 +132,12 @@ class SelfCalibration:
             q.item: q.value.copy() for q in self.quantities  # SciPy's rotations take no read-only arrays
             if q.kind == kind and q.verdict is not Verdict.PRIOR
         }  # fmt: skip
+
+    @property
+    def ankle_height(self) -> float:
+        """[m] by which ankles stand higher over the floor than they are held to, observed or not: the
+        bones were found with it."""
+        return float(sum(q.value[0] for q in self.quantities if q.kind == "ankle height"))
 
     def for_another_recording(self) -> Self:
         """What is true of the person and the detector in other recordings too: bones and places of

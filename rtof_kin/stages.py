@@ -18,6 +18,7 @@ from rtof_kin.joint_space.prior import has_prior
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.keypoint_guards import guarded_keypoints
 from rtof_kin.recording import Recording
+from rtof_kin.self_calibration import SelfCalibration
 from rtof_kin.sensor_guards import guarded_imus, without
 from rtof_kin.sensors_alone import SensorsAloneSettings
 from rtof_kin.skeleton import SkeletonModel
@@ -175,17 +176,20 @@ def on_floor(
     settings: JointSpaceSettings | FragmentSettings | None,
     skeleton: SkeletonModel,
     floor_height: float | None,
-    calibrated: bool = False,
+    calibration: SelfCalibration | None = None,
 ) -> JointSpaceSettings | FragmentSettings | None:
     """The fragment solver's settings with the recording's floor, where they know floors and have none.
 
     Args:
-        calibrated: whether the recording was calibrated from itself, for defaults where there are none.
+        calibration: what the recording said of itself: of ankles on the floor, and for defaults where
+            there are no settings.
     """
     if settings is None and has_prior(skeleton.name):
-        settings = JointSpaceSettings.calibrated() if calibrated else JointSpaceSettings()
+        settings = JointSpaceSettings() if calibration is None else JointSpaceSettings.calibrated()
     if isinstance(settings, JointSpaceSettings) and settings.floor_height is None:
-        return replace(settings, floor_height=floor_height)
+        higher = 0.0 if calibration is None else calibration.ankle_height
+        ankles = settings.ankle_height + higher
+        return replace(settings, floor_height=floor_height, ankle_height=ankles)
     return settings
 
 

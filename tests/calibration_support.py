@@ -31,6 +31,7 @@ OPEN = {
     "place": {"sigma_place": 0.02},
     "focal length": {"sigma_focal": 0.02},
     "camera tilt": {"sigma_tilt": 0.02},
+    "ankle height": {"sigma_ankle_height": 0.03},
 }
 """Kind -> what leaves it open."""
 NOTHING = {name: None for name in vars(CalibrationPriors()) if name.startswith("sigma_")} | {

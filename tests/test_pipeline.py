@@ -31,6 +31,7 @@ from rtof_kin.pipeline import (
     reconstruct,
 )
 from rtof_kin.recording import Recording
+from rtof_kin.self_calibration import Quantity, SelfCalibration
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import KeypointSequence, Provenance
 
@@ -167,6 +168,23 @@ def test_the_recordings_floor_reaches_lifter_and_solver(
     high = run(replace(recording, floor_height=floor), truth, settings=given)
     assert high.solution is not None
     assert high.solution.energy["floor"] > 10, "settings stand above the recording"
+
+
+def test_ankles_stand_as_high_as_the_calibration_found_them(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    """Three centimetres higher is what a floor three centimetres higher would be."""
+    higher = Quantity(
+        "ankle height", "feet", np.array([0.03]), np.array([0.02]), np.array([0.02]), known=0.1
+    )
+    found = run(
+        replace(recording, floor_height=-0.4), truth, calibrate=SelfCalibration((higher,))
+    )
+    other = run(replace(recording, floor_height=-0.37), truth, calibrate=SelfCalibration(()))
+    plain = run(replace(recording, floor_height=-0.4), truth, calibrate=SelfCalibration(()))
+    energies = [result.solution.energy["floor"] for result in (found, other, plain)]
+    assert energies[0] == pytest.approx(energies[1], rel=1e-3)
+    assert energies[0] != pytest.approx(energies[2], rel=1e-3)
 
 
 def test_the_recordings_own_skeleton_is_used_where_none_is_given(truth: MotionSequence) -> None:

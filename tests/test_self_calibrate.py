@@ -73,13 +73,13 @@ def test_a_planted_bias_of_the_detector_is_found_but_for_what_moves_the_whole_pe
     assert np.sqrt(np.mean((left - left.mean(axis=0)) ** 2)) < 0.5 * np.sqrt(np.mean(bias**2))
 
 
-def standing() -> MotionSequence:
-    """Somebody who stands and swings the arms, the ankles 8 cm over the floor."""
+def standing(ankles: float = 0.08) -> MotionSequence:
+    """Somebody who stands and swings the arms, the ankles so high over the floor."""
     q, times = np.tile(cs.BODY.n_pose(), (T, 1)), np.arange(T) / 60
     swing = 0.6 * np.sin(2 * np.pi * times)[:, None]
     q[:, [7 + i for i, name in enumerate(cs.BODY.dof_names) if "Arm" in name]] += swing
     p, R = cs.BODY.forward_kinematics(q)
-    p[..., 2] += 0.08 - p[:, cs.BODY.index("LeftFoot", "RightFoot"), 2].mean()
+    p[..., 2] += ankles - p[:, cs.BODY.index("LeftFoot", "RightFoot"), 2].mean()
     return cs.BODY.motion(PoseSequence(times, p, R, cs.BODY.names))
 
 
@@ -92,6 +92,31 @@ def test_with_a_floor_a_body_too_small_is_found() -> None:
     assert result["bones", "all"].value[0] == pytest.approx(0.05, abs=0.015)
     offsets = result.apply(small).joint_offsets
     assert np.abs(offsets - body.joint_offsets).max() < 0.4 * np.abs(body.joint_offsets).max() * 0.05
+
+
+def test_ankles_higher_than_they_are_held_to_be_are_not_taken_for_a_tall_body() -> None:
+    """How high they are is left open: the size moves less, and is no surer than that allows."""
+    truth = standing(ankles=0.11)
+    given = planted.recording(truth, sigma_px=0.5, degrees=0.5)
+    poses = replace(truth.poses, times=given.keypoints.times)
+    results = [
+        calibrate(given, poses, cs.only(*kinds, sigma_size=0.03, sigma_proportion=None), cs.SETTINGS, 24)
+        for kinds in (("bones",), ("bones", "ankle height"))
+    ]
+    held, left_open = (result["bones", "all"] for result in results)
+    assert held.value[0] > 0.02
+    assert left_open.value[0] < 0.75 * held.value[0]
+    assert held.value[0] > 2 * held.sigma[0]
+    assert left_open.value[0] < left_open.sigma[0]
+    assert results[0].ankle_height == 0.0
+    assert results[1].ankle_height == pytest.approx(0.01, abs=0.005)
+
+
+def test_without_a_floor_nothing_is_said_of_ankles() -> None:
+    poses = replace(truth().poses, times=recorded().keypoints.times)
+    settings = replace(cs.SETTINGS, floor_height=None)
+    result = calibrate(recorded(), poses, CalibrationPriors(), settings, frames=24)
+    assert not any(q.kind == "ankle height" for q in result.quantities)
 
 
 def test_claimed_standard_deviations_cover_what_was_planted() -> None:

@@ -54,6 +54,8 @@ def _planted(seconds: float) -> Iterator[Job]:
             yield replace(one, case=case, floor=floor)
     for name in ERRORS:
         yield replace(one, case=name)
+    for name in ("size", "focal length"):  # which nothing but a floor may tell
+        yield replace(one, case=name, floor=True)
     for case in (KNOWN, PLAIN, ALL):
         yield replace(one, case=case, sensors="10")
 

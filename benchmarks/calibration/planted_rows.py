@@ -130,7 +130,8 @@ def _lifter(path: str | None) -> Any:
 
 
 def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
-    """Plant, reconstruct, calibrate and reconstruct again; of errors planted alone, calibrate only."""
+    """Plant, reconstruct, calibrate and reconstruct again; of errors planted alone without a floor,
+    calibrate only."""
     recording = right(clip, job)
     seed = zlib.crc32(clip.name.encode()) + job.camera
     wrong = planting.drawn(recording, job.sizes, seed)
@@ -145,7 +146,7 @@ def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
         "found": found(calibration, truths(recording, wrong)),
         "detector": detected(recording, calibration.detector),
     }
-    if job.case not in ERRORS:
+    if job.case not in ERRORS or job.floor:
         for stage, how in {"before": False, "after": calibration}.items():
             made = reconstruct(told, lifter=_lifter(lifter), calibrate=how)
             out[stage] = _figures(made.metrics)
@@ -166,9 +167,12 @@ def truths(recording: Recording, wrong: Wrong) -> dict[tuple[str, str], Array]:
 
 
 def found(calibration: SelfCalibration, known: Mapping[tuple[str, str], Array]) -> Row:
-    """Error -> columns of item, truth, value, sigma, prior, one number a row, and the verdict."""
+    """Error -> columns of item, truth, value, sigma, prior, one number a row, and the verdict; of what
+    there is a truth of."""
     out: Row = {}
     for q in calibration.quantities:
+        if (q.kind, q.item) not in known:
+            continue
         truth = known[q.kind, q.item]
         for i in range(len(q.value)):
             error = _error(q.kind, q.item, i)

@@ -15,6 +15,7 @@ numbers are zero where nothing is wrong; their prior is normal about zero.
     place       p_bone_landmark = given + y, for each landmark              m
     focal       f = (1 + y) given                                           1
     tilt        R_camera_world = exp(y) given, about the camera's centre    rad, in the camera's axes
+    ankles      height of an ankle over the floor it stands on = given + y  m
 """
 
 from __future__ import annotations
@@ -54,6 +55,10 @@ class Unknown(Protocol):
         """Whether a recording in which all of them are small makes their prior as small."""
 
     @property
+    def nuisance(self) -> bool:
+        """Whether it is there for what others tell by it: its numbers stay, whatever is known of them."""
+
+    @property
     def covariance(self) -> Array:
         """(k, k) of the prior."""
 
@@ -71,6 +76,7 @@ class Unlimited:
     """A kind that has nothing to do with a detector's errors."""
 
     shrinks = False
+    nuisance = False
 
     def limited(self, lasting_px: float) -> Self:
         """As it is."""

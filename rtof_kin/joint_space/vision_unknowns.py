@@ -1,4 +1,4 @@
-"""What may be wrong with the camera and the detector all through a recording; see `unknowns`."""
+"""What may be wrong with camera, detector and floor all through a recording; see `unknowns`."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ class ImageBias:
     name = "image bias"
     searched = False
     shrinks = True
+    nuisance = False
 
     def limited(self, lasting_px: float) -> Self:
         """With biases of at most the errors that last: white errors leave no room for any, nor do those
@@ -136,3 +137,29 @@ class Tilt(Unlimited):
         camera = at.landmarks @ R.T + at.evidence.constant["t_camera_world"]
         left = quat.right_jacobian(-y)
         return Changes(points=-R.T @ so3.skew(camera) @ left)
+
+
+@dataclass(frozen=True)
+class Ankles(Unlimited):
+    """How much higher than they are held to be ankles are over a floor that they stand on: people and
+    shoes differ, and heels leave the floor before the foot does."""
+
+    sigma: float
+    """[m]"""
+    name = "ankle height"
+    searched = False
+    nuisance = True
+    items = ("feet",)
+
+    @property
+    def covariance(self) -> Array:
+        """(1, 1)"""
+        return np.full((1, 1), self.sigma**2)
+
+    def correct(self, evidence: Evidence, y: Array) -> Evidence:
+        """As if the floor were as much higher."""
+        return evidence.known(floor=evidence.constant["floor"] + y)
+
+    def changes(self, at: Situation, y: Array) -> Changes:
+        """The same for both feet in all frames."""
+        return Changes(feet=-np.ones((len(at.times), len(at.joints.feet), 1, 1)))
