@@ -1,6 +1,6 @@
 """What calibrating a recording from itself gains: ``python -m benchmarks.calibration --corpus DIR``.
 
-Three rows for the benchmark's 4 s motions and for sessions of 10 and 20 s that join motions of one person
+Three rows for the benchmark's 4 s motions and for sessions of 20 s that join motions of one person
 (`sessions`), each with 8 and 10 sensors and realistic 2D:
 
 * given: reconstructed with the calibration as it is given, which is off by 2 degrees a sensor, with a
@@ -127,9 +127,9 @@ def main(arguments: list[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--subset", default="test", choices=tuple(SUBJECTS))
-    parser.add_argument("--kinds", default="clips,10,20", help="clips, or seconds of a session")
+    parser.add_argument("--kinds", default="clips,20", help="clips, or seconds of a session")
     parser.add_argument("--sensors", default="8,10")
-    parser.add_argument("--cameras", type=int, default=2, choices=range(1, 5))
+    parser.add_argument("--cameras", type=int, default=4, choices=range(1, 5))
     parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
     parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "calibration.json")
     options = parser.parse_args(arguments)

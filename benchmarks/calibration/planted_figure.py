@@ -21,7 +21,10 @@ from benchmarks.calibration.planted_tables import (
 )
 from benchmarks.calibration.planting import ERRORS
 
-CASES = {"alone x1": "#0072b2", "all x1": "#c0392b", "all x1, floor told": "#2e8b57"}
+CASES = {
+    "alone x1": "#0072b2", "alone x1, floor told": "#e69f00", "all x1": "#c0392b",
+    "all x1, floor told": "#2e8b57",
+}  # fmt: skip
 STYLES = {"before": ":", "after": "-", "known": "--"}
 _MOST = 60
 """Bars drawn in a panel of each case."""
@@ -35,8 +38,11 @@ def write_figure(path: Path, rows: Sequence[Row]) -> None:
     axes = recovered.subplots(3, 4)
     for ax, error in zip(axes.flat, ERRORS, strict=True):
         _recovered(ax, rows, error)
-    handles, labels = axes.flat[0].get_legend_handles_labels()
-    recovered.legend(handles, labels, loc="outside upper center", ncols=len(CASES))
+    found = [dict(zip(*ax.get_legend_handles_labels()[::-1], strict=True)) for ax in axes.flat]
+    handles = {label: own[label] for label in CASES for own in found if label in own}
+    recovered.legend(
+        list(handles.values()), list(handles), loc="outside upper center", ncols=len(CASES)
+    )
     names = {"mpjpe_rr_mm": "root-relative", "mpjpe_mm": "absolute"}
     for ax, (key, name) in zip(growing.subplots(1, 2), names.items(), strict=True):
         _by_length(ax, rows, key)
@@ -61,7 +67,7 @@ def _recovered(ax: Axes, rows: Sequence[Row], error: str) -> None:
         if n := found[case]:
             every = slice(None, None, 1 + len(n["truth"]) // _MOST)
             truth, value, sigma = (factor * n[name][every] for name in ("truth", "value", "sigma"))
-            beside = truth + 0.03 * widest * (i - 1)
+            beside = truth + 0.03 * widest * (i - 1.5)
             ax.errorbar(beside, value, sigma, fmt="o", ms=3, lw=0.7, color=color, alpha=0.7, label=case)
     ax.axline((0, 0), slope=1, color="black", lw=0.7)
     ax.set_xlim(-1.15 * widest, 1.15 * widest)
