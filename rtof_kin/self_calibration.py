@@ -140,9 +140,9 @@ class SelfCalibration:
         return float(sum(q.value[0] for q in self.quantities if q.kind == "ankle height"))
 
     def for_another_recording(self) -> Self:
-        """What is true of the person and the detector in other recordings too: bones and places of
-        landmarks, and the detector's errors. Sensors are mounted anew, clocks are started anew."""
-        kept = tuple(q for q in self.quantities if q.kind in ("bones", "place"))
+        """What is true of the person and the detector in other recordings too: bones, ankles and places
+        of landmarks, and the detector's errors. Sensors are mounted anew, clocks are started anew."""
+        kept = tuple(q for q in self.quantities if q.kind in ("bones", "ankle height", "place"))
         return replace(self, quantities=kept)
 
     def apply(self, recording: Recording) -> Recording:

@@ -155,10 +155,14 @@ def test_slopes_are_derivatives_of_the_image() -> None:
         np.testing.assert_allclose(slopes[:, 0, :, axis], numeric, rtol=1e-3, atol=0.1)
 
 
-def test_another_recording_of_the_person_gets_the_bones_and_places_alone() -> None:
-    both = SelfCalibration((quantity("bones", "thighs", 0.1), quantity("delay", "video", 0.1)))
-    kept = both.for_another_recording()
-    assert [q.kind for q in kept.quantities] == ["bones"]
+def test_another_recording_of_the_person_gets_bones_ankles_and_places_alone() -> None:
+    found = SelfCalibration((
+        quantity("bones", "thighs", 0.1), quantity("delay", "video", 0.1),
+        quantity("ankle height", "feet", 0.02),
+    ))  # fmt: skip
+    kept = found.for_another_recording()
+    assert [q.kind for q in kept.quantities] == ["bones", "ankle height"]
+    assert kept.ankle_height == 0.02
     after = kept.apply(recording())
     np.testing.assert_array_equal(after.keypoints.times, recording().keypoints.times)
 
