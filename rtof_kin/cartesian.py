@@ -298,8 +298,7 @@ class CartesianSolver:
     def oriented(self, poses: PoseSequence, bone_imus: BoneImuSequence | None) -> PoseSequence:
         """Orientations from the optimised positions, twist from the sensors; positions as they are."""
         never = InertialGuidedIKSettings(threshold=np.pi)
-        oriented = InertialGuidedIK(self.skeleton, never).refine(poses, bone_imus)
-        return replace(oriented, p_world_joint=poses.p_world_joint)
+        return InertialGuidedIK(self.skeleton, never).orient(poses, bone_imus)
 
 
 def _mean(weight: Array, components: int) -> Array:

@@ -73,8 +73,21 @@ class InertialGuidedIK:
             UnknownNameError: the poses are of another skeleton, or a sensor sits on no joint of it.
             ShapeError: joints are missing, or in another order.
         """
-        skeleton = self.skeleton
-        skeleton.check_joints(poses.names)
+        R, sensed = self._rotations(poses, bone_imus, R_observed)
+        parents, offsets = self.skeleton.parents, self.skeleton.joint_offsets
+        p = kinematics.positions(parents, offsets, poses.p_world_joint[:, 0], R)
+        return self._posed(poses, p, R, sensed)
+
+    def orient(self, poses: PoseSequence, bone_imus: BoneImuSequence | None = None) -> PoseSequence:
+        """Poses with the orientations that `refine` gives them, their positions as they are."""
+        R, sensed = self._rotations(poses, bone_imus, None)
+        return self._posed(poses, poses.p_world_joint, R, sensed)
+
+    def _rotations(
+        self, poses: PoseSequence, bone_imus: BoneImuSequence | None, R_observed: Array | None
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """R_world_bone (T, J, 3, 3), and which a sensor told of, (T, J)."""
+        self.skeleton.check_joints(poses.names)
         p = poses.p_world_joint
         known = np.isfinite(p).all(axis=(1, 2))
         R_imu = self._sensor_rotations(poses, bone_imus)
@@ -86,11 +99,15 @@ class InertialGuidedIK:
         sensed = np.zeros(p.shape[:2], dtype=bool)
         for j, matrices in R_imu.items():
             sensed[:, j] = np.isfinite(matrices[:, 0, 0])
+        return R, sensed
+
+    def _posed(
+        self, poses: PoseSequence, p: Array, R: Array, sensed: NDArray[np.bool_]
+    ) -> PoseSequence:
+        """The poses at positions and orientations that sensors told of where `sensed`."""
         return replace(
             poses,
-            p_world_joint=kinematics.positions(
-                skeleton.parents, skeleton.joint_offsets, p[:, 0], R
-            ),
+            p_world_joint=p,
             R_world_bone=R,
             provenance=self._provenance(poses.provenance, sensed),
             sigma_rad=np.where(sensed, np.nan, poses.sigma_rad),

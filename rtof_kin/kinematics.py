@@ -93,9 +93,9 @@ def swing(R_parent: Array, rest: Array, observed: Array) -> Array:
     about the bone with it; there the twist is carried over from the frame before (parallel transport),
     and afterwards returns to the smallest turn's by at most `TWIST_RETURN` a frame: it never jumps.
     """
-    expected = R_parent @ rest
-    R = so3.minimal_rotation(expected, observed) @ R_parent
-    opposite = 1 + np.sum(so3.unit(expected) * so3.unit(observed), axis=-1) < NEAR_OPPOSITE
+    expected, seen = R_parent @ so3.unit(rest), so3.unit(observed)
+    R = so3.minimal_rotation(expected, seen) @ R_parent
+    opposite = 1 + np.sum(expected * seen, axis=-1) < NEAR_OPPOSITE
     if not opposite.any():
         return R
     behind = bool(opposite[0])
@@ -103,12 +103,13 @@ def swing(R_parent: Array, rest: Array, observed: Array) -> Array:
         if not (opposite[t] or behind):
             continue
         carried = R_parent[t] @ R_parent[t - 1].T @ R[t - 1]
-        carried = so3.minimal_rotation(carried @ rest, observed[t]) @ carried
-        twist = so3.log(R[t] @ carried.T)
-        angle = float(np.linalg.norm(twist))
-        behind = bool(opposite[t]) or angle > TWIST_RETURN
-        if behind:
-            R[t] = so3.exp(twist * (0.0 if opposite[t] else TWIST_RETURN / angle)) @ carried
+        carried = so3.minimal_rotation(carried @ rest, seen[t]) @ carried
+        twist = so3.angle_about(seen[t], R[t] @ carried.T)
+        behind = bool(opposite[t]) or abs(twist) > TWIST_RETURN
+        if opposite[t]:
+            R[t] = carried
+        elif behind:
+            R[t] = so3.exp(np.copysign(TWIST_RETURN, twist) * seen[t]) @ carried
     return R
 
 

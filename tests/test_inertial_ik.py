@@ -105,6 +105,16 @@ def test_threshold_pi_keeps_every_observed_direction_but_takes_the_sensors_twist
 
 
 @pytest.mark.parametrize("threshold, sensor_wins", [(0.29, True), (0.31, False)])
+def test_orienting_leaves_positions_and_gives_the_orientations_of_refining(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    imus = sensors(truth, planted.LIMBS, 5.0)
+    refined, oriented = refine(lifted, imus), InertialGuidedIK(SKELETON).orient(lifted, imus)
+    np.testing.assert_array_equal(oriented.p_world_joint, lifted.p_world_joint)
+    np.testing.assert_array_equal(oriented.R_world_bone, refined.R_world_bone)
+    np.testing.assert_array_equal(oriented.provenance, refined.provenance)
+
+
 def test_the_threshold_compares_bone_directions(
     truth: MotionSequence, threshold: float, sensor_wins: bool
 ) -> None:

@@ -260,3 +260,10 @@ def test_continuous_angles_go_round_and_through_the_other_branch_without_a_jump(
     found = so3.euler_continuous(so3.matrix_to_euler(order, R))
     assert_close(found, angles, 1e-9)
     assert_close(so3.euler_continuous(found[:1]), found[:1])
+
+
+def test_the_angle_about_a_known_axis_is_that_of_the_rotation() -> None:
+    rng = np.random.default_rng(8)
+    for angle in [*rng.uniform(-np.pi, np.pi, 20), 0.0, 1e-9, np.pi / 2]:
+        axis = so3.unit(rng.normal(size=3))
+        assert so3.angle_about(axis, so3.exp(angle * axis)) == pytest.approx(angle, abs=1e-12)
