@@ -104,7 +104,6 @@ def test_threshold_pi_keeps_every_observed_direction_but_takes_the_sensors_twist
         assert np.abs(np.sum(swing * (R_imu @ rest), axis=-1)).max() < 1e-7
 
 
-@pytest.mark.parametrize("threshold, sensor_wins", [(0.29, True), (0.31, False)])
 def test_orienting_leaves_positions_and_gives_the_orientations_of_refining(
     truth: MotionSequence, lifted: PoseSequence
 ) -> None:
@@ -115,6 +114,7 @@ def test_orienting_leaves_positions_and_gives_the_orientations_of_refining(
     np.testing.assert_array_equal(oriented.provenance, refined.provenance)
 
 
+@pytest.mark.parametrize("threshold, sensor_wins", [(0.29, True), (0.31, False)])
 def test_the_threshold_compares_bone_directions(
     truth: MotionSequence, threshold: float, sensor_wins: bool
 ) -> None:
