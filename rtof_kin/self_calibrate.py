@@ -21,7 +21,7 @@ from rtof_kin.calibration_priors import CalibrationPriors
 from rtof_kin.errors import CalibrationError
 from rtof_kin.joint_space import sensor_unknowns as sensing
 from rtof_kin.joint_space import vision_unknowns as seeing
-from rtof_kin.joint_space.observations import Observations, sensor_data
+from rtof_kin.joint_space.observations import Observations, low_passed, sensor_data
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.joint_space.shared import Shared, SharedFragments, Worth
 from rtof_kin.joint_space.unknowns import Bones, Unknown
@@ -101,10 +101,10 @@ def shared_fragments(
     native = without(recording.calibration.apply(imus), left_out)
     bone_imus = native.resample(start.times)
     data = Observations(recording.skeleton, frames, settings, start, seen, bone_imus)
-    native = _with_even_noise(native)
+    slow = low_passed(_with_even_noise(native), settings)
 
     def sampled(times: Array) -> tuple[Array, Array, Array, Array]:
-        q, w, a, w_a, _ = sensor_data(times, native, data.sensors, settings)
+        q, w, a, w_a, _ = sensor_data(times, slow, data.sensors, settings)
         return q, w, a, w_a
 
     unknowns = _unknowns(recording.skeleton, seen, data, start, priors, sampled)

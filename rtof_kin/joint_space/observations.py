@@ -146,7 +146,8 @@ class Observations:
         skeleton, s, T = self.skeleton, self.settings, len(start)
         rows, constant = _camera_data(seen, T)
         self.confidence = rows["w_visual"] if seen is None else np.where(seen.seen, seen.confidence, 0.0)
-        quat, has, a, w, levers = sensor_data(start.times, bone_imus, sensors, s)
+        slow = low_passed(bone_imus, s)
+        quat, has, a, w, levers = sensor_data(start.times, slow, sensors, s)
         torso = skeleton.index(*[name for name in TORSO if name in skeleton.names])
         self.rows = rows | {
             "knee_visual": np.full(T, s.robust_reprojection),
@@ -254,6 +255,16 @@ def _speaking(bone_imus: BoneImuSequence | None) -> set[str]:
     return {bone_imus.joints[s] for s in np.flatnonzero(turns | moves)}
 
 
+def low_passed(
+    bone_imus: BoneImuSequence | None, settings: JointSpaceSettings
+) -> BoneImuSequence | None:
+    """The sensors as the settings want their accelerations."""
+    cutoff_hz = settings.acceleration_cutoff_hz
+    if bone_imus is None or cutoff_hz is None:
+        return bone_imus
+    return bone_imus.low_passed(cutoff_hz)
+
+
 def sensor_data(
     times: Array, bone_imus: BoneImuSequence | None, sensors: tuple[str, ...],
     settings: JointSpaceSettings,
@@ -265,8 +276,6 @@ def sensor_data(
     has, a, w, levers = np.zeros((T, S)), np.zeros((T, S, 3)), np.zeros((T, S)), np.zeros((S, 3))
     if bone_imus is None:
         return quat, has, a, w, levers
-    if (cutoff := settings.acceleration_cutoff_hz) is not None:
-        bone_imus = bone_imus.low_passed(cutoff)
     if not np.array_equal(bone_imus.times, times):
         bone_imus = bone_imus.resample(times)
     for k, joint in enumerate(sensors):

@@ -116,14 +116,17 @@ class JointSpaceSettings:
         low, high = self.sigma_reprojection_range
         if not 0 < low <= high < np.inf:
             raise ShapeError("sigma_reprojection_range must be positive, the smaller one first")
-        optional = ["sigma_reprojection", "sigma_torso", "sigma_bone", "sigma_root"]
-        optional += ["acceleration_cutoff_hz"]
+        optional = (
+            "sigma_reprojection", "sigma_torso", "sigma_bone", "sigma_root", "acceleration_cutoff_hz",
+        )  # fmt: skip
         object.__setattr__(self, "sigma_reprojection_range", (float(low), float(high)))
         object.__setattr__(self, "torso_yaws", tuple(float(yaw) for yaw in self.torso_yaws))
         positive = [name for name in vars(self) if name.startswith(("sigma_", "robust_"))]
-        positive += ["torso_inflation", "jerk", "jerk_without_sensors", "prior_inflation", "floor_cutoff"]
-        positive += ["smooth_start_hz", "tolerance", "ankle_height", "largest_correlation_factor"]
-        positive += ["acceleration_cutoff_hz"]
+        positive += [
+            "torso_inflation", "jerk", "jerk_without_sensors", "prior_inflation", "floor_cutoff",
+            "smooth_start_hz", "tolerance", "ankle_height", "largest_correlation_factor",
+            "acceleration_cutoff_hz",
+        ]  # fmt: skip
         for field in positive:
             value = getattr(self, field)
             if isinstance(value, tuple) or (value is None and field in optional):
