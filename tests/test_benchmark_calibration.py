@@ -10,11 +10,12 @@ import planted as synthetic
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.calibration import planted_figure, planted_rows, planted_tables, planting
+from benchmarks.calibration import optimum, planted_figure, planted_rows, planted_tables, planting
 from benchmarks.calibration.planted import STUDIES, jobs
-from benchmarks.calibration.planted_rows import ALL, GOOD, KNOWN, PLAIN, Job, Row
+from benchmarks.calibration.planted_rows import ALL, BUT, GOOD, KNOWN, PLAIN, SEEN, Job, Row
 from benchmarks.calibration.planting import ERRORS, USUAL, Wrong
 from benchmarks.harness import split
+from lifting.predict import Lifter
 from rtof_kin.calibration_priors import CalibrationPriors
 from rtof_kin.recording import Recording
 from rtof_kin.self_calibration import BONE_GROUPS, Detector, Quantity, SelfCalibration
@@ -139,6 +140,7 @@ def test_a_case_has_what_is_usual_and_its_own_error() -> None:
     assert Job("planted", "walking", KNOWN).sizes == {}
     assert Job("planted", "walking", PLAIN).sizes == USUAL
     assert Job("planted", "walking", GOOD).sizes == {"mounting": USUAL["mounting"]}
+    assert set(Job("planted", "walking", SEEN).sizes) == {"mounting", "image bias"}
     large = Job("planted", "walking", "heading", 3.0)
     assert large.sizes == USUAL | {"heading": 3 * SIZES["heading"]}
     assert large.priors.sigma_heading == pytest.approx(3 * SIZES["heading"])
@@ -151,11 +153,19 @@ def test_with_all_errors_everything_is_open() -> None:
     assert None not in vars(priors).values()
 
 
+def test_what_was_measured_is_neither_wrong_nor_open() -> None:
+    job = Job("measured", "walking", BUT + "image bias, focal length, mounting")
+    assert {*ERRORS} - {*job.sizes} == {"image bias", "focal length", "mounting"}
+    priors = job.priors
+    assert (priors.sigma_image_bias, priors.sigma_focal, priors.sigma_swing) == (None, None, None)
+    assert None not in (priors.sigma_place, priors.sigma_tilt, priors.sigma_size, priors.sigma_delay)
+
+
 def test_every_calibration_of_the_study_has_its_known_one() -> None:
     found = list(jobs("test", list(STUDIES), 20.0, 1))
     same = {planted_tables._recording(vars(job)) for job in found if job.case == KNOWN}
     for job in found:
-        if job.case not in (KNOWN, GOOD):
+        if job.study != "harm" and job.case != KNOWN:
             assert planted_tables._recording(vars(job)) in same
 
 
@@ -221,12 +231,32 @@ def test_harm_is_told_in_percent_with_the_worst_recording() -> None:
     rows = [row(GOOD, 40.8, study="harm"), row(GOOD, 39.2, study="harm", session="standing")]
     text = planted_tables.harm(planted_tables.with_known(rows))
     assert "40.0: +0.0 (worst +2.0)" in text
+    text = planted_tables.harm(planted_tables.with_known([*rows, row(SEEN, 30.0, study="harm")]))
+    assert "| realistic, biased | 20 | 1 | 40.0: -25.0" in text
 
 
 def test_the_report_and_its_figure_are_written(tmp_path: Path) -> None:
     rows = [row(KNOWN), row(PLAIN), row(ALL), row("heading"), row(GOOD, study="harm")]
+    rows += [row(BUT + "size", 15.0, study="measured")]
     rows += [row(KNOWN, floor=True), row(ALL, floor=True)]
     text = planted_tables.report(rows)
-    assert text.count("###") == 7
+    assert text.count("###") == 8
+    lines = text.split("### ")[2].splitlines()[4:]
+    assert [line.split(" | ")[0] for line in lines if line] == ["| nothing", "| size"]
     planted_figure.write_figure(tmp_path / "planted.png", rows)
     assert (tmp_path / "planted.png").stat().st_size > 10_000
+
+
+def test_a_calibration_from_nothing_and_one_from_the_truth_are_compared() -> None:
+    """On motion of which everything is known, with next to nothing wrong but the detector's bias."""
+    right, job = recording(), Job("", "synthetic", "image bias")
+    wrong = planting.drawn(right, {"image bias": 6.0}, seed=3)
+    known = planting.unknowns(right, wrong)
+    row = optimum.row(planting.planted(right, wrong), known, job, Lifter.load(None))
+    assert row["unknowns"] == 1 + 24 + 42
+    assert row["energies"]["found"] < row["energies"]["truth"]
+    assert set(row["apart"]["found - truth"]) == {"delay", "mounting", "image bias"}
+    assert 0 < row["apart"]["from truth - found"]["image bias"] < 0.3
+    line = optimum.report([row]).splitlines()[-1]
+    assert line.startswith("| synthetic, camera 0 | ")
+    assert line.count(" / ") == 2 + 3

@@ -14,7 +14,7 @@ from benchmarks.confidence import __main__ as command
 from benchmarks.confidence.cases import Case, angle_errors, errors
 from benchmarks.confidence.figure import reliability
 from benchmarks.confidence.fitting import fitted, sharpest
-from benchmarks.confidence.motions import FITTED_ON
+from benchmarks.confidence.motions import FITTED_ON, person
 from benchmarks.confidence.study import NOMINAL, honest, rows
 from benchmarks.confidence.tables import report
 from rtof_kin import rotations as so3
@@ -142,6 +142,26 @@ def test_the_report_sets_apart_what_is_not_honest_and_the_figure_is_drawn(tmp_pa
 
 
 def test_results_are_written_side_by_side(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command.write(rows([case(0)], as_told()), tmp_path / "deep" / "a.json", calibrate=True)
+    found = rows([case(0)], as_told())
+    command.write(found, tmp_path / "deep" / "a.json", report(found, "Here."))
     assert sorted(path.name for path in (tmp_path / "deep").iterdir()) == ["a.json", "a.md", "a.png"]
-    assert "`calibrate=True`" in capsys.readouterr().out
+    assert "Here." in capsys.readouterr().out
+
+
+def test_who_is_held_out_is_told_by_what_the_others_taught() -> None:
+    fair, sure = ([case(i, sensors, told) for sensors in CARRIERS] for i, told in ((0, 1.0), (1, 0.2)))
+    found = command.held_out([*fair, *sure], lambda motion: motion)
+    swapped = zip(rows(fair, fitted(sure)), rows(sure, fitted(fair)), strict=True)
+    for row, (wide, narrow) in zip(found, swapped, strict=True):
+        shares = [one["coverage"]["0.95"] for one in (narrow, wide)]
+        assert row["coverage"]["0.95"] == pytest.approx(np.mean(shares), abs=1e-9)
+        if row["kind"] == "position":
+            assert shares[0] < 0.7 < 0.99 < shares[1]
+            assert row["interval"] == pytest.approx(shares, abs=0.01)  # over people
+
+
+def test_every_motion_of_the_fit_is_somebodys() -> None:
+    assert person("05_12") == "CMU005"
+    assert person("01_14[0:1516]-2") == "CMU001"
+    with pytest.raises(KeyError):
+        person("02_04")

@@ -108,6 +108,18 @@ def test_energies_fall_from_round_to_round() -> None:
     assert all(b <= a * (1 + 1e-3) for a, b in zip(shared.energies, shared.energies[1:], strict=False))
 
 
+def test_one_that_starts_where_another_ended_stays_there() -> None:
+    truth = cs.motion(48)
+    bias = 8 * np.random.default_rng(2).normal(size=(21, 2))
+    wrong = cs.biased(planted.recording(truth, sigma_px=2.0), bias)
+    priors = cs.only("image bias", "heading")
+    found = cs.fragments(wrong, truth.poses, priors).estimate(6)
+    again = cs.fragments(wrong, truth.poses, priors).estimate(6, start=found.y)
+    assert again.energies[0] < found.energies[0]
+    np.testing.assert_allclose(again.y, found.y, atol=0.1)  # px and rad
+    assert np.linalg.norm(found.y) > 0.5 * np.linalg.norm(bias)
+
+
 def test_a_calibration_tells_how_far_it_is() -> None:
     truth = cs.motion(24)
     told: list[tuple[int, int]] = []

@@ -41,7 +41,11 @@ SESSIONS = {
 """Subset -> what is done -> motions of one person; 'standing' works on the spot."""
 LENGTHS = (4.0, 10.0, 20.0, 40.0)
 """[s] of recordings, where it is asked how long they must be."""
-KNOWN, PLAIN, ALL, GOOD = "known", "usual", "all", "good"
+KNOWN, PLAIN, ALL = "known", "usual", "all"
+GOOD, SEEN = "good", "good, detector biased"
+"""Sensors that were calibrated well; with a detector without bias, and with one as detectors have."""
+BUT = "all but "
+"""Before the names of errors, with commas between: those are measured, all others are wrong."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,8 @@ class Job:
     session: str
     case: str
     """`KNOWN`: nothing is wrong. `PLAIN`: what usually is. One of `ERRORS`: that besides. `ALL`: all of
-    them. `GOOD`: sensors mounted 2 degrees wrongly, nothing else."""
+    them; `BUT`...: all others. `GOOD`: sensors mounted 2 degrees wrongly, nothing else; `SEEN`: and a
+    biased detector."""
     scale: float = 1.0
     """Of the planted sizes."""
     seconds: float = 20.0
@@ -76,18 +81,33 @@ class Job:
         """Error -> its standard deviation."""
         if self.case == KNOWN:
             return {}
-        if self.case == GOOD:
-            return {"mounting": USUAL["mounting"]}
-        chosen = list(ERRORS) if self.case == ALL else [self.case] if self.case in ERRORS else []
-        return USUAL | {name: self.scale * ERRORS[name].size for name in chosen}
+        if self.case in (GOOD, SEEN):
+            wrong = ("mounting",) if self.case == GOOD else ("mounting", "image bias")
+            return {name: USUAL[name] for name in wrong}
+        wrong = USUAL | {name: self.scale * ERRORS[name].size for name in self.opened}
+        return {name: size for name, size in wrong.items() if name not in self.measured}
+
+    @property
+    def measured(self) -> list[str]:
+        """Errors that are not there, and closed in the calibration."""
+        return self.case.removeprefix(BUT).split(", ") if self.case.startswith(BUT) else []
+
+    @property
+    def opened(self) -> list[str]:
+        """Errors that are planted besides what is usually wrong."""
+        if self.case in ERRORS:
+            return [self.case]
+        everything = self.case == ALL or self.case.startswith(BUT)
+        return [name for name in ERRORS if everything and name not in self.measured]
 
     @property
     def priors(self) -> CalibrationPriors:
         """Those of everybody, with what is planted besides open."""
         priors = CalibrationPriors()
-        for name in ERRORS:
-            if self.case in (ALL, name):
-                priors = ERRORS[name].opened(priors, self.scale * ERRORS[name].size)
+        closed = {"mounting": "sigma_swing", "image bias": "sigma_image_bias"}
+        priors = replace(priors, **{closed[n]: None for n in self.measured if n in closed})
+        for name in self.opened:
+            priors = ERRORS[name].opened(priors, self.scale * ERRORS[name].size)
         return priors
 
 

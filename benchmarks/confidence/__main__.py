@@ -1,8 +1,9 @@
 """Whether the confidence is honest: ``python -m benchmarks.confidence --corpus DIR``.
 
 The benchmark's motions x 4 cameras with realistic 2D and 0, 4, 8 and 10 sensors, and with white and
-perfect 2D and 8; every fourth frame; what ships was made with ``--cameras 2``. ``--fit`` fits the
-inflation instead, on other people (`motions.FITTED_ON`), and writes ``models/confidence.toml``.
+perfect 2D and 8; every fourth frame. ``--fit`` fits the inflation instead, on other people
+(`motions.FITTED_ON`), and writes ``models/confidence.toml``; what ships was made with ``--cameras 2``.
+``--held-out`` asks the same of each of those people, with an inflation fitted on all the others.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,16 +61,42 @@ def study(options: argparse.Namespace) -> None:
     """Write the tables, their numbers and the figure."""
     cases = collected(options, harness.test_clips(options.corpus), KINDS)
     found = rows(cases, Inflation.shipped())
-    write(found, options.out, options.calibrate, options.cameras)
+    how = f"The benchmark's motions, {options.cameras} cameras each, `calibrate={options.calibrate}`."
+    write(found, options.out, report(found, how))
 
 
-def write(found: list[Row], out: Path, calibrate: bool, cameras: int = 4) -> None:
-    """The same for rows that are there."""
-    how = f"The benchmark's motions, {cameras} cameras each, `calibrate={calibrate}`."
+def study_held_out(options: argparse.Namespace) -> None:
+    """The same of the fit's people, each with what was fitted on the others."""
+    cases = collected(options, motions.clips(options.corpus), FITTED)
+    found = held_out(cases, motions.person)
+    how = (
+        f"{len(motions.FITTED_ON)} people, each with an inflation that was fitted on all others; "
+        f"{options.cameras} cameras, `calibrate={options.calibrate}`."
+    )
+    write(found, options.out.with_name("confidence_held_out.json"), report(found, how, "people"))
+
+
+def held_out(cases: Sequence[Case], person: Callable[[str], str]) -> list[Row]:
+    """Rows of everybody's recordings, told by an inflation that was fitted on everybody else's.
+
+    Args:
+        person: who moves in a motion.
+    """
+    own = {case.motion_name: person(case.motion_name) for case in cases}
+    inflations = {
+        who: fitted([case for case in cases if own[case.motion_name] != who])
+        for who in track(dict.fromkeys(own.values()), "people held out")
+    }
+    return rows(
+        cases, lambda case: inflations[own[case.motion_name]], lambda case: own[case.motion_name]
+    )
+
+
+def write(found: list[Row], out: Path, text: str) -> None:
+    """Numbers, tables and figure side by side."""
     out.parent.mkdir(parents=True, exist_ok=True)
     lines = ",\n".join(" " + json.dumps(row, default=float) for row in _rounded(found))
-    out.write_text(f'{{"calibrate": {json.dumps(calibrate)}, "rows": [\n{lines}\n]}}\n', encoding="utf-8")
-    text = report(found, how)
+    out.write_text(f'{{"rows": [\n{lines}\n]}}\n', encoding="utf-8")
     out.with_suffix(".md").write_text(text, encoding="utf-8")
     reliability(found, out.with_suffix(".png"))
     print(text)
@@ -87,7 +114,9 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
-    parser.add_argument("--fit", action="store_true", help="fit the inflation that ships")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--fit", action="store_true", help="fit the inflation that ships")
+    what.add_argument("--held-out", action="store_true", help="each person of the fit against the others")
     parser.add_argument(
         "--as-given", dest="calibrate", action="store_false", help="do not calibrate recordings first"
     )
@@ -96,7 +125,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
     parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "confidence.json")
     options = parser.parse_args(arguments)
-    (fit if options.fit else study)(options)
+    (fit if options.fit else study_held_out if options.held_out else study)(options)
     return 0
 
 

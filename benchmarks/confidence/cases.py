@@ -37,6 +37,7 @@ class Case:
     """One reconstructed recording, one frame in `EVERY`."""
 
     name: str
+    """Of the motion, and the camera's number."""
     keypoints: str
     sensors: str
     circumstances: Circumstances
@@ -45,6 +46,11 @@ class Case:
     """With the confidence of the Hessian alone."""
     truth: PoseSequence
     """At the motion's times."""
+
+    @property
+    def motion_name(self) -> str:
+        """Without the camera."""
+        return self.name.split("/")[0]
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,16 @@ FITTED_ON = {
 """By subject: motions, and into how many parts each is cut."""
 
 
+def person(motion: str) -> str:
+    """Who moves in a motion of `FITTED_ON`, or in a part of one.
+
+    Raises:
+        KeyError: it is none of them.
+    """
+    owners = {name: who for who, motions in FITTED_ON.items() for name in motions}
+    return owners[motion] if motion in owners else owners[motion.rpartition("-")[0]]
+
+
 def clips(corpus: Path) -> list[MocapClip]:
     """The middle of every part, as long as the benchmark's motions."""
     seconds = harness.split()["benchmark"]["seconds"]

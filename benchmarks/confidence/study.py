@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,23 +30,32 @@ UNITS = {"position": ("mm", 1000.0), "relative": ("mm", 1000.0), "angle": ("deg"
 class _Collected:
     """Errors and standard deviations of one quantity, a pair of arrays for every recording."""
 
-    motions: list[str] = field(default_factory=list)
+    groups: list[str] = field(default_factory=list)
     errors: list[Array] = field(default_factory=list)
     sigmas: list[Array] = field(default_factory=list)
 
-    def add(self, case: Case, error: Array, sigma: Array) -> None:
+    def add(self, group: str, error: Array, sigma: Array) -> None:
         """Those of one recording, all axes together."""
-        self.motions.append(case.name.split("/")[0])
+        self.groups.append(group)
         self.errors.append(error.ravel())
         self.sigmas.append(sigma.ravel())
 
 
-def rows(cases: Sequence[Case], inflation: Inflation) -> list[Row]:
-    """A row for every kind of 2D, number of sensors, joint and clinical angle; both sides together."""
+def rows(
+    cases: Sequence[Case], inflation: Inflation | Callable[[Case], Inflation],
+    group: Callable[[Case], str] = lambda case: case.motion_name,
+) -> list[Row]:  # fmt: skip
+    """A row for every kind of 2D, number of sensors, joint and clinical angle; both sides together.
+
+    Args:
+        inflation: of all cases, or of each.
+        group: what is independent, for the intervals.
+    """
     found: dict[tuple[str, str, str, str], _Collected] = defaultdict(_Collected)
     for case in cases:
-        for kind, name, error, sigma in _told(case, inflation):
-            found[case.keypoints, case.sensors, kind, name].add(case, error, sigma)
+        own = inflation if isinstance(inflation, Inflation) else inflation(case)
+        for kind, name, error, sigma in _told(case, own):
+            found[case.keypoints, case.sensors, kind, name].add(group(case), error, sigma)
     return [
         {"keypoints": keypoints, "sensors": sensors, "kind": kind, "name": name, **_measured(kind, own)}
         for (keypoints, sensors, kind, name), own in found.items()
@@ -74,7 +83,7 @@ def _measured(kind: str, own: _Collected) -> Row:
     unit, scale = UNITS[kind]
     rms, width = np.sqrt(np.mean(error**2)), 2 * norm.ppf(0.975) * np.mean(sigma)
     inside = [np.abs(e) <= norm.ppf(0.975) * s for e, s in zip(own.errors, own.sigmas, strict=True)]
-    interval = bootstrap(own.motions, [float(i.mean()) for i in inside], [len(i) for i in inside])
+    interval = bootstrap(own.groups, [float(i.mean()) for i in inside], [len(i) for i in inside])
     return {
         "unit": unit,
         "recordings": len(own.errors),

@@ -106,14 +106,16 @@ class SharedFragments:
         self._states: dict[int, tuple[Array, Array | None]] = {}
 
     def estimate(
-        self, rounds: int, progress: Callable[[int, int], None] | None = None, overcount: float = 1.0
-    ) -> Shared:
+        self, rounds: int, progress: Callable[[int, int], None] | None = None, overcount: float = 1.0,
+        start: Array | None = None,
+    ) -> Shared:  # fmt: skip
         """Solve, and learn on the way how large the errors are of those kinds that shrink.
 
         Args:
             rounds: Gauss-Newton steps at most.
             progress: told how far it is.
             overcount: by how much errors that last make the data count too much.
+            start: (G,) values to begin with; zero where not given, a delay searched for.
 
         Raises:
             SolverError: a fragment cannot be solved, or the unknowns' Hessian is not positive definite.
@@ -121,7 +123,7 @@ class SharedFragments:
         tell = progress or (lambda done, total: None)
         self.begin()
         tell(1, rounds + 1)
-        y, energies, converged = self._searched(), [], False
+        y, energies, converged = self._searched() if start is None else start, [], False
         best, step, given = (np.inf, y), np.zeros_like(y), self.prior
         for done in range(rounds + 1):
             evidence = self.corrected(y)

@@ -1,0 +1,117 @@
+"""Whether a calibration finds what there is: ``python -m benchmarks.calibration.optimum --corpus DIR``.
+
+With all errors of `planting.ERRORS` wrong at once, the unknowns are estimated twice, from nothing and
+from their true values. Where both end in one place it is no bad start that keeps a calibration from the
+truth, and the energies tell whether the truth is any likelier than what was found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.progress import track
+
+from benchmarks import harness
+from benchmarks.calibration import planting
+from benchmarks.calibration.planted_rows import ALL, SESSIONS, Job, Row, right, session, truths
+from lifting.predict import Lifter
+from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.joint_space.shared import SharedFragments
+from rtof_kin.pipeline import ReconstructionSettings
+from rtof_kin.recording import Recording
+from rtof_kin.self_calibrate import shared_fragments
+from rtof_kin.stages import begin
+
+Array = NDArray[np.float64]
+
+
+def row(told: Recording, known: Mapping[tuple[str, str], Array], job: Job, lifter: Lifter) -> Row:
+    """Energies, and distances in standard deviations of the priors, root mean square by kind."""
+    settings, priors = ReconstructionSettings(), job.priors
+    begun = begin(told, told.skeleton, "sf2", lifter, settings, lambda *_: None)
+    solver = JointSpaceSettings(floor_height=told.floor_height)
+    own, again = (  # each with a prior of its own to learn
+        shared_fragments(begun.recording, begun.start, priors, solver, settings.frames) for _ in range(2)
+    )
+    sigma, truth = np.sqrt(np.diag(np.linalg.inv(own.prior))), values(own, known)
+    found = own.estimate(priors.rounds, overcount=priors.overcount)
+    back = again.estimate(priors.rounds, overcount=priors.overcount, start=truth)
+    energies = back.energies[0], found.energies[-1], back.energies[-1]
+    apart = {"found - truth": found.y - truth, "from truth - found": back.y - found.y}
+    return {
+        "session": job.session,
+        "camera": job.camera,
+        "unknowns": len(truth),
+        "energies": dict(zip(("truth", "found", "from truth"), energies, strict=True)),
+        "apart": {
+            name: {
+                unknown.name: float(np.sqrt(np.mean((off[part] / sigma[part]) ** 2)))
+                for unknown, part in zip(own.unknowns, own.columns, strict=True)
+            }
+            for name, off in apart.items()
+        },
+    }
+
+
+def values(fragments: SharedFragments, known: Mapping[tuple[str, str], Array]) -> Array:
+    """(G,) true values of the unknowns."""
+    y = np.zeros(len(fragments.prior))
+    for unknown, own in zip(fragments.unknowns, fragments.columns, strict=True):
+        parts = np.split(y[own], len(unknown.items))
+        of_items = zip(unknown.items, parts, strict=True)
+        y[own] = np.concatenate([known[unknown.name, item][: len(part)] for item, part in of_items])
+    return y
+
+
+def report(rows: list[Row]) -> str:
+    """As Markdown."""
+    kinds = list(rows[0]["apart"]["found - truth"])
+    head = ["recording", "energy of truth / found / from truth", *kinds]
+    lines = [head, ["---"] * len(head)]
+    for r in rows:
+        energy = " / ".join(f"{value:.0f}" for value in r["energies"].values())
+        cells = [" / ".join(f"{off[kind]:.2f}" for off in r["apart"].values()) for kind in kinds]
+        lines.append([f"{r['session']}, camera {r['camera']}", energy, *cells])
+    return (
+        f"{rows[0]['unknowns']} unknowns, all wrong, 20 s, realistic 2D, 8 sensors. Of each kind, in "
+        "standard deviations of its prior: how far what was found is from the truth / how far what is "
+        "found when one starts at the truth is from what was found.\n\n"
+        + "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.calibration.optimum", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser.add_argument("--subset", default="test", choices=tuple(SESSIONS))
+    parser.add_argument("--cameras", type=int, default=2, choices=range(1, 5))
+    out = harness.HERE / "results" / "calibration_optimum.json"
+    parser.add_argument("--out", type=Path, default=out)
+    options = parser.parse_args(arguments)
+    lifter, rows = Lifter.load(None), []
+    jobs = [Job("", s, ALL, camera=c) for s in SESSIONS[options.subset] for c in range(options.cameras)]
+    for job in track(jobs, "recordings"):
+        recording = right(session(options.corpus, options.subset, job.session, job.seconds), job)
+        wrong = planting.drawn(recording, job.sizes, zlib.crc32(recording.name.encode()) + job.camera)
+        rows.append(row(planting.planted(recording, wrong), truths(recording, wrong), job, lifter))
+    text = report(rows)
+    numbers = json.dumps({"subset": options.subset, "rows": rows}, indent=1)
+    options.out.write_text(numbers, encoding="utf-8")
+    options.out.with_suffix(".md").write_text(text, encoding="utf-8")
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
