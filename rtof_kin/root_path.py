@@ -19,7 +19,7 @@ from scipy.linalg import solveh_banded
 
 from rtof_kin import signals
 from rtof_kin.checks import readonly
-from rtof_kin.contacts import Contacts
+from rtof_kin.contacts import Contacts, detect_contacts
 from rtof_kin.errors import ShapeError
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, PoseSequence
@@ -55,6 +55,10 @@ class RootPathSettings:
     """[m/s^2] error of the acceleration that carries the path while no foot stands."""
     sigma_aloft: float = 0.3
     """[m/s] error of the velocity that this grows to at most: then the lower foot knows better."""
+    sigma_seen: float = 0.3
+    """[m] of the root in every frame in which a camera saw it: errors last for many."""
+    sigma_edge: float = 0.05
+    """[m] of it in the mean, where a gap begins or ends."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -104,13 +108,48 @@ def root_path(
         return RootPath(np.tile(begin, (T, 1)), np.full(T, np.nan))
     system = _System(T, poses.rate_hz)
     system.add(0, np.array([0]), np.array([0.0, 0.0, np.nan]), _ORIGIN**-2)
-    feet = relative[:, skeleton.index(*contacts.joints)]
-    _add_feet(system, feet, contacts, ankle_height, settings)
-    index = skeleton.index(*bone_imus.joints)
-    turned = np.einsum("tsij,sj->tsi", poses.R_world_bone[:, index], bone_imus.p_bone_sensor)
-    _add_sensors(system, relative[:, index] + turned, bone_imus.a_world, settings)
-    p = _with_lower_foot(system, feet, settings.sigma_lower)
+    p = _walked(system, poses, bone_imus, contacts, skeleton, ankle_height, settings)
     return RootPath(p, _drift(p, contacts, poses.rate_hz, settings))
+
+
+def path_through_gaps(
+    poses: PoseSequence,
+    seen: NDArray[np.bool_],
+    bone_imus: BoneImuSequence,
+    skeleton: SkeletonModel,
+    settings: RootPathSettings | None = None,
+) -> RootPath | None:
+    """The root's path where a camera saw somebody for a while only: elsewhere by feet and accelerations.
+
+    Args:
+        poses: (T, J) rigid, evenly spaced; its root where a camera saw it is about right.
+        seen: (T,) whether it did.
+        bone_imus: the sensors at the poses' times.
+
+    Returns:
+        The given root where it was seen, with a standard deviation of 0; between, and before and after,
+        the path that fits it, standing feet and accelerations best. None where no sensor tells of the
+        feet or nothing was seen.
+    """
+    settings, contacts = settings or RootPathSettings(), detect_contacts(poses, bone_imus, skeleton)
+    ankles = poses.p_world_joint[:, skeleton.index(*contacts.joints), 2]
+    standing = contacts.standing & seen[:, None]
+    if len(poses) < 4 or not standing.any():
+        return None
+    system = _System(len(poses), poses.rate_hz)
+    root = poses.p_world_joint[:, 0]
+    system.add(0, np.flatnonzero(seen), root[seen], settings.sigma_seen**-2)
+    height = float(np.median(ankles[standing]))
+    p = _walked(system, poses, bone_imus, contacts, skeleton, height, settings)
+    sigma = np.zeros(len(poses))
+    for start, stop in signals.runs(~seen):
+        gap = slice(max(start - 1, 0), stop + 1)  # with what was seen at its ends
+        own = Contacts(contacts.joints, contacts.standing[gap])
+        p[gap] += _shift(root[gap] - p[gap], seen[gap])
+        drift = _drift_from(p[gap], seen[gap], own, poses.rate_hz, settings)
+        sigma[gap] = np.hypot(settings.sigma_edge, drift)
+    p[seen], sigma[seen] = root[seen], 0.0
+    return RootPath(p, sigma)
 
 
 # --- parts ---------------------------------------------------------------------------------------
@@ -148,6 +187,20 @@ class _System:
         """(T, 3) m."""
         each = zip(self._band, self._right, strict=True)
         return np.stack([solveh_banded(band, right, lower=True) for band, right in each], axis=1)
+
+
+def _walked(
+    system: _System, poses: PoseSequence, bone_imus: BoneImuSequence, contacts: Contacts,
+    skeleton: SkeletonModel, ankle_height: float, settings: RootPathSettings,
+) -> Array:  # fmt: skip
+    """The path (T, 3) that feet and accelerations add to what a system has."""
+    relative = poses.p_world_joint - poses.p_world_joint[:, :1]
+    feet = relative[:, skeleton.index(*contacts.joints)]
+    _add_feet(system, feet, contacts, ankle_height, settings)
+    index = skeleton.index(*bone_imus.joints)
+    turned = np.einsum("tsij,sj->tsi", poses.R_world_bone[:, index], bone_imus.p_bone_sensor)
+    _add_sensors(system, relative[:, index] + turned, bone_imus.a_world, settings)
+    return _with_lower_foot(system, feet, settings.sigma_lower)
 
 
 def _add_feet(
@@ -201,3 +254,21 @@ def _drift(p: Array, contacts: Contacts, rate_hz: float, settings: RootPathSetti
         slow = np.minimum(settings.sigma_flight * since / 2, settings.sigma_aloft)
         flown[start:] += (slow * since) ** 2
     return np.asarray(np.sqrt((settings.drift_per_metre * walked) ** 2 + flown))
+
+
+def _shift(off: Array, seen: NDArray[np.bool_]) -> Array:
+    """(n, 3) m: what the ends are off by, of those that were seen, and evenly from one to the other."""
+    share = np.linspace(0.0, 1.0, len(off))[:, None] if seen[0] and seen[-1] else float(seen[-1])
+    return np.asarray((1 - share) * off[0] + share * off[-1])
+
+
+def _drift_from(
+    p: Array, seen: NDArray[np.bool_], contacts: Contacts, rate_hz: float, settings: RootPathSettings
+) -> Array:
+    """(n,) m since the end that is nearer of those that were seen."""
+    back = Contacts(contacts.joints, contacts.standing[::-1])
+    ends = (
+        _drift(p, contacts, rate_hz, settings) if seen[0] else np.inf,
+        _drift(p[::-1], back, rate_hz, settings)[::-1] if seen[-1] else np.inf,
+    )
+    return np.asarray(np.minimum(*ends))

@@ -110,7 +110,7 @@ def disagreeing(
     """When sensors' orientations differ from a motion that was solved with all of them.
 
     A robust solver follows a wrong sensor only so far. Of a bone the turn about it counts for nothing:
-    there soft tissue rolls.
+    there soft tissue rolls. Where nobody was seen there is nothing to judge a sensor by.
 
     Args:
         poses: solved with these sensors, at their times.
@@ -120,7 +120,7 @@ def disagreeing(
     """
     faults: list[StreamFault] = []
     for s, joint in enumerate(bone_imus.joints):
-        known = np.isfinite(bone_imus.R_world_bone[:, s]).all(axis=(1, 2))
+        known = np.isfinite(bone_imus.R_world_bone[:, s]).all(axis=(1, 2)) & poses.valid.any(axis=1)
         if not known.any():
             continue
         j = skeleton.names.index(joint)

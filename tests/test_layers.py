@@ -52,7 +52,7 @@ inertial_start   cartesian   joint_space.frame_energy   joint_space.limits   joi
 joint_space.problem   joint_space.windows
 joint_space.couplings
 joint_space.lane_problem
-joint_space.annealing   joint_space.bordered   joint_space.building
+joint_space.annealing   joint_space.bordered   joint_space.building   joint_space.gaps
 joint_space.ipopt   joint_space.observations   joint_space.uncertainty
 joint_space.solver   joint_space.evidence   joint_space.learned_prior
 fragment   joint_space.border   joint_space.unknowns

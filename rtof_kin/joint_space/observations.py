@@ -9,11 +9,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics
+from rtof_kin import kinematics, signals
 from rtof_kin import rotations as so3
 from rtof_kin.contacts import FEET, Footholds, standing_feet
 from rtof_kin.joint_space.building import Built, built_problem
 from rtof_kin.joint_space.frame_energy import TORSO, Shape
+from rtof_kin.joint_space.gaps import through_gaps
 from rtof_kin.joint_space.prior import shipped_prior
 from rtof_kin.joint_space.problem import FragmentData
 from rtof_kin.joint_space.settings import JointSpaceSettings
@@ -70,8 +71,12 @@ class Observations:
         self.skeleton, self.frames, self.settings, s = skeleton, frames, settings, settings
         self.rate_hz = start.rate_hz
         known, extra, names = skeleton.landmarks, tuple[str, ...](), tuple[str, ...]()
+        sigma_unseen = np.zeros(len(start))
         if keypoints is not None:
             start = refit_root(start, keypoints) if s.refit_root else start
+            if bone_imus is not None:
+                anyone = keypoints.select(skeleton.names).seen.any(axis=1)
+                start, sigma_unseen = through_gaps(start, np.asarray(anyone), bone_imus, skeleton)
             extra = tuple(n for n in keypoints.names if n in known and n not in skeleton.names)
             names = (*skeleton.names, *extra)
             keypoints = keypoints.select(names)
@@ -88,6 +93,7 @@ class Observations:
         self.attached = Attached.of(built.problem.energy.shape)
         self.problem, self.limits = built.problem, built.limits(self.space) if s.limits else None
         self._observe(start, keypoints, bone_imus, sensors)
+        self._hold_in_gaps(sigma_unseen)
         if footholds is not None:
             known_place = np.isfinite(footholds.p_world[..., 0])
             self.rows["p_contact"] = np.nan_to_num(footholds.p_world)
@@ -175,6 +181,18 @@ class Observations:
             "precision": prior.precision(moving, s.prior_inflation, s.sigma_prior_least),
             "floor": np.array([(s.floor_height or 0.0) + s.ankle_height]),
         }
+
+    def _hold_in_gaps(self, sigma: Array) -> None:
+        """Anchor the root to the start where nobody saw it: a fragment all of whose frames are such knows
+        nothing else of its place. What it is off by stays for the whole gap, so all frames that a
+        fragment has of it count as one.
+
+        Args:
+            sigma: (T,) m; 0 where it was seen or nothing is known.
+        """
+        for first, stop in signals.runs(sigma > 0):
+            count = min(stop - first, self.frames)
+            self.rows["w_root"][first:stop] = 1 / (count * sigma[first:stop] ** 2)
 
     def _root_weight(self, sensors: tuple[str, ...], seen: bool) -> float:
         """Of the anchor to the start's root, 1/m^2."""
