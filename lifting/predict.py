@@ -218,6 +218,11 @@ class Lifter:
     def _check_seen(self, keypoints: KeypointSequence) -> None:
         known = [name for name in self.names if name in keypoints.names]
         ever = [name for name in known if keypoints.seen[:, keypoints.names.index(name)].any()]
+        if not keypoints.seen.any():
+            raise ShapeError(
+                "keypoints: nobody was seen in any frame (every point is NaN or has confidence 0); "
+                "look at the detector's output, or use mode 'imu' where there are sensors"
+            )
         if len(ever) < MIN_JOINTS:
             raise ShapeError(
                 f"keypoints: the lifter needs at least {MIN_JOINTS} joints that are seen at some "

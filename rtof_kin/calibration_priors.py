@@ -76,12 +76,9 @@ class CalibrationPriors:
     @classmethod
     def of(cls, recording: Recording) -> Self:
         """What is usually unknown of such a recording: bones only where nobody measured them."""
-        table = SkeletonModel.named(recording.skeleton_table)
-        priors = cls()
-        if recording.bone_lengths:
-            return priors
-        if recording.height is not None:
-            return replace(priors, sigma_size=0.02, sigma_proportion=0.03)
-        if np.array_equal(recording.joint_offsets, table.joint_offsets):
-            return replace(priors, sigma_size=0.05, sigma_proportion=0.03)
-        return priors
+        usual, told = SkeletonModel.named(recording.skeleton_table), recording.height
+        if told is not None:
+            usual = usual.with_height(told)
+        if recording.bone_lengths or not np.allclose(recording.joint_offsets, usual.joint_offsets):
+            return cls()
+        return replace(cls(), sigma_size=0.05 if told is None else 0.02, sigma_proportion=0.03)

@@ -113,6 +113,7 @@ def reconstruct(
     lifter: LifterLike | None = None,
     settings: ReconstructionSettings | None = None,
     calibrate: bool | CalibrationPriors | SelfCalibration = True,
+    known: SelfCalibration | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Reconstruct the motion of a recording.
@@ -126,7 +127,9 @@ def reconstruct(
         settings: of SF2, the fragment solver and mode imu.
         calibrate: whether the recording is calibrated from itself first (`calibrate_recording`), in the
             modes that use sensors; where it cannot be, a warning says why and it is taken as it is given.
-            Or the priors to do that with, or what to apply of an earlier calibration.
+            Or the priors to do that with, or what this recording said of itself before.
+        known: what another recording of the same person said: of that, what is true of the person and
+            the detector (`SelfCalibration.for_another_recording`) is taken, and no longer estimated.
         progress: told how far each stage is.
 
     Raises:
@@ -144,7 +147,8 @@ def reconstruct(
     uses_sensors = mode in ("sf2", "rtof") and recording.imus is not None
     if not uses_sensors and not isinstance(calibrate, SelfCalibration):
         calibrate = False
-    found, slipped, warnings = _as_told(calibrate, recording, skeleton, lifter, settings, tell)
+    known = None if known is None else known.for_another_recording()
+    found, slipped, warnings = _as_told(calibrate, known, recording, skeleton, lifter, settings, tell)
     if found is not None:
         recording = found.apply(recording)
         skeleton = None if found.of_kind("bones") else skeleton
@@ -170,23 +174,24 @@ def reconstruct(
 
 
 def _as_told(
-    calibrate: bool | CalibrationPriors | SelfCalibration, recording: Recording,
-    skeleton: SkeletonModel | None, lifter: LifterLike | None, settings: ReconstructionSettings,
-    tell: Progress,
+    calibrate: bool | CalibrationPriors | SelfCalibration, known: SelfCalibration | None,
+    recording: Recording, skeleton: SkeletonModel | None, lifter: LifterLike | None,
+    settings: ReconstructionSettings, tell: Progress,
 ) -> tuple[SelfCalibration | None, tuple[StreamFault, ...], tuple[str, ...]]:  # fmt: skip
-    """What a recording says of itself, what was not listened to for that, and warnings."""
+    """What is known of a recording with what it says of itself, what was not listened to for that, and
+    warnings."""
     if calibrate is False:
-        return None, (), ()
+        return known, (), ()
     if isinstance(calibrate, SelfCalibration):
-        return calibrate, (), ()
+        return (calibrate if known is None else known.followed_by(calibrate)), (), ()
     priors = None if calibrate is True else calibrate
     try:
-        found, slipped = _calibrated(recording, skeleton, priors, lifter, settings, tell)
+        found, slipped = _calibrated(recording, skeleton, priors, known, lifter, settings, tell)
     except CalibrationError as error:
         if priors is not None:
             raise
         reason = f"not calibrated from the recording, which is taken as it is given: {error}"
-        return None, (), (reason,)
+        return known, (), (reason,)
     return found, slipped, contradictions(recording, found)
 
 
@@ -243,32 +248,37 @@ def calibrate_recording(
     """
     settings = settings or ReconstructionSettings()
     tell = progress or (lambda stage, done, total: None)
-    return _calibrated(recording, skeleton, priors, lifter, settings, tell)[0]
+    return _calibrated(recording, skeleton, priors, None, lifter, settings, tell)[0]
 
 
 def _calibrated(
     recording: Recording, skeleton: SkeletonModel | None, priors: CalibrationPriors | None,
-    lifter: LifterLike | None, settings: ReconstructionSettings, tell: Progress,
+    known: SelfCalibration | None, lifter: LifterLike | None, settings: ReconstructionSettings,
+    tell: Progress,
 ) -> tuple[SelfCalibration, tuple[StreamFault, ...]]:  # fmt: skip
-    """What a recording says of itself, and what was not listened to for that."""
+    """What is known of a recording with what it says of itself, and what was not listened to for that."""
     check_height(recording)
     if skeleton is not None:
         recording = replace(
             recording, joint_offsets=skeleton.joint_offsets, height=None, bone_lengths=None
         )
+    recording = recording if known is None else known.apply(recording)
+    priors = priors or CalibrationPriors.of(recording)
     begun = begin(recording, recording.skeleton, "sf2", lifter, settings, tell)
-    slipped = _slipped(begun, recording.skeleton, settings)
     fragment = on_floor(settings.fragment, recording.skeleton, recording.floor_height)
+    solver = fragment if isinstance(fragment, JointSpaceSettings) else None
+    if known is not None:
+        keypoints = known.moved(begun.recording.video, begun.start)
+        begun = replace(begun, recording=replace(begun.recording, keypoints=keypoints))
+        if (higher := known.ankle_height) and solver is not None:
+            solver = replace(solver, ankle_height=solver.ankle_height + higher)
+            priors = replace(priors, sigma_ankle_height=None)
+    slipped = _slipped(begun, recording.skeleton, settings)
     found = calibrate_from(
-        begun.recording,
-        begun.start,
-        priors or CalibrationPriors.of(recording),
-        fragment if isinstance(fragment, JointSpaceSettings) else None,
-        settings.frames,
-        lambda done, total: tell("calibrate", done, total),
-        slipped,
-    )
-    return found, slipped
+        begun.recording, begun.start, priors, solver, settings.frames,
+        lambda done, total: tell("calibrate", done, total), slipped,
+    )  # fmt: skip
+    return (found if known is None else known.followed_by(found)), slipped
 
 
 def _slipped(

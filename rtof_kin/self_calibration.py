@@ -145,6 +145,12 @@ class SelfCalibration:
         kept = tuple(q for q in self.quantities if q.kind in ("bones", "ankle height", "place"))
         return replace(self, quantities=kept)
 
+    def followed_by(self, later: Self) -> Self:
+        """This and what a recording said that this had been applied to; of what both have, the later."""
+        again = {(q.kind, q.item) for q in later.quantities}
+        kept = tuple(q for q in self.quantities if (q.kind, q.item) not in again)
+        return replace(later, quantities=(*kept, *later.quantities))
+
     def apply(self, recording: Recording) -> Recording:
         """The recording with what was observed put right; keypoints get the times of what they show."""
         keypoints = recording.keypoints
@@ -157,7 +163,7 @@ class SelfCalibration:
         recording = replace(recording, keypoints=keypoints, imus=imus, calibration=calibration)
         if bones := self.of_kind("bones"):
             offsets = self._offsets(recording.skeleton, bones)
-            recording = replace(recording, joint_offsets=offsets, bone_lengths=None, height=None)
+            recording = replace(recording, joint_offsets=offsets, bone_lengths=None)
         return recording
 
     def moved(self, keypoints: KeypointSequence, poses: PoseSequence) -> KeypointSequence:

@@ -7,6 +7,7 @@ The clock is that of the poses and the IMUs. `rtof_kin.simulation_sensors` makes
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -136,7 +137,7 @@ def simulate_file(
     *,
     settings: SimulationSettings,
     seed: int,
-    camera: Camera | int = 0,
+    camera: Camera | int | None = None,
     video_rate_hz: float = 60.0,
     smooth_hz: float | None = 10.0,
     rate_hz: float | None = None,
@@ -149,25 +150,24 @@ def simulate_file(
     Args:
         path, rate_hz, unit_m, asf: as for `rtof_kin.mocap.read_mocap`.
         settings, seed, acknowledgement: as for `simulate`.
-        camera: who looks, or which of `standard_cameras` of this seed (0 to 3).
+        camera: who looks, or which of `standard_cameras` of this seed (0 to 3); of those, the one that
+            sees the person for longest where not given.
         video_rate_hz: frames per second of the recording.
         smooth_hz: cut-off of `low_passed`, at the file's own rate; None takes the file as it is.
     """
     clip = read_mocap(path, rate_hz=rate_hz, unit_m=unit_m, output_rate_hz=None, asf=asf)
     clip = resample_clip(clip if smooth_hz is None else low_passed(clip, smooth_hz), video_rate_hz)
-    if isinstance(camera, int):
-        cameras = {str(i): one for i, one in enumerate(standard_cameras(clip.poses, seed))}
-        indices_of("standard camera", [str(camera)], list(cameras))
-        camera = cameras[str(camera)]
-    return simulate(
-        clip.poses,
-        clip.joint_offsets,
-        camera=camera,
-        settings=settings,
-        seed=seed,
-        name=clip.name,
+    made = partial(
+        simulate, clip.poses, clip.joint_offsets, settings=settings, seed=seed, name=clip.name,
         acknowledgement=acknowledgement,
-    )
+    )  # fmt: skip
+    if isinstance(camera, Camera):
+        return made(camera=camera)
+    cameras = standard_cameras(clip.poses, seed)
+    if camera is None:
+        return max((made(camera=one) for one in cameras), key=lambda r: float(r.video.seen.mean()))
+    indices_of("standard camera", [str(camera)], [str(i) for i in range(len(cameras))])
+    return made(camera=cameras[camera])
 
 
 def low_passed(clip: MocapClip, cutoff_hz: float) -> MocapClip:

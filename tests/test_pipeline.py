@@ -187,6 +187,25 @@ def test_ankles_stand_as_high_as_the_calibration_found_them(
     assert energies[0] != pytest.approx(energies[2], rel=1e-3)
 
 
+def test_of_a_known_person_bones_are_taken_and_the_clock_is_still_looked_at(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    def told(kind: str, item: str, value: float) -> Quantity:
+        return Quantity(kind, item, np.array([value]), np.array([0.01]), np.array([0.05]), known=1.0)
+
+    earlier = SelfCalibration((told("bones", "thighs", 0.02), told("delay", "video", 0.2)))
+    only_delay = replace(CalibrationPriors(), sigma_swing=None, sigma_image_bias=None)
+    found = run(recording, truth, calibrate=only_delay, known=earlier)
+    assert found.calibration is not None
+    assert found.calibration["bones", "thighs"].value[0] == 0.02
+    assert abs(found.calibration["delay", "video"].value[0]) < 0.05
+    given, made = (r.skeleton.bone_lengths["LeftLeg"] for r in (recording, found.recording))
+    assert made == pytest.approx(1.02 * given)
+    vision = run(recording, truth, "rto", known=earlier)
+    assert vision.motion.skeleton.bone_lengths["LeftLeg"] == pytest.approx(1.02 * given)
+    np.testing.assert_array_equal(vision.motion.poses.times, recording.video.times)
+
+
 def test_the_recordings_own_skeleton_is_used_where_none_is_given(truth: MotionSequence) -> None:
     tall = BODY.with_height(1.9)
     recording = replace(planted.recording(truth), joint_offsets=tall.joint_offsets)

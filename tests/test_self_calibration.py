@@ -167,6 +167,20 @@ def test_another_recording_of_the_person_gets_bones_ankles_and_places_alone() ->
     np.testing.assert_array_equal(after.keypoints.times, recording().keypoints.times)
 
 
+def test_what_comes_later_stands_above_what_was_known() -> None:
+    before = SelfCalibration((quantity("bones", "thighs", 0.1), quantity("delay", "video", 0.1)))
+    later = SelfCalibration((quantity("delay", "video", 0.2),), middle=3.0)
+    both = before.followed_by(later)
+    assert [(q.kind, q.value[0]) for q in both.quantities] == [("bones", 0.1), ("delay", 0.2)]
+    assert both.middle == 3.0
+
+
+def test_the_height_that_was_told_stays_told() -> None:
+    told = replace(recording(), height=1.7)
+    found = SelfCalibration((quantity("bones", "thighs", 0.1),))
+    assert found.apply(told).height == 1.7
+
+
 def test_the_table_has_units_that_people_read() -> None:
     table = SelfCalibration((
         quantity("delay", "video", 0.05), quantity("mounting", "LeftArm", 0.1, 0.1, 0.1),

@@ -95,13 +95,13 @@ def _lifter(options: argparse.Namespace) -> Any:
     return Lifter.load(options.lifter)
 
 
-def _wanted(options: argparse.Namespace) -> Any:
-    """What `reconstruct` is told about calibration."""
-    if not isinstance(options.calibrate, str):
-        return options.calibrate
+def _known(options: argparse.Namespace) -> Any:
+    """What `reconstruct` is told of another recording of the same person."""
+    if getattr(options, "calibration", None) is None:
+        return None
     from rtof_kin.io.self_calibration_toml import read_self_calibration_toml
 
-    return read_self_calibration_toml(options.calibrate).for_another_recording()
+    return read_self_calibration_toml(options.calibration)
 
 
 def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> Any:
@@ -115,7 +115,7 @@ def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> A
     with progress() as tell:
         result = reconstruct(
             recording, mode=mode, lifter=_lifter(options), settings=settings,
-            calibrate=_wanted(options), progress=tell,
+            calibrate=options.calibrate, known=_known(options), progress=tell,
         )  # fmt: skip
     if result.calibration is not None:
         print_calibration(result.calibration)
@@ -178,8 +178,11 @@ def _simulate(options: argparse.Namespace) -> None:
         acknowledgement=options.acknowledgement,
     )
     recording.save(options.output, overwrite=options.overwrite)
-    times = recording.video.times
-    out.print(f"wrote {options.output}: {len(times)} frames, {times[-1] - times[0]:.1f} s")
+    times, seen = recording.video.times, recording.video.seen.any(axis=1).mean()
+    out.print(
+        f"wrote {options.output}: {len(times)} frames, {times[-1] - times[0]:.1f} s, somebody in the "
+        f"picture for {100 * seen:.0f} % of them"
+    )
 
 
 def _export(options: argparse.Namespace) -> None:
@@ -247,9 +250,10 @@ def _add_reconstruction(parser: argparse.ArgumentParser) -> None:
     how.add_argument(
         "--no-calibrate", dest="calibrate", action="store_false", help="take everything as it is given"
     )
-    how.add_argument(
-        "--calibration", dest="calibrate", metavar="FILE",
-        help="of an earlier recording of the same person: what `calibrate` wrote",
+    parser.add_argument(
+        "--calibration", metavar="FILE",
+        help="what `calibrate` wrote of another recording of the same person: bones, ankles and where "
+        "the detector sees joints are taken from it; delay, mounting and biases are this one's own",
     )  # fmt: skip
 
 
@@ -303,7 +307,8 @@ def _add_simulate(commands: Any) -> None:
         "given, '' for none",
     )
     parser.add_argument(
-        "--camera", type=int, choices=range(4), default=0, help="which of four around the motion"
+        "--camera", type=int, choices=range(4),
+        help="which of four around the motion; the one that sees most of it where not given",
     )
     parser.add_argument("--rate", type=float, metavar="HZ", help="true frame rate of the file")
     parser.add_argument("--seed", type=int, default=0, help="of the camera and all errors")
