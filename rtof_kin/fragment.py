@@ -135,7 +135,7 @@ class FragmentSolver:
         keypoints: KeypointSequence,
         bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None = None,
     ) -> Iterator[PoseSequence]:
-        """The poses of `solve`, N/2 frames at a time, each as soon as both its fragments are solved."""
+        """The poses of `solve`, N/2 frames at a time, each as soon as nothing to come can change it."""
         bone_imus = _together(bone_imus, start)
         self._check(start, keypoints, bone_imus, None)
         for block in self._solver.run(start, keypoints, bone_imus, None, None):

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin import signals
 from rtof_kin.confidence import Confidence
 from rtof_kin.types import PoseSequence
 
 Array = NDArray[np.float64]
+_MISFIT, _LEAST_MISFIT_PX = 3.0, 3.0
+"""Times the median size of residuals, and px, from which a fragment's are worth a warning."""
 
 
 class SolverStatus(Enum):
     """How a fragment's optimisation ended."""
 
-    CONVERGED = "The gradient at the returned point is below the tolerance."
+    CONVERGED = "The next step would change the energy by less than the tolerance; see the optimality."
     ACCEPTABLE = "The solver stopped at a looser tolerance; see the optimality."
     ITERATION_LIMIT = "The iteration limit was reached before the tolerance."
     UNOBSERVED = "No landmark and no sensor was seen in the whole fragment: it shows the prior alone."
@@ -101,3 +105,31 @@ class FragmentSolution:
     def seconds(self) -> float:
         """Solver time of all fragments together, s."""
         return sum(f.seconds for f in self.fragments)
+
+
+def misfits(
+    fragments: Sequence[FragmentReport], times: Array, frames: int, limit_px: float
+) -> tuple[str, ...]:
+    """Sentences about when joints lie far from where they were seen, at all or beside the rest of the
+    recording: the pose there may be another one than was seen.
+
+    Args:
+        fragments: with sizes of residuals that were estimated. times: (T,) s of the recording.
+        frames: N of a fragment. limit_px: that no size is taken to exceed.
+    """
+    solved = [f for f in fragments if f.status is not SolverStatus.UNOBSERVED]
+    if not solved:
+        return ()
+    usual = float(np.median([f.sigma_reprojection for f in solved]))
+    bad = np.zeros(len(times), dtype=bool)
+    size = np.zeros(len(times))
+    for f in solved:
+        if f.sigma_reprojection >= min(max(_MISFIT * usual, _LEAST_MISFIT_PX), limit_px):
+            own = slice(max(f.first_frame, 0), f.first_frame + frames)
+            bad[own], size[own] = True, np.maximum(size[own], f.sigma_reprojection)
+    return tuple(
+        f"{times[a]:.1f} to {times[b - 1]:.1f} s: joints lie {size[a:b].max():.0f} px per axis from "
+        f"where they were seen ({usual:.1f} is this recording's median); the pose may be wrong there, "
+        "compare it with the video"
+        for a, b in signals.runs(bad)
+    )

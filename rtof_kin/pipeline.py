@@ -17,6 +17,7 @@ from rtof_kin.contradictions import check_height, contradictions
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
+from rtof_kin.fragment_solution import misfits
 from rtof_kin.inflation import Inflation
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import Metrics, evaluate
@@ -162,6 +163,7 @@ def reconstruct(
         wrong = joined((*slipped, *wrong))
         begun = begin(recording, skeleton, mode, lifter, settings, tell, wrong)
         keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
+    warnings += _doubts(begun, solution, settings)
     for warning in (*begun.faults, *warnings):
         _log.warning("%s: %s", recording.name, warning)
     motion = _told(skeleton.motion(poses), keypoints, begun, solution)
@@ -193,6 +195,23 @@ def _as_told(
         reason = f"not calibrated from the recording, which is taken as it is given: {error}"
         return known, (), (reason,)
     return found, slipped, contradictions(recording, found)
+
+
+def _doubts(
+    begun: Begun, solution: FragmentSolution | None, settings: ReconstructionSettings
+) -> tuple[str, ...]:
+    """What makes one doubt a motion: silent sensors, and joints far from where they were seen."""
+    found: tuple[str, ...] = ()
+    if begun.bone_imus is not None and not np.isfinite(begun.bone_imus.R_world_bone).any():
+        found += (
+            "no sensor says anything at the times of the video: what comes out is of the image alone; "
+            "look at the sensors' values and clock",
+        )
+    s = settings.fragment or JointSpaceSettings()
+    if solution is not None and isinstance(s, JointSpaceSettings) and s.sigma_reprojection is None:
+        limit = s.sigma_reprojection_range[1]
+        found += misfits(solution.fragments, begun.start.times, settings.frames, limit)
+    return found
 
 
 def _told(

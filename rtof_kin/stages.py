@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 """Called with (stage, done, in all)."""
+_SLOWEST_HZ, _FASTEST_HZ = 2.0, 2000.0
+"""Frames a second that a video of a moving person may have."""
 _log = logging.getLogger(__name__)
 
 
@@ -94,10 +96,12 @@ def begin(
         left_out: faults of sensors that later stages found, by their segments.
 
     Raises:
-        ShapeError: there are no keypoints; the mode needs IMUs and there are none.
+        ShapeError: there are no keypoints, or their times or points are in another unit; the mode needs
+            IMUs and there are none.
     """
     if recording.keypoints is None:
         raise ShapeError("the recording has no keypoints; without them use mode 'imu'")
+    _check_video(recording.video)
     recording, faults = guarded(recording, settings)
     keypoints = evenly_spaced(recording.video)
     recording = replace(recording, keypoints=keypoints)
@@ -118,6 +122,22 @@ def begin(
     elif mode == "rto":
         start = InertialGuidedIK(skeleton).refine(lifted, None, R_lifted)
     return Begun(recording, bone_imus, stages, start, (*faults, *left_out))
+
+
+def _check_video(keypoints: KeypointSequence) -> None:
+    """Raise where times or points are surely in another unit."""
+    times, uv = keypoints.times, keypoints.uv_px
+    seconds = float(times[-1] - times[0])
+    if len(times) > 1 and not _SLOWEST_HZ <= (len(times) - 1) / seconds <= _FASTEST_HZ:
+        raise ShapeError(
+            f"keypoints: times make {(len(times) - 1) / seconds:.3g} frames a second; give them in "
+            "seconds (are they milliseconds, or frame numbers?)"
+        )
+    if keypoints.seen.any() and np.nanmax(np.nanmax(uv, axis=(0, 1)) - np.nanmin(uv, axis=(0, 1))) < 3.0:
+        raise ShapeError(
+            "keypoints: all points of all frames lie within 3 px; where they are shares of the image, "
+            "multiply x by its width and y by its height"
+        )
 
 
 def guarded(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from rtof_kin.fragment_solution import FragmentReport, FragmentSolution, SolverStatus
+from rtof_kin.fragment_solution import FragmentReport, FragmentSolution, SolverStatus, misfits
 from rtof_kin.types import PoseSequence
 
 POSES = PoseSequence(np.zeros(1), np.zeros((1, 1, 3)), np.eye(3)[None, None], ("Hips",))
@@ -34,6 +35,29 @@ def test_the_status_of_a_solution_is_its_worst_fragments(
 ) -> None:
     reports = (report(better), report(worse), report(better), report())
     assert FragmentSolution(POSES, reports).status is worse
+
+
+def fitted(*sizes: float) -> tuple[str, ...]:
+    """Warnings of fragments of ten frames, five apart, with residuals of these sizes, at 10 Hz."""
+    firsts = range(-5, 5 * len(sizes), 5)
+    reports = [
+        replace(report(), first_frame=first, sigma_reprojection=size)
+        for first, size in zip(firsts, sizes, strict=False)
+    ]
+    return misfits(reports, np.arange(40) / 10, 10, 25.0)
+
+
+def test_fragments_that_fit_much_worse_than_the_others_are_told_with_their_time() -> None:
+    (told,) = fitted(0.5, 0.5, 0.6, 3.9, 12.5, 0.5, 0.5, 0.5, 0.5)
+    assert told.startswith("1.0 to 2.4 s: joints lie 12 px per axis from where they were seen (0.5 is")
+    assert len(fitted(0.5, 4.0, 0.5, 0.5, 0.5, 0.5, 0.5, 9.0, 0.5)) == 2
+
+
+def test_fits_that_are_alike_are_told_only_at_the_limit() -> None:
+    assert fitted(4.0, 6.0, 9.0, 11.0, 5.0, 0.5, 4.0, 4.0, 5.0) == ()
+    assert fitted(0.5, 0.5, 0.5, 2.9, 0.5, 0.5, 0.5, 0.5, 0.5) == ()
+    (told,) = fitted(*[25.0] * 9)
+    assert told.startswith("0.0 to 3.9 s")
 
 
 def test_the_states_are_sentences_from_good_to_bad() -> None:

@@ -18,6 +18,7 @@ from rtof_kin import rotations as so3
 from rtof_kin.errors import ShapeError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver, SolverStatus
 from rtof_kin.inertial_ik import InertialGuidedIK
+from rtof_kin.joint_space import solver as solver_module
 from rtof_kin.joint_space.problem import TERMS
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import flexion, hinges
@@ -476,7 +477,7 @@ def test_absurd_numbers_harm_their_fragments_alone_and_give_back_the_start_where
     out = scene.solve(unfiltered, keypoints=seen, bone_imus=imus)
     assert np.isfinite(out.poses.p_world_joint).all()
     clean = [f.status is SolverStatus.CONVERGED for f in out.fragments]
-    assert clean == [True, True, False, False, True, True]
+    assert clean[:2] + clean[4:] == [True] * 4
     for f in out.fragments[2:4]:
         overflows = not np.isfinite(sum(f.energy.values()))
         assert overflows == (f.status is SolverStatus.FAILED) == (size > 1e154)
@@ -573,3 +574,29 @@ def test_with_nothing_else_the_prior_takes_over(scene: Scene) -> None:
         angles.append(away(out.poses.R_world_bone))
     assert angles[2] < angles[1] < 0.5 * angles[0]
     assert angles[2] < 0.15
+
+
+# --- neighbours ----------------------------------------------------------------------------------
+
+
+def bent_over(start: PoseSequence, frames: slice) -> PoseSequence:
+    """Poses whose trunk, head and all, lies backwards for a while."""
+    R = start.R_world_bone.copy()
+    for j in BODY.index("Spine", "Spine1", "Spine2", "Spine3", "Neck", "Head"):
+        R[frames, j] = R[frames, j] @ so3.about_axis("y", -2.6)
+    p = kinematics.positions(BODY.parents, BODY.joint_offsets, start.p_world_joint[:, 0], R)
+    return replace(start, R_world_bone=R, p_world_joint=p)
+
+
+@pytest.mark.parametrize("frames", [slice(18, 40), slice(0, 18)])
+def test_a_fragment_that_is_caught_in_a_minimum_of_its_own_goes_on_from_its_neighbour(
+    scene: Scene, frames: slice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = bent_over(scene.start, frames)
+    told: dict[str, Any] = {"start": start, "keypoints": scene.exact, "bone_imus": scene.imus}
+    found = scene.solve(**told)
+    monkeypatch.setattr(solver_module, "_STANDS_OUT", np.inf)
+    caught = scene.solve(**told)
+    assert max(f.sigma_reprojection for f in caught.fragments) > 5.0
+    assert max(f.sigma_reprojection for f in found.fragments) < 1.5
+    assert scene.mm(found.poses) < 0.25 * scene.mm(caught.poses)

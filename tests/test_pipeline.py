@@ -187,6 +187,28 @@ def test_ankles_stand_as_high_as_the_calibration_found_them(
     assert energies[0] != pytest.approx(energies[2], rel=1e-3)
 
 
+@pytest.mark.parametrize("change, reason", [
+    (lambda k: replace(k, times=1000 * k.times), "frames a second; give them in seconds"),
+    (lambda k: replace(k, uv_px=k.uv_px / 1920), "within 3 px; where they are shares of the image"),
+])  # fmt: skip
+def test_times_and_points_in_another_unit_are_refused(
+    recording: Recording, truth: MotionSequence, change: Any, reason: str
+) -> None:
+    with pytest.raises(ShapeError, match=reason):
+        run(replace(recording, keypoints=change(recording.video), imus=None), truth, "rto")
+
+
+def test_sensors_that_say_nothing_are_told(recording: Recording, truth: MotionSequence) -> None:
+    assert recording.imus is not None
+    silent = replace(
+        recording.imus,
+        R_inertial_sensor=np.full_like(recording.imus.R_inertial_sensor, np.nan),
+        f_sensor=np.full_like(recording.imus.f_sensor, np.nan),
+    )
+    found = run(replace(recording, imus=silent), truth)
+    assert any(warning.startswith("no sensor says anything") for warning in found.warnings)
+
+
 def test_of_a_known_person_bones_are_taken_and_the_clock_is_still_looked_at(
     recording: Recording, truth: MotionSequence
 ) -> None:

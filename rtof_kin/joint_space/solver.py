@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from time import perf_counter
 
 import numpy as np
@@ -23,6 +24,11 @@ from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
+_STANDS_OUT = 1.8
+"""By how many times the size of a fragment's residuals is more than its neighbour's where it is looked at
+again; biases and outliers change it by less from half a second to the next."""
+_HELD = 4
+"""Fragments that may still be solved again from what comes after them."""
 
 
 class JointSpaceSolver:
@@ -58,24 +64,18 @@ class JointSpaceSolver:
         i = np.arange(self.frames)
         taper = np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
         share = taper[:half] / (taper[half:] + taper[:half])
-        firsts, previous = range(-half, T, half), None
+        firsts = range(-half, T, half)
         reports: list[FragmentReport] = []
-        for done, first in enumerate(firsts, start=1):
-            piece = fragments.solve(first)
-            reports.append(piece.report)
-            if progress is not None:
-                progress(done, len(firsts))
-            if previous is not None:
-                frames = slice(first, min(first + half, T))
-                count = frames.stop - first
-                x = data.space.blend(previous.x[half:], piece.x[:half], taper[half:], taper[:half])
-                x, told = x[:count], None
-                if previous.covariance is not None and piece.covariance is not None:
-                    C = blended(previous.covariance[half:], piece.covariance[:half], share)[:count]
-                    told = confidence_of(data.space, start.times[frames], x, C)
-                yield Block(frames, *data.space.poses(x), tuple(reports), told)
-                reports = []
-            previous = piece
+        for previous, piece in pairwise(fragments.settled(firsts, progress)):
+            frames = slice(piece.first, min(piece.first + half, T))
+            count = frames.stop - piece.first
+            x = data.space.blend(previous.x[half:], piece.x[:half], taper[half:], taper[:half])
+            x, told = x[:count], None
+            if previous.covariance is not None and piece.covariance is not None:
+                C = blended(previous.covariance[half:], piece.covariance[:half], share)[:count]
+                told = confidence_of(data.space, start.times[frames], x, C)
+            reports = [piece.report] if reports else [previous.report, piece.report]
+            yield Block(frames, *data.space.poses(x), tuple(reports), told)
 
     def oriented(self, poses: PoseSequence, bone_imus: BoneImuSequence | None) -> PoseSequence:
         """The poses as they are: their orientations are part of the solution."""
@@ -92,6 +92,17 @@ class _Piece:
     covariance: Array | None
     """(N, D, D) of their tangents, where asked for; NaN where the fragment tells nothing."""
 
+    @property
+    def first(self) -> int:
+        """Its first frame."""
+        return self.report.first_frame
+
+    def stands_out(self, other: _Piece) -> bool:
+        """Whether its landmarks are off by much more than another's, as in a minimum of its own."""
+        a, b = self.report, other.report
+        solved = {a.status, b.status}.isdisjoint((SolverStatus.FAILED, SolverStatus.UNOBSERVED))
+        return solved and a.sigma_reprojection > _STANDS_OUT * b.sigma_reprojection
+
 
 class _Fragments:
     """Solves the fragments of one recording."""
@@ -102,8 +113,44 @@ class _Fragments:
         self._real_time = LevenbergMarquardt(problem, data.limits)
         self._ipopt = Ipopt(problem, data.limits) if settings.backend == "ipopt" else None
 
-    def solve(self, first: int) -> _Piece:
-        """The frames from `first`."""
+    def settled(
+        self, firsts: Sequence[int], progress: Callable[[int, int], None] | None
+    ) -> Iterator[_Piece]:
+        """Fragments one after the other. Of two that overlap, one whose landmarks are off by much more is
+        solved again from where the other is; so are those before it."""
+        held: list[_Piece] = []
+        for done, first in enumerate(firsts, start=1):
+            piece = self.solve(first)
+            if held and piece.stands_out(held[-1]):
+                piece = self._beside(piece, held[-1])
+            held.append(piece)
+            for i in range(len(held) - 1, 0, -1):
+                if not held[i - 1].stands_out(held[i]):
+                    break
+                held[i - 1] = self._beside(held[i - 1], held[i])
+            if progress is not None:
+                progress(done, len(firsts))
+            if len(held) > _HELD:
+                yield held.pop(0)
+        yield from held
+
+    def _beside(self, piece: _Piece, other: _Piece) -> _Piece:
+        """A fragment that starts where a neighbour's states are, and goes on from there as its own start
+        does; as it was, if that is no better."""
+        index, _, _ = self.data.fragment(piece.first)
+        shared = max(piece.first, other.first) + np.arange(self.data.frames // 2)
+        own, theirs = shared - piece.first, shared - other.first
+        edge = -1 if other.first < piece.first else 0
+        x = self.data.space.carried_on(self.data.start[index], own[edge], other.x[theirs[edge]])
+        x[own] = other.x[theirs]
+        again = self.solve(piece.first, x)
+        kept = again if piece.stands_out(again) else piece
+        a, b = piece.report, again.report
+        both = replace(kept.report, iterations=a.iterations + b.iterations, seconds=a.seconds + b.seconds)
+        return replace(kept, report=both)
+
+    def solve(self, first: int, start: Array | None = None) -> _Piece:
+        """The frames from `first`, by default from the recording's start (N, 3 + 4A)."""
         data = self.data
         index, inside, values = data.fragment(first)
         began = perf_counter()
@@ -111,7 +158,7 @@ class _Fragments:
         annealing = Annealing(
             self.settings, data.problem, data.confidence[index], values.observation
         )
-        x, failed = data.start[index], True
+        x, failed = data.start[index] if start is None else start, True
         try:
             solved = self._from(x, annealing, index)
             failed = not np.isfinite(solved.x).all()

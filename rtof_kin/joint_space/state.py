@@ -119,6 +119,17 @@ class StateSpace:
         q /= np.linalg.norm(q, axis=-1, keepdims=True)
         return np.concatenate([p, q.reshape(len(x), -1)], axis=1)
 
+    def carried_on(self, x: Array, frame: int, known: Array) -> Array:
+        """States (T, 3 + 4A) moved and turned in all frames as one of them must be to be what is known.
+
+        Args:
+            frame: which one. known: (3 + 4A,) it.
+        """
+        q, r = self.rotations(x), self.rotations(known[None])[0]
+        turn = quat.multiply(quat.conjugate(q[frame]), r)
+        moved = x[:, :3] + known[:3] - x[frame, :3]
+        return np.concatenate([moved, quat.multiply(q, turn[None]).reshape(len(x), -1)], axis=1)
+
     def poses(self, x: Array) -> tuple[Array, Array]:
         """Joint positions (T, J, 3) and segment orientations (T, J, 3, 3) of states."""
         skeleton = self.skeleton
