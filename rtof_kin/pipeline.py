@@ -18,6 +18,7 @@ from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.fragment_solution import misfits
+from rtof_kin.inertial.mounting import find_faults
 from rtof_kin.inflation import Inflation
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import Metrics, evaluate
@@ -150,6 +151,7 @@ def reconstruct(
         calibrate = False
     known = None if known is None else known.for_another_recording()
     found, slipped, warnings = _as_told(calibrate, known, recording, skeleton, lifter, settings, tell)
+    told = recording
     if found is not None:
         recording = found.apply(recording)
         skeleton = None if found.of_kind("bones") else skeleton
@@ -164,6 +166,8 @@ def reconstruct(
         begun = begin(recording, skeleton, mode, lifter, settings, tell, wrong)
         keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
     warnings += _doubts(begun, solution, settings)
+    if mode == "rtof" and settings.guard_streams and (warnings or begun.faults):
+        warnings += _faults_of_setup(told, skeleton, lifter, settings)
     for warning in (*begun.faults, *warnings):
         _log.warning("%s: %s", recording.name, warning)
     motion = _told(skeleton.motion(poses), keypoints, begun, solution)
@@ -212,6 +216,18 @@ def _doubts(
         limit = s.sigma_reprojection_range[1]
         found += misfits(solution.fragments, begun.start.times, settings.frames, limit)
     return found
+
+
+def _faults_of_setup(
+    told: Recording, skeleton: SkeletonModel, lifter: LifterLike | None, settings: ReconstructionSettings
+) -> tuple[str, ...]:
+    """What people get wrong with sensors and explains why something else was found: they are compared,
+    as they were told to sit, with what the image alone shows."""
+    seen = begin(told, skeleton, "lift", lifter, settings, lambda *_: None)
+    bone_imus = seen.recording.bone_imus()
+    if bone_imus is None or not np.isfinite(bone_imus.R_world_bone).any():
+        return ()
+    return tuple(str(fault) for fault in find_faults(bone_imus, skeleton, visual=seen.start))
 
 
 def _told(

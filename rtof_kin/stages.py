@@ -33,6 +33,8 @@ Progress = Callable[[str, int, int], None]
 """Called with (stage, done, in all)."""
 _SLOWEST_HZ, _FASTEST_HZ = 2.0, 2000.0
 """Frames a second that a video of a moving person may have."""
+_LOWEST_ANKLE = 0.02
+"""[m] over a floor, however low a recording seems to have it: then something else is wrong."""
 _log = logging.getLogger(__name__)
 
 
@@ -208,7 +210,7 @@ def on_floor(
         settings = JointSpaceSettings() if calibration is None else JointSpaceSettings.calibrated()
     if isinstance(settings, JointSpaceSettings) and settings.floor_height is None:
         higher = 0.0 if calibration is None else calibration.ankle_height
-        ankles = settings.ankle_height + higher
+        ankles = max(settings.ankle_height + higher, _LOWEST_ANKLE)
         return replace(settings, floor_height=floor_height, ankle_height=ankles)
     return settings
 

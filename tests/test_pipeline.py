@@ -170,6 +170,19 @@ def test_the_recordings_floor_reaches_lifter_and_solver(
     assert high.solution.energy["floor"] > 10, "settings stand above the recording"
 
 
+def test_ankles_that_seem_to_be_below_the_floor_stand_on_it(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    lower = Quantity("ankle height", "feet", np.array([-0.3]), np.array([0.02]), np.array([0.02]), 0.9)
+    on_it = replace(lower, value=np.array([-0.06]))
+    results = [
+        run(replace(recording, floor_height=-0.4), truth, calibrate=SelfCalibration((found,)))
+        for found in (lower, on_it)
+    ]
+    energies = [r.solution.energy["floor"] for r in results if r.solution is not None]
+    assert energies[0] == pytest.approx(energies[1], rel=1e-6)
+
+
 def test_ankles_stand_as_high_as_the_calibration_found_them(
     recording: Recording, truth: MotionSequence
 ) -> None:
