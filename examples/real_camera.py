@@ -206,7 +206,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         run(options)
     except RtofError as error:
-        err.print(f"error: {error}", style="bold red", markup=False, soft_wrap=True)
+        err.print(f"error: {error}", style="bold red", soft_wrap=True)
         return 2
     return 0
 
@@ -242,7 +242,7 @@ def run(options: argparse.Namespace, lifter: LifterLike | None = None) -> None:
     skeleton = SkeletonModel.default().with_height(trial.height)
     truth = triangulated(trial, skeleton, options.cameras == "adjusted")
     said = said_of_truth(trial, truth, options.cameras == "adjusted")
-    out.print(*said, sep="\n", markup=False, highlight=False, soft_wrap=True)
+    out.print(*said, sep="\n", highlight=False, soft_wrap=True)
     with progress() as tell:
         estimates = [
             estimate(view, camera, truth, skeleton, _named(tell, view.name), lifter)
@@ -250,7 +250,7 @@ def run(options: argparse.Namespace, lifter: LifterLike | None = None) -> None:
         ]
     out.print(score_table(estimates))
     limits = said_of_scores(estimates, truth, skeleton)
-    out.print(CAPTION, *limits, sep="\n", markup=False, highlight=False, soft_wrap=True)
+    out.print(CAPTION, *limits, sep="\n", highlight=False, soft_wrap=True)
     with new_folder(options.output, MARKER, options.overwrite) as folder:
         draw(trial, truth, estimates, skeleton, folder / "real_camera.png")
         write_camera_toml(folder / "cameras.toml", {e.view.name: e.camera for e in estimates})

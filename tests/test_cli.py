@@ -110,6 +110,18 @@ def test_evaluate_prints_the_stage_beside_zero_motion(
     assert "rtof" in text
     assert "zero" in text
     assert "LeftForeArm" in text
+    assert "[m/s2]" in text
+
+
+def test_a_folder_whose_name_has_square_brackets_is_named_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "r [mm] [red]x"
+    command = ["simulate", str(MOCAP / "02_01_excerpt.bvh"), "-o", str(folder)]
+    assert main(command) == 0
+    assert f"wrote {folder}: " in capsys.readouterr().out
+    assert main(command) == 2
+    assert str(folder) in capsys.readouterr().err
 
 
 def test_export_writes_only_what_was_asked(reconstructed: Path, tmp_path: Path) -> None:

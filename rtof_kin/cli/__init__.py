@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         code = options.run(options)
     except RtofError as error:
-        err.print(f"error: {error}", style="bold red", markup=False, soft_wrap=True)
+        err.print(f"error: {error}", style="bold red", soft_wrap=True)
         return 2
     except KeyboardInterrupt:
         err.print("interrupted")

@@ -58,7 +58,7 @@ def _analyse(options: argparse.Namespace) -> None:
         _print_repetitions(analysis.repetitions)
     for part, notes in analysis.notes.items():
         for note in notes:
-            out.print(f"{part}: {note}", markup=False, soft_wrap=True)
+            out.print(f"{part}: {note}", soft_wrap=True)
     print_files(options.output)
 
 

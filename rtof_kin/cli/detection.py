@@ -46,7 +46,7 @@ def _detect(options: argparse.Namespace) -> None:
     try:
         layout = recognise(found.uv_px, found.confidence).layout
     except ShapeError as error:
-        out.print(f"their layout is not recognised: {error}", soft_wrap=True, markup=False)
+        out.print(f"their layout is not recognised: {error}", soft_wrap=True)
         return
     text = f'[keypoints]\nfile = "{target.name}"\nlayout = "{layout.name}"'
-    out.print(f"{layout.title}; in recording.toml:\n{text}", soft_wrap=True, markup=False)
+    out.print(f"{layout.title}; in recording.toml:\n{text}", soft_wrap=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.table import Column, Table
+from rich.text import Text
 
 from rtof_kin.cli.terminal import command, out
 
@@ -75,25 +76,25 @@ def _number(text: str) -> float:
 
 
 def _print(found: Any, every: bool) -> None:
-    out.print(f"\n{found.path}: {found.title}", style="bold", markup=False, soft_wrap=True)
+    out.print(f"\n{found.path}: {found.title}", style="bold", soft_wrap=True)
     contents = Table(show_header=False)
     for name, value in found.contents:
         contents.add_row(name, value)
     out.print(contents)
     for note in found.notes:
-        out.print(f"note: {note}", markup=False, soft_wrap=True)
+        out.print(f"note: {note}", soft_wrap=True)
     shown = list(found.checks) if every else _worst(found.checks)
     if shown:
         out.print(_checks_table(shown, found.checks))
     for check in shown:
         if check.failed:
             text = f"{check.subject}: {check.name}. {check.advice}"
-            out.print(text, markup=False, soft_wrap=True)
+            out.print(text, soft_wrap=True)
     likely = {tuple(check.likely.items()) for check in found.failed if check.likely}
     if likely:
         pairs = sorted({f"{name}={value}" for one in likely for name, value in one})
         options = " ".join(map(shlex.quote, pairs))
-        out.print(f"likely: --declare {options}", style="bold", markup=False, soft_wrap=True)
+        out.print(f"likely: --declare {options}", style="bold", soft_wrap=True)
 
 
 def _worst(checks: Any) -> list[Any]:
@@ -118,7 +119,7 @@ def _checks_table(shown: list[Any], checks: Any) -> Table:
         alike = [other for other in checks if other.name == check.name]
         unknown = math.isnan(check.value)
         figures = ("", "") if unknown else (f"{check.value:.3g}", f"{check.limit:.3g}")
-        verdict = f"[bold red]{check.verdict.value}[/]" if check.failed else check.verdict.value
+        verdict = Text(check.verdict.value, style="bold red" if check.failed else "")
         holding = sum(other.passed for other in alike)
         remark = f"holds for {holding} of {len(alike)}" if len(alike) > 1 and not every else ""
         table.add_row(

@@ -37,4 +37,4 @@ def _export_lifter(options: argparse.Namespace) -> None:
     if options.output.exists() and not options.overwrite:
         raise OutputExistsError(f"{options.output} exists; give --overwrite, or another name")
     path = export_onnx(Lifter.load(options.lifter), options.output, not options.no_flip)
-    out.print(f"wrote {path}", markup=False, soft_wrap=True)
+    out.print(f"wrote {path}", soft_wrap=True)

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column
 from rich.table import Table as RichTable
@@ -86,7 +85,7 @@ def _total_capture(options: argparse.Namespace) -> None:
         table = SkeletonModel.default().table
         written += write_pictures(outcome, folder / name / "figures", table, 60.0)
         _print_tables(tables)
-        out.print("wrote " + ", ".join(map(str, written)), markup=False, soft_wrap=True)
+        out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
         outcomes.append(outcome)
     for outcome in outcomes:
         _refuse_if_nothing(outcome.done, outcome.failed)
@@ -126,7 +125,7 @@ def _human36m(options: argparse.Namespace) -> None:
     table = SkeletonModel.human36m().table
     written += write_pictures(outcome, folder / "figures", table, RATE_HZ)
     _print_tables(tables)
-    out.print("wrote " + ", ".join(map(str, written)), markup=False, soft_wrap=True)
+    out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
     _refuse_if_nothing(outcome.done, outcome.failed)
 
 
@@ -155,7 +154,7 @@ def _job_progress() -> Iterator[Callable[[int, int, str], None]]:
     """A bar over jobs with the time that remains, and a line for each that fails."""
     columns = (
         TextColumn("measuring"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        TextColumn("{task.fields[last]}"),
+        TextColumn("{task.fields[last]}", markup=False),
     )  # fmt: skip
     progress = Progress(*columns, console=err)
     task = progress.add_task("jobs", total=None, last="")
@@ -163,7 +162,7 @@ def _job_progress() -> Iterator[Callable[[int, int, str], None]]:
     def tell(done: int, total: int, last: str) -> None:
         progress.start()  # not before there are jobs: an error stands alone
         if " failed: " in last:
-            progress.console.print(last, markup=False, soft_wrap=True)
+            progress.console.print(last, soft_wrap=True)
             last = ""
         progress.update(task, completed=done, total=total, last=last)
 
@@ -178,23 +177,21 @@ def _print_tables(tables: Sequence[Table]) -> None:
     for table in tables:
         rows = table.text()
         columns = [_column(*texts) for texts in zip(table.columns, *rows, strict=True)]
-        shown = RichTable(*columns, title=escape(table.title))
+        shown = RichTable(*columns, title=table.title)
         for row in rows:
-            shown.add_row(*map(escape, row))
+            shown.add_row(*row)
         out.print(shown, crop=False)
         for note in table.notes:
-            out.print(f"  {note}", style="dim", markup=False, soft_wrap=True)
+            out.print(f"  {note}", style="dim", soft_wrap=True)
 
 
 def _column(heading: str, *cells: str) -> Column:
     """A column that is folded where it has text, but never so narrow that a figure is cut."""
     widest = max(map(len, cells), default=0)
     if widest > _WIDEST_FIGURE:
-        return Column(escape(heading), min_width=min(widest, 2 * _WIDEST_FIGURE), overflow="fold")
+        return Column(heading, min_width=min(widest, 2 * _WIDEST_FIGURE), overflow="fold")
     words = heading.split()
-    return Column(
-        escape("\n".join(words)), justify="right", min_width=max(widest, *map(len, words))
-    )
+    return Column("\n".join(words), justify="right", min_width=max(widest, *map(len, words)))
 
 
 # --- arguments -----------------------------------------------------------------------------------

@@ -80,10 +80,10 @@ def _calibrate(options: argparse.Namespace) -> None:
         found = calibrate_recording(recording, lifter=_lifter(options), progress=tell)
     print_calibration(found)
     write_self_calibration_toml(options.output, found, options.overwrite)
-    out.print(f"wrote {options.output}")
+    out.print(f"wrote {options.output}", soft_wrap=True)
     if options.recording_output is not None:
         found.apply(recording).save(options.recording_output, options.overwrite)
-        out.print(f"wrote {options.recording_output}")
+        out.print(f"wrote {options.recording_output}", soft_wrap=True)
 
 
 def _lifter(options: argparse.Namespace) -> Any:
@@ -181,7 +181,8 @@ def _simulate(options: argparse.Namespace) -> None:
     times, seen = recording.video.times, recording.video.seen.any(axis=1).mean()
     out.print(
         f"wrote {options.output}: {len(times)} frames, {times[-1] - times[0]:.1f} s, somebody in the "
-        f"picture for {100 * seen:.0f} % of them"
+        f"picture for {100 * seen:.0f} % of them",
+        soft_wrap=True,
     )
 
 

@@ -63,7 +63,7 @@ def _study(options: argparse.Namespace) -> None:
             write_study_figures(study, folder / "figures")
     _print_way_down(study)
     for sentence in sentences(study):
-        out.print(sentence, markup=False, soft_wrap=True)
+        out.print(sentence, soft_wrap=True)
     print_files(options.output)
 
 

@@ -12,7 +12,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column, Table
 
-out, err = Console(), Console(stderr=True)
+# Units stand in square brackets, and paths may: nothing printed is markup.
+out, err = Console(markup=False), Console(stderr=True, markup=False)
 SCORE_COLUMNS = {
     "mpjpe_rr_mm": "relative\nto root\n[mm]",
     "mpjpe_mm": "absolute\n\n[mm]",
@@ -52,7 +53,8 @@ def add_output(
 def progress() -> Iterator[Callable[[str, int, int], None]]:
     """A bar for each stage, on the error stream."""
     columns = (
-        TextColumn("{task.description:>5}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TextColumn("{task.description:>5}", markup=False), BarColumn(), MofNCompleteColumn(),
+        TimeElapsedColumn(),
     )  # fmt: skip
     with Progress(*columns, console=err) as progress:
         tasks: dict[str, Any] = {}

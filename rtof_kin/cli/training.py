@@ -167,6 +167,6 @@ def _reading() -> Iterator[Callable[[int, int, str], None]]:
         def tell(done: int, total: int, note: str) -> None:
             progress.update(task, completed=done, total=total)
             if " skipped: " in note:
-                progress.console.print(note, markup=False, soft_wrap=True)
+                progress.console.print(note, soft_wrap=True)
 
         yield tell
