@@ -112,11 +112,15 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
 
 
 def motionless(truth: PoseSequence) -> PoseSequence:
-    """The zero-motion row: the truth's mean position, standing still, in every frame."""
+    """The zero-motion row: the truth's mean position and orientation, standing still, in every frame."""
     p = np.where(truth.valid[..., None], truth.p_world_joint, np.nan)
     mean = [[_mean(p[:, j, i]) for i in range(3)] for j in range(p.shape[1])]
+    R = truth.R_world_bone
+    known = truth.valid & np.isfinite(R).all(axis=(2, 3))
+    still = so3.nearest_rotation(np.sum(R, axis=0, where=known[..., None, None]))
+    still[~known.any(axis=0)] = np.nan
     return PoseSequence(
-        truth.times, np.broadcast_to(mean, p.shape), truth.R_world_bone, truth.names
+        truth.times, np.broadcast_to(mean, p.shape), np.broadcast_to(still, R.shape), truth.names
     )
 
 

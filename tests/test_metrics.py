@@ -156,6 +156,21 @@ def test_standing_still_where_the_truth_was_on_average_is_the_zero_motion_row(
     assert figures["mpjpe_mm"] > 5
 
 
+def test_zero_motion_stands_in_the_mean_orientation_and_not_in_the_truths_own(
+    truth: PoseSequence,
+) -> None:
+    still = metrics.motionless(truth).R_world_bone
+    assert np.ptp(still, axis=0).max() == 0.0
+    mean = Rotation.from_matrix(truth.R_world_bone[:, 5]).mean().as_matrix()
+    np.testing.assert_allclose(still[0, 5], mean, atol=1e-9)
+    assert evaluate(metrics.motionless(truth), truth)["angle_deg"] > 1.0
+    R = np.array(truth.R_world_bone)
+    R[:, 5] = np.nan
+    gap = metrics.motionless(replace(truth, R_world_bone=R)).R_world_bone
+    assert np.isnan(gap[:, 5]).all()
+    assert np.isfinite(gap[:, 6]).all()
+
+
 # --- peers ---------------------------------------------------------------------------------------
 
 

@@ -184,13 +184,9 @@ def at(truth: PoseSequence, times: Array) -> PoseSequence:
 
 
 def stages(prepared: Prepared) -> dict[str, PoseSequence]:
-    """What the solver is compared with; zero motion stands still in the mean orientation too."""
-    truth = prepared.truth
-    still = np.broadcast_to(
-        so3.nearest_rotation(truth.R_world_bone.mean(axis=0)), truth.R_world_bone.shape
-    )
+    """What the solver is compared with."""
     return {
-        "zero motion": replace(motionless(truth), R_world_bone=still),
+        "zero motion": motionless(prepared.truth),
         "lift": prepared.lifted,
         "sf2": prepared.sf2,
     }

@@ -145,7 +145,6 @@ def measure(job: Job) -> JobResult:
         name: dict(metrics) | {"frames": int(np.isfinite(metrics.over_time["mpjpe_mm"]).sum())}
         for name, metrics in scores.items()
     }
-    methods[STILL]["angle_deg"] = float("nan")  # it stands as the truth does
     return JobResult(
         {"subject": job.subject, "take": job.action, "camera": job.camera, "methods": methods,
          "failed_checks": [], "notes": [recording.notes] if recording.notes else []},

@@ -193,11 +193,11 @@ def _reference(take: Take) -> JobResult:
     """The rows that calibrate acceleration and jerk errors, and the state of the files."""
     truth, skeleton = take.truth, take.skeleton
     smooth = signals.low_pass(_without_glitches(truth), truth.rate_hz, LOW_PASS_HZ)
+    low_passed = _scores(replace(truth, p_world_joint=smooth), truth, skeleton)
     rows = {
         STILL: _scores(motionless(truth), truth, skeleton),
-        LOW_PASSED: _scores(replace(truth, p_world_joint=smooth), truth, skeleton),
+        LOW_PASSED: low_passed | {"angle_deg": None},  # its orientations are the truth's own
     }
-    rows = {name: scores | {"angle_deg": None} for name, scores in rows.items()}  # the truth's own
     failed = [check.message for check in check_take(take) if not check.passed]
     return JobResult(
         {"subject": take.subject, "take": take.name, "camera": None, "methods": rows,
