@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from rtof_kin.io.camera_toml import write_camera_toml
 from rtof_kin.io.markers import MarkerSequence
 from rtof_kin.io.motion_npz import write_motion_npz
 from rtof_kin.io.trc import write_trc
+from rtof_kin.plausibility import Verdict
 from rtof_kin.recording import Recording
 from rtof_kin.resources import model_path
 from rtof_kin.skeleton import SkeletonModel
@@ -260,6 +262,20 @@ def test_all_prints_every_sensor(capsys: pytest.CaptureFixture[str]) -> None:
     full = run(capsys, SENSORS / "hipose_mtw17", "--all")[1]
     assert brief.count("direction of gravity") == 1
     assert full.count("direction of gravity") == 2
+
+
+@pytest.mark.parametrize("columns", [60, 80, 200])
+def test_a_narrow_terminal_loses_no_figure_and_no_verdict(
+    columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    path = SENSORS / "hipose_mtw17"
+    assert main(["inspect", str(path), "--all"]) == 0
+    text = capsys.readouterr().out
+    assert "\u2026" not in text
+    checks = inspect(path).checks
+    assert sum(text.count(f"  {verdict.value} ") for verdict in Verdict) == len(checks)
+    assert {f"{check.value:.3g}" for check in checks if check.passed} <= set(re.split("[ ,]", text))
 
 
 def test_a_picture_is_written_and_never_replaced_unasked(

@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from rich.box import SIMPLE
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -77,7 +78,7 @@ def _number(text: str) -> float:
 
 def _print(found: Any, every: bool) -> None:
     out.print(f"\n{found.path}: {found.title}", style="bold", soft_wrap=True)
-    contents = Table(show_header=False)
+    contents = Table(Column(overflow="fold"), Column(overflow="fold"), show_header=False)
     for name, value in found.contents:
         contents.add_row(name, value)
     out.print(contents)
@@ -85,7 +86,7 @@ def _print(found: Any, every: bool) -> None:
         out.print(f"note: {note}", soft_wrap=True)
     shown = list(found.checks) if every else _worst(found.checks)
     if shown:
-        out.print(_checks_table(shown, found.checks))
+        out.print(_checks_table(shown, found.checks), crop=False)
     for check in shown:
         if check.failed:
             text = f"{check.subject}: {check.name}. {check.advice}"
@@ -111,22 +112,25 @@ def _nearness(check: Any) -> float:
 
 
 def _checks_table(shown: list[Any], checks: Any) -> Table:
-    """A row for each check shown, and for how many subjects those of its name hold."""
-    every = len(shown) == len(checks)
-    columns = ("subject" if every else "worst of all", "figure", "limit", "unit", "verdict", "remark")
-    table = Table(Column("check", no_wrap=True), *columns)
+    """A row for each check shown; its texts are wrapped where there is little room, and never cut."""
+    names = (Column(name, overflow="fold") for name in ("check", "figure"))
+    table = Table(Column("verdict", no_wrap=True), *names, box=SIMPLE)
     for check in shown:
-        alike = [other for other in checks if other.name == check.name]
-        unknown = math.isnan(check.value)
-        figures = ("", "") if unknown else (f"{check.value:.3g}", f"{check.limit:.3g}")
         verdict = Text(check.verdict.value, style="bold red" if check.failed else "")
-        holding = sum(other.passed for other in alike)
-        remark = f"holds for {holding} of {len(alike)}" if len(alike) > 1 and not every else ""
-        table.add_row(
-            check.name, check.subject, *figures, check.unit, verdict,
-            check.advice if unknown else remark,
-        )  # fmt: skip
+        table.add_row(verdict, check.name, _figure(check, shown, checks))
     return table
+
+
+def _figure(check: Any, shown: list[Any], checks: Any) -> str:
+    """Value and limit, or why there are none; of the worst of several, for how many the check holds."""
+    if math.isnan(check.value):
+        return f"{check.subject}: {check.advice}"
+    text = f"{check.value:.3g} {check.unit}".rstrip() + f", limit {check.limit:.3g}"
+    alike = [other for other in checks if other.name == check.name]
+    if len(alike) == 1 or len(shown) == len(checks):
+        return f"{text}; {check.subject}"
+    holding = sum(other.passed for other in alike)
+    return f"{text}; worst is {check.subject}, {holding} of {len(alike)} hold"
 
 
 def _draw(found: Any, target: Path) -> None:
