@@ -285,8 +285,10 @@ class SkeletonModel:
     def with_mass(self, mass_kg: float, sex: str | None = None) -> SkeletonModel:
         """The same skeleton with another body mass, kg; de Leva's column ('male', 'female') as it was
         where not given."""
-        if not (np.isfinite(mass_kg) and mass_kg > 0) or sex not in (None, "male", "female"):
-            raise ShapeError(f"mass {mass_kg} kg must be positive and sex {sex!r} male, female or None")
+        if not 2 < mass_kg < 500:
+            raise ShapeError(f"mass: {mass_kg:g} kg is no person's; give kilograms")
+        if sex not in (None, "male", "female"):
+            raise ShapeError(f"sex: {sex!r} is not male, female or None")
         return SkeletonModel(replace(self.table, mass_kg=float(mass_kg), sex=sex or self.table.sex))
 
     def to_urdf(self) -> str:

@@ -72,7 +72,7 @@ def test_report_goes_beside_the_motion_and_replaces_nothing_unasked(
     ("options", "message"),
     [
         (["--date", "31.1.2026"], "no day; write year, month and day"),
-        (["--weight", "-3"], "weight"),
+        (["--weight", "-3"], "mass: -3 kg is no person's; give kilograms"),
     ],
 )
 def test_report_refuses_labels_that_are_none(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -205,6 +206,20 @@ def test_analyse_replaces_nothing_unasked(
     assert not (out / "torques.csv").exists()
     assert main([*command, "--weight", "70", "--overwrite"]) == 0
     assert (out / "torques.csv").exists()
+
+
+def test_analyse_takes_the_weight_that_the_recording_has_unless_another_is_given(
+    motion_file: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "motion"
+    folder.mkdir()
+    motion = Path(shutil.copy(motion_file, folder))
+    subject = {"mass_kg": 62.0, "sex": "female"}
+    (folder / "summary.json").write_text(json.dumps({"inputs": {"subject": subject}}))
+    for given, more, weight in ((folder, [], 62.0), (motion, ["--weight", "70"], 70.0)):
+        out = tmp_path / str(weight)
+        assert main(["analyse", str(given), "-o", str(out), "--no-figures", *more]) == 0
+        assert json.loads((out / "torques.json").read_text())["weight_kg"] == weight
 
 
 @pytest.mark.parametrize(

@@ -437,6 +437,7 @@ def test_truth_of_another_skeleton_is_refused() -> None:
         ("[camera]", "[camera]\ndistorsion = [0]", UnknownNameError, "Did you mean 'distortion'"),
         ("[subject]", "[subject]\nheigth_m = 1", UnknownNameError, r"\[subject\] 'heigth_m'"),
         ("height_m = 1.80", "height_m = 180", FileFormatError, "no human height; give metres"),
+        ("mass_kg = 82.5", "mass_kg = 7e4", FileFormatError, "mass: 70000 kg is no person's; give"),
         ('sex = "male"', 'sex = "m"', FileFormatError, "male, female or None"),
         ('file = "keypoints.npz"', "", FileFormatError, r"\[keypoints\] file: missing"),
         ("keypoints.npz", "points.npz", FileFormatError, r"there is no file .*points\.npz"),

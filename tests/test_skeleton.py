@@ -289,8 +289,8 @@ def test_some_offsets_can_be_given_by_name() -> None:
         (lambda s: s.with_bone_lengths({"Head": np.inf}), ShapeError, "bone length of Head: inf m"),
         (lambda s: s.with_height(178), ShapeError, "height: 178 m is no human height; give metres"),
         (lambda s: s.with_height(np.nan), ShapeError, "height: nan m is no human height"),
-        (lambda s: s.with_mass(-5), ShapeError, "mass -5 kg must be positive"),
-        (lambda s: s.with_mass(70, "f"), ShapeError, "sex 'f' male, female or None"),
+        (lambda s: s.with_mass(-5), ShapeError, "mass: -5 kg is no person's; give kilograms"),
+        (lambda s: s.with_mass(70, "f"), ShapeError, "sex: 'f' is not male, female or None"),
         (lambda s: s.check(np.zeros((2, 3))), ShapeError, r"q: expected shape \(T, 67\)"),
         (lambda s: s.inverse_kinematics(np.zeros((2, 17, 3))), ShapeError, r"p: expected shape \(T, 21"),
         (

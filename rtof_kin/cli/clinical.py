@@ -17,12 +17,14 @@ def add_commands(commands: Any) -> None:
     parser = command(
         commands, "analyse", _analyse, "clinical joint angles, gait and torques of a motion",
         "MOTION is the output of reconstruct. OUT gets the angles as CSV with a table of their names, "
-        "signs and zeros, ranges of motion, gait cycles, torques where a weight is given, figures, and "
+        "signs and zeros, ranges of motion, gait cycles, torques where a weight is known, figures, and "
         "notes on what could not be told and why. An angle that nobody saw is an empty cell.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
     add_output(parser, None, "folder to write")
-    parser.add_argument("--weight", type=float, metavar="KG", help="body mass; for joint torques")
+    parser.add_argument(
+        "--weight", type=float, metavar="KG", help="body mass, for torques; over that of the recording"
+    )
     parser.add_argument("--height", type=float, metavar="M", help="to check the skeleton's size")
     parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
     parser.add_argument("--repetitions", choices=["squat", "sit_to_stand"], help="what to count")
@@ -37,12 +39,14 @@ def _analyse(options: argparse.Namespace) -> None:
 
     check_replaceable(options.output, MARKER, options.overwrite)
     path = Path(options.motion)
-    motion = read_motion_npz(path / "motion.npz" if path.is_dir() else path).motion()
+    path = path / "motion.npz" if path.is_dir() else path
+    motion = read_motion_npz(path).motion()
+    weight_kg, sex = _weight_and_sex(options, path.parent)
     analysis = analyse_motion(
         motion,
-        weight_kg=options.weight,
+        weight_kg=weight_kg,
         height=options.height,
-        sex=options.sex,
+        sex=sex,
         repetitions=options.repetitions,
     )
     with new_folder(options.output, MARKER, options.overwrite) as folder:
@@ -60,6 +64,16 @@ def _analyse(options: argparse.Namespace) -> None:
         for note in notes:
             out.print(f"{part}: {note}", soft_wrap=True)
     print_files(options.output)
+
+
+def _weight_and_sex(options: argparse.Namespace, folder: Path) -> tuple[float | None, str | None]:
+    """As told here, else as the recording had them; without a weight its sex is of no use."""
+    from rtof_kin.report.summary_file import SUMMARY, read_summary
+
+    summary = folder / SUMMARY
+    subject = read_summary(summary).subject if summary.exists() else {}
+    weight_kg = options.weight if options.weight is not None else subject.get("mass_kg")
+    return weight_kg, options.sex or (subject.get("sex") if weight_kg is not None else None)
 
 
 def _print_ranges(analysis: Any) -> None:

@@ -111,7 +111,9 @@ def _add_report(commands: Any) -> None:
     }  # fmt: skip
     for name, what in labels.items():
         parser.add_argument(f"--{name}", default="", help=f"{what}; over that of the recording")
-    parser.add_argument("--weight", type=float, metavar="KG", help="body mass; for joint torques")
+    parser.add_argument(
+        "--weight", type=float, metavar="KG", help="body mass, for torques; over that of the recording"
+    )
     parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
 
 

@@ -32,6 +32,11 @@ class Summary:
     findings: tuple[Finding, ...] | None
     """Of the audit; None where the file has none."""
 
+    @property
+    def subject(self) -> dict[str, Any]:
+        """'height_m', 'mass_kg', 'sex' and what else the recording knew of the person."""
+        return self.inputs.get("subject") or {}
+
     def with_inputs(self, inputs: dict[str, Any]) -> Summary:
         """The same, made from other inputs."""
         return replace(self, inputs=inputs)

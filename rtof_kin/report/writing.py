@@ -39,7 +39,7 @@ def report(
     folder = Path(folder)
     summary = read_summary(folder / SUMMARY)
     motion = read_motion_npz(folder / "motion.npz").motion()
-    subject = summary.inputs.get("subject") or {}
+    subject = summary.subject
     weight_kg = weight_kg or subject.get("mass_kg")
     sex = sex or subject.get("sex")
     analysis = analyse_motion(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
