@@ -50,6 +50,12 @@ class FileFormatError(RtofError, ValueError):
 class OutputExistsError(RtofError, FileExistsError):
     """Something stands where output would be written, and overwriting was not asked for."""
 
+    @classmethod
+    def of(cls, path: str | Path) -> OutputExistsError:
+        """The error about a file or folder that would be replaced if that were asked for."""
+        remedy = "ask to overwrite it (--overwrite; overwrite=True in Python) or name another one"
+        return cls(f"{path}: is there already; {remedy}")
+
 
 class CalibrationError(RtofError, ValueError):
     """A calibration does not fit the sensors it is applied to."""

@@ -115,7 +115,8 @@ def test_study_says_how_many_runs_and_what_each_sensor_is_worth(
     np.testing.assert_allclose(full, 0.0, atol=1e-9)
     assert any(float(row["difference_deg"] or 0) > 0.5 for row in rows if row["number"] == "1")
     assert main(["study", str(short), "-o", str(out)]) == 2
-    assert "exists; ask to overwrite it" in " ".join(capsys.readouterr().err.split())
+    message = " ".join(capsys.readouterr().err.split())
+    assert "is there already; ask to overwrite it (--overwrite;" in message
 
 
 def test_study_without_sensors_is_one_line(

@@ -287,7 +287,7 @@ def test_a_picture_is_written_and_never_replaced_unasked(
     target.write_text("mine")
     code, _, text = run(capsys, SENSORS / "hipose_mtw17", "--plot", target)
     assert (code, target.read_text()) == (2, "mine")
-    assert "is there already; add --overwrite" in text
+    assert "is there already; ask to overwrite it (--overwrite;" in text
     assert run(capsys, SENSORS / "hipose_mtw17", "--plot", target, "--overwrite")[0] == 0
     assert target.read_bytes().startswith(b"\x89PNG")
 

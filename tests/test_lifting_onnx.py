@@ -138,7 +138,7 @@ def test_the_command_writes_the_file_and_replaces_none(
     assert session(file).get_inputs()[0].name == "rays_world"
     assert [path.name for path in tmp_path.glob("*.part")] == []
     assert main(command) == 2
-    assert "exists; give --overwrite" in capsys.readouterr().err
+    assert "is there already; ask to overwrite it (--overwrite;" in capsys.readouterr().err
     assert main([*command, "--overwrite"]) == 0
 
 

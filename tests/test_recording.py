@@ -728,7 +728,7 @@ def test_an_unknown_landmark_in_a_csv_file_is_answered_with_the_file(tmp_path: P
 def test_an_existing_recording_is_only_replaced_when_asked(tmp_path: Path) -> None:
     recording = full_recording()
     recording.save(tmp_path / "take")
-    with pytest.raises(OutputExistsError, match="take: exists; ask to overwrite it"):
+    with pytest.raises(OutputExistsError, match=r"take: is there already; .*overwrite=True"):
         replace(recording, name="other").save(tmp_path / "take")
     assert Recording.load(tmp_path / "take").name == recording.name
     replace(recording, name="other", imus=None).save(tmp_path / "take", overwrite=True)

@@ -26,13 +26,13 @@ def add_commands(commands: Any) -> None:
 def _detect(options: argparse.Namespace) -> None:
     from rtof_kin.detectors.recognise import recognise
     from rtof_kin.detectors.video import detect_video, write_detections
-    from rtof_kin.errors import FileFormatError, OutputExistsError, ShapeError
+    from rtof_kin.errors import FileFormatError, ShapeError
+    from rtof_kin.io.text import check_new_file
 
     target = Path(options.out)
     if target.suffix.lower() != ".npz":
         raise FileFormatError(target, "give the file to write a name that ends in .npz")
-    if target.exists() and not options.overwrite:
-        raise OutputExistsError(f"{target}: is there already; name another file or add --overwrite")
+    check_new_file(target, options.overwrite)
     source = int(options.video) if options.video.isdigit() else options.video
     with progress() as tell:
         found = detect_video(source, options.model_dir, seconds=options.seconds, progress=tell)

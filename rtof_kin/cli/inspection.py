@@ -44,16 +44,16 @@ def _declaration(text: str) -> tuple[str, str]:
 
 
 def _inspect(options: argparse.Namespace) -> int:
-    from rtof_kin.errors import OutputExistsError, ShapeError
+    from rtof_kin.errors import ShapeError
     from rtof_kin.inspection import inspect
+    from rtof_kin.io.text import check_new_file
 
     if options.plot is not None:
         if len(options.files) > 1:
             raise ShapeError(f"--plot draws one FILE, {len(options.files)} are named")
         if options.plot.suffix.lower() != ".png":
             raise ShapeError(f"--plot {options.plot}: give the picture a name that ends in .png")
-        if options.plot.exists() and not options.overwrite:
-            raise OutputExistsError(f"{options.plot}: is there already; add --overwrite to replace it")
+        check_new_file(options.plot, options.overwrite)
     declared: dict[str, Any] = dict(options.declare)
     if "rate_hz" in declared:
         declared["rate_hz"] = _number(declared["rate_hz"])

@@ -32,9 +32,8 @@ def add_commands(commands: Any) -> None:
 def _export_lifter(options: argparse.Namespace) -> None:
     from lifting.onnx_export import export_onnx
     from lifting.predict import Lifter
-    from rtof_kin.errors import OutputExistsError
+    from rtof_kin.io.text import check_new_file
 
-    if options.output.exists() and not options.overwrite:
-        raise OutputExistsError(f"{options.output} exists; give --overwrite, or another name")
+    check_new_file(options.output, options.overwrite)
     path = export_onnx(Lifter.load(options.lifter), options.output, not options.no_flip)
     out.print(f"wrote {path}", soft_wrap=True)

@@ -72,4 +72,4 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
             "name a new one"
         )
     if not overwrite:
-        raise OutputExistsError(f"{path}: exists; ask to overwrite it or name another folder")
+        raise OutputExistsError.of(path)

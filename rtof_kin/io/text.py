@@ -110,7 +110,7 @@ def check_new_file(path: str | Path, overwrite: bool) -> None:
         OutputExistsError: something stands there.
     """
     if Path(path).exists() and not overwrite:
-        raise OutputExistsError(f"{path}: is there already; ask to overwrite it or name another file")
+        raise OutputExistsError.of(path)
 
 
 def write_text(path: Path, text: str, overwrite: bool = False) -> None:

@@ -125,7 +125,7 @@ def _check_owned(folder: Path, settings: Mapping[str, Any], overwrite: bool) -> 
     if other and not overwrite:
         raise OutputExistsError(
             f"{folder}: holds results of other settings ({', '.join(other)}); name another folder, "
-            "or overwrite it"
+            "or overwrite it (--overwrite)"
         )
     return bool(other)
 
