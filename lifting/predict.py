@@ -28,7 +28,7 @@ from lifting.windows import (
 )
 from rtof_kin import signals
 from rtof_kin.checks import checked_times, readonly
-from rtof_kin.errors import ShapeError
+from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.resources import model_path
 from rtof_kin.types import BoneImuSequence, Camera, KeypointSequence
 
@@ -109,10 +109,15 @@ class Lifter:
             path: a file, or the name of one in `SHIPPED`; the default of these where not given.
 
         Raises:
-            FileFormatError: see `load_checkpoint`.
+            FileFormatError: no such file; else see `load_checkpoint`.
         """
         name = "detections" if path is None else str(path)
         path = model_path(SHIPPED[name]) if name in SHIPPED else Path(name)
+        if not path.exists():
+            raise FileFormatError(
+                path, "no such file; give the path of a trained lifter, or the name of a shipped one: "
+                + ", ".join(SHIPPED),
+            )  # fmt: skip
         network, description = load_checkpoint(path)
         return cls(network, description, hashlib.sha256(path.read_bytes()).hexdigest())
 

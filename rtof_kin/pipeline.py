@@ -281,6 +281,11 @@ def calibrate_recording(
     Raises:
         CalibrationError: there is nothing to calibrate by. Errors of the stages pass through.
     """
+    if recording.imus is None:
+        raise CalibrationError(
+            f"recording {recording.name}: has no IMUs, without which there is nothing to calibrate by; "
+            "add them, or reconstruct it as it is with mode 'rto'"
+        )
     settings = settings or ReconstructionSettings()
     tell = progress or (lambda stage, done, total: None)
     return _calibrated(recording, skeleton, priors, None, lifter, settings, tell)[0]

@@ -30,6 +30,8 @@ from rtof_kin.types import Camera, KeypointSequence, PoseSequence
 Array = NDArray[np.float64]
 OWN_LAYOUT, RECOGNISE = "joints", "auto"
 """Layouts of keypoints: the skeleton's joints in their order; a detector's, to be recognised."""
+_SHORTEST_FOCAL = 0.1
+"""A focal length below this share of the image's width is in another unit."""
 _log = logging.getLogger(__name__)
 _KEYPOINT_COLUMNS = ("_u_px", "_v_px", "_confidence")
 
@@ -134,6 +136,12 @@ def read_camera(section: Section) -> Camera:
             t = section.array("t_camera_world_m", (3,))
         K = _intrinsics(section, width, height)
         camera = Camera(K, R, t, width, height, distortion)  # type: ignore[arg-type]
+    if K[0, 0] < _SHORTEST_FOCAL * width:
+        field = "K" if section.has("K") else "focal_px"
+        raise section.error(
+            field, f"a focal length of {K[0, 0]:g} px in images {width} px wide sees nearly everything "
+            "before the camera; is it in mm? Give px: mm / width of the sensor in mm * width_px"
+        )  # fmt: skip
     section.close()
     return camera
 

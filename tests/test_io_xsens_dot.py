@@ -86,6 +86,14 @@ def test_stamps_and_counter_are_needed(tmp_path: Path) -> None:
         read_xsens_dot([path], rate_hz=60)
 
 
+def test_a_measurement_that_lacks_a_column_is_refused_by_file_and_column(tmp_path: Path) -> None:
+    path = written(tmp_path, dot_text(ONE, STAMPS).replace("Quat_W", "Quat_S"))
+    message = "has columns Quat_X, Quat_Y, Quat_Z and no Quat_W"
+    with pytest.raises(FileFormatError, match=message) as caught:
+        read_xsens_dot([path])
+    assert caught.value.path == path
+
+
 def test_real_sensors_share_a_clock_and_the_lossy_one_is_told() -> None:
     log = read_xsens_dot(sorted((REAL / "xsens_dot").glob("*.csv")))
     assert log.streams[1].times[1] == log.streams[0].times[0] == 3343.444552

@@ -27,6 +27,7 @@ from rtof_kin.pipeline import (
     CAMERA_MODES,
     Reconstruction,
     ReconstructionSettings,
+    calibrate_recording,
     evenly_spaced,
     reconstruct,
 )
@@ -564,6 +565,12 @@ def test_a_mode_that_needs_sensors_asks_for_them(
         run(blind, truth, mode, lifter=lifter)
     assert not lifter.asked
     assert run(blind, truth, "rto").metrics is not None
+
+
+def test_calibrating_without_sensors_is_refused_in_its_own_words(recording: Recording) -> None:
+    blind = replace(recording, imus=None, calibration=None)
+    with pytest.raises(CalibrationError, match="has no IMUs, without which there is nothing to calib"):
+        calibrate_recording(blind)
 
 
 def test_sensors_without_calibration_are_refused_where_they_are_needed(

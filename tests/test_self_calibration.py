@@ -243,6 +243,12 @@ def test_a_file_is_not_replaced_unasked(tmp_path: Path) -> None:
     write_self_calibration_toml(path, WHOLE, overwrite=True)
 
 
+def test_another_file_is_not_taken_for_a_calibration(tmp_path: Path) -> None:
+    recording().save(tmp_path / "take")
+    with pytest.raises(FileFormatError, match="no calibration that `rtof-kin calibrate` wrote"):
+        read_self_calibration_toml(tmp_path / "take" / "recording.toml")
+
+
 @pytest.mark.parametrize("old, new, message", [
     ("schema_version = 1", "schema_version = 9", "9 is not 1"),
     ("known = 0.4", "known = 4.0", "no share of 1"),

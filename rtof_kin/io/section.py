@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Self
 
@@ -58,6 +59,9 @@ class Section:
 
     def _value(self, field: str, missing: str) -> Any:
         if not self.has(field):
+            left = [name for name in self._data if name not in self._asked]
+            for near in get_close_matches(field, left, n=1, cutoff=0.8):
+                missing = f"there is {near!r}, which may be misspelt"
             raise self.error(field, f"missing; {missing}")
         return self._data[field]
 

@@ -62,6 +62,11 @@ def read_self_calibration_toml(path: str | Path) -> SelfCalibration:
         FileFormatError, UnknownNameError: the message names file, field and remedy.
     """
     file = Section.of_file(Path(path))
+    if not file.has("quantities"):
+        raise FileFormatError(
+            path, "no calibration that `rtof-kin calibrate` wrote, as it has no table [quantities]; give "
+            "the file named by its -o"
+        )  # fmt: skip
     version = file.integer("schema_version")
     if version != SCHEMA_VERSION:
         raise file.error(

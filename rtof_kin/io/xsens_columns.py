@@ -90,6 +90,15 @@ def readings(
 
 
 def _first(table: SensorTable, kind: Sequence[Sequence[str]]) -> Array | None:
-    """The first of some groups of columns that the table has."""
-    found = (table.columns(*group) for group in kind)
-    return next((columns for columns in found if columns is not None), None)
+    """The first of some groups of columns that the table has; one that is there in part is refused."""
+    for group in kind:
+        lacking = [name for name in group if table.column(name) is None]
+        if not lacking:
+            return table.columns(*group)
+        if len(lacking) < len(group):
+            there = ", ".join(name for name in group if name not in lacking)
+            raise FileFormatError(
+                table.path, f"has columns {there} and no {', '.join(lacking)}; export all of them, by "
+                "these names"
+            )  # fmt: skip
+    return None
