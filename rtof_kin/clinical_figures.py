@@ -44,12 +44,13 @@ def gait_cycles(analysis: MotionAnalysis) -> Figure:
             continue
         ax, color = axes[shown], SIDE_COLORS[curve.side]
         mean, sd = np.degrees(curve.mean), np.degrees(curve.sd)
-        ax.plot(100 * PHASES, mean, color=color, label=f"{curve.side}, {len(curve.curves)} strides")
+        strides = "1 stride" if len(curve.curves) == 1 else f"{len(curve.curves)} strides"
+        ax.plot(100 * PHASES, mean, color=color, label=f"{curve.side}, {strides}")
         ax.fill_between(100 * PHASES, mean - sd, mean + sd, color=color, alpha=0.2, lw=0)
+    _finish(axes)
     for side, measures in analysis.gait.summary.items():
         for ax in axes.values():
             ax.axvline(100 * measures["stance_share"][0], color=SIDE_COLORS[side], lw=0.8, ls="--")
-    _finish(axes)
     figure.suptitle("Angles over the gait cycle: mean and standard deviation; dashed: toe off")
     return figure
 
@@ -84,11 +85,14 @@ def _panels(label: str) -> tuple[Figure, dict[str, Any]]:
 
 
 def _finish(axes: dict[str, Any]) -> None:
+    """Titles, with the legend beside them, where it hides no curve; what nobody saw is said."""
     for name, ax in axes.items():
-        ax.set_title(name.replace("_", " "), fontsize=9)
+        ax.set_title(name.replace("_", " "), fontsize=9, loc="left")
         ax.set_ylabel("[deg]", fontsize=8)
         ax.grid(alpha=0.3)
         if ax.get_legend_handles_labels()[0]:
-            ax.legend(fontsize=7)
+            ax.legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False,
+                      borderaxespad=0, handlelength=1, columnspacing=1)  # fmt: skip
         elif not ax.lines:
             ax.text(0.5, 0.5, "nobody saw it", transform=ax.transAxes, ha="center", color="0.5")
+            ax.set_yticks([])

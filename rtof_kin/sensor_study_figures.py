@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from rtof_kin.figures import save_figures
 from rtof_kin.sensor_study import LEAST_SEEN, TOLERANCE, SensorStudy
@@ -74,6 +75,7 @@ def error_by_number(study: SensorStudy) -> Figure:
         ax.set_ylabel("RMS [deg]", fontsize=8)
         ax.set_ylim(bottom=0)
         ax.set_xlim(max(number) + 0.3, min(number) - 0.3)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         ax.legend(fontsize=6, ncols=2 if len(own) > 6 else 1, framealpha=0.6)
         ax.grid(alpha=0.3)
     for ax in panels[len(joints) :]:

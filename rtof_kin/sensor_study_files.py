@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +61,8 @@ def study_facts(study: SensorStudy) -> dict[str, Any]:
 
 
 def sentences(study: SensorStudy, tolerance: float = TOLERANCE) -> list[str]:
-    """For every joint, how many sensors its angles need on the way down; both sides together."""
+    """For every joint, how many sensors its angles need on the way down; both sides together, unless
+    only one is ever within the tolerance."""
     joints: dict[str, list[str]] = {}
     for angle in dict.fromkeys(_without_side(name) for name in study.angles):
         if not angle.startswith("pelvis_opensim"):
@@ -76,12 +77,22 @@ def sentences(study: SensorStudy, tolerance: float = TOLERANCE) -> list[str]:
 
 def _need(study: SensorStudy, angle: str, tolerance: float) -> str:
     """What one angle needs, on both sides where it has two."""
-    own = [name for name in study.angles if _without_side(name) == angle]
-    sets = [study.fewest(name, tolerance) for name in own]
-    if any(found is None for found in sets):
-        worst = max(float(study.measure(study.full)[study.angles.index(name)]) for name in own)
-        return f"is not within it even with all {len(study.full.sensors)} ({np.degrees(worst):.1f} deg)"
-    most = max((found for found in sets if found is not None), key=lambda found: len(found.sensors))
+    sets = {name: study.fewest(name, tolerance) for name in study.angles if _without_side(name) == angle}
+    within = {name: found for name, found in sets.items() if found is not None}
+    beyond = [name for name in sets if name not in within]
+    if not beyond:
+        return _needed(study, within.values())
+    worst = max(float(study.measure(study.full)[study.angles.index(name)]) for name in beyond)
+    text = f"is not within it even with all {len(study.full.sensors)} ({np.degrees(worst):.1f} deg)"
+    if not within:
+        return text
+    (outside,), (inside,) = (map(_side, names) for names in (beyond, within))
+    return f"on the {outside} {text}, on the {inside} {_needed(study, within.values())}"
+
+
+def _needed(study: SensorStudy, sets: Iterable[SensorSet]) -> str:
+    """The largest of some sets on the way down, in words."""
+    most = max(sets, key=lambda found: len(found.sensors))
     if not most.sensors:
         return "needs no sensor"
     if len(most.sensors) == len(study.full.sensors):
@@ -93,6 +104,10 @@ def _without_side(angle: str) -> str:
     for side in SIDES:
         angle = angle.removeprefix(f"{side}_")
     return angle
+
+
+def _side(angle: str) -> str:
+    return next(side for side in SIDES if angle.startswith(f"{side}_"))
 
 
 def _left_out(study: SensorStudy, found: SensorSet) -> str:

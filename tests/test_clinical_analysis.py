@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,8 @@ import numpy as np
 import planted
 import pytest
 from clinical_support import walk
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from rtof_kin.cli import main
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
@@ -120,12 +123,31 @@ def test_without_a_weight_everything_else_is_there_and_a_note_says_what_is_not(t
 def test_every_panel_has_its_unit_and_one_that_nobody_saw_says_so(analysis: MotionAnalysis) -> None:
     for figure, label in ((gait_cycles(analysis), "[%]"), (angles_over_time(analysis), "[s]")):
         axes = figure.axes
-        assert [ax.get_title() for ax in axes] == [name.replace("_", " ") for name in SHOWN]
+        assert [ax.get_title(loc="left") for ax in axes] == [name.replace("_", " ") for name in SHOWN]
         assert all(ax.get_ylabel() == "[deg]" and ax.lines for ax in axes)
         assert all(label in ax.get_xlabel() for ax in axes[-3:])
     blind = angles_over_time(analyse_motion(planted.standing(SkeletonModel.default(), 30)))
     ankle = blind.axes[SHOWN.index("ankle_dorsiflexion")]
     assert [text.get_text() for text in ankle.texts] == ["nobody saw it"]
+
+
+def test_an_angle_that_nobody_saw_is_told_in_its_cycle_panel_too(analysis: MotionAnalysis) -> None:
+    seen = tuple(curve for curve in analysis.curves if not curve.name.endswith("ankle_inversion"))
+    single = [replace(curve, curves=curve.curves[:1]) for curve in seen]
+    axes = gait_cycles(replace(analysis, curves=tuple(single))).axes
+    ankle = axes[SHOWN.index("ankle_inversion")]
+    assert [text.get_text() for text in ankle.texts] == ["nobody saw it"]
+    (legend,) = [ax.get_legend() for ax in axes if ax.get_title(loc="left") == "knee flexion"]
+    assert [text.get_text() for text in legend.get_texts()] == ["right, 1 stride", "left, 1 stride"]
+
+
+@pytest.mark.parametrize("drawn", [gait_cycles, angles_over_time])
+def test_no_legend_hides_a_curve(drawn: Callable[..., Figure], analysis: MotionAnalysis) -> None:
+    figure = drawn(analysis)
+    FigureCanvasAgg(figure).draw()
+    for ax in figure.axes:
+        if (legend := ax.get_legend()) is not None:
+            assert not legend.get_window_extent().overlaps(ax.get_window_extent().padded(-1))
 
 
 def test_the_cycle_panels_hold_the_mean_of_either_side(analysis: MotionAnalysis) -> None:

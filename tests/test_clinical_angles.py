@@ -289,6 +289,10 @@ def test_after_a_gap_an_angle_goes_on_in_its_range() -> None:
     assert angles.provenance[150, 0] == Provenance.NOBODY
     assert abs(np.median(rotation[200:])) <= np.pi
     assert "have gaps where nobody saw them, the largest share 33 %" in angles.notes[0]
+    R = np.array(poses.R_world_bone)
+    R[100] = np.nan
+    angles = clinical_angles(replace(poses, R_world_bone=R), BODY)
+    assert "the largest share under 1 % of the time" in angles.notes[0]
 
 
 # --- what nobody saw ---

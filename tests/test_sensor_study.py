@@ -12,6 +12,7 @@ import numpy as np
 import planted
 import pytest
 from clinical_support import walk
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 
 from rtof_kin import sensor_study
@@ -20,7 +21,7 @@ from rtof_kin.errors import ShapeError
 from rtof_kin.recording import Recording
 from rtof_kin.sensor_sets import measured
 from rtof_kin.sensor_study import SensorStudy, number_of_runs, study_sensors
-from rtof_kin.sensor_study_figures import write_study_figures
+from rtof_kin.sensor_study_figures import error_by_number, write_study_figures
 from rtof_kin.sensor_study_files import NO_ERROR, sentences, study_facts, write_study
 from rtof_kin.skeleton import SkeletonModel
 
@@ -195,6 +196,16 @@ def test_what_is_compared_is_said(study: SensorStudy) -> None:
     assert study_facts(off)["compared_with"] == "the truth"
 
 
+def test_a_side_that_is_never_within_the_tolerance_is_named(study: SensorStudy) -> None:
+    error = np.where([name == "right_knee_flexion" for name in study.angles], 0.2, 0.01)
+    path = tuple(replace(found, error=error) for found in study.path)
+    off = replace(study, has_truth=True, full=path[0], path=path)
+    assert sentences(off)[1] == (
+        "knee: flexion on the right is not within it even with all 3 (11.5 deg), on the left needs no "
+        "sensor."
+    )
+
+
 def test_table_and_figures_hold_every_set_and_angle(study: SensorStudy, tmp_path: Path) -> None:
     write_study(study, tmp_path)
     with (tmp_path / "study.csv").open() as stream:
@@ -207,6 +218,13 @@ def test_table_and_figures_hold_every_set_and_angle(study: SensorStudy, tmp_path
     paths = write_study_figures(study, tmp_path / "figures")
     assert [path.name for path in paths] == ["sensors.png", "number.png"]
     assert all(path.stat().st_size > 10_000 for path in paths)
+
+
+def test_the_axis_of_the_number_of_sensors_has_whole_numbers(study: SensorStudy) -> None:
+    figure = error_by_number(study)
+    FigureCanvasAgg(figure).draw()
+    ticks = [tick for ax in figure.axes for tick in ax.get_xticks()]
+    assert ticks == [round(tick) for tick in ticks]
 
 
 def test_there_must_be_something_to_leave_out(

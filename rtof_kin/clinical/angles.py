@@ -247,8 +247,9 @@ def _notes(table: AngleTable, values: Array, provenance: NDArray[np.uint8]) -> t
     at_times = (share > 0) & (share < 1)
     if at_times.any():
         worst = int(np.argmin(np.where(at_times, share, 2)))
+        missing = 100 * (1 - share[worst])
         notes.append(
             f"{at_times.sum()} angles have gaps where nobody saw them, the largest share "
-            f"{100 * (1 - share[worst]):.0f} % of the time: {names[worst]}"
-        )
+            + ("under 1" if missing < 1 else f"{missing:.0f}") + f" % of the time: {names[worst]}"
+        )  # fmt: skip
     return tuple(notes)

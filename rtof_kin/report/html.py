@@ -179,10 +179,11 @@ def _torques(rows: list[Data]) -> str:
     if not rows:
         return "<p>Not computed: no weight is given, and torques are proportional to it.</p>"
     cells = (
-        (escape(row["name"]), _cell(row["peak"]), _cell(row["per_kg"]), f"{100 * row['known']:.0f} %")
+        (escape(row["clinical"]), escape(row["name"]), _cell(row["peak"]), _cell(row["per_kg"]),
+         f"{100 * row['known']:.0f} %")
         for row in rows
-    )
-    return _table(("revolute of the URDF", "peak N m", "peak N m/kg", "told"), cells)
+    )  # fmt: skip
+    return _table(("turn", "revolute of the URDF", "peak N m", "peak N m/kg", "told"), cells)
 
 
 def _bands_text(bands: bool) -> str:

@@ -28,6 +28,7 @@ from rtof_kin.report.summary_file import Summary
 from rtof_kin.session import Session
 from rtof_kin.signals import runs
 from rtof_kin.skeleton import MotionSequence
+from rtof_kin.skeleton_table import SkeletonTable
 
 _GAIT_UNITS = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
 NO_AUDIT = (
@@ -66,7 +67,7 @@ def page_data(
         "calibration": inputs.get("calibration"),
         "ranges": _ranges(analysis),
         "gait": _gait(analysis),
-        "torques": _torques(analysis),
+        "torques": _torques(analysis, motion.skeleton.table),
         "angles": angle_curves(analysis, shown),
         "cycles": cycle_drawings(analysis),
         "bands": bands,
@@ -152,17 +153,19 @@ def _gait(analysis: MotionAnalysis) -> Data:
     return {"rows": rows, "notes": list(gait.notes)}
 
 
-def _torques(analysis: MotionAnalysis) -> list[Data]:
+def _torques(analysis: MotionAnalysis, table: SkeletonTable) -> list[Data]:
     torques = analysis.torques
     if torques is None:
         return []
+    clinical = {dof.urdf: dof.clinical.lstrip("-") for joint in table.joints for dof in joint.dofs}
     out = []
     for name, column in zip(torques.dof_names, torques.torques.T, strict=True):
         if np.isfinite(column).any():
             peak = float(np.nanmax(np.abs(column)))
             per_kg = _rounded(peak / torques.weight_kg, 2)
             known = float(np.isfinite(column).mean())
-            out.append({"name": name, "peak": _rounded(peak), "per_kg": per_kg, "known": known})
+            out.append({"name": name, "clinical": clinical[name], "peak": _rounded(peak),
+                        "per_kg": per_kg, "known": known})  # fmt: skip
     return out
 
 
