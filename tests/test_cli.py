@@ -111,6 +111,7 @@ def test_evaluate_prints_the_stage_beside_zero_motion(
     assert "zero" in text
     assert "LeftForeArm" in text
     assert "[m/s2]" in text
+    assert "\u2026" not in text  # no heading is cut at 80 columns
 
 
 def test_a_folder_whose_name_has_square_brackets_is_named_as_it_is(

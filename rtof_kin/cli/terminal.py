@@ -79,7 +79,8 @@ def with_zero_motion(recording: Any) -> dict[str, Any]:
 
 def print_scores(scores: Mapping[str, Mapping[str, float]]) -> None:
     title = "error against the truth, mean over frames"
-    table = Table(Column("stage", no_wrap=True), *SCORE_COLUMNS.values(), title=title)
+    first = Column("stage", no_wrap=True)
+    table = Table(first, *SCORE_COLUMNS.values(), title=title, show_edge=False)  # fits in 80 columns
     for stage, metrics in scores.items():
         table.add_row(stage, *(figure_text(key, metrics[key]) for key in SCORE_COLUMNS))
     out.print(table)
