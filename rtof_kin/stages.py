@@ -248,7 +248,7 @@ def _lift(
         names=skeleton.names,
         provenance=provenance.astype(np.uint8),
         valid=valid,
-        orientation_observed=skeleton.orientation_observed() & _enough_points(skeleton, seen),
+        orientation_observed=skeleton.orientation_observed() & valid & _enough_points(skeleton, seen),
         sigma_rad=result.sigma_rad,
     )
     return poses, result.R_world_bone

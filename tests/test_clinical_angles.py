@@ -368,8 +368,10 @@ def test_what_the_motions_model_fixes_nobody_saw_even_with_sensors(moving: PoseS
 def test_a_joint_that_was_bridged_has_no_angles_and_says_so(moving: PoseSequence) -> None:
     poses = seen_by(moving, (), Provenance.CAMERA)
     provenance, valid = np.array(poses.provenance), np.array(poses.valid)
-    provenance[10:20], valid[10:20] = Provenance.BRIDGED, False
-    angles = clinical_angles(replace(poses, provenance=provenance, valid=valid), BODY)
+    observed = np.array(poses.orientation_observed)
+    provenance[10:20], valid[10:20], observed[10:20] = Provenance.BRIDGED, False, False
+    poses = replace(poses, provenance=provenance, valid=valid, orientation_observed=observed)
+    angles = clinical_angles(poses, BODY)
     assert np.isnan(angles.values[10:20]).all()
     assert np.all(angles.provenance[10:20] == Provenance.BRIDGED)
     assert np.isfinite(angles["right_knee_flexion"][[9, 20]]).all()
@@ -381,6 +383,42 @@ def test_a_sensor_still_sees_its_bone_turn_while_nobody_is_in_the_picture(moving
     angles = clinical_angles(replace(poses, valid=np.zeros_like(poses.valid)), BODY)
     assert np.isfinite(angles["right_hip_flexion"]).all()
     assert np.isnan(angles["left_hip_flexion"]).all()
+
+
+def test_sensors_on_limbs_show_the_angles_between_them_wherever_hips_and_shoulders_are() -> None:
+    """As in mode imu: without a sensor on the trunk the thigh's upper end is where a prior puts it."""
+    poses = seen_by(planted.moving(BODY, 40).poses, planted.LIMBS, Provenance.PRIOR)
+    poses = replace(poses, orientation_observed=seen_by_sensors_alone(planted.LIMBS))
+    angles = clinical_angles(poses, BODY)
+    known = {name for name, column in zip(angles.names, angles.known.T, strict=True) if column.all()}
+    knees = ("knee_flexion", "knee_adduction", "knee_internal_rotation")
+    elbows = ("elbow_flexion", "elbow_carrying_angle", "elbow_pronation")
+    assert known == {f"{side}_{name}" for side in ("right", "left") for name in (*knees, *elbows)}
+    expected = clinical_angles(all_observed(poses), BODY)
+    np.testing.assert_array_equal(angles.values[angles.known], expected.values[angles.known])
+    assert np.all(angles.provenance[angles.known] == Provenance.IMU)
+
+
+def test_sensors_on_pelvis_and_sternum_show_how_the_trunk_bends() -> None:
+    poses = seen_by(planted.moving(BODY, 40).poses, (), Provenance.PRIOR)
+    poses = replace(poses, orientation_observed=seen_by_sensors_alone(("Hips", "Spine3")))
+    angles = clinical_angles(poses, BODY)
+    for name in ("pelvis_tilt", "spine_flexion", "spine_lateral_bending", "spine_axial_rotation"):
+        assert np.isfinite(angles[name]).all()
+    assert not any("hip_" in name for name in np.array(angles.names)[angles.known.any(axis=0)])
+
+
+def test_a_pelvis_that_a_camera_saw_turn_by_its_legs_was_seen_by_the_camera() -> None:
+    poses = seen_by(planted.moving(BODY, 40).poses, (), Provenance.CAMERA)
+    provenance = np.array(poses.provenance)
+    provenance[:, 0] = Provenance.PRIOR
+    angles = clinical_angles(replace(poses, provenance=provenance), BODY)
+    assert np.all(angles.provenance[:, angles.names.index("pelvis_tilt")] == Provenance.CAMERA)
+
+
+def seen_by_sensors_alone(sensors: tuple[str, ...]) -> NDArray[np.bool_]:
+    """(J,) of the segments that carry them."""
+    return np.isin(BODY.names, sensors)
 
 
 # --- the record ---

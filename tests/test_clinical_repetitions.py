@@ -126,7 +126,8 @@ def test_with_one_leg_unseen_squats_are_counted_by_the_other() -> None:
     poses = knees((0, 1), *SQUAT)
     provenance = np.full(poses.valid.shape, Provenance.CAMERA, dtype=np.uint8)
     provenance[:, BODY.index("LeftLeg", "LeftFoot")] = Provenance.PRIOR
-    analysis = found(replace(poses, provenance=provenance))
+    observed = ~np.isin(BODY.names, ("LeftLeg", "LeftFoot"))
+    analysis = found(replace(poses, provenance=provenance, orientation_observed=observed))
     assert len(analysis.repetitions) == 1
     assert "one ankle was never seen: the pelvis' height is over the other" in analysis.notes
     assert np.isnan(analysis.repetitions[0].knee_flexion["left"])

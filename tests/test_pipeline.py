@@ -432,6 +432,16 @@ def test_frames_that_nobody_saw_are_bridged_and_not_valid(
     assert result.metrics["coverage"] == pytest.approx(1 - 9 / T)
 
 
+def test_of_a_frame_that_was_bridged_no_camera_saw_how_the_pelvis_turns(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    """Even with the pelvis' own points there: they were too few for the lifter."""
+    lifter = planted.PlantedLifter(truth, slice(15, 24))
+    observed = run(recording, truth, "lift", lifter=lifter).motion.poses.orientation_observed
+    assert not observed[15:24].any()
+    assert observed[:15, 0].all()
+
+
 def test_a_joint_that_was_not_seen_in_a_frame_that_was_is_known_from_the_prior(
     recording: Recording, truth: MotionSequence
 ) -> None:

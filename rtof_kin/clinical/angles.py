@@ -12,9 +12,9 @@ third      its whole orientation                   its whole orientation
 =========  ======================================  =========================================
 
 The whole orientation is seen where `PoseSequence.orientation_observed` says so (several bones, or a
-sensor); the direction where the joint and its only child were seen. A leaf without a sensor (hand, foot)
-has neither. And an angle of a knee or elbow that stands still while the joint flexes was fixed by the
-model that made the motion, not seen by anybody.
+sensor, whoever saw where the joint is); the direction where the joint and its only child were seen. A
+leaf without a sensor (hand, foot) has neither. And an angle of a knee or elbow that stands still while
+the joint flexes was fixed by the model that made the motion, not seen by anybody.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ class ClinicalAngles:
     values: Array
     """(T, A) radians; NaN where nobody saw the angle. Continuous within every stretch without a gap."""
     provenance: NDArray[np.uint8]
-    """(T, A) `Provenance` of each value: the weaker of its two segments'; PRIOR where the pose is known
-    but nobody saw this angle of it."""
+    """(T, A) `Provenance` of each value: the weaker of its two segments'; a segment's that was seen to
+    turn is at least IMU. PRIOR where the pose is known but nobody saw this angle of it."""
     singular: NDArray[np.bool_]
     """(T, A) whether the angle is one of two whose sum alone is defined in this posture, nearly."""
     rows: tuple[AngleRow, ...]
@@ -140,7 +140,10 @@ def clinical_angles(
     table = angle_table(skeleton.table)
     R = jcs.relative_rotations(poses.R_world_bone, skeleton, table)
     levels = _observation(poses, skeleton)
-    parts = [_joint_angles(joint, R[joint.name], poses, levels) for joint in table.joints]
+    seen_by = _seen_by(poses, skeleton, levels)
+    parts = [
+        _joint_angles(joint, R[joint.name], poses.names, seen_by, levels) for joint in table.joints
+    ]
     values, provenance, singular = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
     sigma = None
     if isinstance(motion, MotionSequence) and motion.confidence is not None:
@@ -170,17 +173,31 @@ def _observation(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[np.int
         if len(children) == 1:
             levels[at[:, j] & at[:, children[0]], j] = _DIRECTION
     # A sensor sees its bone turn even while nobody sees where it is.
-    levels[poses.orientation_observed & (at | (poses.provenance >= Provenance.IMU))] = _WHOLE
+    levels[poses.orientation_observed & (poses.valid | bool(poses.provenance.any()))] = _WHOLE
     levels[~np.isfinite(poses.R_world_bone).all(axis=(-2, -1))] = _NOTHING
     return levels
 
 
+def _seen_by(
+    poses: PoseSequence, skeleton: SkeletonModel, levels: NDArray[np.int_]
+) -> NDArray[np.uint8]:
+    """(T, J) `Provenance` of each segment: its joint's; where nobody saw that but all of its turn, who
+    saw its far ends, or the sensor of one that has none."""
+    out = np.array(poses.provenance)
+    for j in range(len(skeleton.names) if out.any() else 0):
+        ends = poses.provenance[:, kinematics.children_of(skeleton.parents, j)]
+        turned = (levels[:, j] == _WHOLE) & (out[:, j] < Provenance.IMU)
+        out[turned, j] = ends[turned].max(axis=1, initial=Provenance.IMU)
+    return out
+
+
 def _joint_angles(
-    joint: JointCoordinateSystem, R: Array, poses: PoseSequence, levels: NDArray[np.int_]
-) -> tuple[Array, NDArray[np.uint8], NDArray[np.bool_]]:
+    joint: JointCoordinateSystem, R: Array, names: tuple[str, ...], seen_by: NDArray[np.uint8],
+    levels: NDArray[np.int_],
+) -> tuple[Array, NDArray[np.uint8], NDArray[np.bool_]]:  # fmt: skip
     """Values, provenance and singular flags (T, 3) of one joint coordinate system."""
-    child = poses.names.index(joint.child)
-    parent = poses.names.index(joint.parent) if joint.urdf else child
+    child = names.index(joint.child)
+    parent = names.index(joint.parent) if joint.urdf else child
     child_level = levels[:, child]
     parent_level = levels[:, parent] if joint.urdf else np.full(len(levels), _WHOLE)
     observed = (parent_level[:, None] >= _NEEDS["parent"]) & (child_level[:, None] >= _NEEDS["child"])
@@ -197,21 +214,17 @@ def _joint_angles(
     if joint.hinge:
         raw[:, 0] = np.where(parent_level < _WHOLE, _bend(raw), raw[:, 0])
         observed &= ~_fixed(raw)
-    provenance = _provenance(poses, parent, child, posed, observed)
+    provenance = _provenance(seen_by[:, [parent, child]], posed, observed)
     return np.where(observed, signs * raw, np.nan), provenance, singular & observed
 
 
 def _provenance(
-    poses: PoseSequence,
-    parent: int,
-    child: int,
-    posed: NDArray[np.bool_],
-    observed: NDArray[np.bool_],
+    seen_by: NDArray[np.uint8], posed: NDArray[np.bool_], observed: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
-    """(T, 3) of the angles between two segments: posed (T,), of which some were observed (T, 3)."""
-    weaker = np.minimum(poses.provenance[:, child], poses.provenance[:, parent])
+    """(T, 3) of the angles between two segments, seen by (T, 2): posed (T,), some observed (T, 3)."""
+    weaker = seen_by.min(axis=1)
     # Two segments may be seen and an angle between them not: that one is whatever a prior made of it.
-    both_seen = (weaker >= Provenance.IMU) | (not poses.provenance.any())
+    both_seen = (weaker >= Provenance.IMU) | (not seen_by.any())
     unseen = np.where(posed, np.where(both_seen, Provenance.PRIOR, weaker), Provenance.NOBODY)
     return np.where(observed, weaker[:, None], unseen[:, None]).astype(np.uint8)
 
