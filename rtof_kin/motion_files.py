@@ -1,7 +1,8 @@
 """A motion in the files of every tool, which agree with one another, and what each of them says.
 
 What nobody saw is nowhere filled in silently. A frame belongs to a *gap* where no joint is valid (nobody
-saw where the person was; what stands there was bridged) or the configuration is not known at all:
+saw where the person was; what stands there was bridged) or the configuration is not known at all. Single
+joints that nobody saw in other frames are *from the prior*, and ``files.json`` lists them:
 
 ==========  ===========================================  =============================================
 format      files                                        in a gap
@@ -13,7 +14,7 @@ osim        skeleton.osim                                (a body has none)
 mot, sto    motion.mot, motion.sto                       a file each side: motion_1.mot, motion_2.mot
 bvh         motion.bvh                                   the same
 trc, c3d    motion.trc, motion.c3d                       empty cells, residual -1; also of single joints
-                                                         that are not valid
+                                                         that nobody saw
 ==========  ===========================================  =============================================
 
 ``skeleton.urdf`` and ``files.json``, which says all this of the files beside it, are always written.
@@ -35,7 +36,7 @@ from rtof_kin.io.bvh import write_bvh
 from rtof_kin.io.c3d import write_c3d
 from rtof_kin.io.joint_trajectory import write_joint_trajectory_csv, write_ros_trajectory
 from rtof_kin.io.motion_table import CONVENTION, write_motion_csv, write_motion_parquet
-from rtof_kin.io.motion_views import even_times, joint_tree, landmark_markers, pieces
+from rtof_kin.io.motion_views import even_times, from_prior, joint_tree, landmark_markers, pieces
 from rtof_kin.io.opensim_model import write_osim
 from rtof_kin.io.opensim_mot import write_mot, write_sto
 from rtof_kin.io.trc import write_trc
@@ -119,8 +120,11 @@ def _index(motion: MotionSequence, files: Files) -> Facts:
         "rate_hz": poses.rate_hz,
         "times_s": [float(poses.times[0]), float(poses.times[-1])],
         "gaps": [list(gap) for gap in runs(~seen)],
-        "meaning": "frames and gaps: [first, stop) in frames of the motion, from 0; time_zero_s: the "
-        "motion's time at which the clock of a file shows 0; names with '-': sign opposite to the URDF's",
+        "from_prior": from_prior(motion),
+        "meaning": "frames and gaps: [first, stop) in frames of the motion, from 0; from_prior: joints "
+        "that nobody saw, and in what share of the frames outside gaps; a prior or their neighbours say "
+        "where they are, but .trc and .c3d leave them out; time_zero_s: the motion's time at which the "
+        "clock of a file shows 0; names with '-': sign opposite to the URDF's",
         "landmarks": {name: joint for name, (joint, _) in skeleton.landmarks.items()},
         "dofs": {
             dof.urdf: {"clinical": dof.clinical, "opensim": dof.opensim}
@@ -195,7 +199,9 @@ def _in_pieces(
         name = f"motion{ending}" if len(parts) == 1 else f"motion_{number}{ending}"
         write(folder / name, part)
         zero = 0.0 if has_times else float(part.times[0])
-        files[name] = {"frames": [start, stop], "time_zero_s": zero}
+        files[name] = {
+            "frames": [start, stop], "time_zero_s": zero, "from_prior": from_prior(part)
+        }  # fmt: skip
     return files
 
 

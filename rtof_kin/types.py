@@ -487,6 +487,12 @@ class PoseSequence:
         )
 
     @property
+    def located(self) -> NDArray[np.bool_]:
+        """(T, J) whether somebody saw where a joint is; without any provenance, whether it is valid."""
+        given = bool(self.provenance.any())
+        return np.asarray(self.valid & ((self.provenance >= Provenance.IMU) | (not given)))
+
+    @property
     def rate_hz(self) -> float:
         """Frames per second, from the median step; 60 for a single frame."""
         return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0

@@ -10,9 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtof_kin.errors import ShapeError
-from rtof_kin.io.motion_views import check_known, even_times, joint_tree, landmark_markers, pieces
+from rtof_kin.io.motion_views import (
+    check_known,
+    even_times,
+    from_prior,
+    joint_tree,
+    landmark_markers,
+    pieces,
+)
 from rtof_kin.io.world_axes import UP
 from rtof_kin.skeleton import MotionSequence
+from rtof_kin.types import Provenance
 
 
 def with_gap(motion: MotionSequence) -> MotionSequence:
@@ -55,6 +63,30 @@ def test_jitter_of_stamps_is_evened_and_more_is_refused() -> None:
     times[60:] += 0.02
     with pytest.raises(ShapeError, match="ms beside even times, which .mot.*resample the motion"):
         even_times(times)
+
+
+def test_a_joint_that_nobody_saw_has_no_markers_and_is_the_priors(motion: MotionSequence) -> None:
+    """A leg behind a table; who stands in the picture else was seen by the camera."""
+    names = motion.poses.names
+    leg = [names.index(name) for name in ("LeftUpLeg", "LeftLeg", "LeftFoot")]
+    provenance = np.full(motion.poses.valid.shape, Provenance.CAMERA)
+    provenance[:, leg] = Provenance.PRIOR
+    provenance[:30, leg[2]] = Provenance.IMU
+    hidden = with_gap(replace(motion, poses=replace(motion.poses, provenance=provenance)))
+    markers = landmark_markers(hidden)
+    p = dict(zip(markers.names, np.moveaxis(markers.p_world, 1, 0), strict=True))
+    assert np.isnan(p["LeftLeg"]).all()
+    assert np.isfinite(p["LeftHeel"][:30]).all()
+    assert np.isnan(p["LeftHeel"][30:]).all()
+    assert np.isfinite(p["RightHeel"][:40]).all()
+    shares = from_prior(hidden)
+    assert shares == {"LeftUpLeg": 1.0, "LeftLeg": 1.0, "LeftFoot": pytest.approx(25 / 52)}
+    assert from_prior(motion) == {}
+
+
+def test_a_motion_that_is_one_gap_has_no_joints_from_the_prior(motion: MotionSequence) -> None:
+    valid = np.zeros_like(motion.poses.valid)
+    assert from_prior(replace(motion, poses=replace(motion.poses, valid=valid))) == {}
 
 
 def test_markers_are_the_landmarks_where_their_joint_is_valid(motion: MotionSequence) -> None:

@@ -35,6 +35,7 @@ WALK = Path(__file__).parent / "data" / "mocap" / "02_01_excerpt.bvh"
 METRES = RADIANS = 1e-6
 T, START = 60, 2.0
 BRIDGED, UNKNOWN, HAND_UNSEEN = slice(20, 26), slice(40, 43), slice(5, 9)
+LEG_UNSEEN, LEG = slice(28, 38), ("LeftLeg", "LeftFoot")
 SEEN = [(0, 20), (26, 40), (43, T)]
 PIECES = list(enumerate(SEEN, 1))
 R_GROUND_WORLD = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -45,7 +46,7 @@ R_BVH_WORLD = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
 
 @pytest.fixture(scope="module")
 def motion() -> MotionSequence:
-    """A second of walking, bridged once, lost once, and one hand out of the picture for a moment."""
+    """A second of walking, bridged once, lost once, a hand and a leg out of the picture for a moment."""
     clip = read_mocap(WALK)
     poses = replace(clip.poses[:T], times=START + np.arange(T) / 60)
     p, R = np.array(poses.p_world_joint), np.array(poses.R_world_bone)
@@ -54,6 +55,7 @@ def motion() -> MotionSequence:
     valid[BRIDGED] = False
     valid[HAND_UNSEEN, poses.names.index("RightHand")] = False
     provenance = np.where(valid, Provenance.CAMERA, Provenance.BRIDGED)
+    provenance[LEG_UNSEEN, [poses.names.index(n) for n in LEG]] = Provenance.PRIOR
     poses = replace(poses, p_world_joint=p, R_world_bone=R, valid=valid, provenance=provenance)
     return SkeletonModel.default().with_offsets(clip.joint_offsets).motion(poses)
 
@@ -68,13 +70,13 @@ def opensim(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     return read_by_opensim(folder, tmp_path_factory.mktemp("opensim") / "found.npz")
 
 
-def landmarks(motion: MotionSequence, only_valid: bool = True) -> Array:
-    """(T, L, 3) in world; NaN where the joint that carries them is not valid."""
+def landmarks(motion: MotionSequence, only_seen: bool = True) -> Array:
+    """(T, L, 3) in world; NaN where nobody saw the joint that carries them."""
     skeleton, poses = motion.skeleton, motion.poses
     p = np.array(skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone))
-    if only_valid:
+    if only_seen:
         for i, (joint, _) in enumerate(skeleton.landmarks.values()):
-            p[~poses.valid[:, skeleton.names.index(joint)], i] = np.nan
+            p[poses.provenance[:, skeleton.names.index(joint)] != Provenance.CAMERA, i] = np.nan
     return p
 
 
@@ -93,7 +95,7 @@ def test_opensim_poses_the_model_by_the_motion_where_the_markers_and_bones_are(
     assert list(opensim["marker_names"]) == list(motion.skeleton.landmarks)
     assert list(opensim["body_names"]) == list(motion.skeleton.names)
     assert_near(opensim[f"{name}/times"], motion.times[frames], 1e-12)
-    everywhere = landmarks(motion, only_valid=False)[frames]
+    everywhere = landmarks(motion, only_seen=False)[frames]
     assert_near(opensim[f"{name}/markers"], everywhere @ R_GROUND_WORLD.T)
     R_world_bone = R_GROUND_WORLD.T @ opensim[f"{name}/bodies"]
     assert angle_between(R_world_bone, motion.poses.R_world_bone[frames]).max() < RADIANS
@@ -105,7 +107,7 @@ def test_opensim_takes_the_states_as_a_trajectory_with_its_velocities(
     motion: MotionSequence, opensim: dict[str, Array], number: int, piece: tuple[int, int]
 ) -> None:
     frames, name = slice(*piece), f"motion_{number}.sto"
-    p_ground = landmarks(motion, only_valid=False)[frames] @ R_GROUND_WORLD.T
+    p_ground = landmarks(motion, only_seen=False)[frames] @ R_GROUND_WORLD.T
     assert_near(opensim[f"{name}/times"], motion.times[frames], 1e-12)
     assert_near(opensim[f"{name}/markers"], p_ground)
     velocities = np.gradient(p_ground, 1 / 60, axis=0)[1:-1]
@@ -131,6 +133,14 @@ def test_a_marker_that_was_not_seen_leaves_its_tabs(folder: Path, motion: Motion
     rows = (folder / "motion.trc").read_text().splitlines()[5:]
     assert {row.count("\t") for row in rows} == {2 + 3 * len(motion.skeleton.landmarks)}
     assert rows[UNKNOWN.start].split("\t")[2:] == [""] * (1 + 3 * len(motion.skeleton.landmarks))
+
+
+def test_coordinates_say_above_them_which_joints_nobody_saw(folder: Path) -> None:
+    for ending in ("mot", "sto"):
+        head, _ = (folder / f"motion_2.{ending}").read_text().split("endheader")
+        assert "Nobody saw these joints" in head
+        assert "LeftLeg 71.4 %, LeftFoot 71.4 %." in head
+        assert "Nobody saw" not in (folder / f"motion_3.{ending}").read_text()
 
 
 # --- C3D and BVH ---------------------------------------------------------------------------------
@@ -211,7 +221,7 @@ def test_any_spreadsheet_finds_the_numbers_under_names_with_units(
     assert set(units) == {"[s]", "[m]", "[1]", "[rad]", ""}
     assert_near([float(row["LeftLeg_y [rad]"] or "nan") for row in rows],
                 motion.q[:, 7 + motion.skeleton.dof_names.index("LeftLeg_y")], 0)  # fmt: skip
-    everywhere = landmarks(motion, only_valid=False)
+    everywhere = landmarks(motion, only_seen=False)
     for i, name in enumerate(motion.skeleton.landmarks):
         p = [[float(row[f"p_{name}_{axis} [m]"] or "nan") for axis in "xyz"] for row in rows]
         assert_near(p, everywhere[:, i], 0)
@@ -236,7 +246,7 @@ def test_a_data_frame_finds_units_names_and_nulls(folder: Path, motion: MotionSe
     assert {column.null_count for column in columns} == {UNKNOWN.stop - UNKNOWN.start}
     q = np.stack([column.to_numpy(zero_copy_only=False) for column in columns], axis=-1)
     assert_near(q, motion.q, 0)
-    everywhere = landmarks(motion, only_valid=False)
+    everywhere = landmarks(motion, only_seen=False)
     for i, name in enumerate(motion.skeleton.landmarks):
         p = [table[f"p_{name}_{axis}"].to_numpy(zero_copy_only=False) for axis in "xyz"]
         assert_near(np.stack(p, axis=-1), everywhere[:, i], 0)
@@ -286,6 +296,15 @@ def test_the_index_says_of_every_file_what_it_is(folder: Path, motion: MotionSeq
     assert [index["files"][f"motion_{n}.mot"]["frames"] for n in (1, 2, 3)] == [list(s) for s in SEEN]
     assert index["files"]["motion_2.mot"]["time_zero_s"] == 0.0
     assert index["files"]["motion_2.bvh"]["time_zero_s"] == pytest.approx(motion.times[26])
+    assert index["from_prior"] == {
+        "RightHand": pytest.approx(4 / 51), "LeftLeg": pytest.approx(10 / 51),
+        "LeftFoot": pytest.approx(10 / 51),
+    }  # fmt: skip
+    for ending in ("mot", "sto", "bvh"):
+        assert index["files"][f"motion_2.{ending}"]["from_prior"] == {
+            joint: pytest.approx(10 / 14) for joint in LEG
+        }
+        assert index["files"][f"motion_3.{ending}"]["from_prior"] == {}
     assert index["dofs"]["RightUpLeg_y"]["opensim"] == "-hip_flexion_r"
     assert index["landmarks"]["RightHeel"] == "RightFoot"
 

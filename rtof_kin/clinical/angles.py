@@ -158,15 +158,9 @@ def all_observed(poses: PoseSequence) -> PoseSequence:
     return replace(poses, orientation_observed=np.ones(len(poses.names), dtype=np.bool_))
 
 
-def located(poses: PoseSequence) -> NDArray[np.bool_]:
-    """(T, J) whether somebody saw where a joint is; without any provenance, whether it is valid."""
-    given = bool(poses.provenance.any())
-    return np.asarray(poses.valid & ((poses.provenance >= Provenance.IMU) | (not given)))
-
-
 def _observation(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[np.int_]:
     """(T, J) how much of each segment's orientation was seen: nothing, its bone's direction, or all."""
-    at = located(poses)
+    at = poses.located
     levels: NDArray[np.int_] = np.full(at.shape, _NOTHING)
     for j in range(len(skeleton.names)):
         children = kinematics.children_of(skeleton.parents, j)

@@ -16,7 +16,6 @@ from scipy.signal import find_peaks
 from rtof_kin import rotations as so3
 from rtof_kin import signals
 from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
-from rtof_kin.clinical.angles import located
 from rtof_kin.clinical.range_of_motion import smoothed
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import PoseSequence
@@ -120,7 +119,7 @@ def _heel_and_toe(
     """Paths (T, 3) of heel and toe, NaN while the ankle was not seen; both the ankle's where the foot's
     turn was not."""
     (foot,) = skeleton.index(table.segments[f"{side} foot"])
-    seen = located(poses)[:, foot]
+    seen = poses.located[:, foot]
     ankle = np.where(seen[:, None], poses.p_world_joint[:, foot], np.nan)
     if not poses.orientation_observed[seen, foot].all():
         notes.append(f"{side} foot: nobody saw it turn, so its events are those of the ankle")

@@ -11,7 +11,7 @@ from scipy.signal import find_peaks
 
 from rtof_kin import signals
 from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
-from rtof_kin.clinical.angles import ClinicalAngles, located
+from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.range_of_motion import smoothed
 from rtof_kin.errors import UnknownNameError
 from rtof_kin.skeleton import SkeletonModel
@@ -125,7 +125,7 @@ def _pelvis_height(
     poses: PoseSequence, skeleton: SkeletonModel, table: AngleTable, notes: list[str]
 ) -> Array:
     """(T,) m over the mean of the ankles that were seen all the time; NaN where not known."""
-    height = np.where(located(poses), poses.p_world_joint[..., 2], np.nan)
+    height = np.where(poses.located, poses.p_world_joint[..., 2], np.nan)
     words = ("pelvis", *(f"{side} foot" for side in SIDES))
     pelvis, *ankles = height[:, skeleton.index(*(table.segments[word] for word in words))].T
     seen = [ankle for ankle in ankles if np.isfinite(ankle).any()]

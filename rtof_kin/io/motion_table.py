@@ -26,7 +26,7 @@ from rtof_kin.types import Provenance
 CONVENTION = (
     "world: z up, m; base: pose of the root link in world, quaternion x y z w; revolutes as in the "
     "URDF, zero in the T-pose; p_NAME: landmark in world; NAME_valid: whether the position of that joint "
-    "is an estimate to rely on; NAME_seen_by: its provenance"
+    "is an estimate and was not bridged; NAME_seen_by: its provenance, 'prior' where nobody saw it"
 )
 
 

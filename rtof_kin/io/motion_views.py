@@ -28,6 +28,16 @@ def pieces(motion: MotionSequence) -> list[tuple[int, int]]:
     return runs(np.isfinite(motion.q).all(axis=1) & motion.poses.valid.any(axis=1))
 
 
+def from_prior(motion: MotionSequence) -> dict[str, float]:
+    """Joints that nobody saw in some frames that are in no gap -> the share of those frames, 0 to 1.
+
+    Where they are a prior or their neighbours say, though a sensor may have felt their segments turn.
+    """
+    unseen = [~motion[start:stop].poses.located for start, stop in pieces(motion)]
+    shares = np.concatenate(unseen).mean(axis=0) if unseen else np.zeros(len(motion.poses.names))
+    return {n: float(s) for n, s in zip(motion.poses.names, shares, strict=True) if s > 0}
+
+
 def check_known(motion: MotionSequence) -> None:
     """Raise `ShapeError` where a configuration is not known, for formats that have no gaps."""
     unknown = np.flatnonzero(~np.isfinite(motion.q).all(axis=1))
@@ -57,11 +67,11 @@ def even_times(times: Array) -> Array:
 
 
 def landmark_markers(motion: MotionSequence) -> MarkerSequence:
-    """All landmarks of the skeleton, joints first, as markers; NaN where their joint is not valid."""
+    """All landmarks of the skeleton, joints first, as markers; NaN where nobody saw their joint."""
     poses, skeleton = motion.poses, motion.skeleton
     p = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
     carriers = skeleton.index(*(joint for joint, _ in skeleton.landmarks.values()))
-    p = np.where(poses.valid[:, carriers, None], p, np.nan)
+    p = np.where(poses.located[:, carriers, None], p, np.nan)
     return MarkerSequence(poses.times, tuple(skeleton.landmarks), p)
 
 

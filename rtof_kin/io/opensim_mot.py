@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.io.motion_views import even_times
+from rtof_kin.io.motion_views import even_times, from_prior
 from rtof_kin.io.opensim_coordinates import coordinate_values
 from rtof_kin.io.text import write_text
 from rtof_kin.skeleton import MotionSequence
@@ -67,8 +67,15 @@ def _write_table(
         f"inDegrees={'yes' if in_degrees else 'no'}",
         f"Coordinates of the .osim of the skeleton {motion.skeleton.name}, zero in the T-pose; y is up.",
         f"Units are S.I. units, angles in {'degrees' if in_degrees else 'radians'}.",
+        *_unseen(motion),
         "endheader",
         "\t".join(["time", *names]),
     ]
     rows = ["\t".join(map(repr, row)) for row in table.tolist()]
     write_text(path, "\n".join([*header, *rows, ""]), overwrite)
+
+
+def _unseen(motion: MotionSequence) -> list[str]:
+    """A line on the joints that nobody saw, where there are any."""
+    shares = ", ".join(f"{name} {100 * share:.3g} %" for name, share in from_prior(motion).items())
+    return [f"Nobody saw these joints in a share of the frames: {shares}."] if shares else []
