@@ -208,6 +208,30 @@ def test_where_nobody_saw_the_foot_turn_its_events_are_the_ankles() -> None:
     np.testing.assert_allclose((events.feet["right"].strikes / PERIOD) % 1, 0.75, atol=0.03)
 
 
+def test_a_frame_in_which_nobody_saw_the_foot_turn_costs_that_frame_alone() -> None:
+    """As the first one, which lies before the sensors' first sample."""
+    whole = gait_events(swinging_legs(), BODY)
+    observed = np.ones((360, len(BODY.names)), dtype=bool)
+    observed[0, BODY.index("RightFoot", "LeftFoot")] = False
+    events = gait_events(replace(swinging_legs(), orientation_observed=observed), BODY)
+    note = "foot: nobody saw it turn for 0.017 s, where it has no events"
+    assert events.notes == (f"right {note}", f"left {note}")
+    for side, foot in events.feet.items():
+        assert np.isnan(foot.heel[0]).all()
+        np.testing.assert_array_equal(foot.heel[1:], whole.feet[side].heel[1:])
+        np.testing.assert_allclose(foot.strikes, whole.feet[side].strikes, atol=1e-3)
+
+
+def test_a_foot_that_was_mostly_not_seen_to_turn_has_the_ankles_events_throughout() -> None:
+    observed = np.ones((360, len(BODY.names)), dtype=bool)
+    observed[:216, BODY.index("RightFoot")] = False
+    events = gait_events(replace(swinging_legs(), orientation_observed=observed), BODY)
+    (note,) = events.notes
+    assert "right foot: nobody saw it turn in 60 % of the frames, so its events are" in note
+    ankle = swinging_legs().p_world_joint[:, BODY.index("RightFoot")[0]]
+    np.testing.assert_array_equal(events.feet["right"].heel, ankle)
+
+
 def test_a_cycle_with_a_gap_in_an_angle_is_left_out_of_its_mean_alone() -> None:
     poses = swinging_legs()
     angles, gait = clinical_angles(poses, BODY), analysed(poses)

@@ -40,7 +40,7 @@ class FootEvents:
     offs: Array
     """(m,) seconds at which the toe leaves the floor."""
     heel: Array
-    """(T, 3) m, path of the heel in world (of the ankle, where the foot's turn was not seen)."""
+    """(T, 3) m, path of the heel in world (of the ankle, where the foot's turn was mostly not seen)."""
 
 
 @dataclass(frozen=True)
@@ -116,18 +116,25 @@ def _slow(angle: Array, rate_hz: float) -> Array:
 def _heel_and_toe(
     poses: PoseSequence, skeleton: SkeletonModel, table: AngleTable, side: str, notes: list[str]
 ) -> tuple[Array, Array]:
-    """Paths (T, 3) of heel and toe, NaN while the ankle was not seen; both the ankle's where the foot's
-    turn was not."""
+    """Paths (T, 3) of heel and toe, NaN while the foot's place or turn was not seen; both the ankle's,
+    NaN while that was not seen, where the turn was for less than half of that time."""
     (foot,) = skeleton.index(table.segments[f"{side} foot"])
     seen = poses.located[:, foot]
-    ankle = np.where(seen[:, None], poses.p_world_joint[:, foot], np.nan)
-    if not poses.orientation_observed[seen, foot].all():
-        notes.append(f"{side} foot: nobody saw it turn, so its events are those of the ankle")
+    turned = seen & poses.orientation_observed[:, foot]
+    unseen = int(seen.sum() - turned.sum())
+    if unseen > turned.sum():
+        often = f" in {100 * unseen / seen.sum():.0f} % of the frames" if turned.any() else ""
+        notes.append(f"{side} foot: nobody saw it turn{often}, so its events are those of the ankle")
+        ankle = np.where(seen[:, None], poses.p_world_joint[:, foot], np.nan)
         return ankle, ankle
+    if unseen:
+        notes.append(
+            f"{side} foot: nobody saw it turn for {unseen / poses.rate_hz:.2g} s, where it has no events"
+        )
     landmarks = list(skeleton.landmarks)
     points = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
     wanted = [points[:, landmarks.index(table.segments[f"{side} {word}"])] for word in ("heel", "toe")]
-    heel, toe = (np.where(seen[:, None], point, np.nan) for point in wanted)
+    heel, toe = (np.where(turned[:, None], point, np.nan) for point in wanted)
     return heel, toe
 
 
