@@ -44,6 +44,17 @@ def motion_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.parametrize("step", [20, 40, 80])
+def test_at_one_frame_a_second_everything_but_the_gait_is_still_told(step: int) -> None:
+    slow = walk()[::step]
+    analysis = analyse_motion(slow, weight_kg=70.0, repetitions="squat")
+    assert "too low a rate for gait events" in analysis.notes["gait"][0]
+    assert np.isfinite(analysis.angles["right_hip_flexion"]).all()
+    assert {row.name: row.peak_velocity for row in analysis.ranges}["right_hip_flexion"] > 0.1
+    assert analysis.repetitions is not None
+    assert analysis.torques is not None
+
+
 def test_angles_come_back_from_their_file_in_degrees_with_gaps_as_empty_cells(
     analysis: MotionAnalysis, tmp_path: Path
 ) -> None:

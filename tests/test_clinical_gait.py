@@ -208,6 +208,21 @@ def test_where_nobody_saw_the_foot_turn_its_events_are_the_ankles() -> None:
     np.testing.assert_allclose((events.feet["right"].strikes / PERIOD) % 1, 0.75, atol=0.03)
 
 
+@pytest.mark.parametrize("step", [13, 15, 60, 180])
+def test_a_rate_too_low_for_gait_events_is_said_to_be_so(step: int) -> None:
+    poses = swinging_legs()[::step]
+    gait = analysed(poses)
+    assert gait.strides == ()
+    note = f"{60 / step:.3g} Hz is too low a rate for gait events; record 5 Hz"
+    assert gait.notes == (note, "symmetry needs a complete stride of either side")
+    assert np.isnan(gait.events.forward).all()
+
+
+def test_five_frames_a_second_give_strides_of_the_right_time() -> None:
+    gait = analysed(swinging_legs()[::12])
+    assert gait.summary["right"]["stride_time"][0] == pytest.approx(PERIOD, rel=0.01)
+
+
 def test_a_frame_in_which_nobody_saw_the_foot_turn_costs_that_frame_alone() -> None:
     """As the first one, which lies before the sensors' first sample."""
     whole = gait_events(swinging_legs(), BODY)

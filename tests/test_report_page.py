@@ -57,6 +57,12 @@ def page(html: str) -> Page:
     return Page(html)
 
 
+def test_a_motion_of_one_frame_a_second_has_a_page_without_gait(tmp_path: Path) -> None:
+    html = report(folder_of(walk()[::40], tmp_path / "out"), weight_kg=70.0, made=TODAY)
+    assert "1 Hz is too low a rate for gait events" in html
+    assert drawn_data(html)["angles"]["groups"]
+
+
 # --- text ----------------------------------------------------------------------------------------
 
 

@@ -29,6 +29,8 @@ LEAST_SWING = 0.10
 """The heel must come this far, m, out of the extremes around it: nobody steps shorter."""
 LEAST_STRIDE = 0.4
 """Two strikes of one foot are at least so many seconds apart."""
+LEAST_RATE_HZ = 5.0
+"""Of the motion: with two frames in a swing stride times are right to 1 %; with fewer nothing is."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,8 @@ class GaitEvents:
     feet: dict[str, FootEvents]
     """'right' and 'left', as far as they were seen."""
     forward: Array
-    """(T, 3) horizontal unit vector in which the pelvis faces, without its turning within a step."""
+    """(T, 3) horizontal unit vector in which the pelvis faces, without its turning within a step; NaN
+    where that is not known, or the rate is too low for events."""
     notes: tuple[str, ...]
     """What could not be told, and why."""
 
@@ -65,13 +68,16 @@ def gait_events(poses: PoseSequence, skeleton: SkeletonModel) -> GaitEvents:
 
     Returns:
         The events, the first and the last quarter of a stride possibly left out: an extremum at the
-        edge of what was seen is none.
+        edge of what was seen is none. None at a rate below `LEAST_RATE_HZ`, as a note says.
 
     Raises:
         UnknownNameError, ShapeError: the poses are of another skeleton.
     """
     skeleton.check_joints(poses.names)
     table = angle_table(skeleton.table)
+    if round(poses.rate_hz, 6) < LEAST_RATE_HZ:
+        note = f"{poses.rate_hz:.3g} Hz is too low a rate for gait events; record {LEAST_RATE_HZ:g} Hz"
+        return GaitEvents(poses.times, {}, np.full((len(poses), 3), np.nan), (note,))
     notes: list[str] = []
     (pelvis,) = skeleton.index(table.segments["pelvis"])
     forward = _forward(poses, pelvis)
