@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from rtof_kin import signals
-from rtof_kin.metrics import flexion, hinges
+from rtof_kin.metrics import BEGUN_TOGETHER, comparable, flexion, hinges
 from rtof_kin.types import PoseSequence
 
 if TYPE_CHECKING:
@@ -55,10 +55,12 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
     """The estimated skeleton (red) over the true one (green) at a few instants, from two sides.
 
     Positions are relative to the estimate's root and seen from the camera's side and across; without a
-    camera, from where the person faces.
+    camera, from where the person faces. See `comparable` for mode imu.
     """
     poses, parents = result.motion.poses, result.motion.skeleton.parents
     truth = _truth_at(result)
+    if result.recording.truth is not None:
+        poses = comparable(poses, result.recording.truth, result.mode)
     frames = np.linspace(0, len(poses) - 1, instants + 2).round().astype(int)[1:-1]
     figure = Figure(figsize=(2.6 * instants, 6.4), layout="constrained")
     axes = figure.subplots(2, instants, squeeze=False)
@@ -78,6 +80,8 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
             if row == 0:
                 ax.set_title(f"{poses.times[frame]:.2f} s")
     axes[0][0].legend(loc="lower left", fontsize=8)
+    if truth is not None and result.mode == "imu":
+        title = f"{title}\n{BEGUN_TOGETHER}"
     figure.suptitle(f"{result.recording.name}: {title}")
     return figure
 

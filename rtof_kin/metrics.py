@@ -29,6 +29,8 @@ from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import PoseSequence
 
 Array = NDArray[np.float64]
+BEGUN_TOGETHER = "mode imu knows no place: estimate and truth are moved to begin together"
+"""What figures and pictures of mode imu say, see `comparable`."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,26 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
             "joint_flexion_deg": figures["flexion_deg"],
         },
     )
+
+
+def comparable(estimate: PoseSequence, truth: PoseSequence, mode: str) -> PoseSequence:
+    """An estimate as it is scored and drawn against a truth: as it is, but in mode imu begun with it.
+
+    Args:
+        estimate: poses of the same joints as the truth's, at any times. mode: how they were made.
+
+    Returns:
+        In mode imu all of it shifted alike, so that the roots are at one place in the first frame in
+        which both are known: see `BEGUN_TOGETHER`.
+    """
+    if mode != "imu":
+        return estimate
+    true = at_times(truth, estimate.times)
+    shift = true.p_world_joint[:, 0] - estimate.p_world_joint[:, 0]
+    known = np.flatnonzero(np.isfinite(shift).all(axis=1) & true.valid[:, 0])
+    if len(known) == 0:
+        return estimate
+    return estimate.posed(slice(None), estimate.p_world_joint + shift[known[0]])
 
 
 def motionless(truth: PoseSequence) -> PoseSequence:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import signals
 from rtof_kin.calibration_priors import CalibrationPriors
 from rtof_kin.circumstances import circumstances
 from rtof_kin.contradictions import check_height, contradictions
@@ -21,7 +20,7 @@ from rtof_kin.fragment_solution import misfits
 from rtof_kin.inertial.mounting import find_faults
 from rtof_kin.inflation import Inflation
 from rtof_kin.joint_space.settings import JointSpaceSettings
-from rtof_kin.metrics import Metrics, evaluate
+from rtof_kin.metrics import Metrics, comparable, evaluate
 from rtof_kin.motion_files import DEFAULT
 from rtof_kin.recording import Recording
 from rtof_kin.self_calibrate import calibrate as calibrate_from
@@ -172,7 +171,7 @@ def reconstruct(
         _log.warning("%s: %s", recording.name, warning)
     motion = _told(skeleton.motion(poses), keypoints, begun, solution)
     stages = begun.stages | {mode: motion.poses if mode != "lift" else poses}
-    scores = _scores(recording, stages, skeleton)
+    scores = _scores(recording, stages, skeleton, mode)
     return Reconstruction(
         recording, mode, motion, stages, keypoints, begun.bone_imus, solution, scores.get(mode), scores,
         faults=begun.faults, warnings=warnings, calibration=found,
@@ -351,37 +350,25 @@ def _without_camera(
         _log.warning("%s: %s", recording.name, warning)
     motion = skeleton.motion(found.solution.poses)
     stages = {"start": found.start, "imu": motion.poses}
-    scores = _scores(recording, _at_truth(recording, stages), skeleton)
+    scores = _scores(recording, stages, skeleton, "imu")
     return Reconstruction(
         recording, "imu", motion, stages, None, found.bone_imus, found.solution, scores.get("imu"),
         scores, found.path.sigma, faults, found.warnings,
     )  # fmt: skip
 
 
-def _at_truth(recording: Recording, stages: dict[str, PoseSequence]) -> dict[str, PoseSequence]:
-    """Stages moved so that their roots begin where the true one does: where that is, no sensor knows."""
-    if recording.truth is None:
-        return stages
-    truth, moved = recording.truth, {}
-    for name, poses in stages.items():
-        root = signals.interpolate(truth.times, truth.p_world_joint[:, 0], poses.times)
-        known = np.flatnonzero(np.isfinite(root).all(axis=1))
-        if len(known):
-            shift = root[known[0]] - poses.p_world_joint[known[0], 0]
-            poses = replace(poses, p_world_joint=poses.p_world_joint + shift)
-        moved[name] = poses
-    return moved
-
-
 def _scores(
-    recording: Recording, stages: dict[str, PoseSequence], skeleton: SkeletonModel
+    recording: Recording, stages: dict[str, PoseSequence], skeleton: SkeletonModel, mode: str
 ) -> dict[str, Metrics]:
     """Errors of every stage; none without truth, or with fewer than four frames of it."""
-    if recording.truth is None:
+    truth = recording.truth
+    if truth is None:
         return {}
-    first, last = recording.truth.times[[0, -1]]
+    first, last = truth.times[[0, -1]]
     times = next(iter(stages.values())).times
     if np.count_nonzero((times >= first) & (times <= last)) < 4:
         _log.warning("the truth covers fewer than four frames: nothing is scored")
         return {}
-    return {name: evaluate(poses, recording.truth, skeleton) for name, poses in stages.items()}
+    return {
+        name: evaluate(comparable(poses, truth, mode), truth, skeleton) for name, poses in stages.items()
+    }

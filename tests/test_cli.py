@@ -274,3 +274,10 @@ def test_sensors_are_enough_for_mode_imu(
     assert "mode rtof needs keypoints and the recording has none; use 'imu'" in capsys.readouterr().err
     assert main(["reconstruct", str(folder), "-o", out, "--mode", "imu"]) == 0
     assert (tmp_path / "out" / "figures" / "skeletons.png").is_file()
+    told = capsys.readouterr().out
+    assert main(["evaluate", out, "--truth", str(folder)]) == 0
+    again = capsys.readouterr().out
+    (scores,) = (line for line in told.splitlines() if line.startswith("│ imu "))
+    assert scores in again
+    for text in (told, again):
+        assert "mode imu knows no place: estimate and truth are moved to begin together" in text

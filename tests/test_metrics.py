@@ -40,6 +40,33 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence) -> metrics.Metrics:
     return metrics.evaluate(estimate, truth, BODY)
 
 
+# --- mode imu, which knows no place --------------------------------------------------------------
+
+
+def test_an_estimate_of_mode_imu_begins_where_the_truth_does(truth: PoseSequence) -> None:
+    far = shifted(truth, [5.0, -3.0, 1.0])
+    begun = metrics.comparable(far, truth, "imu")
+    np.testing.assert_allclose(begun.p_world_joint, truth.p_world_joint, atol=1e-12)
+    drifting = shifted(truth, [5.0, -3.0, 1.0] + 0.1 * TIME * DIRECTION)
+    error = metrics.comparable(drifting, truth, "imu").p_world_joint - truth.p_world_joint
+    np.testing.assert_allclose(error, np.broadcast_to(0.1 * TIME * DIRECTION, error.shape), atol=1e-12)
+
+
+def test_an_estimate_of_a_camera_stays_where_it_is(truth: PoseSequence) -> None:
+    assert metrics.comparable(truth, shifted(truth, 1.0), "rtof") is truth
+
+
+def test_they_begin_together_in_the_first_frame_in_which_both_are_known(truth: PoseSequence) -> None:
+    p, valid = np.array(truth.p_world_joint), np.array(truth.valid)
+    p[:3], valid[3:5] = np.nan, False
+    glitch = replace(truth, p_world_joint=p, valid=valid)
+    drifting = shifted(truth, 0.1 * TIME * DIRECTION)
+    begun = metrics.comparable(drifting, glitch, "imu")
+    np.testing.assert_allclose(begun.p_world_joint[5], truth.p_world_joint[5], atol=1e-12)
+    nowhere = replace(truth, valid=np.zeros_like(valid))
+    assert metrics.comparable(drifting, nowhere, "imu") is drifting
+
+
 # --- by hand -------------------------------------------------------------------------------------
 
 

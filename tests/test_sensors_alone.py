@@ -14,6 +14,7 @@ from scipy.signal import find_peaks
 
 from rtof_kin import rotations as so3
 from rtof_kin.errors import CalibrationError, ShapeError, SolverError
+from rtof_kin.figures import TRUTH, skeletons
 from rtof_kin.fragment import FragmentSolver, SolverStatus
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
@@ -194,6 +195,10 @@ def test_scores_do_not_count_where_the_first_frame_is(walk: MotionSequence) -> N
     assert here.metrics is not None
     assert there.metrics is not None
     assert there.metrics["mpjpe_mm"] == pytest.approx(here.metrics["mpjpe_mm"], rel=1e-9)
+    figure = skeletons(there)
+    assert "estimate and truth are moved to begin together" in figure.get_suptitle()
+    lines = [line for line in figure.axes[0].lines if line.get_color() == TRUTH]
+    assert np.abs([line.get_xydata() for line in lines]).max() < 1.0
 
 
 def test_it_is_exported_with_figures_warnings_and_drift(

@@ -139,7 +139,7 @@ def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> A
 def _evaluate(options: argparse.Namespace) -> None:
     from rtof_kin.errors import ShapeError
     from rtof_kin.io.motion_npz import read_motion_npz
-    from rtof_kin.metrics import evaluate
+    from rtof_kin.metrics import comparable, evaluate
     from rtof_kin.recording import Recording
 
     path = Path(options.motion)
@@ -147,7 +147,8 @@ def _evaluate(options: argparse.Namespace) -> None:
     recording = Recording.load(options.truth)
     if recording.truth is None:
         raise ShapeError(f"{options.truth}: the recording has no truth to compare with")
-    metrics = evaluate(motion.poses, recording.truth, recording.skeleton)
+    poses = comparable(motion.poses, recording.truth, motion.mode)
+    metrics = evaluate(poses, recording.truth, recording.skeleton)
     print_scores(with_zero_motion(recording) | {motion.mode or "motion": metrics})
     columns = {key: label for key, label in SCORE_COLUMNS.items() if key != "coverage"}
     table = Table(Column("joint", no_wrap=True), *columns.values())

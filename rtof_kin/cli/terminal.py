@@ -78,12 +78,16 @@ def with_zero_motion(recording: Any) -> dict[str, Any]:
 
 
 def print_scores(scores: Mapping[str, Mapping[str, float]]) -> None:
+    from rtof_kin.metrics import BEGUN_TOGETHER
+
     title = "error against the truth, mean over frames"
     first = Column("stage", no_wrap=True)
     table = Table(first, *SCORE_COLUMNS.values(), title=title, show_edge=False)  # fits in 80 columns
     for stage, metrics in scores.items():
         table.add_row(stage, *(figure_text(key, metrics[key]) for key in SCORE_COLUMNS))
     out.print(table)
+    if "imu" in scores:
+        out.print(BEGUN_TOGETHER)
 
 
 def print_calibration(calibration: Any) -> None:
