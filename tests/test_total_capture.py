@@ -772,6 +772,27 @@ def test_an_orientation_of_zeros_is_unknown_and_said_to_be(
     assert "orientation" in said(found)
 
 
+def test_positions_of_zeros_are_unknown_and_said_to_be(
+    tmp_path: Path, paths: dict[str, Path], take: Take
+) -> None:
+    rows = support.lines(paths["positions"])
+    rows[34] = "\t".join(["0.0 0.0 0.0"] * (len(rows[0].split("\t")) - 1)) + "\t\n"
+    paths["positions"].write_text("".join(rows))
+    found = TotalCapture(tmp_path).take(*ONE)
+    unknown = np.isnan(found.truth.p_world_joint).any(axis=(1, 2))
+    assert np.flatnonzero(unknown).tolist() == [33]
+    np.testing.assert_allclose(found.joint_offsets, take.joint_offsets, atol=1e-4)
+    assert "1 frames hold zeros alone in" in said(found)
+
+
+@pytest.mark.parametrize("unit", [100 / 2.54, 1 / 39.37])
+def test_a_body_in_another_unit_fails_the_check_of_its_height(take: Take, unit: float) -> None:
+    """As metres or millimetres read as inches."""
+    small = replace(take, joint_offsets=unit * take.joint_offsets)
+    (bad,) = [check for check in failed(check_take(small)) if "height" in check.name]
+    assert "are the file's positions in inches" in bad.message
+
+
 def test_a_sensor_without_calibration_is_left_out_and_named(
     tmp_path: Path, paths: dict[str, Path]
 ) -> None:

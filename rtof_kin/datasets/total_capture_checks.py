@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 T_POSE_DEG = 25.0
 """A limb this far off its direction in the T-pose is in no T-pose; subjects stand up to 20 off."""
 FACING_DEG = 45.0
+HEIGHT, HEIGHT_RANGE = 1.7, 0.5
+"""Standing height of an adult, m, and how far one may be from it."""
 ACCELERATION = 0.5
 """Largest mean of acceleration less gravity over a take, m/s^2."""
 IMU_DEG = 15.0
@@ -52,8 +54,9 @@ class Checkable(Protocol):
 
 
 def check_take(take: Checkable) -> list[Check]:
-    """T-pose and facing at frame 0, a rigid skeleton, and every sensor against the reference."""
-    checks = [*_check_start(take), _check_bones(take)]
+    """T-pose and facing at frame 0, a body's size, a rigid skeleton, and every sensor against the
+    reference."""
+    checks = [*_check_start(take), _check_size(take), _check_bones(take)]
     if take.imus is not None and take.calibration is not None:
         bone_imus = take.calibration.apply(take.imus)
         checks += _check_orientations(take, bone_imus, take.imus.names)
@@ -111,6 +114,14 @@ def _check_start(take: Checkable) -> Iterator[Check]:
     name = f"largest angle of a limb from the T-pose at frame 0 ({bone})"
     advice = "Takes begin in a T-pose: is this one cut?"
     yield Check(name, "take", float(angles[worst]), T_POSE_DEG, "deg", advice)
+
+
+def _check_size(take: Checkable) -> Check:
+    """A body as tall as people are: positions are in inches."""
+    height = take.skeleton.height
+    advice = f"It stands {height:.3g} m tall: are the file's positions in inches, as the dataset's are?"
+    off = abs(height - HEIGHT)
+    return Check(f"standing height from {HEIGHT} m", "take", off, HEIGHT_RANGE, "m", advice)
 
 
 def _check_bones(take: Checkable) -> Check:

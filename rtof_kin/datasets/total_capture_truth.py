@@ -79,7 +79,7 @@ def read_truth(
     p = R = bvh = None
     positions, orientations = find("positions"), find("orientations")
     if positions is not None:
-        p = INCH * _ordered(positions, 3, skeleton, notes) @ WORLD_OF_VICON.T
+        p = INCH * _positions(positions, skeleton, notes) @ WORLD_OF_VICON.T
     if orientations is not None:
         R = _orientations(orientations, skeleton, notes)
     if p is None or R is None:
@@ -130,6 +130,16 @@ def _indices(
             path, f"has no joint {', '.join(absent)}; its joints are {', '.join(names)}", line
         )
     return indices_of("joint", skeleton.names, names)
+
+
+def _positions(path: Path, skeleton: SkeletonModel, notes: list[str]) -> Array:
+    """(T, J, 3) as in the file, NaN in frames in which all joints are at its origin."""
+    p = _ordered(path, 3, skeleton, notes).copy()
+    absent = ~p.any(axis=(1, 2))
+    if absent.any() and not absent.all():
+        notes.append(f"{int(absent.sum())} frames hold zeros alone in {path.name}: left open")
+        p[absent] = np.nan
+    return p
 
 
 def _orientations(path: Path, skeleton: SkeletonModel, notes: list[str]) -> Array | None:

@@ -258,7 +258,8 @@ def _setup(protocol: TotalCaptureProtocol, rows: list[Row]) -> str:
         f"Ours: one camera at a time ({', '.join(map(str, cameras)) or 'none'}), pooled over all "
         f"{frames} frames of all cameras; {len(protocol.sensors)} IMUs where a mode uses them; 2D: "
         f"{keypoints}; 21 joints, root included; solved in {protocol.space} space, the "
-        f"sensors' calibration {calibration}. {_lifter(protocol)}"
+        f"sensors' calibration {calibration}. {_lifter(protocol)} Of lift the joints are scored as the "
+        "network gives them; a motion that is saved has them on rigid bones."
     )
 
 
