@@ -53,6 +53,8 @@ MODES = (*CAMERA_MODES, "imu")
 """imu: no camera at all (`sensors_alone`)."""
 _LASTING_SHARE = 0.8
 """Of a recording, for which a sensor must differ from the others for that to be its mounting."""
+_JUDGED = 2.0
+"""[s] of movement by which sensors' places and references can be judged."""
 _log = logging.getLogger(__name__)
 
 
@@ -223,8 +225,8 @@ def _faults_of_setup(
     """What people get wrong with sensors and explains why something else was found: they are compared,
     as they were told to sit, with what the image alone shows."""
     seen = begin(told, skeleton, "lift", lifter, settings, lambda *_: None)
-    bone_imus = seen.recording.bone_imus()
-    if bone_imus is None or not np.isfinite(bone_imus.R_world_bone).any():
+    bone_imus, times = seen.recording.bone_imus(), seen.start.times
+    if bone_imus is None or not np.isfinite(bone_imus.R_world_bone).any() or np.ptp(times) < _JUDGED:
         return ()
     return tuple(str(fault) for fault in find_faults(bone_imus, skeleton, visual=seen.start))
 

@@ -123,7 +123,7 @@ def test_the_summary_says_what_happened(result: Reconstruction, folder: Path) ->
     assert facts["provenance"]["bridged"] > 0
     assert facts["valid_share"] == pytest.approx(1 - 4 / T)
     assert facts["solver"]["status"] == "CONVERGED"
-    assert "gradient" in facts["solver"]["meaning"]
+    assert "tolerance" in facts["solver"]["meaning"]
     assert facts["solver"]["fragments"] == 3
     assert result.metrics is not None
     assert facts["metrics"]["rtof"] == pytest.approx(dict(result.metrics))

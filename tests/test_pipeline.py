@@ -32,6 +32,7 @@ from rtof_kin.pipeline import (
     reconstruct,
 )
 from rtof_kin.recording import Recording
+from rtof_kin.resources import model_path
 from rtof_kin.self_calibration import Quantity, SelfCalibration
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import KeypointSequence, Provenance
@@ -210,6 +211,19 @@ def test_times_and_points_in_another_unit_are_refused(
 ) -> None:
     with pytest.raises(ShapeError, match=reason):
         run(replace(recording, keypoints=change(recording.video), imus=None), truth, "rto")
+
+
+def test_a_world_of_the_sensors_that_is_turned_against_the_cameras_is_named() -> None:
+    whole = Recording.load(model_path("demo"))
+    assert whole.calibration is not None
+    R = so3.about_axis("z", np.pi / 2) @ whole.calibration.R_world_inertial
+    turned = replace(
+        whole, keypoints=whole.video[:240], truth=None,
+        calibration=replace(whole.calibration, R_world_inertial=R),
+    )  # fmt: skip
+    found = reconstruct(turned, calibrate=False, settings=ReconstructionSettings(confidence=False))
+    (named,) = [w for w in found.warnings if "log-likelihood" in w]
+    assert named.startswith("the sensors' world has to be turned by -90 degrees about the vertical")
 
 
 def test_sensors_that_say_nothing_are_told(recording: Recording, truth: MotionSequence) -> None:
