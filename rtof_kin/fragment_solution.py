@@ -16,6 +16,8 @@ from rtof_kin.types import PoseSequence
 Array = NDArray[np.float64]
 _MISFIT, _LEAST_MISFIT_PX = 3.0, 3.0
 """Times the median size of residuals, and px, from which a fragment's are worth a warning."""
+_LEAST_VISUAL = 5.0
+"""[nats] of some twenty landmarks that are off as they are taken to be."""
 
 
 class SolverStatus(Enum):
@@ -48,6 +50,12 @@ class FragmentReport:
     infeasibility: float
     """Largest violation of a constraint there: of a squared bone length, m^2, or of a joint's limit, rad;
     0 without constraints."""
+
+    @property
+    def sees_enough(self) -> bool:
+        """Whether landmarks count for something in it: where hardly one was seen, the size that they are
+        taken to be off by is a default."""
+        return self.energy["visual"] > _LEAST_VISUAL
 
 
 @dataclass(frozen=True)
@@ -121,10 +129,10 @@ def misfits(
     if not solved:
         return ()
     usual = float(np.median([f.sigma_reprojection for f in solved]))
-    bad = np.zeros(len(times), dtype=bool)
-    size = np.zeros(len(times))
+    least = min(max(_MISFIT * usual, _LEAST_MISFIT_PX), limit_px)
+    bad, size = np.zeros(len(times), dtype=bool), np.zeros(len(times))
     for f in solved:
-        if f.sigma_reprojection >= min(max(_MISFIT * usual, _LEAST_MISFIT_PX), limit_px):
+        if f.sees_enough and f.sigma_reprojection >= least:
             own = slice(max(f.first_frame, 0), f.first_frame + frames)
             bad[own], size[own] = True, np.maximum(size[own], f.sigma_reprojection)
     return tuple(

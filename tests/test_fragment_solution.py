@@ -41,7 +41,7 @@ def fitted(*sizes: float) -> tuple[str, ...]:
     """Warnings of fragments of ten frames, five apart, with residuals of these sizes, at 10 Hz."""
     firsts = range(-5, 5 * len(sizes), 5)
     reports = [
-        replace(report(), first_frame=first, sigma_reprojection=size)
+        replace(report(k=9.0), first_frame=first, sigma_reprojection=size)
         for first, size in zip(firsts, sizes, strict=False)
     ]
     return misfits(reports, np.arange(40) / 10, 10, 25.0)
@@ -58,6 +58,11 @@ def test_fits_that_are_alike_are_told_only_at_the_limit() -> None:
     assert fitted(0.5, 0.5, 0.5, 2.9, 0.5, 0.5, 0.5, 0.5, 0.5) == ()
     (told,) = fitted(*[25.0] * 9)
     assert told.startswith("0.0 to 3.9 s")
+
+
+def test_of_a_fragment_in_which_hardly_anything_was_seen_nothing_is_told() -> None:
+    reports = [replace(report(k=0.1), first_frame=5 * i - 5, sigma_reprojection=25.0) for i in range(9)]
+    assert misfits(reports, np.arange(40) / 10, 10, 25.0) == ()
 
 
 def test_the_states_are_sentences_from_good_to_bad() -> None:

@@ -101,7 +101,8 @@ class _Piece:
         """Whether its landmarks are off by much more than another's, as in a minimum of its own."""
         a, b = self.report, other.report
         solved = {a.status, b.status}.isdisjoint((SolverStatus.FAILED, SolverStatus.UNOBSERVED))
-        return solved and a.sigma_reprojection > _STANDS_OUT * b.sigma_reprojection
+        worse = a.sigma_reprojection > _STANDS_OUT * b.sigma_reprojection
+        return solved and a.sees_enough and worse
 
 
 class _Fragments:
