@@ -17,6 +17,7 @@ from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.fragment_solution import misfits
+from rtof_kin.inertial.faults import FaultKind as SetupFault
 from rtof_kin.inertial.mounting import find_faults
 from rtof_kin.inflation import Inflation
 from rtof_kin.joint_space.settings import JointSpaceSettings
@@ -38,7 +39,7 @@ from rtof_kin.stages import (
     guarded,
     on_floor,
 )
-from rtof_kin.stream_faults import StreamFault
+from rtof_kin.stream_faults import FaultKind, StreamFault
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
 __all__ = [
@@ -55,6 +56,8 @@ _LASTING_SHARE = 0.8
 """Of a recording, for which a sensor must differ from the others for that to be its mounting."""
 _JUDGED = 2.0
 """[s] of movement by which sensors' places and references can be judged."""
+_OF_ALL, _SURE = (SetupFault.WORLD, SetupFault.FACING), 25.0
+"""Faults of all sensors together, and nats from which one sensor is accused where nobody asked."""
 _log = logging.getLogger(__name__)
 
 
@@ -167,7 +170,8 @@ def reconstruct(
         begun = begin(recording, skeleton, mode, lifter, settings, tell, wrong)
         keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
     warnings += _doubts(begun, solution, settings)
-    if mode == "rtof" and settings.guard_streams and (warnings or begun.faults):
+    disagree = any(fault.kind is FaultKind.DISAGREES for fault in begun.faults)
+    if mode == "rtof" and settings.guard_streams and (warnings or disagree):
         warnings += _faults_of_setup(told, skeleton, lifter, settings)
     for warning in (*begun.faults, *warnings):
         _log.warning("%s: %s", recording.name, warning)
@@ -228,7 +232,8 @@ def _faults_of_setup(
     bone_imus, times = seen.recording.bone_imus(), seen.start.times
     if bone_imus is None or not np.isfinite(bone_imus.R_world_bone).any() or np.ptp(times) < _JUDGED:
         return ()
-    return tuple(str(fault) for fault in find_faults(bone_imus, skeleton, visual=seen.start))
+    found = find_faults(bone_imus, skeleton, visual=seen.start)
+    return tuple(str(f) for f in found if f.kind in _OF_ALL or f.log_likelihood_ratio >= _SURE)
 
 
 def _told(

@@ -86,7 +86,7 @@ class JointSpaceSettings:
     """[rad] Further starts with the trunk turned about the vertical by these; the lowest energy wins."""
     annealing: int = 6
     """How often the reprojection sigma may be estimated anew; it is fixed after them."""
-    max_iterations: int = 30
+    max_iterations: int = 60
     """Iterations after the annealing."""
     tolerance: float = 1e-4
     """[1] The fragment is solved when a step would lower the energy by less than this share."""
