@@ -21,6 +21,7 @@ from rtof_kin.inertial_ik import InertialGuidedIK
 from rtof_kin.joint_space import solver as solver_module
 from rtof_kin.joint_space.problem import TERMS
 from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.metrics import flexion, hinges
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.skeleton_table import SkeletonTable
@@ -574,6 +575,18 @@ def test_with_nothing_else_the_prior_takes_over(scene: Scene) -> None:
         angles.append(away(out.poses.R_world_bone))
     assert angles[2] < angles[1] < 0.5 * angles[0]
     assert angles[2] < 0.15
+
+
+def test_a_fragment_that_no_step_improves_before_the_limit_is_acceptable(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = LevenbergMarquardt.solve
+
+    def stalled(*args: Any, **more: Any) -> Solved:
+        return replace(whole(*args, **more), converged=False)
+
+    monkeypatch.setattr(LevenbergMarquardt, "solve", stalled)
+    assert scene.solve().status is SolverStatus.ACCEPTABLE
 
 
 # --- neighbours ----------------------------------------------------------------------------------

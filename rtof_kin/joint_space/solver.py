@@ -209,7 +209,11 @@ class _Fragments:
             excess = data.limits.excess(data.limits.values(solved.x))
             infeasibility = float(np.abs(excess).max(initial=0.0))
             gradient = gradient + data.limits.force(solved.x, solved.multipliers)
-        status = SolverStatus.CONVERGED if solved.converged else SolverStatus.ITERATION_LIMIT
+        status = SolverStatus.CONVERGED
+        if not solved.converged:  # no step lowers the energy any more, or there were too many
+            most = self.settings.annealing + self.settings.max_iterations
+            ended = solved.iterations < most
+            status = SolverStatus.ACCEPTABLE if ended else SolverStatus.ITERATION_LIMIT
         if not data.anything_seen(first, inside):
             status = SolverStatus.UNOBSERVED
         return FragmentReport(

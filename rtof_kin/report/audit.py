@@ -214,6 +214,7 @@ def _solver(result: Reconstruction) -> Iterator[Finding]:
         yield Finding.untold("solver", "fragments", f"mode {result.mode} optimises nothing")
         return
     limits = {
+        SolverStatus.ACCEPTABLE: (20.0, 100.0),
         SolverStatus.ITERATION_LIMIT: (20.0, 100.0),
         SolverStatus.UNOBSERVED: (0.0, 50.0),
         SolverStatus.FAILED: (0.0, 10.0),
