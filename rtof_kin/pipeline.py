@@ -311,13 +311,13 @@ def _calibrated(
     recording = recording if known is None else known.apply(recording)
     priors = priors or CalibrationPriors.of(recording)
     begun = begin(recording, recording.skeleton, "sf2", lifter, settings, tell)
-    fragment = on_floor(settings.fragment, recording.skeleton, recording.floor_height)
+    fragment = on_floor(settings.fragment, recording.skeleton, None)  # not yet those of a calibration
+    fragment = on_floor(fragment, recording.skeleton, recording.floor_height, known)
     solver = fragment if isinstance(fragment, JointSpaceSettings) else None
     if known is not None:
         keypoints = known.moved(begun.recording.video, begun.start)
         begun = replace(begun, recording=replace(begun.recording, keypoints=keypoints))
-        if (higher := known.ankle_height) and solver is not None:
-            solver = replace(solver, ankle_height=solver.ankle_height + higher)
+        if known.ankle_height:
             priors = replace(priors, sigma_ankle_height=None)
     slipped = _slipped(begun, recording.skeleton, settings)
     found = calibrate_from(
