@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -19,8 +18,7 @@ from numpy.typing import NDArray
 from rich.progress import track
 
 from benchmarks import harness
-from benchmarks.calibration import planting
-from benchmarks.calibration.planted_rows import ALL, SESSIONS, Job, Row, right, session, truths
+from benchmarks.calibration.planted_rows import ALL, SESSIONS, Job, Row, recorded, session, truths
 from lifting.predict import Lifter
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.joint_space.shared import SharedFragments
@@ -102,9 +100,9 @@ def main(arguments: list[str] | None = None) -> int:
     lifter, rows = Lifter.load(None), []
     jobs = [Job("", s, ALL, camera=c) for s in SESSIONS[options.subset] for c in range(options.cameras)]
     for job in track(jobs, "recordings"):
-        recording = right(session(options.corpus, options.subset, job.session, job.seconds), job)
-        wrong = planting.drawn(recording, job.sizes, zlib.crc32(recording.name.encode()) + job.camera)
-        rows.append(row(planting.planted(recording, wrong), truths(recording, wrong), job, lifter))
+        clip = session(options.corpus, options.subset, job.session, job.seconds)
+        right, wrong, told = recorded(clip, job)
+        rows.append(row(told, truths(right, wrong), job, lifter))
     text = report(rows)
     numbers = json.dumps({"subset": options.subset, "rows": rows}, indent=1)
     options.out.write_text(numbers, encoding="utf-8")

@@ -142,6 +142,13 @@ def right(clip: MocapClip, job: Job) -> Recording:
     return replace(recording, floor_height=0.0 if job.floor else None)
 
 
+def recorded(clip: MocapClip, job: Job) -> tuple[Recording, Wrong, Recording]:
+    """What is right, what is planted, and the recording that is wrong by it."""
+    recording = right(clip, job)
+    wrong = planting.drawn(recording, job.sizes, zlib.crc32(clip.name.encode()) + job.camera)
+    return recording, wrong, planting.planted(recording, wrong)
+
+
 @cache
 def _lifter(path: str | None) -> Any:
     from lifting.predict import Lifter
@@ -152,11 +159,8 @@ def _lifter(path: str | None) -> Any:
 def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
     """Plant, reconstruct, calibrate and reconstruct again; of errors planted alone without a floor,
     calibrate only."""
-    recording = right(clip, job)
-    seed = zlib.crc32(clip.name.encode()) + job.camera
-    wrong = planting.drawn(recording, job.sizes, seed)
+    recording, wrong, told = recorded(clip, job)
     out: Row = {**vars(job), "frames": len(recording.video)}
-    told = planting.planted(recording, wrong)
     if job.case == KNOWN:  # as one that was calibrated, with nothing left to correct
         known = reconstruct(told, lifter=_lifter(lifter), calibrate=SelfCalibration(()))
         return {**out, "before": _figures(known.metrics)}
