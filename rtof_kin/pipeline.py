@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.calibration_priors import CalibrationPriors
+from rtof_kin.camera_evidence import check_camera_evidence
 from rtof_kin.circumstances import circumstances
 from rtof_kin.contradictions import check_height, contradictions
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
@@ -23,9 +24,11 @@ from rtof_kin.inflation import Inflation
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import Metrics, comparable, evaluate
 from rtof_kin.motion_files import DEFAULT
+from rtof_kin.plausibility import Check
 from rtof_kin.recording import Recording
 from rtof_kin.self_calibrate import calibrate as calibrate_from
 from rtof_kin.self_calibration import SelfCalibration
+from rtof_kin.sensor_evidence import check_sensor_evidence
 from rtof_kin.sensor_guards import disagreeing, joined
 from rtof_kin.sensors_alone import reconstruct_from_sensors
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
@@ -93,6 +96,8 @@ class Reconstruction:
     """What a user must know before relying on the motion, in sentences."""
     calibration: SelfCalibration | None = None
     """What was estimated of the recording and applied; None where it was told not to."""
+    checks: tuple[Check, ...] = ()
+    """What the recording declares, checked against what its streams show; failed ones name a cause."""
 
     def export(
         self, folder: str | Path, overwrite: bool = False, formats: Sequence[str] = DEFAULT
@@ -173,14 +178,19 @@ def reconstruct(
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in begun.faults)
     if mode == "rtof" and settings.guard_streams and (warnings or disagree):
         warnings += _faults_of_setup(told, skeleton, lifter, settings)
-    for warning in (*begun.faults, *warnings):
+    checks = (
+        *check_camera_evidence(told, begun, poses, skeleton),
+        *check_sensor_evidence(told, begun, poses, skeleton),
+    )
+    failed = (check.message for check in checks if check.failed)
+    for warning in (*failed, *begun.faults, *warnings):
         _log.warning("%s: %s", recording.name, warning)
     motion = _told(skeleton.motion(poses), keypoints, begun, solution)
     stages = begun.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = _scores(recording, stages, skeleton, mode)
     return Reconstruction(
         recording, mode, motion, stages, keypoints, begun.bone_imus, solution, scores.get(mode), scores,
-        faults=begun.faults, warnings=warnings, calibration=found,
+        faults=begun.faults, warnings=warnings, calibration=found, checks=checks,
     )  # fmt: skip
 
 

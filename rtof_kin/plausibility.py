@@ -35,6 +35,9 @@ class Check:
     """What a failure may mean; of an unknown value, why it cannot be told."""
     likely: Mapping[str, Any] = field(default_factory=dict)
     """The change of the declaration that would make it hold. It is only reported."""
+    cause: str = ""
+    """The most likely cause of a failure, as a headline: 'the focal length is too short'. Empty where the
+    figure does not tell one."""
 
     @classmethod
     def unknown(cls, name: str, subject: str, unit: str, why: str) -> Self:
@@ -63,4 +66,5 @@ class Check:
         """One line: what, where, the figure, its limit, and what a failure may mean."""
         text = f"{self.subject}: {self.name} is {self.value:.3g} {self.unit}"
         text += f" (limit {self.limit:g})"
+        text = f"{self.cause}: {text}" if self.failed and self.cause else text
         return text if self.passed else f"{text}. {self.advice}"

@@ -97,6 +97,7 @@ lifting.train
 lifting.__main__
 sensors_alone
 stages
+camera_evidence   sensor_evidence
 pipeline
 sensor_study
 sensor_study_files   figures   report   report.findings   report.isb

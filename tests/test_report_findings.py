@@ -48,7 +48,7 @@ def test_a_line_says_what_where_when_and_what_it_may_mean() -> None:
 
 
 def test_unknown_sections_and_limits_the_wrong_way_round_are_refused() -> None:
-    with pytest.raises(ShapeError, match="no section 'weather'; there are streams"):
+    with pytest.raises(ShapeError, match="no section 'weather'; there are inputs"):
         Finding("weather", "error", "Head", 1.0, "px")
     with pytest.raises(ShapeError, match="error: it fails above 2, but warns above 3"):
         Finding("image", "error", "Head", 1.0, "px", 3.0, 2.0)

@@ -50,8 +50,20 @@ def audit(result: Reconstruction) -> tuple[Finding, ...]:
     Returns:
         Findings of the sections streams to solver; and the errors where the recording has a truth.
     """
-    parts = (_streams, _image, _sensors, _body, _calibration, _solver, _truth)
+    parts = (_inputs, _streams, _image, _sensors, _body, _calibration, _solver, _truth)
     return tuple(finding for part in parts for finding in part(result))
+
+
+# --- inputs --------------------------------------------------------------------------------------
+
+
+def _inputs(result: Reconstruction) -> Iterator[Finding]:
+    for check in result.checks:
+        note = ": ".join(part for part in (check.cause, check.advice) if part)
+        yield Finding(
+            "inputs", check.name, check.subject, check.value, check.unit, check.limit, check.limit,
+            "limit of the check", note,
+        )  # fmt: skip
 
 
 # --- streams -------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any, Self
 from rtof_kin.errors import ShapeError
 
 SECTIONS = {
+    "inputs": "What was declared",
     "streams": "What was recorded",
     "image": "Agreement with the image",
     "sensors": "Agreement with the sensors",
