@@ -111,24 +111,6 @@ def rotation_vector(q: Matrix, q_mean: Matrix) -> Matrix:
     return 2 * sign * ca.atan2(sine, sign * error[0]) / sine * error[1:]
 
 
-def intrinsic_angles(q: Matrix, order: str) -> Matrix:
-    """Angles (3, 1) about the axes of `order`, each in the turned frame, rad; the middle one within
-    +-90 degrees, next to which the other two mean nothing apart.
-
-    Args:
-        q: (4, 1), of any norm. order: three different axes, as in 'yxz'.
-    """
-    i, j, k = ("xyz".index(axis) for axis in order)
-    e = 1.0 if (j - i) % 3 == 1 else -1.0
-    R = quat_matrix(q / ca.sqrt(ca.sumsqr(q)))
-    cosine = ca.sqrt(R[i, i] ** 2 + R[i, j] ** 2 + 1e-18)
-    return ca.vertcat(
-        ca.atan2(-e * R[j, k], R[k, k]),
-        ca.atan2(e * R[i, k], cosine),
-        ca.atan2(-e * R[i, j], R[i, i]),
-    )
-
-
 def step_jerk(steps: Matrix, rate_hz: Matrix) -> Matrix:
     """Second difference of steps between frames, per s^3 (D, n - 2): jerk on tangent coordinates.
 

@@ -1,4 +1,4 @@
-"""The compiled problem against the one on whole arrays: energy, gradient, Hessian, steps, limits."""
+"""The compiled problem against the one on whole arrays: energy, gradient, Hessian, steps."""
 
 from __future__ import annotations
 
@@ -58,9 +58,7 @@ class Both:
     def __init__(self, kind: str) -> None:
         self.built, self._plain, self._lanes = KINDS[kind](), {}, {}  # type: ignore[var-annotated]
         self.limits = Limits(self.built.space)
-        functions = LaneFunctions.compiled(
-            self.built.energy, js.DELTA_ACCELERATION, self.limits.for_lanes()
-        )
+        functions = LaneFunctions.compiled(self.built.energy, js.DELTA_ACCELERATION)
         assert functions is not None
         self.functions = functions
 
@@ -228,28 +226,13 @@ def test_a_hessian_that_is_not_positive_is_refused(both: Both) -> None:
         own.factorise(1e-3)
 
 
-# --- limits, and all together --------------------------------------------------------------------
-
-
-def test_limits_are_the_same_compiled(both: Both) -> None:
-    compiled_ones = Limits(both.built.space, both.limits.functions, both.functions.code)
-    x = js.states(both.built.space, 13, 2, 0.6)
-    values = both.limits.values(x)
-    np.testing.assert_allclose(compiled_ones.values(x), values, atol=1e-12)
-    np.testing.assert_allclose(compiled_ones.jacobian(x), both.limits.jacobian(x), atol=1e-11)
-    push = both.limits.excess(values)
-    assert push.any()
-    np.testing.assert_allclose(compiled_ones.force(x, push), both.limits.force(x, push), atol=1e-10)
-    other = js.states(both.built.space, 13, 5, 0.6)
-    compiled_ones.jacobian(other)
-    np.testing.assert_allclose(compiled_ones.jacobian(x), both.limits.jacobian(x), atol=1e-11)
+# --- all together --------------------------------------------------------------------------------
 
 
 def test_fragments_are_solved_alike(both: Both) -> None:
     plain, own, x = both.bound(16)
-    code = both.functions.code
     expected = LevenbergMarquardt(plain, both.limits).solve(x, 40, 1e-6)
-    solved = LevenbergMarquardt(own, Limits(both.built.space, None, code)).solve(x, 40, 1e-6)
+    solved = LevenbergMarquardt(own, both.limits).solve(x, 40, 1e-6)
     assert solved.iterations == expected.iterations
     assert own.total(solved.x) == pytest.approx(plain.total(expected.x), rel=1e-8)
 
@@ -260,5 +243,4 @@ def test_a_problem_without_code_is_the_one_on_whole_arrays(both: Both) -> None:
         patch.setenv("RTOF_KIN_COMPILE", "never")
         jerk = (1.25,) * (1 + len(StateSpace(js.BODY, MOVING, True).names))
         made = built_problem(js.BODY.name, shape, MOVING, 8, True, "auto", jerk, 2.0)
-    assert type(made.problem) is JointProblem
-    assert made.code is None
+    assert type(made) is JointProblem

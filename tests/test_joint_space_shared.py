@@ -32,7 +32,7 @@ def test_columns_and_corner_are_those_of_the_compiled_oracle() -> None:
     oracle = built_problem(
         data.skeleton.name, shape, data.space.names, cs.FRAMES, s.hinges, "never",
         (s.jerk,) * (1 + len(data.space.names)), s.robust_acceleration,
-    ).problem  # fmt: skip
+    )  # fmt: skip
     y = np.zeros(len(shared.prior))
     evidence = shared.corrected(y)
     values = evidence.fragment(0, cs.FRAMES)

@@ -27,6 +27,7 @@ class Start:
         d = 0.1 * np.random.default_rng(0).normal(size=self.built.space.size)
         self.x = self.built.space.retract(truth, np.tile(d, (N, 1)))
         self.limits = Limits(self.built.space)
+        self.limits.lower = self.limits.lower + 0.15  # above where the free optimum has them
         self.bind()
 
     def bind(self) -> JointProblem:
@@ -190,10 +191,10 @@ def test_multipliers_of_a_solution_are_taken_up_where_they_were(start: Start) ->
     check_optimality(start, again)
 
 
-def test_a_multiplier_that_has_nothing_to_do_with_it_misleads_nobody(start: Start) -> None:
+def test_an_unrelated_multiplier_does_not_change_the_optimum(start: Start) -> None:
     # As of a start that is 30 degrees beyond a limit, which at the optimum is 10 degrees away.
     free = LevenbergMarquardt(start.problem, None).solve(start.x, 300, FINE)
-    limits, column = start.limits, 4
+    limits, column = start.limits, 2
     limits.lower, limits.upper = limits.lower - 3.0, limits.upper + 3.0
     limits.upper[column] = limits.values(free.x)[:, column].max() + np.radians(10)
     wrong = np.zeros((N, len(limits.names)))

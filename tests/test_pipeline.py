@@ -23,6 +23,7 @@ from rtof_kin.fragment import SolverStatus
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.metrics import at_times
 from rtof_kin.pipeline import (
     CAMERA_MODES,
     Reconstruction,
@@ -224,6 +225,19 @@ def test_a_world_of_the_sensors_that_is_turned_against_the_cameras_is_named() ->
     found = reconstruct(turned, calibrate=False, settings=ReconstructionSettings(confidence=False))
     (named,) = [w for w in found.warnings if "log-likelihood" in w]
     assert named.startswith("the sensors' world has to be turned by -90 degrees about the vertical")
+
+
+def test_a_deep_squat_does_not_turn_the_pelvis() -> None:
+    """Two seconds of the demo around 8.3 s, knees at the chest: limits of the hips' Euler angles turned a
+    pelvis that carries no sensor by 31 degrees."""
+    whole = Recording.load(model_path("demo"))
+    squat = replace(whole, keypoints=whole.video[440:560])
+    settings = ReconstructionSettings(fragment=JointSpaceSettings.calibrated(), confidence=False)
+    result = reconstruct(squat, settings=settings, calibrate=False)
+    assert whole.truth is not None
+    R_true = at_times(whole.truth, result.motion.times).R_world_bone[:, 0]
+    off = so3.angle_between(result.motion.poses.R_world_bone[:, 0], R_true)
+    assert np.degrees(off.max()) < 15
 
 
 def test_sensors_that_say_nothing_are_told(recording: Recording, truth: MotionSequence) -> None:

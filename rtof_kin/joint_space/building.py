@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -13,37 +11,23 @@ from rtof_kin.banded import Store
 from rtof_kin.compiled import compiled
 from rtof_kin.joint_space.frame_energy import FrameEnergy, Shape
 from rtof_kin.joint_space.lane_problem import LaneFunctions, LaneProblem
-from rtof_kin.joint_space.limits import Limits
 from rtof_kin.joint_space.prior import shipped_prior
 from rtof_kin.joint_space.problem import JointProblem
 from rtof_kin.joint_space.state import StateSpace
 from rtof_kin.skeleton import SkeletonModel
 
 
-@dataclass(frozen=True)
-class Built:
-    """A problem, and what `Limits` of its states take."""
-
-    problem: JointProblem
-    functions: list[Any]
-    code: Mapping[str, Any] | None = None
-
-    def limits(self, space: StateSpace) -> Limits:
-        """Limits of a body of the same kind."""
-        return Limits(space, self.functions, self.code)
-
-
 @lru_cache(maxsize=8)
 def built_problem(
     name: str, shape: Shape, moving: tuple[str, ...], frames: int, hinges: bool, compile: str,
     jerk: tuple[float, ...], robust_acceleration: float,
-) -> Built:  # fmt: skip
+) -> JointProblem:  # fmt: skip
     """The problem of a fragment, built once for all bodies and recordings that it fits.
 
     Args:
         jerk: factors on the jerk of free motion, of the root's position and of every joint that moves.
     """
-    energy, limits = _energy(name, shape, moving, hinges)
+    energy = _energy(name, shape, moving, hinges)
     space, prior = energy.space, shipped_prior(SkeletonModel.named(name).names)
     sigma = prior.sigma_jerk[[prior.joints.index(joint) for joint in space.names]]
     root, *turns = jerk
@@ -52,39 +36,32 @@ def built_problem(
     if compile == "auto" and not shape.unknowns and Store.available():
         lanes = _lanes(name, shape, moving, hinges, robust_acceleration)
         if lanes is not None:
-            problem = LaneProblem(lanes, energy, frames, sigma_jerk)
-            return Built(problem, limits.functions, lanes.code)
+            return LaneProblem(lanes, energy, frames, sigma_jerk)
         compile = "never"
-    functions, of_limits = _functions(name, shape, moving, hinges, compile)
-    plain = JointProblem(space, functions, energy, frames, sigma_jerk, robust_acceleration)
-    return Built(plain, of_limits)
+    functions = _functions(name, shape, moving, hinges, compile)
+    return JointProblem(space, functions, energy, frames, sigma_jerk, robust_acceleration)
 
 
 @lru_cache(maxsize=8)
 def _energy(
     name: str, shape: Shape, moving: tuple[str, ...], hinges: bool
-) -> tuple[FrameEnergy, Limits]:
-    """A frame's energy and limits, built once for all bodies."""
-    space = StateSpace(SkeletonModel.named(name), moving, hinges)
-    return FrameEnergy(space, shape), Limits(space)
+) -> FrameEnergy:
+    """A frame's energy, built once for all bodies."""
+    return FrameEnergy(StateSpace(SkeletonModel.named(name), moving, hinges), shape)
 
 
 @lru_cache(maxsize=8)
 def _lanes(
     name: str, shape: Shape, moving: tuple[str, ...], hinges: bool, robust: float
 ) -> LaneFunctions | None:
-    """Their functions for several frames at once; None where they cannot be compiled."""
-    energy, limits = _energy(name, shape, moving, hinges)
-    return LaneFunctions.compiled(energy, robust, limits.for_lanes())
+    """Its functions for several frames at once; None where they cannot be compiled."""
+    return LaneFunctions.compiled(_energy(name, shape, moving, hinges), robust)
 
 
 @lru_cache(maxsize=8)
 def _functions(
     name: str, shape: Shape, moving: tuple[str, ...], hinges: bool, compile: str
-) -> tuple[list[Any], list[Any]]:
-    """Their functions one frame at a time, compiled where that is asked for."""
-    energy, limits = _energy(name, shape, moving, hinges)
-    functions = [*energy.functions(), *limits.functions]
-    functions = compiled(functions) if compile == "auto" else functions
-    count = len(energy.functions())
-    return functions[:count], functions[count:]
+) -> list[Any]:
+    """Its functions one frame at a time, compiled where that is asked for."""
+    functions = _energy(name, shape, moving, hinges).functions()
+    return compiled(functions) if compile == "auto" else functions

@@ -6,7 +6,7 @@ neighbours (`windows`, `couplings`) give them, and write the Hessian where it is
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,18 +39,16 @@ class LaneFunctions:
     """By name of the function."""
 
     @classmethod
-    def compiled(
-        cls, energy: FrameEnergy, robust: float, more: Sequence[FrameFunction] = ()
-    ) -> LaneFunctions | None:
+    def compiled(cls, energy: FrameEnergy, robust: float) -> LaneFunctions | None:
         """Those of an energy without unknowns, compiled; None where they cannot be.
 
         Args:
-            robust: `JointSpaceSettings.robust_acceleration`. more: compiled with them.
+            robust: `JointSpaceSettings.robust_acceleration`.
         """
         space = energy.space
         simple = [
             windows.retract(space), FrameFunction(energy.value, (2,)), windows.step(space),
-            windows.inverse(space), windows.motion(energy, robust), windows.pulled(energy), *more,
+            windows.inverse(space), windows.motion(energy, robust), windows.pulled(energy),
         ]  # fmt: skip
         linear, coupled = couplings.linear(energy), couplings.coupled(energy)
         code = in_lanes([*simple, linear.frame, coupled.frame])

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from rtof_kin import kinematics, signals
 from rtof_kin import rotations as so3
 from rtof_kin.contacts import FEET, Footholds, standing_feet
-from rtof_kin.joint_space.building import Built, built_problem
+from rtof_kin.joint_space.building import built_problem
 from rtof_kin.joint_space.frame_energy import TORSO, Shape
 from rtof_kin.joint_space.gaps import through_gaps
+from rtof_kin.joint_space.limits import Limits
 from rtof_kin.joint_space.prior import shipped_prior
-from rtof_kin.joint_space.problem import FragmentData
+from rtof_kin.joint_space.problem import FragmentData, JointProblem
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.joint_space.state import StateSpace
 from rtof_kin.limbs import LIMBS, bare, both_bones_sensed
@@ -88,10 +89,10 @@ class Observations:
         ]  # fmt: skip
         self.space = StateSpace(skeleton, moving, s.hinges)
         standing = () if footholds is None else footholds.joints
-        built = self._built(tuple(moving), names, sensors, standing)
+        self.problem = self._built(tuple(moving), names, sensors, standing)
         self.names, self.sensors = names, sensors
-        self.attached = Attached.of(built.problem.energy.shape)
-        self.problem, self.limits = built.problem, built.limits(self.space) if s.limits else None
+        self.attached = Attached.of(self.problem.energy.shape)
+        self.limits = Limits(self.space) if s.limits else None
         self._observe(start, keypoints, bone_imus, sensors)
         self._hold_in_gaps(sigma_unseen)
         if footholds is not None:
@@ -120,7 +121,7 @@ class Observations:
     def _built(
         self, moving: tuple[str, ...], names: tuple[str, ...], sensors: tuple[str, ...],
         standing: tuple[str, ...],
-    ) -> Built:  # fmt: skip
+    ) -> JointProblem:  # fmt: skip
         """The problem for some moving joints, landmarks, sensors and joints that have footholds."""
         skeleton, s = self.skeleton, self.settings
         index = skeleton.names.index

@@ -77,7 +77,7 @@ class JointSpaceSettings:
     hinges: bool = True
     """Whether knees and elbows turn about one axis alone."""
     limits: bool = True
-    """Whether the skeleton's anatomical limits hold."""
+    """Whether hinges keep the skeleton's anatomical limits (`limits`)."""
     refit_root: bool = True
     """Whether the start's root is moved onto the rays (`root_position.refit_root`) first."""
     smooth_start_hz: float = 6.0

@@ -28,7 +28,7 @@ _METHODS = {
     "rtof": "2D keypoints of one camera and sensors fused in a posterior over the skeleton's "
     "configuration, optimised in overlapping fragments; orientation residuals are weighed apart across "
     "the bone and about it, acceleration at the lever arm",
-    "imu": "sensors alone: orientation, acceleration at the lever arm, standing feet, prior and limits",
+    "imu": "sensors alone: orientation, acceleration at the lever arm, standing feet, prior and limits of knees and elbows",
 }
 
 
@@ -118,7 +118,7 @@ def _orientation(
 def _joints(inputs: Mapping[str, Any], mode: str) -> tuple[Item, ...]:
     topic = "Joint kinematics"
     subject = inputs.get("subject") or {}
-    hinges = "" if mode in ("lift", "sf2") else "; knees and elbows are hinges, anatomical limits hold"
+    hinges = "" if mode in ("lift", "sf2") else "; knees and elbows are hinges within their limits"
     return (
         Item(topic, "body model",
              f"tree of rigid segments, {subject.get('bones', 'bones not stated')}{hinges}"),
