@@ -28,7 +28,7 @@ _METHODS = {
     "rtof": "2D keypoints of one camera and sensors fused in a posterior over the skeleton's "
     "configuration, optimised in overlapping fragments; orientation residuals are weighed apart across "
     "the bone and about it, acceleration at the lever arm",
-    "imu": "sensors alone: orientation, acceleration at the lever arm, standing feet, prior and limits of knees and elbows",
+    "imu": "sensors alone: orientation, acceleration at the lever arm, standing feet, prior and hinges",
 }
 
 
