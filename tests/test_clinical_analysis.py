@@ -27,8 +27,8 @@ from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import Provenance
 
 ALWAYS = {
-    "angles.csv", "angles.json", "angles_provenance.csv", "range_of_motion.csv", "gait.json",
-    "notes.json",
+    "angles.csv", "angles.json", "angles_provenance.csv", "angles_trusted.csv", "range_of_motion.csv",
+    "gait.json", "notes.json",
 }  # fmt: skip
 
 

@@ -147,6 +147,7 @@ def test_opensims_coordinates_come_back_as_clinical_angles() -> None:
         values=np.concatenate([a.values for a in each]),
         provenance=np.concatenate([a.provenance for a in each]),
         singular=np.concatenate([a.singular for a in each]),
+        trusted=None,
     )  # fmt: skip
     expected = {row.opensim: row.name for row in angles.rows if row.opensim}
     for short, name in OWN_NAMES.items():

@@ -64,7 +64,7 @@ detectors.recognise
 detectors.keypoints
 clinical   clinical.angle_table
 clinical.joint_coordinate_systems
-clinical.angle_confidence
+clinical.angle_confidence   clinical.trust
 clinical.angles
 clinical.range_of_motion
 clinical.gait_events   clinical.repetitions

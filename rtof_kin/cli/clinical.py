@@ -77,13 +77,13 @@ def _weight_and_sex(options: argparse.Namespace, folder: Path) -> tuple[float | 
 
 
 def _print_ranges(analysis: Any) -> None:
-    columns = ("low", "high", "range", "deg/s", "seen")
+    columns = ("low", "high", "range", "deg/s", "trusted")
     table = Table(Column("angle [deg]", no_wrap=True), *columns)
     for row in analysis.ranges:
         if row.known_share > 0:
             figures = np.degrees([row.low, row.high, row.range, row.peak_velocity])
             cells = ["" if np.isnan(v) else f"{v:.0f}" for v in figures]
-            table.add_row(row.name, *cells, f"{100 * row.known_share:.0f} %")
+            table.add_row(row.name, *cells, f"{100 * row.known_share * row.trusted_share:.0f} %")
     out.print(table)
 
 

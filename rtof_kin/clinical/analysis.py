@@ -67,7 +67,7 @@ def analyse_motion(
         raise UnknownNameError("kind of repetition", [repetitions], list(KINDS))
     skeleton, poses = motion.skeleton, motion.poses
     angles = clinical_angles(motion)
-    gait = analyse_gait(gait_events(poses, skeleton))
+    gait = analyse_gait(gait_events(poses, skeleton), angles)
     torques = None
     if weight_kg is not None:
         support = single_support(gait) if gait.strides else None

@@ -31,6 +31,7 @@ from rtof_kin.checks import checked_times, indices_of, readonly
 from rtof_kin.clinical import joint_coordinate_systems as jcs
 from rtof_kin.clinical.angle_confidence import angle_sigmas
 from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem, angle_table
+from rtof_kin.clinical.trust import trusted_bands, trusted_turns, untrusted_note
 from rtof_kin.errors import ShapeError
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import PoseSequence, Provenance
@@ -60,6 +61,8 @@ class ClinicalAngles:
     sigma: Array | None = None
     """(T, A) rad, standard deviation of each value; NaN where there is no value or nobody knows how good
     it is. None where the motion has no confidence."""
+    trusted: NDArray[np.bool_] | None = None
+    """(T, A) whether ranges, peaks and gait may go by a value (`clinical.trust`); None for all."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -73,6 +76,8 @@ class ClinicalAngles:
             if np.any(sigma < 0) or np.isinf(sigma).any():
                 raise ShapeError("angle sigma: negative or infinite; write NaN where it is not known")
             set_(self, "sigma", sigma)
+        if self.trusted is not None:
+            set_(self, "trusted", readonly("angle trusted", self.trusted, shape, np.bool_))
 
     def __len__(self) -> int:
         return len(self.times)
@@ -97,6 +102,11 @@ class ClinicalAngles:
         return np.isfinite(self.values)
 
     @property
+    def trusted_values(self) -> Array:
+        """(T, A) radians; NaN also where a value is not trusted."""
+        return self.values if self.trusted is None else np.where(self.trusted, self.values, np.nan)
+
+    @property
     def rate_hz(self) -> float:
         """Frames per second, from the median step; 60 for a single frame."""
         return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0
@@ -111,6 +121,7 @@ class ClinicalAngles:
             singular=self.singular[:, index],
             rows=tuple(self.rows[i] for i in index),
             sigma=None if self.sigma is None else self.sigma[:, index],
+            trusted=None if self.trusted is None else self.trusted[:, index],
         )
 
 
@@ -148,8 +159,13 @@ def clinical_angles(
     sigma = None
     if isinstance(motion, MotionSequence) and motion.confidence is not None:
         sigma = np.where(np.isfinite(values), angle_sigmas(R, table, skeleton, motion.confidence), np.nan)
+    turns = [trusted_turns(joint, poses.times, R[joint.name]) for joint in table.joints]
+    trusted = trusted_bands(sigma, values.shape) & np.repeat(np.stack(turns, axis=1), 3, axis=1)
+    notes = _notes(table, values, provenance)
+    if note := untrusted_note(poses.times, table.rows, np.isfinite(values), trusted):
+        notes += (note,)
     return ClinicalAngles(
-        poses.times, values, provenance, singular, table.rows, _notes(table, values, provenance), sigma
+        poses.times, values, provenance, singular, table.rows, notes, sigma, trusted
     )
 
 

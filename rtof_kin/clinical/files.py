@@ -4,7 +4,8 @@
 angles.csv, angles.json         angles over time, degrees, and their standard deviations where the motion
                                 has a confidence; the table of their names and signs
 angles_provenance.csv           who saw each angle when (`Provenance` by number)
-range_of_motion.csv             lowest, highest and mean value, peak velocity of every angle
+angles_trusted.csv              1 where ranges, peaks and gait go by the angle (`clinical.trust`), else 0
+range_of_motion.csv             lowest, highest and mean trusted value, peak velocity of every angle
 gait.json                       events, strides, mean and spread by side, symmetry
 gait_cycles.csv                 mean and spread of every angle over the gait cycle
 repetitions.json                depth and tempo, where they were asked for
@@ -51,6 +52,8 @@ def write_analysis(analysis: MotionAnalysis, folder: str | Path) -> None:
     _write_csv(
         folder / "angles_provenance.csv", ("time", *angles.names), _timed(angles.times, angles.provenance)
     )
+    trusted = np.isfinite(angles.trusted_values).astype(int)
+    _write_csv(folder / "angles_trusted.csv", ("time", *angles.names), _timed(angles.times, trusted))
     _write_ranges(folder / "range_of_motion.csv", analysis.ranges)
     _write_json(folder / "gait.json", gait_facts(analysis.gait))
     if analysis.curves:
@@ -129,11 +132,11 @@ def _angles_sidecar(analysis: MotionAnalysis) -> dict[str, Any]:
 
 def _write_ranges(path: Path, ranges: Sequence[RangeOfMotion]) -> None:
     header = ("angle", "low_deg", "high_deg", "range_deg", "mean_deg", "time_low_s", "time_high_s",
-              "peak_velocity_deg_per_s", "known_share", "singular_share")  # fmt: skip
+              "peak_velocity_deg_per_s", "known_share", "singular_share", "trusted_share")  # fmt: skip
     rows = [
         [r.name, *(_cell(np.degrees(v)) for v in (r.low, r.high, r.range, r.mean)),
          _cell(r.time_low), _cell(r.time_high), _cell(np.degrees(r.peak_velocity)),
-         _cell(r.known_share), _cell(r.singular_share)]
+         _cell(r.known_share), _cell(r.singular_share), _cell(r.trusted_share)]
         for r in ranges
     ]  # fmt: skip
     _write_csv(path, header, rows)

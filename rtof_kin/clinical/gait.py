@@ -97,14 +97,22 @@ class CycleCurves:
         return np.asarray(self.curves.std(axis=0, ddof=1))
 
 
-def analyse_gait(events: GaitEvents) -> GaitAnalysis:
-    """Strides between the events, their measures by side, and how alike the sides are."""
-    strides = sorted(
-        (stride for side in events.feet for stride in _strides(side, events)),
-        key=lambda stride: stride.start,
-    )
+def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> GaitAnalysis:
+    """Strides between the events, their measures by side, and how alike the sides are.
+
+    Args:
+        angles: of the same motion; a stride in which a value of its knee's flexion is not trusted is left
+            out, with a note.
+    """
+    found = [stride for side in events.feet for stride in _strides(side, events)]
+    strides = sorted((s for s in found if _trusted(s, angles)), key=lambda stride: stride.start)
     summary = {}
     notes = list(events.notes)
+    if len(strides) < len(found):
+        notes.append(
+            f"{len(found) - len(strides)} of {len(found)} strides are left out: their knee's flexion is "
+            "not trusted throughout"
+        )
     for side in SIDES:
         own = [stride for stride in strides if stride.side == side]
         if own:
@@ -120,6 +128,15 @@ def analyse_gait(events: GaitEvents) -> GaitAnalysis:
     if len(summary) < 2:
         notes.append("symmetry needs a complete stride of either side")
     return GaitAnalysis(events, tuple(strides), summary, _symmetry(summary), tuple(notes))
+
+
+def _trusted(stride: Stride, angles: ClinicalAngles | None) -> bool:
+    """Whether every value of the knee's flexion during a stride is trusted."""
+    if angles is None:
+        return True
+    knee = angles.select([f"{stride.side}_knee_flexion"])
+    inside = (knee.times >= stride.start) & (knee.times <= stride.stop)
+    return bool((np.isfinite(knee.trusted_values) | ~knee.known)[inside].all())
 
 
 def _symmetry(summary: dict[str, dict[str, tuple[float, float, int]]]) -> dict[str, float]:
@@ -178,7 +195,7 @@ def _statistics(strides: list[Stride], name: str) -> tuple[float, float, int]:
 def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurves, ...]:
     """Every angle over the cycles of its own side; those of the trunk over the cycles of both.
 
-    An angle without a stride in which it is known throughout is left out.
+    An angle without a stride in which it is known and trusted throughout is left out.
     """
     out = []
     for row in angles.rows:
@@ -194,4 +211,5 @@ def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurve
 
 def _curve(angles: ClinicalAngles, name: str, stride: Stride) -> Array:
     at = stride.start + PHASES * stride.stride_time
-    return signals.interpolate(angles.times, angles[name], at, max_gap=1.5 / angles.rate_hz)
+    values = angles.select([name]).trusted_values[:, 0]
+    return signals.interpolate(angles.times, values, at, max_gap=1.5 / angles.rate_hz)

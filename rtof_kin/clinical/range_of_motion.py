@@ -19,7 +19,7 @@ CUTOFF_HZ = 6.0
 class RangeOfMotion:
     """What one angle did over a recording; radians and seconds.
 
-    Singular postures are left out: the angle is not defined there.
+    Singular postures, where the angle is not defined, and values that are not trusted are left out.
     """
 
     name: str
@@ -36,6 +36,8 @@ class RangeOfMotion:
     """Share of the frames in which somebody saw the angle."""
     singular_share: float
     """Share of those in which only its sum with another angle is defined, nearly; NaN for none."""
+    trusted_share: float = 1.0
+    """Share of those whose value is trusted (`clinical.trust`); NaN for none."""
 
     @property
     def range(self) -> float:
@@ -44,7 +46,8 @@ class RangeOfMotion:
 
 
 def angular_velocity(angles: ClinicalAngles, cutoff_hz: float | None = CUTOFF_HZ) -> Array:
-    """Derivatives over time (T, A) of clinical angles, rad/s; NaN where the angle is, or is not defined.
+    """Derivatives over time (T, A) of clinical angles, rad/s; NaN where the angle is, or is not defined
+    or not trusted.
 
     Args:
         angles: as they are. cutoff_hz: of the zero-phase low-pass before differentiation; None for none.
@@ -53,7 +56,7 @@ def angular_velocity(angles: ClinicalAngles, cutoff_hz: float | None = CUTOFF_HZ
     """
     out = np.full_like(angles.values, np.nan)
     for column in range(len(angles.rows)):
-        values, defined = angles.values[:, column], ~angles.singular[:, column]
+        values, defined = angles.trusted_values[:, column], ~angles.singular[:, column]
         for start, stop in signals.runs(np.isfinite(values) & defined):
             if stop - start < 2:
                 continue
@@ -77,12 +80,14 @@ def ranges_of_motion(angles: ClinicalAngles) -> tuple[RangeOfMotion, ...]:
 
 def _range(angles: ClinicalAngles, column: int, speed: Array) -> RangeOfMotion:
     name, known = angles.names[column], angles.known[:, column]
-    singular = angles.singular[:, column]
-    values = np.where(singular, np.nan, angles.values[:, column])
+    trusted, singular = angles.trusted_values[:, column], angles.singular[:, column]
+    values = np.where(singular, np.nan, trusted)
     share, nan = float(known.mean()), float("nan")
-    singular_share = float(singular[known].mean()) if known.any() else nan
+    singular_share, trusted_share = (
+        float(flag[known].mean()) if known.any() else nan for flag in (singular, np.isfinite(trusted))
+    )
     if not np.isfinite(values).any():
-        return RangeOfMotion(name, nan, nan, nan, nan, nan, nan, share, singular_share)
+        return RangeOfMotion(name, nan, nan, nan, nan, nan, nan, share, singular_share, trusted_share)
     low, high = int(np.nanargmin(values)), int(np.nanargmax(values))
     return RangeOfMotion(
         name=name,
@@ -94,4 +99,5 @@ def _range(angles: ClinicalAngles, column: int, speed: Array) -> RangeOfMotion:
         peak_velocity=float(np.nanmax(speed)) if np.isfinite(speed).any() else float("nan"),
         known_share=share,
         singular_share=singular_share,
+        trusted_share=trusted_share,
     )

@@ -177,11 +177,11 @@ def _way(times: Array, height: Array, least: float) -> tuple[float, float] | Non
 
 
 def _knee_flexion(dip: Repetition, angles: ClinicalAngles) -> dict[str, float]:
-    """Largest flexion of either knee, rad, between the first and the last moment; NaN if unseen."""
+    """Largest trusted flexion of either knee, rad, between the first and the last moment; NaN if none."""
     moments = [moment for way in (dip.descent, dip.ascent) if way for moment in way]
     inside = (angles.times >= min(moments)) & (angles.times <= max(moments))
     knees = {}
     for side in SIDES:
-        flexion = angles[f"{side}_knee_flexion"][inside]
+        flexion = angles.select([f"{side}_knee_flexion"]).trusted_values[inside, 0]
         knees[side] = float(np.nanmax(flexion)) if np.isfinite(flexion).any() else float("nan")
     return knees
