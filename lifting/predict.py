@@ -93,11 +93,15 @@ class LiftedPoses:
 class Lifter:
     """A trained lifter, ready to predict. Equal calls give equal answers."""
 
-    def __init__(self, network: TemporalNetwork, description: LifterDescription, sha256: str = ""):
+    def __init__(
+        self, network: TemporalNetwork, description: LifterDescription, sha256: str = "", name: str = ""
+    ) -> None:
         """Take a network in evaluation mode and what it is; `load` reads both from a file."""
         self.description = description
         self.sha256 = sha256
         """Of the file that the lifter was read from, in hexadecimal; empty where there is none."""
+        self.name = name
+        """The name under which it is shipped, or its file; empty where there is none."""
         self._network = network
         self._folded: dict[bool, FoldedNetwork] = {}
 
@@ -119,7 +123,7 @@ class Lifter:
                 + ", ".join(SHIPPED),
             )  # fmt: skip
         network, description = load_checkpoint(path)
-        return cls(network, description, hashlib.sha256(path.read_bytes()).hexdigest())
+        return cls(network, description, hashlib.sha256(path.read_bytes()).hexdigest(), name)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -185,8 +185,7 @@ class CartesianSolver:
             )
         except SolverError:
             return x0, SolverStatus.FAILED, 0
-        status = SolverStatus.CONVERGED if solved.converged else SolverStatus.ITERATION_LIMIT
-        return banded.positions(solved.x), status, solved.iterations
+        return banded.positions(solved.x), SolverStatus.of(solved), solved.iterations
 
     def _estimated_sigma(self, x: Array, values: dict[str, Array], sigma: float) -> float:
         """Twice the size of the reprojection residuals at x, px; `sigma` where hardly any are seen.

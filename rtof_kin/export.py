@@ -8,8 +8,8 @@ joint_trajectory.csv, .json   configurations with named columns, and their units
 motion.csv                    the same with landmarks, validity and provenance
 ros_joint_trajectory.json     trajectory_msgs/JointTrajectory
 ros_base_trajectory.json      trajectory_msgs/MultiDOFJointTrajectory of the free base
-summary.json                  mode, solver's report, limit violations, figures against the truth; what it
-                              was made from, and the audit (`report`)
+summary.json                  mode, verdict, settings, solver's report, limit violations, figures against
+                              the truth; what it was made from, and the audit (`report`)
 figures/*.png                 see `rtof_kin.figures`
 ============================  ==================================================================
 
@@ -30,6 +30,7 @@ from rtof_kin.io.motion_npz import write_motion_npz
 from rtof_kin.motion_files import DEFAULT, check_formats, write_motion_files
 from rtof_kin.report.audit import audit
 from rtof_kin.report.facts import facts
+from rtof_kin.report.headline import headline
 from rtof_kin.types import Provenance
 
 if TYPE_CHECKING:
@@ -81,10 +82,12 @@ def export(
 def summary(result: Reconstruction) -> dict[str, Any]:
     """What happened, as plain data: solver, provenance shares, limits, errors against the truth."""
     poses, report = result.motion.poses, result.motion.report
+    findings = audit(result)
     out: dict[str, Any] = {
         "recording": result.recording.name,
-        "acknowledgement": result.recording.acknowledgement,
         "mode": result.mode,
+        "verdict": headline(findings).plain(),
+        "acknowledgement": result.recording.acknowledgement,
         "frames": len(poses),
         "rate_hz": poses.rate_hz,
         "skeleton": result.motion.skeleton.name,
@@ -97,8 +100,9 @@ def summary(result: Reconstruction) -> dict[str, Any]:
         "limit_violations_deg": {k: float(np.degrees(v)) for k, v in report.violations.items()},
         "singular_share": float(report.singular.mean()),
     }
+    out["settings"] = result.choices.plain()
     out["inputs"] = facts(result)
-    out["audit"] = [finding.plain() for finding in audit(result)]
+    out["audit"] = [finding.plain() for finding in findings]
     if result.faults:
         out["stream_faults"] = [str(fault) for fault in result.faults]
     if result.warnings:
@@ -110,6 +114,7 @@ def summary(result: Reconstruction) -> dict[str, Any]:
         out["solver"] = {
             "status": solution.status.name,
             "meaning": solution.status.value,
+            "outcome": solution.outcome,
             "fragments": len(solution.fragments),
             "iterations": solution.iterations,
             "seconds": solution.seconds,

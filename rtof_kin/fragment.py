@@ -30,6 +30,11 @@ Progress = Callable[[int, int], None]
 """Called with (fragments done, fragments in all)."""
 
 
+def usual_space(skeleton: SkeletonModel) -> str:
+    """The space of a skeleton for which nobody names one: joint space needs a pose prior."""
+    return "joint" if has_prior(skeleton.name) else "cartesian"
+
+
 class FragmentSolver:
     """Optimises pose sequences of one skeleton with keypoints and any subset of its sensors."""
 
@@ -61,8 +66,8 @@ class FragmentSolver:
             raise ShapeError(f"frames: N = {frames} must be even and at least 8")
         kinds = {"joint": JointSpaceSettings, "cartesian": FragmentSettings}
         if space is None:
-            usual_space = "joint" if has_prior(skeleton.name) else "cartesian"
-            space = next((s for s in SPACES if isinstance(settings, kinds[s])), usual_space)
+            usual = usual_space(skeleton)
+            space = next((s for s in SPACES if isinstance(settings, kinds[s])), usual)
         if space not in SPACES:
             raise UnknownNameError("space", [space], SPACES)
         if space == "joint" and not has_prior(skeleton.name):
@@ -71,8 +76,8 @@ class FragmentSolver:
             )
         settings = settings or kinds[space]()
         self.skeleton, self.frames, self.space, self.settings = skeleton, frames, space, settings
-        usual = tuple(joint for joint, _ in skeleton.sensors.values())
-        self.sensor_joints = usual if sensor_joints is None else tuple(sensor_joints)
+        carriers = tuple(joint for joint, _ in skeleton.sensors.values())
+        self.sensor_joints = carriers if sensor_joints is None else tuple(sensor_joints)
         skeleton.index(*self.sensor_joints)
         self._solver: CartesianSolver | JointSpaceSolver
         if space == "joint" and isinstance(settings, JointSpaceSettings):

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-
-import numpy as np
 
 from rtof_kin.errors import ShapeError
 
@@ -103,7 +102,7 @@ class FragmentSettings:
             if isinstance(value, int | float) and not value > 0:
                 raise ShapeError(f"{field} must be positive; leave a term out by its weight k")
         for field in ("k_V", "k_I", "k_A", "k_B", "k_S"):
-            if not 0 <= getattr(self, field) < np.inf:
+            if not 0 <= getattr(self, field) < math.inf:
                 raise ShapeError(f"{field} must not be negative, and finite")
         if self.huber_reprojection is not None and not self.huber_reprojection > 0:
             raise ShapeError("huber_reprojection must be positive; None stands for plain squares")
@@ -111,13 +110,14 @@ class FragmentSettings:
             raise ShapeError("tolerance must be positive and max_iterations not negative")
 
     @classmethod
-    def paper(cls) -> FragmentSettings:
+    def paper(cls, backend: str = "ipopt") -> FragmentSettings:
         """The energy as printed, with its weights, and the weak prior that gives it a minimiser.
 
         Plain squares, free bone lengths, the sensor's jerk as target, plain mean of fragments padded
         with copies; the prior on positions.
         """
         return cls(
+            backend=backend,
             k_V=0.9,
             k_I=0.1,
             k_A=0.5,

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import signals
 from rtof_kin.confidence import Confidence
+from rtof_kin.levenberg_marquardt import Solved
 from rtof_kin.types import PoseSequence
 
 Array = NDArray[np.float64]
@@ -21,13 +23,32 @@ _LEAST_VISUAL = 5.0
 
 
 class SolverStatus(Enum):
-    """How a fragment's optimisation ended."""
+    """How a fragment's optimisation ended, best first."""
 
-    CONVERGED = "The next step would change the energy by less than the tolerance; see the optimality."
-    ACCEPTABLE = "The solver stopped at a looser tolerance; see the optimality."
+    CONVERGED = "The solver converged to its tolerance; see the optimality."
+    ACCEPTABLE = (
+        "The solver converged at a looser tolerance, where no step lowered the energy any further; see "
+        "the optimality."
+    )
     ITERATION_LIMIT = "The iteration limit was reached before the tolerance."
     UNOBSERVED = "No landmark and no sensor was seen in the whole fragment: it shows the prior alone."
     FAILED = "The solver gave up; the starting poses are returned for this fragment."
+
+    @classmethod
+    def of(cls, solved: Solved) -> Self:
+        """How a solver ended that gave a state back."""
+        if solved.converged:
+            return cls.CONVERGED
+        return cls.ITERATION_LIMIT if solved.out_of_iterations else cls.ACCEPTABLE
+
+
+_OUTCOMES = {
+    SolverStatus.CONVERGED: "converged",
+    SolverStatus.ACCEPTABLE: "at a looser tolerance, where no step lowered the energy any further",
+    SolverStatus.ITERATION_LIMIT: "stopped at the iteration limit",
+    SolverStatus.UNOBSERVED: "saw nothing",
+    SolverStatus.FAILED: "failed",
+}
 
 
 @dataclass(frozen=True)
@@ -92,6 +113,17 @@ class FragmentSolution:
         """The worst status of all fragments."""
         order = list(SolverStatus)
         return max((f.status for f in self.fragments), key=order.index)
+
+    def count(self, status: SolverStatus) -> int:
+        """Fragments that ended like this."""
+        return sum(f.status is status for f in self.fragments)
+
+    @property
+    def outcome(self) -> str:
+        """How many fragments ended how, in words."""
+        converged, *others = ((self.count(status), text) for status, text in _OUTCOMES.items())
+        parts = [f"{converged[0]} of {len(self.fragments)} fragments {converged[1]}"]
+        return ", ".join([*parts, *(f"{count} {text}" for count, text in others if count)])
 
     @property
     def energy(self) -> dict[str, float]:

@@ -94,6 +94,8 @@ class Solved:
     """Whether the last predicted decrease was below the tolerance and the limits held."""
     multipliers: Array
     """(N, M) of the limits, positive at upper, negative at lower ones."""
+    out_of_iterations: bool = False
+    """Whether it stopped at its iteration limit; not converged without, no step lowered the energy."""
 
 
 class LevenbergMarquardt:
@@ -141,7 +143,7 @@ class LevenbergMarquardt:
         energy = self._energy(x, m)
         if not np.isfinite(energy):
             raise SolverError("the energy of the starting state is not finite")
-        iteration = 0
+        iteration, out_of_iterations = 0, False
         for iteration in range(max_iterations):
             fresh = factor is None
             gradient = self.linearise(x, m) if factor is None else self._gradient(x, m)
@@ -183,9 +185,9 @@ class LevenbergMarquardt:
             if reweigh is not None and reweigh(x):
                 factor, energy = None, self._energy(x, m)
         else:
-            iteration = max_iterations
+            iteration, out_of_iterations = max_iterations, True
         new, _ = self._updated(x, m)
-        return Solved(x, iteration, False, new)
+        return Solved(x, iteration, False, new, out_of_iterations)
 
     # --- limits ----------------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ coverage            share of joints and frames for which the estimate claims val
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -31,6 +32,7 @@ from rtof_kin.types import PoseSequence
 Array = NDArray[np.float64]
 BEGUN_TOGETHER = "mode imu knows no place: estimate and truth are moved to begin together"
 """What figures and pictures of mode imu say, see `comparable`."""
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,23 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
             "joint_flexion_deg": figures["flexion_deg"],
         },
     )
+
+
+def stage_metrics(
+    stages: Mapping[str, PoseSequence], truth: PoseSequence | None, skeleton: SkeletonModel, mode: str
+) -> dict[str, Metrics]:
+    """All figures of every stage of a mode, whose poses have the same times; none without truth, or with
+    fewer than four frames of it."""
+    if truth is None:
+        return {}
+    first, last = truth.times[[0, -1]]
+    times = next(iter(stages.values())).times
+    if np.count_nonzero((times >= first) & (times <= last)) < 4:
+        _log.warning("the truth covers fewer than four frames: nothing is scored")
+        return {}
+    return {
+        name: evaluate(comparable(poses, truth, mode), truth, skeleton) for name, poses in stages.items()
+    }
 
 
 def comparable(estimate: PoseSequence, truth: PoseSequence, mode: str) -> PoseSequence:

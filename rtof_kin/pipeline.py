@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.calibration_priors import CalibrationPriors
 from rtof_kin.camera_evidence import check_camera_evidence
+from rtof_kin.choices import Choices
 from rtof_kin.circumstances import circumstances
 from rtof_kin.contradictions import check_height, contradictions
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
@@ -22,7 +23,7 @@ from rtof_kin.inertial.faults import FaultKind as SetupFault
 from rtof_kin.inertial.mounting import find_faults
 from rtof_kin.inflation import Inflation
 from rtof_kin.joint_space.settings import JointSpaceSettings
-from rtof_kin.metrics import Metrics, comparable, evaluate
+from rtof_kin.metrics import Metrics, stage_metrics
 from rtof_kin.motion_files import DEFAULT
 from rtof_kin.plausibility import Check
 from rtof_kin.recording import Recording
@@ -61,7 +62,8 @@ _JUDGED = 2.0
 """[s] of movement by which sensors' places and references can be judged."""
 _OF_ALL, _SURE = (SetupFault.WORLD, SetupFault.FACING), 25.0
 """Faults of all sensors together, and nats from which one sensor is accused where nobody asked."""
-_log = logging.getLogger(__name__)
+DOUBTS = f"{__name__}.doubts"
+"""Logger of what the audit of a result says too: failed checks, faults of streams, warnings."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,8 @@ class Reconstruction:
     """What was estimated of the recording and applied; None where it was told not to."""
     checks: tuple[Check, ...] = ()
     """What the recording declares, checked against what its streams show; failed ones name a cause."""
+    choices: Choices = field(default_factory=Choices)
+    """How it was made: space, backend, lifter and the like."""
 
     def export(
         self, folder: str | Path, overwrite: bool = False, formats: Sequence[str] = DEFAULT
@@ -158,6 +162,7 @@ def reconstruct(
     uses_sensors = mode in ("sf2", "rtof") and recording.imus is not None
     if not uses_sensors and not isinstance(calibrate, SelfCalibration):
         calibrate = False
+    choices = Choices.of(calibrate, known, lifter)
     known = None if known is None else known.for_another_recording()
     found, slipped, warnings = _as_told(calibrate, known, recording, skeleton, lifter, settings, tell)
     told = recording
@@ -165,6 +170,8 @@ def reconstruct(
         recording = found.apply(recording)
         skeleton = None if found.of_kind("bones") else skeleton
     skeleton = skeleton or recording.skeleton
+    fragment = on_floor(settings.solver(skeleton, found is not None), recording.floor_height, found)
+    settings = settings.with_fragment(fragment)
     begun = begin(recording, skeleton, mode, lifter, settings, tell, slipped)
     keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
     if (
@@ -183,15 +190,20 @@ def reconstruct(
         *check_sensor_evidence(told, begun, poses, skeleton),
     )
     failed = (check.message for check in checks if check.failed)
-    for warning in (*failed, *begun.faults, *warnings):
-        _log.warning("%s: %s", recording.name, warning)
+    _warn(recording, (*failed, *begun.faults, *warnings))
     motion = _told(skeleton.motion(poses), keypoints, begun, solution)
     stages = begun.stages | {mode: motion.poses if mode != "lift" else poses}
-    scores = _scores(recording, stages, skeleton, mode)
+    scores = stage_metrics(stages, recording.truth, skeleton, mode)
     return Reconstruction(
         recording, mode, motion, stages, keypoints, begun.bone_imus, solution, scores.get(mode), scores,
         faults=begun.faults, warnings=warnings, calibration=found, checks=checks,
+        choices=choices.with_settings(settings, mode),
     )  # fmt: skip
+
+
+def _warn(recording: Recording, sentences: Iterable[object]) -> None:
+    for sentence in sentences:
+        logging.getLogger(DOUBTS).warning("%s: %s", recording.name, sentence)
 
 
 def _as_told(
@@ -226,7 +238,7 @@ def _doubts(
             "no sensor says anything at the times of the video: what comes out is of the image alone; "
             "look at the sensors' values and clock",
         )
-    s = settings.fragment or JointSpaceSettings()
+    s = settings.fragment
     if solution is not None and isinstance(s, JointSpaceSettings) and s.sigma_reprojection is None:
         limit = s.sigma_reprojection_range[1]
         found += misfits(solution.fragments, begun.start.times, settings.frames, limit)
@@ -261,15 +273,17 @@ def _solved(
     begun: Begun, skeleton: SkeletonModel, mode: str, settings: ReconstructionSettings, tell: Progress,
     found: SelfCalibration | None,
 ) -> tuple[KeypointSequence, PoseSequence, FragmentSolution | None]:  # fmt: skip
-    """The keypoints as used, the mode's poses, and what the fragment solver reports where it is used."""
+    """The keypoints as used, the mode's poses, and what the fragment solver reports where it is used.
+
+    Args:
+        settings: with those of the fragment solver.
+    """
     keypoints = begun.recording.video
     if found is not None:
         keypoints = found.moved(keypoints, begun.start)
     if mode not in ("rto", "rtof"):
         return keypoints, begun.stages[mode], None
-    floor = begun.recording.floor_height
-    fragment = on_floor(settings.fragment, skeleton, floor, found)
-    solution = FragmentSolver(skeleton, settings.frames, fragment).solve(
+    solution = FragmentSolver(skeleton, settings.frames, settings.fragment).solve(
         begun.start, keypoints, begun.bone_imus, lambda i, n: tell(mode, i, n),
         confidence=settings.confidence,
     )  # fmt: skip
@@ -321,15 +335,14 @@ def _calibrated(
     recording = recording if known is None else known.apply(recording)
     priors = priors or CalibrationPriors.of(recording)
     begun = begin(recording, recording.skeleton, "sf2", lifter, settings, tell)
-    fragment = on_floor(settings.fragment, recording.skeleton, None)  # not yet those of a calibration
-    fragment = on_floor(fragment, recording.skeleton, recording.floor_height, known)
+    fragment = on_floor(settings.solver(recording.skeleton), recording.floor_height, known)
     solver = fragment if isinstance(fragment, JointSpaceSettings) else None
     if known is not None:
         keypoints = known.moved(begun.recording.video, begun.start)
         begun = replace(begun, recording=replace(begun.recording, keypoints=keypoints))
         if known.ankle_height:
             priors = replace(priors, sigma_ankle_height=None)
-    slipped = _slipped(begun, recording.skeleton, settings)
+    slipped = _slipped(begun, recording.skeleton, settings.with_fragment(fragment))
     found = calibrate_from(
         begun.recording, begun.start, priors, solver, settings.frames,
         lambda done, total: tell("calibrate", done, total), slipped,
@@ -355,37 +368,22 @@ def _without_camera(
     recording: Recording, skeleton: SkeletonModel, settings: ReconstructionSettings, tell: Progress
 ) -> Reconstruction:
     """Mode imu."""
-    solver = settings.fragment
-    if isinstance(solver, FragmentSettings):
-        raise ShapeError("mode imu is solved in joint space; give JointSpaceSettings, or none")
+    if settings.space == "cartesian" or isinstance(settings.fragment, FragmentSettings):
+        raise ShapeError("mode imu is solved in joint space; leave out the other space and its settings")
+    solver = settings.fragment or replace(settings, space="joint").solver(skeleton)
+    assert isinstance(solver, JointSpaceSettings)
+    settings = settings.with_fragment(solver)
     cleaned, faults = guarded(recording, settings, camera=False)
     found = reconstruct_from_sensors(
         cleaned, skeleton, settings.sensors_alone, solver, settings.frames,
         lambda done, total: tell("imu", done, total),
     )  # fmt: skip
-    for warning in (*faults, *found.warnings):
-        _log.warning("%s: %s", recording.name, warning)
+    _warn(recording, (*faults, *found.warnings))
     motion = skeleton.motion(found.solution.poses)
     stages = {"start": found.start, "imu": motion.poses}
-    scores = _scores(recording, stages, skeleton, "imu")
+    scores = stage_metrics(stages, recording.truth, skeleton, "imu")
     return Reconstruction(
         recording, "imu", motion, stages, None, found.bone_imus, found.solution, scores.get("imu"),
         scores, found.path.sigma, faults, found.warnings,
+        choices=Choices().with_settings(settings, "imu"),
     )  # fmt: skip
-
-
-def _scores(
-    recording: Recording, stages: dict[str, PoseSequence], skeleton: SkeletonModel, mode: str
-) -> dict[str, Metrics]:
-    """Errors of every stage; none without truth, or with fewer than four frames of it."""
-    truth = recording.truth
-    if truth is None:
-        return {}
-    first, last = truth.times[[0, -1]]
-    times = next(iter(stages.values())).times
-    if np.count_nonzero((times >= first) & (times <= last)) < 4:
-        _log.warning("the truth covers fewer than four frames: nothing is scored")
-        return {}
-    return {
-        name: evaluate(comparable(poses, truth, mode), truth, skeleton) for name, poses in stages.items()
-    }

@@ -19,9 +19,10 @@ from rtof_kin import signals
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.errors import ShapeError
 from rtof_kin.joint_space.settings import JointSpaceSettings
-from rtof_kin.pipeline import reconstruct
+from rtof_kin.pipeline import Reconstruction, reconstruct
 from rtof_kin.recording import Recording
 from rtof_kin.sensor_sets import SensorSet, measured
+from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.stages import LifterLike, ReconstructionSettings
 from rtof_kin.types import PoseSequence
 
@@ -54,6 +55,8 @@ class SensorStudy:
     """From the full set down, one sensor fewer each."""
     has_truth: bool
     """Whether the recording has a truth, so that there are errors."""
+    reconstruction: Reconstruction
+    """By the full set."""
 
     def measure(self, found: SensorSet) -> Array:
         """(A,) rad: errors where there are some, else differences from the full set."""
@@ -105,8 +108,9 @@ def study_sensors(
         greedy: whether each step down tries every sensor that is left, n (n + 1) / 2 runs in all; else
             they go in the order in which they are missed when left out alone. Where not given: up to
             `MOST_GREEDY` sensors.
-        lifter, settings: as for `reconstruct`; where there are no settings, the energy of a short
-            recording is interpreted: every set of sensors has its own, and compiling it takes longer.
+        lifter, settings: as for `reconstruct`; where they leave the fragment solver's open, the energy of
+            a short recording is interpreted: every set of sensors has its own, and compiling it takes
+            longer.
         progress: told ("study", runs done, runs in all).
 
     Raises:
@@ -121,21 +125,29 @@ def study_sensors(
             f"recording {recording.name}: with one sensor and no camera nothing can be left out"
         )
     total = number_of_runs(len(imus.names), camera, greedy)
-    runs = _Runs(recording, lifter, settings or _settings(imus.times), progress, total)
+    settings = _with_fragment(settings or ReconstructionSettings(), recording.skeleton, imus.times)
+    runs = _Runs(recording, lifter, settings, progress, total)
     full = runs.of(imus.names)
     without = tuple(runs.of(_less(imus.names, name)) for name in imus.names)
     path = _way_down(runs, full, without, 0 if camera else 1, _is_greedy(len(imus.names), greedy))
     bone_imus = recording.bone_imus()
     assert bone_imus is not None
+    assert runs.reconstruction is not None
     return SensorStudy(
         recording.name, dict(zip(imus.names, bone_imus.joints, strict=True)), runs.angles, full, without,
-        path, recording.truth is not None,
+        path, recording.truth is not None, runs.reconstruction,
     )  # fmt: skip
 
 
-def _settings(times: Array) -> ReconstructionSettings:
-    long = times[-1] - times[0] > _LONG
-    return ReconstructionSettings(fragment=JointSpaceSettings(compile="auto" if long else "never"))
+def _with_fragment(
+    settings: ReconstructionSettings, skeleton: SkeletonModel, times: Array
+) -> ReconstructionSettings:
+    if settings.fragment is not None:
+        return settings
+    fragment = settings.solver(skeleton)
+    if isinstance(fragment, JointSpaceSettings) and times[-1] - times[0] <= _LONG:
+        fragment = replace(fragment, compile="never")
+    return settings.with_fragment(fragment)
 
 
 def _is_greedy(sensors: int, greedy: bool | None) -> bool:
@@ -168,6 +180,7 @@ class _Runs:
     ) -> None:  # fmt: skip
         self.recording, self.lifter, self.settings = recording, lifter, settings
         self.progress, self.done, self.total = progress or (lambda stage, done, total: None), 0, total
+        self.reconstruction: Reconstruction | None = None
         self.full: ClinicalAngles | None = None
         self.truth: ClinicalAngles | None = None
         self.angles: tuple[str, ...] = ()
@@ -195,6 +208,7 @@ class _Runs:
         result = reconstruct(
             recording, mode=mode, lifter=self.lifter, settings=self.settings, calibrate=False
         )
+        self.reconstruction = self.reconstruction or result
         return clinical_angles(result.motion)
 
 

@@ -2,7 +2,8 @@
 
 =====================  ====================================================================
 study.csv              a row for each set of sensors and angle: difference, seen, error, band
-study.json             the sets in order, what was compared, the sentences
+study.json             verdict and settings of the full set, the sets in order, what was compared,
+                       the sentences
 figures/sensors.png    what each sensor left out alone costs, angle x sensor
 figures/number.png     difference or error against the number of sensors
 =====================  ====================================================================
@@ -21,6 +22,8 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.clinical.angle_table import SIDES
+from rtof_kin.report.audit import audit
+from rtof_kin.report.headline import headline
 from rtof_kin.sensor_sets import SensorSet
 from rtof_kin.sensor_study import LEAST_SEEN, TOLERANCE, SensorStudy
 
@@ -48,6 +51,8 @@ def study_facts(study: SensorStudy) -> dict[str, Any]:
     """A study as plain data, units in the names."""
     return {
         "recording": study.recording,
+        "verdict": headline(audit(study.reconstruction)).plain(),
+        "settings": study.reconstruction.choices.plain(),
         "compared_with": "the truth" if study.has_truth else "the full set of sensors",
         "note": "errors are against the truth; differences against the full set" if study.has_truth
         else NO_ERROR,

@@ -5,16 +5,16 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import kinematics, signals
-from rtof_kin.errors import ShapeError
-from rtof_kin.fragment_settings import FragmentSettings
+from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.fragment import usual_space
+from rtof_kin.fragment_settings import SPACES, FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
-from rtof_kin.joint_space.prior import has_prior
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.keypoint_guards import guarded_keypoints
 from rtof_kin.recording import Recording
@@ -61,7 +61,11 @@ class ReconstructionSettings:
     that knows none ignores them."""
     inertial_ik: InertialGuidedIKSettings = field(default_factory=InertialGuidedIKSettings)
     fragment: JointSpaceSettings | FragmentSettings | None = None
-    """Of the fragment solver, and by their type its space; its defaults where not given."""
+    """Of the fragment solver, and by their type its space; the defaults of `space` where not given."""
+    space: str | None = None
+    """One of `SPACES`, where `fragment` does not tell; where not given, that of `FragmentSolver`."""
+    backend: str | None = None
+    """'realtime' or 'ipopt', where `fragment` does not tell; by default the usual one of the space."""
     frames: int = 50
     """N, frames in a fragment."""
     guard_streams: bool = True
@@ -72,6 +76,34 @@ class ReconstructionSettings:
     in joint space."""
     sensors_alone: SensorsAloneSettings = field(default_factory=SensorsAloneSettings)
     """Of mode imu: its frames, contacts and path."""
+
+    def __post_init__(self) -> None:
+        if self.fragment is not None and not self.space == self.backend is None:
+            raise ShapeError("settings: give space and backend, or the settings of a fragment, not both")
+        if self.space is not None and self.space not in SPACES:
+            raise UnknownNameError("space", [self.space], SPACES)
+
+    def solver(
+        self, skeleton: SkeletonModel, calibrated: bool = False
+    ) -> JointSpaceSettings | FragmentSettings:
+        """Settings of the fragment solver: those given, else the defaults.
+
+        Args:
+            skeleton: that is solved. calibrated: whether the recording was calibrated from itself.
+
+        Raises:
+            ShapeError: there is no such backend.
+        """
+        if self.fragment is not None:
+            return self.fragment
+        fragment: JointSpaceSettings | FragmentSettings = FragmentSettings()
+        if (self.space or usual_space(skeleton)) == "joint":
+            fragment = JointSpaceSettings.calibrated() if calibrated else JointSpaceSettings()
+        return fragment if self.backend is None else replace(fragment, backend=self.backend)
+
+    def with_fragment(self, fragment: JointSpaceSettings | FragmentSettings | None) -> Self:
+        """The same with settings of the fragment solver."""
+        return replace(self, fragment=fragment, space=None, backend=None)
 
 
 @dataclass(frozen=True)
@@ -195,19 +227,15 @@ def _snapped(at: Array, times: Array, tolerance: float) -> Array:
 
 
 def on_floor(
-    settings: JointSpaceSettings | FragmentSettings | None,
-    skeleton: SkeletonModel,
+    settings: JointSpaceSettings | FragmentSettings,
     floor_height: float | None,
-    calibration: SelfCalibration | None = None,
-) -> JointSpaceSettings | FragmentSettings | None:
+    calibration: SelfCalibration | None,
+) -> JointSpaceSettings | FragmentSettings:
     """The fragment solver's settings with the recording's floor, where they know floors and have none.
 
     Args:
-        calibration: what the recording said of itself: of ankles on the floor, and for defaults where
-            there are no settings.
+        calibration: what the recording said of itself: of ankles on the floor.
     """
-    if settings is None and has_prior(skeleton.name):
-        settings = JointSpaceSettings() if calibration is None else JointSpaceSettings.calibrated()
     if isinstance(settings, JointSpaceSettings) and settings.floor_height is None:
         higher = 0.0 if calibration is None else calibration.ankle_height
         ankles = max(settings.ankle_height + higher, _LOWEST_ANKLE)

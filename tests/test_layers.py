@@ -15,6 +15,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 ROWS = """
 errors   plausibility   limbs
+threads
 rotations   resources   body_mass   io
 io.text
 signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_code
@@ -97,13 +98,13 @@ lifting.train
 lifting.__main__
 sensors_alone
 stages
-camera_evidence   sensor_evidence
+camera_evidence   sensor_evidence   choices
 pipeline
 sensor_study
-sensor_study_files   figures   report   report.findings   report.isb
-report.facts   report.outcomes   report.residuals   report.summary_file
+figures   report   report.findings   report.isb
+report.facts   report.headline   report.outcomes   report.residuals   report.summary_file
 report.audit   report.drawn
-report.page
+report.page   sensor_study_files
 report.html
 report.writing
 inspection_figures   clinical_figures   sensor_study_figures
@@ -113,7 +114,7 @@ protocols   protocols.published   protocols.tables   protocols.jobs
 protocols.measures   protocols.pictures
 protocols.human36m   protocols.total_capture
 protocols.total_capture_tables
-cli.terminal
+cli.solver_options   cli.terminal
 cli.clinical   cli.detection   cli.inspection   cli.lifters   cli.recordings   cli.training
 cli.reporting
 cli.protocols

@@ -96,7 +96,7 @@ def test_more_reasons_than_anyone_reads_are_counted() -> None:
     doubts = [Finding.doubt("image", "camera", f"reason {i}") for i in range(9)]
     verdict = section_verdict("image", doubts, most=4)
     assert len(verdict.reasons) == 5
-    assert verdict.reasons[-1] == "and 5 more, see the table"
+    assert verdict.reasons[-1] == "and 5 more in the audit"
 
 
 def test_of_many_alike_the_worst_stands_for_all() -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.table import Column, Table
 
 from rtof_kin.cli.terminal import add_output, command, out, print_files
@@ -81,8 +81,8 @@ def _print_ranges(analysis: Any) -> None:
     table = Table(Column("angle [deg]", no_wrap=True), *columns)
     for row in analysis.ranges:
         if row.known_share > 0:
-            figures = np.degrees([row.low, row.high, row.range, row.peak_velocity])
-            cells = ["" if np.isnan(v) else f"{v:.0f}" for v in figures]
+            figures = map(math.degrees, (row.low, row.high, row.range, row.peak_velocity))
+            cells = ["" if math.isnan(v) else f"{v:.0f}" for v in figures]
             table.add_row(row.name, *cells, f"{100 * row.known_share * row.trusted_share:.0f} %")
     out.print(table)
 
@@ -106,7 +106,7 @@ def _print_repetitions(found: Any) -> None:
     columns = ("down [s]", "below [s]", "up [s]", "depth [m]", "right knee [deg]", "left knee [deg]")
     table = Table(Column(found.kind.replace("_", " "), no_wrap=True), *columns)
     for number, r in enumerate(found.repetitions, start=1):
-        knees = [np.degrees(r.knee_flexion[side]) for side in ("right", "left")]
+        knees = [math.degrees(r.knee_flexion[side]) for side in ("right", "left")]
         figures = (r.descent_time, r.bottom_time, r.ascent_time, r.depth)
         cells = [f"{v:.2f}" for v in figures] + [f"{v:.0f}" for v in knees]
         table.add_row(str(number), *("" if cell == "nan" else cell for cell in cells))

@@ -9,14 +9,17 @@ from typing import Any
 
 from rich.table import Column, Table
 
+from rtof_kin.cli.solver_options import add_solver_options, settings_of, use_threads
 from rtof_kin.cli.terminal import (
     SCORE_COLUMNS,
     add_output,
     command,
+    doubts_in_headline,
     figure_text,
     out,
     print_calibration,
     print_files,
+    print_headline,
     print_scores,
     progress,
     with_zero_motion,
@@ -37,6 +40,7 @@ def add_commands(commands: Any) -> None:
 
 
 def _demo(options: argparse.Namespace) -> None:
+    use_threads(options)
     from rtof_kin.recording import Recording
     from rtof_kin.resources import model_path
 
@@ -48,14 +52,18 @@ def _demo(options: argparse.Namespace) -> None:
     if result.recording.truth is not None:
         from rtof_kin.pipeline import reconstruct
 
-        with progress() as tell:
-            vision = reconstruct(recording, mode="rto", progress=tell)
+        with progress() as tell, doubts_in_headline():
+            vision = reconstruct(
+                recording, mode="rto", lifter=_lifter(options), settings=settings_of(options),
+                progress=tell,
+            )  # fmt: skip
         scores = with_zero_motion(recording) | vision.stage_metrics | scores
     print_scores(scores)
     print_files(options.output)
 
 
 def _reconstruct(options: argparse.Namespace) -> None:
+    use_threads(options)
     from rtof_kin.recording import Recording
 
     recording = Recording.load(options.recording)
@@ -66,18 +74,28 @@ def _reconstruct(options: argparse.Namespace) -> None:
 
 
 def _calibrate(options: argparse.Namespace) -> None:
+    use_threads(options)
+    from rtof_kin.contradictions import contradictions
     from rtof_kin.io.folder import check_replaceable
     from rtof_kin.io.self_calibration_toml import write_self_calibration_toml
     from rtof_kin.io.text import check_new_file
     from rtof_kin.pipeline import calibrate_recording
     from rtof_kin.recording import INDEX, Recording
+    from rtof_kin.report.audit import calibration_findings
+    from rtof_kin.report.findings import Finding
+    from rtof_kin.report.headline import headline
 
+    settings = settings_of(options, "calibrate")
     if options.recording_output is not None:
         check_replaceable(options.recording_output, INDEX, options.overwrite)
     check_new_file(options.output, options.overwrite)
     recording = Recording.load(options.recording)
     with progress() as tell:
-        found = calibrate_recording(recording, lifter=_lifter(options), progress=tell)
+        found = calibrate_recording(
+            recording, lifter=_lifter(options), settings=settings, progress=tell
+        )
+    doubts = (Finding.doubt("calibration", "recording", s) for s in contradictions(recording, found))
+    print_headline(headline((*doubts, *calibration_findings(found))))
     print_calibration(found)
     write_self_calibration_toml(options.output, found, options.overwrite)
     out.print(f"wrote {options.output}", soft_wrap=True)
@@ -108,31 +126,23 @@ def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> A
     """Reconstruct and export, asking first whether the output may be written."""
     from rtof_kin.export import MARKER, export, summary
     from rtof_kin.io.folder import check_replaceable
-    from rtof_kin.pipeline import ReconstructionSettings, reconstruct
+    from rtof_kin.pipeline import reconstruct
+    from rtof_kin.report.audit import audit
+    from rtof_kin.report.headline import headline
 
+    settings = settings_of(options, mode)
     check_replaceable(options.output, MARKER, options.overwrite)
-    settings = ReconstructionSettings(frames=options.frames)
-    with progress() as tell:
+    with progress() as tell, doubts_in_headline():
         result = reconstruct(
             recording, mode=mode, lifter=_lifter(options), settings=settings,
             calibrate=options.calibrate, known=_known(options), progress=tell,
         )  # fmt: skip
+    print_headline(headline(audit(result)))
     if result.calibration is not None:
         print_calibration(result.calibration)
     export(result, options.output, options.overwrite, figures=not options.no_figures)
-    facts = summary(result)
-    shares = {k: v for k, v in facts["provenance"].items() if v > 0}
+    shares = {k: v for k, v in summary(result)["provenance"].items() if v > 0}
     out.print("who saw the joints: " + ", ".join(f"{k} {100 * v:.1f} %" for k, v in shares.items()))
-    if facts["limit_violations_deg"]:
-        worst = sorted(facts["limit_violations_deg"].items(), key=lambda item: -item[1])[:3]
-        out.print(
-            f"{len(facts['limit_violations_deg'])} angles leave their anatomical limits somewhere "
-            "(nothing is clipped), most: " + ", ".join(f"{k} by {v:.0f} deg" for k, v in worst)
-        )
-    if result.solution is not None:
-        out.print(f"solver: {result.solution.status.value}")
-    if result.root_sigma is not None and (drift := result.root_sigma[-1]) == drift:
-        out.print(f"the root's place drifts: standard deviation {drift:.2f} m per axis at the end")
     return result
 
 
@@ -238,7 +248,7 @@ def _add_reconstruct(commands: Any) -> None:
 
 
 def _add_reconstruction(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--frames", type=int, default=50, metavar="N", help="frames in a fragment")
+    add_solver_options(parser)
     parser.add_argument(
         "--lifter", type=Path, metavar="FILE",
         help="checkpoint, or the name of a shipped one: detections (the default), perfect, causal",
@@ -274,6 +284,7 @@ def _add_calibrate(commands: Any) -> None:
     parser.add_argument(
         "--lifter", type=Path, metavar="FILE", help="as for reconstruct",
     )  # fmt: skip
+    add_solver_options(parser)
 
 
 def _add_evaluate(commands: Any) -> None:

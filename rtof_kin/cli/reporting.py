@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import argparse
 import logging
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.table import Table
 
-from rtof_kin.cli.terminal import add_output, command, out, print_files, progress
-from rtof_kin.session import Session
+from rtof_kin.cli.solver_options import add_solver_options, settings_of, use_threads
+from rtof_kin.cli.terminal import (
+    add_output,
+    command,
+    out,
+    print_files,
+    print_headline,
+    progress,
+)
 
 
 def add_commands(commands: Any) -> None:
@@ -29,6 +36,7 @@ def add_commands(commands: Any) -> None:
 def _report(options: argparse.Namespace) -> None:
     from rtof_kin.io.text import check_new_file, write_text
     from rtof_kin.report.writing import PAGE, report
+    from rtof_kin.session import Session
 
     folder = Path(options.motion)
     path = Path(options.output or folder / PAGE)
@@ -39,22 +47,29 @@ def _report(options: argparse.Namespace) -> None:
 
 
 def _study(options: argparse.Namespace) -> None:
+    use_threads(options)
     from lifting.predict import Lifter
     from rtof_kin.io.folder import check_replaceable, new_folder
     from rtof_kin.recording import Recording
+    from rtof_kin.report.audit import audit
+    from rtof_kin.report.headline import headline
     from rtof_kin.sensor_study import number_of_runs, study_sensors
     from rtof_kin.sensor_study_files import MARKER, sentences, write_study
 
     check_replaceable(options.output, MARKER, options.overwrite)
     recording = Recording.load(options.recording)
-    greedy = {"greedy": True, "ranked": False}.get(options.path)
     camera = recording.keypoints is not None
+    settings = settings_of(options, "rtof" if camera else "imu")
+    greedy = {"greedy": True, "ranked": False}.get(options.path)
     if recording.imus is not None:
         runs = number_of_runs(len(recording.imus.names), camera, greedy)
         out.print(f"{len(recording.imus.names)} sensors: {runs} reconstructions, one after the other")
     lifter = Lifter.load(options.lifter) if camera else None
     with progress() as tell, _quiet():
-        study = study_sensors(recording, greedy=greedy, lifter=lifter, progress=tell)
+        study = study_sensors(
+            recording, greedy=greedy, lifter=lifter, settings=settings, progress=tell
+        )
+    print_headline(headline(audit(study.reconstruction)), "all sensors: ")
     with new_folder(options.output, MARKER, options.overwrite) as folder:
         write_study(study, folder)
         if not options.no_figures:
@@ -87,7 +102,7 @@ def _print_way_down(study: Any) -> None:
     for before, found in zip((study.path[0], *study.path), study.path, strict=False):
         gone = [study.segments[name] for name in before.sensors if name not in found.sensors]
         kept = f"{int(study.kept(found).sum())} of {len(study.angles)}"
-        table.add_row(str(len(found.sensors)), *gone or ("",), f"{np.degrees(found.loss):.1f}", kept)
+        table.add_row(str(len(found.sensors)), *gone or ("",), f"{math.degrees(found.loss):.1f}", kept)
     out.print(table)
     if not study.has_truth:
         out.print(NO_ERROR, soft_wrap=True)
@@ -133,4 +148,5 @@ def _add_study(commands: Any) -> None:
         "missed alone, which takes fewer runs; not given: greedy up to eight sensors",
     )  # fmt: skip
     parser.add_argument("--lifter", type=Path, metavar="FILE", help="as for reconstruct")
+    add_solver_options(parser)
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")

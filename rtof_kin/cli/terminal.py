@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column, Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from rtof_kin.report.headline import Headline
 
 # Units stand in square brackets, and paths may: nothing printed is markup.
 out, err = Console(markup=False), Console(stderr=True, markup=False)
+_STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red"}
 SCORE_COLUMNS = {
     "mpjpe_rr_mm": "relative\nto root\n[mm]",
     "mpjpe_mm": "absolute\n\n[mm]",
@@ -96,6 +103,31 @@ def print_calibration(calibration: Any) -> None:
     for row in calibration.table():
         table.add_row(*row)
     out.print(table)
+
+
+def print_headline(headline: Headline, what: str = "") -> None:
+    """The overall verdict in one line, and that of every section with its reasons."""
+    out.print(f"{what}{headline.line}", style=_STYLES.get(headline.grade.value, ""), soft_wrap=True)
+    table = Table("section", Column("verdict", no_wrap=True), "why", box=SIMPLE_HEAD, pad_edge=False)
+    for verdict in headline.sections:
+        grade = verdict.grade.value
+        if verdict.section == "truth":
+            continue  # see `print_scores`
+        table.add_row(verdict.section, Text(grade, _STYLES.get(grade, "")), "\n".join(verdict.reasons))
+    out.print(table)
+
+
+@contextmanager
+def doubts_in_headline() -> Iterator[None]:
+    """Without the log's warnings of what `print_headline` says."""
+    from rtof_kin.pipeline import DOUBTS
+
+    logger = logging.getLogger(DOUBTS)
+    logger.disabled = True
+    try:
+        yield
+    finally:
+        logger.disabled = False
 
 
 def figure_text(key: str, value: float | None) -> str:

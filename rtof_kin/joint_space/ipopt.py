@@ -65,7 +65,11 @@ class Ipopt:
         multipliers = np.zeros((N, 0))
         if limits is not None:
             multipliers = np.asarray(result["lam_g"]).reshape(N, -1)
-        return Solved(state, int(stats["iter_count"]), bool(stats["success"]), multipliers)
+        ended = str(stats["return_status"])
+        return Solved(
+            state, int(stats["iter_count"]), ended == "Solve_Succeeded", multipliers,
+            out_of_iterations=ended == "Maximum_Iterations_Exceeded",
+        )  # fmt: skip
 
     def _solver(self, max_iterations: int, tolerance: float) -> Any:
         key = (max_iterations, tolerance)

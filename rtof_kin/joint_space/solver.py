@@ -209,16 +209,10 @@ class _Fragments:
             excess = data.limits.excess(data.limits.values(solved.x))
             infeasibility = float(np.abs(excess).max(initial=0.0))
             gradient = gradient + data.limits.force(solved.x, solved.multipliers)
-        status = SolverStatus.CONVERGED
-        if not solved.converged:  # no step lowers the energy any more, or there were too many
-            most = self.settings.annealing + self.settings.max_iterations
-            ended = solved.iterations < most
-            status = SolverStatus.ACCEPTABLE if ended else SolverStatus.ITERATION_LIMIT
-        if not data.anything_seen(first, inside):
-            status = SolverStatus.UNOBSERVED
+        seen = data.anything_seen(first, inside)
         return FragmentReport(
             first_frame=first,
-            status=status,
+            status=SolverStatus.of(solved) if seen else SolverStatus.UNOBSERVED,
             energy={term: energy[term] for term in TERMS},
             iterations=solved.iterations,
             seconds=seconds,

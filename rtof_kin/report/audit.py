@@ -8,6 +8,7 @@ solver say of themselves. A limit is a number that somebody can check: its sourc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -16,13 +17,13 @@ from numpy.typing import NDArray
 
 from rtof_kin.fragment_solution import SolverStatus
 from rtof_kin.joint_space.settings import JointSpaceSettings
-from rtof_kin.report.findings import Finding
+from rtof_kin.report.findings import FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS, Finding
 from rtof_kin.report.residuals import (
     acceleration_residuals,
     orientation_residuals,
     reprojection_errors,
 )
-from rtof_kin.self_calibration import Verdict
+from rtof_kin.self_calibration import SelfCalibration, Verdict
 from rtof_kin.sensor_guards import DISAGREES
 from rtof_kin.types import Provenance
 
@@ -48,17 +49,27 @@ def audit(result: Reconstruction) -> tuple[Finding, ...]:
         result: as `reconstruct` returns it.
 
     Returns:
-        Findings of the sections streams to solver; and the errors where the recording has a truth.
+        Findings of the sections inputs to solver; and the errors where the recording has a truth.
     """
-    parts = (_inputs, _streams, _image, _sensors, _body, _calibration, _solver, _truth)
-    return tuple(finding for part in parts for finding in part(result))
+    before = (_inputs, _streams, _image, _sensors, _body)
+    return (
+        *(finding for part in before for finding in part(result)),
+        *calibration_findings(result.calibration),
+        *(finding for part in (_solver, _truth) for finding in part(result)),
+    )
 
 
 # --- inputs --------------------------------------------------------------------------------------
 
 
 def _inputs(result: Reconstruction) -> Iterator[Finding]:
+    if not result.checks:
+        why = "nothing declared of camera, body and sensors was compared with the streams"
+        yield Finding.untold("inputs", "recording", why)
     for check in result.checks:
+        if math.isnan(check.value):
+            yield Finding.untold("inputs", check.subject, check.advice, check.name)
+            continue
         note = ": ".join(part for part in (check.cause, check.advice) if part)
         yield Finding(
             "inputs", check.name, check.subject, check.value, check.unit, check.limit, check.limit,
@@ -95,6 +106,9 @@ def _streams(result: Reconstruction) -> Iterator[Finding]:
         )  # fmt: skip
     for warning in result.warnings:
         yield Finding.doubt("streams", "motion", warning)
+    if result.root_sigma is not None and math.isfinite(drift := float(result.root_sigma[-1])):
+        text = f"its place drifts, with a standard deviation of {drift:.2f} m per axis at the end"
+        yield Finding.remark("streams", "root", text)
 
 
 def _keypoints_missing(result: Reconstruction) -> Iterator[Finding]:
@@ -201,22 +215,31 @@ def _body(result: Reconstruction) -> Iterator[Finding]:
                       30.0, "limits of the skeleton table")  # fmt: skip
 
 
-def _calibration(result: Reconstruction) -> Iterator[Finding]:
-    found = result.calibration
+def calibration_findings(found: SelfCalibration | None) -> Iterator[Finding]:
+    """The section calibration.
+
+    Args:
+        found: what a recording said of itself; None where it was not asked.
+    """
     if found is None:
         why = "nothing was estimated: delay, mounting and bones are taken as they were given"
         yield Finding.untold("calibration", "recording", why)
         return
     if not found.converged:
         yield Finding.doubt("calibration", "recording", "it did not converge: take it for a guess")
+    verdicts = [quantity.verdict for quantity in found.quantities]
+    counts = {verdict.value: verdicts.count(verdict) for verdict in Verdict}
+    text = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    weak = Verdict.WEAKLY in verdicts or 2 * verdicts.count(Verdict.OBSERVED) < len(verdicts)
+    yield Finding.remark("calibration", f"{len(verdicts)} quantities", text, weak)
     for quantity in found.quantities:
         size = float(np.sqrt(np.mean((quantity.value / quantity.sigma_prior) ** 2)))
-        note = quantity.verdict.value
         if quantity.verdict is Verdict.PRIOR:
             size = 0.0  # nothing was applied
         yield Finding(
             "calibration", f"{quantity.kind}, correction in standard deviations of what was expected",
-            quantity.item, size, "", 3.0, 6.0, "3 and 6 standard deviations", note,
+            quantity.item, size, "", 3.0, 6.0, "3 and 6 standard deviations", quantity.verdict.value,
+            weak=quantity.verdict is not Verdict.OBSERVED,
         )  # fmt: skip
 
 
@@ -225,16 +248,15 @@ def _solver(result: Reconstruction) -> Iterator[Finding]:
     if solution is None:
         yield Finding.untold("solver", "fragments", f"mode {result.mode} optimises nothing")
         return
+    yield Finding.remark("solver", "fragments", solution.outcome)
     limits = {
-        SolverStatus.ACCEPTABLE: (20.0, 100.0),
-        SolverStatus.ITERATION_LIMIT: (20.0, 100.0),
-        SolverStatus.UNOBSERVED: (0.0, 50.0),
-        SolverStatus.FAILED: (0.0, 10.0),
+        SolverStatus.ACCEPTABLE: ("share of fragments at a looser tolerance", 20.0, 100.0),
+        SolverStatus.ITERATION_LIMIT: ("share of fragments out of iterations", 20.0, 100.0),
+        SolverStatus.UNOBSERVED: (UNOBSERVED_FRAGMENTS, 0.0, 50.0),
+        SolverStatus.FAILED: (FAILED_FRAGMENTS, 0.0, 10.0),
     }
-    statuses = [fragment.status for fragment in solution.fragments]
-    for status, (warn, fail) in limits.items():
-        share = 100 * statuses.count(status) / len(statuses)
-        name = f"share of fragments: {status.name.lower().replace('_', ' ')}"
+    for status, (name, warn, fail) in limits.items():
+        share = 100 * solution.count(status) / len(solution.fragments)
         yield Finding("solver", name, "all", share, "%", warn, fail, _USER, status.value)
     if result.keypoints is not None:
         sigma = float(np.median([fragment.sigma_reprojection for fragment in solution.fragments]))

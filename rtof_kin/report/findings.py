@@ -24,6 +24,9 @@ SECTIONS = {
     "torques": "Joint torques",
 }
 """Parts of an audit, and their titles."""
+FAILED_FRAGMENTS = "share of fragments that failed"
+UNOBSERVED_FRAGMENTS = "share of fragments in which nothing was seen"
+"""Names of the figures about frames that no measurement made."""
 _NAMED = 5
 """Of many findings alike, so many are named beside the worst."""
 
@@ -34,8 +37,14 @@ class Grade(Enum):
     PASS = "pass"
     WARN = "warn"
     FAIL = "fail"
-    UNTOLD = "not told"
+    WEAK = "weakly observed"
+    """Within its limits, but the data hardly tell: no pass."""
+    UNTOLD = "not checked"
     INFORMATION = "for information"
+
+
+WORST_FIRST = (Grade.FAIL, Grade.WARN, Grade.WEAK, Grade.PASS, Grade.INFORMATION, Grade.UNTOLD)
+"""A section has the first of its figures' grades."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +71,8 @@ class Finding:
     """What a figure above its limits may mean, or why it could not be told."""
     at: float = math.nan
     """[s] when it was worst; NaN where that says nothing."""
+    weak: bool = False
+    """Whether the data hardly tell the value."""
 
     def __post_init__(self) -> None:
         if self.section not in SECTIONS:
@@ -74,11 +85,13 @@ class Finding:
         """By value and limits."""
         if math.isnan(self.value):
             return Grade.UNTOLD
-        if math.isinf(self.warn):
-            return Grade.INFORMATION
         if self.value > self.fail:
             return Grade.FAIL
-        return Grade.WARN if self.value > self.warn else Grade.PASS
+        if self.value > self.warn:
+            return Grade.WARN
+        if self.weak:
+            return Grade.WEAK
+        return Grade.INFORMATION if math.isinf(self.warn) else Grade.PASS
 
     @property
     def text(self) -> str:
@@ -90,6 +103,8 @@ class Finding:
         line = f"{self.subject}: {self.name} {self.value:.3g} {self.unit}".rstrip()
         if self.grade in (Grade.PASS, Grade.INFORMATION):
             return line
+        if self.grade is Grade.WEAK:
+            return f"{line}: {self.note}"
         limit = self.fail if self.grade is Grade.FAIL else self.warn
         line += f" (above {limit:.3g}{f' {self.unit}'.rstrip()})" if limit >= 0 else ""
         line += f" at {self.at:.1f} s" if math.isfinite(self.at) else ""
@@ -99,6 +114,11 @@ class Finding:
     def doubt(cls, section: str, subject: str, note: str, at: float = math.nan) -> Self:
         """Something that warns, in words."""
         return cls(section, "", subject, 1.0, "", 0.0, source="any warns", note=note, at=at)
+
+    @classmethod
+    def remark(cls, section: str, subject: str, note: str, weak: bool = False) -> Self:
+        """Something to know, in words."""
+        return cls(section, "", subject, 0.0, "", note=note, weak=weak)
 
     @classmethod
     def untold(cls, section: str, subject: str, why: str, name: str = "") -> Self:
@@ -121,12 +141,15 @@ class Finding:
             ShapeError: it is none.
         """
         missing = {"value": math.nan, "at": math.nan, "warn": math.inf, "fail": math.inf}
+        out: dict[str, Any] = {"weak": False}
         if not isinstance(data, dict):
             raise ShapeError(f"finding: {str(data)[:40]!r} is no table of its fields")
-        out: dict[str, Any] = {}
         for field in fields(cls):
-            given = data.get(field.name)
-            if field.name in missing:
+            given = data.get(field.name, out.get(field.name))
+            if field.name == "weak":
+                if not isinstance(given, bool):
+                    raise ShapeError(f"finding: weak is {str(given)[:40]!r}, neither true nor false")
+            elif field.name in missing:
                 given = missing[field.name] if given is None else given
                 if isinstance(given, bool) or not isinstance(given, int | float):
                     raise ShapeError(f"finding: {field.name} is {str(given)[:40]!r}, no number")
@@ -145,7 +168,7 @@ class SectionVerdict:
     grade: Grade
     """The worst of its figures; UNTOLD where none could be told."""
     reasons: tuple[str, ...]
-    """Why it is no pass; empty for one."""
+    """Why it is no pass, and what there is to know besides."""
 
     @property
     def title(self) -> str:
@@ -161,19 +184,21 @@ def section_verdict(section: str, findings: Sequence[Finding], most: int = 6) ->
     """
     own = [finding for finding in findings if finding.section == section]
     grades = {finding.grade for finding in own}
-    order = (Grade.FAIL, Grade.WARN, Grade.PASS, Grade.INFORMATION, Grade.UNTOLD)
-    grade = next((worse for worse in order if worse in grades), Grade.UNTOLD)
-    reasons = [line for wanted in order if wanted is not Grade.PASS for line in _lines(own, wanted)]
+    grade = next((worse for worse in WORST_FIRST if worse in grades), Grade.UNTOLD)
+    reasons = [line for g in WORST_FIRST if g is not Grade.PASS for line in finding_lines(own, g)]
     if not own:
         reasons = ["nothing was checked"]
     if len(reasons) > most:
-        reasons = [*reasons[:most], f"and {len(reasons) - most} more, see the table"]
+        reasons = [*reasons[:most], f"and {len(reasons) - most} more in the audit"]
     return SectionVerdict(section, grade, tuple(reasons))
 
 
-def _lines(findings: Sequence[Finding], grade: Grade) -> Iterator[str]:
-    """Findings of one grade; of several of one figure the worst stands for all."""
+def finding_lines(findings: Sequence[Finding], grade: Grade) -> Iterator[str]:
+    """Findings of one grade; of several of one figure the worst stands for all, and of figures that are
+    weakly observed what is said of them in words."""
     chosen = [finding for finding in findings if finding.grade is grade]
+    if grade is Grade.WEAK:
+        chosen = [finding for finding in chosen if not finding.name] or chosen
     for name in dict.fromkeys(finding.name for finding in chosen):
         alike = [finding for finding in chosen if finding.name == name]
         if not name or len(alike) == 1 or grade in (Grade.UNTOLD, Grade.INFORMATION):

@@ -37,6 +37,8 @@ def page_html(data: Data) -> str:
         "script": script,
         "data": _json({name: data[name] for name in _DRAWN}),
         "title": escape(data["title"]),
+        "headline": _badge(data["headline"]["grade"]) + " " + escape(data["headline"]["text"]),
+        "read_from_it": escape(data["read_from_it"]),
         "header": _pairs(data["header"]),
         "verdicts": _verdicts(data),
         "audit": _audit(data["findings"]),
@@ -102,8 +104,7 @@ def _verdicts(data: Data) -> str:
         reasons = "".join(f"<li>{escape(reason)}</li>" for reason in verdict["reasons"])
         why = f"<ul>{reasons}</ul>" if reasons else "every figure is within its limits"
         rows.append((escape(verdict["title"]), _badge(verdict["grade"]), why))
-    note = f'<p class="note">{escape(data["no_audit"])}</p>' if data["no_audit"] else ""
-    return note + _table(("section", "verdict", "why"), rows, "verdicts")
+    return _table(("section", "verdict", "why"), rows, "verdicts")
 
 
 def _audit(findings: Iterable[Data]) -> str:

@@ -6,6 +6,7 @@ drawn is ``rtof_kin.report.drawn``'s.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,8 @@ from rtof_kin.report.drawn import (
     shown_frames,
     side_and_name,
 )
-from rtof_kin.report.findings import SECTIONS, section_verdict
+from rtof_kin.report.findings import SECTIONS, Finding, Grade, section_verdict
+from rtof_kin.report.headline import Headline, headline
 from rtof_kin.report.isb import CITATION, isb_items
 from rtof_kin.report.outcomes import SECOND_PELVIS, outcomes
 from rtof_kin.report.summary_file import Summary
@@ -31,9 +33,7 @@ from rtof_kin.skeleton import MotionSequence
 from rtof_kin.skeleton_table import SkeletonTable
 
 _GAIT_UNITS = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
-NO_AUDIT = (
-    "The folder has no audit: an earlier version of rtof_kin wrote it. Reconstruct again to have one."
-)
+NO_AUDIT = "an earlier version of rtof_kin wrote the folder, without an audit: reconstruct again"
 
 
 def page_data(
@@ -48,7 +48,11 @@ def page_data(
     Returns:
         Plain data: JSON knows all of it.
     """
-    findings = (*(summary.findings or ()), *outcomes(analysis))
+    of_motion = outcomes(analysis)
+    findings = (*(summary.findings or ()), *of_motion)
+    first = Headline(Grade.UNTOLD, NO_AUDIT, ())
+    if summary.findings is not None:
+        first = headline(summary.findings)
     shown = shown_frames(motion.times)
     verdicts = [section_verdict(section, findings) for section in SECTIONS]
     if not any(finding.section == "truth" for finding in findings):
@@ -57,12 +61,13 @@ def page_data(
     inputs = summary.inputs | {"session": session.plain()}
     return {
         "title": f"{session.subject or summary.recording}: motion report",
+        "headline": {"grade": first.grade.value, "text": first.text},
+        "read_from_it": _read_from_it(of_motion),
         "header": _header(motion, summary, session, made),
         "verdicts": [
             {"section": v.section, "title": v.title, "grade": v.grade.value, "reasons": list(v.reasons)}
             for v in verdicts
         ],
-        "no_audit": NO_AUDIT if summary.findings is None else None,
         "findings": [finding.plain() for finding in findings],
         "calibration": inputs.get("calibration"),
         "ranges": _ranges(analysis),
@@ -106,9 +111,33 @@ def _header(motion: MotionSequence, summary: Summary, session: Session, made: st
         ["Camera", seen],
         ["Sensors", ", ".join(str(s.get("segment") or s.get("name")) for s in sensors) or "none"],
         ["Mode", summary.mode],
+        *_choices(summary.settings or {}),
         ["Report made", f"{made}, {inputs.get('software', 'rtof_kin')}"],
     ]
     return [*rows, ["Notes", str(inputs["notes"])]] if inputs.get("notes") else rows
+
+
+def _choices(settings: Data) -> list[list[str]]:
+    """How it was made; nothing where the summary does not say."""
+    if not settings:
+        return []
+    rows = [["Calibrated from itself", str(settings.get("calibrate"))]]
+    if settings.get("known_of_another_recording"):
+        rows[0][1] += ", with what another recording said of the person"
+    if settings.get("lifter"):
+        told = "" if settings.get("lift_with_sensors") else ", from the image alone"
+        rows.insert(0, ["Lifter", f"{settings['lifter']}{told}"])
+    if settings.get("space"):
+        solver = f"{settings['space']} space, {settings.get('backend')}, energy: {settings.get('energy')}"
+        rows.insert(0, ["Solver", f"{solver}; {settings.get('frames')} frames a fragment"])
+    guards = "looked through" if settings.get("guard_streams") else "taken as they are"
+    return [*rows, ["Streams", guards], ["Threads", str(settings.get("threads") or "not limited")]]
+
+
+def _read_from_it(of_motion: Sequence[Finding]) -> str:
+    """What the angles, the gait and the torques come to, which the headline does not tell."""
+    verdicts = [section_verdict(section, of_motion) for section in ("angles", "gait", "torques")]
+    return ", ".join(f"{verdict.title.lower()}: {verdict.grade.value}" for verdict in verdicts)
 
 
 def _gaps_text(motion: MotionSequence) -> str:

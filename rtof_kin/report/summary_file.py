@@ -31,6 +31,8 @@ class Summary:
     """As `report.facts` has them; empty where the file has none."""
     findings: tuple[Finding, ...] | None
     """Of the audit; None where the file has none."""
+    settings: dict[str, Any] | None = None
+    """As `rtof_kin.choices` has them; None where the file has none."""
 
     @property
     def subject(self) -> dict[str, Any]:
@@ -56,8 +58,10 @@ def read_summary(path: str | Path) -> Summary:
         texts[name] = data.get(name, "")
         if not isinstance(texts[name], str):
             raise FileFormatError(path, f"{name}: no text")
-    inputs, audit = data.get("inputs", {}), data.get("audit")
+    inputs, audit, settings = data.get("inputs", {}), data.get("audit"), data.get("settings")
     try:
+        if settings is not None:
+            _check_table("settings", settings, {"fragment", "frames", "threads"})
         _check_inputs(inputs)
         session = Session.of(inputs.get("session") or {})
         if not (audit is None or isinstance(audit, list)):
@@ -65,7 +69,7 @@ def read_summary(path: str | Path) -> Summary:
         findings = None if audit is None else tuple(Finding.from_plain(entry) for entry in audit)
     except ShapeError as error:
         raise FileFormatError(path, f"{error}; reconstruct again") from error
-    return Summary(**texts, session=session, inputs=inputs, findings=findings)
+    return Summary(**texts, session=session, inputs=inputs, findings=findings, settings=settings)
 
 
 def _check_inputs(inputs: Any) -> None:

@@ -1,0 +1,83 @@
+"""Options of every command that reconstructs: which solver, on what, with how many threads."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from rtof_kin.errors import ShapeError
+from rtof_kin.fragment_settings import SPACES, FragmentSettings
+from rtof_kin.threads import USUAL, limit_threads
+
+if TYPE_CHECKING:
+    from rtof_kin.stages import ReconstructionSettings
+
+
+def add_solver_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that `settings_of` and `use_threads` read."""
+    group = parser.add_argument_group("solver")
+    group.add_argument("--frames", type=int, default=50, metavar="N", help="frames in a fragment")
+    group.add_argument(
+        "--space", choices=SPACES,
+        help="variables that are optimised: the configuration of the skeleton, or the positions of its "
+        "joints (the paper's); not given: joint, where a pose prior is shipped for the skeleton",
+    )  # fmt: skip
+    group.add_argument(
+        "--backend", choices=["realtime", "ipopt"],
+        help="solver of the energy; not given: realtime in joint space, ipopt in cartesian. Calibration "
+        "has a solver of its own",
+    )  # fmt: skip
+    group.add_argument(
+        "--paper", action="store_true",
+        help="the energy as printed, in cartesian space; the paper calibrates nothing: --no-calibrate",
+    )  # fmt: skip
+    group.add_argument(
+        "--no-guards", dest="guards", action="store_false",
+        help="take keypoints and sensors as they are, without looking for what is wrong with them",
+    )  # fmt: skip
+    group.add_argument(
+        "--no-lift-with-sensors", dest="lift_with_sensors", action="store_false",
+        help="lift from the image alone",
+    )  # fmt: skip
+    group.add_argument(
+        "--threads", type=int, metavar="N",
+        help="threads that numerical libraries (BLAS, OpenMP, torch) may use; matrices are small: more "
+        f"take processor time and gain nothing; not given: OMP_NUM_THREADS, else {USUAL}",
+    )  # fmt: skip
+
+
+def use_threads(options: argparse.Namespace) -> None:
+    """Limit the threads of numerical libraries; before the first of them is loaded.
+
+    Raises:
+        ShapeError: see `limit_threads`.
+    """
+    limit_threads(options.threads)
+
+
+def settings_of(options: argparse.Namespace, mode: str = "rtof") -> ReconstructionSettings:
+    """What was chosen.
+
+    Raises:
+        ShapeError: options that do not go together.
+    """
+    from rtof_kin.stages import ReconstructionSettings
+
+    if options.paper and options.space == "joint":
+        raise ShapeError("--paper is an energy in cartesian space; leave out --space joint, or --paper")
+    space = "cartesian" if options.paper else options.space
+    if mode in ("lift", "sf2") and (space or options.backend):
+        raise ShapeError(f"mode {mode} optimises nothing; leave out --space, --backend and --paper")
+    if space == "cartesian":
+        named = "--paper" if options.paper else "--space cartesian"
+        if mode == "imu":
+            raise ShapeError(f"mode imu is solved in joint space; leave out {named}")
+        if mode == "calibrate":
+            raise ShapeError(f"calibration is solved in joint space; leave out {named}")
+    settings = ReconstructionSettings(
+        frames=options.frames, space=space, backend=options.backend, guard_streams=options.guards,
+        lift_with_sensors=options.lift_with_sensors,
+    )  # fmt: skip
+    if not options.paper:
+        return settings
+    return settings.with_fragment(FragmentSettings.paper(options.backend or "ipopt"))
