@@ -109,6 +109,9 @@ def test_study_says_how_many_runs_and_what_each_sensor_is_worth(
     assert "a difference from the full set is no error" in text
     assert "knee: flexion" in text
     assert {path.name for path in out.iterdir()} == {"study.csv", "study.json", "figures"}
+    facts = json.loads((out / "study.json").read_text())
+    assert f"all sensors: {facts['verdict']['grade']}: {facts['verdict']['headline']}" in text
+    assert (facts["settings"]["space"], facts["settings"]["frames"]) == ("joint", 50)
     with (out / "study.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     full = [float(row["difference_deg"] or 0) for row in rows if row["set"] == "full"]

@@ -18,6 +18,8 @@ from rtof_kin.export import export, summary
 from rtof_kin.io.joint_trajectory import read_joint_trajectory_csv
 from rtof_kin.io.motion_npz import read_motion_npz
 from rtof_kin.pipeline import Reconstruction, ReconstructionSettings, reconstruct
+from rtof_kin.report.audit import audit
+from rtof_kin.report.headline import headline
 from rtof_kin.skeleton import SkeletonModel
 
 BODY = SkeletonModel.default().with_height(1.66)
@@ -125,6 +127,12 @@ def test_the_summary_says_what_happened(result: Reconstruction, folder: Path) ->
     assert facts["solver"]["status"] == "CONVERGED"
     assert "tolerance" in facts["solver"]["meaning"]
     assert facts["solver"]["fragments"] == 3
+    assert facts["solver"]["outcome"] == "3 of 3 fragments converged"
+    assert list(facts)[:3] == ["recording", "mode", "verdict"]
+    assert facts["verdict"] == headline(audit(result)).plain()
+    assert facts["settings"]["lifter"] == "PlantedLifter"
+    assert (facts["settings"]["calibrate"], facts["settings"]["frames"]) == ("no", 16)
+    assert facts["settings"]["energy"] == "default"
     assert result.metrics is not None
     assert facts["metrics"]["rtof"] == pytest.approx(dict(result.metrics))
     assert set(facts["metrics"]) == {"lift", "sf2", "rtof"}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.fragment_solution import FragmentReport, FragmentSolution, SolverStatus, misfits
+from rtof_kin.levenberg_marquardt import Solved
 from rtof_kin.types import PoseSequence
 
 POSES = PoseSequence(np.zeros(1), np.zeros((1, 1, 3)), np.eye(3)[None, None], ("Hips",))
@@ -35,6 +36,21 @@ def test_the_status_of_a_solution_is_its_worst_fragments(
 ) -> None:
     reports = (report(better), report(worse), report(better), report())
     assert FragmentSolution(POSES, reports).status is worse
+
+
+def test_the_outcome_counts_fragments_instead_of_naming_the_worst_alone() -> None:
+    loose, failed = report(SolverStatus.ACCEPTABLE), report(SolverStatus.FAILED)
+    outcome = FragmentSolution(POSES, (report(), loose, report(), loose, failed)).outcome
+    assert outcome.startswith("2 of 5 fragments converged, 2 at a looser tolerance")
+    assert outcome.endswith("1 failed")
+    assert FragmentSolution(POSES, (report(), report())).outcome == "2 of 2 fragments converged"
+
+
+def test_a_solver_that_stalls_and_one_that_runs_out_of_iterations_are_told_apart() -> None:
+    stalled = Solved(np.zeros((1, 3)), 7, False, np.zeros((1, 0)))
+    assert SolverStatus.of(stalled) is SolverStatus.ACCEPTABLE
+    assert SolverStatus.of(replace(stalled, out_of_iterations=True)) is SolverStatus.ITERATION_LIMIT
+    assert SolverStatus.of(replace(stalled, converged=True)) is SolverStatus.CONVERGED
 
 
 def fitted(*sizes: float) -> tuple[str, ...]:

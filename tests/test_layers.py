@@ -6,7 +6,7 @@ import ast
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -288,11 +288,11 @@ def test_each_heavy_package_is_imported_where_it_belongs() -> None:
     assert not users["yourdfpy"]
 
 
-def loaded_by(statement: str) -> tuple[set[str], float]:
-    """Heavy packages loaded by a statement in a new interpreter, and the seconds it took."""
+def loaded_by(statement: str, packages: Set[str] = HEAVY) -> tuple[set[str], float]:
+    """Packages loaded by a statement in a new interpreter, and the seconds it took."""
     code = (
         f"import sys, time; t = time.perf_counter(); {statement}; "
-        f"print(*[m for m in {sorted(HEAVY)} if m in sys.modules], time.perf_counter() - t)"
+        f"print(*[m for m in {sorted(packages)} if m in sys.modules], time.perf_counter() - t)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -307,6 +307,11 @@ def test_importing_the_package_takes_less_than_a_second_and_loads_nothing_heavy(
     names, seconds = loaded_by("import rtof_kin")
     assert names == set()
     assert seconds < 1.0
+
+
+def test_the_command_line_is_there_before_numpy_which_reads_how_many_threads_it_may_use() -> None:
+    names, _ = loaded_by("import rtof_kin.cli", {"numpy"})
+    assert names == set()
 
 
 def test_a_name_of_the_front_door_loads_what_it_needs_and_no_more() -> None:

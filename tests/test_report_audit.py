@@ -11,14 +11,18 @@ import planted
 import pytest
 
 from rtof_kin import rotations as so3
+from rtof_kin.fragment_solution import SolverStatus
 from rtof_kin.pipeline import Reconstruction, ReconstructionSettings, reconstruct
+from rtof_kin.plausibility import Check
 from rtof_kin.report.audit import audit
-from rtof_kin.report.findings import Finding, Grade
+from rtof_kin.report.findings import Finding, Grade, SectionVerdict, section_verdict
+from rtof_kin.report.headline import headline
 from rtof_kin.report.residuals import (
     acceleration_residuals,
     orientation_residuals,
     reprojection_errors,
 )
+from rtof_kin.self_calibration import Quantity, SelfCalibration
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.stream_faults import FaultKind, StreamFault
 
@@ -127,6 +131,46 @@ def test_faults_warnings_and_calibration_speak_for_themselves(good: Reconstructi
     texts = [f.text for f in audit(off)]
     assert "motion: who sits is not known" in texts
     assert any(text.startswith("recording: nothing was estimated: delay, mounting") for text in texts)
+
+
+def test_checks_of_what_was_declared_are_findings_and_none_is_no_pass(good: Reconstruction) -> None:
+    (nothing,) = [f for f in audit(good) if f.section == "inputs"]
+    assert nothing.grade is Grade.UNTOLD
+    cause = "the focal length is too short"
+    wrong = Check("height", "camera", 0.3, 0.1, "m", "measure again", cause=cause)
+    unknown = Check.unknown("clock", "sensors", "s", "nobody moves")
+    right = Check("size", "body", 0.01, 0.1, "m")
+    checked = replace(good, checks=(wrong, unknown, right))
+    found = [f for f in audit(checked) if f.section == "inputs"]
+    assert [f.grade for f in found] == [Grade.FAIL, Grade.UNTOLD, Grade.PASS]
+    assert "nobody moves" in found[1].text
+    assert headline(audit(checked)).text.startswith("the focal length is too short: measure again")
+
+
+def test_a_calibration_that_hardly_observed_anything_does_not_pass(good: Reconstruction) -> None:
+    def verdict(*known: float) -> SectionVerdict:
+        numbers = np.array([0.01]), np.array([0.05]), np.array([0.05])
+        quantities = tuple(
+            Quantity("mounting", f"segment {i}", *numbers, share) for i, share in enumerate(known)
+        )
+        calibrated = replace(good, calibration=SelfCalibration(quantities))
+        return section_verdict("calibration", audit(calibrated))
+
+    weak = verdict(0.95, *[0.6] * 29, 0.1)
+    assert weak.grade is Grade.WEAK
+    counts = "31 quantities: 1 observed, 29 weakly observed, 1 taken from the prior"
+    assert weak.reasons == (counts,)
+    assert verdict(0.95, 0.95).grade is Grade.PASS
+
+
+def test_fragments_at_a_looser_tolerance_are_counted_beside_the_pass(good: Reconstruction) -> None:
+    assert good.solution is not None
+    one = good.solution.fragments[0]
+    fragments = (replace(one, status=SolverStatus.ACCEPTABLE), *[one] * 9)
+    loose = replace(good, solution=replace(good.solution, fragments=fragments))
+    verdict = section_verdict("solver", audit(loose))
+    assert verdict.grade is Grade.PASS
+    assert "9 of 10 fragments converged, 1 at a looser tolerance" in verdict.reasons[0]
 
 
 def test_a_height_that_does_not_fit_is_told_with_both_numbers(good: Reconstruction) -> None:

@@ -47,6 +47,13 @@ def test_a_line_says_what_where_when_and_what_it_may_mean() -> None:
     assert Finding.doubt("gait", "gait", "no steady walking").text == "gait: no steady walking"
 
 
+def test_a_value_that_the_data_hardly_tell_does_not_pass() -> None:
+    weak = finding(1.0, weak=True)
+    assert weak.grade is Grade.WEAK
+    assert finding(3.0, weak=True).grade is Grade.WARN
+    assert section_verdict("image", [finding(1.0), weak]).grade is Grade.WEAK
+
+
 def test_unknown_sections_and_limits_the_wrong_way_round_are_refused() -> None:
     with pytest.raises(ShapeError, match="no section 'weather'; there are inputs"):
         Finding("weather", "error", "Head", 1.0, "px")
@@ -54,9 +61,12 @@ def test_unknown_sections_and_limits_the_wrong_way_round_are_refused() -> None:
         Finding("image", "error", "Head", 1.0, "px", 3.0, 2.0)
 
 
-@given(NUMBERS, LIMITS, LIMITS, NUMBERS)
-def test_plain_data_come_back_through_json(value: float, a: float, b: float, at: float) -> None:
-    made = Finding("image", "error", "<Head>", value, "px", min(a, b), max(a, b), "source", "note", at)
+@given(NUMBERS, LIMITS, LIMITS, NUMBERS, st.booleans())
+def test_plain_data_come_back_through_json(
+    value: float, a: float, b: float, at: float, weak: bool
+) -> None:
+    limits = min(a, b), max(a, b)
+    made = Finding("image", "error", "<Head>", value, "px", *limits, "source", "note", at, weak)
     plain = json.loads(json.dumps(made.plain(), allow_nan=False))
     assert repr(Finding.from_plain(plain)) == repr(made)  # NaN equals itself by its name
 
@@ -68,6 +78,7 @@ def test_plain_data_come_back_through_json(value: float, a: float, b: float, at:
         ({"value": True}, "value is 'True', no number"),
         ({"subject": 7}, "subject is '7', no text"),
         ({"note": None}, "note is 'None', no text"),
+        ({"weak": "very"}, "weak is 'very'"),
     ],
 )
 def test_what_is_no_finding_is_refused(change: dict[str, object], message: str) -> None:

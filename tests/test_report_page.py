@@ -96,6 +96,25 @@ def test_options_stand_over_what_the_recording_says(tmp_path: Path) -> None:
     assert "2026-01-31" in top
 
 
+def test_the_first_line_under_the_title_is_the_headline_of_the_audit(html: str, page: Page) -> None:
+    line = re.search(r'<h1>.*?</h1>\s*<p class="headline">(.*?)</p>', html)
+    assert line
+    assert "fail" in line[1]
+    assert "&lt;b&gt;Head&lt;/b&gt;: error 7 px (above 5 px): look &amp; see" in line[1]
+    assert "gait: " in page.text[""]
+
+
+def test_what_was_chosen_stands_at_the_top(tmp_path: Path) -> None:
+    settings = {"space": "cartesian", "backend": "ipopt", "energy": "as printed", "frames": 20,
+                "lifter": "causal", "lift_with_sensors": False, "calibrate": "no", "threads": 1,
+                "guard_streams": False}  # fmt: skip
+    folder = folder_of(walk(), tmp_path / "out", settings=settings)
+    top = " ".join(Page(report(folder, made=TODAY)).text[""].split())
+    assert "cartesian space, ipopt, energy: as printed; 20 frames a fragment" in top
+    assert "causal, from the image alone" in top
+    assert "taken as they are" in top
+
+
 def test_every_section_has_a_verdict_with_its_reason(page: Page) -> None:
     text = " ".join(page.text["verdicts"].split())
     assert "Agreement with the image fail <b>Head</b>: error 7 px (above 5 px): look & see" in text
@@ -174,6 +193,7 @@ def test_a_folder_without_an_audit_says_so(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"recording": 7}, "recording: no text"),
+        ({"settings": {"space": 7}}, "settings, space"),
         ({"inputs": []}, "inputs: no table; reconstruct again"),
         ({"inputs": {"sensors": {}, "subject": "me"}}, "inputs, subject: no table"),
         ({"inputs": {"sensors": "none"}}, "inputs, sensors: no list"),

@@ -230,7 +230,7 @@ def calibration_findings(found: SelfCalibration | None) -> Iterator[Finding]:
     verdicts = [quantity.verdict for quantity in found.quantities]
     counts = {verdict.value: verdicts.count(verdict) for verdict in Verdict}
     text = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    weak = Verdict.WEAKLY in verdicts or 2 * verdicts.count(Verdict.OBSERVED) < len(verdicts)
+    weak = verdicts.count(Verdict.OBSERVED) < len(verdicts)
     yield Finding.remark("calibration", f"{len(verdicts)} quantities", text, weak)
     for quantity in found.quantities:
         size = float(np.sqrt(np.mean((quantity.value / quantity.sigma_prior) ** 2)))

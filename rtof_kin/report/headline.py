@@ -32,7 +32,7 @@ class Headline:
     """What an audit comes to as a whole."""
 
     grade: Grade
-    """Of its most serious finding; PASS where something was checked and nothing found."""
+    """FAIL or WARN where anything does; else PASS where anything was checked and found right."""
     text: str
     """One line, without the grade."""
     sections: tuple[SectionVerdict, ...]
@@ -66,7 +66,8 @@ def headline(findings: Sequence[Finding]) -> Headline:
     worst = max(wrong, key=_severity)  # the first of several alike
     others = [finding for finding in wrong if finding is not worst]
     text = _declared_wrongly(worst) if _is_declared(worst) else worst.text
-    return Headline(worst.grade, text.rstrip(".") + _beside(others), sections)
+    grade = Grade.FAIL if any(finding.grade is Grade.FAIL for finding in wrong) else Grade.WARN
+    return Headline(grade, text.rstrip(".") + _beside(others), sections)
 
 
 def _severity(finding: Finding) -> tuple[bool, bool, bool, bool, float]:
