@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.report.audit import audit
-from rtof_kin.report.headline import headline
+from rtof_kin.report.headline import Headline
 from rtof_kin.sensor_sets import SensorSet
 from rtof_kin.sensor_study import LEAST_SEEN, TOLERANCE, SensorStudy
 
@@ -36,22 +35,26 @@ NO_ERROR = (
 )
 
 
-def write_study(study: SensorStudy, folder: str | Path) -> None:
-    """Write table and facts into an existing folder."""
+def write_study(study: SensorStudy, folder: str | Path, verdict: Headline | None = None) -> None:
+    """Write table and facts into an existing folder.
+
+    Args:
+        verdict: on the reconstruction by the full set.
+    """
     folder = Path(folder)
     with (folder / MARKER).open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(COLUMNS)
         writer.writerows(_rows(study))
-    text = json.dumps(study_facts(study), indent=2)
+    text = json.dumps(study_facts(study, verdict), indent=2)
     (folder / "study.json").write_text(text + "\n", encoding="utf-8")
 
 
-def study_facts(study: SensorStudy) -> dict[str, Any]:
+def study_facts(study: SensorStudy, verdict: Headline | None = None) -> dict[str, Any]:
     """A study as plain data, units in the names."""
     return {
         "recording": study.recording,
-        "verdict": headline(audit(study.reconstruction)).plain(),
+        "verdict": None if verdict is None else verdict.plain(),
         "settings": study.reconstruction.choices.plain(),
         "compared_with": "the truth" if study.has_truth else "the full set of sensors",
         "note": "errors are against the truth; differences against the full set" if study.has_truth

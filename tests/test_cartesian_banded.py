@@ -22,6 +22,7 @@ from rtof_kin.fragment import FragmentReport, FragmentSolution, FragmentSolver, 
 from rtof_kin.fragment_problem import TERMS, FragmentProblem, rigid_pairs
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK
+from rtof_kin.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import BoneImuSequence, KeypointSequence
 
@@ -562,6 +563,17 @@ def test_two_streams_of_one_solver_do_not_mix() -> None:
 
 
 # --- how it ends ---------------------------------------------------------------------------------
+
+
+def test_a_fragment_that_no_step_improves_before_the_limit_is_acceptable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def stalled(self: object, x: Array, *_: object) -> Solved:
+        return Solved(x, 2, False, np.zeros((len(x), 0)))
+
+    monkeypatch.setattr(LevenbergMarquardt, "solve", stalled)
+    solution = Scene(0).solve(Inspected("realtime", GIVEN))
+    assert {f.status for f in solution.fragments} == {SolverStatus.ACCEPTABLE}
 
 
 @pytest.mark.parametrize("most", [0, 3])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import sys
@@ -13,9 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtof_kin.choices import energy_name
 from rtof_kin.cli import main
+from rtof_kin.cli.solver_options import add_solver_options, settings_of
+from rtof_kin.fragment_settings import FragmentSettings
+from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.recording import Recording
 from rtof_kin.resources import model_path
+from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.threads import limit_threads, threads
 
 
@@ -44,23 +50,16 @@ def settings_after(short: Path, out: Path, *options: str) -> dict[str, Any]:
     return found
 
 
-def test_without_options_the_defaults_are_written(
-    short: Path, tmp_path: Path
+def test_terminal_summary_and_page_say_the_same_and_each_thing_once(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     found = settings_after(short, tmp_path / "out", "--no-calibrate")
-    fragment = found.pop("fragment")
-    assert fragment["jerk"] == 2.5
+    assert found.pop("fragment")["jerk"] == 2.5
     assert found == {
         "space": "joint", "backend": "realtime", "energy": "default", "frames": 16,
         "guard_streams": True, "lift_with_sensors": True, "lifter": "detections", "calibrate": "no",
         "known_of_another_recording": False, "threads": threads(),
     }  # fmt: skip
-
-
-def test_terminal_summary_and_page_say_the_same_and_each_thing_once(
-    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
-) -> None:
-    settings_after(short, tmp_path / "out", "--no-calibrate")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     text = " ".join(capsys.readouterr().out.split())
     verdict = summary["verdict"]
@@ -88,26 +87,38 @@ def test_the_papers_energy_is_solved_in_cartesian_space(short: Path, tmp_path: P
     assert "stream_faults" not in json.loads((tmp_path / "out" / "summary.json").read_text())
 
 
-@pytest.mark.parametrize(
-    ("options", "space", "backend", "energy"),
-    [
-        (["--space", "cartesian"], "cartesian", "ipopt", "default"),
-        (["--paper", "--backend", "realtime"], "cartesian", "realtime", "as printed"),
-        (["--space", "joint", "--backend", "ipopt"], "joint", "ipopt", "default"),
-    ],
-)
-def test_space_and_backend_are_chosen(
-    short: Path, tmp_path: Path, options: list[str], space: str, backend: str, energy: str
-) -> None:
-    found = settings_after(short, tmp_path / "out", "--no-calibrate", *options)
-    assert (found["space"], found["backend"], found["energy"]) == (space, backend, energy)
-
-
-def test_a_recording_that_is_calibrated_keeps_its_energy_with_another_backend(
+def test_a_recording_that_is_calibrated_keeps_its_energy_with_another_solver(
     short: Path, tmp_path: Path
 ) -> None:
-    found = settings_after(short, tmp_path / "out", "--backend", "realtime", "--no-lift-with-sensors")
+    found = settings_after(short, tmp_path / "out", "--backend", "ipopt", "--space", "joint")
+    assert (found["space"], found["backend"]) == ("joint", "ipopt")
     assert (found["calibrate"], found["energy"]) == ("yes", "default, calibrated")
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ([], JointSpaceSettings()),
+        (["--space", "joint", "--backend", "ipopt"], JointSpaceSettings(backend="ipopt")),
+        (["--space", "cartesian"], FragmentSettings()),
+        (["--space", "cartesian", "--backend", "realtime"], FragmentSettings(backend="realtime")),
+        (["--paper"], FragmentSettings.paper()),
+        (["--paper", "--backend", "realtime"], FragmentSettings.paper("realtime")),
+    ],
+)
+def test_space_and_backend_are_chosen(options: list[str], expected: object) -> None:
+    parser = argparse.ArgumentParser()
+    add_solver_options(parser)
+    settings = settings_of(parser.parse_args(options))
+    assert settings.solver(SkeletonModel.default()) == expected
+
+
+def test_the_energy_that_is_written_is_the_one_that_was_solved() -> None:
+    assert energy_name(JointSpaceSettings.calibrated()) == "default, calibrated"
+    assert energy_name(JointSpaceSettings(backend="ipopt", floor_height=0.1)) == "default"
+    assert energy_name(JointSpaceSettings(jerk=7.0)) == "own"
+    assert energy_name(FragmentSettings()) == "default"
+    assert energy_name(FragmentSettings.paper("realtime")) == "as printed"
 
 
 @pytest.mark.parametrize(

@@ -271,6 +271,11 @@ def test_too_few_iterations_are_reported(scene: Scene, annealing: int, most: int
     assert {f.iterations for f in out.fragments} == {annealing + most}
 
 
+def test_the_limit_is_told_also_where_sigma_is_given_and_nothing_is_annealed(scene: Scene) -> None:
+    out = scene.solve(replace(DEFAULT, sigma_reprojection=4.0, max_iterations=1), 12)
+    assert out.status is SolverStatus.ITERATION_LIMIT
+
+
 # --- the sigma of the landmarks ------------------------------------------------------------------
 
 

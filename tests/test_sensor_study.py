@@ -16,6 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 
 from rtof_kin import sensor_study
+from rtof_kin.choices import Choices
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.errors import ShapeError
 from rtof_kin.recording import Recording
@@ -134,6 +135,7 @@ def fake(
         keypoints: Any = "some" if camera else None
         calibration: Any = None
         truth: Any = None
+        skeleton: SkeletonModel = SkeletonModel.default()
 
         def bone_imus(self) -> Any:
             return type("Bones", (), {"joints": names})
@@ -143,7 +145,8 @@ def fake(
         assert mode == ("imu" if not camera else "rtof" if own else "rto")
         runs.append(own)
         lost = [0.0 if name in own else w for name, w in zip(names, worth, strict=True)]
-        return type("Result", (), {"motion": np.array((lost + [0.0] * 3)[:3])})
+        motion = np.array((lost + [0.0] * 3)[:3])
+        return type("Result", (), {"motion": motion, "choices": Choices()})
 
     monkeypatch.setattr(sensor_study, "reconstruct", reconstructed)
     monkeypatch.setattr(sensor_study, "clinical_angles", lambda lost: off_by(angles, lost))

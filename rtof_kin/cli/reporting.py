@@ -69,9 +69,10 @@ def _study(options: argparse.Namespace) -> None:
         study = study_sensors(
             recording, greedy=greedy, lifter=lifter, settings=settings, progress=tell
         )
-    print_headline(headline(audit(study.reconstruction)), "all sensors: ")
+    verdict = headline(audit(study.reconstruction))
+    print_headline(verdict, "all sensors: ")
     with new_folder(options.output, MARKER, options.overwrite) as folder:
-        write_study(study, folder)
+        write_study(study, folder, verdict)
         if not options.no_figures:
             from rtof_kin.sensor_study_figures import write_study_figures
 
