@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -135,7 +135,7 @@ def fake(
         keypoints: Any = "some" if camera else None
         calibration: Any = None
         truth: Any = None
-        skeleton: SkeletonModel = SkeletonModel.default()
+        skeleton: SkeletonModel = field(default_factory=SkeletonModel.default)
 
         def bone_imus(self) -> Any:
             return type("Bones", (), {"joints": names})
