@@ -48,7 +48,7 @@ def test_where_nothing_is_found_it_says_what_was_checked_and_what_could_not_be()
     found = headline([unknown, SEEN, weak])
     assert found.grade is Grade.PASS
     assert "nothing found in image;" in found.text
-    assert "calibration weakly observed (30 quantities: 1 observed, 29 weakly observed)" in found.text
+    assert "calibration: 30 quantities: 1 observed, 29 weakly observed" in found.text
     assert "not checked: camera: distance: the person does not move" in found.text
     assert "no truth" in found.text
     truth = Finding("truth", "error", "motion", 20.0, "mm")

@@ -107,12 +107,9 @@ def _beside(others: Sequence[Finding]) -> str:
 def _nothing_found(sections: tuple[SectionVerdict, ...], findings: Sequence[Finding]) -> Headline:
     """What was checked, what the data hardly tell, and what nobody could check."""
     checked = [verdict.section for verdict in sections if verdict.grade is Grade.PASS]
-    weak = [
-        f"{verdict.section} {verdict.grade.value} ({verdict.reasons[0]})"
-        for verdict in sections if verdict.grade is Grade.WEAK
-    ]  # fmt: skip
+    weak = [f"{v.section}: {v.reasons[0]}" for v in sections if v.grade is Grade.WEAK]
     unknown = list(finding_lines(findings, Grade.UNTOLD))
-    if not any(finding.section == "truth" for finding in findings):
+    if checked and not any(finding.section == "truth" for finding in findings):
         unknown.append("the error itself: no truth is known")
     more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
     parts = [f"checked, nothing found in {', '.join(checked)}"] if checked else []
