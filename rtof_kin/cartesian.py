@@ -5,6 +5,7 @@ The problem is built once (`fragment_problem`); solving only passes numbers.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from time import perf_counter
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from rtof_kin import kinematics, signals
 from rtof_kin.cartesian_banded import BandedProblem
-from rtof_kin.compiled import Buffered
+from rtof_kin.compiled import BUILDING, Buffered
 from rtof_kin.contacts import Footholds
 from rtof_kin.errors import SolverError
 from rtof_kin.fragment_problem import TERMS, fragment_problem
@@ -51,11 +52,13 @@ class CartesianSolver:
             for joint in skeleton.index(*self.sensor_joints)
             for child in kinematics.children_of(skeleton.parents, joint)
         ]  # leaves (head, feet) have no bone here: a sensor there does not enter
-        self._problem = fragment_problem(skeleton.parents, frames, tuple(bones), self.settings)
-        self._energy, self._gradient = (
-            Buffered(function) for function in (self._problem.energy, self._problem.gradient)
-        )
-        self._banded = BandedProblem(self._problem) if settings.backend == "realtime" else None
+        with BUILDING:
+            self._problem = fragment_problem(skeleton.parents, frames, tuple(bones), self.settings)
+            self._energy, self._gradient = (
+                Buffered(function) for function in (self._problem.energy, self._problem.gradient)
+            )
+            self._banded = BandedProblem(self._problem) if settings.backend == "realtime" else None
+        self._one_at_a_time = threading.Lock()
         p = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
         a, b = np.array(self._problem.pairs).T
         self._lengths = np.linalg.norm(p[b] - p[a], axis=1)
@@ -85,7 +88,8 @@ class CartesianSolver:
         previous: Array | None = None
         reports: list[FragmentReport] = []
         for done, first in enumerate(firsts, start=1):
-            X, report = self._solve_fragment(first, start, data)
+            with self._one_at_a_time:  # the buffers are this solver's, whatever threads it runs in
+                X, report = self._solve_fragment(first, start, data)
             reports.append(report)
             if progress is not None:
                 progress(done, len(firsts))
@@ -168,8 +172,9 @@ class CartesianSolver:
         """Positions, how it ended, iterations, multipliers of the constraints."""
         solver = self._problem.solver
         bounds = 0.0 if self.settings.bone_lengths == "constraint" else ()
-        result = solver(x0=x0, p=p, lbg=bounds, ubg=bounds)
-        stats = solver.stats()
+        with BUILDING:
+            result = solver(x0=x0, p=p, lbg=bounds, ubg=bounds)
+            stats = solver.stats()
         x, lam_g = (np.asarray(result[name]).ravel() for name in ("x", "lam_g"))
         return x, _status(stats["return_status"]), int(stats["iter_count"]), lam_g
 

@@ -8,7 +8,7 @@ import os
 import platform
 import shutil
 import subprocess
-import tempfile
+import threading
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -18,6 +18,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.library_cache import Origin, kept, make, trusted
+
 Array = NDArray[np.float64]
 Built = TypeVar("Built")
 _log = logging.getLogger(__name__)
@@ -25,6 +27,10 @@ _OPTIONS = ("-O1", "-shared", "-fPIC")
 COMPILERS = ("cc", "gcc", "clang")
 SWITCH = "RTOF_KIN_COMPILE"
 """Environment variable that turns compilation off where it is 'never'."""
+BUILDING = threading.RLock()
+"""Held while CasADi builds or compiles, and while IPOPT solves. CasADi lets other Python threads run
+meanwhile, but it counts references to the nodes of expressions as if there were one thread; MUMPS knows
+one alone too. Functions that are built may be evaluated by any thread, each with buffers of its own."""
 
 
 def cache_folder() -> Path:
@@ -69,22 +75,47 @@ def built(
     """
     if os.environ.get(SWITCH) == "never":
         return None
-    compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     try:
-        library = _library(made_of, options, name)
-        if not library.is_file():
-            _compile(source, library, compiler, options)
-        try:
-            return loaded(library)
-        except (OSError, RuntimeError):  # damaged, or of another machine
-            library.unlink(missing_ok=True)
-            _compile(source, library, compiler, options)
-            return loaded(library)
+        with BUILDING:
+            return _loaded(_identity(made_of, options), source, loaded, options, name)
     except (OSError, RuntimeError, subprocess.SubprocessError) as error:
         _log.warning(
             "the energy could not be compiled (%s): it is interpreted, which is slower", error
         )
         return None
+
+
+def _loaded(
+    identity: str, source: Callable[[], str], loaded: Callable[[Path], Built],
+    options: tuple[str, ...], name: str,
+) -> Built:  # fmt: skip
+    """What a library holds, made where it is not there or cannot be loaded."""
+    given = cache_folder().absolute()
+    compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
+    if compiler is None and not given.is_dir():
+        raise OSError("there is no C compiler")
+    folder = trusted(given)
+    if compiler is None:  # one that any compiler made
+        there = sorted(folder.glob(f"{name}_{identity[:24]}_*.so"))
+        if library := next((found for found in there if kept(found, identity)), None):
+            return loaded(library)
+        raise OSError("there is no C compiler")
+    origin = Origin(identity, _version(compiler))
+    of_compiler = hashlib.sha256(origin.compiler.encode()).hexdigest()[:8]
+    library = folder / f"{name}_{identity[:24]}_{of_compiler}.so"
+
+    def write(made: Path) -> None:
+        if name == "energy":
+            _log.warning("compiling the energy, once for this kind of recording: 10 to 30 s ...")
+        _compile(source(), made, compiler, options)
+
+    if not kept(library, identity):
+        make(library, origin, write)
+    try:
+        return loaded(library)
+    except (OSError, RuntimeError):  # of another machine
+        make(library, origin, write, again=True)
+        return loaded(library)
 
 
 def native() -> tuple[str, ...]:
@@ -103,32 +134,28 @@ def _processor() -> str:
     return " ".join(sorted({line for line in lines if line.startswith(known)}))
 
 
-def _library(made_of: str, options: tuple[str, ...], name: str) -> Path:
-    """Where a shared library is, or will be."""
+@lru_cache
+def _version(compiler: str) -> str:
+    """What tells a compiler from others."""
+    told = subprocess.run([compiler, "--version"], capture_output=True, text=True, timeout=60)
+    return f"{Path(compiler).name}: {told.stdout.partition(chr(10))[0]}"
+
+
+def _identity(made_of: str, options: tuple[str, ...]) -> str:
+    """SHA-256 of what a library follows from, but for the compiler."""
     kind = _processor() if options else ""
     made = f"{ca.CasadiMeta.version()} {platform.system()} {platform.machine()} {kind}"
-    text = f"{made} {_OPTIONS} {options} {made_of}"
-    key = hashlib.sha256(text.encode()).hexdigest()[:24]
-    return cache_folder().absolute() / f"{name}_{key}.so"
+    return hashlib.sha256(f"{made} {_OPTIONS} {options} {made_of}".encode()).hexdigest()
 
 
-def _compile(
-    source: Callable[[], str], library: Path, compiler: str | None, options: tuple[str, ...]
-) -> None:
-    """Make a shared library."""
-    if compiler is None:
-        raise OSError("there is no C compiler")
-    library.parent.mkdir(parents=True, exist_ok=True)
-    if library.name.startswith("energy"):
-        _log.warning("compiling the energy, once for this kind of recording: 10 to 30 s ...")
-    with tempfile.TemporaryDirectory(dir=library.parent) as name:
-        written, made = Path(name, "energy.c"), Path(name, library.name)
-        written.write_text(source(), encoding="utf-8")
-        subprocess.run(
-            [compiler, *_OPTIONS, *options, str(written), "-o", str(made), "-lm"],
-            check=True, capture_output=True, timeout=300,
-        )  # fmt: skip
-        made.replace(library)  # whole or not at all, also with several processes
+def _compile(source: str, library: Path, compiler: str, options: tuple[str, ...]) -> None:
+    """Make a shared library; its source stays beside it."""
+    written = library.with_name("energy.c")
+    written.write_text(source, encoding="utf-8")
+    subprocess.run(
+        [compiler, *_OPTIONS, *options, str(written), "-o", str(library), "-lm"],
+        check=True, capture_output=True, timeout=300,
+    )  # fmt: skip
 
 
 class Buffered:

@@ -53,8 +53,9 @@ class FragmentSolver:
             frames: N, even, at least 8.
             settings: what the observations are worth; `JointSpaceSettings` or, for Cartesian space,
                 `FragmentSettings`.
-            sensor_joints: segments whose sensors the problem has a place for; every segment that
-                usually carries one where not given. A recording may have any subset of them.
+            sensor_joints: segments whose sensors the problem has a place for, of which a recording may
+                have any subset: in joint space all subsets take the same compiled code. Where not given,
+                every segment that usually carries one, in joint space those that say anything.
             space: one of `SPACES`; where not given, that of the settings, else 'joint' for a skeleton
                 that a pose prior is shipped for and 'cartesian' for others (Human3.6M's).
 
@@ -81,7 +82,7 @@ class FragmentSolver:
         skeleton.index(*self.sensor_joints)
         self._solver: CartesianSolver | JointSpaceSolver
         if space == "joint" and isinstance(settings, JointSpaceSettings):
-            self._solver = JointSpaceSolver(skeleton, frames, settings, self.sensor_joints)
+            self._solver = JointSpaceSolver(skeleton, frames, settings, tuple(sensor_joints or ()))
         elif space == "cartesian" and isinstance(settings, FragmentSettings):
             self._solver = CartesianSolver(skeleton, frames, settings, self.sensor_joints)
         else:

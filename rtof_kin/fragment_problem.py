@@ -12,7 +12,7 @@ many residuals a term has. E_L and E_P are what the printed energy lacks (see `F
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import energies
+from rtof_kin.compiled import BUILDING
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.kinematics import children_of
 
@@ -45,7 +46,7 @@ class _Term:
 
 
 class FragmentProblem:
-    """The fragment's nonlinear programme, built once; every call only passes numbers.
+    """The fragment's nonlinear programme, built once; it never changes, every call only passes numbers.
 
     Attributes:
         parameters: name -> shape of each parameter, in order.
@@ -209,7 +210,7 @@ class FragmentProblem:
         curvature = ca.Function("curvature", [curved_by], [hessian])
         return curvature, ca.Function("slope", [p], [ca.densify(there[:-1]), ca.densify(there[-1])])
 
-    @property
+    @cached_property
     def landmark(self) -> Any:
         """One landmark's share of the visual term: (p (3); u, v, weight; R, t, K, sigma, k)."""
         p, own, shared = ca.SX.sym("p", 3), ca.SX.sym("own", 3), ca.SX.sym("shared", 23)
@@ -221,7 +222,7 @@ class FragmentProblem:
         outputs = [k * value, k * ca.gradient(value, p), 2 * k * J.T @ ca.diag(curvature) @ J]
         return ca.Function("landmark", [p, own, shared], [ca.densify(v) for v in outputs])
 
-    @property
+    @cached_property
     def rigid_distance(self) -> Any:
         """One distance's share of the length term: (both ends (6); length, weight; k)."""
         ends, own, k = ca.SX.sym("p", 6), ca.SX.sym("own", 2), ca.SX.sym("k")
@@ -278,7 +279,8 @@ def fragment_problem(
     settings: FragmentSettings,
 ) -> FragmentProblem:
     """The problem of a skeleton's tree, built once for all bodies and weights k that share it."""
-    return _cached_problem(parents, frames, sensor_bones, replace(settings, **_ANY_WEIGHTS))
+    with BUILDING:
+        return _cached_problem(parents, frames, sensor_bones, replace(settings, **_ANY_WEIGHTS))
 
 
 _ANY_WEIGHTS: dict[str, Any] = dict.fromkeys(("k_V", "k_I", "k_A", "k_B", "k_S"), 1.0)

@@ -189,7 +189,7 @@ def random_data(b: Built, x: Array, seed: int = 1) -> FragmentData:
             "quat_sensor": turned(b.shape.sensors, 0.3), "w_sensor": weights(1.0, N, S),
             "quat_torso": turned(b.shape.torso, 0.2),
             "w_torso": weights(0.2, N)[:, None] * share[:, : len(b.shape.torso)],
-            "b_world": b_world + 0.1 * rng.normal(size=b_world.shape), "w_bone": weights(0.08, N),
+            "b_world": b_world + 0.1 * rng.normal(size=b_world.shape), "w_bone": weights(0.08, N, len(b.shape.bones)),
             "p_root": x[:, :3] + 0.2 * rng.normal(size=(N, 3)), "w_root": weights(0.15, N),
             "w_floor": np.tile(weights(0.03, N)[:, None], len(b.shape.feet)), "w_prior": weights(1.0, N),
         },
@@ -273,7 +273,7 @@ def frame_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
         out.append(Term("torso", root["w_torso"][:, i, None] * r, cauchy))
     for i, (j, child) in enumerate(b.shape.bones):
         r = p[:, child] - p[:, j] - O["b_world"][:, i]
-        out.append(Term("bone", root["w_bone"][:, None] * r, cauchy))
+        out.append(Term("bone", root["w_bone"][:, i, None] * r, cauchy))
     out.append(Term("root", root["w_root"][:, None] * (p[:, 0] - O["p_root"]), cauchy))
     for i, j in enumerate(b.shape.feet):
         for t in np.flatnonzero(O["w_floor"][:, i]):

@@ -149,7 +149,7 @@ class JointScene:
             rows.append(cauchy(r, O["w_torso"][i]))
         for i, (j, child) in enumerate(shape.bones):
             r = energies.bone_vector(p[j], p[child], O["b_world"][:, i])
-            rows.append(cauchy(r, O["w_bone"]))
+            rows.append(cauchy(r, O["w_bone"][i]))
         rows.append(cauchy(energies.position(p[0], O["p_root"]), O["w_root"]))
         vectors = [
             energies.rotation_vector(quats[a + 1], C["quat_mean"][:, a])

@@ -1,4 +1,9 @@
-"""Problems built once: for all bodies, recordings and fragments that they fit."""
+"""Problems for all bodies, recordings and fragments that they fit.
+
+What is built and compiled once for all solvers of a process never changes. Each solver's problem has
+arrays of its own, so that solvers may run in several threads at once. Expressions are kept for good:
+CasADi frees them as if there were one thread.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.banded import Store
-from rtof_kin.compiled import compiled
+from rtof_kin.compiled import BUILDING, compiled
 from rtof_kin.joint_space.frame_energy import FrameEnergy, Shape
 from rtof_kin.joint_space.lane_problem import LaneFunctions, LaneProblem
 from rtof_kin.joint_space.prior import shipped_prior
@@ -17,16 +22,23 @@ from rtof_kin.joint_space.state import StateSpace
 from rtof_kin.skeleton import SkeletonModel
 
 
-@lru_cache(maxsize=8)
 def built_problem(
     name: str, shape: Shape, moving: tuple[str, ...], frames: int, hinges: bool, compile: str,
     jerk: tuple[float, ...], robust_acceleration: float,
 ) -> JointProblem:  # fmt: skip
-    """The problem of a fragment, built once for all bodies and recordings that it fits.
+    """A problem of a fragment, of its caller alone.
 
     Args:
         jerk: factors on the jerk of free motion, of the root's position and of every joint that moves.
     """
+    with BUILDING:
+        return _built(name, shape, moving, frames, hinges, compile, jerk, robust_acceleration)
+
+
+def _built(
+    name: str, shape: Shape, moving: tuple[str, ...], frames: int, hinges: bool, compile: str,
+    jerk: tuple[float, ...], robust_acceleration: float,
+) -> JointProblem:  # fmt: skip
     energy = _energy(name, shape, moving, hinges)
     space, prior = energy.space, shipped_prior(SkeletonModel.named(name).names)
     sigma = prior.sigma_jerk[[prior.joints.index(joint) for joint in space.names]]
@@ -42,7 +54,7 @@ def built_problem(
     return JointProblem(space, functions, energy, frames, sigma_jerk, robust_acceleration)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=None)
 def _energy(
     name: str, shape: Shape, moving: tuple[str, ...], hinges: bool
 ) -> FrameEnergy:
@@ -50,7 +62,7 @@ def _energy(
     return FrameEnergy(StateSpace(SkeletonModel.named(name), moving, hinges), shape)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=None)
 def _lanes(
     name: str, shape: Shape, moving: tuple[str, ...], hinges: bool, robust: float
 ) -> LaneFunctions | None:
@@ -58,7 +70,7 @@ def _lanes(
     return LaneFunctions.compiled(_energy(name, shape, moving, hinges), robust)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=None)
 def _functions(
     name: str, shape: Shape, moving: tuple[str, ...], hinges: bool, compile: str
 ) -> list[Any]:

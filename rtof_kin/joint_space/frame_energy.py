@@ -62,11 +62,11 @@ class Shape:
     landmarks: tuple[tuple[int, bool], ...]
     """Index of each landmark's segment, and whether it is the joint where that begins."""
     sensors: tuple[int, ...]
-    """Joint index of each sensor's segment."""
+    """Joint index of each segment that there is a place for a sensor on."""
     torso: tuple[int, ...]
     """Segments whose orientation may be anchored to the start's."""
     bones: tuple[tuple[int, int], ...]
-    """Joint and child of the bones without a sensor, which may be anchored to the start's."""
+    """Joint and child of the bones that may be anchored to the start's."""
     feet: tuple[int, ...]
     robust_orientation: float
     floor_cutoff: float
@@ -196,6 +196,7 @@ class FrameEnergy:
             sensors' positions (3S), their Jacobian (3S, D), reprojection residuals (2L) in px.
         value: the same inputs -> energies, sensors' positions, reprojection residuals.
         gradient: and the force on the sensors' positions (3S) -> gradient with it.
+        rows: where each kind of observation stands in their second input.
 
     With G unknowns, `full` also gives the gradient by them (G), the rows of the Hessian between state and
     unknowns (D, G), that of the unknowns (G, G), and the derivative of the sensors' positions by them
@@ -214,7 +215,7 @@ class FrameEnergy:
             "quat_sensor": ca.SX.sym("qs", 4, S), "w_sensor": ca.SX.sym("ws", S),
             "quat_torso": ca.SX.sym("qt", 4, len(shape.torso)),
             "w_torso": ca.SX.sym("wt", len(shape.torso)),
-            "b_world": ca.SX.sym("b", 3, len(shape.bones)), "w_bone": ca.SX.sym("wb"),
+            "b_world": ca.SX.sym("b", 3, len(shape.bones)), "w_bone": ca.SX.sym("wb", len(shape.bones)),
             "p_root": ca.SX.sym("pr", 3), "w_root": ca.SX.sym("wr"),
             "w_floor": ca.SX.sym("wf", len(shape.feet)),
             "w_prior": ca.SX.sym("wp"),
@@ -230,6 +231,8 @@ class FrameEnergy:
         if shape.contacts:
             C = len(shape.contacts)
             self.observation |= {"p_contact": ca.SX.sym("pc", 3, C), "w_contact": ca.SX.sym("wc", C)}
+        stops = np.cumsum([symbol.numel() for symbol in self.observation.values()]).tolist()
+        self.rows = dict(zip(self.observation, map(slice, [0, *stops], stops), strict=False))
         self._unknowns = _Unknowns(shape)
         y, border = self._unknowns.y, shape.unknown_count > 0
         if "delay" in shape.unknowns:
@@ -331,7 +334,7 @@ class FrameEnergy:
             turn = orientation(j, O["quat_torso"][:, i], ca.DM.eye(3))
             total.add_turn("torso", j, turn, O["w_torso"][i], _cauchy)
         for i, (j, child) in enumerate(shape.bones):
-            total.add_turn("bone", j, bone(j, child, i), O["w_bone"], _cauchy)
+            total.add_turn("bone", j, bone(j, child, i), O["w_bone"][i], _cauchy)
         total.add_point(
             "root", 0, p[0], lambda x: energies.position(x, O["p_root"]), O["w_root"], _cauchy
         )

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import quaternions as quat
+from rtof_kin.compiled import BUILDING
 from rtof_kin.joint_space.limits import Limits
 from rtof_kin.joint_space.problem import JointProblem
 from rtof_kin.levenberg_marquardt import Solved
@@ -34,9 +35,10 @@ class Ipopt:
 
     def __init__(self, problem: JointProblem, limits: Limits | None) -> None:
         self.problem, self.limits = problem, limits
-        self._point = _Point(problem, limits)
         names = ("nlp", "grad_f", "jac_g", "hess_lag")
-        self._functions = {name: _Oracle(name, self._point) for name in names}
+        with BUILDING:
+            self._point = _Point(problem, limits)
+            self._functions = {name: _Oracle(name, self._point) for name in names}
         self._solvers: dict[tuple[int, float], Any] = {}
 
     def solve(
@@ -59,8 +61,9 @@ class Ipopt:
         bounds: dict[str, Any] = {}
         if limits is not None:
             bounds = {"lbg": np.tile(limits.lower, N), "ubg": np.tile(limits.upper, N)}
-        result = solver(x0=np.zeros(N * problem.space.size), **bounds)
-        stats = solver.stats()
+        with BUILDING:
+            result = solver(x0=np.zeros(N * problem.space.size), **bounds)
+            stats = solver.stats()
         state = self._point.state(np.asarray(result["x"]).ravel())
         multipliers = np.zeros((N, 0))
         if limits is not None:
@@ -86,7 +89,8 @@ class Ipopt:
                     "mumps_scaling": 0, "mumps_permuting_scaling": 0, "mumps_pivot_order": _METIS,
                 },
             }  # fmt: skip
-            self._solvers[key] = ca.nlpsol("joint_fragment", "ipopt", nlp, options)
+            with BUILDING:
+                self._solvers[key] = ca.nlpsol("joint_fragment", "ipopt", nlp, options)
         return self._solvers[key]
 
 

@@ -149,13 +149,9 @@ class LaneProblem(JointProblem):
 
     def reweigh(self, name: str, weight: Array) -> None:
         """Replace the weights (N, ...) of one kind of observation."""
-        self._known, first = None, 0
-        for other, symbol in self.energy.observation.items():
-            if other == name:
-                break
-            first += symbol.numel()
-        rows = weight.reshape(self.frames, -1)
-        self._observed[first : first + rows.shape[1], self._columns.inside] = rows.T
+        self._known = None
+        columns = weight.reshape(self.frames, -1).T
+        self._observed[self.energy.rows[name], self._columns.inside] = columns
 
     def set_unknowns(self, y: Array) -> None:
         """There are none."""

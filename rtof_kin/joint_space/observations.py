@@ -28,6 +28,8 @@ from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 Array = NDArray[np.float64]
 _ROOT_BESIDE_SENSORS = 2.0
 """By how much wider the root's anchor is where there are landmarks and sensors."""
+_FIRM = np.radians(1.0)
+"""Standard deviation of a joint that nothing turns."""
 _WEIGHTS = {"w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor", "w_contact"}
 """What is observed in frames that exist alone; the prior holds in the padding too."""
 
@@ -53,7 +55,8 @@ class Observations:
     """A recording as the problem wants it, and the problem that fits what it has.
 
     Attributes:
-        names: L landmarks. sensors: S segments with a sensor. attached: where both sit.
+        names: L landmarks. sensors: S segments with a place for a sensor. attached: where both sit.
+        held: joints that turn in the problem for a sensor that says nothing, and stay as they are.
         rows, a_world, w_acceleration: what every one of T frames shows; constant: what is known.
         start: (T, 3 + 4A) states to begin with.
     """
@@ -67,8 +70,14 @@ class Observations:
         keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | None,
         footholds: Footholds | None = None,
+        places: Collection[str] = (),
     ) -> None:
-        """Collect what every frame shows, for fragments of so many frames."""
+        """Collect what every frame shows, for fragments of so many frames.
+
+        Args:
+            places: segments that have a place for a sensor in the problem whether theirs says anything
+                or not: recordings with any of them take the same compiled code.
+        """
         self.skeleton, self.frames, self.settings, s = skeleton, frames, settings, settings
         self.rate_hz = start.rate_hz
         known, extra, names = skeleton.landmarks, tuple[str, ...](), tuple[str, ...]()
@@ -81,25 +90,27 @@ class Observations:
             extra = tuple(n for n in keypoints.names if n in known and n not in skeleton.names)
             names = (*skeleton.names, *extra)
             keypoints = keypoints.select(names)
-        sensors = tuple(name for name in skeleton.names if name in _speaking(bone_imus))
-        moving = [
+        speaking = _speaking(bone_imus)
+        sensors = tuple(n for n in skeleton.names if n in speaking or n in places)
+        turning = {
             name for j, name in enumerate(skeleton.names)
-            if kinematics.children_of(skeleton.parents, j) or name in sensors
+            if kinematics.children_of(skeleton.parents, j) or name in speaking
             or any(known[n][0] == name for n in extra)
-        ]  # fmt: skip
-        self.space = StateSpace(skeleton, moving, s.hinges)
+        }  # fmt: skip
+        moving = tuple(name for name in skeleton.names if name in turning or name in sensors)
+        self.space, self.held = StateSpace(skeleton, moving, s.hinges), {*moving} - turning
         standing = () if footholds is None else footholds.joints
-        self.problem = self._built(tuple(moving), names, sensors, standing)
+        self.problem = self._built(moving, names, sensors, standing, self._jerk(speaking))
         self.names, self.sensors = names, sensors
         self.attached = Attached.of(self.problem.energy.shape)
         self.limits = Limits(self.space) if s.limits else None
-        self._observe(start, keypoints, bone_imus, sensors)
+        self._observe(start, keypoints, bone_imus, speaking)
         self._hold_in_gaps(sigma_unseen)
         if footholds is not None:
             known_place = np.isfinite(footholds.p_world[..., 0])
             self.rows["p_contact"] = np.nan_to_num(footholds.p_world)
             self.rows["w_contact"] = known_place / s.sigma_contact**2
-        x = self.space.from_poses(start.p_world_joint[:, 0], start.R_world_bone)
+        x = self._states(start.p_world_joint[:, 0], start.R_world_bone)
         self.start = self.space.low_passed(x, start.rate_hz, s.smooth_start_hz)
         if s.floor_height is not None:
             smooth = start.posed(slice(None), *self.space.poses(self.start))
@@ -116,31 +127,37 @@ class Observations:
         R = start.R_world_bone.copy()
         trunk = [j for j, name in enumerate(start.names) if name not in sum(LIMBS, ())]
         R[:, trunk] = so3.about_axis("z", yaw) @ R[:, trunk]
-        return self.space.from_poses(start.p_world_joint[:, 0], R)
+        return self._states(start.p_world_joint[:, 0], R)
+
+    def _states(self, p_root: Array, R_world_bone: Array) -> Array:
+        """`StateSpace.from_poses`, where joints that are held lose their turn too."""
+        x = self.space.from_poses(p_root, R_world_bone)
+        self.space.rotations(x)[:, [name in self.held for name in self.space.names]] = [1.0, 0, 0, 0]
+        return x
 
     def _built(
         self, moving: tuple[str, ...], names: tuple[str, ...], sensors: tuple[str, ...],
-        standing: tuple[str, ...],
+        standing: tuple[str, ...], jerk: tuple[float, ...],
     ) -> JointProblem:  # fmt: skip
-        """The problem for some moving joints, landmarks, sensors and joints that have footholds."""
+        """The problem for some moving joints, landmarks, sensors, joints that have footholds and factors on
+        the jerk."""
         skeleton, s = self.skeleton, self.settings
         index = skeleton.names.index
         shape = Shape(
             landmarks=tuple((index(skeleton.landmarks[n][0]), n in skeleton.names) for n in names),
             sensors=tuple(map(index, sensors)),
             torso=tuple(index(name) for name in TORSO if name in skeleton.names),
-            bones=_bare_bones(skeleton, sensors),
+            bones=_limb_bones(skeleton),
             feet=tuple(index(name) for name in FEET if name in skeleton.names),
             robust_orientation=s.robust_orientation,
             floor_cutoff=s.floor_cutoff,
             contacts=tuple(map(index, standing)),
         )
         return built_problem(
-            skeleton.name, shape, moving, self.frames, s.hinges, s.compile, self._jerk(sensors),
-            s.robust_acceleration,
+            skeleton.name, shape, moving, self.frames, s.hinges, s.compile, jerk, s.robust_acceleration
         )  # fmt: skip
 
-    def _jerk(self, sensors: tuple[str, ...]) -> tuple[float, ...]:
+    def _jerk(self, sensors: Collection[str]) -> tuple[float, ...]:
         """Factors on the jerk of the root's position and of every joint that moves."""
         unseen, smooth = self.settings.jerk_without_sensors, bare(sensors)
         others = self.settings.jerk if sensors else unseen
@@ -148,9 +165,11 @@ class Observations:
 
     def _observe(
         self, start: PoseSequence, seen: KeypointSequence | None, bone_imus: BoneImuSequence | None,
-        sensors: tuple[str, ...],
+        speaking: Collection[str],
     ) -> None:  # fmt: skip
-        skeleton, s, T = self.skeleton, self.settings, len(start)
+        skeleton, s, T, sensors = self.skeleton, self.settings, len(start), self.sensors
+        bones, bare_joints = self.problem.energy.shape.bones, bare(speaking)
+        alone = np.array([skeleton.names[joint] in bare_joints for joint, _ in bones], dtype=float)
         rows, constant = _camera_data(seen, T)
         self.confidence = rows["w_visual"] if seen is None else np.where(seen.seen, seen.confidence, 0.0)
         slow = low_passed(bone_imus, s)
@@ -162,16 +181,15 @@ class Observations:
             "w_sensor": has,
             "quat_torso": so3.to_quat_wxyz(start.R_world_bone[:, torso]),
             "w_torso": self._torso_weights(start, torso, sensors, has),
-            "b_world": _bone_vectors(start, self.problem.energy.shape.bones),
-            "w_bone": np.full(T, 0.0 if s.sigma_bone is None else 1 / s.sigma_bone**2),
+            "b_world": _bone_vectors(start, bones),
+            "w_bone": np.tile(0.0 if s.sigma_bone is None else alone / s.sigma_bone**2, (T, 1)),
             "p_root": start.p_world_joint[:, 0],
-            "w_root": np.full(T, self._root_weight(sensors, seen is not None)),
+            "w_root": np.full(T, self._root_weight(speaking, seen is not None)),
             "w_floor": np.zeros((T, len(self.attached.feet))),
             "w_prior": np.ones(T),
         }
         self.a_world, self.w_acceleration = a, w
-        prior, moving = shipped_prior(skeleton.names), self.space.names[1:]
-        mean = prior.mean_quat_wxyz[[prior.joints.index(name) - 1 for name in moving]]
+        mean, precision = self._prior()
         places = [skeleton.landmarks[name][1] for name in (() if seen is None else seen.names)]
         self.constant = constant | {
             "offsets": skeleton.joint_offsets.T,
@@ -179,9 +197,22 @@ class Observations:
             "levers": levers.T,
             "places": np.reshape(places, (-1, 3)).T,
             "quat_mean": mean.T,
-            "precision": prior.precision(moving, s.prior_inflation, s.sigma_prior_least),
+            "precision": precision,
             "floor": np.array([(s.floor_height or 0.0) + s.ankle_height]),
         }
+
+    def _prior(self) -> tuple[Array, Array]:
+        """Mean rotations (A - 1, 4) of the joints that move and their precision; of those that are held,
+        none and a firm one of their own, so that nothing turns them."""
+        prior, moving, s = shipped_prior(self.skeleton.names), self.space.names[1:], self.settings
+        turning = [name for name in moving if name not in self.held]
+        of_turning = np.repeat([name not in self.held for name in moving], 3)
+        mean = np.tile([1.0, 0.0, 0.0, 0.0], (len(moving), 1))
+        mean[of_turning[::3]] = prior.mean_quat_wxyz[[prior.joints.index(name) - 1 for name in turning]]
+        precision = np.eye(3 * len(moving)) / _FIRM**2
+        own = prior.precision(turning, s.prior_inflation, s.sigma_prior_least)
+        precision[np.ix_(of_turning, of_turning)] = own
+        return mean, precision
 
     def _hold_in_gaps(self, sigma: Array) -> None:
         """Anchor the root to the start where nobody saw it: a fragment all of whose frames are such knows
@@ -195,7 +226,7 @@ class Observations:
             count = min(stop - first, self.frames)
             self.rows["w_root"][first:stop] = 1 / (count * sigma[first:stop] ** 2)
 
-    def _root_weight(self, sensors: tuple[str, ...], seen: bool) -> float:
+    def _root_weight(self, sensors: Collection[str], seen: bool) -> float:
         """Of the anchor to the start's root, 1/m^2."""
         s = self.settings
         known = seen and both_bones_sensed(sensors)
@@ -311,9 +342,9 @@ def sensor_data(
     return quat, has, a, w, levers
 
 
-def _bare_bones(skeleton: SkeletonModel, sensors: Collection[str]) -> tuple[tuple[int, int], ...]:
-    """Joint and child of the bones of limbs that carry no sensor at all."""
-    joints = skeleton.index(*({*skeleton.names} & bare(sensors)))
+def _limb_bones(skeleton: SkeletonModel) -> tuple[tuple[int, int], ...]:
+    """Joint and child of the bones of the limbs."""
+    joints = skeleton.index(*({*skeleton.names} & {*sum(LIMBS, ())}))
     pairs = [(joint, kinematics.children_of(skeleton.parents, joint)) for joint in joints]
     return tuple(sorted((joint, children[0]) for joint, children in pairs if len(children) == 1))
 

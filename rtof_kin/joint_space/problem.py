@@ -15,7 +15,7 @@ solver that moves them needs beside (`bordered`) is in `gradients` and `border`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -100,15 +100,10 @@ class JointProblem:
 
     def reweigh(self, name: str, weight: Array) -> None:
         """Replace the weights (N, ...) of one kind of observation."""
-        self._now, first = None, 0
-        for other, symbol in self.energy.observation.items():
-            if other == name:
-                break
-            first += symbol.numel()
-        rows = weight.reshape(self.frames, -1)
+        self._now = None
         for mapped in (self._full, self._value, self._gradient):
             inputs = mapped.inputs[1].reshape(self.frames, -1)
-            inputs[:, first : first + rows.shape[1]] = rows
+            inputs[:, self.energy.rows[name]] = weight.reshape(self.frames, -1)
 
     def set_unknowns(self, y: Array) -> None:
         """Replace the value (G,) of the unknowns.
@@ -302,6 +297,7 @@ def _z_cross(a: Array) -> Array:
     return np.stack([-a[..., 1], a[..., 0], np.zeros_like(a[..., 0])], axis=-1)
 
 
+@lru_cache(maxsize=None)
 def _temporal(points: int, size: int, frames: int, robust: float) -> Any:
     """(positions (3S, N), steps (D, N - 1), data) -> energies, their derivatives, slopes of the loss."""
     p, steps = ca.SX.sym("p", points, frames), ca.SX.sym("v", size, frames - 1)

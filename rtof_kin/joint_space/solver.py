@@ -39,10 +39,10 @@ class JointSpaceSolver:
         skeleton: SkeletonModel,
         frames: int,
         settings: JointSpaceSettings,
-        sensor_joints: tuple[str, ...],
+        places: tuple[str, ...] = (),
     ) -> None:
-        self.skeleton, self.frames, self.settings = skeleton, frames, settings
-        self.sensor_joints = sensor_joints
+        """Keep what the problem will be built for; see `Observations` for `places`."""
+        self.skeleton, self.frames, self.settings, self.places = skeleton, frames, settings, places
 
     def run(
         self,
@@ -57,8 +57,9 @@ class JointSpaceSolver:
         if keypoints is not None and not set(keypoints.names) & set(self.skeleton.landmarks):
             raise SolverError("keypoints: none of the landmarks is one of the skeleton")
         data = Observations(
-            self.skeleton, self.frames, self.settings, start, keypoints, bone_imus, footholds
-        )
+            self.skeleton, self.frames, self.settings, start, keypoints, bone_imus, footholds,
+            self.places,
+        )  # fmt: skip
         fragments = _Fragments(data, self.settings, confidence)
         half, T = self.frames // 2, len(start)
         i = np.arange(self.frames)
@@ -73,7 +74,7 @@ class JointSpaceSolver:
             x, told = x[:count], None
             if previous.covariance is not None and piece.covariance is not None:
                 C = blended(previous.covariance[half:], piece.covariance[:half], share)[:count]
-                told = confidence_of(data.space, start.times[frames], x, C)
+                told = confidence_of(data.space, start.times[frames], x, C, data.held)
             reports = [piece.report] if reports else [previous.report, piece.report]
             yield Block(frames, *data.space.poses(x), tuple(reports), told)
 

@@ -8,6 +8,8 @@ the weight they have there, and a limit that pushes holds its angle to a degree.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,8 +69,14 @@ def segment_pairs(skeleton: SkeletonModel) -> tuple[tuple[str, str], ...]:
     return tuple(dict.fromkeys(pairs))
 
 
-def confidence_of(space: StateSpace, times: Array, x: Array, covariance: Array) -> Confidence:
-    """What covariances (T, D, D) of states x (T, 3 + 4A) say of positions and orientations."""
+def confidence_of(
+    space: StateSpace, times: Array, x: Array, covariance: Array, held: Collection[str] = ()
+) -> Confidence:
+    """What covariances (T, D, D) of states x (T, 3 + 4A) say of positions and orientations.
+
+    Args:
+        held: joints of the space that nothing turns.
+    """
     skeleton, (p, R) = space.skeleton, space.poses(x)
     moves, turns = _rates(space, p, R)
     pairs = segment_pairs(skeleton)
@@ -77,7 +85,8 @@ def confidence_of(space: StateSpace, times: Array, x: Array, covariance: Array) 
     turns = np.concatenate([turns, np.zeros_like(turns[:, :1])], axis=1)  # the world's
     seen_from = np.swapaxes(R[:, children], -1, -2) @ (turns[:, children] - turns[:, parents])
     turned = _covariance(seen_from, covariance)
-    turned[:, [child not in space.names for _, child in pairs]] = np.nan  # turned with its parent
+    turning = {*space.names} - {*held}
+    turned[:, [child not in turning for _, child in pairs]] = np.nan  # turned with its parent
     positions = _covariance(moves, covariance)
     positions[np.trace(positions, axis1=2, axis2=3) > 3 * _NOWHERE**2] = np.nan
     moves[..., :3] = 0.0  # as seen from the root
