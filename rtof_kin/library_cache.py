@@ -1,6 +1,6 @@
 """Shared libraries kept in a folder: made once for all processes, loaded only as they were made.
 
-Beside each library lies a record: the SHA-256 of its bytes, and of the source and the compiler that it was
+Beside each library lies a record: the SHA-256 of its bytes, and the source and the compiler that it was
 made from. A library that is not what its record says (cut off, exchanged, of another source) is made
 again. Nothing is loaded from where another user could have put it: `trusted` gives a private folder then.
 """

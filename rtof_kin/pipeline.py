@@ -42,6 +42,7 @@ from rtof_kin.stages import (
     evenly_spaced,
     guarded,
     on_floor,
+    sensor_places,
 )
 from rtof_kin.stream_faults import FaultKind, StreamFault
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
@@ -283,7 +284,10 @@ def _solved(
         keypoints = found.moved(keypoints, begun.start)
     if mode not in ("rto", "rtof"):
         return keypoints, begun.stages[mode], None
-    solution = FragmentSolver(skeleton, settings.frames, settings.fragment).solve(
+    places = None  # in Cartesian space all that usually carry one
+    if isinstance(settings.fragment, JointSpaceSettings):
+        places = sensor_places(begun.recording, skeleton, settings)
+    solution = FragmentSolver(skeleton, settings.frames, settings.fragment, places).solve(
         begun.start, keypoints, begun.bone_imus, lambda i, n: tell(mode, i, n),
         confidence=settings.confidence,
     )  # fmt: skip
@@ -375,7 +379,7 @@ def _without_camera(
     settings = settings.with_fragment(solver)
     cleaned, faults = guarded(recording, settings, camera=False)
     found = reconstruct_from_sensors(
-        cleaned, skeleton, settings.sensors_alone, solver, settings.frames,
+        cleaned, skeleton, settings.sensors_alone, solver, settings.frames, settings.sensor_joints,
         lambda done, total: tell("imu", done, total),
     )  # fmt: skip
     _warn(recording, (*faults, *found.warnings))

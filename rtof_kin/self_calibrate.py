@@ -100,7 +100,9 @@ def shared_fragments(
     _check_long_enough(seen, imus, priors)
     native = without(recording.calibration.apply(imus), left_out)
     bone_imus = native.resample(start.times)
-    data = Observations(recording.skeleton, frames, settings, start, seen, bone_imus)
+    data = Observations(
+        recording.skeleton, frames, settings, start, seen, bone_imus, places=native.joints
+    )
     slow = low_passed(_with_even_noise(native), settings)
 
     def sampled(times: Array) -> tuple[Array, Array, Array, Array]:

@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 from rtof_kin import signals
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.errors import ShapeError
-from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.pipeline import Reconstruction, reconstruct
 from rtof_kin.recording import Recording
 from rtof_kin.sensor_sets import SensorSet, measured
-from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.stages import LifterLike, ReconstructionSettings
 from rtof_kin.types import PoseSequence
 
@@ -34,9 +32,6 @@ LEAST_SEEN = 0.9
 """Share of the frames in which an angle that is kept must be seen."""
 MOST_GREEDY = 8
 """Sensors up to which every removal is tried at every step where nobody says how."""
-_LONG = 15.0
-"""s of recording from which on it costs less to compile the energy for every set of sensors, which takes
-some 10 s a set and is kept, than to interpret it."""
 
 
 @dataclass(frozen=True)
@@ -108,9 +103,7 @@ def study_sensors(
         greedy: whether each step down tries every sensor that is left, n (n + 1) / 2 runs in all; else
             they go in the order in which they are missed when left out alone. Where not given: up to
             `MOST_GREEDY` sensors.
-        lifter, settings: as for `reconstruct`; where they leave the fragment solver's open, the energy of
-            a short recording is interpreted: every set of sensors has its own, and compiling it takes
-            longer.
+        lifter, settings: as for `reconstruct`; the problem is compiled once for all sets of sensors.
         progress: told ("study", runs done, runs in all).
 
     Raises:
@@ -125,29 +118,19 @@ def study_sensors(
             f"recording {recording.name}: with one sensor and no camera nothing can be left out"
         )
     total = number_of_runs(len(imus.names), camera, greedy)
-    settings = _with_fragment(settings or ReconstructionSettings(), recording.skeleton, imus.times)
+    bone_imus = recording.bone_imus()
+    assert bone_imus is not None
+    settings = settings or ReconstructionSettings()
+    settings = replace(settings, sensor_joints=(*settings.sensor_joints, *bone_imus.joints))
     runs = _Runs(recording, lifter, settings, progress, total)
     full = runs.of(imus.names)
     without = tuple(runs.of(_less(imus.names, name)) for name in imus.names)
     path = _way_down(runs, full, without, 0 if camera else 1, _is_greedy(len(imus.names), greedy))
-    bone_imus = recording.bone_imus()
-    assert bone_imus is not None
     assert runs.reconstruction is not None
     return SensorStudy(
         recording.name, dict(zip(imus.names, bone_imus.joints, strict=True)), runs.angles, full, without,
         path, recording.truth is not None, runs.reconstruction,
     )  # fmt: skip
-
-
-def _with_fragment(
-    settings: ReconstructionSettings, skeleton: SkeletonModel, times: Array
-) -> ReconstructionSettings:
-    if settings.fragment is not None:
-        return settings
-    fragment = settings.solver(skeleton)
-    if isinstance(fragment, JointSpaceSettings) and times[-1] - times[0] <= _LONG:
-        fragment = replace(fragment, compile="never")
-    return settings.with_fragment(fragment)
 
 
 def _is_greedy(sensors: int, greedy: bool | None) -> bool:

@@ -67,6 +67,7 @@ def reconstruct_from_sensors(
     settings: SensorsAloneSettings | None = None,
     solver: JointSpaceSettings | None = None,
     frames: int = 50,
+    sensor_joints: tuple[str, ...] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> SensorsAlone:
     """Solve a recording without looking at its keypoints.
@@ -74,6 +75,7 @@ def reconstruct_from_sensors(
     Args:
         recording: with IMUs and their calibration; its floor's height, 0 where it has none.
         solver: settings of the joint-space solver. frames: N of a fragment.
+        sensor_joints: further segments that the compiled problem has a place for a sensor on.
 
     Raises:
         ShapeError: there are no IMUs, none of them says anything, or the skeleton has no pose prior.
@@ -94,7 +96,7 @@ def reconstruct_from_sensors(
     ankles = start.p_world_joint[:, skeleton.index(*contacts.joints)]
     stand = footholds(contacts, ankles, ankle_height)
     solver = replace(solver, floor_height=None)  # the footholds know it
-    solution = FragmentSolver(skeleton, frames, solver, bone_imus.joints).solve(
+    solution = FragmentSolver(skeleton, frames, solver, (*bone_imus.joints, *sensor_joints)).solve(
         start, None, bone_imus, progress, stand
     )
     warnings = _warnings(start, contacts, skeleton, ankle_height)

@@ -74,6 +74,9 @@ class ReconstructionSettings:
     confidence: bool = True
     """Whether to tell how well the motion is known (`MotionSequence.confidence`), in modes rto and rtof
     in joint space."""
+    sensor_joints: tuple[str, ...] = ()
+    """Segments on which the compiled problem of joint space has a place for a sensor, beside those that a
+    recording declares one on: recordings with any subset of the same places share one compilation."""
     sensors_alone: SensorsAloneSettings = field(default_factory=SensorsAloneSettings)
     """Of mode imu: its frames, contacts and path."""
 
@@ -224,6 +227,16 @@ def _snapped(at: Array, times: Array, tolerance: float) -> Array:
     left = right - 1
     nearest = np.where(at - times[left] < times[right] - at, times[left], times[right])
     return np.where(np.abs(nearest - at) < tolerance, nearest, at)
+
+
+def sensor_places(
+    recording: Recording, skeleton: SkeletonModel, settings: ReconstructionSettings
+) -> tuple[str, ...]:
+    """Segments that usually carry a sensor and of which the recording or the settings name one, whether
+    the mode uses it, and whether it says anything, or not: one compiled problem fits all these cases."""
+    declared = () if recording.calibration is None else recording.calibration.joints
+    usual = (joint for joint, _ in skeleton.sensors.values())
+    return tuple(joint for joint in usual if joint in (*declared, *settings.sensor_joints))
 
 
 def on_floor(

@@ -7,7 +7,7 @@ CasADi frees them as if there were one thread.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -54,7 +54,7 @@ def _built(
     return JointProblem(space, functions, energy, frames, sigma_jerk, robust_acceleration)
 
 
-@lru_cache(maxsize=None)
+@cache
 def _energy(
     name: str, shape: Shape, moving: tuple[str, ...], hinges: bool
 ) -> FrameEnergy:
@@ -62,7 +62,7 @@ def _energy(
     return FrameEnergy(StateSpace(SkeletonModel.named(name), moving, hinges), shape)
 
 
-@lru_cache(maxsize=None)
+@cache
 def _lanes(
     name: str, shape: Shape, moving: tuple[str, ...], hinges: bool, robust: float
 ) -> LaneFunctions | None:
@@ -70,7 +70,7 @@ def _lanes(
     return LaneFunctions.compiled(_energy(name, shape, moving, hinges), robust)
 
 
-@lru_cache(maxsize=None)
+@cache
 def _functions(
     name: str, shape: Shape, moving: tuple[str, ...], hinges: bool, compile: str
 ) -> list[Any]:

@@ -100,6 +100,7 @@ class Observations:
         moving = tuple(name for name in skeleton.names if name in turning or name in sensors)
         self.space, self.held = StateSpace(skeleton, moving, s.hinges), {*moving} - turning
         standing = () if footholds is None else footholds.joints
+        standing = tuple(n for n in skeleton.names if standing and (n in standing or n in FEET))
         self.problem = self._built(moving, names, sensors, standing, self._jerk(speaking))
         self.names, self.sensors = names, sensors
         self.attached = Attached.of(self.problem.energy.shape)
@@ -107,9 +108,10 @@ class Observations:
         self._observe(start, keypoints, bone_imus, speaking)
         self._hold_in_gaps(sigma_unseen)
         if footholds is not None:
-            known_place = np.isfinite(footholds.p_world[..., 0])
-            self.rows["p_contact"] = np.nan_to_num(footholds.p_world)
-            self.rows["w_contact"] = known_place / s.sigma_contact**2
+            p = np.full((len(start), len(standing), 3), np.nan)
+            p[:, [standing.index(joint) for joint in footholds.joints]] = footholds.p_world
+            self.rows["p_contact"] = np.nan_to_num(p)
+            self.rows["w_contact"] = np.isfinite(p[..., 0]) / s.sigma_contact**2
         x = self._states(start.p_world_joint[:, 0], start.R_world_bone)
         self.start = self.space.low_passed(x, start.rate_hz, s.smooth_start_hz)
         if s.floor_height is not None:
@@ -139,8 +141,8 @@ class Observations:
         self, moving: tuple[str, ...], names: tuple[str, ...], sensors: tuple[str, ...],
         standing: tuple[str, ...], jerk: tuple[float, ...],
     ) -> JointProblem:  # fmt: skip
-        """The problem for some moving joints, landmarks, sensors, joints that have footholds and factors on
-        the jerk."""
+        """The problem for some moving joints, landmarks, sensors, joints that have footholds, and factors
+        on the jerk."""
         skeleton, s = self.skeleton, self.settings
         index = skeleton.names.index
         shape = Shape(

@@ -15,7 +15,7 @@ solver that moves them needs beside (`bordered`) is in `gradients` and `border`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property
 from typing import Any
 
 import casadi as ca
@@ -297,7 +297,7 @@ def _z_cross(a: Array) -> Array:
     return np.stack([-a[..., 1], a[..., 0], np.zeros_like(a[..., 0])], axis=-1)
 
 
-@lru_cache(maxsize=None)
+@cache
 def _temporal(points: int, size: int, frames: int, robust: float) -> Any:
     """(positions (3S, N), steps (D, N - 1), data) -> energies, their derivatives, slopes of the loss."""
     p, steps = ca.SX.sym("p", points, frames), ca.SX.sym("v", size, frames - 1)
