@@ -153,10 +153,11 @@ def test_a_state_moves_as_in_its_space(both: Both) -> None:
 def test_other_weights_and_other_data_are_taken_up(both: Both) -> None:
     plain, own, x = both.bound()
     before = own.total(x)
-    weights = np.random.default_rng(1).uniform(0, 2, (len(x), len(SEEN)))
+    weights = np.random.default_rng(1).uniform(0, 2, (len(x), len(both.built.shape.landmarks)))
     for problem in (plain, own):
         problem.reweigh("w_visual", weights)
         problem.reweigh("knee_visual", np.full(len(x), 0.7))
+        problem.reweigh("w_prior", np.full(len(x), 0.3))
     assert own.total(x) == pytest.approx(plain.total(x), rel=1e-12)
     assert own.total(x) != pytest.approx(before, rel=1e-6)
     data = js.random_data(both.built, x, 9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import planted
@@ -11,7 +12,9 @@ from numpy.typing import NDArray
 
 from rtof_kin import rotations as so3
 from rtof_kin import signals
+from rtof_kin.contacts import FEET, Footholds
 from rtof_kin.errors import ShapeError
+from rtof_kin.fragment import FragmentSolver
 from rtof_kin.joint_space.frame_energy import TORSO
 from rtof_kin.joint_space.observations import Observations
 from rtof_kin.joint_space.settings import JointSpaceSettings
@@ -141,8 +144,9 @@ def test_bones_of_limbs_without_a_sensor_are_held_to_the_start(
     sensors: tuple[str, ...], bare: set[str]
 ) -> None:
     found = observed(start(), worn(*sensors) if sensors else None)
-    bones = found.problem.energy.shape.bones
-    assert {BODY.names[joint] for joint, _ in bones} == bare
+    bones, held = found.problem.energy.shape.bones, found.rows["w_bone"] > 0
+    assert {BODY.names[bones[i][0]] for i in np.flatnonzero(held.all(axis=0))} == bare
+    assert np.array_equal(held.all(axis=0), held.any(axis=0))
     p = POSES.p_world_joint
     for i, (joint, child) in enumerate(bones):
         np.testing.assert_allclose(found.rows["b_world"][:, i], p[:, child] - p[:, joint])
@@ -208,3 +212,56 @@ def test_an_absurd_acceleration_stays_where_it_is() -> None:
     a_world = data.a_world[:, [data.sensors.index(joint) for joint in imus.joints]]
     assert a_world[8, 0, 1] == 1e100
     assert np.abs(np.delete(a_world, 8, axis=0)).max() < 50
+
+
+# --- sensors that say nothing --------------------------------------------------------------------
+
+PLACES = ("Hips", "Head", "LeftArm", "LeftForeArm", "LeftFoot", "RightLeg")
+
+
+def masked(places: tuple[str, ...], *sensors: str, **more: Any) -> Observations:
+    imus = worn(*sensors) if sensors else None
+    seen = planted.keypoints(POSES, 2.0)
+    return Observations(BODY, N, SETTINGS, start(), seen, imus, places=places, **more)
+
+
+SETS = [(), ("LeftForeArm",), ("LeftArm", "LeftForeArm", "Head"), PLACES]
+
+
+@pytest.mark.parametrize("sensors", SETS)
+def test_every_subset_of_the_places_takes_the_same_compiled_problem(sensors: tuple[str, ...]) -> None:
+    full, some = masked(PLACES, *PLACES), masked(PLACES, *sensors)
+    assert some.problem.energy is full.problem.energy
+    assert some.problem is not full.problem
+
+
+@pytest.mark.parametrize("sensors", SETS)
+def test_places_without_a_sensor_change_nothing(sensors: tuple[str, ...]) -> None:
+    """Not the motion, not the energy, not which joints turn, not what is known of them."""
+    found = []
+    for places in ((), PLACES):
+        solver = FragmentSolver(BODY, N, SETTINGS, sensor_joints=places or None)
+        seen, imus = planted.keypoints(POSES, 2.0), worn(*sensors) if sensors else None
+        found.append(solver.solve(start(), seen, imus, confidence=True))
+    own, with_places = found
+    np.testing.assert_allclose(with_places.poses.p_world_joint, own.poses.p_world_joint, atol=1e-8)
+    np.testing.assert_allclose(with_places.poses.R_world_bone, own.poses.R_world_bone, atol=1e-8)
+    for term, energy in own.energy.items():
+        assert with_places.energy[term] == pytest.approx(energy, rel=1e-6, abs=1e-9), term
+    assert own.confidence is not None
+    assert with_places.confidence is not None
+    for field in ("position_covariance", "turn_covariance"):
+        a, b = (getattr(told, field) for told in (own.confidence, with_places.confidence))
+        np.testing.assert_allclose(b, a, rtol=1e-5, atol=1e-10)
+
+
+def test_contacts_of_one_foot_take_the_problem_of_both() -> None:
+    def stands(*feet: str) -> Footholds:
+        return Footholds(feet, POSES.p_world_joint[:, BODY.index(*feet)])
+
+    one, both = (masked((), footholds=stands(*feet)) for feet in (("RightFoot",), FEET))
+    assert one.problem.energy is both.problem.energy
+    stood = [BODY.names[j] == "RightFoot" for j in one.problem.energy.shape.contacts]
+    assert (one.rows["w_contact"] > 0).all(axis=0).tolist() == stood
+    own, other = (found.rows["p_contact"][:, stood] for found in (one, both))
+    np.testing.assert_array_equal(own, other)

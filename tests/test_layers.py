@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 ROWS = """
-errors   plausibility   limbs
+errors   plausibility   limbs   library_cache
 threads
 rotations   resources   body_mass   io
 io.text

@@ -19,6 +19,7 @@ from rtof_kin import sensor_study
 from rtof_kin.choices import Choices
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.errors import ShapeError
+from rtof_kin.joint_space import building
 from rtof_kin.recording import Recording
 from rtof_kin.sensor_sets import measured
 from rtof_kin.sensor_study import SensorStudy, number_of_runs, study_sensors
@@ -248,7 +249,9 @@ def test_a_study_of_two_sensors_goes_down_to_vision_alone() -> None:
     recording: Recording = replace(planted.recording(truth), joint_offsets=body.joint_offsets)
     assert recording.imus is not None
     recording = replace(recording, imus=recording.imus.select(recording.imus.names[:2]))
+    built = building._energy.cache_info().misses
     study = study_sensors(recording, lifter=planted.PlantedLifter(truth))
+    assert building._energy.cache_info().misses <= built + 1, "all sets take one compiled problem"
     assert study.has_truth
     assert [len(found.sensors) for found in study.path] == [2, 1, 0]
     assert np.isfinite(study.full.error).any()

@@ -33,7 +33,8 @@ def solve(kind: str, i: int, solver: FragmentSolver | None = None) -> Array:
     seen = planted.keypoints(truth.poses, 2.0, seed=i)
     imus = planted.bone_imus(body, truth.poses, degrees=3.0, seed=i)
     solver = solver or FragmentSolver(body, N, SETTINGS[kind])
-    return solver.solve(planted.human(body, FRAMES, seed=i, size=0.9).poses, seen, imus).poses.p_world_joint
+    start = planted.human(body, FRAMES, seed=i, size=0.9).poses
+    return solver.solve(start, seen, imus).poses.p_world_joint
 
 
 @cache

@@ -172,6 +172,7 @@ class Observations:
         skeleton, s, T, sensors = self.skeleton, self.settings, len(start), self.sensors
         bones, bare_joints = self.problem.energy.shape.bones, bare(speaking)
         alone = np.array([skeleton.names[joint] in bare_joints for joint, _ in bones], dtype=float)
+        bone_weights = np.zeros_like(alone) if s.sigma_bone is None else alone / s.sigma_bone**2
         rows, constant = _camera_data(seen, T)
         self.confidence = rows["w_visual"] if seen is None else np.where(seen.seen, seen.confidence, 0.0)
         slow = low_passed(bone_imus, s)
@@ -184,7 +185,7 @@ class Observations:
             "quat_torso": so3.to_quat_wxyz(start.R_world_bone[:, torso]),
             "w_torso": self._torso_weights(start, torso, sensors, has),
             "b_world": _bone_vectors(start, bones),
-            "w_bone": np.tile(0.0 if s.sigma_bone is None else alone / s.sigma_bone**2, (T, 1)),
+            "w_bone": np.tile(bone_weights, (T, 1)),
             "p_root": start.p_world_joint[:, 0],
             "w_root": np.full(T, self._root_weight(speaking, seen is not None)),
             "w_floor": np.zeros((T, len(self.attached.feet))),
