@@ -234,9 +234,11 @@ def sensor_places(
 ) -> tuple[str, ...]:
     """Segments that usually carry a sensor and of which the recording or the settings name one, whether
     the mode uses it, and whether it says anything, or not: one compiled problem fits all these cases."""
-    declared = () if recording.calibration is None else recording.calibration.joints
-    usual = (joint for joint, _ in skeleton.sensors.values())
-    return tuple(joint for joint in usual if joint in (*declared, *settings.sensor_joints))
+    places, calibration, imus = {*settings.sensor_joints}, recording.calibration, recording.imus
+    if calibration is not None and imus is not None:
+        told = zip(calibration.sensors, calibration.joints, strict=True)
+        places |= {joint for sensor, joint in told if sensor in imus.names}
+    return tuple(joint for joint, _ in skeleton.sensors.values() if joint in places)
 
 
 def on_floor(
