@@ -299,7 +299,9 @@ class CartesianSolver:
             target[:, joint] = jerk[:, k]
         return target.reshape(N - 3, -1).T
 
-    def oriented(self, poses: PoseSequence, bone_imus: BoneImuSequence | None) -> PoseSequence:
+    def oriented(
+        self, poses: PoseSequence, keypoints: KeypointSequence | None, bone_imus: BoneImuSequence | None
+    ) -> PoseSequence:
         """Orientations from the optimised positions, twist from the sensors; positions as they are."""
         never = InertialGuidedIKSettings(threshold=np.pi)
         return InertialGuidedIK(self.skeleton, never).orient(poses, bone_imus)

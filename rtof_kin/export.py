@@ -27,6 +27,7 @@ import numpy as np
 
 from rtof_kin.io.folder import new_folder
 from rtof_kin.io.motion_npz import write_motion_npz
+from rtof_kin.io.motion_views import dofs_from_prior
 from rtof_kin.motion_files import DEFAULT, check_formats, write_motion_files
 from rtof_kin.report.audit import audit
 from rtof_kin.report.facts import facts
@@ -97,6 +98,7 @@ def summary(result: Reconstruction) -> dict[str, Any]:
             p.name.lower(): float(np.mean(poses.provenance == p)) for p in Provenance
         },
         "valid_share": float(poses.valid.mean()),
+        "dofs_from_prior": dofs_from_prior(result.motion),
         "limit_violations_deg": {k: float(np.degrees(v)) for k, v in report.violations.items()},
         "singular_share": float(report.singular.mean()),
     }

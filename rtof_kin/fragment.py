@@ -130,7 +130,7 @@ class FragmentSolver:
         )
         told = [block.confidence for block in blocks if block.confidence is not None]
         return FragmentSolution(
-            self._solver.oriented(whole, bone_imus),
+            self._solver.oriented(whole, keypoints, bone_imus),
             tuple(report for block in blocks for report in block.fragments),
             joined(told) if told else None,
         )
@@ -147,7 +147,7 @@ class FragmentSolver:
         for block in self._solver.run(start, keypoints, bone_imus, None, None):
             p, R = block.p_world_joint, block.R_world_bone
             poses = replace(start[block.frames], p_world_joint=p, R_world_bone=R)
-            yield self._solver.oriented(poses, bone_imus)
+            yield self._solver.oriented(poses, keypoints[block.frames], bone_imus)
 
     def _check(
         self, start: PoseSequence, keypoints: KeypointSequence | None,

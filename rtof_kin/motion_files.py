@@ -1,8 +1,10 @@
 """A motion in the files of every tool, which agree with one another, and what each of them says.
 
 What nobody saw is nowhere filled in silently. A frame belongs to a *gap* where no joint is valid (nobody
-saw where the person was; what stands there was bridged) or the configuration is not known at all. Single
-joints that nobody saw in other frames are *from the prior*, and ``files.json`` lists them:
+saw where the person was; what stands there was bridged) or the configuration is not known at all. Joints,
+landmarks and degrees of freedom that nobody saw in other frames are *from the prior*
+(`rtof_kin.observation`), and ``files.json`` lists them. Degrees of freedom that were never observed are
+left out of .mot and ros, which cannot hold a NaN:
 
 ==========  ===========================================  =============================================
 format      files                                        in a gap
@@ -13,8 +15,8 @@ ros         ros_joint_..., ros_base_trajectory.json      goes on; a file each si
 osim        skeleton.osim                                (a body has none)
 mot, sto    motion.mot, motion.sto                       a file each side: motion_1.mot, motion_2.mot
 bvh         motion.bvh                                   the same
-trc, c3d    motion.trc, motion.c3d                       empty cells, residual -1; also of single joints
-                                                         that nobody saw
+trc, c3d    motion.trc, motion.c3d                       empty cells, residual -1; also of single
+                                                         landmarks that nobody saw
 ==========  ===========================================  =============================================
 
 ``skeleton.urdf`` and ``files.json``, which says all this of the files beside it, are always written.
@@ -36,10 +38,19 @@ from rtof_kin.io.bvh import write_bvh
 from rtof_kin.io.c3d import write_c3d
 from rtof_kin.io.joint_trajectory import write_joint_trajectory_csv, write_ros_trajectory
 from rtof_kin.io.motion_table import CONVENTION, write_motion_csv, write_motion_parquet
-from rtof_kin.io.motion_views import even_times, from_prior, joint_tree, landmark_markers, pieces
+from rtof_kin.io.motion_views import (
+    dofs_from_prior,
+    even_times,
+    from_prior,
+    joint_tree,
+    landmark_markers,
+    landmarks_from_prior,
+    pieces,
+)
 from rtof_kin.io.opensim_model import write_osim
 from rtof_kin.io.opensim_mot import write_mot, write_sto
 from rtof_kin.io.trc import write_trc
+from rtof_kin.observation import never_observed
 from rtof_kin.signals import runs
 from rtof_kin.skeleton import MotionSequence
 
@@ -120,11 +131,14 @@ def _index(motion: MotionSequence, files: Files) -> Facts:
         "rate_hz": poses.rate_hz,
         "times_s": [float(poses.times[0]), float(poses.times[-1])],
         "gaps": [list(gap) for gap in runs(~seen)],
-        "from_prior": from_prior(motion),
+        **_unseen(motion),
         "meaning": "frames and gaps: [first, stop) in frames of the motion, from 0; from_prior: joints "
         "that nobody saw, and in what share of the frames outside gaps; a prior or their neighbours say "
-        "where they are, but .trc and .c3d leave them out; time_zero_s: the motion's time at which the "
-        "clock of a file shows 0; names with '-': sign opposite to the URDF's",
+        "where they are, but .trc and .c3d leave them out; landmarks_from_prior: the same of other "
+        "landmarks; dofs_from_prior: the same of degrees of freedom and base_q, the root's orientation: "
+        "their numbers are a prior's or the model's; left_out: those that were never observed and that a "
+        "file lacks: take the model's zero; time_zero_s: the motion's time at which the clock of a file "
+        "shows 0; names with '-': sign opposite to the URDF's",
         "landmarks": {name: joint for name, (joint, _) in skeleton.landmarks.items()},
         "dofs": {
             dof.urdf: {"clinical": dof.clinical, "opensim": dof.opensim}
@@ -151,7 +165,8 @@ def _parquet(folder: Path, motion: MotionSequence) -> Files:
 
 def _ros(folder: Path, motion: MotionSequence) -> Files:
     paths = write_ros_trajectory(folder, motion)
-    return {path.name: {"time_zero_s": float(motion.times[0])} for path in paths}
+    facts = {"time_zero_s": float(motion.times[0]), "left_out": list(never_observed(motion))}
+    return {path.name: dict(facts) for path in paths}
 
 
 def _osim(folder: Path, motion: MotionSequence) -> Files:
@@ -199,10 +214,19 @@ def _in_pieces(
         name = f"motion{ending}" if len(parts) == 1 else f"motion_{number}{ending}"
         write(folder / name, part)
         zero = 0.0 if has_times else float(part.times[0])
-        files[name] = {
-            "frames": [start, stop], "time_zero_s": zero, "from_prior": from_prior(part)
-        }  # fmt: skip
+        files[name] = {"frames": [start, stop], "time_zero_s": zero, **_unseen(part)}
+        if ending == ".mot":
+            files[name]["left_out"] = list(never_observed(part))
     return files
+
+
+def _unseen(motion: MotionSequence) -> Facts:
+    """What nobody saw of a motion, as `files.json` says it."""
+    return {
+        "from_prior": from_prior(motion),
+        "landmarks_from_prior": landmarks_from_prior(motion),
+        "dofs_from_prior": dofs_from_prior(motion),
+    }
 
 
 def _whole(motion: MotionSequence) -> Facts:

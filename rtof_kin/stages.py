@@ -17,6 +17,7 @@ from rtof_kin.fragment_settings import SPACES, FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.keypoint_guards import guarded_keypoints
+from rtof_kin.observation import WHOLE, levels_by_points
 from rtof_kin.recording import Recording
 from rtof_kin.self_calibration import SelfCalibration
 from rtof_kin.sensor_guards import guarded_imus, without
@@ -279,7 +280,8 @@ def _lift(
         raise ShapeError(f"lifted pose of frame {frame} is behind the camera; check its extrinsics")
     R = kinematics.rotations_from_positions(skeleton.parents, skeleton.joint_offsets, p)
     R = np.where(np.isfinite(result.R_world_bone), result.R_world_bone, R)
-    seen = keypoints.select(skeleton.names).seen
+    joints = keypoints.select(skeleton.names)  # all that a lifter looks at
+    seen = joints.seen
     provenance = np.where(seen, Provenance.CAMERA, Provenance.PRIOR)
     bridged = ~np.asarray(result.seen)
     provenance[bridged] = Provenance.BRIDGED
@@ -291,20 +293,10 @@ def _lift(
         names=skeleton.names,
         provenance=provenance.astype(np.uint8),
         valid=valid,
-        orientation_observed=skeleton.orientation_observed() & valid & _enough_points(skeleton, seen),
+        orientation_observed=valid & (levels_by_points(skeleton, joints) == WHOLE),
         sigma_rad=result.sigma_rad,
     )
     return poses, result.R_world_bone
-
-
-def _enough_points(skeleton: SkeletonModel, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(T, J) whether at least three of a segment's joint and children were seen, as its three angles
-    need."""
-    out = np.zeros_like(seen)
-    for j in range(len(skeleton.names)):
-        own = [j, *kinematics.children_of(skeleton.parents, j)]
-        out[:, j] = seen[:, own].sum(axis=1) >= 3
-    return out
 
 
 def _shipped_lifter() -> Any:

@@ -432,6 +432,9 @@ class PoseSequence:
     orientation_observed: NDArray[np.bool_] = None  # type: ignore[assignment]
     """(T, J) whether all three angles of the segment were seen; where False, its twist follows the
     parent. One row (J,) stands for all frames; all False where not given."""
+    direction_observed: NDArray[np.bool_] = None  # type: ignore[assignment]
+    """(T, J) whether points of the segment beside joints showed the direction of its bone, as the far end
+    of a hand does; what joints show of it follows from `located`. Given like `orientation_observed`."""
     sigma_rad: Array = None  # type: ignore[assignment]
     """(T, J) standard deviation per axis of the orientations, rad; NaN where it is not known, as it is
     everywhere where not given."""
@@ -450,15 +453,15 @@ class PoseSequence:
             raise ShapeError(f"pose provenance: a value is none of {', '.join(map(repr, Provenance))}")
         valid = known if self.valid is None else self.valid
         valid = readonly("pose valid", valid, (T, J), np.bool_) & known
-        observed = np.zeros(J) if self.orientation_observed is None else self.orientation_observed
-        if np.ndim(observed) == 1:  # the same in all frames
-            observed = np.tile(observed, (T, 1))
         set_(self, "p_world_joint", p)
         set_(self, "R_world_bone", R)
         set_(self, "provenance", readonly("pose provenance", provenance, (T, J), np.uint8))
         set_(self, "valid", readonly("pose valid", valid, (T, J), np.bool_))
-        observed = readonly("pose orientation_observed", observed, (T, J), np.bool_)
-        set_(self, "orientation_observed", observed)
+        for name in ("orientation_observed", "direction_observed"):
+            observed = np.zeros(J) if getattr(self, name) is None else getattr(self, name)
+            if np.ndim(observed) == 1:  # the same in all frames
+                observed = np.tile(observed, (T, 1))
+            set_(self, name, readonly(f"pose {name}", observed, (T, J), np.bool_))
         sigma = np.full((T, J), np.nan) if self.sigma_rad is None else self.sigma_rad
         sigma = readonly("pose sigma_rad", sigma, (T, J))
         if np.any(sigma <= 0):
@@ -483,6 +486,7 @@ class PoseSequence:
             provenance=self.provenance[frames],
             valid=self.valid[frames],
             orientation_observed=self.orientation_observed[frames],
+            direction_observed=self.direction_observed[frames],
             sigma_rad=sigma_rad if R_world_bone is None else np.full_like(sigma_rad, np.nan),
         )
 

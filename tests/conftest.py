@@ -28,8 +28,8 @@ def any_skeleton(request: pytest.FixtureRequest) -> SkeletonModel:
 
 @pytest.fixture(scope="session")
 def motion(skeleton: SkeletonModel) -> MotionSequence:
-    """One second of smooth random motion about standing at ease, 60 Hz."""
-    return planted.moving(skeleton, 60)
+    """One second of smooth random motion about standing at ease, 60 Hz, all of it seen."""
+    return planted.seen(skeleton, 60)
 
 
 @pytest.fixture(scope="session")

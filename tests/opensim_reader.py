@@ -32,6 +32,7 @@ def posed_by_coordinates(model: osim.Model, path: Path) -> dict[str, np.ndarray]
         bodies.append(body_turns(model, state))
     return {
         "times": np.array(table.getIndependentColumn()),
+        "rows": np.array(storage.getSize()),  # as its tools read it: until the first NaN
         "columns": np.array(columns),
         "markers": np.array(markers),
         "bodies": np.array(bodies),

@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from rtof_kin import rotations as so3
 from rtof_kin.calibration import ImuCalibration
+from rtof_kin.clinical.angles import all_observed
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.joint_space.prior import shipped_prior
 from rtof_kin.kinematics import children_of, world_rotations
@@ -62,6 +63,12 @@ def moving(skeleton: SkeletonModel, frames: int, seed: int = 0, radians: float =
         provenance=np.full(p.shape[:2], Provenance.CAMERA),
     )  # fmt: skip
     return MotionSequence(skeleton, q, poses, skeleton.check(q))
+
+
+def seen(skeleton: SkeletonModel, frames: int) -> MotionSequence:
+    """Who is `moving`, with every angle of every segment seen."""
+    motion = moving(skeleton, frames)
+    return replace(motion, poses=all_observed(motion.poses))
 
 
 def human(skeleton: SkeletonModel, frames: int, seed: int = 0, size: float = 1.0) -> MotionSequence:

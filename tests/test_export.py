@@ -97,13 +97,14 @@ def test_the_urdf_plays_the_table_to_where_the_joints_are(folder: Path) -> None:
     data = model.createData()
     names, table = read_joint_trajectory_csv(folder / "joint_trajectory.csv")
     column = {name: table[:, i] for i, name in enumerate(names)}
-    poses = read_motion_npz(folder / "motion.npz").poses
+    found = read_motion_npz(folder / "motion.npz")
+    poses = found.poses
     np.testing.assert_array_equal(column["time"], poses.times)
     base = [column[f"base_{part}"] for part in ("x", "y", "z", "qx", "qy", "qz", "qw")]
     for t in range(T):
         q = pin.neutral(model)
         q[:7] = [values[t] for values in base]
-        for name in names[8:]:
+        for name in found.dof_names:
             q[model.joints[model.getJointId(name)].idx_q] = column[name][t]
         pin.framesForwardKinematics(model, data, q)
         p = [data.oMf[model.getFrameId(n, pin.FrameType.BODY)].translation for n in poses.names]
@@ -124,6 +125,8 @@ def test_the_summary_says_what_happened(result: Reconstruction, folder: Path) ->
     assert sum(facts["provenance"].values()) == pytest.approx(1.0)
     assert facts["provenance"]["bridged"] > 0
     assert facts["valid_share"] == pytest.approx(1 - 4 / T)
+    assert facts["dofs_from_prior"]["RightFoot_y"] == 1.0
+    assert "RightUpLeg_y" not in facts["dofs_from_prior"]
     assert facts["solver"]["status"] == "CONVERGED"
     assert "tolerance" in facts["solver"]["meaning"]
     assert facts["solver"]["fragments"] == 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ def test_no_two_columns_have_one_name_and_all_have_a_row_for_each_frame(
     columns = motion_columns(motion)
     names = [column.name for column in columns]
     # A revolute LeftLeg_y and the y of the landmark LeftLeg are two things.
-    assert len(set(names)) == len(names) == 1 + 7 + 60 + 3 * 33 + 2 * 21
+    assert len(set(names)) == len(names) == 1 + 7 + 60 + 3 * 33 + 2 * 21 + 1 + 60 + 12
     assert {len(column.values) for column in columns} == {60}
     assert {column.unit for column in columns} == {"s", "m", "1", "rad", ""}
 
@@ -30,6 +31,16 @@ def test_every_revolute_has_its_clinical_name(motion: MotionSequence) -> None:
         "clinical": "-right hip flexion", "opensim": "-hip_flexion_r"
     }  # fmt: skip
     assert columns["p_RightHeel_z"].unit == "m"
+
+
+def test_a_foot_that_nobody_saw_turn_is_not_valid_but_its_joint_is(motion: MotionSequence) -> None:
+    observed = np.array(motion.poses.orientation_observed)
+    observed[:, motion.poses.names.index("RightFoot")] = False
+    motion = replace(motion, poses=replace(motion.poses, orientation_observed=observed))
+    columns = {column.name: column for column in motion_columns(motion)}
+    wrong = {n for n, c in columns.items() if n.endswith("_valid") and not c.values.any()}
+    points = ("RightFoot_y", "RightFoot_x", "RightFoot_z", "RightHeel", "RightToe", "RightToeBase")
+    assert wrong == {f"{name}_valid" for name in points}
 
 
 @pytest.mark.parametrize("write", [write_motion_csv, write_motion_parquet])

@@ -404,7 +404,9 @@ def test_heels_toes_nose_and_sensors_there_turn_feet_and_head() -> None:
     eleven = planted.bone_imus(BODY, poses, (*planted.LIMBS, *ENDS))
     eight, degrees = eleven.select(planted.LIMBS), []
     for seen, imus in ((exact, eight), (with_marks(exact, poses), eight), (exact, eleven)):
-        R = body().solve(poses, seen, imus).poses.R_world_bone
+        out = body().solve(poses, seen, imus).poses
+        R, shown = out.R_world_bone, out.orientation_observed[:, index]
+        assert shown.all() if seen is not exact else not shown.any()
         angles = so3.angle_between(R[:, index], poses.R_world_bone[:, index])
         degrees.append(float(np.degrees(angles.mean())))
         rigid = np.allclose(R[:, index], R[:, parents], atol=1e-9)

@@ -32,7 +32,7 @@ T = 20
 
 @pytest.fixture(scope="module")
 def motion() -> MotionSequence:
-    motion = planted.moving(BODY, T)
+    motion = planted.seen(BODY, T)
     return replace(motion, poses=replace(motion.poses, times=motion.poses.times + 12.25))
 
 
@@ -100,9 +100,11 @@ def test_a_single_frame_does_not_move() -> None:
 
 def test_the_table_is_read_as_it_was_written(table: Path, motion: MotionSequence) -> None:
     names, numbers = read_joint_trajectory_csv(table)
-    assert names == ("time", *BASE_COLUMNS, *BODY.dof_names)
+    valid = [f"{name}_valid" for name in ("base_q", *BODY.dof_names)]
+    assert names == ("time", *BASE_COLUMNS, *BODY.dof_names, *valid)
     np.testing.assert_array_equal(numbers[:, 0], motion.times)
-    np.testing.assert_array_equal(numbers[:, 1:], motion.q)
+    np.testing.assert_array_equal(numbers[:, 1 : 1 + BODY.nq], motion.q)
+    assert (numbers[:, 1 + BODY.nq :] == 1).all()
 
 
 def test_any_spreadsheet_can_read_it(table: Path) -> None:
@@ -136,7 +138,25 @@ def test_a_gap_is_nan_and_comes_back_as_nan(tmp_path: Path, motion: MotionSequen
     q[4] = np.nan
     write_joint_trajectory_csv(tmp_path / "a.csv", replace(motion, q=q))
     _, numbers = read_joint_trajectory_csv(tmp_path / "a.csv")
-    np.testing.assert_array_equal(numbers[:, 1:], q)
+    np.testing.assert_array_equal(numbers[:, 1 : 1 + BODY.nq], q)
+    np.testing.assert_array_equal((numbers[:, 1 + BODY.nq :] == 0).all(axis=1), np.arange(T) == 4)
+
+
+def test_an_ankle_that_nobody_observed_is_not_valid_and_no_joint_of_the_message(
+    tmp_path: Path, motion: MotionSequence
+) -> None:
+    observed = np.array(motion.poses.orientation_observed)
+    observed[:, BODY.names.index("RightFoot")] = False
+    motion = replace(motion, poses=replace(motion.poses, orientation_observed=observed))
+    write_joint_trajectory_csv(tmp_path / "a.csv", motion)
+    names, numbers = read_joint_trajectory_csv(tmp_path / "a.csv")
+    ankle = {"RightFoot_y", "RightFoot_x", "RightFoot_z"}
+    valid = {n: column for n, column in zip(names, numbers.T, strict=True) if n.endswith("_valid")}
+    assert {n for n, column in valid.items() if not column.any()} == {f"{n}_valid" for n in ankle}
+    joints, _ = messages(tmp_path, motion)
+    assert set(BODY.dof_names) - set(joints["joint_names"]) == ankle
+    assert {len(point["positions"]) for point in joints["points"]} == {57}
+    assert {len(point["velocities"]) for point in joints["points"]} == {57}
 
 
 @pytest.mark.parametrize("text", [

@@ -23,13 +23,14 @@ levenberg_marquardt   banded   lanes
 types   urdf   stream_faults   confidence
 skeleton   keypoint_guards   inflation
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position   contacts
-sensor_guards   circumstances
+observation   sensor_guards   circumstances
 fragment_problem   fragment_solution   joint_space   joint_space.settings   root_path
 io.arrays   io.articulated   io.folder   io.markers   io.pickled   io.section
 io.world_axes
 io.asf_amc   io.bvh   io.c3d   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
-io.imu_calibration_toml   io.total_capture   io.trc   inertial   inertial.declaration   io.motion_views
-io.motion_table   io.opensim_coordinates
+io.imu_calibration_toml   io.total_capture   io.trc   inertial   inertial.declaration
+io.motion_table   io.motion_views
+io.opensim_coordinates
 io.opensim_model   io.opensim_mot
 motion_files
 inertial.streams   inertial.packets   io.opencv_yaml   io.sensor_text

@@ -35,7 +35,9 @@ WALK = Path(__file__).parent / "data" / "mocap" / "02_01_excerpt.bvh"
 METRES = RADIANS = 1e-6
 T, START = 60, 2.0
 BRIDGED, UNKNOWN, HAND_UNSEEN = slice(20, 26), slice(40, 43), slice(5, 9)
+NEVER_TURNED, WRIST = "LeftHand", {"LeftHand_y", "LeftHand_x", "LeftHand_z"}
 LEG_UNSEEN, LEG = slice(28, 38), ("LeftLeg", "LeftFoot")
+FINGERS = list(SkeletonModel.default().landmarks).index("LeftHandEnd")
 SEEN = [(0, 20), (26, 40), (43, T)]
 PIECES = list(enumerate(SEEN, 1))
 R_GROUND_WORLD = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -46,7 +48,8 @@ R_BVH_WORLD = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
 
 @pytest.fixture(scope="module")
 def motion() -> MotionSequence:
-    """A second of walking, bridged once, lost once, a hand and a leg out of the picture for a moment."""
+    """A second of walking, bridged once, lost once, a hand and a leg out of the picture for a moment;
+    nobody ever sees the other hand turn."""
     clip = read_mocap(WALK)
     poses = replace(clip.poses[:T], times=START + np.arange(T) / 60)
     p, R = np.array(poses.p_world_joint), np.array(poses.R_world_bone)
@@ -56,7 +59,12 @@ def motion() -> MotionSequence:
     valid[HAND_UNSEEN, poses.names.index("RightHand")] = False
     provenance = np.where(valid, Provenance.CAMERA, Provenance.BRIDGED)
     provenance[LEG_UNSEEN, [poses.names.index(n) for n in LEG]] = Provenance.PRIOR
-    poses = replace(poses, p_world_joint=p, R_world_bone=R, valid=valid, provenance=provenance)
+    turned = np.tile([name != NEVER_TURNED for name in poses.names], (T, 1))
+    turned[LEG_UNSEEN, [poses.names.index(n) for n in LEG]] = False
+    poses = replace(
+        poses, p_world_joint=p, R_world_bone=R, valid=valid, provenance=provenance,
+        orientation_observed=turned,
+    )  # fmt: skip
     return SkeletonModel.default().with_offsets(clip.joint_offsets).motion(poses)
 
 
@@ -71,12 +79,13 @@ def opensim(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
 
 
 def landmarks(motion: MotionSequence, only_seen: bool = True) -> Array:
-    """(T, L, 3) in world; NaN where nobody saw the joint that carries them."""
+    """(T, L, 3) in world; NaN where nobody saw the joint that carries them, or it turn."""
     skeleton, poses = motion.skeleton, motion.poses
     p = np.array(skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone))
     if only_seen:
         for i, (joint, _) in enumerate(skeleton.landmarks.values()):
             p[poses.provenance[:, skeleton.names.index(joint)] != Provenance.CAMERA, i] = np.nan
+        p[:, FINGERS] = np.nan
     return p
 
 
@@ -95,11 +104,15 @@ def test_opensim_poses_the_model_by_the_motion_where_the_markers_and_bones_are(
     assert list(opensim["marker_names"]) == list(motion.skeleton.landmarks)
     assert list(opensim["body_names"]) == list(motion.skeleton.names)
     assert_near(opensim[f"{name}/times"], motion.times[frames], 1e-12)
-    everywhere = landmarks(motion, only_seen=False)[frames]
-    assert_near(opensim[f"{name}/markers"], everywhere @ R_GROUND_WORLD.T)
+    assert opensim[f"{name}/rows"] == len(motion.times[frames])
+    seen = [i for i in range(len(motion.skeleton.landmarks)) if i != FINGERS]
+    everywhere = landmarks(motion, only_seen=False)[frames, seen]
+    assert_near(opensim[f"{name}/markers"][:, seen], everywhere @ R_GROUND_WORLD.T)
     R_world_bone = R_GROUND_WORLD.T @ opensim[f"{name}/bodies"]
-    assert angle_between(R_world_bone, motion.poses.R_world_bone[frames]).max() < RADIANS
-    assert set(opensim[f"{name}/columns"]) == set(opensim["coordinates"])
+    off = angle_between(R_world_bone, motion.poses.R_world_bone[frames])
+    assert np.delete(off, motion.skeleton.index(NEVER_TURNED), axis=1).max() < RADIANS
+    left_out = {"LeftHand_y", "wrist_flex_l", "wrist_dev_l"}
+    assert set(opensim["coordinates"]) - set(opensim[f"{name}/columns"]) == left_out
 
 
 @pytest.mark.parametrize(("number", "piece"), PIECES)
@@ -140,7 +153,11 @@ def test_coordinates_say_above_them_which_joints_nobody_saw(folder: Path) -> Non
         head, _ = (folder / f"motion_2.{ending}").read_text().split("endheader")
         assert "Nobody saw these joints" in head
         assert "LeftLeg 71.4 %, LeftFoot 71.4 %." in head
-        assert "Nobody saw" not in (folder / f"motion_3.{ending}").read_text()
+        assert "knee_angle_l 71.4 %" in head
+        last, _ = (folder / f"motion_3.{ending}").read_text().split("endheader")
+        assert "Nobody saw these joints" not in last
+        assert "Nobody saw these coordinates" in last
+        assert "LeftHand_y 100 %, wrist_flex_l 100 %, wrist_dev_l 100 %." in last
 
 
 # --- C3D and BVH ---------------------------------------------------------------------------------
@@ -228,8 +245,9 @@ def test_any_spreadsheet_finds_the_numbers_under_names_with_units(
     assert [row["Hips_seen_by"] for row in rows[18:22]] == ["camera"] * 2 + ["bridged"] * 2
     assert [row["RightHand_valid"] for row in rows[4:6]] == ["1", "0"]
     unknown = {name for name, cell in rows[UNKNOWN.start].items() if cell}
-    assert unknown == {"time [s]"} | {f"{n}_{w}" for n in motion.skeleton.names
-                                      for w in ("valid", "seen_by")}  # fmt: skip
+    assert unknown == {"time [s]"} | {n for n in rows[0] if n.endswith(("_valid", "_seen_by"))}
+    assert {row[f"{n}_valid"] for row in rows for n in ("LeftHand_x", "LeftHandEnd")} == {"0"}
+    assert [row["LeftLeg_y_valid"] for row in rows[27:39]] == ["1", *"0" * 10, "1"]
 
 
 def test_a_data_frame_finds_units_names_and_nulls(folder: Path, motion: MotionSequence) -> None:
@@ -305,6 +323,15 @@ def test_the_index_says_of_every_file_what_it_is(folder: Path, motion: MotionSeq
             joint: pytest.approx(10 / 14) for joint in LEG
         }
         assert index["files"][f"motion_3.{ending}"]["from_prior"] == {}
+        assert index["files"][f"motion_3.{ending}"]["dofs_from_prior"] == dict.fromkeys(WRIST, 1.0)
+    assert index["landmarks_from_prior"]["LeftHandEnd"] == 1.0
+    assert index["landmarks_from_prior"]["LeftToe"] == pytest.approx(10 / 51)
+    assert index["dofs_from_prior"]["LeftHand_x"] == 1.0
+    assert index["dofs_from_prior"]["LeftLeg_y"] == pytest.approx(10 / 51)
+    assert "LeftArm_x" not in index["dofs_from_prior"]
+    for name in ("motion_2.mot", "ros_joint_trajectory_1.json"):
+        assert set(index["files"][name]["left_out"]) == WRIST
+    assert "left_out" not in index["files"]["motion_2.sto"]
     assert index["dofs"]["RightUpLeg_y"]["opensim"] == "-hip_flexion_r"
     assert index["landmarks"]["RightHeel"] == "RightFoot"
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rtof_kin.confidence import WORLD, Confidence
 from rtof_kin.errors import FileFormatError, UnknownNameError
 from rtof_kin.io.motion_npz import SCHEMA_VERSION, read_motion_npz, write_motion_npz
+from rtof_kin.observation import observed_dofs
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import Provenance
 
@@ -31,6 +32,7 @@ def motion() -> MotionSequence:
         provenance=np.random.default_rng(0).integers(0, 6, (12, 21), dtype=np.uint8),
         valid=np.broadcast_to(np.arange(12)[:, None] % 3 > 0, (12, 21)),
         orientation_observed=np.arange(21) % 2 == 0,
+        direction_observed=np.arange(21) % 5 == 0,
     )
     return replace(motion, poses=poses)
 
@@ -104,9 +106,21 @@ def test_what_was_written_is_read(path: Path, motion: MotionSequence) -> None:
     assert read.poses.names == motion.poses.names
     for field in (
         "times", "p_world_joint", "R_world_bone", "provenance", "valid", "orientation_observed",
+        "direction_observed",
     ):  # fmt: skip
         np.testing.assert_array_equal(getattr(read.poses, field), getattr(motion.poses, field), field)
     assert Provenance(read.poses.provenance[0, 0]) in Provenance
+
+
+def test_the_file_says_which_degrees_of_freedom_were_observed(path: Path, motion: MotionSequence) -> None:
+    with np.load(path) as arrays:
+        observed = arrays["dof_observed"]
+    np.testing.assert_array_equal(observed, observed_dofs(motion))
+    assert 0 < observed.mean() < 1
+
+
+def test_a_file_from_before_directions_is_read(path: Path) -> None:
+    assert not read_motion_npz(changed(path, direction_observed=None)).poses.direction_observed.any()
 
 
 def test_the_motion_of_the_file_is_that_of_the_subjects_own_skeleton(path: Path) -> None:

@@ -33,12 +33,12 @@ from rtof_kin.clinical.angle_confidence import angle_sigmas
 from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem, angle_table
 from rtof_kin.clinical.trust import trusted_bands, trusted_turns, untrusted_note
 from rtof_kin.errors import ShapeError
+from rtof_kin.observation import DIRECTION, WHOLE, segment_levels
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import PoseSequence, Provenance
 
 Array = NDArray[np.float64]
-_NOTHING, _DIRECTION, _WHOLE = 0, 1, 2
-_NEEDS = {"parent": (_DIRECTION, _WHOLE, _WHOLE), "child": (_DIRECTION, _DIRECTION, _WHOLE)}
+_NEEDS = {"parent": (DIRECTION, WHOLE, WHOLE), "child": (DIRECTION, DIRECTION, WHOLE)}
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def clinical_angles(
     skeleton.check_joints(poses.names)
     table = angle_table(skeleton.table)
     R = jcs.relative_rotations(poses.R_world_bone, skeleton, table)
-    levels = _observation(poses, skeleton)
+    levels = segment_levels(poses, skeleton)
     seen_by = _seen_by(poses, skeleton, levels)
     parts = [
         _joint_angles(joint, R[joint.name], poses.names, seen_by, levels) for joint in table.joints
@@ -174,20 +174,6 @@ def all_observed(poses: PoseSequence) -> PoseSequence:
     return replace(poses, orientation_observed=np.ones(len(poses.names), dtype=np.bool_))
 
 
-def _observation(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[np.int_]:
-    """(T, J) how much of each segment's orientation was seen: nothing, its bone's direction, or all."""
-    at = poses.located
-    levels: NDArray[np.int_] = np.full(at.shape, _NOTHING)
-    for j in range(len(skeleton.names)):
-        children = kinematics.children_of(skeleton.parents, j)
-        if len(children) == 1:
-            levels[at[:, j] & at[:, children[0]], j] = _DIRECTION
-    # A sensor sees its bone turn even while nobody sees where it is.
-    levels[poses.orientation_observed & (poses.valid | bool(poses.provenance.any()))] = _WHOLE
-    levels[~np.isfinite(poses.R_world_bone).all(axis=(-2, -1))] = _NOTHING
-    return levels
-
-
 def _seen_by(
     poses: PoseSequence, skeleton: SkeletonModel, levels: NDArray[np.int_]
 ) -> NDArray[np.uint8]:
@@ -196,7 +182,7 @@ def _seen_by(
     out = np.array(poses.provenance)
     for j in range(len(skeleton.names) if out.any() else 0):
         ends = poses.provenance[:, kinematics.children_of(skeleton.parents, j)]
-        turned = (levels[:, j] == _WHOLE) & (out[:, j] < Provenance.IMU)
+        turned = (levels[:, j] == WHOLE) & (out[:, j] < Provenance.IMU)
         out[turned, j] = ends[turned].max(axis=1, initial=Provenance.IMU)
     return out
 
@@ -209,7 +195,7 @@ def _joint_angles(
     child = names.index(joint.child)
     parent = names.index(joint.parent) if joint.urdf else child
     child_level = levels[:, child]
-    parent_level = levels[:, parent] if joint.urdf else np.full(len(levels), _WHOLE)
+    parent_level = levels[:, parent] if joint.urdf else np.full(len(levels), WHOLE)
     observed = (parent_level[:, None] >= _NEEDS["parent"]) & (child_level[:, None] >= _NEEDS["child"])
     posed: NDArray[np.bool_] = np.asarray(np.isfinite(R).all(axis=(-2, -1)))
     signs = np.array([row.sign for row in joint.angles])
@@ -222,7 +208,7 @@ def _joint_angles(
         raw[start:stop] = jcs.continuous(joint.sequence, angles, center)
     observed &= posed[:, None]
     if joint.hinge:
-        raw[:, 0] = np.where(parent_level < _WHOLE, _bend(raw), raw[:, 0])
+        raw[:, 0] = np.where(parent_level < WHOLE, _bend(raw), raw[:, 0])
         observed &= ~_fixed(raw)
     provenance = _provenance(seen_by[:, [parent, child]], posed, observed)
     return np.where(observed, signs * raw, np.nan), provenance, singular & observed

@@ -18,11 +18,14 @@ from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError
 from rtof_kin.io.arrays import read_csv
+from rtof_kin.observation import never_observed, observed_dofs, root_turn_observed
 from rtof_kin.signals import runs
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 
 Array = NDArray[np.float64]
 BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qx", "base_qy", "base_qz", "base_qw")
+BASE_TURN = "base_q"
+"""The base's orientation, where it has one name."""
 
 
 def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
@@ -39,17 +42,24 @@ def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
 
 
 def write_joint_trajectory_csv(path: str | Path, motion: MotionSequence) -> None:
-    """Named columns: time, base pose, one angle per revolute; units in ``<name>.json`` beside it."""
-    path = Path(path)
-    columns = ("time", *BASE_COLUMNS, *motion.skeleton.dof_names)
+    """Named columns: time, base pose, one angle per revolute; then ``NAME_valid`` of the base's turn
+    and of each revolute, 0 where it was not observed. Units are in ``<name>.json`` beside it.
+    """
+    path, skeleton = Path(path), motion.skeleton
+    columns = ("time", *BASE_COLUMNS, *skeleton.dof_names, *_valid_columns(skeleton))
+    valid = np.column_stack([root_turn_observed(motion), observed_dofs(motion)]).astype(int)
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(columns)
-        for time, row in zip(motion.times, motion.q, strict=True):
-            writer.writerow([repr(float(value)) for value in (time, *row)])
+        for time, row, flags in zip(motion.times, motion.q, valid.tolist(), strict=True):
+            writer.writerow([*(repr(float(value)) for value in (time, *row)), *flags])
     path.with_suffix(".json").write_text(
         json.dumps(_sidecar(path, motion.skeleton), indent=2) + "\n", encoding="utf-8"
     )
+
+
+def _valid_columns(skeleton: SkeletonModel) -> list[str]:
+    return [f"{name}_valid" for name in (BASE_TURN, *skeleton.dof_names)]
 
 
 def _sidecar(path: Path, skeleton: SkeletonModel) -> dict[str, Any]:
@@ -59,7 +69,9 @@ def _sidecar(path: Path, skeleton: SkeletonModel) -> dict[str, Any]:
         "file": path.name,
         "urdf": "skeleton.urdf",
         "frame": "world: z up, metres; base: pose of the root link in world, quaternion x y z w",
-        "units": units | dict.fromkeys(skeleton.dof_names, "rad"),
+        "units": units | dict.fromkeys(skeleton.dof_names, "rad")
+        | dict.fromkeys(_valid_columns(skeleton), "1"),
+        "valid": "NAME_valid: 1 where somebody observed NAME, 0 where it is a prior's or the model's",
         "names": {
             name: {"clinical": dofs[name].clinical, "opensim": dofs[name].opensim}
             for name in skeleton.dof_names
@@ -88,18 +100,21 @@ def write_ros_trajectory(folder: str | Path, motion: MotionSequence) -> list[Pat
 
     Who plays a trajectory moves between its points, so it cannot have a gap. Where configurations are not
     known it ends, and the next one is in a pair of files of its own: ``..._2.json``, the first one's
-    ``..._1.json``. Times are from the motion's first frame in all of them.
+    ``..._1.json``. Times are from the motion's first frame in all of them. Revolutes that were never
+    observed are left out, see `observation.never_observed`.
 
     Returns:
         The two paths, or those of all pairs.
     """
     folder, times, paths = Path(folder), motion.times - motion.times[0], []
+    unseen = never_observed(motion)
     known = runs(np.isfinite(motion.q).all(axis=1))
     for number, (start, stop) in enumerate(known, 1):
         q, t = motion.q[start:stop], times[start:stop]
         messages = {
-            "joint": _joint_message(motion.skeleton, q, t), "base": _base_message(motion.skeleton, q, t)
-        }  # fmt: skip
+            "joint": _joint_message(motion.skeleton, q, t, unseen),
+            "base": _base_message(motion.skeleton, q, t),
+        }
         for kind, message in messages.items():
             suffix = f"_{number}" if len(known) > 1 else ""
             paths.append(folder / f"ros_{kind}_trajectory{suffix}.json")
@@ -110,15 +125,18 @@ def write_ros_trajectory(folder: str | Path, motion: MotionSequence) -> list[Pat
 _HEADER = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "world"}
 
 
-def _joint_message(skeleton: SkeletonModel, q: Array, times: Array) -> dict[str, Any]:
-    velocities = joint_velocities(skeleton, q, times)
-    rows = zip(q[:, 7:].tolist(), velocities[:, 6:].tolist(), times, strict=True)
+def _joint_message(
+    skeleton: SkeletonModel, q: Array, times: Array, without: tuple[str, ...]
+) -> dict[str, Any]:
+    kept = [i for i, name in enumerate(skeleton.dof_names) if name not in without]
+    angles = q[:, 7:][:, kept]
+    velocities = joint_velocities(skeleton, q, times)[:, 6:][:, kept]
     return {
         "header": _HEADER,
-        "joint_names": list(skeleton.dof_names),
+        "joint_names": [skeleton.dof_names[i] for i in kept],
         "points": [
-            {"positions": angles, "velocities": rates, "time_from_start": _duration(time)}
-            for angles, rates, time in rows
+            {"positions": row, "velocities": rates, "time_from_start": _duration(time)}
+            for row, rates, time in zip(angles.tolist(), velocities.tolist(), times, strict=True)
         ],
     }
 

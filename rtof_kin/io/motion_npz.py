@@ -14,6 +14,7 @@ from rtof_kin.confidence import Confidence
 from rtof_kin.errors import FileFormatError, RtofError, ShapeError
 from rtof_kin.io.arrays import read_npz_as_saved
 from rtof_kin.io.text import LARGEST_NUMBER, measurable
+from rtof_kin.observation import observed_dofs
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import PoseSequence
 
@@ -57,7 +58,8 @@ class MotionFile:
 def write_motion_npz(
     path: str | Path, motion: MotionSequence, *, first_frame: int = 0, mode: str = ""
 ) -> None:
-    """Write a motion; every array is named after its field in `MotionFile` and `PoseSequence`."""
+    """Write a motion; every array is named after its field in `MotionFile` and `PoseSequence`, and
+    ``dof_observed`` (T, D) after `observation.observed_dofs`, which makes it."""
     poses = motion.poses
     np.savez_compressed(
         path,
@@ -69,6 +71,8 @@ def write_motion_npz(
         valid=poses.valid,
         provenance=poses.provenance,
         orientation_observed=poses.orientation_observed,
+        direction_observed=poses.direction_observed,
+        dof_observed=observed_dofs(motion),
         singular=motion.report.singular,
         names=np.array(poses.names),
         dof_names=np.array(motion.skeleton.dof_names),
@@ -104,6 +108,7 @@ def read_motion_npz(path: str | Path) -> MotionFile:
             provenance=data["provenance"],
             valid=data["valid"],
             orientation_observed=data["orientation_observed"],
+            direction_observed=data.get("direction_observed"),  # type: ignore[arg-type]
         )
         dof_names = _names("dof_names", data["dof_names"])
         T, J = len(poses), len(poses.names)

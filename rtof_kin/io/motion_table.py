@@ -1,8 +1,9 @@
 """A motion as one wide table, for spreadsheets (CSV) and data frames (Parquet).
 
 A row for each frame; a column each for the time, the pose of the root link, every revolute of the URDF,
-the coordinates of every landmark, and for every joint whether its position is valid and who saw it. What
-is not known is an empty cell or a null; what was bridged is there, and its joint not valid.
+the coordinates of every landmark, for every joint whether its position is valid and who saw it, and for
+the root link's turn, every revolute and every landmark beside the joints whether it was observed. What is
+not known is an empty cell or a null; what was bridged, or is a prior's alone, is there, and not valid.
 """
 
 from __future__ import annotations
@@ -18,15 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.errors import RtofError
-from rtof_kin.io.joint_trajectory import BASE_COLUMNS
+from rtof_kin.io.joint_trajectory import BASE_COLUMNS, BASE_TURN
 from rtof_kin.io.text import check_new_file, write_text
+from rtof_kin.observation import observed_dofs, observed_landmarks, root_turn_observed
 from rtof_kin.skeleton import MotionSequence
 from rtof_kin.types import Provenance
 
 CONVENTION = (
     "world: z up, m; base: pose of the root link in world, quaternion x y z w; revolutes as in the "
     "URDF, zero in the T-pose; p_NAME: landmark in world; NAME_valid: whether the position of that joint "
-    "is an estimate and was not bridged; NAME_seen_by: its provenance, 'prior' where nobody saw it"
+    "is an estimate and was not bridged; NAME_seen_by: its provenance, 'prior' where nobody saw it; of a "
+    "revolute, base_q and other landmarks, NAME_valid: whether anybody observed it, else it is a prior's"
 )
 
 
@@ -61,7 +64,15 @@ def motion_columns(motion: MotionSequence) -> list[Column]:
     for j, name in enumerate(skeleton.names):
         columns.append(Column(f"{name}_valid", "", poses.valid[:, j], {}))
         columns.append(Column(f"{name}_seen_by", "", words[poses.provenance[:, j]], {}))
+    columns += _validity((BASE_TURN,), root_turn_observed(motion)[:, None])
+    columns += _validity(skeleton.dof_names, observed_dofs(motion))
+    beside = len(skeleton.names)  # landmarks are the joints first
+    columns += _validity(tuple(skeleton.landmarks)[beside:], observed_landmarks(motion)[:, beside:])
     return columns
+
+
+def _validity(names: tuple[str, ...], observed: NDArray[np.bool_]) -> list[Column]:
+    return [Column(f"{n}_valid", "", valid, {}) for n, valid in zip(names, observed.T, strict=True)]
 
 
 def write_motion_csv(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:

@@ -9,8 +9,10 @@ from rtof_kin import kinematics
 from rtof_kin.checks import checked_times
 from rtof_kin.errors import ShapeError
 from rtof_kin.io.articulated import ArticulatedMotion
+from rtof_kin.io.joint_trajectory import BASE_TURN
 from rtof_kin.io.markers import MarkerSequence
 from rtof_kin.io.world_axes import METRES, world_of_file
+from rtof_kin.observation import observed_dofs, observed_landmarks, root_turn_observed
 from rtof_kin.signals import runs
 from rtof_kin.skeleton import MotionSequence
 
@@ -33,9 +35,28 @@ def from_prior(motion: MotionSequence) -> dict[str, float]:
 
     Where they are a prior or their neighbours say, though a sensor may have felt their segments turn.
     """
-    unseen = [~motion[start:stop].poses.located for start, stop in pieces(motion)]
-    shares = np.concatenate(unseen).mean(axis=0) if unseen else np.zeros(len(motion.poses.names))
-    return {n: float(s) for n, s in zip(motion.poses.names, shares, strict=True) if s > 0}
+    return _shares(motion, motion.poses.names, motion.poses.located)
+
+
+def dofs_from_prior(motion: MotionSequence) -> dict[str, float]:
+    """The same of degrees of freedom by their URDF names, and of the root's orientation, `BASE_TURN`."""
+    observed = np.column_stack([root_turn_observed(motion), observed_dofs(motion)])
+    return _shares(motion, (BASE_TURN, *motion.skeleton.dof_names), observed)
+
+
+def landmarks_from_prior(motion: MotionSequence) -> dict[str, float]:
+    """The same of landmarks that are no joints, as heels are where nobody saw the foot turn."""
+    shares = _shares(motion, tuple(motion.skeleton.landmarks), observed_landmarks(motion))
+    return {name: share for name, share in shares.items() if name not in motion.poses.names}
+
+
+def _shares(
+    motion: MotionSequence, names: tuple[str, ...], observed: NDArray[np.bool_]
+) -> dict[str, float]:
+    """Which were not observed in some frames that are in no gap, and in what share of those."""
+    inside = [~observed[start:stop] for start, stop in pieces(motion)]
+    shares = np.concatenate(inside).mean(axis=0) if inside else np.zeros(len(names))
+    return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0}
 
 
 def check_known(motion: MotionSequence) -> None:
@@ -67,11 +88,10 @@ def even_times(times: Array) -> Array:
 
 
 def landmark_markers(motion: MotionSequence) -> MarkerSequence:
-    """All landmarks of the skeleton, joints first, as markers; NaN where nobody saw their joint."""
+    """All landmarks of the skeleton, joints first, as markers; NaN where nobody saw them."""
     poses, skeleton = motion.poses, motion.skeleton
     p = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
-    carriers = skeleton.index(*(joint for joint, _ in skeleton.landmarks.values()))
-    p = np.where(poses.located[:, carriers, None], p, np.nan)
+    p = np.where(observed_landmarks(motion)[..., None], p, np.nan)
     return MarkerSequence(poses.times, tuple(skeleton.landmarks), p)
 
 

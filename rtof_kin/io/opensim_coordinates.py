@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rtof_kin import rotations as so3
 from rtof_kin.checks import checked_names
+from rtof_kin.io.joint_trajectory import BASE_TURN
 from rtof_kin.io.motion_views import check_known
 from rtof_kin.io.world_axes import R_WORLD_GROUND
 from rtof_kin.skeleton import MotionSequence
@@ -40,6 +41,8 @@ class Coordinate:
     is_rotation: bool
     range: tuple[float, float]
     """Radians or metres."""
+    urdf: str = ""
+    """The URDF's name of it; `BASE_TURN` for the root's rotations, empty for its translations."""
 
     @property
     def sign(self) -> float:
@@ -56,7 +59,7 @@ def coordinates(table: SkeletonTable) -> tuple[Coordinate, ...]:
     """
     root = table.names[0]
     out = [
-        _rotation(root, axis, name, "", (-np.pi, np.pi))
+        _rotation(root, axis, name, BASE_TURN, (-np.pi, np.pi))
         for axis, name in zip(ROOT_AXES, _ROOT_ROTATIONS, strict=True)
     ]
     for name, axis in zip(_ROOT_TRANSLATIONS, R_WORLD_GROUND.T, strict=True):
@@ -74,8 +77,8 @@ def _rotation(
     low, high = map(float, limits)
     unit = np.eye(3)["xyz".index(axis)]
     if opensim.startswith("-"):
-        return Coordinate(opensim[1:], joint, -unit, True, (-high, -low))
-    return Coordinate(opensim or urdf, joint, unit, True, (low, high))
+        return Coordinate(opensim[1:], joint, -unit, True, (-high, -low), urdf)
+    return Coordinate(opensim or urdf, joint, unit, True, (low, high), urdf)
 
 
 def coordinate_values(motion: MotionSequence) -> tuple[tuple[Coordinate, ...], Array]:

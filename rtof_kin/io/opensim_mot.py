@@ -2,7 +2,9 @@
 
 Both are tables for the .osim that `io.opensim_model` writes of the same skeleton: a header that ends with
 ``endheader``, then columns that tabs separate, the first one time in s. Translations are in m. OpenSim
-wants even times and has no way to say that a row is not known: a motion with a gap becomes several files.
+wants even times and has no way to say that a number is not known: it takes a NaN for the end of the file.
+A motion with a gap becomes several files. A ``.mot`` lacks the coordinates that were never observed, for
+which OpenSim's tools take the model's zero; a ``.sto`` must have all states, so its header names them.
 """
 
 from __future__ import annotations
@@ -12,25 +14,29 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.io.motion_views import even_times, from_prior
-from rtof_kin.io.opensim_coordinates import coordinate_values
+from rtof_kin.io.motion_views import dofs_from_prior, even_times, from_prior
+from rtof_kin.io.opensim_coordinates import coordinate_values, coordinates
 from rtof_kin.io.text import write_text
+from rtof_kin.observation import never_observed
 from rtof_kin.skeleton import MotionSequence
 
 Array = NDArray[np.float64]
 
 
 def write_mot(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
-    """Write coordinates, angles in degrees, for OpenSim's graphical program and its tools.
+    """Write coordinates, angles in degrees, for OpenSim's graphical program and its tools; without those
+    that were never observed (`observation.never_observed`).
 
     Raises:
         ShapeError: a frame is not known, or times are uneven. OutputExistsError: the file exists and
             overwriting was not asked for. RtofError: it cannot be written.
     """
-    coordinates, values = coordinate_values(motion)
-    unit = [180 / np.pi if c.is_rotation else 1.0 for c in coordinates]
-    names = [c.name for c in coordinates]
-    _write_table(Path(path), motion, names, values * unit, True, overwrite)
+    all_of_them, values = coordinate_values(motion)
+    unit = [180 / np.pi if c.is_rotation else 1.0 for c in all_of_them]
+    unseen = never_observed(motion)
+    kept = [i for i, c in enumerate(all_of_them) if c.urdf not in unseen]
+    names = [all_of_them[i].name for i in kept]
+    _write_table(Path(path), motion, names, (values * unit)[:, kept], True, overwrite)
 
 
 def write_sto(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
@@ -40,12 +46,12 @@ def write_sto(path: str | Path, motion: MotionSequence, *, overwrite: bool = Fal
     Raises:
         As `write_mot`.
     """
-    coordinates, values = coordinate_values(motion)
+    all_of_them, values = coordinate_values(motion)
     speeds = np.zeros_like(values)
     if len(values) > 1:
         speeds = np.gradient(values, even_times(motion.times), axis=0)
     names = [
-        f"/jointset/{c.joint}/{c.name}/{kind}" for kind in ("value", "speed") for c in coordinates
+        f"/jointset/{c.joint}/{c.name}/{kind}" for kind in ("value", "speed") for c in all_of_them
     ]
     _write_table(Path(path), motion, names, np.hstack([values, speeds]), False, overwrite)
 
@@ -76,6 +82,11 @@ def _write_table(
 
 
 def _unseen(motion: MotionSequence) -> list[str]:
-    """A line on the joints that nobody saw, where there are any."""
-    shares = ", ".join(f"{name} {100 * share:.3g} %" for name, share in from_prior(motion).items())
-    return [f"Nobody saw these joints in a share of the frames: {shares}."] if shares else []
+    """Lines on the joints and coordinates that nobody saw, where there are any."""
+    dofs = dofs_from_prior(motion)
+    unseen = {c.name: dofs[c.urdf] for c in coordinates(motion.skeleton.table) if c.urdf in dofs}
+    return [
+        f"Nobody saw these {what} in a share of the frames: "
+        + ", ".join(f"{name} {100 * share:.3g} %" for name, share in shares.items()) + "."
+        for what, shares in (("joints", from_prior(motion)), ("coordinates", unseen)) if shares
+    ]  # fmt: skip

@@ -20,6 +20,7 @@ from rtof_kin.joint_space.problem import TERMS
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.joint_space.uncertainty import blended, confidence_of, state_covariances
 from rtof_kin.levenberg_marquardt import LevenbergMarquardt, Solved
+from rtof_kin.observation import DIRECTION, WHOLE, levels_by_points
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
@@ -78,9 +79,20 @@ class JointSpaceSolver:
             reports = [piece.report] if reports else [previous.report, piece.report]
             yield Block(frames, *data.space.poses(x), tuple(reports), told)
 
-    def oriented(self, poses: PoseSequence, bone_imus: BoneImuSequence | None) -> PoseSequence:
-        """The poses as they are: their orientations are part of the solution."""
-        return poses
+    def oriented(
+        self, poses: PoseSequence, keypoints: KeypointSequence | None, bone_imus: BoneImuSequence | None
+    ) -> PoseSequence:
+        """The poses as they are: their orientations are part of the solution. Landmarks beside the joints
+        show those of the segments that they lie in."""
+        if keypoints is None:
+            return poses
+        levels = levels_by_points(self.skeleton, keypoints)
+        ends = [j not in self.skeleton.parents for j in range(len(poses.names))]
+        return replace(
+            poses,
+            orientation_observed=poses.orientation_observed | (levels == WHOLE),
+            direction_observed=poses.direction_observed | ((levels == DIRECTION) & ends),
+        )
 
 
 @dataclass(frozen=True)

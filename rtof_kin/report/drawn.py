@@ -13,7 +13,9 @@ from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.confidence import BAND_95
+from rtof_kin.observation import observed_bones
 from rtof_kin.report.outcomes import SECOND_PELVIS
+from rtof_kin.signals import runs
 from rtof_kin.skeleton import MotionSequence
 
 Array = NDArray[np.float64]
@@ -76,7 +78,8 @@ def cycle_drawings(analysis: MotionAnalysis) -> Data:
 
 
 def player_data(motion: MotionSequence, shown: slice, floor: Any) -> Data:
-    """The skeleton's positions, from the middle of its way."""
+    """The skeleton's positions, from the middle of its way; of each joint, frames [first, stop) in which
+    nobody saw the bone that leads to it."""
     poses, skeleton = motion.poses, motion.skeleton
     p = poses.p_world_joint[shown]
     known = np.isfinite(p).all(axis=(1, 2))
@@ -92,6 +95,7 @@ def player_data(motion: MotionSequence, shown: slice, floor: Any) -> Data:
         "parents": [int(parent) for parent in skeleton.parents],
         "p": packed(p - middle, 1000),
         "valid": packed(poses.valid[shown].mean(axis=1), 100),
+        "unseen": [runs(~seen) for seen in observed_bones(motion)[shown].T],
         "height": float(skeleton.height),
     }
 

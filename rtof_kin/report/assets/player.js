@@ -7,6 +7,7 @@ function start_player(data, moved) {
   const J = data.joints.length, T = data.times.length;
   const p = unpack(data.p, 1000), valid = unpack(data.valid, 100);
   const side = data.joints.map(name => /^(Left|l(?=[A-Z]))/.test(name) ? "left" : /^(Right|r(?=[A-Z]))/.test(name) ? "right" : "middle");
+  const unseen = (frame, joint) => data.unseen[joint].some(([first, stop]) => first <= frame && frame < stop);
   const view = {yaw: -0.9, pitch: 0.15, zoom: 1};
   let now = data.times[0], playing = false, before = 0;
   slider.max = T - 1;
@@ -53,12 +54,13 @@ function start_player(data, moved) {
       }
     pen.stroke();
     const seen = valid[frame] > 0;
+    const shade = joint => colour(seen && !unseen(frame, joint) ? side[joint] : "unseen");
     data.parents.forEach((parent, joint) => {
       if (parent < 0) return;
       const a = at(frame, parent), b = at(frame, joint);
       if (Number.isNaN(a[0] + b[0])) return;
       const [xa, ya, scale] = see(a), [xb, yb] = see(b);
-      pen.strokeStyle = colour(seen ? side[joint] : "line");
+      pen.strokeStyle = shade(joint);
       pen.lineWidth = Math.max(2 * ratio, 0.035 * scale);
       pen.beginPath();
       pen.moveTo(xa, ya);
@@ -69,7 +71,7 @@ function start_player(data, moved) {
       const place = at(frame, joint);
       if (Number.isNaN(place[0])) continue;
       const [x, y, scale] = see(place);
-      pen.fillStyle = colour(seen ? side[joint] : "line");
+      pen.fillStyle = shade(joint);
       pen.beginPath();
       pen.arc(x, y, Math.max(2.5 * ratio, (data.joints[joint] === "Head" ? 0.09 : 0.028) * scale), 0, 2 * Math.PI);
       pen.fill();
