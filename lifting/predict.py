@@ -28,21 +28,14 @@ from lifting.windows import (
 )
 from rtof_kin import signals
 from rtof_kin.checks import checked_times, readonly
-from rtof_kin.errors import FileFormatError, ShapeError
-from rtof_kin.resources import model_path
+from rtof_kin.errors import ShapeError
+from rtof_kin.resources import DEFAULT_LIFTER, lifter_path
 from rtof_kin.types import BoneImuSequence, Camera, KeypointSequence
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 """Called with the frames done and their total."""
 
-SHIPPED = {
-    "detections": "lifter.pt",
-    "perfect": "lifter_perfect.pt",
-    "causal": "lifter_causal.pt",
-}
-"""Lifters that ship with the package, by name. detections: the default, for real detectors. perfect: for
-projected ground truth. causal: without delay, for streaming."""
 MIN_JOINTS = 6
 """Fewer different joints than this in a window, and the lifted pose means nothing."""
 CHUNK = 128
@@ -110,18 +103,14 @@ class Lifter:
         """Read a lifter.
 
         Args:
-            path: a file, or the name of one in `SHIPPED`; the default of these where not given.
+            path: a file, or the name of a shipped one, see `rtof_kin.resources.lifter_path`; the default
+                of these where not given.
 
         Raises:
             FileFormatError: no such file; else see `load_checkpoint`.
         """
-        name = "detections" if path is None else str(path)
-        path = model_path(SHIPPED[name]) if name in SHIPPED else Path(name)
-        if not path.exists():
-            raise FileFormatError(
-                path, "no such file; give the path of a trained lifter, or the name of a shipped one: "
-                + ", ".join(SHIPPED),
-            )  # fmt: skip
+        name = DEFAULT_LIFTER if path is None else str(path)
+        path = lifter_path(path)
         network, description = load_checkpoint(path)
         return cls(network, description, hashlib.sha256(path.read_bytes()).hexdigest(), name)
 

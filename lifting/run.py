@@ -34,7 +34,7 @@ from lifting.settings import TrainConfig
 from lifting.supply import Supply, step_seed
 from lifting.validation import Validation
 from rtof_kin.errors import FileFormatError, RtofError, ShapeError, SolverError
-from rtof_kin.resources import model_path
+from rtof_kin.resources import lifter_path, model_path
 from rtof_kin.skeleton_table import read_skeleton_table
 
 SKELETONS = ("skeleton", "human36m")
@@ -212,12 +212,13 @@ class Run:
         )  # fmt: skip
         os.replace(partial, path)
 
-    def start(self, path: Path) -> None:
-        """Begin with the weights of another lifter.
+    def start(self, lifter: str | Path) -> None:
+        """Begin with the weights of another lifter, see `rtof_kin.resources.lifter_path`.
 
         Raises:
             FileFormatError: it is none, or does not fit.
         """
+        path = self.workers.from_first(lambda: lifter_path(lifter))
         network, description = self.workers.from_first(lambda: load_checkpoint(path))
         other = description.network
         mine = replace(self.network.config, causal=other.causal, dropout=other.dropout)

@@ -48,7 +48,7 @@ def train(
         out: file to write.
         progress: see `Progress`.
         resume: go on from the state file where there is one.
-        start: a lifter of the same shape whose weights are the first ones, to tune it further.
+        start: a lifter of the same shape, or the name of a shipped one, whose weights are the first ones.
 
     Returns:
         The path of the lifter.
@@ -67,7 +67,7 @@ def train(
     with _own_randomness(config.deterministic), torch_threads(1), workers(config.device) as team:
         run = Run(config, corpus, team)
         if start is not None:
-            run.start(Path(start))
+            run.start(start)
         if resume:
             run.restore(state_file)
         try:

@@ -10,6 +10,14 @@ PACKAGED = Path(__file__).parent / "models"
 """Where an installed package carries its models."""
 CHECKOUT = Path(__file__).parent.parent / "models"
 """Where a checkout of the source keeps the same files."""
+LIFTERS = {
+    "detections": "lifter.pt",
+    "perfect": "lifter_perfect.pt",
+    "causal": "lifter_causal.pt",
+}
+"""Lifters that ship with the package, by name. detections: the default, for real detectors. perfect: for
+projected ground truth. causal: without delay, for streaming."""
+DEFAULT_LIFTER = "detections"
 
 
 def model_path(name: str) -> Path:
@@ -34,3 +42,22 @@ def model_path(name: str) -> Path:
         "no such file ships with this installation (there is: "
         f"{', '.join(present) or 'nothing'}); reinstall the package or give a path of your own",
     )
+
+
+def lifter_path(lifter: str | Path | None) -> Path:
+    """The file of a lifter, however it was named; every command and protocol asks here.
+
+    Args:
+        lifter: a name in `LIFTERS`, or a file; the default of these where not given.
+
+    Raises:
+        FileFormatError: it is neither.
+    """
+    name = DEFAULT_LIFTER if lifter is None else str(lifter)
+    path = model_path(LIFTERS[name]) if name in LIFTERS else Path(name)
+    if not path.is_file():
+        raise FileFormatError(
+            path, "no such file; give the path of a trained lifter, or the name of a shipped one: "
+            + ", ".join(LIFTERS),
+        )  # fmt: skip
+    return path

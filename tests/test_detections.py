@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from detector_support import flat, points_px, walking, watching
 
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.errors import FileFormatError, UnknownNameError
@@ -236,4 +238,47 @@ def test_an_unknown_landmark_is_named_with_its_file(tmp_path: Path, read: Any) -
         read()
     (tmp_path / "landmarks.txt").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FileFormatError, match=r"landmarks.txt: not readable"):
+        read()
+
+
+# --- a detector's own files ----------------------------------------------------------------------
+
+
+def test_points_of_a_layout_become_landmarks(tmp_path: Path) -> None:
+    motion = walking()
+    camera = watching(motion)
+    for layout, extra in (("coco17", "Nose"), ("mediapipe33", "RightHandEnd")):
+        np.savez(tmp_path / "S5_acting3_cam1.npz", keypoints=points_px(layout, motion, camera))
+        for asked in (layout, "auto"):
+            found = read_detections(tmp_path, "S5", "acting3", 1, camera, layout=asked)
+            assert set(NAMES) < set(found.names)
+            assert extra in found.names
+            np.testing.assert_allclose(found.times, np.arange(len(motion.times)) / 60)
+            seen = found.select(NAMES).uv_px
+            off = np.linalg.norm(seen - camera.project(motion.poses.p_world_joint), axis=-1)
+            assert np.nanmedian(off) < 12
+    with pytest.raises(FileFormatError, match=r"cam1.npz: layout body25 has 25 points.*mediapipe33"):
+        read_detections(tmp_path, "S5", "acting3", 1, camera, layout="body25")
+    with pytest.raises(UnknownNameError, match="array.*'keypoints'"):
+        read_detections(tmp_path, "S5", "acting3", 1, camera)
+
+
+def test_a_folder_of_json_is_named_like_a_file_and_stands_alone(tmp_path: Path) -> None:
+    motion = walking()
+    camera, folder = watching(motion), tmp_path / "S5" / "acting3" / "Cam1"
+    folder.mkdir(parents=True)
+    for frame, points in enumerate(points_px("body25", motion, camera)):
+        text = json.dumps({"people": [{"pose_keypoints_2d": flat(points)}]})
+        (folder / f"{frame:012d}_keypoints.json").write_text(text)
+    found = read_detections(tmp_path, "S5", "acting3", 1, camera, layout="auto")
+    assert len(found) == len(motion.times)
+    assert "RightHeel" in found.names
+    np.savez(tmp_path / "S5_acting3_cam1.npz", keypoints=points_px("coco17", motion, camera))
+    with pytest.raises(FileFormatError, match="claims to be the same detections; remove the wrong"):
+        read_detections(tmp_path, "S5", "acting3", 1, camera, layout="auto")
+
+
+def test_a_detectors_own_names_ask_for_its_layout(tmp_path: Path, read: Any) -> None:
+    (tmp_path / "S5_acting3_cam1.csv").write_text("left_hip_u_px,left_hip_v_px\n1,2\n")
+    with pytest.raises(UnknownNameError, match="name of their layout.*left_hip"):
         read()

@@ -21,6 +21,7 @@ from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.mocap import read_mocap
 from rtof_kin.pipeline import ReconstructionSettings, reconstruct
 from rtof_kin.recording import Recording
+from rtof_kin.resources import LIFTERS, model_path
 from rtof_kin.simulation import SimulationSettings, simulate
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import Camera, KeypointSequence
@@ -416,9 +417,9 @@ def test_a_lifter_that_is_not_there_is_reported(tmp_path: Path) -> None:
         Lifter.load(tmp_path / "none.pt")
 
 
-@pytest.mark.parametrize("name", list(module.SHIPPED))
+@pytest.mark.parametrize("name", list(LIFTERS))
 def test_shipped_lifters_have_names(name: str) -> None:
     lifter = Lifter.load(name)
     assert lifter.description.network.causal == (name == "causal")
     assert (lifter.description.recipe["augment"]["noise"]["clean"] == 1.0) == (name == "perfect")
-    assert lifter.sha256 == Lifter.load(module.model_path(module.SHIPPED[name])).sha256
+    assert lifter.sha256 == Lifter.load(model_path(LIFTERS[name])).sha256

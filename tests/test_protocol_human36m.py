@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import io
 import runpy
 import sys
@@ -25,6 +26,7 @@ from rtof_kin.protocols import human36m, pictures, published
 from rtof_kin.protocols.human36m import STILL, Human36MProtocol, all_tables, run
 from rtof_kin.protocols.jobs import Outcome
 from rtof_kin.protocols.tables import Table
+from rtof_kin.resources import model_path
 
 SUBJECTS = ("S9", "S11")
 
@@ -160,6 +162,11 @@ def test_the_protocol_is_the_papers_where_nothing_else_is_asked_for(
     assert len(usual.jobs()) == 2 * 2 * 4
 
 
+def test_a_lifter_may_be_named(root: Path) -> None:
+    named = Human36MProtocol(root, Path("perfect")).settings()["lifter_sha256"]
+    assert named == hashlib.sha256(model_path("lifter_perfect.pt").read_bytes()).hexdigest()
+
+
 def test_an_action_is_found_with_and_without_its_number(root: Path, lifter: Path) -> None:
     def actions(*names: str) -> set[str]:
         return {job.action for job in protocol(root, lifter, actions=names).jobs().values()}
@@ -251,7 +258,7 @@ BAD = {
     "a camera that is not": (["--cameras", "4"], "unknown camera '4'"),
     "a mode with sensors": (["--modes", "rtof"], "unknown mode without sensors 'rtof'"),
     "no mode": (["--modes", ""], "modes: none are named"),
-    "no lifter": (["--lifter", "{tmp}/none.pt"], "none.pt: there is no such lifter; train one"),
+    "no lifter": (["--lifter", "{tmp}/none.pt"], "none.pt: no such file; train a lifter"),
     "no archives": (["--root", "{tmp}"], "data_3d_h36m.npz"),
     "a folder for the JSON": (["--json", "{tmp}"], "is a folder; name a file"),
     "no worker": (["--workers", "0"], "workers: 0 processes do no work"),

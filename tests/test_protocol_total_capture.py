@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import io
 import json
 import re
@@ -14,6 +15,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 import total_capture_support as tc
+from detector_support import flat, points_px
 from lifting_support import TABLE_17, untrained_lifter
 from protocol_support import cells_of, facts_of, read_json, row
 from scipy import signal
@@ -23,6 +25,7 @@ from benchmarks.total_capture_standin import StandInTake, write_detections
 from lifting.checkpoint import save_checkpoint
 from rtof_kin.cli import main
 from rtof_kin.datasets.total_capture import TotalCapture
+from rtof_kin.detectors.layouts import detector_table
 from rtof_kin.errors import FileFormatError, OutputExistsError, ShapeError, UnknownNameError
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.io.motion_npz import read_motion_npz
@@ -42,6 +45,7 @@ from rtof_kin.protocols.total_capture import (
     weight_name,
 )
 from rtof_kin.protocols.total_capture_tables import all_tables
+from rtof_kin.resources import model_path
 from rtof_kin.skeleton import SkeletonModel
 
 NAMES = SkeletonModel.default().names
@@ -622,6 +626,43 @@ def test_detections_are_used_and_those_that_are_not_there_told(
     assert "S1 walking2 (camera 3)" in tables["by_take"].notes[1]
 
 
+@pytest.mark.usefixtures("unpictured")
+def test_a_detectors_own_files_are_measured_with_their_layout_and_a_lifter_by_its_name(
+    root: Path, tmp_path: Path
+) -> None:
+    """MediaPipe's 33 in a CSV, BODY_25 in OpenPose's folder of JSON, COCO's 17 in an .npz."""
+    folder, (mediapipe, body25, coco) = tmp_path / "detector", (1, 3, 4)
+    own = folder / "S1" / "walking2"
+    body = SkeletonModel.default().with_offsets(WALKING.joint_offsets)
+    walking = body.motion(WALKING.poses)
+    uv = {
+        number: points_px(layout, walking, cameras()[number])
+        for layout, number in (("mediapipe33", mediapipe), ("body25", body25), ("coco17", coco))
+    }
+    (own / f"cam{body25}").mkdir(parents=True)
+    named = [f"{name}_{c}" for name in detector_table().layout("mediapipe33").names for c in "xy"]
+    table = uv[mediapipe].reshape(len(uv[mediapipe]), -1)
+    np.savetxt(own / f"cam{mediapipe}.csv", table, delimiter=",", header=",".join(named), comments="")
+    for frame, points in enumerate(uv[body25]):
+        text = json.dumps({"people": [{"pose_keypoints_2d": flat(points)}]})
+        (own / f"cam{body25}" / f"walk_{frame:012d}_keypoints.json").write_text(text)
+    np.savez(folder / f"TC_S1_walking2_cam{coco}.npz", keypoints=uv[coco])
+    arguments = ["total-capture", "--root", str(root), "--subjects", "S1", "--takes", "walking2",
+                 "--cameras", ",".join(map(str, uv)), "--modes", "lift", "--workers", "1",
+                 "--keypoints", str(folder), "--layout", "auto", "--lifter", "perfect",
+                 "-o", str(tmp_path / "out"), "--json", str(tmp_path / "all.json")]  # fmt: skip
+    assert main(arguments) == 0
+    found = read_json(tmp_path / "all.json")
+    assert found["failed"] == {}
+    assert {row["camera"] for row in found["rows"] if row["method"] == "lift"} == set(uv)
+    for number in uv:  # the landmarks lie where the reference has them
+        facts = read_json(tmp_path / "out" / "runs" / f"S1_walking2_cam{number}.json")
+        assert facts["failed_checks"] == []
+    perfect = model_path("lifter_perfect.pt").read_bytes()
+    assert found["settings"]["lifter_sha256"] == hashlib.sha256(perfect).hexdigest()
+    assert found["settings"]["layout"] == "auto"
+
+
 def test_camera_2_is_measured_and_said_to_be_miscalibrated(
     root: Path, detections: Path, tmp_path: Path
 ) -> None:
@@ -775,7 +816,9 @@ BAD = {
     "endless noise": (["--noise-px", "inf"], "noise_px: inf"),
     "a negative seed": (["--seed=-1"], "seed: -1 is negative"),
     "no folder of detections": (["--keypoints", "{tmp}/none"], "no such folder of detections"),
-    "no lifter": (["--lifter", "{tmp}/none.pt"], "none.pt: there is no such lifter"),
+    "no lifter": (["--lifter", "{tmp}/none.pt"], "none.pt: no such file; give the path of a trained"),
+    "no layout": (["--keypoints", "{tmp}", "--layout", "coco"], "unknown layout 'coco'. Did you mean"),
+    "a layout of nothing": (["--layout", "auto"], "layout is that of a detector's points"),
     "no data set": (["--root", "{tmp}/none"], "none: there is no such folder"),
     "an empty data set": (["--root", "{tmp}"], "holds no file of Total Capture"),
     "a folder for the JSON": (["--json", "{tmp}"], "is a folder; name a file"),
@@ -848,9 +891,9 @@ def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
         main(["total-capture", "--help"])
     assert stop.value.code == 0
     text = capsys.readouterr().out
-    for option in ("--root", "--subjects", "--takes", "--cameras", "--keypoints", "--noise-px",
-                   "--sensors", "--space", "--lifter", "--modes", "--save", "--json", "--seed",
-                   "--workers", "--output", "--overwrite", "--no-studies"):  # fmt: skip
+    for option in ("--root", "--subjects", "--takes", "--cameras", "--keypoints", "--layout",
+                   "--noise-px", "--sensors", "--space", "--lifter", "--modes", "--save", "--json",
+                   "--seed", "--workers", "--output", "--overwrite", "--no-studies"):  # fmt: skip
         assert option in text
 
 

@@ -54,6 +54,7 @@ def _total_capture(options: argparse.Namespace) -> None:
             takes=_names(options.takes or ",".join(TEST_TAKES), str.lower),
             cameras=tuple(_integers("--cameras", options.cameras)),
             keypoints=None if options.keypoints == "ground-truth" else Path(options.keypoints),
+            layout=options.layout,
             noise_px=options.noise_px,
             sensors=_names(options.sensors) if sensors is None else sensors,
             space=space,
@@ -243,6 +244,11 @@ def _add_total_capture(commands: Any) -> None:
         help="'ground-truth', or a folder with a detector's 2D (TC_S5_acting3_cam1.npz or .csv)",
     )  # fmt: skip
     parser.add_argument(
+        "--layout", metavar="NAME",
+        help="of the points in a detector's own files, as in a recording: auto to have it recognised, or "
+        "its name, such as body25, coco17 or mediapipe33; without it they are the skeleton's landmarks",
+    )  # fmt: skip
+    parser.add_argument(
         "--noise-px", type=float, default=0.0, metavar="PX", help="white noise on ground-truth 2D"
     )
     parser.add_argument(
@@ -282,7 +288,7 @@ def _add_human36m(commands: Any) -> None:
     )
     parser.add_argument(
         "--lifter", type=Path, required=True, metavar="CHECKPOINT",
-        help="a 17-joint lifter: rtof-kin train --human36m DIR",
+        help="a 17-joint lifter: rtof-kin train --human36m DIR; those that are shipped have 21",
     )  # fmt: skip
     parser.add_argument(
         "--cameras-file", type=Path, metavar="FILE",

@@ -42,7 +42,7 @@ def add_commands(commands: Any) -> None:
     parser.add_argument("--windows", type=int, help="stop after so many windows")
     parser.add_argument("--resume", action="store_true", help="go on where a run was interrupted")
     parser.add_argument(
-        "--start", metavar="LIFTER", help="begin with its weights, to tune it further"
+        "--start", metavar="LIFTER", help="begin with its weights; a file, or a shipped one by name"
     )
     _add_model(parser.add_argument_group("what is trained"))
     _add_how(parser.add_argument_group("how it is trained"))

@@ -18,6 +18,7 @@ from rtof_kin.protocols import published
 from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.protocols.measures import curves, provenance, reconstructions, rows_of, save_motion
 from rtof_kin.protocols.tables import Cell, Table, pooled
+from rtof_kin.resources import lifter_path
 
 CAMERAS = (0, 1, 2, 3)
 VISION = ("lift", "rto")
@@ -31,7 +32,7 @@ class Human36MProtocol:
     root: Path
     """Folder of the archives."""
     lifter: Path
-    """Checkpoint of a 17-joint lifter; none is shipped."""
+    """A 17-joint lifter's file; those that are shipped, by name, have 21."""
     cameras_file: Path | None = None
     """File of cameras; looked for in the folder where not given."""
     keypoints: str = "gt"
@@ -51,11 +52,11 @@ class Human36MProtocol:
         indices_of("subject", self.subjects, SUBJECTS_TRAIN + SUBJECTS_TEST)
         indices_of("mode without sensors", self.modes, VISION)
         indices_of("camera", [str(c) for c in self.cameras], [str(c) for c in CAMERAS])
-        if not self.lifter.is_file():
-            raise FileFormatError(
-                self.lifter,
-                "there is no such lifter; train one with: rtof-kin train --human36m DIR",
-            )
+        try:
+            lifter_path(self.lifter)
+        except FileFormatError as error:
+            problem = "no such file; train a lifter of 17 joints with: rtof-kin train --human36m DIR"
+            raise FileFormatError(self.lifter, problem) from error
 
     def settings(self) -> dict[str, Any]:
         """Everything that the results depend on, as plain values."""

@@ -15,7 +15,7 @@ from rtof_kin.io.motion_npz import write_motion_npz
 from rtof_kin.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettings, reconstruct
 from rtof_kin.protocols.jobs import Outcome
 from rtof_kin.recording import Recording
-from rtof_kin.resources import model_path
+from rtof_kin.resources import lifter_path
 
 Array = NDArray[np.float64]
 _SNAPSHOTS = 5
@@ -90,11 +90,10 @@ def save_motion(result: Reconstruction, mode: str, path: Path | None) -> None:
     partial.replace(path)
 
 
-def provenance(lifter: Path | None) -> dict[str, Any]:
+def provenance(lifter: str | Path | None) -> dict[str, Any]:
     """What results depend on besides a protocol's settings: the lifter's weights, the version."""
-    weights = Path(lifter or model_path("lifter.pt"))
     return {
-        "lifter_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
+        "lifter_sha256": hashlib.sha256(lifter_path(lifter).read_bytes()).hexdigest(),
         "version": _version(),
     }
 

@@ -21,6 +21,7 @@ from rtof_kin.checks import indices_of
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.total_capture import SUBJECTS, TEST, TRAIN, Take, TotalCapture
 from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take
+from rtof_kin.detectors.layouts import detector_table
 from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.fragment import FragmentSolver
 from rtof_kin.fragment_settings import SPACES, FragmentSettings
@@ -29,6 +30,8 @@ from rtof_kin.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettin
 from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.protocols.measures import curves, provenance, reconstructions, save_motion
 from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
+from rtof_kin.recording_files import RECOGNISE
+from rtof_kin.resources import lifter_path
 from rtof_kin.simulation import LIMB_SENSORS
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import KeypointSequence, PoseSequence
@@ -67,6 +70,8 @@ class TotalCaptureProtocol:
     cameras: tuple[int, ...] = CAMERAS
     keypoints: Path | None = None
     """Folder with a detector's 2D; ground-truth 2D where not given."""
+    layout: str | None = None
+    """Of the detector's points, or `RECOGNISE`; landmarks of the skeleton where not given."""
     noise_px: float = 0.0
     """Standard deviation of white noise added to ground-truth 2D, px per axis."""
     sensors: tuple[str, ...] = LIMB_SENSORS
@@ -74,7 +79,7 @@ class TotalCaptureProtocol:
     """Of the fragment solver, one of `SPACES`; the studies are as printed in any case."""
     modes: tuple[str, ...] = CAMERA_MODES
     lifter: Path | None = None
-    """Checkpoint; the shipped one where not given."""
+    """A file, or the name of a shipped one; the default of these where not given."""
     calibrate: bool = False
     """Whether every take is calibrated from itself first; the paper takes its files as they are."""
     studies: bool = True
@@ -104,8 +109,11 @@ class TotalCaptureProtocol:
             raise ShapeError(f"seed: {self.seed} is negative")
         if self.keypoints is not None and not self.keypoints.is_dir():
             raise FileFormatError(self.keypoints, "there is no such folder of detections")
-        if self.lifter is not None and not self.lifter.is_file():
-            raise FileFormatError(self.lifter, "there is no such lifter")
+        lifter_path(self.lifter)
+        if self.layout is not None:
+            indices_of("layout", [self.layout], (RECOGNISE, *detector_table().layouts))
+            if self.keypoints is None:
+                raise ShapeError("layout is that of a detector's points; name their folder as keypoints")
 
     def settings(self) -> dict[str, Any]:
         """Everything that the results depend on, as plain values."""
@@ -113,9 +121,9 @@ class TotalCaptureProtocol:
             "dataset": str(self.root.resolve()),
             "subjects": list(self.subjects), "takes": list(self.takes), "cameras": list(self.cameras),
             "keypoints": str(self.keypoints.resolve()) if self.keypoints else "ground truth",
-            "noise_px": self.noise_px, "sensors": list(self.sensors), "space": self.space,
-            "modes": list(self.modes), "calibrate": self.calibrate, "studies": self.studies,
-            "seed": self.seed,
+            "layout": self.layout, "noise_px": self.noise_px, "sensors": list(self.sensors),
+            "space": self.space, "modes": list(self.modes), "calibrate": self.calibrate,
+            "studies": self.studies, "seed": self.seed,
         }  # fmt: skip
 
     def jobs(self) -> dict[str, Job]:
@@ -254,7 +262,8 @@ def _detected(take: Take, job: Job, number: int) -> KeypointSequence | None:
     folder = job.protocol.keypoints
     if folder is None:
         return None
-    return read_detections(folder, job.subject, job.take, number, take.cameras[number])
+    camera, layout = take.cameras[number], job.protocol.layout
+    return read_detections(folder, job.subject, job.take, number, camera, layout=layout)
 
 
 def _studies(result: Reconstruction, truth: PoseSequence) -> dict[str, dict[str, Any]]:
