@@ -16,7 +16,7 @@ from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.torques import UNKNOWN, JointTorques, joint_torques, single_support
 from rtof_kin.errors import ShapeError
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.types import STANDARD_GRAVITY, PoseSequence
+from rtof_kin.types import STANDARD_GRAVITY, PoseSequence, Provenance
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -52,6 +52,14 @@ def test_an_arm_held_level_asks_the_shoulder_for_its_weight_times_its_lever() ->
     # About x, forward: positive lowers the right arm, so holding it up is negative.
     assert middle(torques, "RightArm_x") == pytest.approx(-expected, rel=1e-6)
     assert 8 < expected < 14
+
+
+def test_torques_about_what_nobody_observed_are_said_to_be_that() -> None:
+    motion = held(RightLeg_y=20.0)
+    provenance = np.full(motion.poses.valid.shape, Provenance.CAMERA)
+    seen = replace(motion, poses=replace(motion.poses, provenance=provenance))
+    assert any("RightFoot_y" in note for note in joint_torques(seen, 80.0).notes)
+    assert not any("RightFoot_y" in note for note in joint_torques(motion, 80.0).notes)
 
 
 def test_at_rest_the_floor_gives_one_body_weight_and_no_more() -> None:

@@ -20,12 +20,13 @@ from report_support import BROWSER, Page, certain_to, drawn_data, folder_of, ren
 
 from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.errors import FileFormatError, ShapeError
-from rtof_kin.report.drawn import MISSING, packed, side_and_name, unpacked
+from rtof_kin.report.drawn import MISSING, packed, player_data, side_and_name, unpacked
 from rtof_kin.report.findings import Finding
 from rtof_kin.report.isb import isb_items
 from rtof_kin.report.writing import report
 from rtof_kin.session import Session
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.types import Provenance
 
 TODAY = date(2026, 2, 3)
 INPUTS = {
@@ -272,6 +273,20 @@ def test_the_skeleton_is_where_the_joints_are(html: str) -> None:
     np.testing.assert_allclose(p - p[:, :1], given_ - given_[:, :1], atol=1.01e-3)
     assert player["parents"] == list(motion.skeleton.parents)
     assert 0 <= p[..., 2].min() < 0.2  # it stands on the floor
+
+
+def test_the_player_knows_when_nobody_saw_a_bone() -> None:
+    motion = walk()
+    leg, observed = motion.skeleton.index("LeftLeg", "LeftFoot"), motion.poses.orientation_observed.copy()
+    provenance = motion.poses.provenance.copy()
+    observed[:, motion.skeleton.index("LeftUpLeg", "LeftLeg")] = False
+    provenance[...] = Provenance.CAMERA
+    provenance[40:60, leg] = Provenance.PRIOR
+    poses = replace(motion.poses, provenance=provenance, orientation_observed=observed)
+    unseen = player_data(replace(motion, poses=poses), slice(None), 0.0)["unseen"]
+    assert {j: spans for j, spans in enumerate(unseen) if spans} == {j: [(40, 60)] for j in leg}
+    halved = player_data(replace(motion, poses=poses), slice(None, None, 2), 0.0)["unseen"]
+    assert halved[leg[0]] == [(20, 30)]
 
 
 def test_long_recordings_are_drawn_at_fewer_frames_and_stay_small(tmp_path: Path) -> None:

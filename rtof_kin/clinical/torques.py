@@ -27,6 +27,7 @@ from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
 from rtof_kin.errors import ShapeError
 from rtof_kin.io.joint_trajectory import joint_velocities
+from rtof_kin.observation import never_observed
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.types import STANDARD_GRAVITY
 
@@ -93,6 +94,11 @@ def joint_torques(
         notes.append(
             "no force of the floor is attributed: torques of a leg in contact are not those of its "
             "muscles; the wrench on the root is what is missing"
+        )
+    if unseen := never_observed(motion):
+        notes.append(
+            "nobody observed these degrees of freedom: their torques are those of a body that holds them "
+            f"still, about axes that may point elsewhere: {', '.join(unseen)}"
         )
     T = len(motion.q)
     carries = _checked_support(support, T)
