@@ -47,7 +47,7 @@ def guarded_keypoints(
         keypoints: at any times; sides by their names, ``Left`` and ``Right`` or ``L`` and ``R`` in front.
     """
     found: list[StreamFault] = []
-    for group, pairs in _pairs(keypoints.names).items():
+    for group, pairs in side_pairs(keypoints.names).items():
         keypoints, faults = _with_sides_mended(keypoints, group, pairs)
         found += faults
     keypoints, faults = _without_somebody_else(keypoints)
@@ -57,7 +57,7 @@ def guarded_keypoints(
 # --- sides ---------------------------------------------------------------------------------------
 
 
-def _pairs(names: tuple[str, ...]) -> dict[str, NDArray[np.intp]]:
+def side_pairs(names: tuple[str, ...]) -> dict[str, NDArray[np.intp]]:
     """Columns (n, 2) of left and right points of the legs, and of the rest."""
     groups: dict[str, list[tuple[int, int]]] = {"legs": [], "arms and head": []}
     for i, name in enumerate(names):

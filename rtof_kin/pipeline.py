@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.calibration_priors import CalibrationPriors
-from rtof_kin.camera_evidence import check_camera_evidence
+from rtof_kin.camera_evidence import check_camera_evidence, explained
 from rtof_kin.choices import Choices
 from rtof_kin.circumstances import circumstances
 from rtof_kin.contradictions import check_height, contradictions
@@ -165,29 +165,30 @@ def reconstruct(
         calibrate = False
     choices = Choices.of(calibrate, known, lifter)
     known = None if known is None else known.for_another_recording()
-    found, slipped, warnings = _as_told(calibrate, known, recording, skeleton, lifter, settings, tell)
     told = recording
-    if found is not None:
-        recording = found.apply(recording)
-        skeleton = None if found.of_kind("bones") else skeleton
-    skeleton = skeleton or recording.skeleton
-    fragment = on_floor(settings.solver(skeleton, found is not None), recording.floor_height, found)
-    settings = settings.with_fragment(fragment)
-    begun = begin(recording, skeleton, mode, lifter, settings, tell, slipped)
-    keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
-    if (
-        mode == "rtof" and settings.guard_streams and begun.bone_imus is not None
-        and (wrong := disagreeing(poses, begun.bone_imus, skeleton))
-    ):  # fmt: skip
-        wrong = joined((*slipped, *wrong))
-        begun = begin(recording, skeleton, mode, lifter, settings, tell, wrong)
+    with explained(told, skeleton or told.skeleton, lifter):
+        found, slipped, warnings = _as_told(calibrate, known, recording, skeleton, lifter, settings, tell)
+        if found is not None:
+            recording = found.apply(recording)
+            skeleton = None if found.of_kind("bones") else skeleton
+        skeleton = skeleton or recording.skeleton
+        fragment = on_floor(settings.solver(skeleton, found is not None), recording.floor_height, found)
+        settings = settings.with_fragment(fragment)
+        begun = begin(recording, skeleton, mode, lifter, settings, tell, slipped)
         keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
+        if (
+            mode == "rtof" and settings.guard_streams and begun.bone_imus is not None
+            and (wrong := disagreeing(poses, begun.bone_imus, skeleton))
+        ):  # fmt: skip
+            wrong = joined((*slipped, *wrong))
+            begun = begin(recording, skeleton, mode, lifter, settings, tell, wrong)
+            keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
     warnings += _doubts(begun, solution, settings)
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in begun.faults)
     if mode == "rtof" and settings.guard_streams and (warnings or disagree):
         warnings += _faults_of_setup(told, skeleton, lifter, settings)
     checks = (
-        *check_camera_evidence(told, begun, poses, skeleton),
+        *check_camera_evidence(told, begun, poses, skeleton, lifter),
         *check_sensor_evidence(told, begun, poses, skeleton),
     )
     failed = (check.message for check in checks if check.failed)

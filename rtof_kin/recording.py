@@ -32,6 +32,7 @@ A folder holds ``recording.toml`` and the arrays that it names. From arrays in m
     position_m = [4.0, 0.0, 1.5]         # with target_m, or R_camera_world (3 x 3) and
     target_m = [0.0, 0.0, 1.0]           # t_camera_world_m (3): p_camera = R p_world + t
     distortion = [0.0, 0.0, 0.0, 0.0, 0.0]  # - k1, k2, p1, p2, k3
+    assumed = ["focal length", "pose"]   # - what of it nobody measured; reports then say so
     [keypoints]                          # - with the camera
     file = "keypoints.npz"               # uv_px, - confidence, - times; or .csv
     rate_hz = 60.0                       # where the file has no times

@@ -135,7 +135,8 @@ def read_camera(section: Section) -> Camera:
             R = section.array("R_camera_world", (3, 3))
             t = section.array("t_camera_world_m", (3,))
         K = _intrinsics(section, width, height)
-        camera = Camera(K, R, t, width, height, distortion)  # type: ignore[arg-type]
+        assumed = section.optional_names("assumed") or ()
+        camera = Camera(K, R, t, width, height, distortion, assumed)  # type: ignore[arg-type]
     if K[0, 0] < _SHORTEST_FOCAL * width:
         field = "K" if section.has("K") else "focal_px"
         raise section.error(
@@ -157,7 +158,9 @@ def _intrinsics(section: Section, width: int, height: int) -> Array:
 
 def camera_table(camera: Camera) -> dict[str, Any]:
     """What `read_camera` reads back to the same bits."""
+    assumed = {"assumed": list(camera.assumed)} if camera.assumed else {}
     return {
+        **assumed,
         "width_px": int(camera.width_px),
         "height_px": int(camera.height_px),
         "K": camera.K.tolist(),

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from functools import cache
+from typing import TYPE_CHECKING, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -269,7 +270,7 @@ def _lift(
     """The lifter's poses, orientations from positions where it gives none, and who saw what; and the
     orientations (T, J, 3, 3) that it gives, NaN where not."""
     if lifter is None:
-        lifter = _shipped_lifter()
+        lifter = shipped_lifter()
     result = lifter.predict(
         keypoints, skeleton.joint_offsets, bone_imus=bone_imus, floor_height=floor_height
     )
@@ -299,7 +300,9 @@ def _lift(
     return poses, result.R_world_bone
 
 
-def _shipped_lifter() -> Any:
+@cache
+def shipped_lifter() -> LifterLike:
+    """The lifter that ships, read once."""
     from lifting.predict import Lifter
 
     return Lifter.load()

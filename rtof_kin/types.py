@@ -59,6 +59,8 @@ class Camera:
     """Image height, px."""
     distortion: Array = None  # type: ignore[assignment]
     """(5,) OpenCV's k1, k2, p1, p2, k3; zeros where not given."""
+    assumed: tuple[str, ...] = ()
+    """What nobody measured of it, in words: 'focal length', 'pose'."""
 
     def __post_init__(self) -> None:
         distortion = np.zeros(5) if self.distortion is None else self.distortion

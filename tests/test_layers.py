@@ -99,6 +99,8 @@ lifting.train
 lifting.__main__
 sensors_alone
 stages
+picture_evidence
+scale_evidence
 camera_evidence   sensor_evidence   choices
 pipeline
 sensor_study

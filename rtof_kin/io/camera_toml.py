@@ -7,6 +7,7 @@
     distortions = [k1, k2, p1, p2]         # of OpenCV, and k3 where there is a fifth
     rotation = [rx, ry, rz]                # world to camera: OpenCV's rotation vector, rad, or a matrix
     translation = [tx, ty, tz]             # p_camera = R p_world + t
+    assumed = ["pose"]                     # where nobody measured it; this package's own
 
 Caliscope's and Anipose's files have the same fields among others, which are passed over. A file does not
 say which way is up nor in which unit lengths are: the caller does, and what cannot be is refused.
@@ -93,7 +94,7 @@ def _camera(section: Section, R_world_file: Array, metres_per_unit: float) -> Ca
     try:
         return Camera(
             section.array("matrix", (3, 3)), R_camera_world, t, round(width), round(height),
-            _distortion(section),
+            _distortion(section), section.optional_names("assumed") or (),
         )  # fmt: skip
     except ShapeError as error:
         raise FileFormatError(section.path, f"[{section.name}]: {error}") from error
@@ -161,6 +162,7 @@ def write_camera_toml(
             "rotation": so3.log(camera.R_camera_world).tolist(),
             "translation": camera.t_camera_world.tolist(),
             "fisheye": False,
+            **({"assumed": list(camera.assumed)} if camera.assumed else {}),
         }
         for name, camera in cameras.items()
     }

@@ -100,7 +100,7 @@ def read_opencv_yaml(
         try:
             cameras[name] = Camera(
                 entries.array("matrix", 9).reshape(3, 3), R_camera_world, t, width, height,
-                entries.distortion(),
+                entries.distortion(), () if R is not None else ("pose",),
             )  # fmt: skip
         except ShapeError as error:
             raise FileFormatError(path, f"{name}: {error}") from error

@@ -1,0 +1,359 @@
+"""Whether a picture is upright, of the declared size and not mirrored, and whether left is left.
+
+What people confuse can be undone. Keypoints are looked at as given and with each mistake undone: by the
+lifter, which is less certain of people who stand on their heads or whose knees bend backwards, and by the
+sensors, which know without any picture where limbs point. What fits much better than what was given is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import kinematics
+from rtof_kin import rotations as so3
+from rtof_kin.errors import CalibrationError, ShapeError
+from rtof_kin.keypoint_guards import side_pairs
+from rtof_kin.plausibility import Check
+from rtof_kin.recording import Recording
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.stages import LifterLike
+from rtof_kin.types import BoneImuSequence, KeypointSequence
+
+Array = NDArray[np.float64]
+Undo = Callable[[KeypointSequence], KeypointSequence]
+STEP, PIECE, PIECES = 0.1, 48, 2
+"""s between the frames that are looked at, how many of them follow each other, and how often."""
+LEAST_GAIN, LEAST_GAIN_SENSED = 0.5, 0.35
+"""What a hypothesis must gain over the keypoints as given to be named, without and with sensors; recordings
+without a mistake stay below (benchmarks/results/input_checks.md)."""
+LEAST_GAIN_OF_SIZE = 0.1
+"""The same of the lifter's certainty, of pictures of another size."""
+_CERTAINTY = 3.0
+"""What a gain in certainty counts beside one in the logarithm of the sensors' misfit."""
+_CONTRADICTED, _UNSUPPORTED = -0.1, 0.7
+"""Gain in certainty below which a hypothesis is none, whatever sensors say; and the gain that one needs of
+which the lifter can say nothing."""
+_UNSEEN = 4.4
+"""Certainty of what does not look like a person."""
+_CLOSE = 0.5
+"""Hypotheses whose gains differ by less are named together."""
+_REPROJECTION, _LEAST_REPROJECTION, _LEAST_MISFIT = 0.3, 1e-3, 0.02
+_HEADINGS = np.radians(np.arange(0, 360, 15))
+_LARGER = {2.0: 0.55, 1.5: 0.72}
+"""By how much the picture may be larger than declared where points reach no further than this share of it."""
+_SIZE, _TURN, _SIDES = "another size of the picture", "a turned picture or world", "exchanged sides"
+_SWAPPED, _MIRRORED = "left and right of the keypoints are exchanged", "the picture is mirrored"
+_MIRRORED_VIDEO = "the video is mirrored, and its sides were named as they appear"
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """What the lifter makes of keypoints."""
+
+    p_world_joint: Array
+    """(T, J, 3) m."""
+    certainty: float
+    """The larger, the more it looks as people do; NaN of a lifter that does not tell."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Some frames of a recording, and what was found about the picture they come from."""
+
+    keypoints: KeypointSequence
+    lifted: Lifted | None
+    """As given; None where too little is seen."""
+    bone_imus: BoneImuSequence | None
+    """The sensors at the same times."""
+    checks: tuple[Check, ...]
+    """Of its size, its orientation, its sides."""
+
+    @property
+    def wrong(self) -> str:
+        """The cause of the check that failed; empty where none did."""
+        return next((check.cause for check in self.checks if check.failed), "")
+
+
+def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike) -> Picture:
+    """Compare keypoints with what they would be without each mistake.
+
+    Args:
+        recording: as declared, with keypoints. skeleton: the subject's.
+    """
+    keypoints = excerpt(recording.video)
+    look = _Look(skeleton, lifter, keypoints, sensed(recording, keypoints.times))
+    if look.given is None or np.isnan(look.given.certainty):
+        why = "too little is seen" if look.given is None else "the lifter does not tell how certain it is"
+        checks = tuple(_unknown(name, why) for name in (_SIZE, _TURN, _SIDES))
+    else:
+        checks = (size := look.size(),)
+        checks += (_unknown(_TURN, size.cause) if size.failed else look.turn(),)
+        wrong = next((check.cause for check in checks if check.failed), "")
+        checks += (_unknown(_SIDES, wrong) if wrong else look.sides(),)
+    return Picture(keypoints, look.given, look.bone_imus, checks)
+
+
+def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
+    """Pieces of a recording: at most `PIECES` of `PIECE` frames, `STEP` apart."""
+    every = 1
+    if len(keypoints) > 1:
+        every = max(1, round(STEP / float(np.median(np.diff(keypoints.times)))))
+    frames = np.arange(0, len(keypoints), every)
+    if len(frames) > PIECES * PIECE:
+        starts = np.linspace(0, len(frames) - PIECE, PIECES).astype(int)
+        frames = frames[(starts[:, None] + np.arange(PIECE)).ravel()]
+    uv, confidence = keypoints.uv_px[frames], keypoints.confidence[frames]
+    return replace(keypoints, times=keypoints.times[frames], uv_px=uv, confidence=confidence)
+
+
+def sensed(recording: Recording, times: Array) -> BoneImuSequence | None:
+    """The calibrated sensors at some times (T,); None where they say nothing."""
+    try:
+        found = recording.bone_imus(times=times)
+    except CalibrationError:
+        return None
+    return found if found is not None and np.isfinite(found.R_world_bone).any() else None
+
+
+def _unknown(name: str, why: str) -> Check:
+    return Check.unknown(name, "keypoints", "", why)
+
+
+# --- mistakes, undone ----------------------------------------------------------------------------
+
+
+def exchanged_sides(keypoints: KeypointSequence) -> KeypointSequence:
+    """Left named right."""
+    order = np.arange(len(keypoints.names))
+    for pairs in side_pairs(keypoints.names).values():
+        order[pairs.ravel()] = pairs[:, ::-1].ravel()
+    uv, confidence = keypoints.uv_px[:, order], keypoints.confidence[:, order]
+    return replace(keypoints, uv_px=uv, confidence=confidence)
+
+
+def _moved(M: tuple[tuple[int, int], tuple[int, int]], by: tuple[int, int]) -> Undo:
+    """Pixels M (2, 2) uv + by, in widths and heights of the image where M turns."""
+
+    def undo(k: KeypointSequence) -> KeypointSequence:
+        size = np.array([k.camera.width_px, k.camera.height_px])
+        return replace(k, uv_px=k.uv_px @ np.array(M).T + size * by)
+
+    return undo
+
+
+mirrored = _moved(((-1, 0), (0, 1)), (1, 0))
+upside_down = _moved(((-1, 0), (0, -1)), (1, 1))
+exchanged_axes = _moved(((0, 1), (1, 0)), (0, 0))
+_TURNED: Mapping[str, Undo] = {
+    "the camera or its picture is upside down": upside_down,
+    "the picture is turned by 90 degrees clockwise": _moved(((0, 1), (-1, 0)), (0, 1)),
+    "the picture is turned by 90 degrees anticlockwise": _moved(((0, -1), (1, 0)), (1, 0)),
+    "u and v of the keypoints are exchanged": exchanged_axes,
+}
+
+
+def _stood_up(keypoints: KeypointSequence) -> tuple[str, Undo] | None:
+    """The axis of the declared world that points up in the picture, if it is not z, and how to put z there."""
+    camera = keypoints.camera
+    up = -camera.R_camera_world[1]
+    axis = int(np.argmax(np.abs(up)))
+    if axis == 2 and up[2] > 0:
+        return None
+    z = np.sign(up[axis]) * np.eye(3)[axis]
+    x = np.eye(3)[(axis + 1) % 3]
+    R_given_world = np.stack([x, np.cross(z, x), z], axis=1)
+    upright = replace(camera, R_camera_world=camera.R_camera_world @ R_given_world)
+    name = f"{'+' if up[axis] > 0 else '-'}{'xyz'[axis]}"
+    cause = f"the camera is given in a world whose {name} points up, not z"
+    return cause, lambda k: replace(k, camera=upright)
+
+
+def resized(factor: float) -> Undo:
+    """Keypoints of a picture that many times larger."""
+    return lambda k: replace(k, uv_px=factor * k.uv_px)
+
+
+# --- what is compared ----------------------------------------------------------------------------
+
+
+def certainty(
+    keypoints: KeypointSequence, skeleton: SkeletonModel, lifter: LifterLike
+) -> Lifted | None:
+    """What a lifter makes of keypoints alone, without sensors and floor; None where it sees nobody."""
+    try:
+        result = lifter.predict(keypoints, skeleton.joint_offsets)
+    except ShapeError:
+        return None
+    p, seen = np.asarray(result.p_world_joint), keypoints.select(skeleton.names)
+    off = np.linalg.norm(keypoints.camera.project(p) - seen.uv_px, axis=-1)
+    spreads = [s[np.isfinite(s)] for s in (result.sigma_m, result.sigma_rad)]
+    if not (np.isfinite(off).any() and all(s.size for s in spreads)):
+        return Lifted(p, np.nan)
+    reprojection = float(np.nanmedian(off)) / _extent(seen)
+    logs = [float(np.log(s).mean()) for s in spreads]
+    return Lifted(
+        p, -sum(logs) - _REPROJECTION * float(np.log(max(reprojection, _LEAST_REPROJECTION)))
+    )
+
+
+def _extent(seen: KeypointSequence) -> float:
+    """Width and height of a person in px, together."""
+    frames = seen.uv_px[seen.seen.any(axis=1)]
+    return max(float(np.median(np.nanmax(frames, axis=1) - np.nanmin(frames, axis=1), axis=0).sum()), 1.0)
+
+
+def misfit(
+    keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel,
+    heading: float = 0.0,
+) -> float:  # fmt: skip
+    """How far limbs in the picture are from where the sensors have them: 0 they agree, 1 not at all.
+
+    Of every frame's limbs the share of their squares that no single scale explains, in the mean.
+
+    Args:
+        bone_imus: at the keypoints' times. heading: that all sensors are turned by, rad.
+    """
+    seen, drawn = limbs_in_picture(keypoints, bone_imus, skeleton, heading)
+    both, seen2, drawn2 = (np.sum(a * b, axis=(1, 2)) for a, b in
+                           ((seen, drawn), (seen, seen), (drawn, drawn)))  # fmt: skip
+    known = (seen2 > 0) & (drawn2 > 0)
+    if not known.any():
+        return np.nan
+    explained = np.maximum(both[known], 0) ** 2 / (seen2[known] * drawn2[known])
+    return float(np.mean(1 - explained))
+
+
+def limbs_in_picture(
+    keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel,
+    heading: float = 0.0, perspective: float = 1.0,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Bones (T, n, 2) from each sensor's joint to its children in the image plane: as seen, and but for a
+    scale as the sensors have them; zeros where either is missing.
+
+    Args:
+        perspective: 1 as the focal length has it; 0.5 is that of one twice as long.
+    """
+    camera = keypoints.camera
+    xy = camera.normalise(keypoints.select(skeleton.names).uv_px)
+    R_camera_world = camera.R_camera_world @ so3.about_axis("z", heading)
+    seen, drawn = [], []
+    for s, joint in enumerate(bone_imus.joints):
+        j = skeleton.names.index(joint)
+        for child in kinematics.children_of(skeleton.parents, j):
+            bone = bone_imus.R_world_bone[:, s] @ skeleton.joint_offsets[child] @ R_camera_world.T
+            middle = (xy[:, child] + xy[:, j]) / 2
+            seen.append(xy[:, child] - xy[:, j])
+            drawn.append(bone[:, :2] - perspective * middle * bone[:, 2:])
+    a, b = np.stack(seen, axis=1), np.stack(drawn, axis=1)
+    known = (np.isfinite(a) & np.isfinite(b)).all(axis=-1, keepdims=True)
+    return np.where(known, a, 0.0), np.where(known, b, 0.0)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """One excerpt, looked at with mistakes undone."""
+
+    skeleton: SkeletonModel
+    lifter: LifterLike
+    keypoints: KeypointSequence
+    bone_imus: BoneImuSequence | None
+
+    @cached_property
+    def given(self) -> Lifted | None:
+        """The keypoints as they are, lifted."""
+        return certainty(self.keypoints, self.skeleton, self.lifter)
+
+    @cached_property
+    def _given_misfit(self) -> float:
+        """The sensors' wherever north is: a wrong heading of all of them is no mistake of the picture."""
+        return self._least_misfit(self.keypoints, _HEADINGS)
+
+    def size(self) -> Check:
+        """Whether the person looks more like one in a larger picture."""
+        k = self.keypoints
+        outer = np.nanpercentile(k.uv_px, 99.5, axis=(0, 1)) / [k.camera.width_px, k.camera.height_px]
+        reach = float(outer.max())
+        gains = {factor: self._gain(resized(factor)) for factor, most in _LARGER.items() if reach < most}
+        factor = max(gains, key=lambda f: gains[f], default=1.0)
+        return Check(
+            _SIZE, "keypoints", max(gains.get(factor, 0.0), 0.0), LEAST_GAIN_OF_SIZE, "in certainty",
+            f"Points fill {100 * reach:.0f} % of the picture; give the camera for the picture that was "
+            "detected in, or scale the keypoints",
+            cause=f"the keypoints are of a picture {factor:g} times smaller than the camera's",
+        )  # fmt: skip
+
+    def turn(self) -> Check:
+        """Whether the picture or the world would better be turned."""
+        hypotheses, headings = dict(_TURNED), set[str]()
+        if (other := _stood_up(self.keypoints)) is not None:
+            hypotheses[other[0]] = other[1]
+            headings = {other[0]}
+        certain = {cause: self._gain(undo) for cause, undo in hypotheses.items()}
+        gains = {
+            cause: self._with_sensors(certain[cause], hypotheses[cause], cause in headings)
+            for cause in hypotheses
+        }
+        return self._check(
+            _TURN, gains, certain, "Look at a frame with its points; give R_camera_world of a world with z "
+            "up, for the picture as it was detected in"
+        )  # fmt: skip
+
+    def sides(self) -> Check:
+        """Whether left and right would better be the other way round."""
+        gain = self._gain(exchanged_sides)
+        # A mirrored person is one with exchanged sides, in a mirrored room.
+        certain = {_SWAPPED: gain, _MIRRORED: gain}
+        gains = {
+            _SWAPPED: self._with_sensors(gain, exchanged_sides),
+            _MIRRORED: self._with_sensors(gain, mirrored),
+        }
+        if self.bone_imus is not None:
+            video = self._with_sensors(0.0, lambda k: exchanged_sides(mirrored(k)))
+            certain[_MIRRORED_VIDEO] = 0.0
+            gains[_MIRRORED_VIDEO] = video if video > _UNSUPPORTED else 0.0
+        advice = "Look at a frame with the names of its points, and at how the video was written"
+        limit = self._limit
+        if max(gains.values()) <= limit and self.bone_imus is None and abs(_CERTAINTY * gain) < limit / 2:
+            return _unknown(_SIDES, "the picture looks as likely with its sides exchanged")
+        return self._check(_SIDES, gains, certain, advice)
+
+    @property
+    def _limit(self) -> float:
+        return LEAST_GAIN if self.bone_imus is None else LEAST_GAIN_SENSED
+
+    def _check(
+        self, name: str, gains: Mapping[str, float], certain: Mapping[str, float], advice: str
+    ) -> Check:
+        """The hypotheses that gain most, of those that the lifter does not speak against."""
+        possible = {c: g for c, g in gains.items() if certain[c] > _CONTRADICTED}
+        most = max(possible.values(), default=0.0)
+        named = sorted((c for c, g in possible.items() if g > most - _CLOSE), key=lambda c: -gains[c])
+        value = max(most, 0.0)
+        return Check(
+            name, "keypoints", value, self._limit, "gain in likelihood", advice, cause=", or ".join(named)
+        )
+
+    def _gain(self, undo: Undo) -> float:
+        """In certainty; minus infinity where nobody is to be seen then."""
+        assert self.given is not None
+        other = certainty(undo(self.keypoints), self.skeleton, self.lifter)
+        if other is None or not other.certainty > _UNSEEN:
+            return -np.inf
+        return other.certainty - self.given.certainty
+
+    def _with_sensors(self, gain: float, undo: Undo, any_heading: bool = False) -> float:
+        """The gain in certainty, and in what the sensors agree."""
+        if self.bone_imus is None:
+            return _CERTAINTY * gain
+        other = self._least_misfit(undo(self.keypoints), _HEADINGS if any_heading else _HEADINGS[:1])
+        agreement = (self._given_misfit + _LEAST_MISFIT) / (other + _LEAST_MISFIT)
+        return _CERTAINTY * gain + float(np.log(agreement))
+
+    def _least_misfit(self, keypoints: KeypointSequence, headings: Array) -> float:
+        assert self.bone_imus is not None
+        return min(misfit(keypoints, self.bone_imus, self.skeleton, float(h)) for h in headings)

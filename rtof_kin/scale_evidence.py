@@ -1,0 +1,167 @@
+"""How large and how far away a person is, by what does not ask the picture: the floor, standing feet, the
+accelerations of two segments at a joint, and the perspective in which the sensors' bones are seen."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin import kinematics, signals
+from rtof_kin.contacts import FEET, detect_contacts
+from rtof_kin.picture_evidence import Picture, limbs_in_picture
+from rtof_kin.plausibility import Check
+from rtof_kin.root_position import refit_root
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
+
+Array = NDArray[np.float64]
+ANKLE_HEIGHT = 0.08
+"""m over the floor of the ankle that one stands on."""
+LEAST_HEIGHT, HEIGHT_PER_DISTANCE = 0.12, 0.02
+"""How far an ankle may seem to be from there, m, and per m of distance: one degree of the camera's tilt."""
+LARGEST_SCALE = 1.15
+"""Times that bones may seem too long or too short by two sensors' accelerations."""
+WALKED, LONGEST_WALK = 1.045, 1.15
+"""How far a body seems to move over its standing feet, by the distance of the camera and by the legs: feet
+roll; and how many times more or less it may be."""
+LEAST_WALK = 0.7
+"""m of walking to or from the camera that tell of its focal length."""
+FLATTEST, LEAST_DISTINCT = 0.75, 0.88
+"""Perspective of the sensors' bones, as a share of that of the focal length, below which that is too
+short; and what share of the misfit must be left with it."""
+_PERSPECTIVES = np.linspace(0.0, 3.0, 31)
+_AS_GIVEN = 10
+_LARGEST_MISFIT = 0.3
+_CUTOFF_HZ, _LEAST_SAMPLES, _LEAST_ACCELERATION, _LEAST_EXPLAINED = 4.0, 90, 1.0, 0.5
+_SCALE, _WALK, _PERSPECTIVE = "length of bones by accelerations", "walk in depth", "perspective"
+
+
+def lifted_feet(picture: Picture, skeleton: SkeletonModel) -> tuple[float, float]:
+    """Height of the ankle that stands and distance of the person from the camera, m, without a floor: by the
+    size of the person alone. NaN where nobody was lifted or the skeleton has no ankles."""
+    feet = [foot for foot in FEET if foot in skeleton.names]
+    if picture.lifted is None or not feet:
+        return np.nan, np.nan
+    p, k = picture.lifted.p_world_joint, picture.keypoints
+    R = np.broadcast_to(np.eye(3), (*p.shape[:2], 3, 3))
+    placed = refit_root(PoseSequence(k.times, p, R, skeleton.names), k, sigma_depth=1.0).p_world_joint
+    height = np.percentile(placed[:, skeleton.index(*feet), 2].min(axis=1), 20)
+    return float(height), float(np.median(k.camera.to_camera(placed[:, 0])[:, 2]))
+
+
+def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> Check:
+    """Whether two sensors on both sides of a joint accelerate as bones of these lengths do.
+
+    Args:
+        bone_imus: at the sensors' own times.
+    """
+    found = None if bone_imus is None else _length_ratio(bone_imus, skeleton)
+    if found is None:
+        return Check.unknown(
+            _SCALE, "bones", "times", "no two sensors at one joint that turns fast enough"
+        )
+    longer = 1 / found
+    word = "long" if longer > 1 else "short"
+    return Check(
+        _SCALE, "bones", max(longer, found), LARGEST_SCALE, "times",
+        f"Accelerations are those of bones {found:.2f} times as long; give the subject's height or bones "
+        "in m, or look at the sensors' places",
+        cause=f"the bones are probably too {word}",
+    )  # fmt: skip
+
+
+def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> float | None:
+    """How many times longer than declared the bones between sensors are, by regression."""
+    rate_hz = (len(imus.times) - 1) / float(np.ptp(imus.times))
+    if rate_hz < 3 * _CUTOFF_HZ:
+        return None
+    measured, declared = [], []
+    for s, joint in enumerate(imus.joints):
+        for child in kinematics.children_of(skeleton.parents, skeleton.names.index(joint)):
+            if skeleton.names[child] not in imus.joints:
+                continue
+            c = imus.joints.index(skeleton.names[child])
+            R, R_child = imus.R_world_bone[:, s], imus.R_world_bone[:, c]
+            levers = R_child @ imus.p_bone_sensor[c] - R @ imus.p_bone_sensor[s]
+            bone = R @ skeleton.joint_offsets[child]
+            a = (imus.a_world[:, c] - imus.a_world[:, s])[1:-1]
+            parts = np.stack([
+                a - signals.derivative(levers, rate_hz, 2), signals.derivative(bone, rate_hz, 2)
+            ])  # fmt: skip
+            known = parts[:, np.isfinite(parts).all(axis=(0, 2))]
+            if known.shape[1] >= _LEAST_SAMPLES:
+                slow = np.stack([signals.low_pass(part, rate_hz, _CUTOFF_HZ) for part in known])
+                slow -= slow.mean(axis=1, keepdims=True)
+                measured.append(slow[0].ravel())
+                declared.append(slow[1].ravel())
+    if not measured:
+        return None
+    y, x = np.concatenate(measured), np.concatenate(declared)
+    xx, xy, yy = x @ x, x @ y, y @ y
+    moving = xx / len(x) > (_LEAST_ACCELERATION / 3) ** 2
+    return float(xy / xx) if moving and xy > 0 and xy**2 > _LEAST_EXPLAINED * xx * yy else None
+
+
+def check_walk(
+    poses: PoseSequence, bone_imus: BoneImuSequence | None, keypoints: KeypointSequence,
+    skeleton: SkeletonModel,
+) -> Check:  # fmt: skip
+    """Whether a body moves as far to or from the camera over its standing feet as its legs do.
+
+    The legs' bones and sensors make a step; the focal length makes the way that the body goes.
+
+    Args:
+        poses: the final ones. bone_imus: at their times.
+    """
+    feet = [foot for foot in FEET if foot in skeleton.names]
+    contacts = None if bone_imus is None else detect_contacts(poses, bone_imus, skeleton)
+    if contacts is None or len(contacts.joints) < len(feet):
+        return Check.unknown(_WALK, "the feet", "times", "needs sensors on both legs")
+    ahead = keypoints.camera.R_camera_world[2] * [1, 1, 0]
+    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    body, legs = [], []
+    for i, foot in enumerate(contacts.joints):
+        root = poses.p_world_joint[:, 0]
+        for start, stop in signals.runs(contacts.standing[:, i]):
+            n = max((stop - start) // 6, 1)
+            path = np.stack([root, root - poses.p_world_joint[:, skeleton.names.index(foot)]]) @ ahead
+            moved = path[:, stop - n : stop].mean(axis=1) - path[:, start : start + n].mean(axis=1)
+            body.append(moved[0])
+            legs.append(moved[1])
+    x, y = np.array(legs), np.array(body)
+    if np.abs(x).sum() < LEAST_WALK or x @ y <= 0:
+        why = f"nobody walks {LEAST_WALK:g} m to or from the camera"
+        return Check.unknown(_WALK, "the feet", "times", why)
+    ratio = float(x @ y / (x @ x)) / WALKED
+    word = "long" if ratio > 1 else "short"
+    return Check(
+        _WALK, "the feet", max(ratio, 1 / ratio), LONGEST_WALK, "times",
+        f"Over standing feet the body goes {ratio:.2f} times as far as the legs say, along the view",
+        cause=f"the focal length is probably too {word}",
+    )  # fmt: skip
+
+
+def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
+    """Whether bones far from the picture's middle are seen as obliquely as the focal length has it."""
+    what = "the picture"
+    if picture.bone_imus is None:
+        return Check.unknown(_PERSPECTIVE, what, "times", "needs sensors")
+    misfits = []
+    for share in _PERSPECTIVES:
+        seen, drawn = limbs_in_picture(
+            picture.keypoints, picture.bone_imus, skeleton, perspective=float(share)
+        )
+        seen2 = np.sum(seen**2, axis=(1, 2))
+        seen, drawn, seen2 = seen[seen2 > 0], drawn[seen2 > 0], seen2[seen2 > 0]
+        scale = np.maximum((seen * drawn).sum(axis=(1, 2)), 0) / (drawn**2).sum(axis=(1, 2))
+        off = np.linalg.norm(seen - scale[:, None, None] * drawn, axis=-1) / np.sqrt(seen2)[:, None]
+        misfits.append(float(np.mean(np.minimum(off, _LARGEST_MISFIT) ** 2)) if len(off) else np.nan)
+    best = int(np.argmin(misfits))
+    if not misfits[best] < LEAST_DISTINCT * misfits[_AS_GIVEN]:
+        return Check.unknown(_PERSPECTIVE, what, "times", "the person stays near the picture's middle")
+    share = max(float(_PERSPECTIVES[best]), 0.05)
+    return Check(
+        _PERSPECTIVE, what, 1 / share, 1 / FLATTEST, "times",
+        f"It is {share:.2f} times what the focal length makes; give that in px, of images of this size",
+        cause="the focal length is probably too short",
+    )  # fmt: skip
