@@ -21,7 +21,7 @@ from rtof_kin.scale_evidence import (
     check_bones,
     check_perspective,
     check_walk,
-    lifted_feet,
+    standing,
 )
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.stages import Begun, LifterLike, shipped_lifter
@@ -41,7 +41,7 @@ MOST_OUTSIDE = 50.0
 """% of the points seen that may lie outside of the picture."""
 LONGEST_FROZEN = 0.5
 """s for which a detector may repeat its points exactly."""
-_FEWEST = 6
+_FEWEST, _FRAMES = 6, 64
 _LARGE = 0.6
 """m of an ankle from the floor, from which the floor is more likely wrong than a scale."""
 UNVERIFIED = "camera unverified: pelvis angles may be off by 20 deg"
@@ -64,22 +64,30 @@ def check_camera_evidence(
         Every check that the recording allows; failed ones name their likely `cause`, the likeliest first.
     """
     picture = look_at_picture(recording, skeleton, lifter or shipped_lifter())
-    walk = check_walk(poses, begun.bone_imus, begun.recording.video, skeleton)
-    return _ordered(recording, picture, skeleton, walk)
+    video = begun.recording.video
+    walk = check_walk(poses, begun.bone_imus, video, skeleton)
+    some = slice(None, None, max(1, len(video) // _FRAMES))
+    return _ordered(recording, picture, skeleton, standing(begun.start[some], video[some]), (walk,))
 
 
 def check_camera_alone(
     recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None = None
 ) -> tuple[Check, ...]:
     """The same before anything was reconstructed."""
-    return _ordered(recording, look_at_picture(recording, skeleton, lifter or shipped_lifter()), skeleton)
+    picture = look_at_picture(recording, skeleton, lifter or shipped_lifter())
+    stands = np.nan, np.nan
+    if picture.lifted is not None:
+        p, k = picture.lifted.p_world_joint, picture.keypoints
+        R = np.broadcast_to(np.eye(3), (*p.shape, 3))
+        stands = standing(PoseSequence(k.times, p, R, skeleton.names), k)
+    return _ordered(recording, picture, skeleton, stands)
 
 
 @contextmanager
 def explained(
     recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None
 ) -> Iterator[None]:
-    """An error about shapes raised inside leaves with the likely cause in front, where a check finds one."""
+    """An error about shapes, raised inside, leaves with the cause in front where a check finds one."""
     try:
         yield
     except ShapeError as error:
@@ -93,9 +101,14 @@ def explained(
 
 
 def _ordered(
-    recording: Recording, picture: Picture, skeleton: SkeletonModel, walk: Check | None = None
-) -> tuple[Check, ...]:
-    """All checks; of those that one mistake fails together, what names it leads."""
+    recording: Recording, picture: Picture, skeleton: SkeletonModel, stands: tuple[float, float],
+    of_motion: tuple[Check, ...] = (),
+) -> tuple[Check, ...]:  # fmt: skip
+    """All checks; of those that one mistake fails together, what names it leads.
+
+    Args:
+        stands: of `standing`. of_motion: checks of the reconstructed motion.
+    """
     keypoints, camera = recording.video, recording.video.camera
     unit, lens = _check_unit(camera), _check_view(camera)
     first = (unit, _check_frozen(keypoints), *picture.checks, lens)
@@ -107,12 +120,11 @@ def _ordered(
         return (*first, *_declared(keypoints), *_check_body(recording, skeleton), *scale)
     bones = check_bones(_own_sensors(recording), skeleton)
     perspective = check_perspective(picture, skeleton)
-    known = [bones, lens, perspective, *([] if walk is None else [walk])]
-    cause = next((check.cause for check in known if check.failed), "")
-    height, distance = lifted_feet(picture, skeleton)
+    known = (bones, lens, perspective, *of_motion)
+    cause = next((check.cause for check in known if check.failed), picture.small)
     return (
-        unit, *first[1:-1], *known, _check_feet(recording, height, distance, cause),
-        _check_distance(distance), *_declared(keypoints), *_check_body(recording, skeleton),
+        *first[:-1], *known, _check_feet(recording, *stands, cause), _check_distance(stands[1]),
+        *_declared(keypoints), *_check_body(recording, skeleton),
     )  # fmt: skip
 
 
@@ -230,7 +242,7 @@ def _check_frozen(keypoints: KeypointSequence) -> Check:
     times = keypoints.times
     start, stop = max(signals.runs(same), key=lambda run: run[1] - run[0], default=(0, 0))
     return Check(
-        "time for which points repeat exactly", "keypoints", float(times[stop] - times[start]), LONGEST_FROZEN,
-        "s", f"At {times[start]:.2f} s; look at the detector, or take those frames out",
+        "time for which points repeat exactly", "keypoints", float(times[stop] - times[start]),
+        LONGEST_FROZEN, "s", f"At {times[start]:.2f} s; look at the detector, or take those frames out",
         cause="the keypoints are frozen: the detector repeats one frame",
     )  # fmt: skip

@@ -1,8 +1,9 @@
 """Whether a picture is upright, of the declared size and not mirrored, and whether left is left.
 
 What people confuse can be undone. Keypoints are looked at as given and with each mistake undone: by the
-lifter, which is less certain of people who stand on their heads or whose knees bend backwards, and by the
-sensors, which know without any picture where limbs point. What fits much better than what was given is named.
+lifter, which is less certain of people who stand on their heads or whose knees bend backwards, and by
+the sensors, which know without any picture where limbs point. What fits much better than what was given
+is named.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
@@ -22,32 +23,36 @@ from rtof_kin.plausibility import Check
 from rtof_kin.recording import Recording
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.stages import LifterLike
-from rtof_kin.types import BoneImuSequence, KeypointSequence
+from rtof_kin.types import BoneImuSequence, Camera, KeypointSequence
 
 Array = NDArray[np.float64]
 Undo = Callable[[KeypointSequence], KeypointSequence]
 STEP, PIECE, PIECES = 0.1, 48, 2
 """s between the frames that are looked at, how many of them follow each other, and how often."""
 LEAST_GAIN, LEAST_GAIN_SENSED = 0.5, 0.35
-"""What a hypothesis must gain over the keypoints as given to be named, without and with sensors; recordings
-without a mistake stay below (benchmarks/results/input_checks.md)."""
+"""What a hypothesis must gain over the keypoints as given to be named, without and with sensors;
+recordings without a mistake stay below (benchmarks/results/input_checks.md)."""
 LEAST_GAIN_OF_SIZE = 0.1
 """The same of the lifter's certainty, of pictures of another size."""
 _CERTAINTY = 3.0
 """What a gain in certainty counts beside one in the logarithm of the sensors' misfit."""
 _CONTRADICTED, _UNSUPPORTED = -0.1, 0.7
-"""Gain in certainty below which a hypothesis is none, whatever sensors say; and the gain that one needs of
-which the lifter can say nothing."""
-_UNSEEN = 4.4
-"""Certainty of what does not look like a person."""
+"""Gain in certainty below which a hypothesis is none, whatever sensors say; and the gain that one needs
+of which the lifter can say nothing."""
+_UNSEEN, _UPRIGHT = 4.4, 6.3
+"""Certainty below which it does not look like a person, and above which like one who stands upright."""
+_AGREED = 0.5
+"""Misfit of sensors below which the picture is upright; of turned ones it is above 0.8."""
 _CLOSE = 0.5
 """Hypotheses whose gains differ by less are named together."""
 _REPROJECTION, _LEAST_REPROJECTION, _LEAST_MISFIT = 0.3, 1e-3, 0.02
 _HEADINGS = np.radians(np.arange(0, 360, 15))
-_LARGER = {2.0: 0.55, 1.5: 0.72}
-"""By how much the picture may be larger than declared where points reach no further than this share of it."""
+_REACH = 0.55
+"""Share of the picture beyond which points of one half as large cannot lie."""
 _SIZE, _TURN, _SIDES = "another size of the picture", "a turned picture or world", "exchanged sides"
 _SWAPPED, _MIRRORED = "left and right of the keypoints are exchanged", "the picture is mirrored"
+_MIRRORED_OR_HEADING = f"{_MIRRORED}, or all sensors head the wrong way"
+_SMALL = "the keypoints are of a picture 2 times smaller than the camera's"
 _MIRRORED_VIDEO = "the video is mirrored, and its sides were named as they appear"
 
 
@@ -71,7 +76,9 @@ class Picture:
     bone_imus: BoneImuSequence | None
     """The sensors at the same times."""
     checks: tuple[Check, ...]
-    """Of its size, its orientation, its sides."""
+    """Of its orientation, its size, its sides."""
+    small: str
+    """What might be the cause of a wrong scale: that points fill little of the picture; or empty."""
 
     @property
     def wrong(self) -> str:
@@ -91,11 +98,12 @@ def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: Lifte
         why = "too little is seen" if look.given is None else "the lifter does not tell how certain it is"
         checks = tuple(_unknown(name, why) for name in (_SIZE, _TURN, _SIDES))
     else:
-        checks = (size := look.size(),)
-        checks += (_unknown(_TURN, size.cause) if size.failed else look.turn(),)
-        wrong = next((check.cause for check in checks if check.failed), "")
-        checks += (_unknown(_SIDES, wrong) if wrong else look.sides(),)
-    return Picture(keypoints, look.given, look.bone_imus, checks)
+        checks = tuple[Check, ...]()
+        for name, check in ((_TURN, look.turn), (_SIZE, look.size), (_SIDES, look.sides)):
+            wrong = next((earlier.cause for earlier in checks if earlier.failed), "")
+            checks += (_unknown(name, wrong) if wrong else check(),)
+    small = _SMALL if look.reach < _REACH else ""
+    return Picture(keypoints, look.given, look.bone_imus, checks, small)
 
 
 def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
@@ -118,6 +126,11 @@ def sensed(recording: Recording, times: Array) -> BoneImuSequence | None:
     except CalibrationError:
         return None
     return found if found is not None and np.isfinite(found.R_world_bone).any() else None
+
+
+def _agreement(given: float, other: float) -> float:
+    """How much better sensors agree with another picture than with the one given, by their misfits."""
+    return float(np.log((given + _LEAST_MISFIT) / (other + _LEAST_MISFIT)))
 
 
 def _unknown(name: str, why: str) -> Check:
@@ -158,7 +171,7 @@ _TURNED: Mapping[str, Undo] = {
 
 
 def _stood_up(keypoints: KeypointSequence) -> tuple[str, Undo] | None:
-    """The axis of the declared world that points up in the picture, if it is not z, and how to put z there."""
+    """The axis of the declared world that points up in the picture, if not z, and how to put z there."""
     camera = keypoints.camera
     up = -camera.R_camera_world[1]
     axis = int(np.argmax(np.abs(up)))
@@ -173,9 +186,9 @@ def _stood_up(keypoints: KeypointSequence) -> tuple[str, Undo] | None:
     return cause, lambda k: replace(k, camera=upright)
 
 
-def resized(factor: float) -> Undo:
-    """Keypoints of a picture that many times larger."""
-    return lambda k: replace(k, uv_px=factor * k.uv_px)
+def halved(keypoints: KeypointSequence) -> KeypointSequence:
+    """Points of a picture half as wide."""
+    return replace(keypoints, uv_px=2 * keypoints.uv_px)
 
 
 # --- what is compared ----------------------------------------------------------------------------
@@ -207,51 +220,60 @@ def _extent(seen: KeypointSequence) -> float:
     return max(float(np.median(np.nanmax(frames, axis=1) - np.nanmin(frames, axis=1), axis=0).sum()), 1.0)
 
 
-def misfit(
-    keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel,
-    heading: float = 0.0,
-) -> float:  # fmt: skip
-    """How far limbs in the picture are from where the sensors have them: 0 they agree, 1 not at all.
+@dataclass(frozen=True)
+class Limbs:
+    """Bones from each sensor's joint to its children, in the image plane."""
 
-    Of every frame's limbs the share of their squares that no single scale explains, in the mean.
+    seen: Array
+    """(T, n, 2) as the keypoints have them, at unit depth; zeros where they are missing."""
+    middle: Array
+    """(T, n, 2) their middles."""
+    bones: Array
+    """(T, n, 3) as the sensors have them, in camera axes, m; likewise."""
 
-    Args:
-        bone_imus: at the keypoints' times. heading: that all sensors are turned by, rad.
-    """
-    seen, drawn = limbs_in_picture(keypoints, bone_imus, skeleton, heading)
-    both, seen2, drawn2 = (np.sum(a * b, axis=(1, 2)) for a, b in
-                           ((seen, drawn), (seen, seen), (drawn, drawn)))  # fmt: skip
-    known = (seen2 > 0) & (drawn2 > 0)
-    if not known.any():
-        return np.nan
-    explained = np.maximum(both[known], 0) ** 2 / (seen2[known] * drawn2[known])
-    return float(np.mean(1 - explained))
+    @classmethod
+    def of(
+        cls, keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel
+    ) -> Limbs:
+        """Of keypoints, and of sensors at the same times."""
+        pairs = [
+            (s, skeleton.names.index(joint), child)
+            for s, joint in enumerate(bone_imus.joints)
+            for child in kinematics.children_of(skeleton.parents, skeleton.names.index(joint))
+        ]
+        sensor, joint, child = np.array(pairs).T
+        xy = keypoints.camera.normalise(keypoints.select(skeleton.names).uv_px)
+        R_camera_bone = keypoints.camera.R_camera_world @ bone_imus.R_world_bone[:, sensor]
+        seen, middle = xy[:, child] - xy[:, joint], (xy[:, child] + xy[:, joint]) / 2
+        bones = np.einsum("tnij,nj->tni", R_camera_bone, skeleton.joint_offsets[child])
+        known = np.isfinite(np.concatenate([seen, bones], axis=-1)).all(axis=-1, keepdims=True)
+        kept = (np.where(known, values, 0.0) for values in (seen, middle, bones))
+        return cls(*kept)
 
+    def drawn(self, bones: Array, perspective: ArrayLike = 1.0) -> Array:
+        """(..., T, n, 2) that bones (..., T, n, 3) are seen as, but for a scale.
 
-def limbs_in_picture(
-    keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel,
-    heading: float = 0.0, perspective: float = 1.0,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Bones (T, n, 2) from each sensor's joint to its children in the image plane: as seen, and but for a
-    scale as the sensors have them; zeros where either is missing.
+        Args:
+            perspective: (...) 1 as the focal length has it; 0.5 is that of one twice as long.
+        """
+        share = np.asarray(perspective)[..., None, None, None]
+        return np.asarray(bones[..., :2] - share * self.middle * bones[..., 2:])
 
-    Args:
-        perspective: 1 as the focal length has it; 0.5 is that of one twice as long.
-    """
-    camera = keypoints.camera
-    xy = camera.normalise(keypoints.select(skeleton.names).uv_px)
-    R_camera_world = camera.R_camera_world @ so3.about_axis("z", heading)
-    seen, drawn = [], []
-    for s, joint in enumerate(bone_imus.joints):
-        j = skeleton.names.index(joint)
-        for child in kinematics.children_of(skeleton.parents, j):
-            bone = bone_imus.R_world_bone[:, s] @ skeleton.joint_offsets[child] @ R_camera_world.T
-            middle = (xy[:, child] + xy[:, j]) / 2
-            seen.append(xy[:, child] - xy[:, j])
-            drawn.append(bone[:, :2] - perspective * middle * bone[:, 2:])
-    a, b = np.stack(seen, axis=1), np.stack(drawn, axis=1)
-    known = (np.isfinite(a) & np.isfinite(b)).all(axis=-1, keepdims=True)
-    return np.where(known, a, 0.0), np.where(known, b, 0.0)
+    def misfit(self, headings: Array, camera: Camera) -> float:
+        """How far limbs in the picture are from where the sensors have them: 0 they agree, 1 not at all.
+
+        Of every frame's limbs the share of their squares that no single scale explains, in the mean; the
+        least of it with all sensors turned by one of the headings (H,), rad.
+        """
+        R = camera.R_camera_world
+        turns = R @ so3.about_axis("z", headings) @ R.T
+        drawn = self.drawn(np.einsum("hij,tnj->htni", turns, self.bones))
+        both = np.einsum("tni,htni->ht", self.seen, drawn)
+        squares = np.sum(self.seen**2, axis=(1, 2)) * np.sum(drawn**2, axis=(2, 3))
+        known = squares > 0
+        explained = np.maximum(both, 0) ** 2 / np.where(known, squares, 1.0)
+        frames = known.sum(axis=1)
+        return float(np.min(1 - explained.sum(axis=1) / np.maximum(frames, 1)))
 
 
 @dataclass(frozen=True)
@@ -271,26 +293,34 @@ class _Look:
     @cached_property
     def _given_misfit(self) -> float:
         """The sensors' wherever north is: a wrong heading of all of them is no mistake of the picture."""
-        return self._least_misfit(self.keypoints, _HEADINGS)
+        return self._misfit(self.keypoints, _HEADINGS)
+
+    @cached_property
+    def _sides_gain(self) -> float:
+        return self._gain(exchanged_sides)
 
     def size(self) -> Check:
-        """Whether the person looks more like one in a larger picture."""
-        k = self.keypoints
-        outer = np.nanpercentile(k.uv_px, 99.5, axis=(0, 1)) / [k.camera.width_px, k.camera.height_px]
-        reach = float(outer.max())
-        gains = {factor: self._gain(resized(factor)) for factor, most in _LARGER.items() if reach < most}
-        factor = max(gains, key=lambda f: gains[f], default=1.0)
+        """Whether the person looks more like one twice as large, and not rather like one mirrored."""
+        gain = self._gain(halved) if self.reach < _REACH else 0.0
         return Check(
-            _SIZE, "keypoints", max(gains.get(factor, 0.0), 0.0), LEAST_GAIN_OF_SIZE, "in certainty",
-            f"Points fill {100 * reach:.0f} % of the picture; give the camera for the picture that was "
-            "detected in, or scale the keypoints",
-            cause=f"the keypoints are of a picture {factor:g} times smaller than the camera's",
+            _SIZE, "keypoints", gain if gain > max(self._sides_gain, 0.0) else 0.0, LEAST_GAIN_OF_SIZE,
+            "gain in certainty", f"Points reach {100 * self.reach:.0f} % of the picture; give the camera "
+            "of the picture that was detected in, or scale the keypoints", cause=_SMALL,
         )  # fmt: skip
 
+    @cached_property
+    def reach(self) -> float:
+        """How far to the right or down points lie, as a share of the picture."""
+        size = [self.keypoints.camera.width_px, self.keypoints.camera.height_px]
+        return float(np.max(np.nanpercentile(self.keypoints.uv_px, 99.5, axis=(0, 1)) / size))
+
     def turn(self) -> Check:
-        """Whether the picture or the world would better be turned."""
+        """Whether the picture or the world would better be turned; not asked of who stands upright."""
+        assert self.given is not None
         hypotheses, headings = dict(_TURNED), set[str]()
-        if (other := _stood_up(self.keypoints)) is not None:
+        if self.given.certainty > _UPRIGHT or (self.bone_imus and self._given_misfit < _AGREED):
+            hypotheses = {}
+        elif (other := _stood_up(self.keypoints)) is not None:
             hypotheses[other[0]] = other[1]
             headings = {other[0]}
         certain = {cause: self._gain(undo) for cause, undo in hypotheses.items()}
@@ -299,27 +329,28 @@ class _Look:
             for cause in hypotheses
         }
         return self._check(
-            _TURN, gains, certain, "Look at a frame with its points; give R_camera_world of a world with z "
-            "up, for the picture as it was detected in"
+            _TURN, gains, certain, "Look at a frame with its points; give R_camera_world of a world with "
+            "z up, for the picture as it was detected in"
         )  # fmt: skip
 
     def sides(self) -> Check:
         """Whether left and right would better be the other way round."""
-        gain = self._gain(exchanged_sides)
-        # A mirrored person is one with exchanged sides, in a mirrored room.
-        certain = {_SWAPPED: gain, _MIRRORED: gain}
-        gains = {
-            _SWAPPED: self._with_sensors(gain, exchanged_sides),
-            _MIRRORED: self._with_sensors(gain, mirrored),
-        }
-        if self.bone_imus is not None:
-            video = self._with_sensors(0.0, lambda k: exchanged_sides(mirrored(k)))
-            certain[_MIRRORED_VIDEO] = 0.0
-            gains[_MIRRORED_VIDEO] = video if video > _UNSUPPORTED else 0.0
-        advice = "Look at a frame with the names of its points, and at how the video was written"
-        limit = self._limit
-        if max(gains.values()) <= limit and self.bone_imus is None and abs(_CERTAINTY * gain) < limit / 2:
+        gain = self._sides_gain
+        if self.bone_imus is None and abs(_CERTAINTY * gain) < LEAST_GAIN / 2:
             return _unknown(_SIDES, "the picture looks as likely with its sides exchanged")
+        # A mirrored person is one with exchanged sides, in a mirrored room.
+        undone = {_SWAPPED: exchanged_sides, _MIRRORED: mirrored}
+        gains = {cause: self._with_sensors(gain, undo) for cause, undo in undone.items()}
+        certain = dict.fromkeys(gains, gain)
+        if self.bone_imus is not None:
+            as_given = self._misfit(self.keypoints, _HEADINGS[:1])
+            heads = _agreement(as_given, self._misfit(mirrored(self.keypoints), _HEADINGS[:1]))
+            video = self._with_sensors(0.0, lambda k: exchanged_sides(mirrored(k)))
+            unsure = {_MIRRORED_OR_HEADING: (gain, heads), _MIRRORED_VIDEO: (0.0, video)}
+            if max(gains.values()) < self._limit:
+                for cause, (sure, found) in unsure.items():
+                    gains[cause], certain[cause] = found if found > _UNSUPPORTED else 0.0, sure
+        advice = "Look at a frame with the names of its points, and at how the video was written"
         return self._check(_SIDES, gains, certain, advice)
 
     @property
@@ -350,10 +381,9 @@ class _Look:
         """The gain in certainty, and in what the sensors agree."""
         if self.bone_imus is None:
             return _CERTAINTY * gain
-        other = self._least_misfit(undo(self.keypoints), _HEADINGS if any_heading else _HEADINGS[:1])
-        agreement = (self._given_misfit + _LEAST_MISFIT) / (other + _LEAST_MISFIT)
-        return _CERTAINTY * gain + float(np.log(agreement))
+        other = self._misfit(undo(self.keypoints), _HEADINGS if any_heading else _HEADINGS[:1])
+        return _CERTAINTY * gain + _agreement(self._given_misfit, other)
 
-    def _least_misfit(self, keypoints: KeypointSequence, headings: Array) -> float:
+    def _misfit(self, keypoints: KeypointSequence, headings: Array) -> float:
         assert self.bone_imus is not None
-        return min(misfit(keypoints, self.bone_imus, self.skeleton, float(h)) for h in headings)
+        return Limbs.of(keypoints, self.bone_imus, self.skeleton).misfit(headings, keypoints.camera)

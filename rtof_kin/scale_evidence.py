@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rtof_kin import kinematics, signals
 from rtof_kin.contacts import FEET, detect_contacts
-from rtof_kin.picture_evidence import Picture, limbs_in_picture
+from rtof_kin.picture_evidence import Limbs, Picture
 from rtof_kin.plausibility import Check
 from rtof_kin.root_position import refit_root
 from rtof_kin.skeleton import SkeletonModel
@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 ANKLE_HEIGHT = 0.08
 """m over the floor of the ankle that one stands on."""
 LEAST_HEIGHT, HEIGHT_PER_DISTANCE = 0.12, 0.02
-"""How far an ankle may seem to be from there, m, and per m of distance: one degree of the camera's tilt."""
-LARGEST_SCALE = 1.15
+"""How far an ankle may seem to be from there, m, and per m of distance: a camera tilts by one degree."""
+LARGEST_SCALE = 1.14
 """Times that bones may seem too long or too short by two sensors' accelerations."""
 WALKED, LONGEST_WALK = 1.045, 1.15
-"""How far a body seems to move over its standing feet, by the distance of the camera and by the legs: feet
-roll; and how many times more or less it may be."""
+"""How far a body seems to move over its standing feet, by its distance from the camera and by its legs,
+as feet roll; and how many times more or less it may be."""
 LEAST_WALK = 0.7
 """m of walking to or from the camera that tell of its focal length."""
 FLATTEST, LEAST_DISTINCT = 0.75, 0.88
@@ -32,20 +32,19 @@ short; and what share of the misfit must be left with it."""
 _PERSPECTIVES = np.linspace(0.0, 3.0, 31)
 _AS_GIVEN = 10
 _LARGEST_MISFIT = 0.3
-_CUTOFF_HZ, _LEAST_SAMPLES, _LEAST_ACCELERATION, _LEAST_EXPLAINED = 4.0, 90, 1.0, 0.5
+_CUTOFF_HZ, _LEAST_SAMPLES, _LEAST_ACCELERATION, _LEAST_EXPLAINED = 3.0, 90, 1.0, 0.5
+_EDGE = 5
 _SCALE, _WALK, _PERSPECTIVE = "length of bones by accelerations", "walk in depth", "perspective"
 
 
-def lifted_feet(picture: Picture, skeleton: SkeletonModel) -> tuple[float, float]:
-    """Height of the ankle that stands and distance of the person from the camera, m, without a floor: by the
-    size of the person alone. NaN where nobody was lifted or the skeleton has no ankles."""
-    feet = [foot for foot in FEET if foot in skeleton.names]
-    if picture.lifted is None or not feet:
+def standing(poses: PoseSequence, k: KeypointSequence) -> tuple[float, float]:
+    """Height of the ankle that stands and distance of the person from the camera, m, by the person's size
+    alone: poses (T, J) keep their shape. NaN of a skeleton without ankles."""
+    feet = [poses.names.index(foot) for foot in FEET if foot in poses.names]
+    if not feet:
         return np.nan, np.nan
-    p, k = picture.lifted.p_world_joint, picture.keypoints
-    R = np.broadcast_to(np.eye(3), (*p.shape[:2], 3, 3))
-    placed = refit_root(PoseSequence(k.times, p, R, skeleton.names), k, sigma_depth=1.0).p_world_joint
-    height = np.percentile(placed[:, skeleton.index(*feet), 2].min(axis=1), 20)
+    placed = refit_root(poses, k, sigma_depth=1.0).p_world_joint
+    height = np.percentile(placed[:, feet, 2].min(axis=1), 20)
     return float(height), float(np.median(k.camera.to_camera(placed[:, 0])[:, 2]))
 
 
@@ -91,6 +90,7 @@ def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> float | Non
             known = parts[:, np.isfinite(parts).all(axis=(0, 2))]
             if known.shape[1] >= _LEAST_SAMPLES:
                 slow = np.stack([signals.low_pass(part, rate_hz, _CUTOFF_HZ) for part in known])
+                slow = slow[:, _EDGE:-_EDGE]
                 slow -= slow.mean(axis=1, keepdims=True)
                 measured.append(slow[0].ravel())
                 declared.append(slow[1].ravel())
@@ -146,16 +146,13 @@ def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
     what = "the picture"
     if picture.bone_imus is None:
         return Check.unknown(_PERSPECTIVE, what, "times", "needs sensors")
-    misfits = []
-    for share in _PERSPECTIVES:
-        seen, drawn = limbs_in_picture(
-            picture.keypoints, picture.bone_imus, skeleton, perspective=float(share)
-        )
-        seen2 = np.sum(seen**2, axis=(1, 2))
-        seen, drawn, seen2 = seen[seen2 > 0], drawn[seen2 > 0], seen2[seen2 > 0]
-        scale = np.maximum((seen * drawn).sum(axis=(1, 2)), 0) / (drawn**2).sum(axis=(1, 2))
-        off = np.linalg.norm(seen - scale[:, None, None] * drawn, axis=-1) / np.sqrt(seen2)[:, None]
-        misfits.append(float(np.mean(np.minimum(off, _LARGEST_MISFIT) ** 2)) if len(off) else np.nan)
+    limbs = Limbs.of(picture.keypoints, picture.bone_imus, skeleton)
+    seen2 = np.sum(limbs.seen**2, axis=(1, 2))
+    drawn = limbs.drawn(limbs.bones, _PERSPECTIVES)[:, seen2 > 0]
+    seen, seen2 = limbs.seen[seen2 > 0], seen2[seen2 > 0]
+    scale = np.maximum((seen * drawn).sum(axis=(2, 3)), 0) / (drawn**2).sum(axis=(2, 3))
+    off = np.linalg.norm(seen - scale[..., None, None] * drawn, axis=-1) / np.sqrt(seen2)[:, None]
+    misfits = np.mean(np.minimum(off, _LARGEST_MISFIT) ** 2, axis=(1, 2))
     best = int(np.argmin(misfits))
     if not misfits[best] < LEAST_DISTINCT * misfits[_AS_GIVEN]:
         return Check.unknown(_PERSPECTIVE, what, "times", "the person stays near the picture's middle")
@@ -163,5 +160,5 @@ def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
     return Check(
         _PERSPECTIVE, what, 1 / share, 1 / FLATTEST, "times",
         f"It is {share:.2f} times what the focal length makes; give that in px, of images of this size",
-        cause="the focal length is probably too short",
+        cause=picture.small or "the focal length is probably too short",
     )  # fmt: skip

@@ -221,6 +221,7 @@ class Lifted:
     seen: NDArray[np.bool_]
     R_world_bone: Array
     sigma_rad: Array
+    sigma_m: Array
 
 
 class PlantedLifter:
@@ -263,7 +264,7 @@ class PlantedLifter:
         seen[self.blind] = False
         R, sigma = np.array(self.R[nearest]), np.array(self.sigma_rad[nearest])
         R[~seen], sigma[~seen] = np.nan, np.nan
-        return Lifted(self.p[nearest], seen, R, sigma)
+        return Lifted(self.p[nearest], seen, R, sigma, np.full((*sigma.shape, 2), np.nan))
 
 
 def recording(
