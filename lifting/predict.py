@@ -28,7 +28,7 @@ from lifting.windows import (
 )
 from rtof_kin import signals
 from rtof_kin.checks import checked_times, readonly
-from rtof_kin.errors import ShapeError
+from rtof_kin.errors import ShapeError, ViewError
 from rtof_kin.resources import DEFAULT_LIFTER, lifter_path
 from rtof_kin.types import BoneImuSequence, Camera, KeypointSequence
 
@@ -252,13 +252,13 @@ def camera_height(camera: Camera, floor_height: float | None) -> float:
     """Height of the camera over a floor at this z in world, m; NaN where it is not known.
 
     Raises:
-        ShapeError: the camera is below the floor.
+        ViewError: the camera is below the floor.
     """
     if floor_height is None:
         return np.nan
     height = float(camera.center_world[2] - floor_height)
     if not height > 0:
-        raise ShapeError(
+        raise ViewError(
             f"floor_height: the camera is {-height:.2f} m below the floor; give z of the floor in "
             "world, m"
         )

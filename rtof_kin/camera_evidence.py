@@ -10,7 +10,7 @@ import numpy as np
 
 from rtof_kin import signals
 from rtof_kin.body_checks import check_camera
-from rtof_kin.errors import ShapeError
+from rtof_kin.errors import ViewError
 from rtof_kin.picture_evidence import Picture, look_at_picture, sensed
 from rtof_kin.plausibility import Check
 from rtof_kin.recording import Recording
@@ -87,17 +87,15 @@ def check_camera_alone(
 def explained(
     recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None
 ) -> Iterator[None]:
-    """An error about shapes, raised inside, leaves with the cause in front where a check finds one."""
+    """An error about what the camera sees leaves with the cause in front, where a check finds one."""
     try:
         yield
-    except ShapeError as error:
-        if recording.keypoints is None or not recording.keypoints.seen.any():
-            raise
+    except ViewError as error:
         checks = check_camera_alone(recording, skeleton, lifter)
         cause = next((check.cause for check in checks if check.failed and check.cause), None)
         if cause is None:
             raise
-        raise ShapeError(f"{cause}: {error}") from error
+        raise ViewError(f"{cause}: {error}") from error
 
 
 def _ordered(

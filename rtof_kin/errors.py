@@ -19,6 +19,10 @@ class ShapeError(RtofError, ValueError):
     """An array has the wrong shape, type, or values that its field does not allow."""
 
 
+class ViewError(ShapeError):
+    """A camera as declared cannot have seen what it is said to have seen."""
+
+
 class UnitError(RtofError, ValueError):
     """Numbers are plausible only in another unit than the one declared."""
 

@@ -15,7 +15,7 @@ import numpy as np
 from rtof_kin.cartesian import CartesianSolver
 from rtof_kin.confidence import joined
 from rtof_kin.contacts import Footholds
-from rtof_kin.errors import ShapeError, SolverError, UnknownNameError
+from rtof_kin.errors import ShapeError, SolverError, UnknownNameError, ViewError
 from rtof_kin.fragment_settings import SPACES, FragmentSettings
 from rtof_kin.fragment_solution import FragmentReport, FragmentSolution, SolverStatus
 from rtof_kin.joint_space.prior import has_prior
@@ -179,7 +179,7 @@ class FragmentSolver:
         depth = keypoints.camera.to_camera(start.p_world_joint)[..., 2]
         if np.any(depth < 0.05):
             frame = int(np.argwhere(depth < 0.05)[0][0])
-            raise ShapeError(
+            raise ViewError(
                 f"start: frame {frame} is behind the camera or in it; check R_camera_world, "
                 "t_camera_world (world to camera, metres) and the world's z axis"
             )

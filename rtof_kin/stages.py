@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin import kinematics, signals
-from rtof_kin.errors import ShapeError, UnknownNameError
+from rtof_kin.errors import ShapeError, UnknownNameError, ViewError
 from rtof_kin.fragment import usual_space
 from rtof_kin.fragment_settings import SPACES, FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
@@ -278,7 +278,7 @@ def _lift(
     depth = keypoints.camera.to_camera(p)[..., 2]
     if np.any(depth <= 0):
         frame = int(np.argwhere(depth <= 0)[0][0])
-        raise ShapeError(f"lifted pose of frame {frame} is behind the camera; check its extrinsics")
+        raise ViewError(f"lifted pose of frame {frame} is behind the camera; check its extrinsics")
     R = kinematics.rotations_from_positions(skeleton.parents, skeleton.joint_offsets, p)
     R = np.where(np.isfinite(result.R_world_bone), result.R_world_bone, R)
     joints = keypoints.select(skeleton.names)  # all that a lifter looks at

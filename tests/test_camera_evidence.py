@@ -14,7 +14,7 @@ import planted
 import pytest
 
 from rtof_kin.camera_evidence import UNVERIFIED, check_camera_alone, explained
-from rtof_kin.errors import ShapeError
+from rtof_kin.errors import ViewError
 from rtof_kin.picture_evidence import exchanged_axes, exchanged_sides, mirrored, upside_down
 from rtof_kin.pipeline import reconstruct
 from rtof_kin.plausibility import Check
@@ -145,15 +145,15 @@ def test_what_a_turned_picture_makes_of_the_floor_is_not_told() -> None:
 def test_an_error_in_the_middle_names_its_likely_cause() -> None:
     wrong = PLANTED["a translation in mm"][0](demo())
     with (
-        pytest.raises(ShapeError, match=r"millimetres.*behind the camera"),
+        pytest.raises(ViewError, match=r"millimetres.*behind the camera"),
         explained(wrong, wrong.skeleton, shipped_lifter()),
     ):
-        raise ShapeError("pose is behind the camera")
+        raise ViewError("pose is behind the camera")
     with (
-        pytest.raises(ShapeError, match=r"^pose is behind the camera"),
+        pytest.raises(ViewError, match=r"^pose is behind the camera"),
         explained(demo(), demo().skeleton, shipped_lifter()),
     ):
-        raise ShapeError("pose is behind the camera")
+        raise ViewError("pose is behind the camera")
 
 
 def test_who_walks_towards_a_camera_tells_its_focal_length() -> None:
