@@ -45,7 +45,7 @@ _FEWEST, _FRAMES = 6, 64
 _LARGE = 0.6
 """m of an ankle from the floor, from which the floor is more likely wrong than a scale."""
 UNVERIFIED = "camera unverified: pelvis angles may be off by 20 deg"
-_FEET = "height of the standing ankle"
+_DISTANCE, _FEET = "distance from the camera", "height of the standing ankle"
 
 
 def check_camera_evidence(
@@ -108,21 +108,18 @@ def _ordered(
         stands: of `standing`. of_motion: checks of the reconstructed motion.
     """
     keypoints, camera = recording.video, recording.video.camera
-    unit, lens = _check_unit(camera), _check_view(camera)
-    first = (unit, _check_frozen(keypoints), *picture.checks, lens)
+    first = (_check_unit(camera), *picture.checks, _check_frozen(keypoints))
+    lens, declared = _check_view(camera), (*_declared(keypoints), *_check_body(recording, skeleton))
     wrong = next((check.cause for check in first[:-1] if check.failed), "")
     if wrong:
-        scale = tuple(
-            Check.unknown(name, "the person", "m", wrong) for name in ("distance from the camera", _FEET)
-        )
-        return (*first, *_declared(keypoints), *_check_body(recording, skeleton), *scale)
+        unknown = (Check.unknown(name, "the person", "m", wrong) for name in (_DISTANCE, _FEET))
+        return (*first, lens, *declared, *unknown)
     bones = check_bones(_own_sensors(recording), skeleton)
     perspective = check_perspective(picture, skeleton)
     known = (bones, lens, perspective, *of_motion)
     cause = next((check.cause for check in known if check.failed), picture.small)
     return (
-        *first[:-1], *known, _check_feet(recording, *stands, cause), _check_distance(stands[1]),
-        *_declared(keypoints), *_check_body(recording, skeleton),
+        *first, *known, _check_feet(recording, *stands, cause), _check_distance(stands[1]), *declared,
     )  # fmt: skip
 
 
@@ -170,7 +167,7 @@ def _declared(keypoints: KeypointSequence) -> Iterator[Check]:
     assumed = camera.assumed
     yield Check(
         "assumed, not measured", "camera", float(len(assumed)), 0.0, "quantities",
-        f"Nobody measured {' and '.join(assumed)}; calibrate the camera and take [camera] assumed out",
+        f"Not measured: {', '.join(assumed) or 'nothing'}; calibrate, then take it out of assumed",
         cause=UNVERIFIED,
     )  # fmt: skip
 
@@ -195,11 +192,10 @@ def _check_body(recording: Recording, skeleton: SkeletonModel) -> Iterator[Check
 
 
 def _check_distance(distance: float) -> Check:
-    name = "distance from the camera"
     if not distance > 0:
-        return Check.unknown(name, "the person", "m", "nobody was lifted")
+        return Check.unknown(_DISTANCE, "the person", "m", "nobody was lifted")
     return Check(
-        name, "the person", max(distance / DISTANCE, DISTANCE / distance), DISTANCE_FACTOR, "times",
+        _DISTANCE, "the person", max(distance / DISTANCE, DISTANCE / distance), DISTANCE_FACTOR, "times",
         f"It is {distance:.3g} m, usual are {DISTANCE} m",
         cause="the focal length or the size of the bones is in another unit",
     )  # fmt: skip

@@ -318,7 +318,8 @@ class _Look:
         """Whether the picture or the world would better be turned; not asked of who stands upright."""
         assert self.given is not None
         hypotheses, headings = dict(_TURNED), set[str]()
-        if self.given.certainty > _UPRIGHT or (self.bone_imus and self._given_misfit < _AGREED):
+        agreed = self.bone_imus is not None and self._given_misfit < _AGREED
+        if agreed or self.given.certainty > _UPRIGHT:
             hypotheses = {}
         elif (other := _stood_up(self.keypoints)) is not None:
             hypotheses[other[0]] = other[1]

@@ -26,7 +26,7 @@ WALKED, LONGEST_WALK = 1.045, 1.15
 as feet roll; and how many times more or less it may be."""
 LEAST_WALK = 0.7
 """m of walking to or from the camera that tell of its focal length."""
-FLATTEST, LEAST_DISTINCT = 0.75, 0.88
+FLATTEST, LEAST_DISTINCT = 0.55, 0.88
 """Perspective of the sensors' bones, as a share of that of the focal length, below which that is too
 short; and what share of the misfit must be left with it."""
 _PERSPECTIVES = np.linspace(0.0, 3.0, 31)
@@ -71,6 +71,8 @@ def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> C
 
 def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> float | None:
     """How many times longer than declared the bones between sensors are, by regression."""
+    if len(imus.times) < _LEAST_SAMPLES:
+        return None
     rate_hz = (len(imus.times) - 1) / float(np.ptp(imus.times))
     if rate_hz < 3 * _CUTOFF_HZ:
         return None

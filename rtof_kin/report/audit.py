@@ -70,7 +70,8 @@ def _inputs(result: Reconstruction) -> Iterator[Finding]:
         if math.isnan(check.value):
             yield Finding.untold("inputs", check.subject, check.advice, check.name)
             continue
-        note = ": ".join(part for part in (check.cause, check.advice) if part)
+        cause = check.cause if check.failed else ""
+        note = ": ".join(part for part in (cause, check.advice) if part)
         yield Finding(
             "inputs", check.name, check.subject, check.value, check.unit, check.limit, check.limit,
             "limit of the check", note,
