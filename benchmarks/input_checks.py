@@ -130,8 +130,8 @@ FAULTS: dict[str, Fault] = {
     "frozen keypoints": Fault(seen(frozen), "frozen"),
     "assumed pose of the camera": Fault(camera(assumed=lambda _: ("pose",)), UNVERIFIED),
 }
-"""Name -> mistake. Sensors' need `whole=True`. A `plant` that finds nothing to spoil returns the recording
-itself, which is then left out."""
+"""Name -> mistake; sensors' need `whole=True`. A `plant` that finds nothing to spoil returns the
+recording itself, which is then left out."""
 
 
 def planted(fault: Fault, recording: Recording) -> Recording | None:

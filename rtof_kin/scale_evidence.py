@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from rtof_kin import kinematics, signals
 from rtof_kin.contacts import FEET, detect_contacts
+from rtof_kin.limbs import LIMBS
 from rtof_kin.picture_evidence import Limbs, Picture
 from rtof_kin.plausibility import Check
 from rtof_kin.root_position import refit_root
@@ -17,11 +18,11 @@ from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 Array = NDArray[np.float64]
 ANKLE_HEIGHT = 0.08
 """m over the floor of the ankle that one stands on."""
-LEAST_HEIGHT, HEIGHT_PER_DISTANCE = 0.12, 0.02
+LEAST_HEIGHT, HEIGHT_PER_DISTANCE = 0.14, 0.02
 """How far an ankle may seem to be from there, m, and per m of distance: a camera tilts by one degree."""
 LARGEST_SCALE = 1.14
 """Times that bones may seem too long or too short by two sensors' accelerations."""
-WALKED, LONGEST_WALK = 1.045, 1.15
+WALKED, LONGEST_WALK = 1.045, 1.18
 """How far a body seems to move over its standing feet, by its distance from the camera and by its legs,
 as feet roll; and how many times more or less it may be."""
 LEAST_WALK = 0.7
@@ -34,6 +35,7 @@ _AS_GIVEN = 10
 _LARGEST_MISFIT = 0.3
 _CUTOFF_HZ, _LEAST_SAMPLES, _LEAST_ACCELERATION, _LEAST_EXPLAINED = 3.0, 90, 1.0, 0.5
 _EDGE = 5
+_LEGS = tuple(bone for limb in LIMBS if limb[-1] in FEET for bone in limb[:2])
 _SCALE, _WALK, _PERSPECTIVE = "length of bones by accelerations", "walk in depth", "perspective"
 
 
@@ -115,10 +117,9 @@ def check_walk(
     Args:
         poses: the final ones. bone_imus: at their times.
     """
-    feet = [foot for foot in FEET if foot in skeleton.names]
-    contacts = None if bone_imus is None else detect_contacts(poses, bone_imus, skeleton)
-    if contacts is None or len(contacts.joints) < len(feet):
-        return Check.unknown(_WALK, "the feet", "times", "needs sensors on both legs")
+    if bone_imus is None or not {*_LEGS} <= {*bone_imus.joints}:
+        return Check.unknown(_WALK, "the feet", "times", "needs sensors on thighs and shanks")
+    contacts = detect_contacts(poses, bone_imus, skeleton)
     ahead = keypoints.camera.R_camera_world[2] * [1, 1, 0]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
     body, legs = [], []
