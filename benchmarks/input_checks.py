@@ -112,7 +112,9 @@ FAULTS: dict[str, Fault] = {
     "camera's translation in mm": Fault(camera(t_camera_world=lambda t: 1000 * t), "millimetres"),
     "focal length x 0.5": Fault(focal(0.5), "focal length"),
     "focal length x 1.2": Fault(focal(1.2), "focal length", whole=True),
-    "bones x 1.2": Fault(lambda r: replace(r, joint_offsets=1.2 * r.joint_offsets), "bones"),
+    "bones x 1.2": Fault(
+        lambda r: replace(r, joint_offsets=1.2 * r.joint_offsets), "bones", whole=True
+    ),
     "floor 1 m too high": Fault(floor(1.0), "floor"),
     "floor 1 m too low": Fault(floor(-1.0), "floor"),
     "keypoints of a half-size picture": Fault(

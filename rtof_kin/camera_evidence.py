@@ -16,8 +16,7 @@ from rtof_kin.plausibility import Check
 from rtof_kin.recording import Recording
 from rtof_kin.scale_evidence import (
     ANKLE_HEIGHT,
-    HEIGHT_PER_DISTANCE,
-    LEAST_HEIGHT,
+    Standing,
     check_bones,
     check_perspective,
     check_walk,
@@ -67,7 +66,8 @@ def check_camera_evidence(
     video = begun.recording.video
     walk = check_walk(poses, begun.bone_imus, video, skeleton)
     some = slice(None, None, max(1, len(video) // _FRAMES))
-    return _ordered(recording, picture, skeleton, standing(begun.start[some], video[some]), (walk,))
+    stands = standing(begun.start[some], video[some], begun.bone_imus is not None)
+    return _ordered(recording, picture, skeleton, stands, (walk,))
 
 
 def check_camera_alone(
@@ -75,11 +75,11 @@ def check_camera_alone(
 ) -> tuple[Check, ...]:
     """The same before anything was reconstructed."""
     picture = look_at_picture(recording, skeleton, lifter or shipped_lifter())
-    stands = np.nan, np.nan
+    stands = None
     if picture.lifted is not None:
         p, k = picture.lifted.p_world_joint, picture.keypoints
         R = np.broadcast_to(np.eye(3), (*p.shape, 3))
-        stands = standing(PoseSequence(k.times, p, R, skeleton.names), k)
+        stands = standing(PoseSequence(k.times, p, R, skeleton.names), k, False)
     return _ordered(recording, picture, skeleton, stands)
 
 
@@ -99,13 +99,13 @@ def explained(
 
 
 def _ordered(
-    recording: Recording, picture: Picture, skeleton: SkeletonModel, stands: tuple[float, float],
+    recording: Recording, picture: Picture, skeleton: SkeletonModel, stands: Standing | None,
     of_motion: tuple[Check, ...] = (),
 ) -> tuple[Check, ...]:  # fmt: skip
     """All checks; of those that one mistake fails together, what names it leads.
 
     Args:
-        stands: of `standing`. of_motion: checks of the reconstructed motion.
+        stands: where the person does. of_motion: checks of the reconstructed motion.
     """
     keypoints, camera = recording.video, recording.video.camera
     first = (_check_unit(camera), *picture.checks, _check_frozen(keypoints))
@@ -119,7 +119,7 @@ def _ordered(
     known = (bones, lens, perspective, *of_motion)
     cause = next((check.cause for check in known if check.failed), picture.small)
     return (
-        *first, *known, _check_feet(recording, *stands, cause), _check_distance(stands[1]), *declared,
+        *first, *known, _check_feet(recording, stands, cause), _check_distance(stands), *declared,
     )  # fmt: skip
 
 
@@ -191,9 +191,10 @@ def _check_body(recording: Recording, skeleton: SkeletonModel) -> Iterator[Check
         )  # fmt: skip
 
 
-def _check_distance(distance: float) -> Check:
-    if not distance > 0:
+def _check_distance(stands: Standing | None) -> Check:
+    if stands is None or not stands.distance > 0:
         return Check.unknown(_DISTANCE, "the person", "m", "nobody was lifted")
+    distance = stands.distance
     return Check(
         _DISTANCE, "the person", max(distance / DISTANCE, DISTANCE / distance), DISTANCE_FACTOR, "times",
         f"It is {distance:.3g} m, usual are {DISTANCE} m",
@@ -201,23 +202,22 @@ def _check_distance(distance: float) -> Check:
     )  # fmt: skip
 
 
-def _check_feet(recording: Recording, height: float, distance: float, cause: str) -> Check:
+def _check_feet(recording: Recording, stands: Standing | None, cause: str) -> Check:
     """Whether the person stands on the floor; where none is declared, at z = 0.
 
     Args:
-        height: of the ankle that stands, z in world, m. distance: from the camera, m.
         cause: what other checks have found to be wrong with the scale.
     """
-    if not np.isfinite(height):
+    if stands is None:
         return Check.unknown(_FEET, "the person", "m", "nobody was lifted")
     floor = recording.floor_height
-    off = height - (floor or 0.0) - ANKLE_HEIGHT
-    advice = f"It is at z = {height:.2f} m and {distance:.1f} m away, by the body's size"
+    off = stands.height - (floor or 0.0) - ANKLE_HEIGHT
+    advice = f"It is at z = {stands.height:.2f} m, {stands.distance:.1f} m away, by the body's size"
     if floor is None:
         advice += "; no floor is declared: give its z, floor_height_m, where it is not 0"
     return Check(
         f"{_FEET} over {'z = 0' if floor is None else 'the floor'}", "the person",
-        abs(off), LEAST_HEIGHT + HEIGHT_PER_DISTANCE * distance, "m off", advice,
+        abs(off), stands.tolerance, "m off", advice,
         cause=cause or _cause_of_height(off, floor is None),
     )  # fmt: skip
 

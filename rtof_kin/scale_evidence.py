@@ -3,6 +3,8 @@ accelerations of two segments at a joint, and the perspective in which the senso
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,8 +20,9 @@ from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 Array = NDArray[np.float64]
 ANKLE_HEIGHT = 0.08
 """m over the floor of the ankle that one stands on."""
-LEAST_HEIGHT, HEIGHT_PER_DISTANCE = 0.14, 0.02
-"""How far an ankle may seem to be from there, m, and per m of distance: a camera tilts by one degree."""
+LEAST_HEIGHT, LEAST_HEIGHT_SENSED, HEIGHT_PER_DISTANCE = 0.16, 0.12, 0.02
+"""How far an ankle may seem to be from there, m, with and without sensors, and per m of distance: a camera
+tilts by one degree."""
 LARGEST_SCALE = 1.14
 """Times that bones may seem too long or too short by two sensors' accelerations."""
 WALKED, LONGEST_WALK = 1.045, 1.18
@@ -39,15 +42,32 @@ _LEGS = tuple(bone for limb in LIMBS if limb[-1] in FEET for bone in limb[:2])
 _SCALE, _WALK, _PERSPECTIVE = "length of bones by accelerations", "walk in depth", "perspective"
 
 
-def standing(poses: PoseSequence, k: KeypointSequence) -> tuple[float, float]:
-    """Height of the ankle that stands and distance of the person from the camera, m, by the person's size
-    alone: poses (T, J) keep their shape. NaN of a skeleton without ankles."""
+@dataclass(frozen=True)
+class Standing:
+    """Where a person stands, by nothing but the size of the body."""
+
+    height: float
+    """z in world of the ankle that stands, m."""
+    distance: float
+    """Of the hips along the camera's axis, m."""
+    tolerance: float
+    """How far the height may be off, m."""
+
+
+def standing(poses: PoseSequence, k: KeypointSequence, sensed: bool) -> Standing | None:
+    """Of poses (T, J) whose shape is kept, and keypoints of the same frames; None without ankles.
+
+    Args:
+        sensed: whether sensors had a say in the shape.
+    """
     feet = [poses.names.index(foot) for foot in FEET if foot in poses.names]
     if not feet:
-        return np.nan, np.nan
+        return None
     placed = refit_root(poses, k, sigma_depth=1.0).p_world_joint
     height = np.percentile(placed[:, feet, 2].min(axis=1), 20)
-    return float(height), float(np.median(k.camera.to_camera(placed[:, 0])[:, 2]))
+    distance = float(np.median(k.camera.to_camera(placed[:, 0])[:, 2]))
+    least = LEAST_HEIGHT_SENSED if sensed else LEAST_HEIGHT
+    return Standing(float(height), distance, least + HEIGHT_PER_DISTANCE * distance)
 
 
 def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> Check:
