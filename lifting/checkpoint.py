@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import zipfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -20,8 +19,9 @@ from torch import Tensor
 from lifting.body import Body, bone_groups
 from lifting.model import NetworkConfig, TemporalNetwork
 from lifting.models import model_of
-from rtof_kin.errors import FileFormatError
+from rtof_kin.errors import FileFormatError, RtofError
 from rtof_kin.io.arrays import check_sizes
+from rtof_kin.io.folder import new_file
 
 FORMAT = "rtof-kin lifter"
 VERSION = 2
@@ -52,9 +52,13 @@ class LifterDescription:
 
 
 def save_checkpoint(
-    path: str | Path, network: TemporalNetwork, description: LifterDescription
+    path: str | Path, network: TemporalNetwork, description: LifterDescription, overwrite: bool = True
 ) -> Path:
-    """Write a lifter; the file appears whole or not at all."""
+    """Write a lifter; the file appears whole or not at all.
+
+    Raises:
+        OutputExistsError, RtofError: as `save_tensors`.
+    """
     path = Path(path)
     text = json.dumps(asdict(description), sort_keys=True)
     weights = {k: v.detach().to("cpu").contiguous() for k, v in network.state_dict().items()}
@@ -66,10 +70,21 @@ def save_checkpoint(
         "sha256": _digest(text, weights),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
-    torch.save(content, partial)
-    os.replace(partial, path)
+    save_tensors(content, path, overwrite)
     return path
+
+
+def save_tensors(content: dict[str, Any], path: Path, overwrite: bool) -> None:
+    """`torch.save` to a file that appears whole or not at all.
+
+    Raises:
+        OutputExistsError: it exists and overwriting was not asked for. RtofError: it cannot be written.
+    """
+    with new_file(path, overwrite) as whole:
+        try:
+            torch.save(content, whole)
+        except RuntimeError as error:  # so torch calls a full disk
+            raise RtofError(f"{path}: cannot be written ({error}); name another file") from error
 
 
 def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescription]:

@@ -17,7 +17,7 @@ from lifting.splits import SPLITS, find_split, read_split
 from rtof_kin import kinematics, mocap, signals
 from rtof_kin import rotations as so3
 from rtof_kin.errors import FileFormatError, ShapeError
-from rtof_kin.io.arrays import read_npz_as_saved
+from rtof_kin.io.arrays import read_npz_as_saved, write_npz
 from rtof_kin.resources import model_path
 from rtof_kin.skeleton_table import read_skeleton_table
 
@@ -158,15 +158,15 @@ class Corpus:
         """Write an .npz file that `read_corpus` reads, orientations as quaternions."""
         path = Path(path)
         quat = so3.to_quat_wxyz(self.R_world_bone.reshape(-1, 1, 3, 3))
-        beyond: dict[str, Any] = {}
-        if self.beyond_rigid is not None:
-            beyond["beyond_rigid"] = self.beyond_rigid
-        np.savez_compressed(
-            path, joint_names=self.names, parents=self.parents, p_world_root=self.p_world_root,
-            quat_wxyz=quat.reshape(-1, len(self.names), 4).astype(np.float32),
-            offsets=self.joint_offsets, start=self.start, subjects=self.subjects, split=self.split,
-            rate_hz=self.rate_hz, acknowledgement=self.acknowledgement, **beyond,
-        )  # fmt: skip
+        arrays = {
+            "joint_names": self.names, "parents": self.parents, "p_world_root": self.p_world_root,
+            "quat_wxyz": quat.reshape(-1, len(self.names), 4).astype(np.float32),
+            "offsets": self.joint_offsets, "start": self.start, "subjects": self.subjects,
+            "split": self.split, "rate_hz": self.rate_hz, "acknowledgement": self.acknowledgement,
+            "beyond_rigid": self.beyond_rigid,
+        }  # fmt: skip
+        known = {name: np.asarray(value) for name, value in arrays.items() if value is not None}
+        write_npz(path, known, overwrite=True)
         return path
 
 

@@ -12,6 +12,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
+from rtof_kin.io.folder import new_file
+from rtof_kin.io.text import write_text
+
 Row = Mapping[str, Any]
 """One report with a validation, see `train.Progress`."""
 COLORS = ("#0072b2", "#c0392b", "#56b4e9", "#e69f00", "#2e8b57", "#8e44ad", "#8c8c8c")
@@ -34,11 +37,12 @@ def write_curves(lifter: str | Path, recipe: Row, history: Sequence[Row]) -> Non
     data, picture = data_file(lifter), figure_file(lifter)
     data.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps({"recipe": recipe, "history": history}, indent=1)
-    data.write_text(text, encoding="utf-8")
+    write_text(data, text, overwrite=True)
     if history:
         figure = draw(history, Path(lifter).name)
         figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
-        figure.savefig(picture, dpi=100)
+        with new_file(picture, overwrite=True) as whole:
+            figure.savefig(whole, dpi=100)
 
 
 def draw(history: Sequence[Row], title: str) -> Figure:

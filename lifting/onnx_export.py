@@ -8,7 +8,6 @@ world (z up), and take `receptive_field` frames at `rate_hz`; see the metadata, 
 from __future__ import annotations
 
 import json
-import os
 import warnings
 from importlib import import_module
 from pathlib import Path
@@ -23,6 +22,7 @@ from lifting.graph import LifterGraph, WindowPoses
 from lifting.models import RAYS
 from lifting.predict import MIN_JOINTS, Lifter
 from rtof_kin.errors import RtofError, ShapeError
+from rtof_kin.io.folder import new_file
 
 INPUTS = ("rays_world", "seen", "bones", "camera_height", "R_world_sensed", "sensed")
 """See `LifterGraph.forward`; the two last are left out for a lifter without sensors."""
@@ -31,7 +31,9 @@ OUTPUTS = WindowPoses._fields
 OPSET = 17
 
 
-def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True) -> Path:
+def export_onnx(
+    lifter: Lifter, path: str | Path, flip: bool = True, overwrite: bool = False
+) -> Path:
     """Write a lifter as ONNX; the file appears whole or not at all.
 
     Args:
@@ -41,7 +43,8 @@ def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True) -> Path:
 
     Raises:
         ShapeError: the lifter is of another kind.
-        RtofError: the package `onnx` is not installed.
+        OutputExistsError: the file exists and overwriting was not asked for.
+        RtofError: the package `onnx` is not installed, or the file cannot be written.
     """
     path, description = Path(path), lifter.description
     if description.network.model != RAYS:
@@ -54,21 +57,17 @@ def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True) -> Path:
     inputs, outputs = (INPUTS, OUTPUTS) if sensed else (INPUTS[:4], OUTPUTS[:3])
     graph = LifterGraph(description.body, lifter.network, flip)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
-    try:
+    with new_file(path, overwrite) as whole:
         _export(
             graph if sensed else _Unsensed(graph),
             example_windows(description.body, lifter.receptive_field())[: len(inputs)],
-            partial, inputs, outputs,
+            whole, inputs, outputs,
         )  # fmt: skip
-        model = onnx.load(partial)
+        model = onnx.load(whole)
         model.doc_string = "Lifter of rtof_kin: see the metadata."
         onnx.helper.set_model_props(model, metadata(lifter, flip))
         onnx.checker.check_model(model)
-        onnx.save(model, partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+        onnx.save(model, whole)
     return path
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import time
 from dataclasses import asdict, replace
 from math import isfinite
@@ -22,6 +21,7 @@ from lifting.checkpoint import (
     LifterDescription,
     load_checkpoint,
     save_checkpoint,
+    save_tensors,
 )
 from lifting.corpus import Corpus
 from lifting.data import MotionBank
@@ -198,8 +198,7 @@ class Run:
     def save(self, path: Path) -> None:
         """Write what a later run needs to go on as if it had not been interrupted."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(path.name + ".part")
-        torch.save(
+        save_tensors(
             {
                 "config": self.config.fixed(), "corpus": self.digest,
                 "network": self.network.state_dict(), "averaged": self.averaged.state_dict(),
@@ -208,9 +207,8 @@ class Run:
                 "losses": [float(x) for x in self.losses], "history": self.history,
                 "started_from": self.started_from,
             },
-            partial,
+            path, overwrite=True,
         )  # fmt: skip
-        os.replace(partial, path)
 
     def start(self, lifter: str | Path) -> None:
         """Begin with the weights of another lifter, see `rtof_kin.resources.lifter_path`.

@@ -8,7 +8,6 @@ when it is used.
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -95,16 +94,22 @@ __all__ = [
     "reconstruct",
 ]
 
-try:
-    __version__ = version("rtof_kin")
-except PackageNotFoundError:  # a clone that was not installed
-    __version__ = "0+unknown"
-
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return _version()
     if name not in _HOME:
         raise AttributeError(f"module 'rtof_kin' has no attribute {name!r}")
     return getattr(import_module(f"rtof_kin.{_HOME[name]}"), name)
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version  # takes longer than the rest of this file
+
+    try:
+        return version("rtof_kin")
+    except PackageNotFoundError:  # a clone that was not installed
+        return "0+unknown"
 
 
 def __dir__() -> list[str]:

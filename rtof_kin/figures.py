@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from rtof_kin import signals
+from rtof_kin.io.folder import new_file
 from rtof_kin.metrics import BEGUN_TOGETHER, comparable, flexion, hinges
 from rtof_kin.types import PoseSequence
 
@@ -46,7 +47,8 @@ def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> list[Path
     for name, figure in figures.items():
         path = folder / f"{name}.png"
         figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
-        figure.savefig(path)
+        with new_file(path, overwrite=True) as whole:
+            figure.savefig(whole)
         paths.append(path)
     return paths
 

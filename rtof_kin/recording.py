@@ -306,7 +306,6 @@ class Recording:
         """
         target = Path(folder).resolve()
         check_replaceable(target, INDEX, overwrite)
-        files.check_nothing_else(target, INDEX)
         with new_folder(target, INDEX, overwrite) as fresh:
             self._write(fresh)
 

@@ -16,7 +16,6 @@ from rtof_kin.detectors.layouts import detector_table
 from rtof_kin.errors import (
     CalibrationError,
     FileFormatError,
-    OutputExistsError,
     ShapeError,
     UnitError,
     UnknownNameError,
@@ -56,28 +55,6 @@ def data_path(section: Section, or_folder: bool = False) -> Path:
     if not path.is_file() and not (or_folder and path.is_dir()):
         raise section.error("file", f"there is no file {path}; put it there or correct the name")
     return path
-
-
-def check_nothing_else(folder: Path, index_name: str) -> None:
-    """Refuse to replace a recording in whose folder somebody keeps files of their own.
-
-    Raises:
-        OutputExistsError: names one of them.
-    """
-    if not (folder / index_name).is_file():
-        return
-    own = {index_name}
-    try:
-        index = Section.of_file(folder / index_name)
-        own |= {index.table(n).text("file", index_name) for n in ("keypoints", "imus", "truth")}
-    except FileFormatError:
-        pass
-    foreign = sorted({path.name for path in folder.iterdir()} - own)
-    if foreign:
-        raise OutputExistsError(
-            f"{folder}: holds {foreign[0]}, which is no part of the recording, so it is not "
-            "replaced; move that file or name another folder"
-        )
 
 
 def read_arrays(path: Path, wanted: Sequence[str]) -> dict[str, Array]:

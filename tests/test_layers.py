@@ -16,7 +16,9 @@ ROOT = Path(__file__).parent.parent
 ROWS = """
 errors   plausibility   limbs   library_cache
 threads
-rotations   resources   body_mass   io
+rotations   resources   body_mass   io   io.manifest
+io.temporary
+io.folder
 io.text
 signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_code
 levenberg_marquardt   banded   lanes
@@ -25,7 +27,7 @@ skeleton   keypoint_guards   inflation
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position   contacts
 observation   sensor_guards   circumstances
 fragment_problem   fragment_solution   joint_space   joint_space.settings   root_path
-io.arrays   io.articulated   io.folder   io.markers   io.pickled   io.section
+io.arrays   io.articulated   io.markers   io.pickled   io.section
 io.world_axes
 io.asf_amc   io.bvh   io.c3d   io.camera_toml   io.joint_trajectory   io.motion_npz   io.object_npz
 io.imu_calibration_toml   io.total_capture   io.trc   inertial   inertial.declaration

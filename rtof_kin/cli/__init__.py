@@ -6,39 +6,52 @@ to do), 130 interrupted.
 
 from __future__ import annotations
 
-import argparse
-import logging
+import sys
+from typing import TYPE_CHECKING
 
-from rtof_kin.cli import (
-    clinical,
-    detection,
-    inspection,
-    lifters,
-    protocols,
-    recordings,
-    reporting,
-    training,
-)
-from rtof_kin.cli.terminal import err
-from rtof_kin.errors import RtofError
+if TYPE_CHECKING:
+    import argparse
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command; returns the exit code."""
+    """Run one command; returns the exit code. Importing takes longest, so Ctrl-C may come then too."""
+    try:
+        return _run(arguments)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        exec("")  # else Python ends by the signal, not by this code, where it came inside an exec of an import
+        return 130
+
+
+def _run(arguments: list[str] | None) -> int:
+    import logging
+
+    from rtof_kin.cli.terminal import err
+    from rtof_kin.errors import RtofError
+
     options = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     try:
-        code = options.run(options)
+        return int(options.run(options) or 0)
     except RtofError as error:
         err.print(f"error: {error}", style="bold red", soft_wrap=True)
         return 2
-    except KeyboardInterrupt:
-        err.print("interrupted")
-        return 130
-    return int(code or 0)
 
 
 def _parser() -> argparse.ArgumentParser:
+    import argparse
+
+    from rtof_kin.cli import (
+        clinical,
+        detection,
+        inspection,
+        lifters,
+        protocols,
+        recordings,
+        reporting,
+        training,
+    )
+
     parser = argparse.ArgumentParser(
         prog="rtof-kin",
         description="Human motion from one camera and a handful of IMUs. Everything stays on this "

@@ -27,7 +27,7 @@ def _detect(options: argparse.Namespace) -> None:
     from rtof_kin.detectors.recognise import recognise
     from rtof_kin.detectors.video import detect_video, write_detections
     from rtof_kin.errors import FileFormatError, ShapeError
-    from rtof_kin.io.text import check_new_file
+    from rtof_kin.io.folder import check_new_file
 
     target = Path(options.out)
     if target.suffix.lower() != ".npz":
@@ -36,7 +36,7 @@ def _detect(options: argparse.Namespace) -> None:
     source = int(options.video) if options.video.isdigit() else options.video
     with progress() as tell:
         found = detect_video(source, options.model_dir, seconds=options.seconds, progress=tell)
-    write_detections(target, found)
+    write_detections(target, found, options.overwrite)
     present = found.present
     out.print(
         f"wrote {target}: {len(found)} frames of up to {present.shape[1]} people, somebody in "

@@ -46,7 +46,7 @@ def _declaration(text: str) -> tuple[str, str]:
 def _inspect(options: argparse.Namespace) -> int:
     from rtof_kin.errors import ShapeError
     from rtof_kin.inspection import inspect
-    from rtof_kin.io.text import check_new_file
+    from rtof_kin.io.folder import check_new_file
 
     if options.plot is not None:
         if len(options.files) > 1:
@@ -62,7 +62,7 @@ def _inspect(options: argparse.Namespace) -> int:
         found = inspect(file, **declared)
         _print(found, options.all)
         if options.plot is not None:
-            _draw(found, options.plot)
+            _draw(found, options.plot, options.overwrite)
         failed |= bool(found.failed)
     return _FAILED if failed else 0
 
@@ -133,15 +133,17 @@ def _figure(check: Any, shown: list[Any], checks: Any) -> str:
     return f"{text}; worst is {check.subject}, {holding} of {len(alike)} hold"
 
 
-def _draw(found: Any, target: Path) -> None:
+def _draw(found: Any, target: Path, overwrite: bool) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     from rtof_kin.inspection_figures import picture
+    from rtof_kin.io.folder import new_file
 
     figure = picture(found)
     if figure is None:
         out.print("nothing of this file can be drawn")
         return
     FigureCanvasAgg(figure)
-    figure.savefig(target)
+    with new_file(target, overwrite) as whole:
+        figure.savefig(whole)
     out.print(f"wrote {target}", soft_wrap=True)

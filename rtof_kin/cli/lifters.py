@@ -32,8 +32,9 @@ def add_commands(commands: Any) -> None:
 def _export_lifter(options: argparse.Namespace) -> None:
     from lifting.onnx_export import export_onnx
     from lifting.predict import Lifter
-    from rtof_kin.io.text import check_new_file
+    from rtof_kin.io.folder import check_new_file
 
     check_new_file(options.output, options.overwrite)
-    path = export_onnx(Lifter.load(options.lifter), options.output, not options.no_flip)
+    lifter = Lifter.load(options.lifter)
+    path = export_onnx(lifter, options.output, not options.no_flip, options.overwrite)
     out.print(f"wrote {path}", soft_wrap=True)

@@ -76,9 +76,8 @@ def _reconstruct(options: argparse.Namespace) -> None:
 def _calibrate(options: argparse.Namespace) -> None:
     use_threads(options)
     from rtof_kin.contradictions import contradictions
-    from rtof_kin.io.folder import check_replaceable
+    from rtof_kin.io.folder import check_new_file, check_replaceable
     from rtof_kin.io.self_calibration_toml import write_self_calibration_toml
-    from rtof_kin.io.text import check_new_file
     from rtof_kin.pipeline import calibrate_recording
     from rtof_kin.recording import INDEX, Recording
     from rtof_kin.report.audit import calibration_findings

@@ -34,7 +34,8 @@ def add_commands(commands: Any) -> None:
 
 
 def _report(options: argparse.Namespace) -> None:
-    from rtof_kin.io.text import check_new_file, write_text
+    from rtof_kin.io.folder import check_new_file
+    from rtof_kin.io.text import write_text
     from rtof_kin.report.writing import PAGE, report
     from rtof_kin.session import Session
 

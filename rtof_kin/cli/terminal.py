@@ -18,6 +18,8 @@ from rich.text import Text
 if TYPE_CHECKING:
     from rtof_kin.report.headline import Headline
 
+from rtof_kin.io.manifest import MANIFEST
+
 # Units stand in square brackets, and paths may: nothing printed is markup.
 out, err = Console(markup=False), Console(stderr=True, markup=False)
 _STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red"}
@@ -141,4 +143,5 @@ def figure_text(key: str, value: float | None) -> str:
 def print_files(folder: str | Path) -> None:
     folder = Path(folder)
     files = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
+    files.remove(MANIFEST)
     out.print(f"wrote {folder}: {', '.join(files)}", soft_wrap=True)

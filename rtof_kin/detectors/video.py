@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.detectors.detections import Detections, Person
 from rtof_kin.detectors.models import PersonDetector, library
-from rtof_kin.errors import FileFormatError, RtofError, ShapeError
+from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.io.arrays import write_npz
 
 Array = NDArray[np.float64]
@@ -148,11 +148,13 @@ class _FileClock:
         return stamp
 
 
-def write_detections(path: str | Path, detections: Detections) -> None:
+def write_detections(
+    path: str | Path, detections: Detections, overwrite: bool = False
+) -> None:
     """Write what `rtof_kin.detectors.files` reads back: uv_px, confidence and times.
 
     Raises:
-        RtofError: it cannot be written.
+        OutputExistsError: it exists and overwriting was not asked for. RtofError: it cannot be written.
     """
     arrays: dict[str, NDArray[Any]] = {
         "uv_px": detections.uv_px,
@@ -160,7 +162,4 @@ def write_detections(path: str | Path, detections: Detections) -> None:
     }
     if detections.times is not None:
         arrays["times"] = detections.times
-    try:
-        write_npz(Path(path), arrays)
-    except OSError as error:
-        raise RtofError(f"{path}: cannot be written ({error})") from error
+    write_npz(Path(path), arrays, overwrite)

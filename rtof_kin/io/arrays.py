@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError
+from rtof_kin.io.folder import new_file
 from rtof_kin.io.text import LARGEST_NUMBER, check_file, measurable, read_text
 
 Array = NDArray[np.float64]
@@ -182,10 +183,15 @@ def _measured(path: Path, name: str, saved: NDArray[Any]) -> Array:
     return array
 
 
-def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays by name, compressed; `read_npz` gives the same numbers back."""
+def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = False) -> None:
+    """Write arrays by name, compressed; `read_npz` gives the same numbers back.
+
+    Raises:
+        OutputExistsError: it exists and overwriting was not asked for. RtofError: it cannot be written.
+    """
     contents: dict[str, Any] = dict(arrays)
-    np.savez_compressed(path, **contents)
+    with new_file(path, overwrite) as whole, whole.open("wb") as stream:
+        np.savez_compressed(stream, **contents)
 
 
 def read_csv(path: Path) -> dict[str, Array]:

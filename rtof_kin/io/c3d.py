@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError, RtofError, ShapeError
+from rtof_kin.io.folder import new_file
 from rtof_kin.io.markers import MarkerSequence
-from rtof_kin.io.text import check_file, check_new_file
+from rtof_kin.io.text import check_file
 from rtof_kin.io.world_axes import METRES, world_of_file
 
 Array = NDArray[np.float64]
@@ -283,8 +284,7 @@ def write_c3d(
     """
     import ezc3d  # only who writes waits for it
 
-    path, R_world_file = Path(path), world_of_file(up)
-    check_new_file(path, overwrite)
+    R_world_file = world_of_file(up)
     rate = markers.rate_hz
     first = round(float(markers.times[0]) * rate)
     if first < 0 or np.abs(markers.times * rate - first - np.arange(len(markers))).max() > 1e-3:
@@ -308,8 +308,9 @@ def write_c3d(
         "residuals": np.where(seen, 0.0, -1.0),
         "camera_masks": np.zeros((7, *seen.shape[1:]), dtype=bool),
     }
-    try:
-        path.write_bytes(b"")  # where that fails, ezc3d says nothing
-        file.write(str(path))
-    except (OSError, RuntimeError) as error:
-        raise RtofError(f"{path}: cannot be written ({error}); name another file") from error
+    with new_file(path, overwrite) as whole:
+        try:
+            file.write(str(whole))
+            read_c3d(whole)  # ezc3d says nothing where the disk is full
+        except (FileFormatError, RuntimeError) as error:
+            raise RtofError(f"{path}: cannot be written whole ({error}); name another file") from error

@@ -1,14 +1,29 @@
-"""Folders of output that appear whole or not at all."""
+"""Folders and files of output that appear whole or not at all, and never replace what the user made."""
 
 from __future__ import annotations
 
+import errno
+import logging
+import os
+import secrets
 import shutil
-import tempfile
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 from rtof_kin.errors import OutputExistsError, RtofError
+from rtof_kin.io.manifest import read_contents, sync, write_manifest
+from rtof_kin.io.temporary import clear, locked, temporary_folder
+
+_NAMED = 3
+"""So many of a folder's foreign files are named in an error."""
+_NO_EXCHANGE = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP}
+_NO_LINKS = {errno.ENOSYS, errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP}
+"""Errors of systems and file systems that cannot exchange folders or link files."""
+_HERE, _EXCHANGE = -100, 2
+"""Linux's AT_FDCWD and RENAME_EXCHANGE."""
+_log = logging.getLogger(__name__)
 
 
 def path_inside(folder: Path, name: str) -> Path | None:
@@ -24,52 +39,207 @@ def path_inside(folder: Path, name: str) -> Path | None:
         return None
 
 
+# --- folders -------------------------------------------------------------------------------------
+
+
 @contextmanager
 def new_folder(path: str | Path, marker: str, overwrite: bool = False) -> Iterator[Path]:
-    """A temporary folder beside `path` that takes its place when the block ends without an error.
+    """A temporary folder beside `path` that takes its place at once when the block ends without an error.
 
     Args:
         path: where the folder shall stand in the end.
-        marker: name of a file that every folder of this kind holds. Only a folder that holds it (or an
-            empty one) is ever replaced.
-        overwrite: whether a folder of this kind may be replaced.
+        marker: name of a file that every folder of this kind holds.
+        overwrite: whether a folder of this kind may be replaced, see `check_replaceable`.
 
     Raises:
-        OutputExistsError: something stands there that may not be replaced.
+        OutputExistsError: something stands there that may not be replaced, or appeared meanwhile.
         RtofError: the place cannot be written to.
     """
-    path = Path(path)
+    path = Path(os.path.abspath(path))
     check_replaceable(path, marker, overwrite)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-    except OSError as error:
-        raise RtofError(f"{path}: cannot be written ({error}); choose another folder") from error
-    try:
-        temporary.chmod(0o755)
-        yield temporary
-        if path.exists():
-            shutil.rmtree(path)
-        temporary.rename(path)
+        with temporary_folder(path.parent) as temporary:
+            yield temporary
+            write_manifest(temporary, marker)
+            _put_folder(temporary, path, marker, overwrite)
+            sync(path.parent)
     except RtofError:  # some of them are OSErrors too
         raise
     except OSError as error:
-        raise RtofError(f"{path}: writing failed ({error})") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        raise RtofError(f"{path}: cannot be written ({error}); choose another folder") from error
 
 
 def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) -> None:
-    """Raise `OutputExistsError` if output may not go there; long work asks before it begins."""
+    """Raise `OutputExistsError` if output may not go there; long work asks before it begins.
+
+    An empty folder may be filled. With `overwrite` a folder of the same kind may be replaced if there is
+    nothing in it but what this package wrote, unchanged (see `io.manifest`).
+    """
     path = Path(path)
-    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+    if path.is_symlink() or path.is_mount():
+        raise OutputExistsError(f"{path}: is a link or a mounted disk; name a folder of its own")
+    if not path.exists():
         return
     if not path.is_dir():
         raise OutputExistsError(f"{path}: is a file; name a folder")
-    if not (path / marker).exists():
+    try:
+        if not any(path.iterdir()):
+            return
+        found = read_contents(path)
+    except OSError as error:
+        raise RtofError(f"{path}: cannot be read ({error}); choose another folder") from error
+    if found.foreign:
+        more = len(found.foreign) - _NAMED
+        names = ", ".join(found.foreign[:_NAMED]) + (f" and {more} more" if more > 0 else "")
         raise OutputExistsError(
-            f"{path}: is a folder with other things in it (no {marker}) and is never replaced; "
-            "name a new one"
+            f"{path}: holds what is not known to be written by this package and is never replaced: "
+            f"{names}; move it elsewhere or name another folder"
+        )
+    if found.kind != marker:
+        raise OutputExistsError(
+            f"{path}: was written by another command ({found.kind}) and is not replaced by this one; "
+            "name another folder"
         )
     if not overwrite:
         raise OutputExistsError.of(path)
+
+
+def _put_folder(new: Path, path: Path, marker: str, overwrite: bool) -> None:
+    """Rename a folder, or exchange it with an earlier one, which is removed then."""
+    while True:
+        try:
+            os.rename(new, path)  # of what may stand there, only an empty folder gives way
+            return
+        except OSError:
+            if not os.path.lexists(path):
+                raise
+        before = _identity(path)
+        try:
+            check_replaceable(path, marker, overwrite)
+            if not any(path.iterdir()):
+                path.rmdir()  # Windows renames to nothing that exists
+                continue
+            with locked(path):  # its next place has a temporary folder's name
+                _exchange(new, path)
+                _remove_replaced(new, path)
+            return
+        except (OutputExistsError, FileNotFoundError):
+            if _identity(path) == before:
+                raise
+            # Another run has put its own there meanwhile.
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    with suppress(FileNotFoundError):
+        found = path.lstat()
+        return found.st_dev, found.st_ino
+    return None
+
+
+def _exchange(new: Path, path: Path) -> None:
+    """Exchange two folders, in one step where the system can; else the old one is under a name of its own
+    for a moment, which says what it is should the process be killed then."""
+    try:
+        _exchange_at_once(new, path)
+    except OSError as error:
+        if error.errno not in _NO_EXCHANGE:
+            raise
+        aside = _beside(path, "replaced")
+        try:
+            os.rename(path, aside)
+            os.rename(new, path)
+        except BaseException:
+            with suppress(OSError):  # where something stands now, the old one keeps its other name
+                os.rename(aside, path)
+            raise
+        os.rename(aside, new)
+
+
+def _exchange_at_once(first: Path, second: Path) -> None:
+    import ctypes  # only who replaces waits for it
+
+    if sys.platform != "linux":
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    library = ctypes.CDLL(None, use_errno=True)
+    if not hasattr(library, "renameat2"):
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    paths = os.fsencode(first), os.fsencode(second)
+    if library.renameat2(_HERE, paths[0], _HERE, paths[1], ctypes.c_uint(_EXCHANGE)):
+        code = ctypes.get_errno()
+        raise OSError(code, os.strerror(code), str(second))
+
+
+def _remove_replaced(old: Path, path: Path) -> None:
+    """Remove an earlier output; what somebody put into it at the last moment is kept."""
+    clear(old)
+    if old.exists():
+        kept = _beside(path, "kept")
+        os.rename(old, kept)
+        _log.warning("%s: was replaced while files were added to it; they are in %s", path, kept)
+
+
+def _beside(path: Path, what: str) -> Path:
+    return path.with_name(f"{path.name}.{what}-{secrets.token_hex(4)}")
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+@contextmanager
+def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
+    """A path of the same name in a temporary folder beside it; the file written there takes its place at
+    once when the block ends without an error.
+
+    Args:
+        path: where the file shall stand; of a link, the file that it leads to is written.
+        overwrite: whether a file may be replaced.
+
+    Raises:
+        OutputExistsError: something stands there that may not be replaced, or appeared meanwhile.
+        RtofError: it cannot be written.
+    """
+    check_new_file(path, overwrite)
+    target = Path(os.path.realpath(path))
+    try:
+        with temporary_folder(target.parent) as folder:
+            file = folder / Path(path).name
+            yield file
+            sync(file)
+            try:
+                _put_file(file, target, overwrite)
+            except FileExistsError as error:
+                raise OutputExistsError.of(path) from error
+            sync(target.parent)
+    except RtofError:
+        raise
+    except OSError as error:
+        raise RtofError(f"{path}: cannot be written ({error}); name another file") from error
+
+
+def check_new_file(path: str | Path, overwrite: bool) -> None:
+    """Refuse to replace a file unasked, and what is no file at all.
+
+    Raises:
+        OutputExistsError: something stands there.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        raise OutputExistsError(f"{path}: is no file that can be replaced; name a file")
+    if path.exists() and not overwrite:
+        raise OutputExistsError.of(path)
+
+
+def _put_file(new: Path, path: Path, overwrite: bool) -> None:
+    if overwrite:
+        with suppress(FileNotFoundError):
+            shutil.copymode(path, new)
+        os.replace(new, path)
+        return
+    try:
+        os.link(new, path)  # fails where something stands, which a renaming would replace
+    except OSError as error:
+        if error.errno not in _NO_LINKS:
+            raise
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))  # the name is ours now
+        os.replace(new, path)

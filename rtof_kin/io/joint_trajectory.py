@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from rtof_kin.errors import FileFormatError
 from rtof_kin.io.arrays import read_csv
+from rtof_kin.io.folder import new_file
+from rtof_kin.io.text import write_text
 from rtof_kin.observation import never_observed, observed_dofs, root_turn_observed
 from rtof_kin.signals import runs
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
@@ -48,14 +50,14 @@ def write_joint_trajectory_csv(path: str | Path, motion: MotionSequence) -> None
     path, skeleton = Path(path), motion.skeleton
     columns = ("time", *BASE_COLUMNS, *skeleton.dof_names, *_valid_columns(skeleton))
     valid = np.column_stack([root_turn_observed(motion), observed_dofs(motion)]).astype(int)
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(columns)
-        for time, row, flags in zip(motion.times, motion.q, valid.tolist(), strict=True):
-            writer.writerow([*(repr(float(value)) for value in (time, *row)), *flags])
-    path.with_suffix(".json").write_text(
-        json.dumps(_sidecar(path, motion.skeleton), indent=2) + "\n", encoding="utf-8"
-    )
+    sidecar = json.dumps(_sidecar(path, skeleton), indent=2) + "\n"
+    with new_file(path, overwrite=True) as file:
+        with file.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.writer(stream)
+            writer.writerow(columns)
+            for time, row, flags in zip(motion.times, motion.q, valid.tolist(), strict=True):
+                writer.writerow([*(repr(float(value)) for value in (time, *row)), *flags])
+        write_text(path.with_suffix(".json"), sidecar, overwrite=True)
 
 
 def _valid_columns(skeleton: SkeletonModel) -> list[str]:
@@ -118,7 +120,7 @@ def write_ros_trajectory(folder: str | Path, motion: MotionSequence) -> list[Pat
         for kind, message in messages.items():
             suffix = f"_{number}" if len(known) > 1 else ""
             paths.append(folder / f"ros_{kind}_trajectory{suffix}.json")
-            paths[-1].write_text(json.dumps(message) + "\n", encoding="utf-8")
+            write_text(paths[-1], json.dumps(message) + "\n", overwrite=True)
     return paths
 
 

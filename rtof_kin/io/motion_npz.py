@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rtof_kin.checks import readonly
 from rtof_kin.confidence import Confidence
 from rtof_kin.errors import FileFormatError, RtofError, ShapeError
-from rtof_kin.io.arrays import read_npz_as_saved
+from rtof_kin.io.arrays import read_npz_as_saved, write_npz
 from rtof_kin.io.text import LARGEST_NUMBER, measurable
 from rtof_kin.observation import observed_dofs
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
@@ -58,30 +58,33 @@ class MotionFile:
 def write_motion_npz(
     path: str | Path, motion: MotionSequence, *, first_frame: int = 0, mode: str = ""
 ) -> None:
-    """Write a motion; every array is named after its field in `MotionFile` and `PoseSequence`, and
-    ``dof_observed`` (T, D) after `observation.observed_dofs`, which makes it."""
+    """Write a motion over an earlier one; every array is named after its field in `MotionFile` and
+    `PoseSequence`, and ``dof_observed`` (T, D) after `observation.observed_dofs`, which makes it.
+
+    Raises:
+        RtofError: it cannot be written.
+    """
     poses = motion.poses
-    np.savez_compressed(
-        path,
-        schema_version=np.array(SCHEMA_VERSION),
-        times=poses.times,
-        q=motion.q,
-        p_world_joint=poses.p_world_joint,
-        R_world_bone=poses.R_world_bone,
-        valid=poses.valid,
-        provenance=poses.provenance,
-        orientation_observed=poses.orientation_observed,
-        direction_observed=poses.direction_observed,
-        dof_observed=observed_dofs(motion),
-        singular=motion.report.singular,
-        names=np.array(poses.names),
-        dof_names=np.array(motion.skeleton.dof_names),
-        joint_offsets=motion.skeleton.joint_offsets,
-        first_frame=np.array(first_frame),
-        mode=np.array(mode),
-        skeleton=np.array(motion.skeleton.name),
-        **_confidence_arrays(motion.confidence),
-    )
+    arrays = {
+        "schema_version": np.array(SCHEMA_VERSION),
+        "times": poses.times,
+        "q": motion.q,
+        "p_world_joint": poses.p_world_joint,
+        "R_world_bone": poses.R_world_bone,
+        "valid": poses.valid,
+        "provenance": poses.provenance,
+        "orientation_observed": poses.orientation_observed,
+        "direction_observed": poses.direction_observed,
+        "dof_observed": observed_dofs(motion),
+        "singular": motion.report.singular,
+        "names": np.array(poses.names),
+        "dof_names": np.array(motion.skeleton.dof_names),
+        "joint_offsets": motion.skeleton.joint_offsets,
+        "first_frame": np.array(first_frame),
+        "mode": np.array(mode),
+        "skeleton": np.array(motion.skeleton.name),
+    }
+    write_npz(Path(path), arrays | _confidence_arrays(motion.confidence), overwrite=True)
 
 
 def read_motion_npz(path: str | Path) -> MotionFile:

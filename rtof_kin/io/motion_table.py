@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.errors import RtofError
+from rtof_kin.io.folder import new_file
 from rtof_kin.io.joint_trajectory import BASE_COLUMNS, BASE_TURN
-from rtof_kin.io.text import check_new_file, write_text
+from rtof_kin.io.text import write_text
 from rtof_kin.observation import observed_dofs, observed_landmarks, root_turn_observed
 from rtof_kin.skeleton import MotionSequence
 from rtof_kin.types import Provenance
@@ -111,8 +112,7 @@ def write_motion_parquet(
         from pyarrow import parquet
     except ImportError as error:
         raise RtofError("Parquet needs pyarrow: install the extra, rtof_kin[parquet]") from error
-    path, columns = Path(path), motion_columns(motion)
-    check_new_file(path, overwrite)
+    columns = motion_columns(motion)
     arrays = [pa.array(c.values, from_pandas=True) for c in columns]  # from_pandas: NaN is null
     fields = [
         pa.field(c.name, array.type, metadata=({"unit": c.unit} if c.unit else {}) | c.also)
@@ -121,7 +121,5 @@ def write_motion_parquet(
     skeleton = motion.skeleton
     offsets = dict(zip(skeleton.names, skeleton.joint_offsets.tolist(), strict=True))
     about = {"convention": CONVENTION, "skeleton": skeleton.name, "joint_offsets_m": json.dumps(offsets)}
-    try:
-        parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields, about)), path)
-    except OSError as error:
-        raise RtofError(f"{path}: cannot be written ({error}); name another file") from error
+    with new_file(path, overwrite) as file:
+        parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields, about)), file)

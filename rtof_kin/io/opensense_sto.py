@@ -20,6 +20,7 @@ from rtof_kin.inertial.packets import lost
 from rtof_kin.inertial.readings import Readings, sensor_log
 from rtof_kin.inertial.streams import SensorLog
 from rtof_kin.io.sensor_text import MOST_HEADER_LINES, text_lines
+from rtof_kin.io.text import write_text
 
 Array = NDArray[np.float64]
 TITLE = "OpenSense .sto"
@@ -106,4 +107,4 @@ def write_opensense_sto(path: str | Path, log: SensorLog) -> None:
     header = [f"DataRate={rate:.6f}", "DataType=Quaternion", "version=3", _END]
     names = "\t".join(["time", *(name + _SUFFIX for name in log.names)])
     rows = ["\t".join(cells) for cells in zip(map(repr, times.tolist()), *columns, strict=True)]
-    Path(path).write_text("\n".join([*header, names, *rows, ""]), encoding="utf-8")
+    write_text(Path(path), "\n".join([*header, names, *rows, ""]), overwrite=True)

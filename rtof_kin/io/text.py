@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.errors import FileFormatError, OutputExistsError, RtofError
+from rtof_kin.errors import FileFormatError
+from rtof_kin.io.folder import new_file
 
 LARGEST_TEXT = 2**30
 """Files of more bytes than this are refused."""
@@ -103,24 +104,11 @@ def measurable(array: NDArray[np.float64]) -> bool:
         return not np.any((np.abs(array) > LARGEST_NUMBER) & np.isfinite(array))
 
 
-def check_new_file(path: str | Path, overwrite: bool) -> None:
-    """Refuse to replace a file unasked.
-
-    Raises:
-        OutputExistsError: something stands there.
-    """
-    if Path(path).exists() and not overwrite:
-        raise OutputExistsError.of(path)
-
-
 def write_text(path: Path, text: str, overwrite: bool = False) -> None:
-    """Write a file in UTF-8.
+    """Write a file in UTF-8, which appears whole or not at all.
 
     Raises:
         OutputExistsError: it exists and overwriting was not asked for. RtofError: it cannot be written.
     """
-    check_new_file(path, overwrite)
-    try:
-        path.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise RtofError(f"{path}: cannot be written ({error}); name another file") from error
+    with new_file(path, overwrite) as file:
+        file.write_text(text, encoding="utf-8", newline="\n")

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.errors import OutputExistsError, RtofError, ShapeError
 from rtof_kin.io.arrays import read_npz
+from rtof_kin.io.text import write_text
 
 Array = NDArray[np.float64]
 SETTINGS = "settings.json"
@@ -136,10 +137,10 @@ def _take_over(folder: Path, settings: Mapping[str, Any], results: str | None) -
         for path in folder.glob(results) if results else ():
             path.unlink()
         folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
-        (folder / SETTINGS).write_text(text, encoding="utf-8")
     except OSError as error:
         raise RtofError(f"{folder}: cannot be written ({error}); name another folder") from error
+    text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
+    write_text(folder / SETTINGS, text, overwrite=True)
 
 
 def _facts(folder: Path, key: str) -> dict[str, Any] | None:

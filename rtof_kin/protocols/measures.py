@@ -78,16 +78,14 @@ def curves(
 
 
 def save_motion(result: Reconstruction, mode: str, path: Path | None) -> None:
-    """Write one stage's motion to a file that appears whole or not at all; nothing without a path."""
+    """Write one stage's motion to a file; nothing without a path."""
     if path is None:
         return
     motion = (
         result.motion if mode == result.mode else result.motion.skeleton.motion(result.stages[mode])
     )
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name("part.npz")
-    write_motion_npz(partial, motion, first_frame=result.recording.first_frame, mode=mode)
-    partial.replace(path)
+    write_motion_npz(path, motion, first_frame=result.recording.first_frame, mode=mode)
 
 
 def provenance(lifter: str | Path | None) -> dict[str, Any]:

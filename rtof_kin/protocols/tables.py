@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.errors import RtofError
+from rtof_kin.io.text import write_text
 
 Cell = str | float | None
 """Text, a figure, or nothing where there is none."""
@@ -85,9 +86,9 @@ def write_tables(
     for path, content_text in zip(paths, [text, document, document], strict=False):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(content_text, encoding="utf-8")
         except OSError as error:
             raise RtofError(f"{path}: cannot be written ({error}); name another one") from error
+        write_text(path, content_text, overwrite=True)
     return paths
 
 
