@@ -21,11 +21,12 @@ from rtof_kin.errors import RtofError
 def main(arguments: list[str] | None = None) -> int:
     """Train a lifter; returns the exit code."""
     options = vars(_parser().parse_args(arguments))
-    corpus, out, resume, start = (options.pop(k) for k in ("corpus", "out", "resume", "start"))
+    corpus, out = options.pop("corpus"), options.pop("out")
+    how = {name: options.pop(name) for name in ("resume", "start", "overwrite")}
     augment = augmentation(options.pop("noise"), options.pop("camera"))
     try:
         config = TrainConfig(**options, augment=augment)
-        path = train(config, corpus, out, _print_report, resume, start)
+        path = train(config, corpus, out, _print_report, **how)
     except RtofError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -67,6 +68,7 @@ def _parser() -> argparse.ArgumentParser:
         "--same-windows", action="store_true", help="several processes: learn from one's windows"
     )
     parser.add_argument("--resume", action="store_true", help="go on from OUT.state")
+    parser.add_argument("--overwrite", action="store_true", help="replace OUT and OUT.state")
     return parser
 
 

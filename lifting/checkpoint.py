@@ -52,7 +52,7 @@ class LifterDescription:
 
 
 def save_checkpoint(
-    path: str | Path, network: TemporalNetwork, description: LifterDescription, overwrite: bool = True
+    path: str | Path, network: TemporalNetwork, description: LifterDescription, overwrite: bool = False
 ) -> Path:
     """Write a lifter; the file appears whole or not at all.
 

@@ -186,14 +186,14 @@ class Run:
             "torch": torch.__version__.split("+")[0],
         }
 
-    def save_lifter(self, path: Path) -> Path:
+    def save_lifter(self, path: Path, overwrite: bool) -> Path:
         """Write the lifter, with the last errors measured."""
         errors = self.history[-1]["validation"] if self.history else {}
         description = LifterDescription(
             self.body, self.network.config, self.corpus.rate_hz, self.facts(), errors,
             self.corpus.acknowledgement or ACKNOWLEDGEMENT,
         )  # fmt: skip
-        return save_checkpoint(path, self.averaged, description)
+        return save_checkpoint(path, self.averaged, description, overwrite)
 
     def save(self, path: Path) -> None:
         """Write what a later run needs to go on as if it had not been interrupted."""

@@ -19,6 +19,7 @@ from lifting.distributed import workers
 from lifting.run import Run
 from lifting.settings import TrainConfig
 from lifting.threads import torch_threads
+from rtof_kin.io.folder import check_new_file
 
 Progress = Callable[[dict[str, Any]], None]
 """Called after every `TrainConfig.report_every` steps with the step, the share done, the loss, the
@@ -32,6 +33,7 @@ def train(
     progress: Progress | None = None,
     resume: bool = False,
     start: str | Path | None = None,
+    overwrite: bool = False,
 ) -> Path:
     """Train a lifter on the training subjects, measured on the validation subjects.
 
@@ -49,11 +51,14 @@ def train(
         progress: see `Progress`.
         resume: go on from the state file where there is one.
         start: a lifter of the same shape, or the name of a shipped one, whose weights are the first ones.
+        overwrite: replace a lifter, and without `resume` the state of an earlier training.
 
     Returns:
         The path of the lifter.
 
     Raises:
+        OutputExistsError: a lifter or a state is there, or a lifter appeared meanwhile, and neither
+            `resume` nor `overwrite` was asked for.
         ShapeError: the corpus has no training clip; processes have different motion or settings, or
             cannot share a batch.
         SolverError: the training diverged.
@@ -62,6 +67,9 @@ def train(
     """
     out = Path(out)
     state_file = out.with_name(out.name + ".state")
+    overwrite = overwrite or resume
+    for file in (out, state_file):
+        check_new_file(file, overwrite)
     if not isinstance(corpus, Corpus):
         corpus = read_corpus(corpus)
     with _own_randomness(config.deterministic), torch_threads(1), workers(config.device) as team:
@@ -86,7 +94,7 @@ def train(
                 run.save(state_file)
                 _write_curves(out, run)
         if team.first:
-            run.save_lifter(out)
+            run.save_lifter(out, overwrite)
         team.agree(0.0)  # nobody goes on before the lifter is there
         return out
 

@@ -104,7 +104,10 @@ def __getattr__(name: str) -> Any:
 
 
 def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version  # takes longer than the rest of this file
+    from importlib.metadata import (  # takes longer than the rest of this file
+        PackageNotFoundError,
+        version,
+    )
 
     try:
         return version("rtof_kin")

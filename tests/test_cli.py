@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.cli import main
+from rtof_kin.io.manifest import MANIFEST
 from rtof_kin.io.motion_npz import read_motion_npz
 from rtof_kin.recording import Recording
 from rtof_kin.resources import model_path
@@ -69,6 +70,7 @@ def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
         "motion.csv",
         "files.json",
         "summary.json",
+        MANIFEST,
     }
     summary = json.loads((reconstructed / "summary.json").read_text())
     assert summary["mode"] == "rtof"
@@ -130,7 +132,8 @@ def test_export_writes_only_what_was_asked(reconstructed: Path, tmp_path: Path) 
     assert main(["export", str(reconstructed), "-o", str(out), "--to", "ros"]) == 0
     names = {path.name for path in out.iterdir()}
     assert names == {
-        "skeleton.urdf", "files.json", "ros_joint_trajectory.json", "ros_base_trajectory.json"
+        "skeleton.urdf", "files.json", "ros_joint_trajectory.json", "ros_base_trajectory.json",
+        MANIFEST,
     }  # fmt: skip
 
 

@@ -13,6 +13,7 @@ import pytest
 from report_support import Page
 
 from rtof_kin.cli import main
+from rtof_kin.io.manifest import MANIFEST
 from rtof_kin.recording import Recording
 from rtof_kin.resources import model_path
 
@@ -108,7 +109,7 @@ def test_study_says_how_many_runs_and_what_each_sensor_is_worth(
     assert "2 sensors: 4 reconstructions" in text
     assert "a difference from the full set is no error" in text
     assert "knee: flexion" in text
-    assert {path.name for path in out.iterdir()} == {"study.csv", "study.json", "figures"}
+    assert {path.name for path in out.iterdir()} == {"study.csv", "study.json", "figures", MANIFEST}
     facts = json.loads((out / "study.json").read_text())
     assert f"all sensors: {facts['verdict']['grade']}: {facts['verdict']['headline']}" in text
     assert (facts["settings"]["space"], facts["settings"]["frames"]) == ("joint", 50)

@@ -22,6 +22,7 @@ from rtof_kin.clinical.files import write_analysis
 from rtof_kin.clinical_figures import SHOWN, angles_over_time, gait_cycles
 from rtof_kin.errors import ShapeError, UnknownNameError
 from rtof_kin.io.arrays import read_csv
+from rtof_kin.io.manifest import MANIFEST
 from rtof_kin.io.motion_npz import write_motion_npz
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.types import Provenance
@@ -221,7 +222,7 @@ def test_analyse_writes_the_folder_and_prints_what_it_found(
     assert "cadence steps/min" in text
     assert "torques of the legs in" in text
     names = {p.name for p in out.iterdir()}
-    assert names == ALWAYS | {"gait_cycles.csv", "torques.csv", "torques.json", "figures"}
+    assert names == ALWAYS | {"gait_cycles.csv", "torques.csv", "torques.json", "figures", MANIFEST}
     for name in ("angles.png", "gait_cycles.png"):
         assert (out / "figures" / name).read_bytes().startswith(b"\x89PNG")
 

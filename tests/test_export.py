@@ -16,6 +16,7 @@ from rtof_kin import figures
 from rtof_kin.errors import OutputExistsError, UnknownNameError
 from rtof_kin.export import export, summary
 from rtof_kin.io.joint_trajectory import read_joint_trajectory_csv
+from rtof_kin.io.manifest import MANIFEST
 from rtof_kin.io.motion_npz import read_motion_npz
 from rtof_kin.pipeline import Reconstruction, ReconstructionSettings, reconstruct
 from rtof_kin.report.audit import audit
@@ -27,7 +28,7 @@ T = 16
 FILES = {
     "motion.npz", "skeleton.urdf", "joint_trajectory.csv", "joint_trajectory.json",
     "ros_joint_trajectory.json", "ros_base_trajectory.json", "summary.json", "files.json",
-    "motion.csv",
+    "motion.csv", MANIFEST,
 }  # fmt: skip
 
 
@@ -178,9 +179,13 @@ def test_what_stands_there_is_kept_unless_overwriting_is_asked_for(
 ) -> None:
     export(result, tmp_path / "out", figures=False)
     (tmp_path / "out" / "note").write_text("mine")
+    for overwrite in (False, True):
+        with pytest.raises(OutputExistsError, match="out: holds .*: note; move it elsewhere"):
+            export(result, tmp_path / "out", overwrite=overwrite, figures=False)
+    assert (tmp_path / "out" / "note").read_text() == "mine"
+    (tmp_path / "out" / "note").unlink()
     with pytest.raises(OutputExistsError, match="ask to overwrite it"):
         export(result, tmp_path / "out", figures=False)
-    assert (tmp_path / "out" / "note").exists()
     export(result, tmp_path / "out", overwrite=True, figures=False)
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 
@@ -188,7 +193,7 @@ def test_what_stands_there_is_kept_unless_overwriting_is_asked_for(
 def test_a_folder_of_other_things_is_never_replaced(result: Reconstruction, tmp_path: Path) -> None:
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "letter").write_text("dear")
-    with pytest.raises(OutputExistsError, match=r"no motion\.npz\) and is never replaced"):
+    with pytest.raises(OutputExistsError, match="home: holds .* never replaced: letter"):
         export(result, tmp_path / "home", overwrite=True, figures=False)
     assert (tmp_path / "home" / "letter").read_text() == "dear"
 

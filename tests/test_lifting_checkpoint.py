@@ -50,7 +50,7 @@ def test_a_lifter_survives_its_file(lifter: Lifter, saved: Path) -> None:
     described = replace(
         lifter.description, recipe={"batch": 512}, validation={"perfect": {"rr_mm": 30.0}}
     )
-    save_checkpoint(saved, lifter._network, described)
+    save_checkpoint(saved, lifter._network, described, overwrite=True)
     network, description = load_checkpoint(saved)
     assert description == described
     assert len(description.body.sensors) == 13
@@ -63,7 +63,8 @@ def test_a_causal_lifter_and_one_without_sensors_survive_their_files(tmp_path: P
     for given in (
         support.untrained_lifter(causal=True), support.untrained_lifter(table=support.TABLE_17)
     ):
-        path = save_checkpoint(tmp_path / "lifter.pt", given._network, given.description)
+        path = tmp_path / "lifter.pt"
+        save_checkpoint(path, given._network, given.description, overwrite=True)
         network, description = load_checkpoint(path)
         assert description == given.description
         assert network.estimated() == given._network.estimated()

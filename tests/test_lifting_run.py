@@ -92,10 +92,10 @@ def test_a_start_gives_the_first_weights(corpus: Corpus, tmp_path: Path) -> None
     for causal in (False, True):
         reports: list[dict[str, Any]] = []
         config = replace(QUICK, windows=16, causal=causal)
-        train(config, corpus, tmp_path / "tuned.pt", reports.append, start=path)
+        train(config, corpus, tmp_path / "tuned.pt", reports.append, start=path, overwrite=True)
         losses[causal] = [reports[0]["loss_mm"]]
         reports.clear()
-        train(config, corpus, tmp_path / "fresh.pt", reports.append)
+        train(config, corpus, tmp_path / "fresh.pt", reports.append, overwrite=True)
         losses[causal].append(reports[0]["loss_mm"])
     for tuned, fresh in losses.values():
         assert tuned < 0.8 * fresh
@@ -212,7 +212,7 @@ def test_the_command_trains_with_every_option_and_says_where_the_curves_are(
     baseline = tmp_path / "baseline.pt"
     assert cli.main([*common, "-o", str(baseline), "--model", "videopose3d"]) == 0
     assert load_checkpoint(baseline)[1].recipe["dropout"] == 0.25
-    assert cli.main([*common, "-o", str(out), "--start", str(tmp_path / "none.pt")]) == 2
+    assert cli.main([*common, "-o", str(tmp_path / "x.pt"), "--start", str(tmp_path / "none.pt")]) == 2
     assert "none.pt: no such file" in capsys.readouterr().err
 
 

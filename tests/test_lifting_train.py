@@ -23,7 +23,7 @@ from lifting.sensors import SensorConfig
 from lifting.settings import TrainConfig
 from lifting.train import train
 from lifting.windows import answer, decode, encode, rotations
-from rtof_kin.errors import FileFormatError, ShapeError
+from rtof_kin.errors import FileFormatError, OutputExistsError, ShapeError
 
 QUICK = TrainConfig(
     windows=640, batch=32, channels=16, skeletons=1, report_every=1, validations=2,
@@ -229,7 +229,12 @@ def test_without_resume_the_state_is_not_read(corpus: Corpus, tmp_path: Path) ->
     path = train(config, corpus, tmp_path / "lifter.pt")
     before = weights(path)
     steps: list[int] = []
-    train(config, corpus, path, lambda report: steps.append(report["step"]))
+    with pytest.raises(OutputExistsError, match=r"lifter\.pt: is there already"):
+        train(config, corpus, path)
+    path.unlink()
+    with pytest.raises(OutputExistsError, match=r"lifter\.pt\.state: is there already"):
+        train(config, corpus, path)
+    train(config, corpus, path, lambda report: steps.append(report["step"]), overwrite=True)
     assert steps[0] == 1
     assert all(torch.equal(before[name], tensor) for name, tensor in weights(path).items())
 

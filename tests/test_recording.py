@@ -27,6 +27,7 @@ from rtof_kin.errors import (
     UnknownNameError,
 )
 from rtof_kin.io.arrays import read_npz
+from rtof_kin.io.manifest import MANIFEST
 from rtof_kin.recording import INDEX, Recording
 from rtof_kin.skeleton import SkeletonModel
 
@@ -152,7 +153,7 @@ def test_a_recording_without_imus_or_truth_comes_back_to_the_last_bit(tmp_path: 
     recording = replace(full_recording(), imus=None, calibration=None, truth=None)
     recording.save(tmp_path / "take")
     assert_same(Recording.load(tmp_path / "take"), recording)
-    assert sorted(p.name for p in (tmp_path / "take").iterdir()) == ["keypoints.npz", INDEX]
+    assert sorted(p.name for p in (tmp_path / "take").iterdir()) == [MANIFEST, "keypoints.npz", INDEX]
 
 
 def test_a_recording_that_nobody_filmed_comes_back_to_the_last_bit(tmp_path: Path) -> None:
@@ -160,7 +161,7 @@ def test_a_recording_that_nobody_filmed_comes_back_to_the_last_bit(tmp_path: Pat
     recording.save(tmp_path / "take")
     assert_same(Recording.load(tmp_path / "take"), recording)
     names = sorted(p.name for p in (tmp_path / "take").iterdir())
-    assert names == ["imus.npz", INDEX, "truth.npz"]
+    assert names == [MANIFEST, "imus.npz", INDEX, "truth.npz"]
     assert "[camera]" not in (tmp_path / "take" / INDEX).read_text(encoding="utf-8")
     with pytest.raises(ShapeError, match="has no keypoints, as nobody filmed it"):
         _ = recording.video
@@ -755,9 +756,7 @@ def test_a_recording_with_somebody_elses_files_beside_it_is_not_replaced(tmp_pat
     recording = full_recording()
     recording.save(tmp_path / "take")
     (tmp_path / "take" / "video.mp4").write_text("the only copy")
-    with pytest.raises(
-        OutputExistsError, match=r"holds video\.mp4, which is no part of the recording"
-    ):
+    with pytest.raises(OutputExistsError, match=r"take: holds .*: video\.mp4; move it"):
         recording.save(tmp_path / "take", overwrite=True)
     assert (tmp_path / "take" / "video.mp4").exists()
 

@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _run(arguments)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        exec("")  # else Python ends by the signal, not by this code, where it came inside an exec of an import
+        exec("")  # else Python ends by the signal where it interrupted an exec, as imports have them
         return 130
 
 

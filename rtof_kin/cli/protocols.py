@@ -41,13 +41,13 @@ def _total_capture(options: argparse.Namespace) -> None:
     from rtof_kin.protocols.total_capture_tables import all_tables
     from rtof_kin.skeleton import SkeletonModel
 
-    folder = _output(options)
+    folder = Path(options.output)
     sensors = SENSOR_SETS.get(options.sensors)
-    spaces = SPACES if options.space == "both" else (options.space,)
+    # With both, each has folders of its own, and the JSON file gets its name.
+    spaces = {space: space for space in SPACES} if options.space == "both" else {options.space: ""}
+    json_files = {name: _json_file(options, name) for name in spaces.values()}
     outcomes: list[Any] = []
-    for space in spaces:
-        # With both, each has folders of its own, and the JSON file gets its name.
-        name = space if len(spaces) > 1 else ""
+    for space, name in spaces.items():
         protocol = TotalCaptureProtocol(
             options.root,
             subjects=_names(options.subjects, str.upper),
@@ -79,10 +79,7 @@ def _total_capture(options: argparse.Namespace) -> None:
             "rows": list(rows_of(outcome)),
             "failed": outcome.failed,
         }
-        json_file = options.json
-        if json_file is not None and name:
-            json_file = json_file.with_name(f"{json_file.stem}_{space}{json_file.suffix}")
-        written = write_tables(folder / name, tables, facts, json_file)
+        written = write_tables(folder / name, tables, facts, json_files[name], options.overwrite)
         table = SkeletonModel.default().table
         written += write_pictures(outcome, folder / name / "figures", table, 60.0)
         _print_tables(tables)
@@ -100,7 +97,7 @@ def _human36m(options: argparse.Namespace) -> None:
     from rtof_kin.protocols.tables import write_tables
     from rtof_kin.skeleton import SkeletonModel
 
-    folder = _output(options)
+    folder, json_file = Path(options.output), _json_file(options)
     protocol = human36m.Human36MProtocol(
         options.root,
         options.lifter,
@@ -122,7 +119,7 @@ def _human36m(options: argparse.Namespace) -> None:
         "rows": list(rows_of(outcome)),
         "failed": outcome.failed,
     }
-    written = write_tables(folder, tables, facts, options.json)
+    written = write_tables(folder, tables, facts, json_file, options.overwrite)
     table = SkeletonModel.human36m().table
     written += write_pictures(outcome, folder / "figures", table, RATE_HZ)
     _print_tables(tables)
@@ -130,13 +127,16 @@ def _human36m(options: argparse.Namespace) -> None:
     _refuse_if_nothing(outcome.done, outcome.failed)
 
 
-def _output(options: argparse.Namespace) -> Path:
-    """The folder for the results; a file that could not be written is refused before the work."""
-    from rtof_kin.errors import RtofError
+def _json_file(options: argparse.Namespace, name: str = "") -> Path | None:
+    """The file for all figures, with a name in its own; one that may not be written is refused before the
+    work."""
+    from rtof_kin.protocols.tables import check_json_file
 
-    if options.json is not None and options.json.is_dir():
-        raise RtofError(f"--json {options.json}: is a folder; name a file")
-    return Path(options.output)
+    file: Path | None = options.json
+    if file is not None:
+        file = file.with_name(f"{file.stem}_{name}{file.suffix}") if name else file
+        check_json_file(Path(options.output) / name, file, options.overwrite)
+    return file
 
 
 def _refuse_if_nothing(done: dict[str, Any], failed: dict[str, str]) -> None:

@@ -42,6 +42,9 @@ def add_commands(commands: Any) -> None:
     parser.add_argument("--windows", type=int, help="stop after so many windows")
     parser.add_argument("--resume", action="store_true", help="go on where a run was interrupted")
     parser.add_argument(
+        "--overwrite", action="store_true", help="replace an earlier lifter and the state of its training"
+    )
+    parser.add_argument(
         "--start", metavar="LIFTER", help="begin with its weights; a file, or a shipped one by name"
     )
     _add_model(parser.add_argument_group("what is trained"))
@@ -109,7 +112,9 @@ def _train(options: argparse.Namespace) -> None:
                 progress.console.print(line)
 
         try:
-            path = train(config, corpus, options.output, tell, options.resume, options.start)
+            path = train(
+                config, corpus, options.output, tell, options.resume, options.start, options.overwrite
+            )
         except KeyboardInterrupt:
             if _first():
                 where = f"{options.output}.state; curves so far: {figure_file(options.output)}"

@@ -225,7 +225,8 @@ def check_new_file(path: str | Path, overwrite: bool) -> None:
     """
     path = Path(path)
     if path.exists() and not path.is_file():
-        raise OutputExistsError(f"{path}: is no file that can be replaced; name a file")
+        what = "a folder" if path.is_dir() else "a device or a pipe"
+        raise OutputExistsError(f"{path}: is {what}; name a file")
     if path.exists() and not overwrite:
         raise OutputExistsError.of(path)
 

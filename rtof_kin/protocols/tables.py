@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.errors import RtofError
+from rtof_kin.io.folder import check_new_file
 from rtof_kin.io.text import write_text
 
+JSON = "tables.json"
 Cell = str | float | None
 """Text, a figure, or nothing where there is none."""
 
@@ -66,23 +69,30 @@ class Table:
 
 
 def write_tables(
-    folder: Path, tables: Sequence[Table], facts: dict[str, Any], json_file: Path | None = None
+    folder: Path,
+    tables: Sequence[Table],
+    facts: dict[str, Any],
+    json_file: Path | None = None,
+    overwrite: bool = False,
 ) -> list[Path]:
     """Write ``tables.md`` and ``tables.json`` into a folder, and the JSON also elsewhere if asked.
 
     Args:
         facts: whatever else the JSON shall carry (settings, rows).
+        overwrite: whether `json_file` may be replaced, see `check_json_file`; the folder's own files are.
 
     Returns:
         The paths written.
 
     Raises:
-        RtofError: one of them cannot be written.
+        OutputExistsError: `json_file` is there already. RtofError: one of them cannot be written.
     """
+    if json_file is not None:
+        check_json_file(folder, json_file, overwrite)
     text = "\n".join(table.markdown() for table in tables)
     content = facts | {"tables": {table.name: table.as_dict() for table in tables}}
     document = json.dumps(content, indent=1) + "\n"
-    paths = [folder / "tables.md", folder / "tables.json", *([json_file] if json_file else [])]
+    paths = [folder / "tables.md", folder / JSON, *([json_file] if json_file else [])]
     for path, content_text in zip(paths, [text, document, document], strict=False):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -90,6 +100,17 @@ def write_tables(
             raise RtofError(f"{path}: cannot be written ({error}); name another one") from error
         write_text(path, content_text, overwrite=True)
     return paths
+
+
+def check_json_file(folder: Path, json_file: Path, overwrite: bool) -> None:
+    """Refuse to replace a file unasked that is no copy of the folder's own JSON.
+
+    Raises:
+        OutputExistsError: something else is there.
+    """
+    before = folder / JSON
+    if not (json_file.is_file() and before.is_file() and filecmp.cmp(json_file, before, shallow=False)):
+        check_new_file(json_file, overwrite)
 
 
 def pooled(rows: Sequence[dict[str, Any]], figure: str, weight: str = "frames") -> float | None:
