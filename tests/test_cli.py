@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -102,6 +106,65 @@ def test_nothing_is_overwritten_unless_asked(
     assert main(["reconstruct", str(short), "-o", str(reconstructed)]) == 2
     assert "overwrite" in capsys.readouterr().err
     assert (reconstructed / "motion.npz").read_bytes() == before
+
+
+OWN = ("notes.txt", "report.html", "clinical/angles.csv")
+
+
+@pytest.mark.parametrize(
+    ("command", "own", "named"),
+    [
+        (["export", "{out}", "{out}", "--to", "bvh"], (), "motion.npz"),
+        (["export", "{out}", "{out}", "--to", "bvh"], OWN, "clinical/, notes.txt, report.html"),
+        (["demo", "-o", "{out}"], OWN, "clinical/, notes.txt, report.html"),
+    ],
+)
+def test_overwriting_loses_nothing_of_the_user_and_nothing_of_another_command(
+    reconstructed: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    command: list[str],
+    own: tuple[str, ...],
+    named: str,
+) -> None:
+    out = shutil.copytree(reconstructed, tmp_path / "out")
+    for name in own:
+        (out / name).parent.mkdir(exist_ok=True)
+        (out / name).write_text("mine")
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert main([*(word.format(out=out) for word in command), "--overwrite"]) == 2
+    assert named in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+INTERRUPTED = """
+import sys
+class CtrlC:
+    def find_spec(self, name, path=None, target=None):
+        if name == sys.argv[1]:
+            exec("raise KeyboardInterrupt")
+sys.meta_path.insert(0, CtrlC())
+from rtof_kin.cli import main
+sys.exit(main(["inspect", "none"]))
+"""
+
+
+@pytest.mark.parametrize("module", ["argparse", "rich.console", "numpy"])
+def test_ctrl_c_while_importing_is_one_line_and_its_exit_code(module: str) -> None:
+    code = [sys.executable, "-c", INTERRUPTED, module]
+    done = subprocess.run(code, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+
+
+def test_ctrl_c_while_arguments_are_read_is_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", interrupt)
+    assert main(["inspect", "none"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
 
 
 def test_evaluate_prints_the_stage_beside_zero_motion(

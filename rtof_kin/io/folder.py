@@ -13,8 +13,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 from rtof_kin.errors import OutputExistsError, RtofError
-from rtof_kin.io.manifest import read_contents, sync, write_manifest
-from rtof_kin.io.temporary import clear, locked, temporary_folder
+from rtof_kin.io.manifest import Contents, read_contents, sync, write_manifest
+from rtof_kin.io.temporary import clear, temporary_folder
 
 _NAMED = 3
 """So many of a folder's foreign files are named in an error."""
@@ -84,11 +84,11 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
     if not path.is_dir():
         raise OutputExistsError(f"{path}: is a file; name a folder")
     try:
-        if not any(path.iterdir()):
-            return
-        found = read_contents(path)
+        found = _contents(path)
     except OSError as error:
         raise RtofError(f"{path}: cannot be read ({error}); choose another folder") from error
+    if not (found.own or found.foreign):
+        return
     if found.foreign:
         more = len(found.foreign) - _NAMED
         names = ", ".join(found.foreign[:_NAMED]) + (f" and {more} more" if more > 0 else "")
@@ -112,22 +112,28 @@ def _put_folder(new: Path, path: Path, marker: str, overwrite: bool) -> None:
             os.rename(new, path)  # of what may stand there, only an empty folder gives way
             return
         except OSError:
-            if not os.path.lexists(path):
+            if not (new.exists() and os.path.lexists(path)):
                 raise
-        before = _identity(path)
-        try:
-            check_replaceable(path, marker, overwrite)
+        check_replaceable(path, marker, overwrite)
+        with suppress(FileNotFoundError):  # another run is replacing it
             if not any(path.iterdir()):
                 path.rmdir()  # Windows renames to nothing that exists
                 continue
-            with locked(path):  # its next place has a temporary folder's name
-                _exchange(new, path)
-                _remove_replaced(new, path)
+            _exchange(new, path)
+            _remove_replaced(new, path)
             return
-        except (OutputExistsError, FileNotFoundError):
+
+
+def _contents(path: Path) -> Contents:
+    """What is in a folder, of one and the same folder while other runs replace it."""
+    while True:
+        before = _identity(path)
+        if before is None:
+            return Contents("", (), ())
+        with suppress(FileNotFoundError):
+            found = read_contents(path)
             if _identity(path) == before:
-                raise
-            # Another run has put its own there meanwhile.
+                return found
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
@@ -173,10 +179,11 @@ def _exchange_at_once(first: Path, second: Path) -> None:
 def _remove_replaced(old: Path, path: Path) -> None:
     """Remove an earlier output; what somebody put into it at the last moment is kept."""
     clear(old)
-    if old.exists():
-        kept = _beside(path, "kept")
-        os.rename(old, kept)
-        _log.warning("%s: was replaced while files were added to it; they are in %s", path, kept)
+    with suppress(FileNotFoundError):  # all of it is gone, maybe by a run that took it for a leftover
+        if read_contents(old).foreign:
+            kept = _beside(path, "kept")
+            os.rename(old, kept)
+            _log.warning("%s: was replaced while files were added to it; they are in %s", path, kept)
 
 
 def _beside(path: Path, what: str) -> Path:

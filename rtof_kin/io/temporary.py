@@ -40,7 +40,7 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
     while True:
         folder = parent / f"{_PREFIX}{secrets.token_hex(6)}"
         folder.mkdir()
-        with locked(folder) as held:
+        with _locked(folder) as held:
             if held is False or not folder.exists():
                 continue  # another run took it for a leftover before it was locked
             try:
@@ -51,7 +51,7 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[bool | None]:
+def _locked(folder: Path) -> Iterator[bool | None]:
     """Hold a folder's lock: True; False: another does, or it is gone; None: there are no locks here."""
     descriptor, held = None, None
     try:
@@ -88,7 +88,7 @@ def _remove_leftovers(parent: Path) -> None:
 
 
 def _remove_leftover(folder: Path) -> None:
-    with locked(folder) as held:
+    with _locked(folder) as held:
         if held:
             clear(folder)
             if folder.exists():
