@@ -69,7 +69,6 @@ def save_checkpoint(
         "weights": weights,
         "sha256": _digest(text, weights),
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
     save_tensors(content, path, overwrite)
     return path
 

@@ -35,7 +35,6 @@ def figure_file(lifter: str | Path) -> Path:
 def write_curves(lifter: str | Path, recipe: Row, history: Sequence[Row]) -> None:
     """Write both beside a lifter; the figure where anything has been measured."""
     data, picture = data_file(lifter), figure_file(lifter)
-    data.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps({"recipe": recipe, "history": history}, indent=1)
     write_text(data, text, overwrite=True)
     if history:

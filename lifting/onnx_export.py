@@ -56,7 +56,6 @@ def export_onnx(
     sensed = bool(description.body.sensors)
     inputs, outputs = (INPUTS, OUTPUTS) if sensed else (INPUTS[:4], OUTPUTS[:3])
     graph = LifterGraph(description.body, lifter.network, flip)
-    path.parent.mkdir(parents=True, exist_ok=True)
     with new_file(path, overwrite) as whole:
         _export(
             graph if sensed else _Unsensed(graph),

@@ -197,7 +197,6 @@ class Run:
 
     def save(self, path: Path) -> None:
         """Write what a later run needs to go on as if it had not been interrupted."""
-        path.parent.mkdir(parents=True, exist_ok=True)
         save_tensors(
             {
                 "config": self.config.fixed(), "corpus": self.digest,

@@ -42,7 +42,6 @@ def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
 def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> list[Path]:
     """Write figures into a folder as PNG, each by its name; the paths."""
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in figures.items():
         path = folder / f"{name}.png"

@@ -309,7 +309,7 @@ def test_a_file_that_exists_is_replaced_only_when_asked(tmp_path):
     write_bvh(path, motion[:2], overwrite=True)
     assert len(read_bvh(path)) == 2
     with pytest.raises(RtofError, match="cannot be written"):
-        write_bvh(tmp_path / "none" / "out.bvh", motion)
+        write_bvh(tmp_path / "out.bvh" / "deep.bvh", motion)
 
 
 def test_a_position_that_is_not_known_is_refused(tmp_path):

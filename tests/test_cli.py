@@ -311,13 +311,20 @@ def test_acceleration_in_g_is_recognised(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("command", ["reconstruct", "calibrate"])
 def test_an_unwritable_output_is_refused_before_the_work(
-    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    short: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    command: str,
 ) -> None:
+    for work in ("reconstruct", "calibrate_recording"):
+        monkeypatch.setattr(f"rtof_kin.pipeline.{work}", None)
     blocked = tmp_path / "file"
     blocked.write_text("")
-    assert main(["reconstruct", str(short), "-o", str(blocked / "out")]) == 2
-    assert "file" in capsys.readouterr().err
+    assert main([command, str(short), "-o", str(blocked / "out")]) == 2
+    assert "file is no folder to write to" in capsys.readouterr().err
 
 
 def test_a_mode_that_needs_imus_says_so_without_them(

@@ -53,7 +53,7 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     assert path.read_text() == "mine"
     write_imu_calibration_toml(path, calibration(), overwrite=True)
     with pytest.raises(RtofError, match="cannot be written"):
-        write_imu_calibration_toml(tmp_path / "no" / "such.toml", calibration())
+        write_imu_calibration_toml(path / "such.toml", calibration())
 
 
 def test_a_usual_sensor_needs_no_segment_and_no_place(

@@ -191,7 +191,7 @@ def test_what_is_no_trc_file_and_arguments_without_sense_are_refused(
     with pytest.raises(ShapeError, match="a tab or a line's end"):
         write_trc(tmp_path / "a.trc", odd)
     with pytest.raises(RtofError, match="cannot be written"):
-        write_trc(tmp_path / "none" / "a.trc", markers)
+        write_trc(path / "a.trc", markers)
 
 
 # --- C3D -----------------------------------------------------------------------------------------
@@ -351,4 +351,4 @@ def test_what_is_no_c3d_file_and_markers_without_a_rate_are_refused(
     with pytest.raises(ShapeError, match="resample to one rate"):
         write_c3d(tmp_path / "b.c3d", uneven)
     with pytest.raises(RtofError, match="cannot be written"):
-        write_c3d(tmp_path / "none" / "b.c3d", markers)
+        write_c3d(path / "b.c3d", markers)

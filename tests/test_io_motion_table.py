@@ -56,7 +56,7 @@ def test_a_table_that_exists_is_replaced_only_when_asked(
     write(path, motion[:2], overwrite=True)
     assert path.stat().st_size < before
     with pytest.raises(RtofError, match="cannot be written"):
-        write(tmp_path / "none" / "motion.table", motion)
+        write(path / "motion.table", motion)
 
 
 def test_numbers_come_back_to_the_last_digit(motion: MotionSequence, tmp_path: Path) -> None:

@@ -79,6 +79,7 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
     path = Path(path)
     if path.is_symlink() or path.is_mount():
         raise OutputExistsError(f"{path}: is a link or a mounted disk; name a folder of its own")
+    _check_place(path, "choose another folder")
     if not path.exists():
         return
     if not path.is_dir():
@@ -103,6 +104,12 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
         )
     if not overwrite:
         raise OutputExistsError.of(path)
+
+
+def _check_place(path: Path, remedy: str) -> None:
+    place = next(parent for parent in path.absolute().parents if os.path.exists(parent))
+    if not (place.is_dir() and os.access(place, os.W_OK | os.X_OK)):
+        raise RtofError(f"{path}: cannot be written ({place} is no folder to write to); {remedy}")
 
 
 def _put_folder(new: Path, path: Path, marker: str, overwrite: bool) -> None:
@@ -209,6 +216,7 @@ def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     check_new_file(path, overwrite)
     target = Path(os.path.realpath(path))
     try:
+        target.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(target.parent) as folder:
             file = folder / Path(path).name
             yield file
@@ -228,12 +236,13 @@ def check_new_file(path: str | Path, overwrite: bool) -> None:
     """Refuse to replace a file unasked, and what is no file at all.
 
     Raises:
-        OutputExistsError: something stands there.
+        OutputExistsError: something stands there. RtofError: nothing can be written there.
     """
     path = Path(path)
     if path.exists() and not path.is_file():
         what = "a folder" if path.is_dir() else "a device or a pipe"
         raise OutputExistsError(f"{path}: is {what}; name a file")
+    _check_place(Path(os.path.realpath(path)), "name another file")
     if path.exists() and not overwrite:
         raise OutputExistsError.of(path)
 

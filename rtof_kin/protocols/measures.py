@@ -84,7 +84,6 @@ def save_motion(result: Reconstruction, mode: str, path: Path | None) -> None:
     motion = (
         result.motion if mode == result.mode else result.motion.skeleton.motion(result.stages[mode])
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_motion_npz(path, motion, first_frame=result.recording.first_frame, mode=mode)
 
 

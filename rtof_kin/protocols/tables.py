@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from rtof_kin.errors import RtofError
 from rtof_kin.io.folder import check_new_file
 from rtof_kin.io.text import write_text
 
@@ -94,10 +93,6 @@ def write_tables(
     document = json.dumps(content, indent=1) + "\n"
     paths = [folder / "tables.md", folder / JSON, *([json_file] if json_file else [])]
     for path, content_text in zip(paths, [text, document, document], strict=False):
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RtofError(f"{path}: cannot be written ({error}); name another one") from error
         write_text(path, content_text, overwrite=True)
     return paths
 
