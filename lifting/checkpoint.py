@@ -19,7 +19,7 @@ from torch import Tensor
 from lifting.body import Body, bone_groups
 from lifting.model import NetworkConfig, TemporalNetwork
 from lifting.models import model_of
-from rtof_kin.errors import FileFormatError, RtofError
+from rtof_kin.errors import FileFormatError, WritingError
 from rtof_kin.io.arrays import check_sizes
 from rtof_kin.io.folder import new_file
 
@@ -57,7 +57,7 @@ def save_checkpoint(
     """Write a lifter; the file appears whole or not at all.
 
     Raises:
-        OutputExistsError, RtofError: as `save_tensors`.
+        OutputExistsError, WritingError: as `save_tensors`.
     """
     path = Path(path)
     text = json.dumps(asdict(description), sort_keys=True)
@@ -77,13 +77,13 @@ def save_tensors(content: dict[str, Any], path: Path, overwrite: bool) -> None:
     """`torch.save` to a file that appears whole or not at all.
 
     Raises:
-        OutputExistsError: it exists and overwriting was not asked for. RtofError: it cannot be written.
+        OutputExistsError: it exists and overwriting was not asked for. WritingError: it cannot be written.
     """
     with new_file(path, overwrite) as whole:
         try:
             torch.save(content, whole)
         except RuntimeError as error:  # so torch calls a full disk
-            raise RtofError(f"{path}: cannot be written ({error}); name another file") from error
+            raise WritingError(f"{path}: cannot be written ({error}); name another file") from error
 
 
 def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescription]:

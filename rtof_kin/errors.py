@@ -61,6 +61,10 @@ class OutputExistsError(RtofError, FileExistsError):
         return cls(f"{path}: is there already; {remedy}")
 
 
+class WritingError(RtofError):
+    """Output cannot be written, for example because the disk is full."""
+
+
 class CalibrationError(RtofError, ValueError):
     """A calibration does not fit the sensors it is applied to."""
 

@@ -298,7 +298,7 @@ class Recording:
         """Write the folder that `load` reads back to the same bits, or nothing at all.
 
         Args:
-            overwrite: replace an earlier recording. Nothing but a recording is ever replaced.
+            overwrite: replace a recording that was written here before, if nobody changed anything in it.
 
         Raises:
             OutputExistsError: something stands there that may not be replaced.

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rtof_kin.errors import OutputExistsError, RtofError
+from rtof_kin.errors import OutputExistsError, RtofError, WritingError
 from rtof_kin.io import folder as folder_module
 from rtof_kin.io.folder import check_replaceable, new_file, new_folder
 from rtof_kin.io.manifest import MANIFEST
@@ -67,6 +67,16 @@ def test_a_full_disk_is_an_error_of_this_package(tmp_path: Path) -> None:
     with pytest.raises(RtofError, match=r"out: cannot be written \(.*No space left"):
         fail(tmp_path / "out", OSError(28, "No space left on device"))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_names_the_folder_and_not_the_temporary_one(tmp_path: Path) -> None:
+    with (
+        pytest.raises(WritingError, match=r"out: cannot be written \(.*No space left") as told,
+        new_folder(tmp_path / "out", MARKER) as folder,
+        new_file(folder / "data"),
+    ):
+        raise OSError(28, "No space left on device")
+    assert ".rtof_kin-" not in str(told.value)
 
 
 def test_an_error_of_this_package_keeps_its_own_type(tmp_path: Path) -> None:

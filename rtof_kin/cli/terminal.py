@@ -54,7 +54,7 @@ def add_output(
         "-o", "--output", default=default, required=default is None, metavar="OUT", help=what, **how
     )
     parser.add_argument(
-        "--overwrite", action="store_true", help="replace what an earlier run of this command wrote there, and nothing else"
+        "--overwrite", action="store_true", help="replace what an earlier run wrote there"
     )
 
 

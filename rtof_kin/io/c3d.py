@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.errors import FileFormatError, RtofError, ShapeError
+from rtof_kin.errors import FileFormatError, ShapeError, WritingError
 from rtof_kin.io.folder import new_file
 from rtof_kin.io.markers import MarkerSequence
 from rtof_kin.io.text import check_file
@@ -280,7 +280,7 @@ def write_c3d(
     Raises:
         OutputExistsError: the file exists and overwriting was not asked for.
         ShapeError: no such axis, or times that are not whole frames of one rate.
-        RtofError: it cannot be written.
+        WritingError: it cannot be written.
     """
     import ezc3d  # only who writes waits for it
 
@@ -313,4 +313,4 @@ def write_c3d(
             file.write(str(whole))
             read_c3d(whole)  # ezc3d says nothing where the disk is full
         except (FileFormatError, RuntimeError) as error:
-            raise RtofError(f"{path}: cannot be written whole ({error}); name another file") from error
+            raise WritingError(f"{path}: cannot be written whole ({error}); name another file") from error

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
-from rtof_kin.errors import OutputExistsError, RtofError
+from rtof_kin.errors import OutputExistsError, RtofError, WritingError
 from rtof_kin.io.manifest import Contents, read_contents, sync, write_manifest
 from rtof_kin.io.temporary import clear, temporary_folder
 
@@ -53,7 +53,7 @@ def new_folder(path: str | Path, marker: str, overwrite: bool = False) -> Iterat
 
     Raises:
         OutputExistsError: something stands there that may not be replaced, or appeared meanwhile.
-        RtofError: the place cannot be written to.
+        WritingError: the place cannot be written to.
     """
     path = Path(os.path.abspath(path))
     check_replaceable(path, marker, overwrite)
@@ -64,10 +64,13 @@ def new_folder(path: str | Path, marker: str, overwrite: bool = False) -> Iterat
             write_manifest(temporary, marker)
             _put_folder(temporary, path, marker, overwrite)
             sync(path.parent)
+    except WritingError as error:  # of a file in the temporary folder, whose name says nothing
+        problem = error.__cause__ or error
+        raise WritingError(f"{path}: cannot be written ({problem}); choose another folder") from error
     except RtofError:  # some of them are OSErrors too
         raise
     except OSError as error:
-        raise RtofError(f"{path}: cannot be written ({error}); choose another folder") from error
+        raise WritingError(f"{path}: cannot be written ({error}); choose another folder") from error
 
 
 def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) -> None:
@@ -109,7 +112,7 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
 def _check_place(path: Path, remedy: str) -> None:
     place = next(parent for parent in path.absolute().parents if os.path.exists(parent))
     if not (place.is_dir() and os.access(place, os.W_OK | os.X_OK)):
-        raise RtofError(f"{path}: cannot be written ({place} is no folder to write to); {remedy}")
+        raise WritingError(f"{path}: cannot be written ({place} is no folder to write to); {remedy}")
 
 
 def _put_folder(new: Path, path: Path, marker: str, overwrite: bool) -> None:
@@ -211,7 +214,7 @@ def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
 
     Raises:
         OutputExistsError: something stands there that may not be replaced, or appeared meanwhile.
-        RtofError: it cannot be written.
+        WritingError: it cannot be written.
     """
     check_new_file(path, overwrite)
     target = Path(os.path.realpath(path))
@@ -229,14 +232,14 @@ def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     except RtofError:
         raise
     except OSError as error:
-        raise RtofError(f"{path}: cannot be written ({error}); name another file") from error
+        raise WritingError(f"{path}: cannot be written ({error}); name another file") from error
 
 
 def check_new_file(path: str | Path, overwrite: bool) -> None:
     """Refuse to replace a file unasked, and what is no file at all.
 
     Raises:
-        OutputExistsError: something stands there. RtofError: nothing can be written there.
+        OutputExistsError: something stands there. WritingError: nothing can be written there.
     """
     path = Path(path)
     if path.exists() and not path.is_file():
