@@ -77,7 +77,8 @@ def save_tensors(content: dict[str, Any], path: Path, overwrite: bool) -> None:
     """`torch.save` to a file that appears whole or not at all.
 
     Raises:
-        OutputExistsError: it exists and overwriting was not asked for. WritingError: it cannot be written.
+        OutputExistsError: it exists and overwriting was not asked for.
+        WritingError: it cannot be written.
     """
     with new_file(path, overwrite) as whole:
         try:

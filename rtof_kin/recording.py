@@ -83,7 +83,7 @@ from rtof_kin.calibration import ImuCalibration
 from rtof_kin.checks import readonly
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.io.arrays import write_npz
-from rtof_kin.io.folder import check_replaceable, new_folder
+from rtof_kin.io.folder import new_folder
 from rtof_kin.io.section import Section
 from rtof_kin.session import Session, read_session
 from rtof_kin.skeleton import SkeletonModel
@@ -305,7 +305,6 @@ class Recording:
             RtofError: it cannot be written.
         """
         target = Path(folder).resolve()
-        check_replaceable(target, INDEX, overwrite)
         with new_folder(target, INDEX, overwrite) as fresh:
             self._write(fresh)
 
