@@ -15,10 +15,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Column, Table
 from rich.text import Text
 
+from rtof_kin.io.manifest import MANIFEST
+
 if TYPE_CHECKING:
     from rtof_kin.report.headline import Headline
-
-from rtof_kin.io.manifest import MANIFEST
 
 # Units stand in square brackets, and paths may: nothing printed is markup.
 out, err = Console(markup=False), Console(stderr=True, markup=False)
