@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 ANKLE_HEIGHT = 0.08
 """m over the floor of the ankle that one stands on."""
 LEAST_HEIGHT, LEAST_HEIGHT_SENSED, HEIGHT_PER_DISTANCE = 0.16, 0.12, 0.02
-"""How far an ankle may seem to be from there, m, with and without sensors, and per m of distance: a camera
-tilts by one degree."""
+"""How far an ankle may seem to be from there, m, without and with sensors, and per m of distance: a
+camera tilts by one degree."""
 LARGEST_SCALE = 1.14
 """Times that bones may seem too long or too short by two sensors' accelerations."""
 WALKED, LONGEST_WALK = 1.045, 1.18
