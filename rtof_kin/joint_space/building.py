@@ -40,7 +40,7 @@ def _built(
     jerk: tuple[float, ...], robust_acceleration: float,
 ) -> JointProblem:  # fmt: skip
     energy = _energy(name, shape, moving, hinges)
-    space, prior = energy.space, shipped_prior(SkeletonModel.named(name).names)
+    space, prior = energy.space, shipped_prior(energy.space.skeleton.names)
     sigma = prior.sigma_jerk[[prior.joints.index(joint) for joint in space.names]]
     root, *turns = jerk
     tangent = np.repeat(sigma * turns, 3) @ (space.expand != 0)
