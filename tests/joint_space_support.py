@@ -190,7 +190,7 @@ def random_data(b: Built, x: Array, seed: int = 1) -> FragmentData:
             "quat_torso": turned(b.shape.torso, 0.2),
             "w_torso": weights(0.2, N)[:, None] * share[:, : len(b.shape.torso)],
             "b_world": b_world + 0.1 * rng.normal(size=b_world.shape),
-            "w_bone": weights(0.08, N, len(b.shape.bones)),
+            "w_bone": weights(0.08, N)[:, None] * np.linspace(1.0, 0.5, len(b.shape.bones)),
             "p_root": x[:, :3] + 0.2 * rng.normal(size=(N, 3)), "w_root": weights(0.15, N),
             "w_floor": np.tile(weights(0.03, N)[:, None], len(b.shape.feet)), "w_prior": weights(1.0, N),
         },
