@@ -22,6 +22,7 @@ _QUARTERS_DEG = (90, -90, 180)
 _NEAR = 2
 """Segments so many joints apart are taken for each other."""
 _SIDES = ("Left", "Right")
+_SAME = np.eye(3)
 
 
 class FaultKind(Enum):
@@ -31,6 +32,8 @@ class FaultKind(Enum):
     MOUNTING = "the sensor is turned on its segment against its calibration"
     SIDES = "left and right sensors are swapped"
     NEIGHBOURS = "the sensors of two neighbouring segments are swapped"
+    SWAPPED = "the sensors of two segments that are no neighbours are swapped"
+    STREAMS = "the samples of sensors are filed under each other's names"
     SEGMENT = "the sensor is on another segment than declared"
     WORLD = "the sensors' world is turned about the vertical against the camera's"
 
@@ -47,6 +50,8 @@ class Change:
     """(3, 3) R_sensor_bone is to be multiplied by this from the right."""
     p_bone_sensor: Array
     """(3,) its lever arm there, m."""
+    R_world_new: Array = field(default_factory=lambda: _SAME)
+    """(3, 3) its R_world_inertial is to be multiplied by this from the left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,16 +91,18 @@ class Fault:
             )
         joints, levers = list(calibration.joints), np.array(calibration.p_bone_sensor)
         R_sensor_bone = np.array(calibration.R_sensor_bone)
+        R_world_inertial = self.R_world_new @ calibration.R_world_inertial
         for change in self.changes:
             s = calibration.joints.index(change.declared)
             joints[s], levers[s] = change.joint, change.p_bone_sensor
             R_sensor_bone[s] = R_sensor_bone[s] @ change.R_bone_new
+            R_world_inertial[s] = change.R_world_new @ R_world_inertial[s]
         return replace(
             calibration,
             joints=tuple(joints),
             R_sensor_bone=R_sensor_bone,
             p_bone_sensor=levers,
-            R_world_inertial=self.R_world_new @ calibration.R_world_inertial,
+            R_world_inertial=R_world_inertial,
         )
 
     def read(self, motions: Sequence[SegmentMotion]) -> tuple[SegmentMotion, ...]:
@@ -105,6 +112,8 @@ class Fault:
         for motion in motions:
             if motion.joint in changes:
                 change = changes[motion.joint]
+                if change.R_world_new is not _SAME:
+                    motion = motion.turned(change.R_world_new)
                 motion = motion.moved(change.joint, change.R_bone_new, change.p_bone_sensor)
             if self.kind is FaultKind.WORLD:
                 motion = motion.turned(self.R_world_new)
@@ -124,12 +133,16 @@ class Setup:
     """Segment -> lever arm (3,), m, of each sensor."""
     R_pose: Array
     """(J, 3, 3) R_world_bone of all segments, facing x."""
+    calibration: ImuCalibration | None = None
+    """What the sensors' samples are read with; None where it is not known."""
 
     def possible_faults(self, seen: bool) -> Iterator[Fault]:
         """Everything that is looked for; `seen`: a camera tells how the world is turned."""
         yield from self._facings(seen)
         yield from self._mountings()
         yield from self._swaps()
+        if self.calibration is not None:
+            yield from self._streams()
         yield from self._elsewhere()
 
     def is_lone(self, fault: Fault) -> bool:
@@ -179,26 +192,36 @@ class Setup:
 
     def _swaps(self) -> Iterator[Fault]:
         remedy = "Swap the two names, or the sensors, and calibrate again"
+        for kind, what, pairs in self._groups():
+            yield Fault(kind, f"{what} are swapped", remedy, self._exchanged(pairs))
+
+    def _streams(self) -> Iterator[Fault]:
+        """Samples that were taken for another sensor's, so that they are read with its calibration."""
+        remedy = "Swap the two names where the samples are filed"
+        for _, what, pairs in self._groups():
+            changes = tuple(self._refiled(*way) for a, b in pairs for way in ((a, b), (b, a)))
+            what = f"the samples of {what.removeprefix('the sensors of ')}"
+            yield Fault(FaultKind.STREAMS, f"{what} are swapped", remedy, changes)
+
+    def _groups(self) -> Iterator[tuple[FaultKind, str, list[tuple[str, str]]]]:
+        """Pairs of segments whose sensors are taken for each other, together."""
         pairs = [(a, _mirrored(a)) for a in self.levers if a.startswith(_SIDES[0])]
         pairs = [(a, b) for a, b in pairs if b in self.levers]
         for a, b in pairs:
-            what = f"the sensors of {a} and {b} are swapped"
-            yield Fault(FaultKind.SIDES, what, remedy, self._exchanged([(a, b)]))
+            yield FaultKind.SIDES, f"the sensors of {a} and {b}", [(a, b)]
         limbs = {self._trunk_of(a) for a, _ in pairs}
         for trunk in sorted(limbs):
             group = [(a, b) for a, b in pairs if self._trunk_of(a) == trunk]
             if len(group) > 1:
-                what = f"all left and right sensors are swapped of {', '.join(a[4:] for a, _ in group)}"
-                yield Fault(FaultKind.SIDES, what, remedy, self._exchanged(group))
+                names = ", ".join(a.removeprefix(_SIDES[0]) for a, _ in group)
+                yield FaultKind.SIDES, f"all left and right sensors of {names}", group
         if len(limbs) > 1:
-            yield Fault(
-                FaultKind.SIDES, "all left and right sensors are swapped", remedy, self._exchanged(pairs)
-            )
+            yield FaultKind.SIDES, "all left and right sensors", pairs
         for a in self.levers:
             for b in self.levers:
-                if self._index(a) < self._index(b) and self._near(a, b) and b != _mirrored(a):
-                    what = f"the sensors of {a} and {b} are swapped"
-                    yield Fault(FaultKind.NEIGHBOURS, what, remedy, self._exchanged([(a, b)]))
+                if self._index(a) < self._index(b) and b != _mirrored(a):
+                    kind = FaultKind.NEIGHBOURS if self._near(a, b) else FaultKind.SWAPPED
+                    yield kind, f"the sensors of {a} and {b}", [(a, b)]
 
     def _elsewhere(self) -> Iterator[Fault]:
         carriers = {joint for joint, _ in self.skeleton.sensors.values()}
@@ -226,6 +249,14 @@ class Setup:
 
     def _exchanged(self, pairs: Sequence[tuple[str, str]]) -> tuple[Change, ...]:
         return tuple(self._moved(*way) for a, b in pairs for way in ((a, b), (b, a)))
+
+    def _refiled(self, declared: str, joint: str) -> Change:
+        """Samples of the sensor on `declared` read with the calibration of the one on `joint`."""
+        calibration = self.calibration
+        assert calibration is not None
+        a, b = (calibration.joints.index(name) for name in (declared, joint))
+        R, W = calibration.R_sensor_bone, calibration.R_world_inertial
+        return Change(declared, joint, R[a].T @ R[b], self.levers[joint], W[b] @ W[a].T)
 
     def _index(self, joint: str) -> int:
         return self.skeleton.names.index(joint)

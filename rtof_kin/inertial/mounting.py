@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rtof_kin.calibration import ImuCalibration
 from rtof_kin.inertial.evidence import Evidence
 from rtof_kin.inertial.faults import Fault, Setup
 from rtof_kin.inertial.poses import pose_rotations, turned_to
@@ -48,6 +49,7 @@ def find_faults(
     *,
     pose: str | ArrayLike = "T",
     visual: PoseSequence | None = None,
+    calibration: ImuCalibration | None = None,
     least_ratio: float = LEAST_RATIO,
     most: int = 3,
 ) -> tuple[Fault, ...]:
@@ -60,6 +62,7 @@ def find_faults(
             segment was aligned with what that one was thought to do. The T-pose where they were
             calibrated otherwise.
         visual: the same movement as a camera saw it (a lifter's poses will do): directions of the bones.
+        calibration: what the samples were read with, to look for samples under each other's names too.
         least_ratio: nats from which on a fault is named; `LONE_FACTOR` times as many for lone sensors.
         most: so many faults at most, each looked for after the ones before it are repaired.
     """
@@ -71,12 +74,13 @@ def find_faults(
     found: list[Fault] = []
     while len(found) < most:
         levers = {motion.joint: motion.p_bone_sensor for motion in motions}
-        setup = Setup(skeleton, levers, turned_to(R_pose, 0.0))
+        setup = Setup(skeleton, levers, turned_to(R_pose, 0.0), calibration)
         fault = _likeliest(scores, motions, setup, least_ratio)
         if fault is None:
             break
         found.append(fault)
         motions = fault.read(motions)
+        calibration = None if calibration is None else fault.corrected(calibration)
     return tuple(found)
 
 
