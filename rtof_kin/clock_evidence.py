@@ -1,9 +1,7 @@
 """The offset between the clocks of video and sensors, from how the limbs turn in both.
 
-A sensor's orientation, read with its calibration, is a direction of its bone at every instant; the image
-shows the same direction, foreshortened. The two are compared at every offset within a wide range, frame by
-frame and without any solve. Only changes of direction count: what a calibration is wrong by for the whole
-recording does not move the minimum.
+Directions of bones in the image and by the sensors are compared at every offset within a wide range. Only
+changes of direction count: what a calibration is wrong by for the whole recording moves no minimum.
 """
 
 from __future__ import annotations
@@ -14,112 +12,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics
+from rtof_kin.bone_images import STEP, BoneImages
 from rtof_kin.plausibility import Check
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
 NAME = "offset between the clocks of video and sensors"
 LIMIT = 0.2
 """[s] Offsets up to this are looked for by the self-calibration, or do little harm."""
-STEP = 0.1
-"""[s] between offsets."""
 REACH = 10.0
 """[s] Largest offset that is looked for."""
 LEAST_COMMON = 2.0
 """[s] that video and sensors share at every offset, and `_COMMON_SHARE` of what they can share at most."""
 _COMMON_SHARE = 0.4
-_MOST_FRAMES = 300
-_SIGMA, _SIGMA_M = 0.12, 0.04
-"""Size of the difference of a bone's image and its sensor's, as a share of the bone, and [m]."""
 _MEMORY = 1.0
 """[s] for which such a difference lasts."""
-SURE, AS_GOOD = 10.0, 4.0
+SURE, AS_GOOD = 12.0, 4.0
 """Nats by which another offset explains the video better to be named, and worse to be excluded; of
-recordings with right clocks and periodic motion, another offset was up to 7 nats better."""
+recordings with right clocks, of some steps of walking, another offset was up to 11 nats better."""
 _APART = 0.35
 """[s] An offset so far from the best one is another one."""
-
-
-@dataclass(frozen=True)
-class BoneImages:
-    """Bones that carry sensors, as the image shows them and as the sensors say."""
-
-    frames: NDArray[np.intp]
-    """(F,) index of each frame in the grid of `directions`."""
-    vectors: Array
-    """(F, B, 2) from one end of the bone to the other in the image, in lengths of the bone."""
-    rays: Array
-    """(F, B, 2) image-plane coordinates of the bone's middle."""
-    directions: Array
-    """(G, B, 3) of the bones in camera axes, every `STEP`, by the sensors; NaN where not known."""
-    sigma: Array
-    """(B,) size of the differences."""
-    weight: Array
-    """(B,) 1 / bones of the same sensor."""
-    sensors: NDArray[np.intp]
-    """(B,) index of the sensor on each bone."""
-
-    def cost(self, steps: int, constant: bool = True) -> Array:
-        """(F, B) nats by which the two differ, where the sensors' clock is shifted.
-
-        Args:
-            steps: offset of the video's stamps against the sensors', in `STEP`.
-            constant: whether each bone may differ by a constant.
-        """
-        index = self.frames - steps
-        inside = (index >= 0) & (index < len(self.directions))
-        d = self.directions[np.where(inside, index, 0)]
-        off = self.vectors - d[..., :2] + self.rays * d[..., 2:]
-        known = inside[:, None] & np.isfinite(off[..., 0])
-        off = np.where(known[..., None], off, 0.0)
-        if constant:
-            off = off - off.sum(axis=0) / np.maximum(known.sum(axis=0), 1)[:, None]
-        square = np.einsum("fbi,fbi->fb", off, off) / self.sigma**2
-        return np.where(known, 1.5 * np.log1p(square / 3), np.nan)
-
-
-def bone_images(
-    keypoints: KeypointSequence, bone_imus: BoneImuSequence, poses: PoseSequence, skeleton: SkeletonModel
-) -> BoneImages | None:
-    """What image and sensors say of the bones between joints that were both looked for.
-
-    Args:
-        keypoints: evenly spaced. bone_imus: at the sensors' own times.
-        poses: any poses at the keypoints' times: only the root's distance from the camera is used.
-
-    Returns:
-        None where no sensor is on a bone whose ends the detector knows.
-    """
-    step_frames = max(1, round(STEP * poses.rate_hz))
-    chosen = np.arange(0, len(keypoints), max(step_frames, -(-len(keypoints) // _MOST_FRAMES)))
-    seen, camera = keypoints.select(skeleton.names), keypoints.camera
-    xy = camera.normalise(seen.uv_px[chosen])
-    depth = camera.to_camera(poses.p_world_joint[chosen, 0])[:, 2]
-    ends = [
-        (s, j, child)
-        for s, j in enumerate(skeleton.index(*bone_imus.joints))
-        for child in kinematics.children_of(skeleton.parents, j)
-        if {skeleton.names[j], skeleton.names[child]} <= set(keypoints.names)
-    ]
-    if not ends:
-        return None
-    s, j, c = (np.array(column) for column in zip(*ends, strict=True))
-    rest = skeleton.joint_offsets[c]
-    length = np.linalg.norm(rest, axis=-1)
-    start, G = bone_imus.times[0], int(np.ptp(bone_imus.times) / STEP) + 1
-    at = np.searchsorted(bone_imus.times, start + STEP * np.arange(G)).clip(0, len(bone_imus) - 1)
-    R = np.einsum("ij,gbjk->gbik", camera.R_camera_world, bone_imus.R_world_bone[at][:, s])
-    return BoneImages(
-        frames=np.round((keypoints.times[chosen] - start) / STEP).astype(np.intp),
-        vectors=(xy[:, c] - xy[:, j]) * depth[:, None, None] / length[:, None],
-        rays=(xy[:, c] + xy[:, j]) / 2,
-        directions=np.einsum("gbik,bk->gbi", R, rest / length[:, None]),
-        sigma=np.hypot(_SIGMA, _SIGMA_M / length),
-        weight=1 / np.bincount(s)[s],
-        sensors=s,
-    )
+_AGREE = 2.0
+"""Nats a frame and sensor by which image and sensors differ where both are right: 0.3-1.7."""
 
 
 @dataclass(frozen=True)
@@ -194,9 +107,12 @@ def check_clocks(images: BoneImages | None) -> Check:
     """Whether the clocks of video and sensors agree within `LIMIT`; what says otherwise is named."""
     what = "video and sensors"
     scan = None if images is None else scan_clocks(images)
-    if scan is None:
+    if images is None or scan is None:
         why = f"they have less than {LEAST_COMMON:g} s in common of bones that both show"
         return Check.unknown(NAME, what, "s", why)
+    apart = float(np.nanmean(images.by_sensor(round(scan.best / STEP))))
+    if abs(scan.best) > LIMIT and apart > _AGREE:
+        return Check.unknown(NAME, what, "s", "image and sensors show different motion at every offset")
     second, gain = scan.second
     rival = f" An offset of {second:+.2f} s explains the video nearly as well."
     rival = rival if gain > scan.gain - AS_GOOD else ""

@@ -19,8 +19,6 @@ from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.fragment_solution import misfits
-from rtof_kin.inertial.faults import FaultKind as SetupFault
-from rtof_kin.inertial.mounting import find_faults
 from rtof_kin.inflation import Inflation
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import Metrics, stage_metrics
@@ -29,7 +27,7 @@ from rtof_kin.plausibility import Check
 from rtof_kin.recording import Recording
 from rtof_kin.self_calibrate import calibrate as calibrate_from
 from rtof_kin.self_calibration import SelfCalibration
-from rtof_kin.sensor_evidence import check_sensor_evidence
+from rtof_kin.sensor_evidence import check_sensor_evidence, check_sensor_form, naming_wrong_samples
 from rtof_kin.sensor_guards import disagreeing, joined
 from rtof_kin.sensors_alone import reconstruct_from_sensors
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
@@ -59,10 +57,6 @@ MODES = (*CAMERA_MODES, "imu")
 """imu: no camera at all (`sensors_alone`)."""
 _LASTING_SHARE = 0.8
 """Of a recording, for which a sensor must differ from the others for that to be its mounting."""
-_JUDGED = 2.0
-"""[s] of movement by which sensors' places and references can be judged."""
-_OF_ALL, _SURE = (SetupFault.WORLD, SetupFault.FACING), 25.0
-"""Faults of all sensors together, and nats from which one sensor is accused where nobody asked."""
 DOUBTS = f"{__name__}.doubts"
 """Logger of what the audit of a result says too: failed checks, faults of streams, warnings."""
 
@@ -156,10 +150,20 @@ def reconstruct(
         raise UnknownNameError("mode", [mode], MODES)
     settings = settings or ReconstructionSettings()
     tell = progress or (lambda stage, done, total: None)
-    if mode == "imu":
-        return _without_camera(recording, skeleton or recording.skeleton, settings, tell)
-    if recording.keypoints is None:
-        raise ShapeError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
+    with naming_wrong_samples(recording):
+        if mode == "imu":
+            return _without_camera(recording, skeleton or recording.skeleton, settings, tell)
+        if recording.keypoints is None:
+            raise ShapeError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
+        return _with_camera(recording, skeleton, mode, lifter, settings, calibrate, known, tell)
+
+
+def _with_camera(
+    recording: Recording, skeleton: SkeletonModel | None, mode: str, lifter: LifterLike | None,
+    settings: ReconstructionSettings, calibrate: bool | CalibrationPriors | SelfCalibration,
+    known: SelfCalibration | None, tell: Progress,
+) -> Reconstruction:  # fmt: skip
+    """Every mode but imu."""
     uses_sensors = mode in ("sf2", "rtof") and recording.imus is not None
     if not uses_sensors and not isinstance(calibrate, SelfCalibration):
         calibrate = False
@@ -185,11 +189,10 @@ def reconstruct(
             keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
     warnings += _doubts(begun, solution, settings)
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in begun.faults)
-    if mode == "rtof" and settings.guard_streams and (warnings or disagree):
-        warnings += _faults_of_setup(told, skeleton, lifter, settings)
+    doubted = mode == "rtof" and settings.guard_streams and bool(warnings or disagree)
     checks = (
+        *check_sensor_evidence(told, begun, skeleton, lifter, settings, doubted),
         *check_camera_evidence(told, begun, poses, skeleton, lifter),
-        *check_sensor_evidence(told, begun, poses, skeleton),
     )
     failed = (check.message for check in checks if check.failed)
     _warn(recording, (*failed, *begun.faults, *warnings))
@@ -245,19 +248,6 @@ def _doubts(
         limit = s.sigma_reprojection_range[1]
         found += misfits(solution.fragments, begun.start.times, settings.frames, limit)
     return found
-
-
-def _faults_of_setup(
-    told: Recording, skeleton: SkeletonModel, lifter: LifterLike | None, settings: ReconstructionSettings
-) -> tuple[str, ...]:
-    """What people get wrong with sensors and explains why something else was found: they are compared,
-    as they were told to sit, with what the image alone shows."""
-    seen = begin(told, skeleton, "lift", lifter, settings, lambda *_: None)
-    bone_imus, times = seen.recording.bone_imus(), seen.start.times
-    if bone_imus is None or not np.isfinite(bone_imus.R_world_bone).any() or np.ptp(times) < _JUDGED:
-        return ()
-    found = find_faults(bone_imus, skeleton, visual=seen.start)
-    return tuple(str(f) for f in found if f.kind in _OF_ALL or f.log_likelihood_ratio >= _SURE)
 
 
 def _told(
@@ -383,12 +373,14 @@ def _without_camera(
         cleaned, skeleton, settings.sensors_alone, solver, settings.frames, settings.sensor_joints,
         lambda done, total: tell("imu", done, total),
     )  # fmt: skip
-    _warn(recording, (*faults, *found.warnings))
+    checks = check_sensor_form(recording)
+    failed = (check.message for check in checks if check.failed)
+    _warn(recording, (*failed, *faults, *found.warnings))
     motion = skeleton.motion(found.solution.poses)
     stages = {"start": found.start, "imu": motion.poses}
     scores = stage_metrics(stages, recording.truth, skeleton, "imu")
     return Reconstruction(
         recording, "imu", motion, stages, None, found.bone_imus, found.solution, scores.get("imu"),
         scores, found.path.sigma, faults, found.warnings,
-        choices=Choices().with_settings(settings, "imu"),
+        choices=Choices().with_settings(settings, "imu"), checks=checks,
     )  # fmt: skip

@@ -1,25 +1,141 @@
-"""Checks of a recording's sensors and clocks against physics, the image and the reconstructed motion."""
+"""Checks of a recording's sensors and clocks against physics, the image and the reconstructed motion.
+
+What makes other checks fail too comes first: samples in another form than a recording takes, then the
+clocks, then which sensor is where. A check that an earlier failure would mislead is not made.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from rtof_kin.bone_images import BoneImages, bone_images
+from rtof_kin.clock_evidence import NAME as CLOCKS
+from rtof_kin.clock_evidence import check_clocks
+from rtof_kin.errors import CalibrationError, RtofError, ShapeError, SolverError
+from rtof_kin.inertial.faults import FaultKind
+from rtof_kin.inertial.mounting import LEAST_RATIO, find_faults
+from rtof_kin.inertial.recorded_form import check_form
 from rtof_kin.plausibility import Check
 from rtof_kin.recording import Recording
 from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.stages import Begun
-from rtof_kin.types import PoseSequence
+from rtof_kin.stages import Begun, LifterLike, ReconstructionSettings, begin
+from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
+
+SETUP = "nats by which another setup explains the movement better"
+_SURE = 25.0
+"""Nats from which a sensor is accused where nobody asked; faults of all sensors together need `_OF_ALL`."""
+_OF_ALL = (FaultKind.WORLD, FaultKind.FACING)
+_LEAST_SECONDS = 2.0
+"""[s] of movement by which sensors' places and references can be judged."""
+_POSES = ("T", "N")
+"""In which sensors may have been calibrated before they were taken for each other."""
+_DISAGREES = 1.5
+"""Nats a frame by which a bone in the image differs from its sensor for its setup to be looked into: a
+tenth of good sensors do so, and nineteen of twenty that were swapped."""
+_STILL_PX = 3.0
+"""A person whose landmarks stay so close to where they were does not move."""
+
+
+def check_sensor_form(recording: Recording) -> tuple[Check, ...]:
+    """Checks by physics alone that samples are in the form that a recording takes."""
+    imus, calibration = recording.imus, recording.calibration
+    if imus is None or calibration is None or not set(imus.names) <= set(calibration.sensors):
+        return ()
+    R_world_inertial = calibration.select(imus.names).R_world_inertial
+    return check_form(imus, R_world_inertial, _moves(recording.keypoints))
 
 
 def check_sensor_evidence(
-    recording: Recording, begun: Begun, poses: PoseSequence, skeleton: SkeletonModel
-) -> tuple[Check, ...]:
+    recording: Recording, begun: Begun, skeleton: SkeletonModel, lifter: LifterLike | None,
+    settings: ReconstructionSettings, doubted: bool = False,
+) -> tuple[Check, ...]:  # fmt: skip
     """Checks of what the recording declares about sensors and clocks.
 
     Args:
         recording: as declared, before calibration and outlier rejection.
         begun: the prepared streams and the poses of each stage before the solver.
-        poses: the final poses. skeleton: the subject's.
+        skeleton: the subject's. lifter, settings: as for `reconstruct`.
+        doubted: whether something else that was found may be explained by how sensors are set up.
 
     Returns:
         Every check that the recording allows; failed ones name their likely `cause`.
     """
-    return ()
+    form = check_sensor_form(recording)
+    if not form or recording.imus is None or recording.calibration is None:
+        return form
+    if wrong := next((check for check in form if check.failed), None):
+        why = f"samples are not what they are declared to be: {wrong.cause}"
+        unknown = ((CLOCKS, "video and sensors", "s"), (SETUP, "sensors", "nats"))
+        return (*form, *(Check.unknown(*what, why) for what in unknown))
+    native = recording.calibration.apply(recording.imus)
+    images = bone_images(_as_seen(recording, begun), native, begun.stages["lift"], skeleton)
+    clocks = check_clocks(images)
+    if clocks.failed:
+        return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {clocks.cause}"))
+    return (*form, clocks, _check_setup(recording, images, skeleton, lifter, settings, doubted))
+
+
+@contextmanager
+def naming_wrong_samples(recording: Recording) -> Iterator[None]:
+    """Errors of what runs inside begin with what is wrong with the sensors' samples, where something is."""
+    try:
+        yield
+    except (CalibrationError, ShapeError, SolverError) as error:
+        causes = [check.message for check in check_sensor_form(recording) if check.failed]
+        if not causes:
+            raise
+        raise type(error)("; ".join([*causes, f"therefore {error}"])) from error
+
+
+def _moves(keypoints: KeypointSequence | None) -> bool:
+    """Whether the person is seen to move; True where nobody looks."""
+    if keypoints is None or not keypoints.seen.any():
+        return True
+    seen = keypoints.uv_px[:, keypoints.seen.any(axis=0)]
+    return bool(np.median(np.nanstd(seen, axis=0)) > _STILL_PX)
+
+
+def _as_seen(recording: Recording, begun: Begun) -> KeypointSequence:
+    """The keypoints that were lifted, on the clock that was declared."""
+    lifted, declared = begun.recording.video, recording.video
+    return replace(lifted, times=lifted.times + declared.times[0] - lifted.times[0])
+
+
+def _check_setup(
+    recording: Recording, images: BoneImages | None, skeleton: SkeletonModel, lifter: LifterLike | None,
+    settings: ReconstructionSettings, doubted: bool,
+) -> Check:  # fmt: skip
+    """Whether each sensor is where it is declared, and its world the camera's."""
+    assert recording.calibration is not None
+    off = np.full(1, np.nan) if images is None else images.by_sensor()
+    if not doubted and not np.nanmax(off, initial=0.0) > _DISAGREES:
+        if np.isnan(off).all():
+            return Check.unknown(SETUP, "sensors", "nats", "the image shows none of their bones")
+        return Check(SETUP, "sensors", 0.0, _SURE, "nats")
+    seen = begin(recording, skeleton, "lift", lifter, settings, lambda *_: None)
+    bone_imus = seen.recording.bone_imus()
+    if bone_imus is None or not _long_enough(bone_imus):
+        why = f"there are less than {_LEAST_SECONDS:g} s of video and sensors together"
+        return Check.unknown(SETUP, "sensors", "nats", why)
+    found = [
+        fault for pose in _POSES for fault in find_faults(
+            bone_imus, skeleton, pose=pose, visual=seen.start, calibration=recording.calibration, most=1)
+    ]  # fmt: skip
+    if not found:
+        return Check(SETUP, "sensors", 0.0, _SURE, "nats")
+    fault = max(found, key=lambda fault: fault.log_likelihood_ratio)
+    limit = LEAST_RATIO if fault.kind in _OF_ALL else _SURE
+    others = f". Or else: {'; '.join(fault.alternatives)}" if fault.alternatives else ""
+    return Check(
+        SETUP, "sensors", fault.log_likelihood_ratio, limit, "nats", f"{fault.remedy}{others}",
+        cause=fault.what,
+    )  # fmt: skip
+
+
+def _long_enough(bone_imus: BoneImuSequence) -> bool:
+    known = np.isfinite(bone_imus.R_world_bone).all(axis=(-2, -1)).any(axis=-1)
+    return bool(known.any() and np.ptp(bone_imus.times[known]) >= _LEAST_SECONDS)

@@ -103,7 +103,7 @@ sensors_alone
 stages
 picture_evidence
 scale_evidence
-camera_evidence   sensor_evidence   choices
+camera_evidence   bone_images   clock_evidence   sensor_evidence   choices
 pipeline
 sensor_study
 figures   report   report.findings   report.isb
