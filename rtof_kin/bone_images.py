@@ -7,7 +7,7 @@ clocks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 Array = NDArray[np.float64]
 STEP = 0.1
 """[s] between samples of the sensors' directions."""
-_MOST_FRAMES = 300
+_MOST_FRAMES = 240
 _SIGMA, _SIGMA_M = 0.12, 0.04
 """Size of the difference of a bone's image and its sensor's, as a share of the bone, and [m]."""
 
@@ -42,6 +42,8 @@ class BoneImages:
     """(B,) 1 / bones of the same sensor."""
     sensors: NDArray[np.intp]
     """(B,) index of the sensor on each bone."""
+    sensor_count: int
+    """S, with those on no bone."""
 
     def cost(self, steps: int, constant: bool = True) -> Array:
         """(F, B) nats by which the two differ, where the sensors' clock is shifted.
@@ -62,13 +64,12 @@ class BoneImages:
         return np.where(known, 1.5 * np.log1p(square / 3), np.nan)
 
     def by_sensor(self, steps: int = 0) -> Array:
-        """(S,) mean nats a frame by which each sensor differs from the image; NaN of one without bones."""
+        """(S,) mean nats a frame by which sensors differ from the image; NaN of one without bones."""
         cost = self.cost(steps, constant=False)
         known = np.isfinite(cost)
-        mean = np.where(known, cost, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         some = known.any(axis=0)
-        total = np.bincount(self.sensors, np.where(some, mean, 0.0), self.sensors.max() + 1)
-        bones = np.bincount(self.sensors, some, self.sensors.max() + 1)
+        mean = np.where(known, cost, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        total, bones = (np.bincount(self.sensors, v, self.sensor_count) for v in (mean, some))
         return np.where(bones > 0, total / np.maximum(bones, 1), np.nan)
 
 
@@ -111,4 +112,22 @@ def bone_images(
         sigma=np.hypot(_SIGMA, _SIGMA_M / length),
         weight=1 / np.bincount(s)[s],
         sensors=s,
+        sensor_count=len(bone_imus.joints),
     )
+
+
+def best_exchange(
+    keypoints: KeypointSequence, bone_imus: BoneImuSequence, poses: PoseSequence, skeleton: SkeletonModel
+) -> float:
+    """The largest nats a frame by which the image is explained better with two sensors on each other's
+    segments; arguments are those of `bone_images`. Each sensor sits on every segment once."""
+    S = len(bone_imus.joints)
+    off = np.full((S, S), np.nan)
+    for shift in range(S):
+        segments = (np.arange(S) + shift) % S
+        moved = replace(bone_imus, joints=tuple(bone_imus.joints[i] for i in segments))
+        images = bone_images(keypoints, moved, poses, skeleton)
+        if images is not None:
+            off[np.arange(S), segments] = images.by_sensor()
+    own = np.diag(off)
+    return float(np.nanmax(own[:, None] + own - off - off.T, initial=0.0))

@@ -19,10 +19,10 @@ Array = NDArray[np.float64]
 NAME = "offset between the clocks of video and sensors"
 LIMIT = 0.2
 """[s] Offsets up to this are looked for by the self-calibration, or do little harm."""
-REACH = 10.0
+REACH = 6.0
 """[s] Largest offset that is looked for."""
 LEAST_COMMON = 2.0
-"""[s] that video and sensors share at every offset, and `_COMMON_SHARE` of what they can share at most."""
+"""[s] that both share at every offset, and `_COMMON_SHARE` of what they can share at most."""
 _COMMON_SHARE = 0.4
 _MEMORY = 1.0
 """[s] for which such a difference lasts."""
@@ -46,8 +46,13 @@ class ClockScan:
 
     @property
     def best(self) -> float:
-        """[s] the offset that explains the video best."""
-        return float(self.offsets[np.argmax(self.gains)])
+        """[s] the offset that explains the video best, by a parabola through it and its neighbours."""
+        k = int(np.argmax(self.gains))
+        if not 0 < k < len(self.gains) - 1:
+            return float(self.offsets[k])
+        before, most, after = self.gains[k - 1 : k + 2]
+        curvature = before - 2 * most + after
+        return float(self.offsets[k] + STEP * (before - after) / (2 * min(curvature, -1e-9)))
 
     @property
     def gain(self) -> float:

@@ -39,6 +39,8 @@ def contradictions(recording: Recording, calibration: SelfCalibration) -> tuple[
     """
     found = []
     for q, row in zip(calibration.quantities, calibration.table(), strict=True):
+        if q.doubt:
+            found.append(f"{row[0]} of {row[1]}: {row[2]} is in doubt: {q.doubt}")
         away = float(np.max(np.abs(q.value) / q.sigma_prior))
         if q.verdict is not Verdict.PRIOR and away > _SIGMAS:
             kind, item, value, _, prior, _ = row

@@ -17,7 +17,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
+from rtof_kin.bone_images import bone_images
 from rtof_kin.calibration_priors import CalibrationPriors
+from rtof_kin.clock_evidence import check_clocks
 from rtof_kin.errors import CalibrationError
 from rtof_kin.joint_space import sensor_unknowns as sensing
 from rtof_kin.joint_space import vision_unknowns as seeing
@@ -74,8 +76,9 @@ def calibrate(
     settings = settings or JointSpaceSettings(floor_height=recording.floor_height)
     fragments = shared_fragments(recording, start, priors, settings, frames, left_out)
     shared = fragments.estimate(priors.rounds, progress, priors.overcount)
+    quantities = _quantities(fragments, shared, priors.overcount)
     return SelfCalibration(
-        quantities=_quantities(fragments, shared, priors.overcount),
+        quantities=tuple(_doubted(q, recording, start, shared) for q in quantities),
         detector=_detector(fragments.data, shared.residuals, start.rate_hz),
         middle=float(start.times[0] + start.times[-1]) / 2,
         converged=shared.converged,
@@ -232,6 +235,18 @@ def _quantities(
     if kept.any() and not kept.all():
         given[kept] += np.linalg.solve(S[np.ix_(kept, kept)], S[np.ix_(kept, ~kept)] @ y[~kept])
     return listed(given, np.where(kept, claimed, variance))
+
+
+def _doubted(quantity: Quantity, recording: Recording, start: PoseSequence, shared: Shared) -> Quantity:
+    """A delay that the search may have missed, or that is another one by how the limbs turn, is no better
+    known than before."""
+    imus, calibration = recording.imus, recording.calibration
+    if quantity.kind != "delay" or imus is None or calibration is None:
+        return quantity
+    images = bone_images(recording.video, calibration.apply(imus), start, recording.skeleton)
+    clocks = check_clocks(images)
+    doubt = clocks.cause if clocks.failed else next(iter(shared.doubts.values()), "")
+    return replace(quantity, sigma=quantity.sigma_prior, doubt=doubt) if doubt else quantity
 
 
 def _detector(data: Observations, residuals: Array, rate_hz: float) -> tuple[Detector, ...]:

@@ -51,6 +51,7 @@ class Verdict(Enum):
     """How well the recording knew something."""
 
     OBSERVED = "observed"
+    DOUBTFUL = "in doubt"
     WEAKLY = "weakly observed"
     PRIOR = "taken from the prior"
 
@@ -72,6 +73,8 @@ class Quantity:
     known: float
     """Share of the prior's variance that the recording took away, of the number it knows best; errors
     that last are not allowed for, as they are in `sigma`."""
+    doubt: str = ""
+    """Why the value may be wrong whatever its standard deviation says; empty where nothing says so."""
 
     def __post_init__(self) -> None:
         if self.kind not in _UNITS:
@@ -89,6 +92,8 @@ class Quantity:
     @property
     def verdict(self) -> Verdict:
         """How well it was observed."""
+        if self.doubt:
+            return Verdict.DOUBTFUL
         if self.known >= _OBSERVED:
             return Verdict.OBSERVED
         return Verdict.WEAKLY if self.known >= _WEAKLY else Verdict.PRIOR

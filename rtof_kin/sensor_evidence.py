@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtof_kin.bone_images import BoneImages, bone_images
+from rtof_kin.bone_images import best_exchange, bone_images
 from rtof_kin.clock_evidence import NAME as CLOCKS
 from rtof_kin.clock_evidence import check_clocks
-from rtof_kin.errors import CalibrationError, RtofError, ShapeError, SolverError
+from rtof_kin.errors import CalibrationError, ShapeError, SolverError
 from rtof_kin.inertial.faults import FaultKind
 from rtof_kin.inertial.mounting import LEAST_RATIO, find_faults
 from rtof_kin.inertial.recorded_form import check_form
@@ -23,19 +23,19 @@ from rtof_kin.plausibility import Check
 from rtof_kin.recording import Recording
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.stages import Begun, LifterLike, ReconstructionSettings, begin
-from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.types import BoneImuSequence, KeypointSequence
 
 SETUP = "nats by which another setup explains the movement better"
 _SURE = 25.0
-"""Nats from which a sensor is accused where nobody asked; faults of all sensors together need `_OF_ALL`."""
 _OF_ALL = (FaultKind.WORLD, FaultKind.FACING)
+"""Nats from which a sensor is accused where nobody asked; faults of all sensors need `LEAST_RATIO`."""
 _LEAST_SECONDS = 2.0
 """[s] of movement by which sensors' places and references can be judged."""
 _POSES = ("T", "N")
 """In which sensors may have been calibrated before they were taken for each other."""
-_DISAGREES = 1.5
-"""Nats a frame by which a bone in the image differs from its sensor for its setup to be looked into: a
-tenth of good sensors do so, and nineteen of twenty that were swapped."""
+_DISAGREES, _EXCHANGED = 2.8, 0.7
+"""Nats a frame by which a sensor differs from the image, and by which two differ less on each other's
+segments, for the setup to be looked into: one good recording in twenty reaches one of them."""
 _STILL_PX = 3.0
 """A person whose landmarks stay so close to where they were does not move."""
 
@@ -71,17 +71,25 @@ def check_sensor_evidence(
         why = f"samples are not what they are declared to be: {wrong.cause}"
         unknown = ((CLOCKS, "video and sensors", "s"), (SETUP, "sensors", "nats"))
         return (*form, *(Check.unknown(*what, why) for what in unknown))
+    seen, lifted = _as_seen(recording, begun), begun.stages["lift"]
     native = recording.calibration.apply(recording.imus)
-    images = bone_images(_as_seen(recording, begun), native, begun.stages["lift"], skeleton)
+    images = bone_images(seen, native, lifted, skeleton)
     clocks = check_clocks(images)
     if clocks.failed:
         return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {clocks.cause}"))
-    return (*form, clocks, _check_setup(recording, images, skeleton, lifter, settings, doubted))
+    off = np.full(1, np.nan) if images is None else images.by_sensor()
+    if np.isnan(off).all() and not doubted:
+        why = "the image shows no bone of theirs"
+        return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", why))
+    doubted = doubted or bool(np.nanmax(off, initial=0.0) > _DISAGREES)
+    if not doubted and best_exchange(seen, native, lifted, skeleton) <= _EXCHANGED:
+        return (*form, clocks, Check(SETUP, "sensors", 0.0, _SURE, "nats"))
+    return (*form, clocks, _check_setup(recording, skeleton, lifter, settings))
 
 
 @contextmanager
 def naming_wrong_samples(recording: Recording) -> Iterator[None]:
-    """Errors of what runs inside begin with what is wrong with the sensors' samples, where something is."""
+    """Errors of what runs inside begin with what is wrong with the sensors' samples, if anything."""
     try:
         yield
     except (CalibrationError, ShapeError, SolverError) as error:
@@ -106,16 +114,11 @@ def _as_seen(recording: Recording, begun: Begun) -> KeypointSequence:
 
 
 def _check_setup(
-    recording: Recording, images: BoneImages | None, skeleton: SkeletonModel, lifter: LifterLike | None,
-    settings: ReconstructionSettings, doubted: bool,
+    recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None,
+    settings: ReconstructionSettings,
 ) -> Check:  # fmt: skip
-    """Whether each sensor is where it is declared, and its world the camera's."""
-    assert recording.calibration is not None
-    off = np.full(1, np.nan) if images is None else images.by_sensor()
-    if not doubted and not np.nanmax(off, initial=0.0) > _DISAGREES:
-        if np.isnan(off).all():
-            return Check.unknown(SETUP, "sensors", "nats", "the image shows none of their bones")
-        return Check(SETUP, "sensors", 0.0, _SURE, "nats")
+    """Whether each sensor is where it is declared, and its world the camera's, by all that movement
+    tells."""
     seen = begin(recording, skeleton, "lift", lifter, settings, lambda *_: None)
     bone_imus = seen.recording.bone_imus()
     if bone_imus is None or not _long_enough(bone_imus):

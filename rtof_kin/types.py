@@ -243,7 +243,7 @@ class ImuSequence:
             if not np.any(np.isfinite(norm[:, s])):
                 continue
             median = float(np.nanmedian(norm[:, s]))
-            if 0.5 < median < 2.0:
+            if 0.5 < median < 2.0 and self._mean_force(s) > 0.5:
                 raise UnitError(
                     f"IMU {name}: the median specific force is {median:.2f}, which is one gravity "
                     f"in g; multiply by {STANDARD_GRAVITY} to get m/s^2"
@@ -258,6 +258,14 @@ class ImuSequence:
                     f"IMU {name}: the median specific force is {median:.3g}, far above one gravity; "
                     "give m/s^2 (9.81 at rest), not milli-g or raw counts"
                 )
+
+    def _mean_force(self, s: int) -> float:
+        """Size of a sensor's mean specific force in its reference, as a share of the mean size: near 1
+        of one that feels gravity, however it turns, and near 0 of one from which it was removed."""
+        f = np.einsum("tij,tj->ti", self.R_inertial_sensor[:, s], self.f_sensor[:, s])
+        f = f[np.isfinite(f).all(axis=-1)]
+        sizes = np.linalg.norm(f, axis=-1)
+        return float(np.linalg.norm(f.mean(axis=0)) / sizes.mean()) if len(f) and sizes.any() else 1.0
 
     def __len__(self) -> int:
         return len(self.times)

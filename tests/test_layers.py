@@ -25,7 +25,8 @@ levenberg_marquardt   banded   lanes
 types   urdf   stream_faults   confidence
 skeleton   keypoint_guards   inflation
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position   contacts
-observation   sensor_guards   circumstances
+observation   sensor_guards   circumstances   bone_images
+clock_evidence
 fragment_problem   fragment_solution   joint_space   joint_space.settings   root_path
 io.arrays   io.articulated   io.markers   io.pickled   io.section
 io.world_axes
@@ -41,7 +42,7 @@ io.xsens_columns
 io.imu_csv   io.imu_mat   io.mvnx   io.opensense_sto   io.total_capture_sensors   io.ximu3
 io.xsens_dot   io.xsens_mt
 inertial.files   inertial.orientation
-inertial.turning   inertial.sampling
+inertial.turning   inertial.sampling   inertial.recorded_form
 inertial.gravity
 inertial.alternatives
 inertial.physics
@@ -103,7 +104,7 @@ sensors_alone
 stages
 picture_evidence
 scale_evidence
-camera_evidence   bone_images   clock_evidence   sensor_evidence   choices
+camera_evidence   sensor_evidence   choices
 pipeline
 sensor_study
 figures   report   report.findings   report.isb

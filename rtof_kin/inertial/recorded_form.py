@@ -1,9 +1,9 @@
 """Whether samples are in the form that a recording takes, and which mistake they are of where not.
 
-A recording takes orientations that map sensor axes to their reference (of a quaternion in the order w, x,
-y, z) and raw specific force. Then the mean of ``R_world_inertial R_inertial_sensor f_sensor`` points up and
-is one gravity long, but for the change of velocity over the time. Each usual mistake is undone in turn on
-the same numbers; the one under which the law holds is what the file means.
+A recording takes orientations that map sensor axes to their reference (of a quaternion w, x, y, z) and
+raw specific force. Then the mean of ``R_world_inertial R_inertial_sensor f_sensor`` points up and is one
+gravity long, but for the change of velocity over the time. Each usual mistake is undone in turn on the
+same numbers; the one under which the law holds is what the file means.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rtof_kin import rotations as so3
 from rtof_kin import signals
 from rtof_kin.plausibility import Check
-from rtof_kin.types import GRAVITY_WORLD, STANDARD_GRAVITY, ImuSequence
+from rtof_kin.types import GRAVITY_WORLD, ImuSequence
 
 Array = NDArray[np.float64]
 FROZEN, GRAVITY = "longest time of one repeated sample", "mean specific force in world, off gravity"
@@ -99,13 +99,14 @@ def _repeats(imus: ImuSequence) -> NDArray[np.bool_]:
     T, S = imus.f_sensor.shape[:2]
     values = np.concatenate([imus.R_inertial_sensor.reshape(T, S, 9), imus.f_sensor], axis=2)
     with np.errstate(invalid="ignore"):
-        same = (np.abs(np.diff(values, axis=0)) < _SAME).all(axis=2)
+        same = np.asarray((np.abs(np.diff(values, axis=0)) < _SAME).all(axis=2))
     return np.concatenate([np.zeros((1, S), dtype=np.bool_), same])
 
 
 def _check_frozen(imus: ImuSequence, repeats: NDArray[np.bool_], moving: bool) -> list[Check]:
+    times = imus.times
     longest = np.array([
-        max((imus.times[stop - 1] - imus.times[start - 1] for start, stop in signals.runs(own)), default=0)
+        max((times[stop - 1] - times[start - 1] for start, stop in signals.runs(own)), default=0.0)
         for own in repeats.T
     ])  # fmt: skip
     frozen = longest > LONGEST_REPEAT
@@ -134,7 +135,7 @@ def _check_gravity(
     known = np.isfinite(f).all(axis=-1) & np.isfinite(R).all(axis=(-2, -1))
     step = float(np.median(np.diff(imus.times))) * every if len(imus.times) > 1 else 0.0
     seconds = step * known.sum(axis=0)
-    judged = seconds >= LEAST_SECONDS
+    judged = np.asarray(seconds >= LEAST_SECONDS)
     if not judged.any():
         why = f"there are less than {LEAST_SECONDS:g} s of samples that change"
         return [Check.unknown(GRAVITY, "sensors", "m/s2", why)]
@@ -146,10 +147,10 @@ def _check_gravity(
         """(S,) m/s^2 by which the mean is off where that mistake is undone."""
         W_R = R_world_inertial @ mistake.rotations(R)
         mean = mistake.sign * np.einsum("tsij,tsj->si", W_R, f, optimize=True) / count
-        return np.linalg.norm(mean if mistake.removed else mean + GRAVITY_WORLD, axis=-1)
+        return np.asarray(np.linalg.norm(mean if mistake.removed else mean + GRAVITY_WORLD, axis=-1))
 
     given = off(_Mistake("", ""))
-    wrong = judged & (given > limit)
+    wrong = np.asarray(judged & (given > limit))
     if not wrong.any():
         worst = int(np.argmax(np.where(judged, given / limit, -1)))
         return [Check(GRAVITY, "sensors", float(given[worst]), float(limit[worst]), "m/s2")]

@@ -8,6 +8,7 @@
     sigma = [0.01, 0.01, 0.03]
     sigma_prior = [0.035, 0.035, 0.07]
     known = 0.4                         # share of the prior's variance that the recording took away
+    doubt = "..."                       # - why the value may be wrong all the same
     [detector.LeftArm]                  # what is left of a landmark's reprojection errors
     sigma_px = 5.1
     memory_s = 0.4
@@ -42,6 +43,7 @@ def write_self_calibration_toml(
         quantities.setdefault(q.kind, {})[q.item] = {
             "value": q.value.tolist(), "sigma": q.sigma.tolist(),
             "sigma_prior": q.sigma_prior.tolist(), "known": q.known,
+            **({"doubt": q.doubt} if q.doubt else {}),
         }  # fmt: skip
     content = {
         "schema_version": SCHEMA_VERSION,
@@ -93,8 +95,9 @@ def _quantity(kind: Section, item: str) -> Quantity:
     value = section.numbers("value")
     sigma, sigma_prior = (section.array(n, value.shape) for n in ("sigma", "sigma_prior"))
     known = section.number("known")
+    doubt = section.text("doubt", "")
     section.close()
-    return Quantity(kind.name.partition(".")[2], item, value, sigma, sigma_prior, known)
+    return Quantity(kind.name.partition(".")[2], item, value, sigma, sigma_prior, known, doubt)
 
 
 def _detector(landmarks: Section, name: str) -> Detector:

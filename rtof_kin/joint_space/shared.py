@@ -41,6 +41,8 @@ _INNER = 8
 """Iterations of a fragment's states after the first round."""
 _LIVELY = 8
 """Fragments that a delay is looked for in."""
+_AS_GOOD = 0.01
+"""Share of the energy within which another value of what is searched for is as good as the best one."""
 _ENOUGH = 1e-3
 """Share of the energy by which a step must lower it for another one; the states are solved to less."""
 
@@ -75,6 +77,8 @@ class Shared:
     """After every step that was taken, none first."""
     converged: bool
     """Whether the last step changed the energy by next to nothing."""
+    doubts: dict[int, str]
+    """Column of what was searched for -> why the search may have missed it; empty where it did not."""
 
 
 class SharedFragments:
@@ -104,6 +108,7 @@ class SharedFragments:
         self._firsts: list[int] = firsts[chosen].tolist()
         self._sigma_px = np.nan
         self._states: dict[int, tuple[Array, Array | None]] = {}
+        self._doubts: dict[int, str] = {}
 
     def estimate(
         self, rounds: int, progress: Callable[[int, int], None] | None = None, overcount: float = 1.0,
@@ -147,7 +152,7 @@ class SharedFragments:
         y = best[1]
         tell(rounds + 1, rounds + 1)
         residuals = self._residuals(self.corrected(y))
-        return Shared(y, hessian, self._sigma_px, residuals, tuple(energies), converged)
+        return Shared(y, hessian, self._sigma_px, residuals, tuple(energies), converged, self._doubts)
 
     @property
     def _shrinking(self) -> list[slice]:
@@ -179,12 +184,14 @@ class SharedFragments:
         for i in np.flatnonzero(self._search_columns).tolist():
             sigma, energy = float(deviations[i]), partial(self._energy_at, y, i)
             grid = sigma * np.arange(-2.0, 3.0)
-            best = float(grid[int(np.argmin([energy(value) for value in grid]))])
+            energies = np.array([energy(value) for value in grid])
+            best = float(grid[int(np.argmin(energies))])
             found = minimize_scalar(
                 energy, bounds=(best - sigma, best + sigma), method="bounded",
                 options={"xatol": 0.02 * sigma, "maxiter": 8},
             )  # fmt: skip
             y[i] = found.x
+            self._doubts |= _doubt(i, float(found.x), float(found.fun), grid, energies, sigma)
         return y
 
     def _energy_at(self, y: Array, i: int, value: float) -> float:
@@ -307,6 +314,20 @@ class SharedFragments:
         jerk = at.jerk(values.w_jerk, self.data.problem.sigma_jerk[:3] * evidence.length_scale)
         border.add_differences(jerk, by("jerk", jerk.value), 3, rate)
         return border
+
+
+def _doubt(
+    column: int, found: float, least: float, grid: Array, energies: Array, sigma: float
+) -> dict[int, str]:
+    """Why a search over ``grid +- sigma`` may have missed what it looked for; empty where it did not."""
+    border = float(grid[-1]) + sigma
+    if abs(found) > border - sigma / 2:
+        return {column: f"the search ends at its border of {border:.3g} s, and the delay may lie beyond"}
+    others = (np.abs(grid - found) > 0.99 * sigma) & (energies < least * (1 + _AS_GOOD))
+    if others.any():
+        rival = float(grid[others][np.argmin(energies[others])])
+        return {column: f"{rival:.3g} s explains the recording as well"}
+    return {}
 
 
 def _precision(unknowns: Sequence[Unknown]) -> Array:
