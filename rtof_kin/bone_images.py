@@ -85,8 +85,12 @@ def bone_images(
     Returns:
         None where no sensor is on a bone whose ends the detector knows.
     """
-    step_frames = max(1, round(STEP * poses.rate_hz))
-    chosen = np.arange(0, len(keypoints), max(step_frames, -(-len(keypoints) // _MOST_FRAMES)))
+    times = keypoints.times
+    every = max(1, -(-int(np.ptp(times) / STEP) // _MOST_FRAMES))
+    frames = np.arange(0, int(np.ptp(times) / STEP) + 1, every)
+    chosen = _nearest(times, times[0] + STEP * frames)
+    before = int(np.ceil((times[0] - bone_imus.times[0]) / STEP))  # so that frames lie on the grid
+    grid = times[0] + STEP * np.arange(-before, (bone_imus.times[-1] - times[0]) / STEP)
     seen, camera = keypoints.select(skeleton.names), keypoints.camera
     xy = camera.normalise(seen.uv_px[chosen])
     depth = camera.to_camera(poses.p_world_joint[chosen, 0])[:, 2]
@@ -101,11 +105,10 @@ def bone_images(
     s, j, c = (np.array(column) for column in zip(*ends, strict=True))
     rest = skeleton.joint_offsets[c]
     length = np.linalg.norm(rest, axis=-1)
-    start, G = bone_imus.times[0], int(np.ptp(bone_imus.times) / STEP) + 1
-    at = np.searchsorted(bone_imus.times, start + STEP * np.arange(G)).clip(0, len(bone_imus) - 1)
-    R = np.einsum("ij,gbjk->gbik", camera.R_camera_world, bone_imus.R_world_bone[at][:, s])
+    R_world_bone = bone_imus.R_world_bone[_nearest(bone_imus.times, grid)][:, s]
+    R = np.einsum("ij,gbjk->gbik", camera.R_camera_world, R_world_bone)
     return BoneImages(
-        frames=np.round((keypoints.times[chosen] - start) / STEP).astype(np.intp),
+        frames=frames + before,
         vectors=(xy[:, c] - xy[:, j]) * depth[:, None, None] / length[:, None],
         rays=(xy[:, c] + xy[:, j]) / 2,
         directions=np.einsum("gbik,bk->gbi", R, rest / length[:, None]),
@@ -114,6 +117,12 @@ def bone_images(
         sensors=s,
         sensor_count=len(bone_imus.joints),
     )
+
+
+def _nearest(times: Array, at: Array) -> NDArray[np.intp]:
+    """Indices of the samples nearest to some instants."""
+    middles = (times[1:] + times[:-1]) / 2
+    return np.searchsorted(middles, at)
 
 
 def best_exchange(

@@ -241,7 +241,8 @@ def _doubted(quantity: Quantity, recording: Recording, start: PoseSequence, shar
     """A delay that the search may have missed, or that is another one by how the limbs turn, is no better
     known than before."""
     imus, calibration = recording.imus, recording.calibration
-    if quantity.kind != "delay" or imus is None or calibration is None:
+    known = quantity.verdict is not Verdict.PRIOR
+    if quantity.kind != "delay" or not known or imus is None or calibration is None:
         return quantity
     images = bone_images(recording.video, calibration.apply(imus), start, recording.skeleton)
     clocks = check_clocks(images)

@@ -25,14 +25,14 @@ from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.stages import Begun, LifterLike, ReconstructionSettings, begin
 from rtof_kin.types import BoneImuSequence, KeypointSequence
 
-SETUP = "nats by which another setup explains the movement better"
+SETUP = "evidence for another setup"
 _SURE = 25.0
 _OF_ALL = (FaultKind.WORLD, FaultKind.FACING)
 """Nats from which a sensor is accused where nobody asked; faults of all sensors need `LEAST_RATIO`."""
 _LEAST_SECONDS = 2.0
 """[s] of movement by which sensors' places and references can be judged."""
-_POSES = ("T", "N")
-"""In which sensors may have been calibrated before they were taken for each other."""
+_ELSEWHERE = (FaultKind.SIDES, FaultKind.NEIGHBOURS, FaultKind.SWAPPED, FaultKind.SEGMENT)
+"""What looks otherwise where sensors were calibrated in an N-pose, before they were declared wrongly."""
 _DISAGREES, _EXCHANGED = 2.8, 0.7
 """Nats a frame by which a sensor differs from the image, and by which two differ less on each other's
 segments, for the setup to be looked into: one good recording in twenty reaches one of them."""
@@ -125,8 +125,9 @@ def _check_setup(
         why = f"there are less than {_LEAST_SECONDS:g} s of video and sensors together"
         return Check.unknown(SETUP, "sensors", "nats", why)
     found = [
-        fault for pose in _POSES for fault in find_faults(
-            bone_imus, skeleton, pose=pose, visual=seen.start, calibration=recording.calibration, most=1)
+        fault for pose, kinds in (("T", tuple(FaultKind)), ("N", _ELSEWHERE)) for fault in find_faults(
+            bone_imus, skeleton, pose=pose, visual=seen.start, calibration=recording.calibration,
+            kinds=kinds, most=1)
     ]  # fmt: skip
     if not found:
         return Check(SETUP, "sensors", 0.0, _SURE, "nats")

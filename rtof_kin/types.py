@@ -235,15 +235,19 @@ class ImuSequence:
     def _check_unit(self) -> None:
         """Over a recording the median specific force is near one gravity.
 
-        Samples that repeat the one before count for nothing: a sensor may stick in the middle of a blow.
+        Samples that repeat the one before count for nothing: a sensor may stick in the middle of a blow;
+        and of one that never says anything else, nothing can be told.
         """
         norm = np.linalg.norm(self.f_sensor, axis=-1)
         norm[1:][(self.f_sensor[1:] == self.f_sensor[:-1]).all(axis=-1)] = np.nan
+        R = self.R_inertial_sensor
+        frozen = np.isfinite(norm).sum(axis=0) == 1
+        frozen &= (R[1:] == R[:-1]).all(axis=(0, 2, 3)) & (len(R) > 1)
         for s, name in enumerate(self.names):
-            if not np.any(np.isfinite(norm[:, s])):
+            if frozen[s] or not np.any(np.isfinite(norm[:, s])):
                 continue
             median = float(np.nanmedian(norm[:, s]))
-            if 0.5 < median < 2.0 and self._mean_force(s) > 0.5:
+            if 0.5 < median < 2.0 and self._feels_gravity(s, norm[:, s]):
                 raise UnitError(
                     f"IMU {name}: the median specific force is {median:.2f}, which is one gravity "
                     f"in g; multiply by {STANDARD_GRAVITY} to get m/s^2"
@@ -259,13 +263,14 @@ class ImuSequence:
                     "give m/s^2 (9.81 at rest), not milli-g or raw counts"
                 )
 
-    def _mean_force(self, s: int) -> float:
-        """Size of a sensor's mean specific force in its reference, as a share of the mean size: near 1
-        of one that feels gravity, however it turns, and near 0 of one from which it was removed."""
+    def _feels_gravity(self, s: int, norm: Array) -> bool:
+        """Whether a sensor's specific force (T,) in some unit has gravity in it: it is hardly ever small,
+        or its mean in the reference is most of it."""
+        if np.nanquantile(norm, 0.1) > 0.5 * np.nanmedian(norm):
+            return True
         f = np.einsum("tij,tj->ti", self.R_inertial_sensor[:, s], self.f_sensor[:, s])
         f = f[np.isfinite(f).all(axis=-1)]
-        sizes = np.linalg.norm(f, axis=-1)
-        return float(np.linalg.norm(f.mean(axis=0)) / sizes.mean()) if len(f) and sizes.any() else 1.0
+        return len(f) > 0 and bool(np.linalg.norm(f.mean(axis=0)) > 0.5 * np.nanmean(norm))
 
     def __len__(self) -> int:
         return len(self.times)

@@ -224,7 +224,7 @@ def test_a_world_of_the_sensors_that_is_turned_against_the_cameras_is_named() ->
         calibration=replace(whole.calibration, R_world_inertial=R),
     )  # fmt: skip
     found = reconstruct(turned, calibrate=False, settings=ReconstructionSettings(confidence=False))
-    (named,) = [w for w in found.warnings if "log-likelihood" in w]
+    (named,) = [check.cause for check in found.checks if check.failed]
     assert named.startswith("the sensors' world has to be turned by -90 degrees about the vertical")
 
 

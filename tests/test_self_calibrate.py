@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.calibration_priors import CalibrationPriors
+from rtof_kin.contradictions import contradictions
 from rtof_kin.errors import CalibrationError, ShapeError
 from rtof_kin.recording import Recording
 from rtof_kin.self_calibrate import calibrate
@@ -43,6 +44,15 @@ def test_a_planted_delay_is_found_to_5_ms(seconds: float) -> None:
     result = found(cs.late(recorded(), seconds), cs.only("delay", sigma_clock_drift=None))
     assert result["delay", "video"].value[0] == pytest.approx(seconds, abs=0.005)
     assert result["delay", "video"].verdict is Verdict.OBSERVED
+
+
+def test_a_delay_at_the_end_of_the_search_is_in_doubt_and_not_observed() -> None:
+    result = found(cs.late(recorded(), 0.3), cs.only("delay", sigma_clock_drift=None))
+    delay = result["delay", "video"]
+    assert delay.verdict is Verdict.DOUBTFUL
+    assert "border of 0.15 s" in delay.doubt
+    assert delay.sigma[0] == delay.sigma_prior[0]
+    assert any("is in doubt" in line for line in contradictions(recorded(), result))
 
 
 def test_planted_headings_are_found() -> None:

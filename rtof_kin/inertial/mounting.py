@@ -11,7 +11,7 @@ it. Of lone sensors, with none on the next segment, left and right look like eac
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.calibration import ImuCalibration
 from rtof_kin.inertial.evidence import Evidence
-from rtof_kin.inertial.faults import Fault, Setup
+from rtof_kin.inertial.faults import Fault, FaultKind, Setup
 from rtof_kin.inertial.poses import pose_rotations, turned_to
 from rtof_kin.inertial.segment_motion import (
     SegmentMotion,
@@ -50,6 +50,7 @@ def find_faults(
     pose: str | ArrayLike = "T",
     visual: PoseSequence | None = None,
     calibration: ImuCalibration | None = None,
+    kinds: Collection[FaultKind] = tuple(FaultKind),
     least_ratio: float = LEAST_RATIO,
     most: int = 3,
 ) -> tuple[Fault, ...]:
@@ -63,6 +64,7 @@ def find_faults(
             calibrated otherwise.
         visual: the same movement as a camera saw it (a lifter's poses will do): directions of the bones.
         calibration: what the samples were read with, to look for samples under each other's names too.
+        kinds: of what is looked for.
         least_ratio: nats from which on a fault is named; `LONE_FACTOR` times as many for lone sensors.
         most: so many faults at most, each looked for after the ones before it are repaired.
     """
@@ -75,7 +77,8 @@ def find_faults(
     while len(found) < most:
         levers = {motion.joint: motion.p_bone_sensor for motion in motions}
         setup = Setup(skeleton, levers, turned_to(R_pose, 0.0), calibration)
-        fault = _likeliest(scores, motions, setup, least_ratio)
+        faults = [f for f in setup.possible_faults(bool(scores.evidence.seen)) if f.kind in kinds]
+        fault = _likeliest(scores, motions, setup, faults, least_ratio)
         if fault is None:
             break
         found.append(fault)
@@ -85,10 +88,10 @@ def find_faults(
 
 
 def _likeliest(
-    scores: _Scores, motions: Sequence[SegmentMotion], setup: Setup, least_ratio: float
+    scores: _Scores, motions: Sequence[SegmentMotion], setup: Setup, faults: Sequence[Fault],
+    least_ratio: float,
 ) -> Fault | None:
     """The fault that explains the motions best, and what does nearly as well; None where none does."""
-    faults = list(setup.possible_faults(bool(scores.evidence.seen)))
     base = scores.total(motions)
     ratios = np.array([scores.total(fault.read(motions)) - base for fault in faults])
     asked = [least_ratio * (LONE_FACTOR if setup.is_lone(fault) else 1.0) for fault in faults]

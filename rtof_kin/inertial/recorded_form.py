@@ -132,16 +132,16 @@ def _check_gravity(
     every = max(1, len(imus.times) // _MOST_SAMPLES)
     f = np.where(repeats[..., None], np.nan, imus.f_sensor)[::every]
     R = imus.R_inertial_sensor[::every]
-    known = np.isfinite(f).all(axis=-1) & np.isfinite(R).all(axis=(-2, -1))
+    known = np.asarray(np.isfinite(f).all(axis=-1) & np.isfinite(R).all(axis=(-2, -1)))
     step = float(np.median(np.diff(imus.times))) * every if len(imus.times) > 1 else 0.0
-    seconds = step * known.sum(axis=0)
+    seconds = np.asarray(step * known.sum(axis=0))
     judged = np.asarray(seconds >= LEAST_SECONDS)
     if not judged.any():
         why = f"there are less than {LEAST_SECONDS:g} s of samples that change"
         return [Check.unknown(GRAVITY, "sensors", "m/s2", why)]
     f, R = np.where(known[..., None], f, 0.0), np.where(known[..., None, None], R, np.eye(3))
     count = np.maximum(known.sum(axis=0), 1)[:, None]
-    limit = OFF + VELOCITY / np.maximum(seconds, LEAST_SECONDS)
+    limit = np.asarray(OFF + VELOCITY / np.maximum(seconds, LEAST_SECONDS), dtype=np.float64)
 
     def off(mistake: _Mistake) -> Array:
         """(S,) m/s^2 by which the mean is off where that mistake is undone."""
@@ -154,20 +154,24 @@ def _check_gravity(
     if not wrong.any():
         worst = int(np.argmax(np.where(judged, given / limit, -1)))
         return [Check(GRAVITY, "sensors", float(given[worst]), float(limit[worst]), "m/s2")]
-    shares = np.array([np.mean(off(m)[wrong] <= limit[wrong]) for m in _MISTAKES])
-    return [_named(imus.names, wrong, judged, given, limit, shares)]
+    undone = np.array([off(mistake) <= limit for mistake in _MISTAKES])
+    return [_named(imus.names, wrong, judged, given, limit, undone)]
 
 
 def _named(
     names: Sequence[str], wrong: NDArray[np.bool_], judged: NDArray[np.bool_], given: Array,
-    limit: Array, shares: Array,
+    limit: Array, undone: NDArray[np.bool_],
 ) -> Check:  # fmt: skip
-    """The failed check of the sensors that are wrong, with the mistake that explains most of them."""
-    of = "all sensors" if wrong[judged].all() else _listed(names, wrong)
+    """The failed check of the sensors that are wrong, with the mistake that explains most of them.
+
+    Args:
+        undone: (M, S) whether the law holds with each mistake undone.
+    """
     worst = int(np.argmax(np.where(wrong, given / limit, -1)))
     value, most = float(given[worst]), float(limit[worst])
-    explains = [m for m, share in zip(_MISTAKES, shares, strict=True) if share >= _EXPLAINED]
+    explains = [k for k, holds in enumerate(undone) if np.mean(holds[wrong]) >= _EXPLAINED]
     if not explains:
+        of = _listed(names, wrong)
         return Check(
             GRAVITY, of, value, most, "m/s2",
             "No usual mistake explains it (sign, gravity removed, quaternion order or inverse). Are axes "
@@ -176,13 +180,16 @@ def _named(
             cause=f"accelerations and orientations of {of} do not belong together",
         )  # fmt: skip
     first, *others = explains
-    advice = f"Undone, gravity points up for {100 * shares[_MISTAKES.index(first)]:.0f} % of them. "
-    advice += first.remedy[0].upper() + first.remedy[1:]
-    if first.cause == _FLIPPED:
+    # What inversion does to a sensor that hardly turns need not show: then all have the mistake.
+    all_of_them = bool(undone[first][judged].all())
+    advice = f"Undone, gravity points up for {100 * np.mean(undone[first][wrong]):.0f} % of them. "
+    advice += _MISTAKES[first].remedy[0].upper() + _MISTAKES[first].remedy[1:]
+    if first == 0:
         advice += ". Or the reference's z axis points down, and R_world_inertial does not turn it up"
     if others:
-        advice += f". Or else {' or '.join(m.cause for m in others)}"
-    return Check(GRAVITY, of, value, most, "m/s2", advice, cause=f"{first.cause}, of {of}")
+        advice += f". Or else {' or '.join(_MISTAKES[k].cause for k in others)}"
+    of = "all sensors" if all_of_them else _listed(names, wrong)
+    return Check(GRAVITY, of, value, most, "m/s2", advice, cause=_MISTAKES[first].cause)
 
 
 def _listed(names: Sequence[str], chosen: NDArray[np.bool_]) -> str:
