@@ -1,11 +1,12 @@
 """How often `reconstruct` names faults of sensors and clocks, and accuses good recordings.
 
 ``python -m benchmarks.sensor_checks --corpus DIR`` with DIR the folder of free motion (see README.md
-here); ``--real DIR`` adds recordings of real sensors (the trials of examples/sensor_trials.toml), of which
-only what physics tells can be checked. Motions of at least 4 s, their middle 10 s at most, realistic 2D
-from one camera and 4, 8 or 10 sensors in turn. Each recording is given as it is, and with one fault planted
-at a time. *named*: the first warning names what was planted. *silent*: no check fails. The checks run at
-the end of mode `lift`; in `rtof` sensors that disagree with the solved motion give them away too.
+here); ``--real DIR`` adds recordings of real sensors (the trials of examples/sensor_trials.toml), of
+which only what physics tells can be checked. Motions of at least 4 s, their middle 10 s at most,
+realistic 2D from one camera and 4, 8 or 10 sensors in turn. Each recording is given as it is, and with
+one fault planted at a time. *named*: the first warning names what was planted. *silent*: no check fails.
+The checks run at the end of mode `lift`; in `rtof` sensors that disagree with the solved motion give them
+away too.
 """
 
 from __future__ import annotations

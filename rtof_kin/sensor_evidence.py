@@ -36,8 +36,6 @@ _ELSEWHERE = (FaultKind.SIDES, FaultKind.NEIGHBOURS, FaultKind.SWAPPED, FaultKin
 _DISAGREES, _EXCHANGED = 2.8, 0.7
 """Nats a frame by which a sensor differs from the image, and by which two differ less on each other's
 segments, for the setup to be looked into: one good recording in twenty reaches one of them."""
-_STILL_PX = 3.0
-"""A person whose landmarks stay so close to where they were does not move."""
 
 
 def check_sensor_form(recording: Recording) -> tuple[Check, ...]:
@@ -45,8 +43,7 @@ def check_sensor_form(recording: Recording) -> tuple[Check, ...]:
     imus, calibration = recording.imus, recording.calibration
     if imus is None or calibration is None or not set(imus.names) <= set(calibration.sensors):
         return ()
-    R_world_inertial = calibration.select(imus.names).R_world_inertial
-    return check_form(imus, R_world_inertial, _moves(recording.keypoints))
+    return check_form(imus, calibration.select(imus.names).R_world_inertial)
 
 
 def check_sensor_evidence(
@@ -97,14 +94,6 @@ def naming_wrong_samples(recording: Recording) -> Iterator[None]:
         if not causes:
             raise
         raise type(error)("; ".join([*causes, f"therefore {error}"])) from error
-
-
-def _moves(keypoints: KeypointSequence | None) -> bool:
-    """Whether the person is seen to move; True where nobody looks."""
-    if keypoints is None or not keypoints.seen.any():
-        return True
-    seen = keypoints.uv_px[:, keypoints.seen.any(axis=0)]
-    return bool(np.median(np.nanstd(seen, axis=0)) > _STILL_PX)
 
 
 def _as_seen(recording: Recording, begun: Begun) -> KeypointSequence:

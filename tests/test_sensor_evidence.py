@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.sensor_checks import FAULTS
-from rtof_kin import clock_evidence
+from rtof_kin import clock_evidence, pipeline
 from rtof_kin.errors import SolverError
 from rtof_kin.pipeline import Reconstruction, reconstruct
 from rtof_kin.plausibility import Verdict as Found
@@ -99,10 +99,16 @@ def test_what_no_usual_mistake_explains_is_not_given_a_name() -> None:
     assert "axes" in failed.advice
 
 
-def test_sensors_alone_are_checked_by_physics_too() -> None:
-    with messages() as told:
-        reconstruct(replace(FAULTS["all sensors frozen"].plant(demo(1.3)), keypoints=None), mode="imu")
-    assert "all sensors are frozen" in told[0]
+def test_sensors_alone_that_cannot_be_solved_are_checked_by_physics_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def diverge(*_: object) -> None:
+        raise SolverError("it diverged")
+
+    monkeypatch.setattr(pipeline, "reconstruct_from_sensors", diverge)
+    frozen = replace(FAULTS["all sensors frozen"].plant(demo(1.3)), keypoints=None)
+    with pytest.raises(SolverError, match="^all sensors are frozen.*therefore it diverged"):
+        reconstruct(frozen, mode="imu")
 
 
 def test_an_error_that_wrong_samples_lead_to_names_them_first() -> None:

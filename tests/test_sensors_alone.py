@@ -82,6 +82,8 @@ def test_a_walk_of_known_length_drifts_by_less_than_three_percent(
     assert walked.root_sigma is not None
     assert 0 < walked.root_sigma[-1] < 0.2 * length
     assert walked.warnings == ()
+    assert walked.checks
+    assert not any(check.failed for check in walked.checks)
 
 
 def test_feet_that_stand_stay_where_they_are(walk: MotionSequence, walked: Reconstruction) -> None:

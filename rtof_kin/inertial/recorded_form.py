@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rtof_kin import rotations as so3
 from rtof_kin import signals
 from rtof_kin.plausibility import Check
-from rtof_kin.types import GRAVITY_WORLD, ImuSequence
+from rtof_kin.types import GRAVITY_WORLD, STANDARD_GRAVITY, ImuSequence
 
 Array = NDArray[np.float64]
 FROZEN, GRAVITY = "longest time of one repeated sample", "mean specific force in world, off gravity"
@@ -75,20 +75,19 @@ _MISTAKES = (
 )  # fmt: skip
 
 
-def check_form(imus: ImuSequence, R_world_inertial: Array, moving: bool = True) -> tuple[Check, ...]:
+def check_form(imus: ImuSequence, R_world_inertial: Array) -> tuple[Check, ...]:
     """Checks that sensors are alive, and that what they measure is what a recording takes.
 
     Args:
         imus: S sensors, as recorded.
         R_world_inertial: (S, 3, 3) of their calibration.
-        moving: whether the person is known to move, so that a sensor that never changes is frozen.
 
     Returns:
         One check of each sensor's repeats and one of gravity for all; sensors with the same mistake
         share one that leads with its cause.
     """
     repeats = _repeats(imus)
-    return (*_check_frozen(imus, repeats, moving), *_check_gravity(imus, R_world_inertial, repeats))
+    return (_check_frozen(imus, repeats), *_check_gravity(imus, R_world_inertial, repeats))
 
 
 # --- frozen --------------------------------------------------------------------------------------
@@ -103,24 +102,26 @@ def _repeats(imus: ImuSequence) -> NDArray[np.bool_]:
     return np.concatenate([np.zeros((1, S), dtype=np.bool_), same])
 
 
-def _check_frozen(imus: ImuSequence, repeats: NDArray[np.bool_], moving: bool) -> list[Check]:
-    times = imus.times
+def _check_frozen(imus: ImuSequence, repeats: NDArray[np.bool_]) -> Check:
+    """A sensor that never measures anything but gravity, without any noise, is made up of a body that is
+    still there."""
+    times, still = imus.times, repeats[1:].all(axis=0)
+    made_up = still & (np.abs(np.linalg.norm(imus.f_sensor[0], axis=-1) - STANDARD_GRAVITY) < 1e-6)
     longest = np.array([
         max((times[stop - 1] - times[start - 1] for start, stop in signals.runs(own)), default=0.0)
-        for own in repeats.T
+        for own in np.where(made_up, False, repeats).T
     ])  # fmt: skip
     frozen = longest > LONGEST_REPEAT
+    value = float(longest.max())
     if not frozen.any():
-        return [Check(FROZEN, "sensors", float(longest.max()), LONGEST_REPEAT, "s")]
-    if not moving and repeats[1:].all():
-        return [Check.unknown(FROZEN, "sensors", "s", "nobody moves in the image either")]
+        return Check(FROZEN, "sensors", value, LONGEST_REPEAT, "s")
     names = _listed(imus.names, frozen)
     be = "is" if frozen.sum() == 1 else "are"
-    return [Check(
-        FROZEN, names, float(longest.max()), LONGEST_REPEAT, "s",
+    return Check(
+        FROZEN, names, value, LONGEST_REPEAT, "s",
         "A sensor that is alive never measures the same twice; record again, or leave it out",
         cause=f"{names} {be} frozen: one sample is repeated for long",
-    )]  # fmt: skip
+    )  # fmt: skip
 
 
 # --- gravity -------------------------------------------------------------------------------------
