@@ -6,10 +6,12 @@ knows of them. So every covariance C of the Hessian becomes
 
 ::
 
-    K C K + B^2      K = k0 + m (k - k0)      B = m d b
+    K C K + B^2 + a^2 D      K = k0 + m (k - k0)      B = m d b
 
 with diagonal matrices of a factor k and a floor b for every joint and every pair of segments, the same
-for right and left, which hold for a detector as they are. Three things of the recording itself
+for right and left, which hold for a detector as they are. In what frames something is wrong, *D* says:
+mean squares of the difference between the solution and the start that it was solved from
+(`rtof_kin.disagreement`), with one share a for all joints of a kind. Three things of the recording itself
 (`Circumstances`) say how much of that is in it:
 
 - *m*: how far residuals of its keypoints last. Where they are white they average out as the Hessian
@@ -31,7 +33,7 @@ The numbers were fitted on recordings of other people (``python -m benchmarks.co
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Self
@@ -41,6 +43,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.checks import checked_names
 from rtof_kin.confidence import WORLD, Confidence
+from rtof_kin.disagreement import Disagreement
 from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.io.text import load_toml
 from rtof_kin.limbs import both_bones_sensed
@@ -55,6 +58,8 @@ OTHER = "other"
 """Name of the widening of what has none of its own."""
 USUAL_TORSO_SIGMA = 0.09
 """[rad] of pelvis and upper trunk as the lifter tells it of a usual recording."""
+_SHARES = "apart"
+"""Table of the shares in a file."""
 _WHITE_FACTOR = 1.2
 """k0: errors in such of the Hessian's standard deviations with white 2D and eight real sensors, of
 people of the fit; the same of positions and turns."""
@@ -95,13 +100,13 @@ class Widening:
     """(3,) standard deviation, m or rad."""
 
     def __post_init__(self) -> None:
-        for field, least in (("factor", 1.0), ("floor", 0.0)):
-            value = np.asarray(getattr(self, field), dtype=float)
+        for name, least in (("factor", 1.0), ("floor", 0.0)):
+            value = np.asarray(getattr(self, name), dtype=float)
             if value.shape not in ((), (3,)) or not np.all(np.isfinite(value) & (value >= least)):
                 raise ShapeError(
-                    f"widening {field}: {value} must be one or three numbers, none below {least:g}"
+                    f"widening {name}: {value} must be one or three numbers, none below {least:g}"
                 )
-            object.__setattr__(self, field, np.broadcast_to(value, 3))
+            object.__setattr__(self, name, np.broadcast_to(value, 3))
 
 
 @dataclass(frozen=True)
@@ -110,8 +115,14 @@ class Inflation:
 
     widenings: Mapping[str, Mapping[str, Mapping[str, Widening]]]
     """By who saw it (`SEEN`), kind (`UNITS`) and `unsided` name of the joint, or of parent and child."""
+    shares: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """a, by who saw it and kind: standard deviations per distance from the start; 0 where not given."""
 
     def __post_init__(self) -> None:
+        for seen, shares in self.shares.items():
+            for kind, share in shares.items():
+                if kind not in SEEN.get(seen, ()) or not 0 <= share < np.inf:
+                    raise ShapeError(f"inflation: the share {share} of {seen}.{kind} cannot be")
         for seen, kinds in SEEN.items():
             for kind in kinds:
                 if OTHER not in self.widenings.get(seen, {}).get(kind, {}):
@@ -137,13 +148,17 @@ class Inflation:
                     for kind in kinds
                 }
                 for seen, kinds in SEEN.items()
-            })  # fmt: skip
+            }, data.get(_SHARES, {}))  # fmt: skip
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise FileFormatError(path, f"no table of widenings: {error}") from error
 
     def text(self) -> str:
         """As TOML."""
-        lines = []
+        lines = [f"[{_SHARES}]  # of the distance between solution and start"]
+        for seen, shares in self.shares.items():
+            told = ", ".join(f"{kind} = {share:.3g}" for kind, share in shares.items())
+            lines.append(f"{seen} = {{ {told} }}")
+        lines.append("")
         for seen, kinds in SEEN.items():
             for kind in kinds:
                 lines.append(f"[{seen}.{kind}]  # floor in {UNITS[kind]}")
@@ -152,15 +167,24 @@ class Inflation:
                 lines.append("")
         return "\n".join(lines)
 
-    def apply(self, confidence: Confidence, circumstances: Circumstances) -> Confidence:
-        """A confidence of the Hessian alone, widened."""
+    def apply(
+        self, confidence: Confidence, circumstances: Circumstances, apart: Disagreement | None = None
+    ) -> Confidence:
+        """A confidence of the Hessian alone, widened.
+
+        Args:
+            apart: the solution from its start, at the same times; none counts where not given.
+        """
         names = confidence.names
         pairs = [" ".join(pair) for pair in confidence.pairs]
 
         def widened(kind: str, entries: Sequence[str], covariance: Array) -> Array:
             factor, floor = self._of(kind, entries, names[0], circumstances)
             scale = factor[:, :, None] * factor[:, None, :]
-            return np.asarray(covariance * scale + np.eye(3) * floor[:, :, None] ** 2)
+            wide = covariance * scale + np.eye(3) * floor[:, :, None] ** 2
+            if apart is not None:
+                wide += self._shares(kind, entries, names[0], circumstances) ** 2 * getattr(apart, kind)
+            return np.asarray(wide)
 
         relative = widened("relative", names, confidence.relative_covariance)
         relative[:, 0] = 0.0  # the root less itself
@@ -185,11 +209,24 @@ class Inflation:
         return np.array(factors), np.array(floors)
 
 
+    def _shares(
+        self, kind: str, names: Sequence[str], root: str, circumstances: Circumstances
+    ) -> Array:
+        """a (n, 1, 1) of some entries of a kind of covariance."""
+        seen = [seen_by(kind, name, root, circumstances.sensors) for name in names]
+        return np.array([self.shares.get(who, {}).get(kind, 0.0) for who in seen])[:, None, None]
+
+
 def factor_where(factor: ArrayLike, lasting: ArrayLike) -> Array:
     """K of factors k where residuals last as far as `lasting` says, 0 to 1."""
     k = np.asarray(factor, dtype=float)
     white = np.minimum(k, _WHITE_FACTOR)
     return np.asarray(white + (k - white) * lasting)
+
+
+def factor_rate(factor: float, lasting: ArrayLike) -> Array:
+    """Derivative of `factor_where` by the factor."""
+    return np.asarray(1.0 + (factor > _WHITE_FACTOR) * (np.asarray(lasting, dtype=float) - 1.0))
 
 
 def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:

@@ -15,6 +15,7 @@ from rtof_kin.camera_evidence import check_camera_evidence, explained
 from rtof_kin.choices import Choices
 from rtof_kin.circumstances import circumstances
 from rtof_kin.contradictions import check_height, contradictions
+from rtof_kin.disagreement import disagreement
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import FragmentSolution, FragmentSolver
 from rtof_kin.fragment_settings import FragmentSettings
@@ -258,7 +259,9 @@ def _told(
         return motion
     sensors = () if begun.bone_imus is None else begun.bone_imus.joints
     told = circumstances(keypoints, motion, begun.stages["lift"], sensors)
-    return replace(motion, confidence=Inflation.shipped().apply(solution.confidence, told))
+    start = begun.stages.get("sf2", begun.stages["lift"])
+    apart = disagreement(motion.poses, start, solution.confidence.pairs)
+    return replace(motion, confidence=Inflation.shipped().apply(solution.confidence, told, apart))
 
 
 def _solved(

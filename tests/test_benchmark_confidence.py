@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from benchmarks.confidence.tables import report
 from rtof_kin import rotations as so3
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.confidence import Confidence
+from rtof_kin.disagreement import disagreement
 from rtof_kin.inflation import OTHER, SEEN, Circumstances, Inflation, Widening, factor_where
 from rtof_kin.joint_space.uncertainty import segment_pairs
 from rtof_kin.skeleton import MotionSequence, SkeletonModel
@@ -49,7 +51,9 @@ def case(number: int, sensors: str = "8", sigma: float = 1.0) -> Case:
     told = Confidence(truth.times, BODY.names, one, 2 * one, PAIRS, turn)
     q = np.tile(BODY.t_pose(), (T, 1))
     motion = MotionSequence(BODY, q, poses, BODY.check(q), told)
-    return Case(f"m{number}/0", "realistic", sensors, Circumstances(CARRIERS[sensors]), motion, truth)
+    apart = disagreement(poses, poses, PAIRS)
+    told_of = Circumstances(CARRIERS[sensors])
+    return Case(f"m{number}/0", "realistic", sensors, told_of, motion, truth, apart)
 
 
 def as_told() -> Inflation:
@@ -78,7 +82,7 @@ def test_bands_that_are_too_narrow_or_too_wide_are_not_honest(sigma: float) -> N
 
 def test_errors_of_a_truth_against_itself_are_nothing() -> None:
     given = case(0)
-    exact = Case("m/0", "realistic", "8", Circumstances(), given.motion, given.motion.poses)
+    exact = replace(given, circumstances=Circumstances(), truth=given.motion.poses)
     for kind, name, both in errors(exact):
         assert np.abs(both.error).max(initial=0.0) < 1e-6, (kind, name)
     assert given.motion.confidence is not None
@@ -104,7 +108,7 @@ def test_a_planted_factor_and_floor_are_recovered(factor: float, floor: float) -
     variance = rng.uniform(0.001, 0.1, 40000) ** 2
     error = np.sqrt(factor**2 * variance + floor**2) * rng.normal(size=len(variance))
     one = np.ones(len(variance))
-    found = sharpest(error, variance, one, one, 1e-3)
+    found = sharpest(error, variance, one, one, 0 * one, 1e-3)[:2]
     assert found == pytest.approx((factor, floor), rel=0.05, abs=2e-3)
 
 
@@ -113,13 +117,29 @@ def test_they_are_recovered_from_recordings_that_tell_different_things_of_themse
     variance = rng.uniform(0.01, 0.1, 40000) ** 2
     lasting, doubt = rng.uniform(0.0, 1.0, 40000), rng.uniform(0.5, 2.0, 40000)
     size = np.sqrt(factor_where(3.0, lasting) ** 2 * variance + (0.05 * lasting * doubt) ** 2)
-    found = sharpest(size * rng.normal(size=len(size)), variance, lasting, doubt, 1e-3)
+    error = size * rng.normal(size=len(size))
+    found = sharpest(error, variance, lasting, doubt, 0 * size, 1e-3)[:2]
     assert found == pytest.approx((3.0, 0.05), rel=0.1)
+
+
+def test_the_share_is_that_by_which_errors_follow_the_distance_from_the_start() -> None:
+    """Errors have half the size of a distance that differs from frame to frame; the root is exact."""
+    rng, given = np.random.default_rng(7), case(3, "0", 0.01)
+    along = np.array([0.2, -0.1, 0.1]) * np.exp(rng.normal(size=(150, 21, 1)))
+    along[:, 0] = 0.0
+    p = given.truth.p_world_joint + 0.5 * rng.normal(size=(150, 21, 1)) * along
+    poses = replace(given.motion.poses, p_world_joint=p)
+    apart = disagreement(poses, replace(poses, p_world_joint=p - along), PAIRS, window=0.0)
+    cases = [case(3, sensors) for sensors in CARRIERS]
+    cases[0] = replace(given, motion=replace(given.motion, poses=poses), apart=apart)
+    found = fitted(cases)
+    assert found.shares["camera"]["position"] == pytest.approx(0.5, abs=0.06)
+    assert found.shares["camera"]["relative"] == pytest.approx(0.5, abs=0.06)
 
 
 def test_a_freedom_that_the_model_has_not_is_told_by_its_floor_alone() -> None:
     error, one = 0.2 * np.random.default_rng(0).normal(size=5000), np.ones(5000)
-    assert sharpest(error, 0 * one, one, one, 1e-3) == pytest.approx((1.0, 0.2), rel=0.05)
+    assert sharpest(error, 0 * one, one, one, 0 * one, 1e-3)[:2] == pytest.approx((1.0, 0.2), rel=0.05)
 
 
 def test_nobody_of_the_test_is_among_those_who_are_fitted_on() -> None:

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.confidence import WORLD, Confidence
+from rtof_kin.disagreement import Disagreement
 from rtof_kin.errors import FileFormatError, ShapeError
 from rtof_kin.inflation import (
     OTHER,
@@ -79,6 +80,19 @@ def test_it_depends_on_the_sensors_of_what_is_told(
     np.testing.assert_array_equal(found.relative_sigma[:, 0], 0.0)
 
 
+def test_a_share_of_the_distance_from_the_start_is_added_along_that_distance() -> None:
+    given = inflation()
+    found = Inflation(given.widenings, {"fused": {"relative": 0.5, "turn": 0.25}})
+    off = np.zeros((2, 3, 3, 3))
+    off[1, 1, 0, 0] = 4.0
+    apart = Disagreement(off, off, off[:, :2])
+    told = Circumstances(("LeftLeg",))
+    plain, wide = (found.apply(confidence(), told, of) for of in (None, apart))
+    np.testing.assert_allclose(wide.relative_covariance - plain.relative_covariance, 0.25 * off)
+    np.testing.assert_allclose(wide.turn_covariance - plain.turn_covariance, off[:, :2] / 16)
+    np.testing.assert_array_equal(wide.position_covariance, plain.position_covariance)  # no share
+
+
 def test_white_residuals_leave_what_the_hessian_says_but_for_the_sensors() -> None:
     wide = {"world Hips": Widening(3.0, 0.5), "Hips UpLeg": Widening(1.1, 0.5)}
     white = inflation(camera=wide).apply(confidence(), Circumstances(lasting=0.0))
@@ -124,10 +138,12 @@ def test_what_is_unknown_stays_unknown() -> None:
 
 
 def test_a_file_is_what_was_written(tmp_path: Path) -> None:
-    given = inflation(sensed={"Hips UpLeg": Widening([1.0, 2.5, 3.0], [0.0, 0.01, 0.02])})
+    plain = inflation(sensed={"Hips UpLeg": Widening([1.0, 2.5, 3.0], [0.0, 0.01, 0.02])})
+    given = Inflation(plain.widenings, {"fused": {"position": 0.0, "turn": 0.25}})
     (tmp_path / "a.toml").write_text(given.text())
     read = Inflation.read(tmp_path / "a.toml")
     assert read.text() == given.text()
+    assert read.shares == given.shares
     np.testing.assert_array_equal(read.widenings["sensed"]["turn"]["Hips UpLeg"].factor, [1.0, 2.5, 3.0])
 
 
@@ -162,6 +178,14 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path, text: str, message: str)
     (tmp_path / "a.toml").write_text(text)
     with pytest.raises(FileFormatError, match=message):
         Inflation.read(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize(
+    "shares", [{"sensed": {"position": 0.1}}, {"fused": {"turn": -0.1}}, {"us": {"turn": 1.0}}]
+)
+def test_shares_that_cannot_be_are_refused(shares: dict[str, dict[str, float]]) -> None:
+    with pytest.raises(ShapeError, match="share"):
+        Inflation(inflation().widenings, shares)
 
 
 def test_there_must_be_a_widening_for_what_has_none_of_its_own() -> None:

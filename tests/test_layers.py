@@ -23,8 +23,9 @@ io.text
 signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_code
 levenberg_marquardt   banded   lanes
 types   urdf   stream_faults   confidence
-skeleton   keypoint_guards   inflation
+skeleton   keypoint_guards   disagreement
 energies   fragment_settings   calibration   metrics   inertial_ik   root_position   contacts
+inflation
 observation   sensor_guards   circumstances   bone_images
 clock_evidence
 fragment_problem   fragment_solution   joint_space   joint_space.settings   root_path

@@ -37,10 +37,11 @@ HEAD = """\
 
 
 def collected(options: argparse.Namespace, clips: Sequence[MocapClip], kinds: Any) -> list[Case]:
-    """Every motion seen by every camera."""
+    """Every motion seen by so many cameras, which take turns."""
     jobs = [
-        (clip, camera, *kind) for clip in clips for camera in range(options.cameras) for kind in kinds
-    ]
+        (clip, (i + k) % 4, *kind)
+        for i, clip in enumerate(clips) for k in range(options.cameras) for kind in kinds
+    ]  # fmt: skip
     return [
         reconstructed(*job, options.seed, options.calibrate, options.lifter)
         for job in track(jobs, "recordings")

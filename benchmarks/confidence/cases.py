@@ -16,10 +16,11 @@ from rtof_kin import rotations as so3
 from rtof_kin.circumstances import circumstances
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.confidence import WORLD, Confidence
+from rtof_kin.disagreement import Disagreement, disagreement
 from rtof_kin.inflation import Circumstances
 from rtof_kin.metrics import at_times
 from rtof_kin.mocap import MocapClip
-from rtof_kin.pipeline import reconstruct
+from rtof_kin.pipeline import Reconstruction, reconstruct
 from rtof_kin.skeleton import MotionSequence
 from rtof_kin.types import PoseSequence
 
@@ -46,6 +47,8 @@ class Case:
     """With the confidence of the Hessian alone."""
     truth: PoseSequence
     """At the motion's times."""
+    apart: Disagreement
+    """The solution from its start."""
 
     @property
     def motion_name(self) -> str:
@@ -61,6 +64,8 @@ class Errors:
     """(n, 3) by axis."""
     covariance: Array
     """(n, 3, 3)."""
+    apart: Array
+    """(n, 3, 3) mean squares of the solution's difference from its start."""
 
 
 def reconstructed(
@@ -74,14 +79,22 @@ def reconstructed(
         recording, mode="rtof" if own else "rto", lifter=_lifter(lifter),
         calibrate=calibrate and bool(own),
     )  # fmt: skip
-    assert recording.truth is not None
-    assert result.solution is not None
-    motion = replace(result.motion, confidence=result.solution.confidence)[::EVERY]
-    truth = at_times(recording.truth, motion.times)
-    carriers = () if result.bone_imus is None else result.bone_imus.joints
+    return case_of(result, f"{clip.name}/{camera}", keypoints, sensors)
+
+
+def case_of(result: Reconstruction, name: str, keypoints: str, sensors: str) -> Case:
+    """A reconstruction as a case."""
+    solution, truth, lifted = result.solution, result.recording.truth, result.stages["lift"]
+    assert truth is not None
     assert result.keypoints is not None
-    told = circumstances(result.keypoints, result.motion, result.stages["lift"], carriers)
-    return Case(f"{clip.name}/{camera}", keypoints, sensors, told, motion, truth)
+    assert solution is not None
+    assert solution.confidence is not None
+    motion = replace(result.motion, confidence=solution.confidence)[::EVERY]
+    carriers = () if result.bone_imus is None else result.bone_imus.joints
+    told = circumstances(result.keypoints, result.motion, lifted, carriers)
+    start = result.stages.get("sf2", lifted)
+    apart = disagreement(result.motion.poses, start, solution.confidence.pairs)[::EVERY]
+    return Case(name, keypoints, sensors, told, motion, at_times(truth, motion.times), apart)
 
 
 @cache
@@ -102,10 +115,13 @@ def errors(case: Case, confidence: Confidence | None = None) -> Iterator[tuple[s
     p, p_true = case.motion.poses.p_world_joint, case.truth.p_world_joint
     seen = [p - p_true, (p - p[:, :1]) - (p_true - p_true[:, :1])]
     covariances = told.position_covariance, told.relative_covariance
-    for kind, error, covariance in zip(("position", "relative"), seen, covariances, strict=True):
+    apart = case.apart
+    for kind, error, covariance, off in zip(
+        ("position", "relative"), seen, covariances, (apart.position, apart.relative), strict=True
+    ):
         for j, name in enumerate(told.names):
             if kind == "position" or j > 0:
-                yield kind, name, _known(error[:, j], covariance[:, j])
+                yield kind, name, _known(error[:, j], covariance[:, j], off[:, j])
     R, R_true = case.motion.poses.R_world_bone, case.truth.R_world_bone
     for k, (parent, child) in enumerate(told.pairs):
         turned = [_seen_from(r, told.names, parent, child) for r in (R, R_true)]
@@ -113,7 +129,7 @@ def errors(case: Case, confidence: Confidence | None = None) -> Iterator[tuple[s
         known = np.isfinite(off).all(axis=(1, 2))  # a truth that was moved in time ends sooner
         error = np.full((len(off), 3), np.nan)
         error[known] = so3.log(off[known])
-        yield "turn", f"{parent} {child}", _known(error, told.turn_covariance[:, k])
+        yield "turn", f"{parent} {child}", _known(error, told.turn_covariance[:, k], apart.turn[:, k])
 
 
 def angle_errors(case: Case, confidence: Confidence) -> Iterator[tuple[str, Array, Array]]:
@@ -133,6 +149,6 @@ def _seen_from(R: Array, names: Sequence[str], parent: str, child: str) -> Array
     return own if parent == WORLD else np.swapaxes(R[:, names.index(parent)], -1, -2) @ own
 
 
-def _known(error: Array, covariance: Array) -> Errors:
+def _known(error: Array, covariance: Array, apart: Array) -> Errors:
     known = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
-    return Errors(error[known], covariance[known])
+    return Errors(error[known], covariance[known], apart[known])

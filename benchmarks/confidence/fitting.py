@@ -4,19 +4,31 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 from scipy.special import ndtr
 
 from benchmarks.confidence.cases import Case, Errors, errors
-from rtof_kin.inflation import OTHER, SEEN, Inflation, Widening, factor_where, seen_by, unsided
+from rtof_kin.inflation import (
+    OTHER,
+    SEEN,
+    Inflation,
+    Widening,
+    factor_rate,
+    factor_where,
+    seen_by,
+    unsided,
+)
 
 Array = NDArray[np.float64]
 _LEAST = {"position": 1e-3, "relative": 1e-4, "turn": np.radians(0.1)}
 """Floors begin there: nothing is known better."""
+_LARGEST_SHARE = 2.0
+_MOST = 20_000
+"""Errors that the share, one number, is found by."""
 _NOTHING = 1e-9
 """m or rad: keeps a standard deviation positive where neither the model nor the recording has any."""
 
@@ -32,6 +44,8 @@ class _Sample:
     """(n, 3) `Circumstances.lasting`."""
     doubt: Array
     """(n, 3) `Circumstances.doubt`."""
+    apart: Array
+    """(n, 3) mean square of the solution's difference from its start."""
 
 
 def fitted(cases: Sequence[Case]) -> Inflation:
@@ -45,63 +59,89 @@ def fitted(cases: Sequence[Case]) -> Inflation:
                 sample = _sample(kind, both, told.lasting, told.doubt(kind, who))
                 found[who, kind][unsided(name)].append(sample)
     widenings: dict[str, dict[str, dict[str, Widening]]] = {who: {} for who in SEEN}
+    shares: dict[str, dict[str, float]] = {who: {} for who in SEEN}
     for who, kinds in SEEN.items():
         for kind in kinds:
             own = found[who, kind]
-            widenings[who][kind] = {name: _fitted(kind, parts) for name, parts in own.items()}
             everything = [sample for parts in own.values() for sample in parts]
-            widenings[who][kind][OTHER] = _fitted(kind, everything)
-    return Inflation(widenings)
+            share = shares[who][kind] = _share(kind, everything)
+            widenings[who][kind] = {name: _fitted(kind, parts, share) for name, parts in own.items()}
+            widenings[who][kind][OTHER] = _fitted(kind, everything, share)
+    return Inflation(widenings, shares)
 
 
 def _sample(kind: str, both: Errors, lasting: float, doubt: float) -> _Sample:
     """Turns by the segment's axes, positions along those of the covariance, of which one is depth."""
     if kind == "turn":
         error, variance = both.error, np.diagonal(both.covariance, axis1=1, axis2=2)
+        apart = np.diagonal(both.apart, axis1=1, axis2=2)
     else:
         variance, axes = np.linalg.eigh(both.covariance)
         error = np.einsum("nij,ni->nj", axes, both.error)
+        apart = np.einsum("nij,nik,nkj->nj", axes, both.apart, axes)
+    shape = error.shape
     return _Sample(
-        error, np.maximum(variance, 0.0), np.full(error.shape, lasting), np.full(error.shape, doubt)
+        error, np.maximum(variance, 0.0), np.full(shape, lasting), np.full(shape, doubt), apart
     )
 
 
-def _fitted(kind: str, own: Sequence[_Sample]) -> Widening:
+def _joined(own: Sequence[_Sample]) -> list[Array]:
+    """(N, 3) of every field of many samples."""
+    return [np.concatenate([getattr(one, field.name) for one in own]) for field in fields(_Sample)]
+
+
+def _share(kind: str, own: Sequence[_Sample]) -> float:
+    """The share of all errors of one kind together: it scores best with one factor and one floor."""
+    values = [value.ravel() for value in _joined(own)]
+    values = [value[:: 1 + len(value) // _MOST] for value in values]  # they are much alike
+    found = minimize_scalar(
+        lambda share: sharpest(*values[:4], share**2 * values[4], least=_LEAST[kind])[2],
+        bounds=(0.0, _LARGEST_SHARE), method="bounded", options={"xatol": 0.05},
+    )  # fmt: skip
+    return float(found.x)
+
+
+def _fitted(kind: str, own: Sequence[_Sample], share: float) -> Widening:
     """Of one quantity: positions by one factor and one floor, turns by one of each axis."""
-    fields = ("error", "variance", "lasting", "doubt")
-    values = [np.concatenate([getattr(sample, field) for sample in own]) for field in fields]
+    *values, apart = _joined(own)
+    values.append(share**2 * apart)
     if kind == "turn":
-        found = [sharpest(*(value[:, i] for value in values), least=_LEAST[kind]) for i in range(3)]
+        found = [sharpest(*(value[:, i] for value in values), least=_LEAST[kind])[:2] for i in range(3)]
     else:
-        found = [sharpest(*(value.ravel() for value in values), least=_LEAST[kind])]
+        found = [sharpest(*(value.ravel() for value in values), least=_LEAST[kind])[:2]]
     factor, floor = np.transpose(found)
     return Widening(factor, floor) if kind == "turn" else Widening(factor[0], floor[0])
 
 
 def sharpest(
-    error: Array, variance: Array, lasting: Array, doubt: Array, least: float
-) -> tuple[float, float]:
+    error: Array, variance: Array, lasting: Array, doubt: Array, more: Array, least: float
+) -> tuple[float, float, float]:
     """Factor k >= 1 and floor b >= least with which normal errors (n,) of the widened variance
-    ``K^2 variance + B^2`` (`rtof_kin.inflation`) score best by their continuous ranked probability
-    (Gneiting & Raftery 2007, eq. 21): a proper score, in which a recording far out counts by its
-    distance, not its square."""
+    ``K^2 variance + B^2 + more`` (`rtof_kin.inflation`) score best, and that score: their continuous
+    ranked probability (Gneiting & Raftery 2007, eq. 21), a proper score, in which a recording far out
+    counts by its distance, not its square."""
     size, expected = np.sqrt(np.mean(error**2)) + least, np.sqrt(np.mean(variance))
     free = expected > 1e-6  # else the model has no such freedom, and the factor no meaning
 
-    def score(logs: Array) -> float:
-        factor, floor = factor_where(np.exp(logs[0]), lasting), np.exp(logs[1]) * lasting * doubt
-        sigma = np.sqrt(factor**2 * variance + floor**2) + _NOTHING
+    def score(logs: Array) -> tuple[float, Array]:
+        """The mean score, and its derivatives by the logarithms of factor and floor."""
+        k, b = np.exp(logs)
+        factor, floor = factor_where(k, lasting), b * lasting * doubt
+        sigma = np.sqrt(factor**2 * variance + floor**2 + more) + _NOTHING
         z = error / sigma
         ranked = sigma * (z * (2 * ndtr(z) - 1) + (np.sqrt(2) * np.exp(-(z**2) / 2) - 1) / np.sqrt(np.pi))
-        return float(np.mean(ranked) / size)
+        by_sigma = (np.sqrt(2) * np.exp(-(z**2) / 2) - 1) / np.sqrt(np.pi) / sigma
+        by_factor = factor * variance * k * factor_rate(k, lasting)
+        rates = [np.mean(by_sigma * by_factor), np.mean(by_sigma * floor**2)]
+        return float(np.mean(ranked) / size), np.array(rates) / size
 
     bounds = [(0.0, np.log(30.0) if free else 0.0), (np.log(least), np.log(10 * size))]
     starts = [(0.0, np.log(size))]
     if free:
         starts.append((np.log(np.clip(size / expected, 1.0, 20.0)), np.log(max(least, size / 3))))
     found = min(
-        (minimize(score, start, method="L-BFGS-B", bounds=bounds) for start in starts),
+        (minimize(score, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in starts),
         key=lambda result: float(result.fun),
     )
     factor, floor = np.exp(found.x)
-    return float(factor), float(floor)
+    return float(factor), float(floor), float(found.fun)

@@ -70,7 +70,7 @@ def honest(row: Row) -> bool:
 def _told(case: Case, inflation: Inflation) -> Iterator[tuple[str, str, Array, Array]]:
     """Kind, name, errors and standard deviations of everything there is a row of."""
     assert case.motion.confidence is not None
-    confidence = inflation.apply(case.motion.confidence, case.circumstances)
+    confidence = inflation.apply(case.motion.confidence, case.circumstances, case.apart)
     for kind, name, both in errors(case, confidence):
         if kind in UNITS and len(both.error):
             yield kind, unsided(name), both.error, np.sqrt(np.diagonal(both.covariance, axis1=1, axis2=2))
