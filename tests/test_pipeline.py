@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
 from rtof_kin.calibration_priors import CalibrationPriors
+from rtof_kin.disagreement import disagreement
 from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.fragment import SolverStatus
 from rtof_kin.fragment_settings import FragmentSettings
 from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+from rtof_kin.inflation import Inflation
 from rtof_kin.joint_space.settings import JointSpaceSettings
 from rtof_kin.metrics import at_times
 from rtof_kin.pipeline import (
@@ -97,6 +99,19 @@ def test_each_stage_is_better_than_the_one_before(results: dict[str, Reconstruct
     assert score["rtof"]["flexion_deg"] < 0.6 * score["lift"]["flexion_deg"]
     assert results["rtof"].solution is not None
     assert results["rtof"].solution.status is SolverStatus.CONVERGED
+
+
+@pytest.mark.parametrize("mode, start, seen", [("rto", "lift", "camera"), ("rtof", "sf2", "fused")])
+def test_what_is_far_from_its_start_is_stated_as_uncertain(
+    results: dict[str, Reconstruction], mode: str, start: str, seen: str
+) -> None:
+    motion = results[mode].motion
+    told = motion.confidence
+    assert told is not None
+    apart = disagreement(motion.poses, results[mode].stages[start], told.pairs).relative[:, 1:]
+    added = Inflation.shipped().shares[seen]["relative"] ** 2 * np.trace(apart, axis1=2, axis2=3)
+    stated = np.trace(told.relative_covariance[:, 1:], axis1=2, axis2=3)
+    assert (stated > added).all()
 
 
 @pytest.mark.parametrize("mode", CAMERA_MODES)
