@@ -2,7 +2,7 @@
 
 The benchmark's motions x 4 cameras with realistic 2D and 0, 4, 8 and 10 sensors, and with white and
 perfect 2D and 8; every fourth frame. ``--fit`` fits the inflation instead, on other people
-(`motions.FITTED_ON`), and writes ``models/confidence.toml``; what ships was made with ``--cameras 2``.
+(`motions.FITTED_ON`), and writes ``models/confidence.toml``; what ships was made with ``--cameras 1``.
 ``--held-out`` asks the same of each of those people, with an inflation fitted on all the others.
 """
 
