@@ -68,8 +68,10 @@ def _without_gravity(imus: ImuSequence) -> dict[str, Any]:
 
 
 def _as_xyzw(imus: ImuSequence) -> dict[str, Any]:
-    quat_xyzw = np.roll(so3.to_quat_wxyz(imus.R_inertial_sensor), -1, axis=-1)
-    return {"R_inertial_sensor": so3.from_quat_wxyz(quat_xyzw)}
+    R = imus.R_inertial_sensor.copy()
+    known = np.isfinite(R).all(axis=(-2, -1))
+    R[known] = so3.from_quat_wxyz(np.roll(so3.to_quat_wxyz(R[known]), -1, axis=-1))
+    return {"R_inertial_sensor": R}
 
 
 def _inverted(imus: ImuSequence) -> dict[str, Any]:
@@ -81,7 +83,8 @@ def _frozen(share: float, sensors: slice) -> Callable[[ImuSequence], dict[str, A
 
     def changed(imus: ImuSequence) -> dict[str, Any]:
         R, f = imus.R_inertial_sensor.copy(), imus.f_sensor.copy()
-        first = round((1 - share) * len(f))
+        known = np.isfinite(f).all(axis=(1, 2))
+        first = max(round((1 - share) * len(f)), int(np.argmax(known)))
         R[first:, sensors], f[first:, sensors] = R[first, sensors], f[first, sensors]
         return {"R_inertial_sensor": R, "f_sensor": f}
 

@@ -191,9 +191,10 @@ def _with_camera(
     warnings += _doubts(begun, solution, settings)
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in begun.faults)
     doubted = mode == "rtof" and settings.guard_streams and bool(warnings or disagree)
+    of_camera = check_camera_evidence(told, begun, poses, skeleton, lifter)
+    view_doubted = any(check.failed for check in of_camera)
     checks = (
-        *check_sensor_evidence(told, begun, skeleton, lifter, settings, doubted),
-        *check_camera_evidence(told, begun, poses, skeleton, lifter),
+        *check_sensor_evidence(told, begun, skeleton, lifter, settings, doubted, view_doubted), *of_camera
     )
     failed = (check.message for check in checks if check.failed)
     _warn(recording, (*failed, *begun.faults, *warnings))

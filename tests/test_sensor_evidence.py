@@ -11,9 +11,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from benchmarks import input_checks
 from benchmarks.sensor_checks import FAULTS
 from rtof_kin import clock_evidence, pipeline
 from rtof_kin.errors import SolverError
+from rtof_kin.inertial.recorded_form import FROZEN, GRAVITY
 from rtof_kin.pipeline import Reconstruction, reconstruct
 from rtof_kin.plausibility import Verdict as Found
 from rtof_kin.recording import Recording
@@ -45,11 +47,11 @@ def messages() -> Iterator[list[str]]:
             told.append(record.getMessage())
 
     listener = Listener()
-    logging.getLogger("rtof_kin.pipeline").addHandler(listener)
+    logging.getLogger(pipeline.DOUBTS).addHandler(listener)
     try:
         yield told
     finally:
-        logging.getLogger("rtof_kin.pipeline").removeHandler(listener)
+        logging.getLogger(pipeline.DOUBTS).removeHandler(listener)
 
 
 LIKE_ANOTHER = (
@@ -74,9 +76,18 @@ def test_nothing_is_wrong_with_the_demo_and_little_is_spent_to_tell() -> None:
     with messages() as told:
         found = lifted(demo())
     assert not told
-    assert {check.verdict for check in found.checks} == {Found.PASSED}
-    (setup,) = [check for check in found.checks if check.name == SETUP]
-    assert setup.value == 0  # other setups were not even tried
+    checks = {check.name: check for check in found.checks}
+    for name in (FROZEN, GRAVITY, clock_evidence.NAME, SETUP):
+        assert checks[name].verdict is Found.PASSED
+    assert checks[SETUP].value == 0  # other setups were not even tried
+
+
+@pytest.mark.parametrize("name", ["mirrored picture", "upside down", "turned by -90 degrees"])
+def test_a_picture_that_is_turned_is_not_blamed_on_the_sensors(name: str) -> None:
+    fault = input_checks.FAULTS[name]
+    with messages() as told:
+        lifted(fault.plant(demo()))
+    assert fault.named in told[0]
 
 
 def test_one_wrong_sensor_of_many_is_named() -> None:
