@@ -26,7 +26,7 @@ from rtof_kin.stages import Begun, LifterLike, ReconstructionSettings, begin
 from rtof_kin.types import BoneImuSequence, KeypointSequence
 
 SETUP = "evidence for another setup"
-_SURE = 30.0
+_SURE = 25.0
 _OF_ALL = (FaultKind.WORLD, FaultKind.FACING)
 """Nats from which a sensor is accused where nobody asked; faults of all sensors need `LEAST_RATIO`."""
 _LEAST_SECONDS = 2.0
