@@ -214,7 +214,7 @@ def row_of(recording: Recording, name: str, lifter: Lifter) -> dict[str, Any] | 
     return {
         "recording": recording.name, "floor": recording.floor_height is not None, "fault": name,
         "failed": bool(failed), "named": fault.named in first if fault.named else not failed,
-        "first": failed[0].message if failed else "", "seconds": time.perf_counter() - started,
+        "first": first, "seconds": round(time.perf_counter() - started, 3),
     }  # fmt: skip
 
 
