@@ -118,8 +118,9 @@ def _ordered(
     perspective = check_perspective(picture, skeleton)
     known = (bones, lens, perspective, *of_motion)
     cause = next((check.cause for check in known if check.failed), picture.small)
+    focal = () if any(c.passed for c in (perspective, *of_motion)) else _focal_is_open(camera, stands)
     return (
-        *first, *known, _check_feet(recording, stands, cause), _check_distance(stands), *declared,
+        *first, *focal, *known, _check_feet(recording, stands, cause), _check_distance(stands), *declared,
     )  # fmt: skip
 
 
@@ -200,6 +201,17 @@ def _check_distance(stands: Standing | None) -> Check:
         f"It is {distance:.3g} m, usual are {DISTANCE} m",
         cause="the focal length or the size of the bones is in another unit",
     )  # fmt: skip
+
+
+def _focal_is_open(camera: Camera, stands: Standing | None) -> tuple[Check, ...]:
+    """Says how wrong the focal length may be where the standing feet alone tell of it: a longer one moves
+    the person away along the camera's axis, which a level camera does not see."""
+    if stands is None:
+        return ()
+    share = 100 * stands.tolerance / max(abs(stands.distance * camera.R_camera_world[2, 2]), 1e-9)
+    name = f"focal length to better than {share:.0f} %" if share < 50 else "focal length"
+    why = "standing feet tell no more of it, and absolute positions may be off by that share"
+    return (Check.unknown(name, "camera", "%", why),)
 
 
 def _check_feet(recording: Recording, stands: Standing | None, cause: str) -> Check:

@@ -17,7 +17,7 @@ from rtof_kin.camera_evidence import UNVERIFIED, check_camera_alone, explained
 from rtof_kin.errors import ViewError
 from rtof_kin.picture_evidence import exchanged_axes, exchanged_sides, mirrored, upside_down
 from rtof_kin.pipeline import reconstruct
-from rtof_kin.plausibility import Check
+from rtof_kin.plausibility import Check, Verdict
 from rtof_kin.recording import Recording
 from rtof_kin.resources import model_path
 from rtof_kin.scale_evidence import check_walk
@@ -93,6 +93,14 @@ PLANTED: dict[str, tuple[Plant, str]] = {
 
 def test_nothing_is_said_against_a_right_recording() -> None:
     assert first_cause(demo()) == ""
+
+
+def test_how_well_the_feet_tell_the_focal_length_is_said_where_nothing_else_does() -> None:
+    checks = reconstruct(demo(), mode="sf2", calibrate=False).checks
+    (focal,) = [check for check in checks if check.name.startswith("focal length to better than")]
+    assert focal.verdict is Verdict.NOT_POSSIBLE
+    assert 10 < float(focal.name.split()[-2]) < 40
+    assert "absolute positions" in focal.advice
 
 
 @pytest.mark.parametrize("mistake", PLANTED)
