@@ -105,7 +105,8 @@ def _costs(images: BoneImages) -> Iterator[tuple[int, Array]]:
             continue
         cost = images.cost(steps) * images.weight
         some = np.isfinite(cost).any(axis=1)
-        yield steps, np.where(some, np.nansum(cost, axis=1), np.nan)
+        if some.any():
+            yield steps, np.where(some, np.nansum(cost, axis=1), np.nan)
 
 
 def check_clocks(images: BoneImages | None) -> Check:
