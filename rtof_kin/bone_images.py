@@ -7,6 +7,7 @@ clocks.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -125,18 +126,35 @@ def _nearest(times: Array, at: Array) -> NDArray[np.intp]:
     return np.searchsorted(middles, at)
 
 
+def exchanged_sides(bone_imus: BoneImuSequence) -> BoneImuSequence:
+    """The sensors of which there is one on either side on each other's segments."""
+    sides = {"Left": "Right", "Right": "Left"}
+
+    def other(joint: str) -> str:
+        side = next((side for side in sides if joint.startswith(side)), "")
+        mirrored = sides.get(side, "") + joint.removeprefix(side)
+        return mirrored if mirrored in bone_imus.joints else joint
+
+    return replace(bone_imus, joints=tuple(map(other, bone_imus.joints)))
+
+
 def best_exchange(
-    keypoints: KeypointSequence, bone_imus: BoneImuSequence, poses: PoseSequence, skeleton: SkeletonModel
-) -> float:
-    """The largest nats a frame by which the image is explained better with two sensors on each other's
-    segments; arguments are those of `bone_images`. Each sensor sits on every segment once."""
-    S = len(bone_imus.joints)
-    off = np.full((S, S), np.nan)
-    for shift in range(S):
-        segments = (np.arange(S) + shift) % S
-        moved = replace(bone_imus, joints=tuple(bone_imus.joints[i] for i in segments))
+    keypoints: KeypointSequence, readings: Iterable[BoneImuSequence], poses: PoseSequence,
+    skeleton: SkeletonModel,
+) -> float:  # fmt: skip
+    """The largest nats a frame by which the image is explained better with two sensors exchanged.
+
+    Args:
+        keypoints, poses, skeleton: as for `bone_images`.
+        readings: the same S sensors in the same order, first as declared, then each read as the one so
+            many places further on, until each was read as every other.
+    """
+    rows = []
+    for shift, moved in enumerate(readings):
         images = bone_images(keypoints, moved, poses, skeleton)
-        if images is not None:
-            off[np.arange(S), segments] = images.by_sensor()
+        off = np.full(len(moved.joints), np.nan) if images is None else images.by_sensor()
+        rows.append(np.roll(off, shift))  # in the order of the segments
+    S = len(rows)
+    off = np.array([[rows[(b - a) % S][b] for b in range(S)] for a in range(S)])
     own = np.diag(off)
     return float(np.nanmax(own[:, None] + own - off - off.T, initial=0.0))

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.bone_images import STEP, BoneImages
+from rtof_kin.bone_images import STEP, BoneImages, bone_images, exchanged_sides
 from rtof_kin.plausibility import Check
+from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
 NAME = "offset between the clocks of video and sensors"
@@ -109,23 +111,34 @@ def _costs(images: BoneImages) -> Iterator[tuple[int, Array]]:
             yield steps, np.where(some, np.nansum(cost, axis=1), np.nan)
 
 
-def check_clocks(images: BoneImages | None) -> Check:
-    """Whether the clocks of video and sensors agree within `LIMIT`; what says otherwise is named."""
+def check_clocks(
+    keypoints: KeypointSequence, bone_imus: BoneImuSequence, poses: PoseSequence, skeleton: SkeletonModel
+) -> Check:
+    """Whether the clocks of video and sensors agree within `LIMIT`; what says otherwise is named.
+    Arguments are those of `bone_images`."""
     what = "video and sensors"
+    images = bone_images(keypoints, bone_imus, poses, skeleton)
     scan = None if images is None else scan_clocks(images)
     if images is None or scan is None:
         why = f"they have less than {LEAST_COMMON:g} s in common of bones that both show"
         return Check.unknown(NAME, what, "s", why)
-    apart = float(np.nanmean(images.by_sensor(round(scan.best / STEP))))
-    if abs(scan.best) > LIMIT and apart > _AGREE:
-        return Check.unknown(NAME, what, "s", "image and sensors show different motion at every offset")
+    if abs(scan.best) > LIMIT:
+        apart = np.nanmean(images.by_sensor(round(scan.best / STEP)))
+        mirrored = bone_images(keypoints, exchanged_sides(bone_imus), poses, skeleton)
+        # Of a movement that both sides make in turn, half a period later looks as if they were exchanged.
+        if apart > _AGREE or (mirrored is not None and apart > np.nanmean(mirrored.by_sensor())):
+            why = "image and sensors show different motion at every offset"
+            return Check.unknown(NAME, what, "s", why)
     second, gain = scan.second
     rival = f" An offset of {second:+.2f} s explains the video nearly as well."
     rival = rival if gain > scan.gain - AS_GOOD else ""
     if abs(scan.best) <= LIMIT and rival and abs(second) > LIMIT:
         return Check.unknown(NAME, what, "s", f"the motion repeats itself.{rival}")
     if abs(scan.best) > LIMIT and scan.gain < SURE:
-        text = f"the motion repeats itself, or is slow: {scan.best:+.2f} s explains the video as well"
+        text = (
+            f"the motion repeats itself, is short or slow: an offset of {scan.best:+.2f} s explains the "
+            f"video better than any within {LIMIT:g} s, but not surely ({scan.gain:.0f} nats)"
+        )
         return Check.unknown(NAME, what, "s", text)
     return Check(
         NAME, what, abs(scan.best), LIMIT, "s",

@@ -17,7 +17,6 @@ from scipy.ndimage import gaussian_filter1d
 
 from rtof_kin import kinematics
 from rtof_kin import rotations as so3
-from rtof_kin.bone_images import bone_images
 from rtof_kin.calibration_priors import CalibrationPriors
 from rtof_kin.clock_evidence import check_clocks
 from rtof_kin.errors import CalibrationError
@@ -244,8 +243,7 @@ def _doubted(quantity: Quantity, recording: Recording, start: PoseSequence, shar
     known = quantity.verdict is not Verdict.PRIOR
     if quantity.kind != "delay" or not known or imus is None or calibration is None:
         return quantity
-    images = bone_images(recording.video, calibration.apply(imus), start, recording.skeleton)
-    clocks = check_clocks(images)
+    clocks = check_clocks(recording.video, calibration.apply(imus), start, recording.skeleton)
     doubt = clocks.cause if clocks.failed else next(iter(shared.doubts.values()), "")
     return replace(quantity, sigma=quantity.sigma_prior, doubt=doubt) if doubt else quantity
 

@@ -13,22 +13,26 @@ from dataclasses import replace
 import numpy as np
 
 from rtof_kin.bone_images import best_exchange, bone_images
+from rtof_kin.calibration import ImuCalibration
 from rtof_kin.clock_evidence import NAME as CLOCKS
 from rtof_kin.clock_evidence import check_clocks
 from rtof_kin.errors import CalibrationError, ShapeError, SolverError
-from rtof_kin.inertial.faults import FaultKind
+from rtof_kin.inertial.faults import Fault, FaultKind
 from rtof_kin.inertial.mounting import LEAST_RATIO, find_faults
 from rtof_kin.inertial.recorded_form import check_form
 from rtof_kin.plausibility import Check
 from rtof_kin.recording import Recording
 from rtof_kin.skeleton import SkeletonModel
 from rtof_kin.stages import Begun, LifterLike, ReconstructionSettings, begin
-from rtof_kin.types import BoneImuSequence, KeypointSequence
+from rtof_kin.types import BoneImuSequence, ImuSequence, KeypointSequence
 
 SETUP = "evidence for another setup"
-_SURE = 25.0
-_OF_ALL = (FaultKind.WORLD, FaultKind.FACING)
-"""Nats from which a sensor is accused where nobody asked; faults of all sensors need `LEAST_RATIO`."""
+_SURE, _SURE_OF_ONE = 25.0, 40.0
+"""Nats from which sensors are accused where nobody asked; and one alone, as which odd movement looks."""
+_OF_ALL, _OF_ONE = (FaultKind.WORLD, FaultKind.FACING), (FaultKind.SEGMENT, FaultKind.MOUNTING)
+"""Faults of all sensors together, for which `LEAST_RATIO` is enough, and of one."""
+_THINNED = 0.05
+"""[s] between samples that are looked at for whether they were exchanged."""
 _LEAST_SECONDS = 2.0
 """[s] of movement by which sensors' places and references can be judged."""
 _ELSEWHERE = (FaultKind.SIDES, FaultKind.NEIGHBOURS, FaultKind.SWAPPED, FaultKind.SEGMENT)
@@ -72,16 +76,19 @@ def check_sensor_evidence(
         return (*form, *(Check.unknown(*what, why) for what in unknown))
     seen, lifted = _as_seen(recording, begun), begun.stages["lift"]
     native = recording.calibration.apply(recording.imus)
-    images = bone_images(seen, native, lifted, skeleton)
-    clocks = check_clocks(images)
+    clocks = check_clocks(seen, native, lifted, skeleton)
     if clocks.failed:
         return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {clocks.cause}"))
+    images = bone_images(seen, native, lifted, skeleton)
     off = np.full(1, np.nan) if images is None else images.by_sensor()
     if np.isnan(off).all() and not doubted:
         why = "the image shows no bone of theirs"
         return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", why))
     doubted = doubted or bool(np.nanmax(off, initial=0.0) > _DISAGREES)
-    if not doubted and best_exchange(seen, native, lifted, skeleton) <= _EXCHANGED:
+    readings = (_exchanged_segments(native), _exchanged_samples(recording.imus, recording.calibration))
+    if not doubted and all(
+        best_exchange(seen, reading, lifted, skeleton) <= _EXCHANGED for reading in readings
+    ):
         return (*form, clocks, Check(SETUP, "sensors", 0.0, _SURE, "nats"))
     setup = _check_setup(recording, skeleton, lifter, settings, view_doubted)
     return (*form, clocks, setup)
@@ -105,6 +112,27 @@ def _as_seen(recording: Recording, begun: Begun) -> KeypointSequence:
     return replace(lifted, times=lifted.times + declared.times[0] - lifted.times[0])
 
 
+def _exchanged_segments(native: BoneImuSequence) -> Iterator[BoneImuSequence]:
+    """The sensors on each other's segments, as `best_exchange` takes them."""
+    for joints in _rolled(native.joints):
+        yield replace(native, joints=joints)
+
+
+def _exchanged_samples(imus: ImuSequence, calibration: ImuCalibration) -> Iterator[BoneImuSequence]:
+    """The samples read with each other's calibrations, as `best_exchange` takes them."""
+    step = float(np.median(np.diff(imus.times))) if len(imus) > 1 else _THINNED
+    few = slice(None, None, max(1, int(_THINNED / step)))
+    R, f = imus.R_inertial_sensor[few], imus.f_sensor[few]
+    thin = replace(imus, times=imus.times[few], R_inertial_sensor=R, f_sensor=f)
+    for names in _rolled(imus.names):
+        yield calibration.apply(replace(thin, names=names))
+
+
+def _rolled(names: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    for shift in range(len(names)):
+        yield names[shift:] + names[:shift]
+
+
 def _check_setup(
     recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None,
     settings: ReconstructionSettings, view_doubted: bool,
@@ -123,16 +151,22 @@ def _check_setup(
     ]  # fmt: skip
     if not found:
         return Check(SETUP, "sensors", 0.0, _SURE, "nats")
-    fault = max(found, key=lambda fault: fault.log_likelihood_ratio)
+    fault = max(found, key=lambda fault: fault.log_likelihood_ratio / _least(fault))
     if view_doubted and fault.kind in _OF_ALL:
         why = "all sensors seem turned, which the camera may be the cause of"
         return Check.unknown(SETUP, "sensors", "nats", why)
-    limit = LEAST_RATIO if fault.kind in _OF_ALL else _SURE
     others = f". Or else: {'; '.join(fault.alternatives)}" if fault.alternatives else ""
     return Check(
-        SETUP, "sensors", fault.log_likelihood_ratio, limit, "nats", f"{fault.remedy}{others}",
+        SETUP, "sensors", fault.log_likelihood_ratio, _least(fault), "nats", f"{fault.remedy}{others}",
         cause=fault.what,
     )  # fmt: skip
+
+
+def _least(fault: Fault) -> float:
+    """Nats from which a fault is named."""
+    if fault.kind in _OF_ALL:
+        return LEAST_RATIO
+    return _SURE_OF_ONE if fault.kind in _OF_ONE else _SURE
 
 
 def _long_enough(bone_imus: BoneImuSequence) -> bool:
