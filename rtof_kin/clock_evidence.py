@@ -130,14 +130,15 @@ def check_clocks(
             why = "image and sensors show different motion at every offset"
             return Check.unknown(NAME, what, "s", why)
     second, gain = scan.second
-    rival = f" An offset of {second:+.2f} s explains the video nearly as well."
+    rival = f" {-second:+.2f} s would do nearly as well."
     rival = rival if gain > scan.gain - AS_GOOD else ""
     if abs(scan.best) <= LIMIT and rival and abs(second) > LIMIT:
-        return Check.unknown(NAME, what, "s", f"the motion repeats itself.{rival}")
+        text = f"the motion repeats itself: {-second:+.2f} s added to the video's times would do as well"
+        return Check.unknown(NAME, what, "s", text)
     if abs(scan.best) > LIMIT and scan.gain < SURE:
         text = (
-            f"the motion repeats itself, is short or slow: an offset of {scan.best:+.2f} s explains the "
-            f"video better than any within {LIMIT:g} s, but not surely ({scan.gain:.0f} nats)"
+            f"the motion repeats itself, is short or slow: {-scan.best:+.2f} s added to the video's times "
+            f"explain it better than any offset within {LIMIT:g} s, but not surely ({scan.gain:.0f} nats)"
         )
         return Check.unknown(NAME, what, "s", text)
     return Check(

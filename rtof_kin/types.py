@@ -266,7 +266,7 @@ class ImuSequence:
     def _feels_gravity(self, s: int, norm: Array) -> bool:
         """Whether a sensor's specific force (T,) in some unit has gravity in it: it is hardly ever small,
         or its mean in the reference is most of it."""
-        if np.nanquantile(norm, 0.1) > 0.5 * np.nanmedian(norm):
+        if np.nanquantile(norm, 0.1) > 0.7 * np.nanmedian(norm):
             return True
         f = np.einsum("tij,tj->ti", self.R_inertial_sensor[:, s], self.f_sensor[:, s])
         f = f[np.isfinite(f).all(axis=-1)]

@@ -231,8 +231,17 @@ def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:
     assert len(back.quantities) == 3
     for ours, theirs in zip(back.quantities, WHOLE.quantities, strict=True):
         assert (ours.kind, ours.item, ours.known) == (theirs.kind, theirs.item, theirs.known)
+        assert ours.doubt == theirs.doubt
         for name in ("value", "sigma", "sigma_prior"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+
+
+def test_a_doubt_is_kept_in_the_file_and_is_the_verdict(tmp_path: Path) -> None:
+    doubted = replace(quantity("image bias", "Head", 1.0, 2.0), doubt="another one is as good")
+    write_self_calibration_toml(tmp_path / "calibration.toml", SelfCalibration((doubted,)))
+    (back,) = read_self_calibration_toml(tmp_path / "calibration.toml").quantities
+    assert back.doubt == doubted.doubt
+    assert back.verdict is Verdict.DOUBTFUL
 
 
 def test_a_file_is_not_replaced_unasked(tmp_path: Path) -> None:

@@ -344,6 +344,18 @@ def test_specific_force_in_another_unit_or_without_gravity_is_refused(
         imus(f_sensor=f)
 
 
+def test_slow_movement_without_gravity_is_not_taken_for_a_sensor_in_g() -> None:
+    f = 0.6 * np.random.default_rng(0).normal(size=(100, 1, 3))  # about 1 m/s^2, or 1 g
+    R = np.tile(np.eye(3), (100, 1, 1, 1))
+    with pytest.raises(UnitError, match="gravity was removed"):
+        ImuSequence(np.arange(100) / 60, R, f, ("wrist",))
+
+
+def test_a_sensor_that_is_frozen_in_a_swing_is_not_said_to_lack_gravity() -> None:
+    f, R = np.tile([0.0, 0.0, 3.5], (100, 1, 1)), np.tile(np.eye(3), (100, 1, 1, 1))
+    assert len(ImuSequence(np.arange(100) / 60, R, f, ("wrist",))) == 100
+
+
 def test_a_sensor_that_never_spoke_is_not_judged() -> None:
     f = np.tile([0.0, 0.0, 9.81], (T, S, 1))
     f[:, 1] = np.nan
