@@ -137,8 +137,8 @@ def check_clocks(
         return Check.unknown(NAME, what, "s", text)
     if abs(scan.best) > LIMIT and scan.gain < SURE:
         text = (
-            f"the motion repeats itself, is short or slow: {-scan.best:+.2f} s added to the video's times "
-            f"explain it better than any offset within {LIMIT:g} s, but not surely ({scan.gain:.0f} nats)"
+            f"the motion repeats itself, is short or slow: {-scan.best:+.2f} s added to the video's "
+            f"times explain it better than any within {LIMIT:g} s, but not surely ({scan.gain:.0f} nats)"
         )
         return Check.unknown(NAME, what, "s", text)
     return Check(

@@ -93,7 +93,10 @@ def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: Lifte
         recording: as declared, with keypoints. skeleton: the subject's.
     """
     keypoints = excerpt(recording.video)
-    look = _Look(skeleton, lifter, keypoints, sensed(recording, keypoints.times))
+    bone_imus = sensed(recording, keypoints.times)
+    if bone_imus is not None and not _sensed_bones(bone_imus, skeleton):
+        bone_imus = None
+    look = _Look(skeleton, lifter, keypoints, bone_imus)
     if look.given is None or np.isnan(look.given.certainty):
         why = "too little is seen" if look.given is None else "the lifter does not tell how certain it is"
         checks = tuple(_unknown(name, why) for name in (_SIZE, _TURN, _SIDES))
@@ -126,6 +129,18 @@ def sensed(recording: Recording, times: Array) -> BoneImuSequence | None:
     except CalibrationError:
         return None
     return found if found is not None and np.isfinite(found.R_world_bone).any() else None
+
+
+def _sensed_bones(
+    bone_imus: BoneImuSequence, skeleton: SkeletonModel
+) -> list[tuple[int, int, int]]:
+    """Sensor, joint and child of every bone whose segment carries a sensor; none of head and feet."""
+    index = skeleton.names.index
+    return [
+        (s, index(joint), child)
+        for s, joint in enumerate(bone_imus.joints)
+        for child in kinematics.children_of(skeleton.parents, index(joint))
+    ]
 
 
 def _agreement(given: float, other: float) -> float:
@@ -236,12 +251,7 @@ class Limbs:
         cls, keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel
     ) -> Limbs:
         """Of keypoints, and of sensors at the same times."""
-        pairs = [
-            (s, skeleton.names.index(joint), child)
-            for s, joint in enumerate(bone_imus.joints)
-            for child in kinematics.children_of(skeleton.parents, skeleton.names.index(joint))
-        ]
-        sensor, joint, child = np.array(pairs).T
+        sensor, joint, child = np.array(_sensed_bones(bone_imus, skeleton)).T
         xy = keypoints.camera.normalise(keypoints.select(skeleton.names).uv_px)
         R_camera_bone = keypoints.camera.R_camera_world @ bone_imus.R_world_bone[:, sensor]
         seen, middle = xy[:, child] - xy[:, joint], (xy[:, child] + xy[:, joint]) / 2

@@ -434,7 +434,8 @@ def test_the_lifter_is_asked_once_for_each_recording_that_it_sees(
     for asked, name in enumerate(faults, start=1):
         for changes in ({}, {"limits": False}):
             scene.prepared(Case(name, "white", "8", name, changes, as_given=True))
-        assert len(lifter.asked) == asked, name
+        whole = [one for one in lifter.asked if len(one[0]) == 180]  # checks ask about an excerpt
+        assert len(whole) == asked, name
     offsets = lifter.asked[-1][1]
     assert offsets is not None
     np.testing.assert_allclose(offsets, 1.03 * SKELETON.joint_offsets)

@@ -221,7 +221,7 @@ def test_the_tables_say_what_was_planted_left_and_claimed() -> None:
     rows = planted_tables.with_known([row(KNOWN), row("heading"), row(ALL)])
     assert len(rows) == 2
     line = planted_tables.alone(rows).splitlines()[2]
-    assert line == "| heading | x1 | - | deg | 10 | 1 | 0.75 | 0 / 100 | 100 / 0 / 0 | 10 |"
+    assert line == "| heading | x1 | - | deg | 10 | 1 | 0.75 | 0 / 100 | 100 / 0 / 0 / 0 | 10 |"
     assert "40.0 / 20.0 / 10.0" in planted_tables.motion(rows)
     assert "| observed | 20 | 0 | 100 | 100 |" in planted_tables.coverage(rows)
     assert "0.50 / 0.50 / 0.50" in planted_tables.detector(rows)

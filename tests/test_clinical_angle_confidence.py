@@ -56,7 +56,7 @@ def test_angles_of_turned_segments_scatter_as_their_sigmas_say(parent: str, chil
     many = replace(
         poses, times=np.arange(draws) / 60, p_world_joint=np.repeat(poses.p_world_joint, draws, axis=0),
         R_world_bone=R, provenance=None, valid=None, orientation_observed=np.ones(21, dtype=bool),
-        sigma_rad=None,
+        direction_observed=None, sigma_rad=None,
     )  # fmt: skip
     scattered = clinical_angles(many, BODY)
     assert expected.sigma is not None

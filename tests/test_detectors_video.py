@@ -150,7 +150,7 @@ def test_what_is_written_is_read_back(
     np.testing.assert_array_equal(again.confidence, found.confidence)
     np.testing.assert_array_equal(again.times, found.times)
     with pytest.raises(RtofError, match="cannot be written"):
-        video.write_detections(tmp_path / "none" / "k.npz", found)
+        video.write_detections(tmp_path / "k.npz" / "k.npz", found)
 
 
 def test_the_command_writes_keypoints_and_says_what_to_do_with_them(

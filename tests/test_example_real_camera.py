@@ -254,7 +254,7 @@ def test_the_example_measures_what_was_planted(
     assert "followed participant 1 of 1 (1.72 m)" in printed
     assert "an illustration and no benchmark" in printed
     assert sorted(p.name for p in out.iterdir()) == [
-        "cameras.toml", "real_camera.json", "real_camera.png"
+        ".rtof_kin.json", "cameras.toml", "real_camera.json", "real_camera.png"
     ]  # fmt: skip
     assert (out / "real_camera.png").read_bytes()[:4] == b"\x89PNG"
     result = json.loads((out / "real_camera.json").read_text())

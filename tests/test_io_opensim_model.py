@@ -62,7 +62,7 @@ def test_opensim_knows_the_coordinates_and_their_ranges(body: SkeletonModel, tmp
 
 
 def test_opensim_moves_either_skeleton_to_where_it_is(body: SkeletonModel, tmp_path: Path) -> None:
-    motion = planted.moving(body, 12)
+    motion = planted.seen(body, 12)
     write_osim(tmp_path / "skeleton.osim", body)
     write_mot(tmp_path / "motion.mot", motion)
     found = read_by_opensim(tmp_path, tmp_path / "found.npz")

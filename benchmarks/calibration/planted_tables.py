@@ -110,7 +110,7 @@ def _recovered(rows: Sequence[Row], error: str) -> list[str] | None:
 
 
 _FOUND = ["unit", "planted rms", "left rms", "claimed", "within 1 / 2 sigma, %",
-          "observed / weakly / prior, %", "numbers"]  # fmt: skip
+          "observed / in doubt / weakly / prior, %", "numbers"]  # fmt: skip
 
 
 def alone(rows: Sequence[Row]) -> str:
