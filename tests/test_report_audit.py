@@ -173,6 +173,22 @@ def test_fragments_at_a_looser_tolerance_are_counted_beside_the_pass(good: Recon
     assert "9 of 10 fragments converged, 1 at a looser tolerance" in verdict.reasons[0]
 
 
+def test_a_motion_that_is_hardly_known_does_not_pass(good: Reconstruction) -> None:
+    told = good.motion.confidence
+    assert told is not None
+    subject, name = "joints relative to the root", "expected"
+    size = of(good, "confidence", subject, name).value
+    assert np.isfinite(size)
+    factor = 150.0 / size  # to 150 mm
+    wide = replace(told, relative_covariance=told.relative_covariance * factor**2)
+    wider = replace(good, motion=replace(good.motion, confidence=wide))
+    found = of(wider, "confidence", subject, name)
+    assert found.value == pytest.approx(150)
+    assert found.grade is Grade.FAIL
+    nothing = replace(good, motion=replace(good.motion, confidence=None))
+    assert section_verdict("confidence", audit(nothing)).grade is Grade.UNTOLD
+
+
 def test_a_height_that_does_not_fit_is_told_with_both_numbers(good: Reconstruction) -> None:
     tall = replace(good, recording=replace(good.recording, height=BODY.height + 0.07))
     found = of(tall, "body", "skeleton")

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Row = dict[str, Any]
 EVERY = 6
 """Of so many frames one is looked at: neighbours say the same."""
-SECTIONS = ("inputs", "streams", "image", "sensors", "body", "calibration", "solver")
+SECTIONS = ("inputs", "streams", "image", "sensors", "body", "calibration", "solver", "confidence")
 _COST = {Grade.FAIL: 2, Grade.WARN: 1}
 BEYOND = np.radians(10.0)
 """[rad] beyond an anatomical limit from which the audit warns."""

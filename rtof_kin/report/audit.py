@@ -40,6 +40,7 @@ _DETECTORS = (
     "detector's usual errors reach (benchmarks/results/audit.md), the second twice that"
 )
 _USER = "a convention of this report"
+_EXPECTED = "error expected by the stated standard deviations, RMS"
 
 
 def audit(result: Reconstruction) -> tuple[Finding, ...]:
@@ -49,13 +50,13 @@ def audit(result: Reconstruction) -> tuple[Finding, ...]:
         result: as `reconstruct` returns it.
 
     Returns:
-        Findings of the sections inputs to solver; and the errors where the recording has a truth.
+        Findings of the sections inputs to confidence; and the errors where the recording has a truth.
     """
     before = (_inputs, _streams, _image, _sensors, _body)
     return (
         *(finding for part in before for finding in part(result)),
         *calibration_findings(result.calibration),
-        *(finding for part in (_solver, _truth) for finding in part(result)),
+        *(finding for part in (_solver, _confidence, _truth) for finding in part(result)),
     )
 
 
@@ -266,6 +267,30 @@ def _solver(result: Reconstruction) -> Iterator[Finding]:
             "solver", "size of the 2D errors, estimated", "median of fragments", sigma, "px",
             0.96 * top, source=f"{top:g} px is the most that the solver allows",
             note="the keypoints hardly say anything, or the person is large in the picture",
+        )  # fmt: skip
+
+
+def _confidence(result: Reconstruction) -> Iterator[Finding]:
+    told = result.motion.confidence
+    if told is None:
+        why = f"mode {result.mode} states no standard deviations in this space"
+        yield Finding.untold("confidence", "motion", why)
+        return
+    figures = (
+        ("joints relative to the root", 1000 * told.relative_sigma[:, 1:], "mm", 60.0, 120.0),
+        ("joints in world", 1000 * told.position_sigma, "mm", 200.0, 500.0),
+        ("orientation of segments", np.degrees(told.orientation_sigma), "deg", 20.0, 40.0),
+    )
+    for subject, per_axis, unit, warn, fail in figures:
+        expected = math.sqrt(3) * per_axis
+        if not np.isfinite(expected).any():
+            yield Finding.untold("confidence", subject, "nobody saw enough to tell", _EXPECTED)
+            continue
+        worst = int(np.nan_to_num(np.nansum(expected, axis=1)).argmax())
+        yield Finding(
+            "confidence", _EXPECTED, subject, float(np.sqrt(np.nanmean(expected**2))), unit, warn, fail,
+            _USER, "the camera alone, or what was recorded, tells no more; more sensors would",
+            float(result.motion.times[worst]),
         )  # fmt: skip
 
 

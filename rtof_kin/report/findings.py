@@ -18,6 +18,7 @@ SECTIONS = {
     "body": "The body",
     "calibration": "Calibration from the recording",
     "solver": "The solver",
+    "confidence": "How well the motion is known",
     "truth": "Against the known truth",
     "angles": "Joint angles",
     "gait": "Gait",
