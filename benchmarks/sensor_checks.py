@@ -3,8 +3,8 @@
 ``python -m benchmarks.sensor_checks --corpus DIR`` with DIR the folder of free motion (see README.md
 here); ``--real DIR`` adds recordings of real sensors (the trials of examples/sensor_trials.toml), of
 which only what physics tells can be checked. Motions of at least 4 s, their middle 10 s at most,
-realistic 2D from four cameras and 4, 8 or 10 sensors in turn. Each recording is given as it is, and that of
-the first camera with one fault planted at a time. *named*: the first warning names what was planted.
+realistic 2D from four cameras and 4, 8 or 10 sensors in turn. Each recording is given as it is, and that
+of the first camera with one fault planted at a time. *named*: the first warning names what was planted.
 *silent*: no check fails; of nothing planted, no check of the sensors. The checks run at the end of mode
 `lift`; in `rtof` sensors that disagree with the solved motion give them away too.
 """
