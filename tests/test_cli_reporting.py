@@ -95,7 +95,9 @@ def test_report_of_what_is_no_reconstruction_is_one_line(
 def test_the_audit_travels_in_the_summary(motion: Path) -> None:
     facts = json.loads((motion / "summary.json").read_text())
     sections = {finding["section"] for finding in facts["audit"]}
-    assert sections == {"inputs", "streams", "image", "sensors", "body", "calibration", "solver", "confidence"}
+    assert sections == {
+        "inputs", "streams", "image", "sensors", "body", "calibration", "solver", "confidence"
+    }  # fmt: skip
     assert [s["segment"] for s in facts["inputs"]["sensors"]] == facts["sensors"]
     assert facts["inputs"]["camera"]["rate_hz"] == pytest.approx(60.0)
 
