@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.fragment_solution import SolverStatus
 from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.metrics import hinges
 from rtof_kin.report.findings import FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS, Finding
 from rtof_kin.report.residuals import (
     acceleration_residuals,
@@ -203,12 +204,15 @@ def _body(result: Reconstruction) -> Iterator[Finding]:
         )  # fmt: skip
     worst = np.degrees(np.nan_to_num(report.limit_excess))
     clinical = {d.urdf: d.clinical.lstrip("-") for joint in skeleton.table.joints for d in joint.dofs}
+    hinged = {skeleton.names[j] for j in hinges(skeleton)}
     for d, dof in enumerate(report.dof_names):
         if worst[:, d].max() > 0:
             frame = int(worst[:, d].argmax())
+            # People leave the bounds on a ball joint's Euler angles; nobody bends a knee backwards.
+            fail = 30.0 if dof.rsplit("_", 1)[0] in hinged else math.inf
             yield Finding(
                 "body", "beyond its anatomical limit, largest", clinical[dof] or dof,
-                float(worst[frame, d]), "deg", 10.0, 30.0, f"limits of the skeleton table; {_USER}",
+                float(worst[frame, d]), "deg", 10.0, fail, f"limits of the skeleton table; {_USER}",
                 "a wrong angle, or an unusual body; nothing is clipped",
                 float(result.motion.times[frame]),
             )  # fmt: skip
