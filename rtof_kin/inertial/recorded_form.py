@@ -28,6 +28,8 @@ LEAST_SECONDS = 2.0
 OFF, VELOCITY = 1.0, 4.0
 """[m/s^2] by which the mean may be off gravity, and [m/s] of a limb from the start to the end. Simulated
 sensors on 96 motions reach half of the limit, real ones a fifth (benchmarks/results/sensor_checks.md)."""
+_UNEXPLAINED = 2.0
+"""Times the limit from which samples are accused that no usual mistake explains."""
 _EXPLAINED = 0.9
 """Share of the concerned sensors for which a mistake must explain the samples."""
 _MOST_SAMPLES = 2000
@@ -173,6 +175,9 @@ def _named(
     explains = [k for k, holds in enumerate(undone) if np.mean(holds[wrong]) >= _EXPLAINED]
     if not explains:
         of = _listed(names, wrong)
+        if value < _UNEXPLAINED * most:
+            why = f"{of}: {value:.2g} m/s2, more than usual; no mistake explains it, a brisk movement may"
+            return Check.unknown(GRAVITY, "sensors", "m/s2", why)
         return Check(
             GRAVITY, of, value, most, "m/s2",
             "No usual mistake explains it (sign, gravity removed, quaternion order or inverse). Are axes "
