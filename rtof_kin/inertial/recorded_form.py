@@ -26,8 +26,9 @@ LONGEST_REPEAT = 1.0
 LEAST_SECONDS = 2.0
 """[s] of samples, in which a motion's own acceleration averages out."""
 OFF, VELOCITY = 1.0, 4.0
-"""[m/s^2] by which the mean may be off gravity, and [m/s] of a limb from the start to the end. Real sensors
-have up to 0.15 m/s^2 (docs/real_recordings.md), the forearm of a simulated dance of 4 s more than both."""
+"""[m/s^2] by which the mean may be off gravity, and [m/s] of a limb from the start to the end. Real
+sensors have up to 0.15 m/s^2 (docs/real_recordings.md), the forearm of a simulated dance of 4 s more
+than both."""
 _UNEXPLAINED = 2.0
 """Times the limit from which samples are accused that no usual mistake explains."""
 _EXPLAINED = 0.9
