@@ -14,7 +14,6 @@ with the same errors.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import zlib
 from dataclasses import dataclass, replace
@@ -25,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import track
 
+from benchmarks.harness import write_results
 from benchmarks.held import HELD, MOVING, exercise, held_then_moving, held_wrongly, movements
 from benchmarks.mounting import pieces
 from rtof_kin import rotations as so3
@@ -162,9 +162,7 @@ def main(arguments: list[str] | None = None) -> int:
         rows += [row for error in POSE_ERRORS_DEG for row in by_exercises(seed, error)]
     command = "python -m benchmarks.calibration_by_pose --corpus DIR"
     result = {"command": command, "seed": SEED, "rows": rows}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    options.out.with_suffix(".md").write_text(table(rows) + "\n", encoding="utf-8")
+    write_results(options.out, result, table(rows))
     print(table(rows))
     return 0
 

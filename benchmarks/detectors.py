@@ -11,7 +11,6 @@ give. *all joints* is the adapter's mean over whatever it gives.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tomllib
 from dataclasses import replace
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from benchmarks.harness import write_results
 from rtof_kin.detectors.adapter import AdaptedPoints, Adapter
 from rtof_kin.detectors.recognise import recognise
 from rtof_kin.detectors.views import Views, ViewSettings
@@ -149,9 +149,7 @@ def main(arguments: list[str] | None = None) -> int:
         "clips": [clip.name for clip in clips],
         "rows": rows,
     }
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    options.out.with_suffix(".md").write_text(table(rows) + "\n", encoding="utf-8")
+    write_results(options.out, result, table(rows))
     print(table(rows))
     return 0
 

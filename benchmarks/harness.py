@@ -168,6 +168,17 @@ def pooled(
     return figures
 
 
+def write_results(path: Path, data: Any, text: str) -> None:
+    """Write what a benchmark found.
+
+    Args:
+        path: of the JSON; the Markdown stands beside it. data: as JSON. text: as Markdown.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    path.with_suffix(".md").write_text(text + "\n", encoding="utf-8")
+
+
 def bootstrap(units: Sequence[Any], values: ArrayLike, weights: ArrayLike) -> list[float]:
     """95 % interval of a weighted mean of values (n,) when units, which share values, are drawn anew."""
     known = sorted(set(units))

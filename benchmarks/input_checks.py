@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
 import time
 import zlib
 from collections import Counter
@@ -265,9 +264,7 @@ def main(arguments: list[str] | None = None) -> int:
         "benchmarks.input_checks`. Of recordings without one, a check that fails is a false alarm.\n\n"
         + table(rows)
     )
-    o.out.parent.mkdir(parents=True, exist_ok=True)
-    o.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    o.out.with_suffix(".md").write_text(text + "\n", encoding="utf-8")
+    harness.write_results(o.out, rows, text)
     print(text)
     return 0
 

@@ -12,7 +12,6 @@ back.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tomllib
 import zlib
@@ -26,7 +25,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from rich.progress import track
 
-from benchmarks.harness import SENSOR_SETS
+from benchmarks.harness import SENSOR_SETS, write_results
 from rtof_kin import rotations as so3
 from rtof_kin.calibration import ImuCalibration
 from rtof_kin.inertial.alignment import usual_lever
@@ -239,9 +238,7 @@ def main(arguments: list[str] | None = None) -> int:
         "command": f"python -m benchmarks.mounting --corpus DIR {chosen}",
         "seed": SEED, "least_ratio": LEAST_RATIO, "summary": summary, "rows": rows,
     }  # fmt: skip
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    options.out.with_suffix(".md").write_text(table(summary) + "\n", encoding="utf-8")
+    write_results(options.out, result, table(summary))
     print(table(summary))
     return 0
 

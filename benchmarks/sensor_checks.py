@@ -12,7 +12,6 @@ of the first camera with one fault planted at a time. *named*: the first warning
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tomllib
 import zlib
@@ -24,7 +23,7 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from benchmarks.harness import SENSOR_SETS
+from benchmarks.harness import SENSOR_SETS, write_results
 from rtof_kin import rotations as so3
 from rtof_kin.clock_evidence import NAME as CLOCKS
 from rtof_kin.errors import RtofError
@@ -341,9 +340,7 @@ def main(arguments: list[str] | None = None) -> int:
         f"{options.seed} --part {options.part}",
         "rows": rows,
     }  # fmt: skip
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    options.out.with_suffix(".md").write_text(table(rows) + "\n", encoding="utf-8")
+    write_results(options.out, result, table(rows))
     print(table(rows))
     return 0
 

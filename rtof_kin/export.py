@@ -32,7 +32,7 @@ from rtof_kin.motion_files import DEFAULT, check_formats, write_motion_files
 from rtof_kin.report.audit import audit
 from rtof_kin.report.facts import facts
 from rtof_kin.report.headline import headline
-from rtof_kin.types import Provenance
+from rtof_kin.types import PoseSequence, Provenance
 
 if TYPE_CHECKING:
     from rtof_kin.pipeline import Reconstruction
@@ -80,6 +80,11 @@ def export(
     return folder
 
 
+def provenance_shares(poses: PoseSequence) -> dict[str, float]:
+    """Share of all joints and frames by who saw them: `Provenance`, in small letters -> 0 to 1."""
+    return {p.name.lower(): float(np.mean(poses.provenance == p)) for p in Provenance}
+
+
 def summary(result: Reconstruction) -> dict[str, Any]:
     """What happened, as plain data: solver, provenance shares, limits, errors against the truth."""
     poses, report = result.motion.poses, result.motion.report
@@ -94,9 +99,7 @@ def summary(result: Reconstruction) -> dict[str, Any]:
         "skeleton": result.motion.skeleton.name,
         "height_m": result.motion.skeleton.height,
         "sensors": list(result.bone_imus.joints) if result.bone_imus else [],
-        "provenance": {
-            p.name.lower(): float(np.mean(poses.provenance == p)) for p in Provenance
-        },
+        "provenance": provenance_shares(poses),
         "valid_share": float(poses.valid.mean()),
         "dofs_from_prior": dofs_from_prior(result.motion),
         "limit_violations_deg": {k: float(np.degrees(v)) for k, v in report.violations.items()},

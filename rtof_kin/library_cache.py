@@ -23,6 +23,8 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from rtof_kin.io.manifest import sync
+
 _log = logging.getLogger(__name__)
 
 
@@ -75,7 +77,7 @@ def make(library: Path, origin: Origin, write: Callable[[Path], None], again: bo
             record.write_text(json.dumps({"sha256": sha256, **asdict(origin)}), encoding="utf-8")
             for new, place in ((made, library), (record, library.with_suffix(".json"))):
                 new.chmod(0o700)
-                _to_disk(new)
+                sync(new)
                 new.replace(place)  # whole or not at all
         finally:
             shutil.rmtree(build, ignore_errors=True)
@@ -102,12 +104,6 @@ def _remove_dead_builds(library: Path) -> None:
                 shutil.rmtree(left, ignore_errors=True)
         except Timeout:
             pass  # it is being built
-
-
-def _to_disk(path: Path) -> None:
-    """Wait until a file is written for good."""
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
 
 
 def _own_bytes(path: Path) -> bytes:

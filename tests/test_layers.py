@@ -14,10 +14,10 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 ROWS = """
-errors   plausibility   limbs   library_cache
+errors   plausibility   limbs
 threads
 rotations   resources   body_mass   io   io.manifest
-io.temporary
+io.temporary   library_cache
 io.folder
 io.text
 signals   skeleton_table   kinematics   checks   quaternions   compiled   lane_code

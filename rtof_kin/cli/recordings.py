@@ -123,7 +123,7 @@ def _known(options: argparse.Namespace) -> Any:
 
 def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> Any:
     """Reconstruct and export, asking first whether the output may be written."""
-    from rtof_kin.export import MARKER, export, summary
+    from rtof_kin.export import MARKER, export, provenance_shares
     from rtof_kin.io.folder import check_replaceable
     from rtof_kin.pipeline import reconstruct
     from rtof_kin.report.audit import audit
@@ -140,7 +140,7 @@ def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> A
     if result.calibration is not None:
         print_calibration(result.calibration)
     export(result, options.output, options.overwrite, figures=not options.no_figures)
-    shares = {k: v for k, v in summary(result)["provenance"].items() if v > 0}
+    shares = {k: v for k, v in provenance_shares(result.motion.poses).items() if v > 0}
     out.print("who saw the joints: " + ", ".join(f"{k} {100 * v:.1f} %" for k, v in shares.items()))
     return result
 
