@@ -19,13 +19,13 @@ import numpy as np
 from rich.progress import track
 
 from benchmarks import harness
-from rtof_kin import rotations as so3
-from rtof_kin.mocap import MocapClip, read_corpus
-from rtof_kin.pipeline import Reconstruction, reconstruct
-from rtof_kin.recording import Recording
+from rtof_kin.core import rotations as so3
+from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
+from rtof_kin.recording.recording import Recording
 from rtof_kin.report.audit import audit
-from rtof_kin.report.findings import Grade, section_verdict
+from rtof_kin.report.audit_results import Grade, section_verdict
 from rtof_kin.report.residuals import reprojection_errors
+from rtof_kin.simulation.mocap import MocapClip, read_corpus
 
 RESULTS = harness.HERE / "results"
 SUBJECTS = ["CMU008", "CMU131"]

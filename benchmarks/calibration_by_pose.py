@@ -27,17 +27,17 @@ from rich.progress import track
 from benchmarks.harness import write_results
 from benchmarks.held import HELD, MOVING, exercise, held_then_moving, held_wrongly, movements
 from benchmarks.mounting import pieces
-from rtof_kin import rotations as so3
-from rtof_kin.calibration import ImuCalibration
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.types import ImuSequence, PoseSequence
 from rtof_kin.inertial.functional import calibrate_by_movement
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 from rtof_kin.inertial.poses import POSES, facing_of, pose_rotations
-from rtof_kin.mocap import MocapClip
-from rtof_kin.simulation import LIMB_SENSORS
-from rtof_kin.simulation_noise import ImuNoise
-from rtof_kin.simulation_sensors import simulate_imus
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import ImuSequence, PoseSequence
+from rtof_kin.simulation.mocap import MocapClip
+from rtof_kin.simulation.noise import ImuNoise
+from rtof_kin.simulation.sensors import simulate_imus
+from rtof_kin.simulation.simulate import LIMB_SENSORS
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).parent

@@ -22,11 +22,11 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from benchmarks.harness import write_results
-from rtof_kin.detectors.adapter import AdaptedPoints, Adapter
-from rtof_kin.detectors.recognise import recognise
-from rtof_kin.detectors.views import Views, ViewSettings
-from rtof_kin.errors import ShapeError
-from rtof_kin.mocap import MocapClip, read_corpus
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.simulation.mocap import MocapClip, read_corpus
+from rtof_kin.vision.landmark_regression import AdaptedPoints, Adapter
+from rtof_kin.vision.recognise import recognise
+from rtof_kin.vision.views import Views, ViewSettings
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).parent

@@ -1,7 +1,7 @@
 """The benchmark everything is measured by: test motions x cameras x kinds of 2D, as JSON and a table.
 
 ``python -m benchmarks.harness --corpus DIR`` with DIR the folder of free motion (see README.md here).
-Split and motions come from split.toml, cameras and noise from `rtof_kin.simulation` with fixed seeds.
+Split and motions come from split.toml, cameras and noise from `rtof_kin.simulation.simulate` with fixed seeds.
 Every number is a mean over frames pooled over motions and cameras; the interval beside a root-relative
 error is the 95 % bootstrap over motions, the unit that is independent.
 """
@@ -25,12 +25,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.progress import Progress
 
-from rtof_kin.metrics import evaluate, motionless
-from rtof_kin.mocap import MocapClip, read_corpus, resample_clip
-from rtof_kin.pipeline import CAMERA_MODES
+from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.protocols.measures import reconstructions
-from rtof_kin.recording import Recording
-from rtof_kin.simulation import (
+from rtof_kin.reconstruction.pipeline import CAMERA_MODES
+from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
+from rtof_kin.simulation.simulate import (
     LIMB_SENSORS,
     SimulationSettings,
     low_passed,

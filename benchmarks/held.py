@@ -6,12 +6,12 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics
-from rtof_kin import rotations as so3
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.types import PoseSequence
 from rtof_kin.inertial.functional import Movement
 from rtof_kin.inertial.poses import flexion_axis, pose_rotations, turned_to
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import PoseSequence
 
 Array = NDArray[np.float64]
 HELD, MOVING = 2.0, 1.5

@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 
 from benchmarks.accuracy.__main__ import VALIDATION
 from benchmarks.harness import HERE, SENSOR_SETS, bootstrap, split, whole_clips
-from rtof_kin import rotations as so3
-from rtof_kin import signals
-from rtof_kin.mocap import MocapClip
-from rtof_kin.pipeline import Reconstruction, reconstruct
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
 from rtof_kin.protocols.tables import Table
-from rtof_kin.recording import Recording
-from rtof_kin.simulation import SimulationSettings, simulate, standard_cameras
-from rtof_kin.simulation_noise import ImuNoise
+from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
+from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.mocap import MocapClip
+from rtof_kin.simulation.noise import ImuNoise
+from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
 
 Array = NDArray[np.float64]
 SETS = {n: SENSOR_SETS[n] for n in ("8", "10")}

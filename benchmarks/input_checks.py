@@ -25,16 +25,21 @@ from rich.progress import track
 
 from benchmarks import harness
 from lifting.predict import Lifter
-from rtof_kin.camera_evidence import UNVERIFIED, check_camera_alone
-from rtof_kin.detectors.detections import Detections
-from rtof_kin.detectors.keypoints import adapt
-from rtof_kin.mocap import MocapClip, read_corpus, resample_clip
-from rtof_kin.picture_evidence import exchanged_axes, exchanged_sides, mirrored, upside_down
-from rtof_kin.pipeline import reconstruct
-from rtof_kin.plausibility import Check
-from rtof_kin.recording import Recording
-from rtof_kin.simulation import low_passed, simulate, standard_cameras
-from rtof_kin.types import KeypointSequence
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.types import KeypointSequence
+from rtof_kin.reconstruction.camera_checks import UNVERIFIED, check_camera_alone
+from rtof_kin.reconstruction.image_checks import (
+    exchanged_axes,
+    exchanged_sides,
+    mirrored,
+    upside_down,
+)
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
+from rtof_kin.simulation.simulate import low_passed, simulate, standard_cameras
+from rtof_kin.vision.detections import Detections
+from rtof_kin.vision.keypoints import adapt
 
 RESULTS = harness.HERE / "results"
 SUBJECTS = {

@@ -27,9 +27,9 @@ from lifting.checkpoint import LifterDescription
 from lifting.model import TemporalNetwork
 from lifting.predict import Lifter
 from lifting.streaming import StreamingLifter
-from rtof_kin.recording import Recording
-from rtof_kin.resources import model_path
-from rtof_kin.types import BoneImuSequence, KeypointSequence
+from rtof_kin.core.resources import model_path
+from rtof_kin.data.types import BoneImuSequence, KeypointSequence
+from rtof_kin.recording.recording import Recording
 
 RESULTS = Path(__file__).parent / "results"
 RATE_HZ = 60.0

@@ -26,17 +26,17 @@ from numpy.typing import NDArray
 from rich.progress import track
 
 from benchmarks.harness import SENSOR_SETS, write_results
-from rtof_kin import rotations as so3
-from rtof_kin.calibration import ImuCalibration
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.inertial.alignment import usual_lever
-from rtof_kin.inertial.faults import Fault, FaultKind
 from rtof_kin.inertial.mounting import LEAST_RATIO, find_faults
 from rtof_kin.inertial.poses import pose_rotations
-from rtof_kin.mocap import MocapClip, read_corpus, resample_clip
-from rtof_kin.simulation import low_passed
-from rtof_kin.simulation_noise import ImuNoise
-from rtof_kin.simulation_sensors import simulate_imus
-from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.inertial.setup_diagnosis import Fault, FaultKind
+from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
+from rtof_kin.simulation.noise import ImuNoise
+from rtof_kin.simulation.sensors import simulate_imus
+from rtof_kin.simulation.simulate import low_passed
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).parent

@@ -24,17 +24,17 @@ import numpy as np
 from rich.progress import track
 
 from benchmarks.harness import SENSOR_SETS, write_results
-from rtof_kin import rotations as so3
-from rtof_kin.clock_evidence import NAME as CLOCKS
-from rtof_kin.errors import RtofError
-from rtof_kin.inertial.files import read_sensor_log
+from rtof_kin.calibration.clock_check import NAME as CLOCKS
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import RtofError
+from rtof_kin.data.types import ImuSequence
+from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial.recorded_form import FROZEN, GRAVITY, check_form
-from rtof_kin.mocap import MocapClip, read_corpus, resample_clip
-from rtof_kin.pipeline import reconstruct
-from rtof_kin.recording import Recording
-from rtof_kin.sensor_evidence import SETUP
-from rtof_kin.simulation import SimulationSettings, low_passed, simulate, standard_cameras
-from rtof_kin.types import ImuSequence
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.sensor_checks import SETUP
+from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
+from rtof_kin.simulation.simulate import SimulationSettings, low_passed, simulate, standard_cameras
 
 HERE = Path(__file__).parent
 TRIALS = HERE.parent / "examples" / "sensor_trials.toml"

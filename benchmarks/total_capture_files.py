@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtof_kin import kinematics
-from rtof_kin import rotations as so3
-from rtof_kin.calibration import ImuCalibration
-from rtof_kin.mocap import NAMES, PARENTS
-from rtof_kin.types import Camera, ImuSequence, PoseSequence
+from rtof_kin.body import kinematics
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.types import Camera, ImuSequence, PoseSequence
+from rtof_kin.simulation.mocap import NAMES, PARENTS
 
 Array = NDArray[np.float64]
 C_WORLD_TC = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -109,7 +109,7 @@ def write_bvh(path: Path, poses: PoseSequence, joint_offsets: Array) -> None:
     """The motion as BVH with six channels for every joint.
 
     Args:
-        poses: joints in the order of `rtof_kin.mocap.NAMES`. joint_offsets: (21, 3) m, link axes.
+        poses: joints in the order of `rtof_kin.simulation.mocap.NAMES`. joint_offsets: (21, 3) m, link axes.
     """
     offsets = joint_offsets @ M_TC_BONE / INCH
     lines = ["HIERARCHY\n"]

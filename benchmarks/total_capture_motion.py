@@ -13,12 +13,20 @@ from scipy.interpolate import CubicSpline
 
 from benchmarks.harness import split
 from benchmarks.total_capture_files import C_WORLD_TC, M_TC_BONE
-from rtof_kin import kinematics, signals
-from rtof_kin import rotations as so3
-from rtof_kin.errors import ShapeError
-from rtof_kin.mocap import ANKLE_HEIGHT, NAMES, PARENTS, MocapClip, read_corpus, resample_clip
-from rtof_kin.simulation import low_passed
-from rtof_kin.types import Camera, PoseSequence
+from rtof_kin.body import kinematics
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.data.types import Camera, PoseSequence
+from rtof_kin.simulation.mocap import (
+    ANKLE_HEIGHT,
+    NAMES,
+    PARENTS,
+    MocapClip,
+    read_corpus,
+    resample_clip,
+)
+from rtof_kin.simulation.simulate import low_passed
 
 Array = NDArray[np.float64]
 RATE_HZ = 60.0

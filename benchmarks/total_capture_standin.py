@@ -32,14 +32,14 @@ from benchmarks.total_capture_motion import (
     choose_motions,
     from_t_pose,
 )
-from rtof_kin import rotations as so3
-from rtof_kin.calibration import ImuCalibration
-from rtof_kin.errors import OutputExistsError, RtofError, ShapeError
-from rtof_kin.simulation import SimulationSettings, simulate
-from rtof_kin.simulation_noise import ImuNoise
-from rtof_kin.simulation_sensors import simulate_imus
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import Camera, ImuSequence, PoseSequence
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import OutputExistsError, RtofError, ShapeError
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.types import Camera, ImuSequence, PoseSequence
+from rtof_kin.simulation.noise import ImuNoise
+from rtof_kin.simulation.sensors import simulate_imus
+from rtof_kin.simulation.simulate import SimulationSettings, simulate
 
 Array = NDArray[np.float64]
 WITHOUT_ORIENTATIONS = (("S2", "rom2"), ("S3", "rom1"), ("S3", "rom2"), ("S3", "rom3"))
@@ -178,7 +178,7 @@ def write_take(
 def write_detections(
     folder: Path, take: StandInTake, number: int, camera: Camera, seed: int
 ) -> Path:
-    """A detector's 2D of a take: `rtof_kin.simulation_noise`, a few frames late, camera 2 off.
+    """A detector's 2D of a take: `rtof_kin.simulation.noise`, a few frames late, camera 2 off.
 
     Video of some takes ends before the motion does, as the real one.
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import rotations as so3
-from rtof_kin.types import Camera
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.types import Camera
 
 Array = NDArray[np.float64]
 FEWEST = 2

@@ -13,12 +13,12 @@ import numpy as np
 from multi_view import triangulate
 from numpy.typing import NDArray
 
-from rtof_kin.detectors.detections import Detections
-from rtof_kin.detectors.files import read_detector_file
-from rtof_kin.detectors.keypoints import DetectedKeypoints, adapt
-from rtof_kin.errors import FileFormatError, RtofError, UnknownNameError
-from rtof_kin.io.camera_toml import read_camera_toml
-from rtof_kin.types import Camera
+from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError
+from rtof_kin.data.types import Camera
+from rtof_kin.formats.camera_toml import read_camera_toml
+from rtof_kin.vision.detections import Detections
+from rtof_kin.vision.keypoint_files import read_detector_file
+from rtof_kin.vision.keypoints import DetectedKeypoints, adapt
 
 Array = NDArray[np.float64]
 LEAST_CONFIDENCE = 0.2

@@ -2,8 +2,8 @@
 
 import sys
 
-from rtof_kin import FragmentSolver, InertialGuidedIK, Recording, SkeletonModel, reconstruct
-from rtof_kin.resources import model_path
+from rtof_kin import FragmentSolver, InertialGuidedIK, Recording, SkeletonModel, export, reconstruct
+from rtof_kin.core.resources import model_path
 
 folder = sys.argv[1] if len(sys.argv) > 1 else model_path("demo")
 out = sys.argv[2] if len(sys.argv) > 2 else "out/quickstart"
@@ -14,7 +14,7 @@ result = reconstruct(recording, skeleton, mode="rtof")  # the shipped lifter, lo
 if result.metrics is not None:  # None without truth
     print(f"root-relative error: {result.metrics['mpjpe_rr_mm']:.1f} mm")
 print("configurations:", result.motion.q.shape)
-result.export(out, overwrite=True)
+export(result, out, overwrite=True)
 
 # or each stage by hand:
 sf2 = InertialGuidedIK(skeleton).refine(result.stages["lift"], result.bone_imus)

@@ -25,15 +25,15 @@ from real_camera_figure import draw
 from real_camera_truth import Truth, measured_bones, triangulated
 from rich.table import Table
 
+from rtof_kin.body.metrics import evaluate
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli.terminal import err, out, progress
-from rtof_kin.errors import RtofError
-from rtof_kin.io.camera_toml import write_camera_toml
-from rtof_kin.io.folder import check_replaceable, new_folder
-from rtof_kin.metrics import evaluate
-from rtof_kin.pipeline import LifterLike, reconstruct
-from rtof_kin.recording import Recording
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import Camera, PoseSequence
+from rtof_kin.core.errors import RtofError
+from rtof_kin.core.files.folder import check_replaceable, new_folder
+from rtof_kin.data.types import Camera, PoseSequence
+from rtof_kin.formats.camera_toml import write_camera_toml
+from rtof_kin.reconstruction.pipeline import LifterLike, reconstruct
+from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from pose2sim_trial import Trial
 from real_camera_truth import Truth
 
-from rtof_kin.detectors.video import read_video
-from rtof_kin.errors import RtofError
-from rtof_kin.figures import STAGE_COLORS, TRUTH, views
-from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import RtofError
+from rtof_kin.report.figures import STAGE_COLORS, TRUTH, views
+from rtof_kin.vision.video import read_video
 
 if TYPE_CHECKING:
     from real_camera import Estimate

@@ -10,11 +10,12 @@ from multi_view import adjust_cameras, triangulate
 from numpy.typing import NDArray
 from pose2sim_trial import Trial
 
-from rtof_kin import kinematics, signals
-from rtof_kin import rotations as so3
-from rtof_kin.errors import RtofError
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import Camera, PoseSequence
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.errors import RtofError
+from rtof_kin.data.types import Camera, PoseSequence
 
 Array = NDArray[np.float64]
 CUTOFF_HZ = 6.0

@@ -10,11 +10,11 @@ from pathlib import Path
 
 from sensors_only_figure import draw
 
-from rtof_kin import Recording, SkeletonModel, reconstruct
-from rtof_kin.inertial.files import read_sensor_log
+from rtof_kin import Recording, SkeletonModel, export, reconstruct
+from rtof_kin.data.types import ImuSequence
+from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial.orientation import OrientationSettings, log_with_orientation
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
-from rtof_kin.types import ImuSequence
 
 trial, path = sys.argv[1], Path(sys.argv[2])
 out = Path(sys.argv[3] if len(sys.argv) > 3 else f"out/{trial}")
@@ -30,7 +30,7 @@ for sentence in (*log.notes, *found.warnings):
     print("note:", sentence)
 recording = Recording(trial, imus=ImuSequence.joined(log.imus()), calibration=found.calibration)
 result = reconstruct(recording, mode="imu")
-result.export(out, overwrite=True)
+export(result, out, overwrite=True)
 draw(result, out / "figures" / "moving.png")
 print(f"{len(result.motion.times)} frames; pose held from {found.still[0]:.1f} to {found.still[1]:.1f} s")
 print(f"the root's place at the end: standard deviation {result.root_sigma[-1]:.2f} m per axis")

@@ -10,9 +10,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from rtof_kin.metrics import flexion
-from rtof_kin.pipeline import Reconstruction
-from rtof_kin.types import PoseSequence
+from rtof_kin.body.metrics import flexion
+from rtof_kin.data.types import PoseSequence
+from rtof_kin.reconstruction.pipeline import Reconstruction
 
 Array = NDArray[np.float64]
 LEFT, RIGHT, TRUNK = "#0072b2", "#d55e00", "#444444"

@@ -15,7 +15,7 @@ from lifting.models import MODELS, RAYS
 from lifting.noise import TRAINING_NOISE
 from lifting.settings import TrainConfig
 from lifting.train import train
-from rtof_kin.errors import RtofError
+from rtof_kin.core.errors import RtofError
 
 
 def main(arguments: list[str] | None = None) -> int:

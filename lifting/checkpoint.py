@@ -19,9 +19,9 @@ from torch import Tensor
 from lifting.body import Body, bone_groups
 from lifting.model import NetworkConfig, TemporalNetwork
 from lifting.models import model_of
-from rtof_kin.errors import FileFormatError, WritingError
-from rtof_kin.io.arrays import check_sizes
-from rtof_kin.io.folder import new_file
+from rtof_kin.core.errors import FileFormatError, WritingError
+from rtof_kin.core.files.arrays import check_sizes
+from rtof_kin.core.files.folder import new_file
 
 FORMAT = "rtof-kin lifter"
 VERSION = 2

@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 
 from lifting.body import Body
 from lifting.splits import SPLITS, find_split, read_split
-from rtof_kin import kinematics, mocap, signals
-from rtof_kin import rotations as so3
-from rtof_kin.errors import FileFormatError, ShapeError
-from rtof_kin.io.arrays import read_npz_as_saved, write_npz
-from rtof_kin.resources import model_path
-from rtof_kin.skeleton_table import read_skeleton_table
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton_table import read_skeleton_table
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.files.arrays import read_npz_as_saved, write_npz
+from rtof_kin.core.resources import model_path
+from rtof_kin.simulation import mocap
 
 Array = NDArray[np.float32]
 RATE_HZ = 60.0

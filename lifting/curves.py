@@ -12,8 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from rtof_kin.io.folder import new_file
-from rtof_kin.io.text import write_text
+from rtof_kin.core.files.folder import new_file
+from rtof_kin.core.files.text import write_text
 
 Row = Mapping[str, Any]
 """One report with a validation, see `train.Progress`."""

@@ -30,8 +30,8 @@ from lifting.noise import (
 )
 from lifting.sensors import SensorConfig, with_errors, worn
 from lifting.windows import Picture, Windows
-from rtof_kin import kinematics
-from rtof_kin import rotations as so3
+from rtof_kin.body import kinematics
+from rtof_kin.core import rotations as so3
 
 
 @dataclass(frozen=True)

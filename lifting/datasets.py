@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from lifting.body import Body
 from lifting.corpus import RATE_HZ, Corpus, join_clips
-from rtof_kin import kinematics, signals
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import signals
+from rtof_kin.core.errors import FileFormatError, RtofError
+from rtof_kin.data.types import PoseSequence
 from rtof_kin.datasets import human36m, total_capture
-from rtof_kin.errors import FileFormatError, RtofError
-from rtof_kin.mocap import ANKLE_HEIGHT, MocapClip
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import PoseSequence
+from rtof_kin.simulation.mocap import ANKLE_HEIGHT, MocapClip
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -57,7 +58,7 @@ def total_capture_corpus(
     """The paper's training takes: S1 to S3, rom1-3, walking1, walking3, freestyle1-2, acting1-2.
 
     They are cut where the reference is known to jump or lacks a joint. The floor of each, found as in
-    `rtof_kin.mocap.read_corpus`, lies at z = 0.
+    `rtof_kin.simulation.mocap.read_corpus`, lies at z = 0.
 
     Args:
         root: folder of the dataset, see `rtof_kin.datasets.total_capture`.

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lifting.model import TemporalNetwork
-from rtof_kin.errors import RtofError, ShapeError
+from rtof_kin.core.errors import RtofError, ShapeError
 
 T = TypeVar("T")
 

@@ -12,7 +12,7 @@ from lifting import videopose3d, windows
 from lifting.body import Body
 from lifting.model import NetworkConfig, TemporalNetwork
 from lifting.windows import Encoded, Estimate, Windows
-from rtof_kin.errors import UnknownNameError
+from rtof_kin.core.errors import UnknownNameError
 
 RAYS = "rays"
 VIDEOPOSE3D = videopose3d.NAME

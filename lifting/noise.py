@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from rtof_kin.errors import UnknownNameError
+from rtof_kin.core.errors import UnknownNameError
 
 FOCAL_PX = 1250.0
 HALF_WIDTH, HALF_HEIGHT = 960 / FOCAL_PX, 540 / FOCAL_PX

@@ -21,8 +21,8 @@ from lifting.checkpoint import LifterDescription
 from lifting.graph import LifterGraph, WindowPoses
 from lifting.models import RAYS
 from lifting.predict import MIN_JOINTS, Lifter
-from rtof_kin.errors import RtofError, ShapeError
-from rtof_kin.io.folder import new_file
+from rtof_kin.core.errors import RtofError, ShapeError
+from rtof_kin.core.files.folder import new_file
 
 INPUTS = ("rays_world", "seen", "bones", "camera_height", "R_world_sensed", "sensed")
 """See `LifterGraph.forward`; the two last are left out for a lifter without sensors."""

@@ -26,11 +26,11 @@ from lifting.windows import (
     orthonormal,
     rotations,
 )
-from rtof_kin import signals
-from rtof_kin.checks import checked_times, readonly
-from rtof_kin.errors import ShapeError, ViewError
-from rtof_kin.resources import DEFAULT_LIFTER, lifter_path
-from rtof_kin.types import BoneImuSequence, Camera, KeypointSequence
+from rtof_kin.core import signals
+from rtof_kin.core.checks import checked_times, readonly
+from rtof_kin.core.errors import ShapeError, ViewError
+from rtof_kin.core.resources import DEFAULT_LIFTER, lifter_path
+from rtof_kin.data.types import BoneImuSequence, Camera, KeypointSequence
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -103,7 +103,7 @@ class Lifter:
         """Read a lifter.
 
         Args:
-            path: a file, or the name of a shipped one, see `rtof_kin.resources.lifter_path`; the default
+            path: a file, or the name of a shipped one, see `rtof_kin.core.resources.lifter_path`; the default
                 of these where not given.
 
         Raises:

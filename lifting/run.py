@@ -33,9 +33,9 @@ from lifting.sensors import SensorConfig
 from lifting.settings import TrainConfig
 from lifting.supply import Supply, step_seed
 from lifting.validation import Validation
-from rtof_kin.errors import FileFormatError, RtofError, ShapeError, SolverError
-from rtof_kin.resources import lifter_path, model_path
-from rtof_kin.skeleton_table import read_skeleton_table
+from rtof_kin.body.skeleton_table import read_skeleton_table
+from rtof_kin.core.errors import FileFormatError, RtofError, ShapeError, SolverError
+from rtof_kin.core.resources import lifter_path, model_path
 
 SKELETONS = ("skeleton", "human36m")
 """The package's skeleton tables."""
@@ -210,7 +210,7 @@ class Run:
         )  # fmt: skip
 
     def start(self, lifter: str | Path) -> None:
-        """Begin with the weights of another lifter, see `rtof_kin.resources.lifter_path`.
+        """Begin with the weights of another lifter, see `rtof_kin.core.resources.lifter_path`.
 
         Raises:
             FileFormatError: it is none, or does not fit.

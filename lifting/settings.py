@@ -9,7 +9,7 @@ from typing import Any
 
 from lifting.data import AugmentConfig
 from lifting.models import RAYS, VIDEOPOSE3D, model_of
-from rtof_kin.errors import ShapeError
+from rtof_kin.core.errors import ShapeError
 
 OWN: Mapping[str, Mapping[str, Any]] = {
     RAYS: {

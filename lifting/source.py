@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lifting.body import Body
 from lifting.windows import Picture, Windows
-from rtof_kin.types import BoneImuSequence, KeypointSequence
+from rtof_kin.data.types import BoneImuSequence, KeypointSequence
 
 Array = NDArray[np.float64]
 MAX_STEP = 0.15

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rtof_kin.errors import FileFormatError
-from rtof_kin.io.text import load_toml
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.files.text import load_toml
 
 SPLITS = ("train", "validation", "test", "excluded")
 BENCHMARK_SPLIT = Path(__file__).parent.parent / "benchmarks" / "split.toml"

@@ -17,9 +17,9 @@ from lifting.models import RAYS
 from lifting.predict import MIN_JOINTS, Lifter, camera_height
 from lifting.single_window import SingleWindowLifter
 from lifting.source import Source
-from rtof_kin.checks import checked_names
-from rtof_kin.errors import ShapeError, UnknownNameError
-from rtof_kin.types import Camera
+from rtof_kin.core.checks import checked_names
+from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.data.types import Camera
 
 Array = NDArray[np.float64]
 FIRST_CAPACITY = 512

@@ -19,7 +19,7 @@ from lifting.distributed import workers
 from lifting.run import Run
 from lifting.settings import TrainConfig
 from lifting.threads import torch_threads
-from rtof_kin.io.folder import check_new_file
+from rtof_kin.core.files.folder import check_new_file
 
 Progress = Callable[[dict[str, Any]], None]
 """Called after every `TrainConfig.report_every` steps with the step, the share done, the loss, the

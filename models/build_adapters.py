@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from lifting.splits import BENCHMARK_SPLIT, read_split
-from rtof_kin.detectors.layouts import detector_table
-from rtof_kin.detectors.views import Views
-from rtof_kin.mocap import read_corpus
+from rtof_kin.simulation.mocap import read_corpus
+from rtof_kin.vision.layouts import detector_table
+from rtof_kin.vision.views import Views
 
 RATE_HZ, VIEWS, SEED = 10.0, 12, 0
 NOISE = 0.04

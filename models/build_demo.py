@@ -8,8 +8,8 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from rtof_kin.mocap import read_mocap, resample_clip
-from rtof_kin.simulation import SimulationSettings, low_passed, simulate, standard_cameras
+from rtof_kin.simulation.mocap import read_mocap, resample_clip
+from rtof_kin.simulation.simulate import SimulationSettings, low_passed, simulate, standard_cameras
 
 FIRST, STOP = 240, 1680
 CMU = (

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from lifting.corpus import read_corpus
-from rtof_kin import kinematics, signals
-from rtof_kin import rotations as so3
+from rtof_kin.body import kinematics
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
 
 CUTOFF_HZ, LEAST_JERK = 10.0, 200.0
 MIRROR = np.diag([1.0, -1.0, 1.0])

@@ -13,8 +13,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rtof_kin.skeleton_table import read_skeleton_table
-from rtof_kin.urdf import to_urdf
+from rtof_kin.body.skeleton_table import read_skeleton_table
+from rtof_kin.body.urdf import to_urdf
 
 MODELS = Path(__file__).parent
 NAMES = ("skeleton", "human36m")

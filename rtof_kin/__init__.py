@@ -11,24 +11,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtof_kin.calibration import ImuCalibration
-    from rtof_kin.calibration_priors import CalibrationPriors
-    from rtof_kin.errors import RtofError
-    from rtof_kin.fragment import FragmentSolution, FragmentSolver, SolverStatus
-    from rtof_kin.fragment_settings import FragmentSettings
-    from rtof_kin.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
-    from rtof_kin.joint_space.settings import JointSpaceSettings
-    from rtof_kin.metrics import Metrics, evaluate
-    from rtof_kin.pipeline import (
-        Reconstruction,
-        ReconstructionSettings,
-        calibrate_recording,
-        reconstruct,
-    )
-    from rtof_kin.recording import Recording
-    from rtof_kin.self_calibration import SelfCalibration
-    from rtof_kin.skeleton import MotionSequence, SkeletonModel
-    from rtof_kin.types import (
+    from rtof_kin.body.metrics import Metrics, evaluate
+    from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+    from rtof_kin.calibration.priors import CalibrationPriors
+    from rtof_kin.calibration.result import SelfCalibration
+    from rtof_kin.core.errors import RtofError
+    from rtof_kin.data.imu_calibration import ImuCalibration
+    from rtof_kin.data.types import (
         BoneImuSequence,
         Camera,
         ImuSequence,
@@ -36,34 +25,47 @@ if TYPE_CHECKING:
         PoseSequence,
         Provenance,
     )
+    from rtof_kin.reconstruction.pipeline import (
+        Reconstruction,
+        ReconstructionSettings,
+        calibrate_recording,
+        reconstruct,
+    )
+    from rtof_kin.recording.recording import Recording
+    from rtof_kin.report.export import export
+    from rtof_kin.solve.cartesian.settings import FragmentSettings
+    from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
+    from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+    from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 _HOME = {
-    "BoneImuSequence": "types",
-    "CalibrationPriors": "calibration_priors",
-    "Camera": "types",
-    "FragmentSettings": "fragment_settings",
-    "FragmentSolution": "fragment",
-    "FragmentSolver": "fragment",
-    "ImuCalibration": "calibration",
-    "ImuSequence": "types",
-    "InertialGuidedIK": "inertial_ik",
-    "InertialGuidedIKSettings": "inertial_ik",
-    "JointSpaceSettings": "joint_space.settings",
-    "KeypointSequence": "types",
-    "Metrics": "metrics",
-    "MotionSequence": "skeleton",
-    "PoseSequence": "types",
-    "Provenance": "types",
-    "Reconstruction": "pipeline",
-    "ReconstructionSettings": "pipeline",
-    "Recording": "recording",
-    "RtofError": "errors",
-    "SelfCalibration": "self_calibration",
-    "SkeletonModel": "skeleton",
-    "SolverStatus": "fragment",
-    "calibrate_recording": "pipeline",
-    "evaluate": "metrics",
-    "reconstruct": "pipeline",
+    "BoneImuSequence": "data.types",
+    "CalibrationPriors": "calibration.priors",
+    "Camera": "data.types",
+    "FragmentSettings": "solve.cartesian.settings",
+    "FragmentSolution": "solve.fragment_solver",
+    "FragmentSolver": "solve.fragment_solver",
+    "ImuCalibration": "data.imu_calibration",
+    "ImuSequence": "data.types",
+    "InertialGuidedIK": "solve.inertial_ik",
+    "InertialGuidedIKSettings": "solve.inertial_ik",
+    "JointSpaceSettings": "solve.joint_space.settings",
+    "KeypointSequence": "data.types",
+    "Metrics": "body.metrics",
+    "MotionSequence": "body.skeleton",
+    "PoseSequence": "data.types",
+    "Provenance": "data.types",
+    "Reconstruction": "reconstruction.pipeline",
+    "ReconstructionSettings": "reconstruction.pipeline",
+    "Recording": "recording.recording",
+    "RtofError": "core.errors",
+    "SelfCalibration": "calibration.result",
+    "SkeletonModel": "body.skeleton",
+    "SolverStatus": "solve.fragment_solver",
+    "calibrate_recording": "reconstruction.pipeline",
+    "evaluate": "body.metrics",
+    "export": "report.export",
+    "reconstruct": "reconstruction.pipeline",
 }
 __all__ = [
     "BoneImuSequence",
@@ -91,6 +93,7 @@ __all__ = [
     "SolverStatus",
     "calibrate_recording",
     "evaluate",
+    "export",
     "reconstruct",
 ]
 

@@ -32,9 +32,9 @@ from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.accuracy.rows import Job, Row, run
 from benchmarks.accuracy.tables import TABLES, failures
 from benchmarks.harness import HERE
-from rtof_kin.errors import RtofError
-from rtof_kin.mocap import MocapClip
+from rtof_kin.core.errors import RtofError
 from rtof_kin.protocols.tables import Table
+from rtof_kin.simulation.mocap import MocapClip
 
 VALIDATION = {
     "131_03": 3, "ad_rokoko_jesse_dance": 3, "131_01": 1, "131_02": 1, "08_04": 1, "08_05": 1,

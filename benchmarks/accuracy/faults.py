@@ -23,8 +23,8 @@ from benchmarks.accuracy.windows import (
     SECOND_AFTER_HALF,
     Window,
 )
-from rtof_kin import rotations as so3
-from rtof_kin.recording import Recording
+from rtof_kin.core import rotations as so3
+from rtof_kin.recording.recording import Recording
 
 NOMINAL = "nominal"
 _FOREARM = ("LeftForeArm", "LeftHand")

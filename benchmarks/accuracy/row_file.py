@@ -9,8 +9,8 @@ from pathlib import Path
 import rtof_kin
 from benchmarks.accuracy.rows import Row
 from benchmarks.harness import HERE
-from rtof_kin.errors import RtofError
-from rtof_kin.resources import model_path
+from rtof_kin.core.errors import RtofError
+from rtof_kin.core.resources import model_path
 
 
 class RowFile:

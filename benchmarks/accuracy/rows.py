@@ -15,20 +15,20 @@ from benchmarks.accuracy.cases import Case, cases
 from benchmarks.accuracy.faults import FAULTS, NOMINAL, Fault
 from benchmarks.accuracy.windows import bounds
 from benchmarks.harness import SENSOR_SETS
-from rtof_kin import rotations as so3
-from rtof_kin import signals
-from rtof_kin.errors import RtofError
-from rtof_kin.fragment import FragmentSolution, FragmentSolver, SolverStatus
-from rtof_kin.inertial_ik import InertialGuidedIK
-from rtof_kin.joint_space.frame_energy import TORSO
-from rtof_kin.joint_space.settings import JointSpaceSettings
-from rtof_kin.metrics import evaluate, motionless
-from rtof_kin.mocap import MocapClip
-from rtof_kin.pipeline import ReconstructionSettings, reconstruct
-from rtof_kin.recording import Recording
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.stream_faults import StreamFault
-from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.body.metrics import evaluate, motionless
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.errors import RtofError
+from rtof_kin.data.stream_faults import StreamFault
+from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.reconstruction.pipeline import ReconstructionSettings, reconstruct
+from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.mocap import MocapClip
+from rtof_kin.solve.energy.frame_energy import TORSO
+from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
+from rtof_kin.solve.inertial_ik import InertialGuidedIK
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

@@ -11,11 +11,11 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from benchmarks.accuracy.windows import SECOND_AFTER_HALF, bounds
-from rtof_kin import rotations as so3
-from rtof_kin import signals
-from rtof_kin.inertial.packets import WRAP_16, in_order
-from rtof_kin.recording import Recording
-from rtof_kin.types import ImuSequence
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.data.types import ImuSequence
+from rtof_kin.formats.sensors.packets import WRAP_16, in_order
+from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
 ONE = "L_LowArm"

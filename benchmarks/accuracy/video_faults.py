@@ -17,7 +17,7 @@ from benchmarks.accuracy.windows import (
     bounds,
     inside,
 )
-from rtof_kin.recording import Recording
+from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
 LEFT_LEG = ("LeftUpLeg", "LeftLeg", "LeftFoot")

@@ -27,11 +27,11 @@ import numpy as np
 from benchmarks import harness
 from benchmarks.accuracy.__main__ import clips as benchmark_clips
 from benchmarks.calibration.sessions import joined
-from rtof_kin.mocap import MocapClip
-from rtof_kin.pipeline import reconstruct
-from rtof_kin.recording import Recording
-from rtof_kin.self_calibration import SelfCalibration
-from rtof_kin.simulation import SimulationSettings, simulate, standard_cameras
+from rtof_kin.calibration.result import SelfCalibration
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.mocap import MocapClip
+from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
 
 FIGURES = {
     "mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg", "angle_deg": "angle deg",

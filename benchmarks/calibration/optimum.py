@@ -20,12 +20,12 @@ from rich.progress import track
 from benchmarks import harness
 from benchmarks.calibration.planted_rows import ALL, SESSIONS, Job, Row, recorded, session, truths
 from lifting.predict import Lifter
-from rtof_kin.joint_space.settings import JointSpaceSettings
-from rtof_kin.joint_space.shared import SharedFragments
-from rtof_kin.pipeline import ReconstructionSettings
-from rtof_kin.recording import Recording
-from rtof_kin.self_calibrate import shared_fragments
-from rtof_kin.stages import begin
+from rtof_kin.calibration.estimate import shared_fragments
+from rtof_kin.calibration.shared_fragments import SharedFragments
+from rtof_kin.reconstruction.pipeline import ReconstructionSettings
+from rtof_kin.reconstruction.prepare import begin
+from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 

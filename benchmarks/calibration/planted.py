@@ -35,7 +35,7 @@ from benchmarks.calibration.planted_rows import (
     session,
 )
 from benchmarks.calibration.planting import ERRORS
-from rtof_kin.errors import RtofError
+from rtof_kin.core.errors import RtofError
 
 
 def jobs(subset: str, studies: list[str], seconds: float, cameras: int) -> Iterator[Job]:

@@ -16,13 +16,13 @@ from benchmarks import harness
 from benchmarks.calibration import planting
 from benchmarks.calibration.planting import ERRORS, USUAL, Wrong
 from benchmarks.calibration.sessions import joined
-from rtof_kin import rotations as so3
-from rtof_kin.calibration_priors import CalibrationPriors
-from rtof_kin.mocap import MocapClip
-from rtof_kin.pipeline import calibrate_recording, reconstruct
-from rtof_kin.recording import Recording
-from rtof_kin.self_calibration import Detector, SelfCalibration
-from rtof_kin.simulation import simulate, standard_cameras
+from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.result import Detector, SelfCalibration
+from rtof_kin.core import rotations as so3
+from rtof_kin.reconstruction.pipeline import calibrate_recording, reconstruct
+from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.mocap import MocapClip
+from rtof_kin.simulation.simulate import simulate, standard_cameras
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

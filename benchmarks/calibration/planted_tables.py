@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.calibration.planted_rows import ALL, BUT, FIGURES, KNOWN, PLAIN, SEEN, Row
 from benchmarks.calibration.planting import ERRORS
-from rtof_kin.self_calibration import Verdict
+from rtof_kin.calibration.result import Verdict
 
 Array = NDArray[np.float64]
 UNITS = {

@@ -1,6 +1,6 @@
 """Errors of known size in a recording that has none: what a calibration from the recording must find.
 
-An error is a number or some, in the terms of `rtof_kin.joint_space.unknowns`: what a perfect calibration
+An error is a number or some, in the terms of `rtof_kin.calibration.unknowns`: what a perfect calibration
 would give. `planted` makes a recording wrong by them, so that `SelfCalibration.apply` with the same
 numbers gives it back.
 """
@@ -14,12 +14,12 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from rtof_kin import rotations as so3
-from rtof_kin.calibration_priors import CalibrationPriors
-from rtof_kin.recording import Recording
-from rtof_kin.self_calibration import BONE_GROUPS, bone_groups
-from rtof_kin.simulation_noise import KeypointNoise
-from rtof_kin.types import PoseSequence
+from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.result import BONE_GROUPS, bone_groups
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.types import PoseSequence
+from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.noise import KeypointNoise
 
 Array = NDArray[np.float64]
 Values = dict[str, Array]

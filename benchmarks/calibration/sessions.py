@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from rtof_kin import kinematics
-from rtof_kin import rotations as so3
-from rtof_kin.mocap import PARENTS, MocapClip
-from rtof_kin.types import PoseSequence
+from rtof_kin.body import kinematics
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.types import PoseSequence
+from rtof_kin.simulation.mocap import PARENTS, MocapClip
 
 Array = NDArray[np.float64]
 BETWEEN = 1.5

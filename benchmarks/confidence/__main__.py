@@ -24,12 +24,12 @@ from benchmarks.confidence.figure import reliability
 from benchmarks.confidence.fitting import fitted
 from benchmarks.confidence.study import Row, rows
 from benchmarks.confidence.tables import report
-from rtof_kin.inflation import Inflation
-from rtof_kin.mocap import MocapClip
-from rtof_kin.resources import CHECKOUT
+from rtof_kin.core.resources import CHECKOUT
+from rtof_kin.simulation.mocap import MocapClip
+from rtof_kin.solve.uncertainty.covariance_inflation import Inflation
 
 HEAD = """\
-# What errors that last add to the Hessian's covariances; see rtof_kin/inflation.py.
+# What errors that last add to the Hessian's covariances; see rtof_kin/solve/uncertainty/covariance_inflation.py.
 # Made by: python -m benchmarks.confidence --corpus DIR --fit{more}
 # from {count} recordings of {people} people, see benchmarks/confidence/motions.py.
 

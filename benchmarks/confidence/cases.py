@@ -12,17 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import harness
-from rtof_kin import rotations as so3
-from rtof_kin.circumstances import circumstances
+from rtof_kin.body.metrics import at_times
+from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.angles import all_observed, clinical_angles
-from rtof_kin.confidence import WORLD, Confidence
-from rtof_kin.disagreement import Disagreement, disagreement
-from rtof_kin.inflation import Circumstances
-from rtof_kin.metrics import at_times
-from rtof_kin.mocap import MocapClip
-from rtof_kin.pipeline import Reconstruction, reconstruct
-from rtof_kin.skeleton import MotionSequence
-from rtof_kin.types import PoseSequence
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.confidence import WORLD, Confidence
+from rtof_kin.data.types import PoseSequence
+from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
+from rtof_kin.simulation.mocap import MocapClip
+from rtof_kin.solve.uncertainty.covariance_inflation import Circumstances
+from rtof_kin.solve.uncertainty.disagreement import Disagreement, disagreement
+from rtof_kin.solve.uncertainty.residual_statistics import circumstances
 
 Array = NDArray[np.float64]
 EVERY = 4

@@ -12,7 +12,7 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.special import ndtr
 
 from benchmarks.confidence.cases import Case, Errors, errors
-from rtof_kin.inflation import (
+from rtof_kin.solve.uncertainty.covariance_inflation import (
     OTHER,
     SEEN,
     Inflation,
@@ -117,7 +117,7 @@ def sharpest(
     error: Array, variance: Array, lasting: Array, doubt: Array, more: Array, least: float
 ) -> tuple[float, float, float]:
     """Factor k >= 1 and floor b >= least with which normal errors (n,) of the widened variance
-    ``K^2 variance + B^2 + more`` (`rtof_kin.inflation`) score best, and that score: their continuous
+    ``K^2 variance + B^2 + more`` (`rtof_kin.solve.uncertainty.covariance_inflation`) score best, and that score: their continuous
     ranked probability (Gneiting & Raftery 2007, eq. 21), a proper score, in which a recording far out
     counts by its distance, not its square."""
     size, expected = np.sqrt(np.mean(error**2)) + least, np.sqrt(np.mean(variance))

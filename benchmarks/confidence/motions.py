@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import harness
-from rtof_kin.mocap import MocapClip
+from rtof_kin.simulation.mocap import MocapClip
 
 FITTED_ON = {
     "CMU008": {"08_04": 1, "08_05": 1, "08_11": 1},

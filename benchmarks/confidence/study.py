@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from benchmarks.confidence.cases import Case, angle_errors, errors
 from benchmarks.harness import bootstrap
-from rtof_kin.inflation import Inflation, unsided
+from rtof_kin.solve.uncertainty.covariance_inflation import Inflation, unsided
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

@@ -29,7 +29,7 @@ from benchmarks.lifter.figure import write_figure
 from benchmarks.lifter.placements import PLACEMENTS
 from benchmarks.lifter.rows import Job, Row, load, names_of, run
 from benchmarks.lifter.tables import TABLES, failures, first_seeds, measured, seeds
-from rtof_kin.errors import RtofError
+from rtof_kin.core.errors import RtofError
 from rtof_kin.protocols.tables import Table
 
 

@@ -16,7 +16,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from benchmarks.lifter.rows import STILL, Row
 from benchmarks.lifter.tables import ERRORS, WORN, chosen, unseeded, values
 from lifting.curves import windows_axis
-from rtof_kin.errors import FileFormatError
+from rtof_kin.core.errors import FileFormatError
 from rtof_kin.protocols.tables import pooled
 
 COLORS = ("#0072b2", "#c0392b", "#e69f00", "#2e8b57", "#8e44ad", "#56b4e9", "#8c8c8c", "#000000")

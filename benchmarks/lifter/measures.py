@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.special import erf, k1
 
-from rtof_kin import rotations as so3
-from rtof_kin import signals
-from rtof_kin.types import PoseSequence
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.data.types import PoseSequence
 
 Array = NDArray[np.float64]
 Figures = dict[str, float]
@@ -25,7 +25,7 @@ DIRECTIONS = {"joints across": 2, "joints along": 1, "root across": 2, "root alo
 def position_figures(p: Array, truth: PoseSequence, known: NDArray[np.bool_]) -> Figures:
     """Errors of joints (T, J, 3) in the frames known (T,): in mm, m/s^2, m/s^3; of each joint, mm.
 
-    As in `rtof_kin.metrics`: the root's 0 counts among the root-relative errors.
+    As in `rtof_kin.body.metrics`: the root's 0 counts among the root-relative errors.
     """
     p_true, rate = truth.p_world_joint, truth.rate_hz
     difference = np.where(known[:, None, None], p - p_true, np.nan)

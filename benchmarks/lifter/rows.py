@@ -14,13 +14,13 @@ import numpy as np
 from benchmarks.harness import KEYPOINTS, SENSOR_SETS
 from benchmarks.lifter.measures import calibration_figures, position_figures, torso_figures
 from benchmarks.lifter.placements import Placement
-from rtof_kin import kinematics
-from rtof_kin.errors import RtofError
-from rtof_kin.metrics import motionless
-from rtof_kin.mocap import MocapClip
-from rtof_kin.recording import Recording
-from rtof_kin.simulation import simulate
-from rtof_kin.types import BoneImuSequence
+from rtof_kin.body import kinematics
+from rtof_kin.body.metrics import motionless
+from rtof_kin.core.errors import RtofError
+from rtof_kin.data.types import BoneImuSequence
+from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.mocap import MocapClip
+from rtof_kin.simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from lifting.predict import LiftedPoses, Lifter

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from benchmarks.peers.fragments import Fragment, Material, Score
 from benchmarks.peers.residuals import Residuals, Window, built, column, symbols
-from rtof_kin import energies
-from rtof_kin.cartesian import CartesianSolver
-from rtof_kin.errors import ShapeError
-from rtof_kin.fragment_settings import FragmentSettings
-from rtof_kin.root_position import refit_root
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.inertial.root_position import refit_root
+from rtof_kin.solve import residuals as energies
+from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.solver import CartesianSolver
 
 Array = NDArray[np.float64]
 

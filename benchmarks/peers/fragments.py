@@ -8,11 +8,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.pipeline import reconstruct
-from rtof_kin.recording import Recording
-from rtof_kin.resources import model_path
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.resources import model_path
+from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
 Trace = list[tuple[float, Array]]

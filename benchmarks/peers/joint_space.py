@@ -24,14 +24,14 @@ from benchmarks.peers.residuals import (
     rows_of,
     symbols,
 )
-from rtof_kin import energies
-from rtof_kin import quaternions as quat
-from rtof_kin.errors import ShapeError
-from rtof_kin.joint_space.limits import Limits
-from rtof_kin.joint_space.observations import Observations
-from rtof_kin.joint_space.problem import FragmentData, JointProblem
-from rtof_kin.joint_space.settings import JointSpaceSettings
-from rtof_kin.joint_space.state import StateSpace
+from rtof_kin.core import quaternions as quat
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.solve import residuals as energies
+from rtof_kin.solve.energy.problem import FragmentData, JointProblem
+from rtof_kin.solve.energy.state import StateSpace
+from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.solve.joint_space.observations import Observations
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.peers.fragments import Fragment
-from rtof_kin.compiled import compiled
+from rtof_kin.core.numerics.c_compiler import compiled
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from benchmarks.peers.cartesian import CartesianScene
 from benchmarks.peers.fragments import Answer, Fragment, Trace
 from benchmarks.peers.joint_space import JointScene
 from benchmarks.peers.residuals import Residuals, rows_of
-from rtof_kin.compiled import Buffered
+from rtof_kin.core.numerics.c_compiler import Buffered
 
 Array = NDArray[np.float64]
 Scene = CartesianScene | JointScene

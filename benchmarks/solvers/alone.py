@@ -18,11 +18,11 @@ from benchmarks.peers.fragments import Material
 from benchmarks.peers.joint_space import JointScene
 from benchmarks.solvers.measuring import PAPER_FPS, Effort, Told, spread
 from benchmarks.solvers.side_by_side import CARTESIAN_BACKENDS, IPOPT_CAP, JOINT_SETTINGS, Joint, N
-from rtof_kin.fragment import FragmentSolver
-from rtof_kin.fragment_settings import FragmentSettings
-from rtof_kin.fragment_solution import SolverStatus
-from rtof_kin.joint_space.ipopt import Ipopt
-from rtof_kin.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.fragment_solver import FragmentSolver
+from rtof_kin.solve.joint_space.ipopt import Ipopt
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.solution import SolverStatus
 
 SETTINGS: dict[str, FragmentSettings | JointSpaceSettings] = {
     "joint space": JointSpaceSettings(),
@@ -96,7 +96,7 @@ def by_length(material: Material, effort: Effort, told: Told) -> list[dict[str, 
 _BUILD = """
 import sys, time, pickle
 skeleton, start, keypoints, imus = pickle.load(open(sys.argv[1], "rb"))
-from rtof_kin.fragment import FragmentSolver
+from rtof_kin.solve.fragment_solver import FragmentSolver
 began = time.perf_counter()
 solver = FragmentSolver(skeleton, 50, None, imus.joints)
 solver.solve(start, keypoints, imus)

@@ -27,13 +27,13 @@ from benchmarks.solvers.measuring import (
     spread,
     summaries,
 )
-from rtof_kin.cartesian import CartesianSolver
-from rtof_kin.fragment_settings import FragmentSettings
-from rtof_kin.fragment_solution import SolverStatus
-from rtof_kin.joint_space.ipopt import Ipopt
-from rtof_kin.joint_space.limits import Limits
-from rtof_kin.joint_space.settings import JointSpaceSettings
-from rtof_kin.levenberg_marquardt import LevenbergMarquardt
+from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
+from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.solver import CartesianSolver
+from rtof_kin.solve.joint_space.ipopt import Ipopt
+from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.solution import SolverStatus
 
 N = 50
 CERES_CAP, IPOPT_CAP, TIGHT_CAP = 100, 200, 200

@@ -24,8 +24,8 @@ from benchmarks.harness import HERE
 from benchmarks.verdicts.measuring import Row, measured
 from benchmarks.verdicts.recordings import SAMPLED, SIMULATED, Job, held_out_clips, jobs
 from benchmarks.verdicts.tables import draw, tables
-from rtof_kin.errors import RtofError
-from rtof_kin.resources import model_path
+from rtof_kin.core.errors import RtofError
+from rtof_kin.core.resources import model_path
 
 
 def collected(work: Sequence[Job], kept: RowFile, workers: int) -> list[Row]:

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.verdicts.recordings import Job
-from rtof_kin import rotations as so3
+from rtof_kin.body.metrics import at_times
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import all_observed, clinical_angles
-from rtof_kin.confidence import WORLD
-from rtof_kin.errors import RtofError
-from rtof_kin.metrics import at_times
-from rtof_kin.pipeline import Reconstruction, reconstruct
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import RtofError
+from rtof_kin.data.confidence import WORLD
+from rtof_kin.data.types import PoseSequence
+from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
 from rtof_kin.report.audit import audit
-from rtof_kin.report.findings import Grade, section_verdict
-from rtof_kin.types import PoseSequence
+from rtof_kin.report.audit_results import Grade, section_verdict
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

@@ -16,11 +16,11 @@ from numpy.random import Generator
 from benchmarks import audit, harness
 from benchmarks.accuracy import video_faults
 from benchmarks.accuracy.faults import FAULTS, with_wrong_focal_length
-from rtof_kin.detectors.detections import Detections
-from rtof_kin.detectors.keypoints import adapt
-from rtof_kin.mocap import MocapClip, read_corpus, resample_clip
-from rtof_kin.recording import Recording
-from rtof_kin.simulation import low_passed
+from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
+from rtof_kin.simulation.simulate import low_passed
+from rtof_kin.vision.detections import Detections
+from rtof_kin.vision.keypoints import adapt
 
 Apply = Callable[[Recording, Generator], Recording]
 ORDINARY = "ordinary"

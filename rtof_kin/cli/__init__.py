@@ -27,7 +27,7 @@ def _run(arguments: list[str] | None) -> int:
     import logging
 
     from rtof_kin.cli.terminal import err
-    from rtof_kin.errors import RtofError
+    from rtof_kin.core.errors import RtofError
 
     options = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")

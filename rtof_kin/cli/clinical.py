@@ -34,8 +34,8 @@ def add_commands(commands: Any) -> None:
 def _analyse(options: argparse.Namespace) -> None:
     from rtof_kin.clinical.analysis import analyse_motion
     from rtof_kin.clinical.files import MARKER, write_analysis
-    from rtof_kin.io.folder import check_replaceable, new_folder
-    from rtof_kin.io.motion_npz import read_motion_npz
+    from rtof_kin.core.files.folder import check_replaceable, new_folder
+    from rtof_kin.formats.motion_npz import read_motion_npz
 
     check_replaceable(options.output, MARKER, options.overwrite)
     path = Path(options.motion)
@@ -52,7 +52,7 @@ def _analyse(options: argparse.Namespace) -> None:
     with new_folder(options.output, MARKER, options.overwrite) as folder:
         write_analysis(analysis, folder)
         if not options.no_figures:
-            from rtof_kin.clinical_figures import write_clinical_figures
+            from rtof_kin.report.clinical_figures import write_clinical_figures
 
             write_clinical_figures(analysis, folder / "figures")
     _print_ranges(analysis)

@@ -24,10 +24,10 @@ def add_commands(commands: Any) -> None:
 
 
 def _detect(options: argparse.Namespace) -> None:
-    from rtof_kin.detectors.recognise import recognise
-    from rtof_kin.detectors.video import detect_video, write_detections
-    from rtof_kin.errors import FileFormatError, ShapeError
-    from rtof_kin.io.folder import check_new_file
+    from rtof_kin.core.errors import FileFormatError, ShapeError
+    from rtof_kin.core.files.folder import check_new_file
+    from rtof_kin.vision.recognise import recognise
+    from rtof_kin.vision.video import detect_video, write_detections
 
     target = Path(options.out)
     if target.suffix.lower() != ".npz":

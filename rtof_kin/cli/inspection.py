@@ -44,9 +44,9 @@ def _declaration(text: str) -> tuple[str, str]:
 
 
 def _inspect(options: argparse.Namespace) -> int:
-    from rtof_kin.errors import ShapeError
-    from rtof_kin.inspection import inspect
-    from rtof_kin.io.folder import check_new_file
+    from rtof_kin.core.errors import ShapeError
+    from rtof_kin.core.files.folder import check_new_file
+    from rtof_kin.report.inspection import inspect
 
     if options.plot is not None:
         if len(options.files) > 1:
@@ -68,7 +68,7 @@ def _inspect(options: argparse.Namespace) -> int:
 
 
 def _number(text: str) -> float:
-    from rtof_kin.errors import ShapeError
+    from rtof_kin.core.errors import ShapeError
 
     try:
         return float(text)
@@ -136,8 +136,8 @@ def _figure(check: Any, shown: list[Any], checks: Any) -> str:
 def _draw(found: Any, target: Path, overwrite: bool) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    from rtof_kin.inspection_figures import picture
-    from rtof_kin.io.folder import new_file
+    from rtof_kin.core.files.folder import new_file
+    from rtof_kin.report.inspection_figures import picture
 
     figure = picture(found)
     if figure is None:

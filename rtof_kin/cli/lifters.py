@@ -32,7 +32,7 @@ def add_commands(commands: Any) -> None:
 def _export_lifter(options: argparse.Namespace) -> None:
     from lifting.onnx_export import export_onnx
     from lifting.predict import Lifter
-    from rtof_kin.io.folder import check_new_file
+    from rtof_kin.core.files.folder import check_new_file
 
     check_new_file(options.output, options.overwrite)
     lifter = Lifter.load(options.lifter)

@@ -13,7 +13,7 @@ from rich.table import Column
 from rich.table import Table as RichTable
 
 from rtof_kin.cli.terminal import add_output, command, err, out
-from rtof_kin.fragment_settings import SPACES
+from rtof_kin.solve.cartesian.settings import SPACES
 
 if TYPE_CHECKING:
     from rtof_kin.protocols.tables import Table
@@ -29,6 +29,7 @@ def add_commands(commands: Any) -> None:
 
 
 def _total_capture(options: argparse.Namespace) -> None:
+    from rtof_kin.body.skeleton import SkeletonModel
     from rtof_kin.protocols.measures import rows_of
     from rtof_kin.protocols.pictures import write_pictures
     from rtof_kin.protocols.tables import write_tables
@@ -39,7 +40,6 @@ def _total_capture(options: argparse.Namespace) -> None:
         run,
     )
     from rtof_kin.protocols.total_capture_tables import all_tables
-    from rtof_kin.skeleton import SkeletonModel
 
     folder = Path(options.output)
     sensors = SENSOR_SETS.get(options.sensors)
@@ -90,12 +90,12 @@ def _total_capture(options: argparse.Namespace) -> None:
 
 
 def _human36m(options: argparse.Namespace) -> None:
+    from rtof_kin.body.skeleton import SkeletonModel
     from rtof_kin.datasets.human36m import RATE_HZ
     from rtof_kin.protocols import human36m
     from rtof_kin.protocols.measures import rows_of
     from rtof_kin.protocols.pictures import write_pictures
     from rtof_kin.protocols.tables import write_tables
-    from rtof_kin.skeleton import SkeletonModel
 
     folder, json_file = Path(options.output), _json_file(options)
     protocol = human36m.Human36MProtocol(
@@ -141,7 +141,7 @@ def _json_file(options: argparse.Namespace, name: str = "") -> Path | None:
 
 def _refuse_if_nothing(done: dict[str, Any], failed: dict[str, str]) -> None:
     """An error if every job that has to do with a camera failed."""
-    from rtof_kin.errors import RtofError
+    from rtof_kin.core.errors import RtofError
 
     if failed and not any(facts["camera"] is not None for facts in done.values()):
         raise RtofError(f"nothing could be measured; first of all: {next(iter(failed.values()))}")
@@ -203,7 +203,7 @@ def _names(text: str, change: Callable[[str], str] = str) -> tuple[str, ...]:
 
 
 def _integers(option: str, text: str) -> list[int]:
-    from rtof_kin.errors import ShapeError
+    from rtof_kin.core.errors import ShapeError
 
     try:
         return [int(number) for number in _names(text)]

@@ -41,8 +41,8 @@ def add_commands(commands: Any) -> None:
 
 def _demo(options: argparse.Namespace) -> None:
     use_threads(options)
-    from rtof_kin.recording import Recording
-    from rtof_kin.resources import model_path
+    from rtof_kin.core.resources import model_path
+    from rtof_kin.recording.recording import Recording
 
     recording = Recording.load(model_path("demo"))
     out.print(f"The demo recording: {recording.notes}", soft_wrap=True)
@@ -50,7 +50,7 @@ def _demo(options: argparse.Namespace) -> None:
     result = _reconstruct_to(recording, "rtof", options)
     scores = dict(result.stage_metrics)
     if result.recording.truth is not None:
-        from rtof_kin.pipeline import reconstruct
+        from rtof_kin.reconstruction.pipeline import reconstruct
 
         with progress() as tell, doubts_in_headline():
             vision = reconstruct(
@@ -64,7 +64,7 @@ def _demo(options: argparse.Namespace) -> None:
 
 def _reconstruct(options: argparse.Namespace) -> None:
     use_threads(options)
-    from rtof_kin.recording import Recording
+    from rtof_kin.recording.recording import Recording
 
     recording = Recording.load(options.recording)
     result = _reconstruct_to(recording, options.mode, options)
@@ -75,13 +75,13 @@ def _reconstruct(options: argparse.Namespace) -> None:
 
 def _calibrate(options: argparse.Namespace) -> None:
     use_threads(options)
-    from rtof_kin.contradictions import contradictions
-    from rtof_kin.io.folder import check_new_file, check_replaceable
-    from rtof_kin.io.self_calibration_toml import write_self_calibration_toml
-    from rtof_kin.pipeline import calibrate_recording
-    from rtof_kin.recording import INDEX, Recording
+    from rtof_kin.calibration.file import write_self_calibration_toml
+    from rtof_kin.core.files.folder import check_new_file, check_replaceable
+    from rtof_kin.reconstruction.consistency_checks import contradictions
+    from rtof_kin.reconstruction.pipeline import calibrate_recording
+    from rtof_kin.recording.recording import INDEX, Recording
     from rtof_kin.report.audit import calibration_findings
-    from rtof_kin.report.findings import Finding
+    from rtof_kin.report.audit_results import Finding
     from rtof_kin.report.headline import headline
 
     settings = settings_of(options, "calibrate")
@@ -116,17 +116,17 @@ def _known(options: argparse.Namespace) -> Any:
     """What `reconstruct` is told of another recording of the same person."""
     if getattr(options, "calibration", None) is None:
         return None
-    from rtof_kin.io.self_calibration_toml import read_self_calibration_toml
+    from rtof_kin.calibration.file import read_self_calibration_toml
 
     return read_self_calibration_toml(options.calibration)
 
 
 def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> Any:
     """Reconstruct and export, asking first whether the output may be written."""
-    from rtof_kin.export import MARKER, export, provenance_shares
-    from rtof_kin.io.folder import check_replaceable
-    from rtof_kin.pipeline import reconstruct
+    from rtof_kin.core.files.folder import check_replaceable
+    from rtof_kin.reconstruction.pipeline import reconstruct
     from rtof_kin.report.audit import audit
+    from rtof_kin.report.export import MARKER, export, provenance_shares
     from rtof_kin.report.headline import headline
 
     settings = settings_of(options, mode)
@@ -146,10 +146,10 @@ def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> A
 
 
 def _evaluate(options: argparse.Namespace) -> None:
-    from rtof_kin.errors import ShapeError
-    from rtof_kin.io.motion_npz import read_motion_npz
-    from rtof_kin.metrics import comparable, evaluate
-    from rtof_kin.recording import Recording
+    from rtof_kin.body.metrics import comparable, evaluate
+    from rtof_kin.core.errors import ShapeError
+    from rtof_kin.formats.motion_npz import read_motion_npz
+    from rtof_kin.recording.recording import Recording
 
     path = Path(options.motion)
     motion = read_motion_npz(path / "motion.npz" if path.is_dir() else path)
@@ -169,9 +169,9 @@ def _evaluate(options: argparse.Namespace) -> None:
 def _simulate(options: argparse.Namespace) -> None:
     from dataclasses import replace
 
-    from rtof_kin.io.folder import check_replaceable
-    from rtof_kin.recording import INDEX
-    from rtof_kin.simulation import SimulationSettings, simulate_file
+    from rtof_kin.core.files.folder import check_replaceable
+    from rtof_kin.recording.recording import INDEX
+    from rtof_kin.simulation.simulate import SimulationSettings, simulate_file
 
     check_replaceable(options.output, INDEX, options.overwrite)
     make: Callable[[], SimulationSettings] = getattr(SimulationSettings, options.keypoints)
@@ -197,10 +197,10 @@ def _simulate(options: argparse.Namespace) -> None:
 
 
 def _export(options: argparse.Namespace) -> None:
-    from rtof_kin.errors import ShapeError
-    from rtof_kin.io.folder import new_folder
-    from rtof_kin.io.motion_npz import read_motion_npz
-    from rtof_kin.motion_files import DEFAULT, URDF, check_formats, write_motion_files
+    from rtof_kin.core.errors import ShapeError
+    from rtof_kin.core.files.folder import new_folder
+    from rtof_kin.formats.motion_files import DEFAULT, URDF, check_formats, write_motion_files
+    from rtof_kin.formats.motion_npz import read_motion_npz
 
     if options.output and options.folder:
         raise ShapeError("export: name one folder to write, as OUT or with -o OUT")

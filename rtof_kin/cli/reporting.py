@@ -34,10 +34,10 @@ def add_commands(commands: Any) -> None:
 
 
 def _report(options: argparse.Namespace) -> None:
-    from rtof_kin.io.folder import check_new_file
-    from rtof_kin.io.text import write_text
+    from rtof_kin.core.files.folder import check_new_file
+    from rtof_kin.core.files.text import write_text
+    from rtof_kin.recording.session import Session
     from rtof_kin.report.writing import PAGE, report
-    from rtof_kin.session import Session
 
     folder = Path(options.motion)
     path = Path(options.output or folder / PAGE)
@@ -50,12 +50,12 @@ def _report(options: argparse.Namespace) -> None:
 def _study(options: argparse.Namespace) -> None:
     use_threads(options)
     from lifting.predict import Lifter
-    from rtof_kin.io.folder import check_replaceable, new_folder
-    from rtof_kin.recording import Recording
+    from rtof_kin.core.files.folder import check_replaceable, new_folder
+    from rtof_kin.recording.recording import Recording
     from rtof_kin.report.audit import audit
     from rtof_kin.report.headline import headline
-    from rtof_kin.sensor_study import number_of_runs, study_sensors
-    from rtof_kin.sensor_study_files import MARKER, sentences, write_study
+    from rtof_kin.report.sensor_study.files import MARKER, sentences, write_study
+    from rtof_kin.report.sensor_study.study import number_of_runs, study_sensors
 
     check_replaceable(options.output, MARKER, options.overwrite)
     recording = Recording.load(options.recording)
@@ -75,7 +75,7 @@ def _study(options: argparse.Namespace) -> None:
     with new_folder(options.output, MARKER, options.overwrite) as folder:
         write_study(study, folder, verdict)
         if not options.no_figures:
-            from rtof_kin.sensor_study_figures import write_study_figures
+            from rtof_kin.report.sensor_study.figures import write_study_figures
 
             write_study_figures(study, folder / "figures")
     _print_way_down(study)
@@ -97,7 +97,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _print_way_down(study: Any) -> None:
-    from rtof_kin.sensor_study_files import NO_ERROR
+    from rtof_kin.report.sensor_study.files import NO_ERROR
 
     what = "error" if study.has_truth else "difference"
     table = Table("sensors", "without", f"mean {what} [deg]", "angles kept")

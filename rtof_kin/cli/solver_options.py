@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from rtof_kin.errors import ShapeError
-from rtof_kin.fragment_settings import SPACES, FragmentSettings
-from rtof_kin.threads import USUAL, limit_threads
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.threads import USUAL, limit_threads
+from rtof_kin.solve.cartesian.settings import SPACES, FragmentSettings
 
 if TYPE_CHECKING:
-    from rtof_kin.stages import ReconstructionSettings
+    from rtof_kin.reconstruction.prepare import ReconstructionSettings
 
 
 def add_solver_options(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +61,7 @@ def settings_of(options: argparse.Namespace, mode: str = "rtof") -> Reconstructi
     Raises:
         ShapeError: options that do not go together.
     """
-    from rtof_kin.stages import ReconstructionSettings
+    from rtof_kin.reconstruction.prepare import ReconstructionSettings
 
     if options.paper and options.space == "joint":
         raise ShapeError("--paper is an energy in cartesian space; leave out --space joint, or --paper")

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Column, Table
 from rich.text import Text
 
-from rtof_kin.io.manifest import MANIFEST
+from rtof_kin.core.files.manifest import MANIFEST
 
 if TYPE_CHECKING:
     from rtof_kin.report.headline import Headline
@@ -78,7 +78,7 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
 
 def with_zero_motion(recording: Any) -> dict[str, Any]:
     """The row of a predictor that never moves, by the same code as every other."""
-    from rtof_kin.metrics import evaluate, motionless
+    from rtof_kin.body.metrics import evaluate, motionless
 
     if recording.truth is None:
         return {}
@@ -87,7 +87,7 @@ def with_zero_motion(recording: Any) -> dict[str, Any]:
 
 
 def print_scores(scores: Mapping[str, Mapping[str, float]]) -> None:
-    from rtof_kin.metrics import BEGUN_TOGETHER
+    from rtof_kin.body.metrics import BEGUN_TOGETHER
 
     title = "error against the truth, mean over frames"
     first = Column("stage", no_wrap=True)
@@ -122,7 +122,7 @@ def print_headline(headline: Headline, what: str = "") -> None:
 @contextmanager
 def doubts_in_headline() -> Iterator[None]:
     """Without the log's warnings of what `print_headline` says."""
-    from rtof_kin.pipeline import DOUBTS
+    from rtof_kin.reconstruction.pipeline import DOUBTS
 
     logger = logging.getLogger(DOUBTS)
     logger.disabled = True

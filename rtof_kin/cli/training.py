@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from rtof_kin.cli.terminal import command, err, out
-from rtof_kin.errors import ShapeError
+from rtof_kin.core.errors import ShapeError
 
 if TYPE_CHECKING:
     from lifting.corpus import Corpus

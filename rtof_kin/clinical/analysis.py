@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.angle_table import AngleTable, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.clinical.gait import CycleCurves, GaitAnalysis, analyse_gait, cycle_curves
@@ -11,8 +12,7 @@ from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.range_of_motion import RangeOfMotion, ranges_of_motion
 from rtof_kin.clinical.repetitions import KINDS, Kind, RepetitionAnalysis, find_repetitions
 from rtof_kin.clinical.torques import JointTorques, joint_torques, single_support
-from rtof_kin.errors import ShapeError, UnknownNameError
-from rtof_kin.skeleton import MotionSequence
+from rtof_kin.core.errors import ShapeError, UnknownNameError
 
 
 @dataclass(frozen=True)

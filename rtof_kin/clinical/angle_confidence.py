@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import rotations as so3
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical import joint_coordinate_systems as jcs
 from rtof_kin.clinical.angle_table import AngleTable
-from rtof_kin.confidence import Confidence
-from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.confidence import Confidence
 
 Array = NDArray[np.float64]
 NOTHING_KNOWN = np.pi / np.sqrt(3)

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from rtof_kin.confidence import WORLD
-from rtof_kin.errors import UnknownNameError
-from rtof_kin.io.text import load_toml
-from rtof_kin.resources import model_path
-from rtof_kin.skeleton_table import SkeletonTable
+from rtof_kin.body.skeleton_table import SkeletonTable
+from rtof_kin.core.errors import UnknownNameError
+from rtof_kin.core.files.text import load_toml
+from rtof_kin.core.resources import model_path
+from rtof_kin.data.confidence import WORLD
 
 SIDES = ("right", "left")
 

@@ -26,16 +26,17 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics, signals
-from rtof_kin.checks import checked_times, indices_of, readonly
+from rtof_kin.body import kinematics
+from rtof_kin.body.observability import DIRECTION, WHOLE, segment_levels
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical import joint_coordinate_systems as jcs
 from rtof_kin.clinical.angle_confidence import angle_sigmas
 from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem, angle_table
 from rtof_kin.clinical.trust import trusted_bands, trusted_turns, untrusted_note
-from rtof_kin.errors import ShapeError
-from rtof_kin.observation import DIRECTION, WHOLE, segment_levels
-from rtof_kin.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.types import PoseSequence, Provenance
+from rtof_kin.core import signals
+from rtof_kin.core.checks import checked_times, indices_of, readonly
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.data.types import PoseSequence, Provenance
 
 Array = NDArray[np.float64]
 _NEEDS = {"parent": (DIRECTION, WHOLE, WHOLE), "child": (DIRECTION, DIRECTION, WHOLE)}

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import signals
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.gait_events import GaitEvents
+from rtof_kin.core import signals
 
 Array = NDArray[np.float64]
 LONGEST_STRIDE = 2.5

@@ -13,10 +13,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import rotations as so3
-from rtof_kin import signals
+from rtof_kin.body.skeleton import SINGULAR_MARGIN, SkeletonModel
 from rtof_kin.clinical.angle_table import AngleTable
-from rtof_kin.skeleton import SINGULAR_MARGIN, SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
 
 Array = NDArray[np.float64]
 R_ROS_ISB = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

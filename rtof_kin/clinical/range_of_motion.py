@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import signals
 from rtof_kin.clinical.angles import ClinicalAngles
+from rtof_kin.core import signals
 
 Array = NDArray[np.float64]
 CUTOFF_HZ = 6.0

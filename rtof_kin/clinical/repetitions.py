@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
-from rtof_kin import signals
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.range_of_motion import smoothed
-from rtof_kin.errors import UnknownNameError
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import PoseSequence
+from rtof_kin.core import signals
+from rtof_kin.core.errors import UnknownNameError
+from rtof_kin.data.types import PoseSequence
 
 Array = NDArray[np.float64]
 Kind = Literal["squat", "sit_to_stand"]

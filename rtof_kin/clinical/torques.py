@@ -19,17 +19,17 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from rtof_kin import rotations as so3
-from rtof_kin import signals
-from rtof_kin.checks import readonly
+from rtof_kin.body.observability import never_observed
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.angle_table import SIDES, angle_table
 from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
-from rtof_kin.errors import ShapeError
-from rtof_kin.io.joint_trajectory import joint_velocities
-from rtof_kin.observation import never_observed
-from rtof_kin.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.types import STANDARD_GRAVITY
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.checks import readonly
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.data.types import STANDARD_GRAVITY
+from rtof_kin.formats.joint_trajectory import joint_velocities
 
 Array = NDArray[np.float64]
 UNKNOWN = -1

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import rotations as so3
-from rtof_kin import signals
 from rtof_kin.clinical.angle_table import AngleRow, JointCoordinateSystem
-from rtof_kin.confidence import BAND_95
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.data.confidence import BAND_95
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

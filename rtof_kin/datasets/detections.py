@@ -6,7 +6,7 @@ A file is found by its name at any depth, case-insensitively: ``TC_S5_acting3_ca
 ``landmarks.txt`` in the folder (all joints of the skeleton in its order where there is none). A .csv has
 the columns of a recording's keypoints. Frame k is frame k of the video where there are no times.
 
-With a layout they are a detector's own files, of any format in `rtof_kin.detectors.files`; a folder of
+With a layout they are a detector's own files, of any format in `rtof_kin.vision.keypoint_files`; a folder of
 .json is named like a file, ``S5_acting3_cam1``. The shipped adapter makes landmarks of their points.
 """
 
@@ -20,13 +20,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import recording_files as files
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.data.types import Camera, KeypointSequence
 from rtof_kin.datasets.total_capture_files import only_one, walk
-from rtof_kin.detectors.files import FORMATS, read_detector_file
-from rtof_kin.detectors.keypoints import adapt
-from rtof_kin.errors import FileFormatError, ShapeError, UnknownNameError
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import Camera, KeypointSequence
+from rtof_kin.recording import files
+from rtof_kin.vision.keypoint_files import FORMATS, read_detector_file
+from rtof_kin.vision.keypoints import adapt
 
 Array = NDArray[np.float64]
 LANDMARKS = "landmarks.txt"

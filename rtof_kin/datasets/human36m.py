@@ -22,15 +22,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics
-from rtof_kin.checks import readonly
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.checks import readonly
+from rtof_kin.core.errors import CalibrationError, FileFormatError, RtofError, UnitError
+from rtof_kin.data.types import Camera, KeypointSequence, PoseSequence
 from rtof_kin.datasets.human36m_body import bone_lengths, measured_offsets
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS
 from rtof_kin.datasets.human36m_files import Archives, by_number
-from rtof_kin.errors import CalibrationError, FileFormatError, RtofError, UnitError
-from rtof_kin.recording import Recording
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import Camera, KeypointSequence, PoseSequence
+from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
 SUBJECTS_TRAIN = ("S1", "S5", "S6", "S7", "S8")

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics
-from rtof_kin import rotations as so3
-from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
 
 Array = NDArray[np.float64]
 _FRAMES = 4000

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import rotations as so3
-from rtof_kin.checks import readonly
-from rtof_kin.errors import FileFormatError, ShapeError, UnitError
-from rtof_kin.io.text import load_json, measurable, read_text
-from rtof_kin.types import Camera
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.checks import readonly
+from rtof_kin.core.errors import FileFormatError, ShapeError, UnitError
+from rtof_kin.core.files.text import load_json, measurable, read_text
+from rtof_kin.data.types import Camera
 
 Array = NDArray[np.float64]
 CAMERA_IDS = ("54138969", "55011271", "58860488", "60457274")

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from rtof_kin.core.files.text import LARGEST_NUMBER
+from rtof_kin.data.types import Camera
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS, read_cameras
-from rtof_kin.errors import FileFormatError, UnknownNameError
-from rtof_kin.io.object_npz import read_object_npz
-from rtof_kin.io.text import LARGEST_NUMBER
-from rtof_kin.types import Camera
+from rtof_kin.datasets.object_npz import read_object_npz
 
 Array = NDArray[np.float64]
 JOINTS_OF_32 = (0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27)

@@ -21,10 +21,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import recording_files as files
-from rtof_kin import rotations as so3
-from rtof_kin.calibration import ImuCalibration
-from rtof_kin.checks import indices_of
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.checks import indices_of
+from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.types import Camera, ImuSequence
 from rtof_kin.datasets.total_capture_files import (
     CAMERA_FILE,
     CAMERAS,
@@ -42,16 +45,13 @@ from rtof_kin.datasets.total_capture_truth import (
     WORLD_OF_VICON,
     read_truth,
 )
-from rtof_kin.errors import FileFormatError, UnknownNameError
-from rtof_kin.io.total_capture import (
+from rtof_kin.formats.total_capture import (
     SensorTable,
     read_cameras,
     read_imu_calibration,
     read_sensors,
 )
-from rtof_kin.plausibility import Check
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import Camera, ImuSequence
+from rtof_kin.recording import files
 
 __all__ = [
     "ACKNOWLEDGEMENT", "CAMERAS", "SUBJECTS", "TEST", "TRAIN", "Check", "Take", "TotalCapture",

@@ -8,15 +8,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import rotations as so3
-from rtof_kin import signals
-from rtof_kin.calibration import ImuCalibration
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.errors import UnknownNameError
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.types import BoneImuSequence, Camera, ImuSequence, KeypointSequence, PoseSequence
 from rtof_kin.datasets.total_capture_files import MISCALIBRATED
 from rtof_kin.datasets.total_capture_truth import RATE_HZ, RIGID_MM
-from rtof_kin.errors import UnknownNameError
-from rtof_kin.plausibility import Check
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import BoneImuSequence, Camera, ImuSequence, KeypointSequence, PoseSequence
 
 Array = NDArray[np.float64]
 T_POSE_DEG = 25.0

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rtof_kin.errors import FileFormatError
+from rtof_kin.core.errors import FileFormatError
 
 SUBJECTS = ("S1", "S2", "S3", "S4", "S5")
 CAMERAS = (1, 2, 3, 4, 5, 6, 7, 8)

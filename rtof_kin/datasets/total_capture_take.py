@@ -10,7 +10,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.calibration import ImuCalibration
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.types import Camera, ImuSequence, KeypointSequence, PoseSequence
 from rtof_kin.datasets.total_capture_checks import (
     check_camera,
     check_keypoints,
@@ -18,11 +22,7 @@ from rtof_kin.datasets.total_capture_checks import (
 )
 from rtof_kin.datasets.total_capture_files import MISCALIBRATED
 from rtof_kin.datasets.total_capture_truth import RATE_HZ
-from rtof_kin.errors import ShapeError, UnknownNameError
-from rtof_kin.plausibility import Check
-from rtof_kin.recording import Recording
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import Camera, ImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
 ACKNOWLEDGEMENT = (

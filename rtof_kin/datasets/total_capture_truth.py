@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics
-from rtof_kin import rotations as so3
-from rtof_kin.checks import indices_of
-from rtof_kin.errors import FileFormatError
-from rtof_kin.io.bvh import read_bvh
-from rtof_kin.io.total_capture import read_joints
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import PoseSequence
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.checks import indices_of
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.data.types import PoseSequence
+from rtof_kin.formats.bvh import read_bvh
+from rtof_kin.formats.total_capture import read_joints
 
 Array = NDArray[np.float64]
 RATE_HZ = 60.0

@@ -1,6 +1,6 @@
 """Inertial sensors as people have them: what files declare, checks by physics, calibration by pose.
 
-Data flows from a file (recognised by `files`, read in `rtof_kin.io` by one reader per format, with the
+Data flows from a file (recognised by `files`, read in `rtof_kin.formats` by one reader per format, with the
 arithmetic of `packets`) as `Readings`, through its `Declaration`, into a `SensorLog` of `SensorStream`s
 in SI units; `orientation` adds what a file lacks; checks look at these, never at what the file claims;
 `SensorLog.imus` hands them to a recording.

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtof_kin import rotations as so3
-from rtof_kin.calibration import ImuCalibration
-from rtof_kin.checks import indices_of, readonly
-from rtof_kin.errors import CalibrationError
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.checks import indices_of, readonly
+from rtof_kin.core.errors import CalibrationError
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.types import BoneImuSequence, ImuSequence
 from rtof_kin.inertial.segment_motion import RATE_HZ
 from rtof_kin.inertial.stillness import find_still, streams_of
-from rtof_kin.inertial.streams import SensorLog, SensorStream
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import BoneImuSequence, ImuSequence
 
 Array = NDArray[np.float64]
 LEAST_MARGIN = 3.0

@@ -14,11 +14,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import rotations as so3
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.imu_declaration import CHOICES, Declaration
+from rtof_kin.data.imu_stream import SensorStream
 from rtof_kin.inertial import gravity, turning
-from rtof_kin.inertial.declaration import CHOICES, Declaration
-from rtof_kin.inertial.streams import SensorStream
-from rtof_kin.plausibility import Check
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

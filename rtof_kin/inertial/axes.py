@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
-from rtof_kin import rotations as so3
-from rtof_kin.errors import CalibrationError
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import CalibrationError
 
 Array = NDArray[np.float64]
 LEAST_RATE = 0.4

@@ -8,12 +8,12 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics
-from rtof_kin import rotations as so3
-from rtof_kin.checks import readonly
-from rtof_kin.errors import CalibrationError
-from rtof_kin.joint_space.prior import has_prior, shipped_prior
-from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.body import kinematics
+from rtof_kin.body.pose_prior import has_prior, shipped_prior
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.checks import readonly
+from rtof_kin.core.errors import CalibrationError
 
 Array = NDArray[np.float64]
 

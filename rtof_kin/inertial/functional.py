@@ -16,17 +16,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtof_kin import rotations as so3
-from rtof_kin import signals
-from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
+from rtof_kin.body.metrics import hinges
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.types import ImuSequence
 from rtof_kin.inertial.alignment import Held, PoseCalibration, hold
 from rtof_kin.inertial.axes import LEAST_RATE, hinge_axis, principal_axis, rms_rate
 from rtof_kin.inertial.poses import flexion_axis, pose_rotations, turned_to
 from rtof_kin.inertial.stillness import angular_velocity
-from rtof_kin.inertial.streams import SensorLog, SensorStream
-from rtof_kin.metrics import hinges
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import ImuSequence
 
 Array = NDArray[np.float64]
 POSE_DEG, AXIS_DEG = 5.0, 5.0

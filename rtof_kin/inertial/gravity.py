@@ -14,11 +14,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.inertial.streams import SensorStream
+from rtof_kin.core.plausibility import Check
+from rtof_kin.core.signals import runs
+from rtof_kin.data.imu_stream import SensorStream
+from rtof_kin.data.types import GRAVITY_WORLD, STANDARD_GRAVITY
 from rtof_kin.inertial.turning import rates_of_orientation, trimmed_rms
-from rtof_kin.plausibility import Check
-from rtof_kin.signals import runs
-from rtof_kin.types import GRAVITY_WORLD, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtof_kin import rotations as so3
-from rtof_kin.inertial.evidence import Evidence
+from rtof_kin.core import rotations as so3
+from rtof_kin.inertial.likelihood import Evidence
 from rtof_kin.inertial.segment_motion import SegmentMotion
 
 Array = NDArray[np.float64]

@@ -1,7 +1,7 @@
 """What is wrong with a sensor setup: sensors swapped, turned, on another segment, a pose faced elsewhere.
 
 A calibration and some movement are compared with each way in which people get it wrong
-(`rtof_kin.inertial.faults`), by the evidence of `rtof_kin.inertial.evidence`. A fault is named when it
+(`rtof_kin.inertial.setup_diagnosis`), by the evidence of `rtof_kin.inertial.likelihood`. A fault is named when it
 explains the movement much better than the calibration as declared; nothing is repaired unless
 `Fault.corrected` is asked to.
 
@@ -17,9 +17,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtof_kin.calibration import ImuCalibration
-from rtof_kin.inertial.evidence import Evidence
-from rtof_kin.inertial.faults import Fault, FaultKind, Setup
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.types import BoneImuSequence, PoseSequence
+from rtof_kin.inertial.likelihood import Evidence
 from rtof_kin.inertial.poses import pose_rotations, turned_to
 from rtof_kin.inertial.segment_motion import (
     SegmentMotion,
@@ -27,8 +28,7 @@ from rtof_kin.inertial.segment_motion import (
     seen_bones,
     segment_motions,
 )
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import BoneImuSequence, PoseSequence
+from rtof_kin.inertial.setup_diagnosis import Fault, FaultKind, Setup
 
 Array = NDArray[np.float64]
 LEAST_RATIO = 10.0

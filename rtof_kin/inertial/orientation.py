@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from vqf import VQF, offlineVQF
 
-from rtof_kin import rotations as so3
-from rtof_kin import signals
-from rtof_kin.errors import ShapeError
-from rtof_kin.inertial.streams import SensorLog, SensorStream
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
 
 Array = NDArray[np.float64]
 LONGEST_BRIDGED = 0.1

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.imu_declaration import Declaration
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.inertial import gravity, turning
 from rtof_kin.inertial.alternatives import fixed_axes, likely_changes, likely_rate
-from rtof_kin.inertial.declaration import Declaration
 from rtof_kin.inertial.sampling import check_sampling
-from rtof_kin.inertial.streams import SensorLog, SensorStream
-from rtof_kin.plausibility import Check
 
 LAWS = (
     gravity.FORCE, gravity.DIRECTION, gravity.MEAN_ACCELERATION, gravity.LEVER, turning.GYROSCOPE,

@@ -24,17 +24,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtof_kin import rotations as so3
-from rtof_kin.checks import indices_of
-from rtof_kin.errors import CalibrationError, ShapeError, UnknownNameError
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.checks import indices_of
+from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
+from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.data.types import ImuSequence
 from rtof_kin.inertial.alignment import Held, PoseCalibration, calibrated, hold
-from rtof_kin.inertial.evidence import Evidence
 from rtof_kin.inertial.headings import Headings, own_headings, shared_heading, wrapped
+from rtof_kin.inertial.likelihood import Evidence
 from rtof_kin.inertial.poses import facing_of, pose_rotations, turned_to
 from rtof_kin.inertial.segment_motion import segment_motions
-from rtof_kin.inertial.streams import SensorLog
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import ImuSequence
 
 Array = NDArray[np.float64]
 NAMED_POSE_DEG, MEASURED_POSE_DEG = 10.0, 3.0

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtof_kin import rotations as so3
-from rtof_kin.checks import checked_rotations, readonly
-from rtof_kin.errors import ShapeError, UnknownNameError
-from rtof_kin.skeleton import SkeletonModel
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.checks import checked_rotations, readonly
+from rtof_kin.core.errors import ShapeError, UnknownNameError
 
 Array = NDArray[np.float64]
 POSES: Mapping[str, str] = {

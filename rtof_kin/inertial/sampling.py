@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.inertial.declaration import Declaration
-from rtof_kin.inertial.streams import SensorStream
-from rtof_kin.plausibility import Check
-from rtof_kin.signals import runs
+from rtof_kin.core.plausibility import Check
+from rtof_kin.core.signals import runs
+from rtof_kin.data.imu_declaration import Declaration
+from rtof_kin.data.imu_stream import SensorStream
 
 Array = NDArray[np.float64]
 WHAT = {

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics, signals
-from rtof_kin import rotations as so3
-from rtof_kin.errors import ShapeError
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.data.types import BoneImuSequence, PoseSequence
 from rtof_kin.inertial.stillness import orientation_rate
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import BoneImuSequence, PoseSequence
 
 Array = NDArray[np.float64]
 RATE_HZ = 60.0

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from rtof_kin import rotations as so3
-from rtof_kin import signals
-from rtof_kin.errors import CalibrationError, ShapeError
-from rtof_kin.inertial.streams import SensorLog, SensorStream
-from rtof_kin.types import ImuSequence
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.errors import CalibrationError, ShapeError
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.types import ImuSequence
 
 Array = NDArray[np.float64]
 STILL_RATE = 0.2

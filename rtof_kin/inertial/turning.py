@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from rtof_kin import rotations as so3
-from rtof_kin.errors import ShapeError
-from rtof_kin.inertial.streams import SensorStream
-from rtof_kin.plausibility import Check
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.imu_stream import SensorStream
 
 Array = NDArray[np.float64]
 GYROSCOPE = "gyroscope against orientation"

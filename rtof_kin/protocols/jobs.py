@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.errors import OutputExistsError, RtofError, ShapeError
-from rtof_kin.io.arrays import read_npz
-from rtof_kin.io.text import write_text
+from rtof_kin.core.errors import OutputExistsError, RtofError, ShapeError
+from rtof_kin.core.files.arrays import read_npz
+from rtof_kin.core.files.text import write_text
 
 Array = NDArray[np.float64]
 SETTINGS = "settings.json"

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from rtof_kin.figures import STAGE_COLORS, TRUTH, save_figures, views
+from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.protocols.jobs import Outcome
-from rtof_kin.skeleton_table import SkeletonTable
+from rtof_kin.report.figures import STAGE_COLORS, TRUTH, save_figures, views
 
 NAMES = {"lift": "baseline (lift)", "sf2": "sf2", "rto": "rto", "rtof": "rtof"}
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from rtof_kin.io.folder import check_new_file
-from rtof_kin.io.text import write_text
+from rtof_kin.core.files.folder import check_new_file
+from rtof_kin.core.files.text import write_text
 
 JSON = "tables.json"
 Cell = str | float | None

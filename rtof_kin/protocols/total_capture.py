@@ -16,25 +16,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import signals
-from rtof_kin.checks import indices_of
+from rtof_kin.body.metrics import evaluate, motionless
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import signals
+from rtof_kin.core.checks import indices_of
+from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.resources import lifter_path
+from rtof_kin.data.types import KeypointSequence, PoseSequence
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.total_capture import SUBJECTS, TEST, TRAIN, Take, TotalCapture
 from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take
-from rtof_kin.detectors.layouts import detector_table
-from rtof_kin.errors import FileFormatError, ShapeError
-from rtof_kin.fragment import FragmentSolver
-from rtof_kin.fragment_settings import SPACES, FragmentSettings
-from rtof_kin.metrics import evaluate, motionless
-from rtof_kin.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettings
 from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.protocols.measures import curves, provenance, reconstructions, save_motion
 from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
-from rtof_kin.recording_files import RECOGNISE
-from rtof_kin.resources import lifter_path
-from rtof_kin.simulation import LIMB_SENSORS
-from rtof_kin.skeleton import SkeletonModel
-from rtof_kin.types import KeypointSequence, PoseSequence
+from rtof_kin.reconstruction.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettings
+from rtof_kin.recording.files import RECOGNISE
+from rtof_kin.simulation.simulate import LIMB_SENSORS
+from rtof_kin.solve.cartesian.settings import SPACES, FragmentSettings
+from rtof_kin.solve.fragment_solver import FragmentSolver
+from rtof_kin.vision.layouts import detector_table
 
 Array = NDArray[np.float64]
 TEST_TAKES = ("walking2", "acting3", "freestyle3")

@@ -15,21 +15,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.fragment_solution import SolverStatus
-from rtof_kin.joint_space.settings import JointSpaceSettings
-from rtof_kin.metrics import hinges
-from rtof_kin.report.findings import FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS, Finding
+from rtof_kin.body.metrics import hinges
+from rtof_kin.calibration.result import SelfCalibration, Verdict
+from rtof_kin.data.types import Provenance
+from rtof_kin.inertial.outlier_rejection import DISAGREES
+from rtof_kin.report.audit_results import FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS, Finding
 from rtof_kin.report.residuals import (
     acceleration_residuals,
     orientation_residuals,
     reprojection_errors,
 )
-from rtof_kin.self_calibration import SelfCalibration, Verdict
-from rtof_kin.sensor_guards import DISAGREES
-from rtof_kin.types import Provenance
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.solution import SolverStatus
 
 if TYPE_CHECKING:
-    from rtof_kin.pipeline import Reconstruction
+    from rtof_kin.reconstruction.pipeline import Reconstruction
 
 Array = NDArray[np.float64]
 _MODEL = JointSpaceSettings()

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rtof_kin.report.findings import (
+from rtof_kin.report.audit_results import (
     FAILED_FRAGMENTS,
     SECTIONS,
     UNOBSERVED_FRAGMENTS,

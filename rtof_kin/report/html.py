@@ -14,7 +14,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from rtof_kin.report.drawn import Data
+from rtof_kin.report.plot_data import Data
 
 _ASSETS = Path(__file__).parent / "assets"
 _SCRIPTS = ("unpack.js", "charts.js", "player.js", "start.js")

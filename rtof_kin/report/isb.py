@@ -48,7 +48,7 @@ def isb_items(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> t
     """All items in order.
 
     Args:
-        inputs: as `report.facts` has them. mode: of the reconstruction. bands: whether angles have bands.
+        inputs: as `report.provenance` has them. mode: of the reconstruction. bands: whether angles have bands.
         gaps: what was missing, in words.
     """
     sensors: Sequence[Mapping[str, Any]] = inputs.get("sensors") or []

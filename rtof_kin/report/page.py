@@ -1,7 +1,7 @@
 """Everything that a report shows, as one structure of plain data: `page_data`.
 
 ``rtof_kin.report.html`` turns it into a page. What a reader reads is text and tables, made here; what is
-drawn is ``rtof_kin.report.drawn``'s.
+drawn is ``rtof_kin.report.plot_data``'s.
 """
 
 from __future__ import annotations
@@ -11,10 +11,18 @@ from typing import Any
 
 import numpy as np
 
+from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.gait import MEASURES
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
-from rtof_kin.report.drawn import (
+from rtof_kin.core.signals import runs
+from rtof_kin.recording.session import Session
+from rtof_kin.report.audit_results import SECTIONS, Finding, Grade, section_verdict
+from rtof_kin.report.clinical_findings import SECOND_PELVIS, outcomes
+from rtof_kin.report.headline import Headline, headline
+from rtof_kin.report.isb import CITATION, isb_items
+from rtof_kin.report.plot_data import (
     Data,
     angle_curves,
     cycle_drawings,
@@ -22,15 +30,7 @@ from rtof_kin.report.drawn import (
     shown_frames,
     side_and_name,
 )
-from rtof_kin.report.findings import SECTIONS, Finding, Grade, section_verdict
-from rtof_kin.report.headline import Headline, headline
-from rtof_kin.report.isb import CITATION, isb_items
-from rtof_kin.report.outcomes import SECOND_PELVIS, outcomes
 from rtof_kin.report.summary_file import Summary
-from rtof_kin.session import Session
-from rtof_kin.signals import runs
-from rtof_kin.skeleton import MotionSequence
-from rtof_kin.skeleton_table import SkeletonTable
 
 _GAIT_UNITS = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
 NO_AUDIT = "an earlier version of rtof_kin wrote the folder, without an audit: reconstruct again"

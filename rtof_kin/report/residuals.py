@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin import kinematics
-from rtof_kin import rotations as so3
+from rtof_kin.body import kinematics
+from rtof_kin.core import rotations as so3
 
 if TYPE_CHECKING:
-    from rtof_kin.pipeline import Reconstruction
+    from rtof_kin.reconstruction.pipeline import Reconstruction
 
 Array = NDArray[np.float64]
 

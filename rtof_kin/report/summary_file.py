@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rtof_kin.errors import FileFormatError, ShapeError
-from rtof_kin.io.text import load_json
-from rtof_kin.report.findings import Finding
-from rtof_kin.session import Session
+from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.files.text import load_json
+from rtof_kin.recording.session import Session
+from rtof_kin.report.audit_results import Finding
 
 SUMMARY = "summary.json"
 _NUMBERS = ("_m", "_kg", "_hz", "_px", "_share", "_s2")
@@ -28,11 +28,11 @@ class Summary:
     session: Session
     """The recording's own labels."""
     inputs: dict[str, Any]
-    """As `report.facts` has them; empty where the file has none."""
+    """As `report.provenance` has them; empty where the file has none."""
     findings: tuple[Finding, ...] | None
     """Of the audit; None where the file has none."""
     settings: dict[str, Any] | None = None
-    """As `rtof_kin.choices` has them; None where the file has none."""
+    """As `rtof_kin.reconstruction.choices` has them; None where the file has none."""
 
     @property
     def subject(self) -> dict[str, Any]:
@@ -73,7 +73,7 @@ def read_summary(path: str | Path) -> Summary:
 
 
 def _check_inputs(inputs: Any) -> None:
-    """Raise `ShapeError` where they are not such as `report.facts` makes them."""
+    """Raise `ShapeError` where they are not such as `report.provenance` makes them."""
     _check_table("inputs", inputs, {"session", "subject", "camera", "calibration", "sensors"})
     for name in ("session", "subject", "camera"):
         _check_table(f"inputs, {name}", inputs.get(name) or {})

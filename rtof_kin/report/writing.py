@@ -6,11 +6,11 @@ from datetime import date
 from pathlib import Path
 
 from rtof_kin.clinical.analysis import analyse_motion
-from rtof_kin.io.motion_npz import read_motion_npz
+from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.recording.session import Session
 from rtof_kin.report.html import page_html
 from rtof_kin.report.page import page_data
 from rtof_kin.report.summary_file import SUMMARY, read_summary
-from rtof_kin.session import Session
 
 PAGE = "report.html"
 

@@ -1,0 +1,1 @@
+"""The skeleton: its table, URDF, kinematics, pose prior, motions and error metrics."""

@@ -1,0 +1,228 @@
+"""How far an estimate is from the truth: position, acceleration, jerk, joint angles.
+
+==================  =======================================================================  =========
+mpjpe_mm            mean per joint position error, absolute                                  mm
+mpjpe_rr_mm         the same relative to the root (whose own 0 counts)                       mm
+mpjpe_pa_mm         the same after the best similarity transform of every frame (Procrustes) mm
+mpjae               mean norm of the difference of second derivatives, per second            m/s^2
+mpjje               the same of third derivatives                                            m/s^3
+mpjae_frame_mm      the same differences per frame instead of per second                     mm/frame^2
+mpjje_frame_mm                                                                               mm/frame^3
+angle_deg           mean angle between estimated and true joint rotation (parent to child)   degrees
+flexion_deg         mean error of the knees' and elbows' flexion, from the bones             degrees
+coverage            share of joints and frames for which the estimate claims validity        1
+==================  =======================================================================  =========
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.data.types import PoseSequence
+
+Array = NDArray[np.float64]
+BEGUN_TOGETHER = "mode imu knows no place: estimate and truth are moved to begin together"
+"""What figures and pictures of mode imu say, see `comparable`."""
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Metrics(Mapping[str, float]):
+    """Pooled figures by name, as a mapping; per joint and over time besides."""
+
+    pooled: dict[str, float]
+    """Figure -> mean over frames and joints; NaN where there is nothing to take the mean of."""
+    per_joint: dict[str, dict[str, float]]
+    """Joint -> figure -> mean over frames."""
+    over_time: dict[str, Array]
+    """'mpjpe_mm' and 'mpjpe_rr_mm' -> (T,) mean over joints of each frame; 'joint_mm' (absolute) and
+    'joint_flexion_deg' (knees and elbows) -> (T, J) of each joint. NaN in frames that are not scored."""
+
+    def __getitem__(self, name: str) -> float:
+        return self.pooled[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.pooled)
+
+    def __len__(self) -> int:
+        return len(self.pooled)
+
+
+def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> Metrics:
+    """All figures of an estimate against the truth, over the frames in which both know every joint.
+
+    Frames in which the truth itself is not `valid` (glitches of the reference) are left out.
+
+    Args:
+        estimate: (T, J) poses. truth: poses of the same joints at any times covering some of the
+            estimate's; brought to its times by interpolation. skeleton: names parents and hinges.
+
+    Raises:
+        UnknownNameError, ShapeError: joints are not the skeleton's; fewer than four common frames.
+    """
+    skeleton.check_joints(estimate.names, "estimate")
+    skeleton.check_joints(truth.names, "truth")
+    truth = at_times(truth, estimate.times)
+    both = np.asarray(np.isfinite(truth.p_world_joint).all(axis=(1, 2)))
+    both &= truth.valid.all(axis=1)
+    both &= np.isfinite(estimate.p_world_joint).all(axis=(1, 2))
+    if both.sum() < 4:
+        raise ShapeError("metrics: estimate and truth have fewer than four frames in common")
+    p = np.where(both[:, None, None], estimate.p_world_joint, np.nan)
+    p_true = np.where(both[:, None, None], truth.p_world_joint, np.nan)
+    error = np.linalg.norm(p - p_true, axis=-1) * 1000
+    relative = np.linalg.norm((p - p[:, :1]) - (p_true - p_true[:, :1]), axis=-1) * 1000
+    aligned = np.full_like(error, np.nan)
+    aligned[both] = np.linalg.norm(procrustes(p[both], p_true[both]) - p_true[both], axis=-1) * 1000
+    angle = np.where(both[:, None], _angle_error(estimate, truth, skeleton), np.nan)
+    rate = estimate.rate_hz
+    acceleration = np.linalg.norm(signals.derivative(p - p_true, rate, 2), axis=-1)
+    jerk = np.linalg.norm(signals.derivative(p - p_true, rate, 3), axis=-1)
+    figures = {
+        "mpjpe_mm": error,
+        "mpjpe_rr_mm": relative,
+        "mpjpe_pa_mm": aligned,
+        "mpjae": acceleration,
+        "mpjje": jerk,
+        "mpjae_frame_mm": acceleration / rate**2 * 1000,
+        "mpjje_frame_mm": jerk / rate**3 * 1000,
+        "angle_deg": np.degrees(angle),
+        "flexion_deg": np.degrees(_flexion_error(p, p_true, skeleton)),
+    }
+    names = estimate.names
+    return Metrics(
+        pooled={n: _mean(v) for n, v in figures.items()}
+        | {"coverage": float(estimate.valid[both].mean())},
+        per_joint={
+            joint: {n: _mean(v[:, j]) for n, v in figures.items() if np.isfinite(v[:, j]).any()}
+            for j, joint in enumerate(names)
+        },
+        over_time={
+            "mpjpe_mm": error.mean(axis=1),
+            "mpjpe_rr_mm": relative.mean(axis=1),
+            "joint_mm": error,
+            "joint_flexion_deg": figures["flexion_deg"],
+        },
+    )
+
+
+def stage_metrics(
+    stages: Mapping[str, PoseSequence], truth: PoseSequence | None, skeleton: SkeletonModel, mode: str
+) -> dict[str, Metrics]:
+    """All figures of every stage of a mode, whose poses have the same times; none without truth, or with
+    fewer than four frames of it."""
+    if truth is None:
+        return {}
+    first, last = truth.times[[0, -1]]
+    times = next(iter(stages.values())).times
+    if np.count_nonzero((times >= first) & (times <= last)) < 4:
+        _log.warning("the truth covers fewer than four frames: nothing is scored")
+        return {}
+    return {
+        name: evaluate(comparable(poses, truth, mode), truth, skeleton) for name, poses in stages.items()
+    }
+
+
+def comparable(estimate: PoseSequence, truth: PoseSequence, mode: str) -> PoseSequence:
+    """An estimate as it is scored and drawn against a truth: as it is, but in mode imu begun with it.
+
+    Args:
+        estimate: poses of the same joints as the truth's, at any times. mode: how they were made.
+
+    Returns:
+        In mode imu all of it shifted alike, so that the roots are at one place in the first frame in
+        which both are known: see `BEGUN_TOGETHER`.
+    """
+    if mode != "imu":
+        return estimate
+    true = at_times(truth, estimate.times)
+    shift = true.p_world_joint[:, 0] - estimate.p_world_joint[:, 0]
+    known = np.flatnonzero(np.isfinite(shift).all(axis=1) & true.valid[:, 0])
+    if len(known) == 0:
+        return estimate
+    return estimate.posed(slice(None), estimate.p_world_joint + shift[known[0]])
+
+
+def motionless(truth: PoseSequence) -> PoseSequence:
+    """The zero-motion row: the truth's mean position and orientation, standing still, in every frame."""
+    p = np.where(truth.valid[..., None], truth.p_world_joint, np.nan)
+    mean = [[_mean(p[:, j, i]) for i in range(3)] for j in range(p.shape[1])]
+    R = truth.R_world_bone
+    known = truth.valid & np.isfinite(R).all(axis=(2, 3))
+    still = so3.nearest_rotation(np.sum(R, axis=0, where=known[..., None, None]))
+    still[~known.any(axis=0)] = np.nan
+    return PoseSequence(
+        truth.times, np.broadcast_to(mean, p.shape), np.broadcast_to(still, R.shape), truth.names
+    )
+
+
+def procrustes(p: Array, p_true: Array) -> Array:
+    """p (T, J, 3) after each frame's best rotation, scale and translation onto p_true (Umeyama 1991)."""
+    mean, mean_true = p.mean(axis=1, keepdims=True), p_true.mean(axis=1, keepdims=True)
+    a, b = p - mean, p_true - mean_true
+    R = so3.nearest_rotation(np.einsum("tji,tjk->tik", b, a))
+    turned = np.einsum("tik,tjk->tji", R, a)
+    scale = np.sum(turned * b, axis=(1, 2)) / np.sum(a * a, axis=(1, 2))
+    return np.asarray(scale[:, None, None] * turned + mean_true)
+
+
+def flexion(p: Array, skeleton: SkeletonModel) -> Array:
+    """Angle (T, J) in radians between the bones that meet at the knees and elbows; NaN elsewhere."""
+    out = np.full(p.shape[:2], np.nan)
+    for j in hinges(skeleton):
+        (child,) = kinematics.children_of(skeleton.parents, j)
+        before, after = p[:, j] - p[:, skeleton.parents[j]], p[:, child] - p[:, j]
+        cross = np.linalg.norm(np.cross(before, after), axis=-1)
+        out[:, j] = np.arctan2(cross, np.sum(before * after, axis=-1))
+    return out
+
+
+def hinges(skeleton: SkeletonModel) -> list[int]:
+    """Indices of the knees and elbows, by their clinical names."""
+    wanted = ("knee flexion", "elbow flexion")
+    return [
+        i
+        for i, joint in enumerate(skeleton.table.joints)
+        if any(dof.clinical.endswith(wanted) for dof in joint.dofs)
+    ]
+
+
+def _flexion_error(p: Array, p_true: Array, skeleton: SkeletonModel) -> Array:
+    return np.abs(flexion(p, skeleton) - flexion(p_true, skeleton))
+
+
+def _angle_error(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> Array:
+    """(T, J) radians; the root's rotation is against world."""
+    parents = skeleton.parents
+    return so3.angle_between(
+        kinematics.local_rotations(parents, estimate.R_world_bone),
+        kinematics.local_rotations(parents, truth.R_world_bone),
+    )
+
+
+def at_times(truth: PoseSequence, times: Array) -> PoseSequence:
+    """A truth at other times, by interpolation; NaN where it is not valid, or covers none of them."""
+    if np.array_equal(truth.times, times):
+        return truth
+    p = np.where(truth.valid[..., None], truth.p_world_joint, np.nan)
+    return PoseSequence(
+        times,
+        signals.interpolate(truth.times, p, times, max_gap=1.5 / truth.rate_hz),
+        signals.interpolate_rotations(truth.times, truth.R_world_bone, times),
+        truth.names,
+    )
+
+
+def _mean(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")

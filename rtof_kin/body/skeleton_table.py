@@ -1,0 +1,239 @@
+"""The readable skeleton table (``models/*.toml``), the one source of the skeleton's facts.
+
+It gives the joints, their parents, offsets, axes, limits, masses and names, and the landmarks. No code
+knows how many joints there are: Human3.6M's 17 are another table read by the same functions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body.body_mass import SEGMENTS, SEXES
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.files.text import load_toml
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DofNames:
+    """The three names of one degree of freedom."""
+
+    urdf: str
+    """Name of the revolute joint in the URDF."""
+    clinical: str
+    """Clinical name; a leading '-' says that its sign is the opposite of the URDF's."""
+    opensim: str
+    """OpenSim coordinate, with the same convention for the sign; empty where there is none."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint and the segment that begins there."""
+
+    name: str
+    parent: str | None
+    """None for the root."""
+    offset: Array
+    """(3,) position in the parent's link frame, m."""
+    axes: str
+    """Order of the three revolutes, e.g. 'yxz'; empty for the root."""
+    limits: Array
+    """(3, 2) radians, in the order of `axes`; (0, 2) for the root."""
+    dofs: tuple[DofNames, ...]
+    mass_shares: tuple[tuple[str, float], ...]
+    """(de Leva segment, share of it) carried by this link."""
+    end: Array
+    """(3,) far end of the segment in its link frame, m."""
+    radius: float
+    """Half thickness of the drawn segment, m."""
+
+
+@dataclass(frozen=True)
+class Landmark:
+    """A named point fixed in a segment; sensors' usual places are landmarks too."""
+
+    name: str
+    joint: str
+    offset: Array
+    """(3,) in the link frame of the segment, m."""
+
+
+@dataclass(frozen=True)
+class SkeletonTable:
+    """A whole skeleton as data. Changing it makes a new table."""
+
+    name: str
+    mass_kg: float
+    """Body mass, kg."""
+    sex: str | None
+    """'male', 'female' or None for their mean; chooses de Leva's column."""
+    joints: tuple[Joint, ...]
+    """Parents stand before their children; the root is first."""
+    landmarks: tuple[Landmark, ...]
+    sensors: tuple[Landmark, ...]
+    """Usual sensors: name, segment that carries it, usual lever arm."""
+    n_pose: dict[str, float]
+    """URDF joint name -> radians: what turns the T-pose into the N-pose."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint names in order."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """Index of each joint's parent, -1 for the root."""
+        return tuple(-1 if j.parent is None else self.names.index(j.parent) for j in self.joints)
+
+    @property
+    def offsets(self) -> Array:
+        """(J, 3) position of each joint in its parent's link frame, m."""
+        return np.array([joint.offset for joint in self.joints])
+
+    def scaled_to(self, offsets: Array) -> SkeletonTable:
+        """The table with other offsets (J, 3), m; ends, landmarks and sensors follow.
+
+        A segment's own points are scaled by the ratio of its bone lengths, new to old, or by the whole
+        skeleton's where it carries no bone; the far end of a segment with one child is that child.
+        """
+        old = self.offsets
+        overall = float(np.linalg.norm(offsets, axis=1).sum() / np.linalg.norm(old, axis=1).sum())
+        scale = dict.fromkeys(self.names, overall)
+        ends = {joint.name: joint.end for joint in self.joints}
+        for i, name in enumerate(self.names):
+            children = [c for c, parent in enumerate(self.parents) if parent == i]
+            if children:
+                length = np.linalg.norm(old[children], axis=1).sum()
+                scale[name] = float(np.linalg.norm(offsets[children], axis=1).sum() / length)
+            ends[name] = ends[name] * scale[name]
+            at_end = [c for c in children if np.allclose(old[c], self.joints[i].end, atol=1e-9)]
+            if at_end:
+                ends[name] = offsets[at_end[0]]
+        joints = tuple(
+            replace(j, offset=offsets[i], end=ends[j.name], radius=j.radius * overall)
+            for i, j in enumerate(self.joints)
+        )
+
+        def moved(points: tuple[Landmark, ...]) -> tuple[Landmark, ...]:
+            return tuple(replace(p, offset=p.offset * scale[p.joint]) for p in points)
+
+        return replace(
+            self, joints=joints, landmarks=moved(self.landmarks), sensors=moved(self.sensors)
+        )
+
+
+def read_skeleton_table(path: str | Path) -> SkeletonTable:
+    """Read and check a skeleton table.
+
+    Raises:
+        FileFormatError: not TOML, a field missing or of the wrong kind, a parent that does not stand
+            before its child, axes that are not three different ones, limits upside down, a segment of
+            no length, a name used twice, an unknown joint, sex or mass segment.
+    """
+    path = Path(path)
+    data = load_toml(path)
+    try:
+        joints = tuple(_joint(path, entry) for entry in data["joint"])
+        table = SkeletonTable(
+            name=data["name"],
+            mass_kg=float(data["mass_kg"]),
+            sex=data.get("sex"),
+            joints=joints,
+            landmarks=_landmarks(data.get("landmark", []), "offset_mm"),
+            sensors=_landmarks(data.get("sensor", []), "lever_arm_mm"),
+            n_pose={k: float(np.radians(v)) for k, v in data.get("n_pose_deg", {}).items()},
+        )
+    except KeyError as error:
+        raise FileFormatError(path, f"the field {error} is missing") from error
+    except FileFormatError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise FileFormatError(path, f"a field is not of the right kind: {error}") from error
+    for i in range(len(table.joints)):
+        _check_joint(path, table, i)
+    _check_table(path, table)
+    return table
+
+
+def _joint(path: Path, entry: dict[str, Any]) -> Joint:
+    name, axes = entry["name"], entry.get("axes", "")
+    urdf = [f"{name}_{axis}" for axis in axes]
+    clinical, opensim = entry.get("clinical", [""] * 3), entry.get("opensim", [""] * 3)
+    if sorted(axes) != (["x", "y", "z"] if "parent" in entry else []):
+        raise FileFormatError(
+            path, f"joint {name}: axes '{axes}' are not x, y and z in some order (none for the root)"
+        )
+    if axes and not len(clinical) == len(opensim) == 3:
+        raise FileFormatError(path, f"joint {name}: needs three clinical and three OpenSim names")
+    return Joint(
+        name=name,
+        parent=entry.get("parent"),
+        offset=_metres(entry.get("offset_mm", [0, 0, 0])),
+        axes=axes,
+        limits=np.radians(np.array(entry.get("limits_deg", []), dtype=float).reshape(-1, 2)),
+        dofs=tuple(DofNames(*names) for names in zip(urdf, clinical, opensim, strict=False)),
+        mass_shares=tuple((share["segment"], float(share["share"])) for share in entry["mass"]),
+        end=_metres(entry["end_mm"]),
+        radius=float(entry["radius_mm"]) / 1000,
+    )
+
+
+def _metres(point_mm: Any) -> Array:
+    point = np.array(point_mm, dtype=float) / 1000
+    if point.shape != (3,) or not np.all(np.isfinite(point)):
+        raise ValueError(f"{point_mm} is no point x, y, z")
+    return point
+
+
+def _landmarks(entries: list[dict[str, Any]], field: str) -> tuple[Landmark, ...]:
+    return tuple(Landmark(e["name"], e["joint"], _metres(e[field])) for e in entries)
+
+
+def _check_joint(path: Path, table: SkeletonTable, i: int) -> None:
+    joint = table.joints[i]
+    before, where = table.names[:i], f"joint {joint.name}"
+    if (joint.parent is None) != (i == 0) or (i > 0 and joint.parent not in before):
+        raise FileFormatError(
+            path, f"{where}: its parent must stand before it; only the first has none"
+        )
+    if joint.name in before:
+        raise FileFormatError(path, f"{where} stands there twice")
+    if i > 0 and not (len(joint.limits) == 3 and np.all(joint.limits[:, 0] < joint.limits[:, 1])):
+        raise FileFormatError(path, f"{where}: limits are not three ranges low, high")
+    if not joint.end.any() or (i > 0 and not joint.offset.any()):
+        raise FileFormatError(path, f"{where}: end_mm or offset_mm is a bone of no length")
+    for segment, share in joint.mass_shares:
+        if segment not in SEGMENTS:
+            raise FileFormatError(
+                path, f"{where}: no segment '{segment}'; known: {', '.join(SEGMENTS)}"
+            )
+        if not share > 0:
+            raise FileFormatError(path, f"{where}: its share of the {segment} is not positive")
+    if not joint.mass_shares:
+        raise FileFormatError(path, f"{where}: carries no mass, which a simulator cannot use")
+
+
+def _check_table(path: Path, table: SkeletonTable) -> None:
+    if not table.joints:
+        raise FileFormatError(path, "there is no joint in it")
+    if not 0 < table.mass_kg < np.inf or table.sex not in (None, *SEXES):
+        raise FileFormatError(
+            path, f"mass_kg {table.mass_kg} must be positive and sex {table.sex!r} one of {SEXES}"
+        )
+    for kind, points in (("landmark", table.landmarks), ("sensor", table.sensors)):
+        names = [point.name for point in points] + list(table.names if kind == "landmark" else ())
+        for point in points:
+            if point.joint not in table.names:
+                raise FileFormatError(path, f"{kind} {point.name}: there is no joint {point.joint}")
+            if names.count(point.name) > 1:
+                raise FileFormatError(path, f"{kind} {point.name}: another has this name")
+    dofs = {dof.urdf for joint in table.joints for dof in joint.dofs}
+    for name in table.n_pose:
+        if name not in dofs:
+            raise FileFormatError(path, f"n_pose_deg: there is no revolute {name}")

@@ -1,0 +1,127 @@
+"""Skeleton table -> URDF.
+
+URDF has no spherical joint: each ball joint is three revolutes with light links of small, non-zero
+inertia between them. The base is free: the root link has no parent, and whoever loads the file adds a
+floating joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body.body_mass import inertia, mass_fraction
+from rtof_kin.body.skeleton_table import Joint, SkeletonTable
+from rtof_kin.core import rotations as so3
+
+Array = NDArray[np.float64]
+LIGHT_MASS_KG = 1e-3
+LIGHT_INERTIA = 1e-6
+MAX_EFFORT_NM, MAX_VELOCITY = 500.0, 30.0
+_AXIS = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
+
+
+def to_urdf(table: SkeletonTable) -> str:
+    """The URDF of a skeleton as XML text. All link frames are parallel when every angle is zero."""
+    robot = ET.Element("robot", name=table.name)
+    ET.SubElement(ET.SubElement(robot, "material", name="body"), "color", rgba="0.45 0.6 0.75 1")
+    for joint in table.joints:
+        parent = joint.parent
+        for i, axis in enumerate(joint.axes):
+            last = i == len(joint.axes) - 1
+            child = joint.name if last else f"{joint.name}_{axis}_link"
+            if not last:
+                _inertial(ET.SubElement(robot, "link", name=child), LIGHT_MASS_KG)
+            assert parent is not None
+            origin = joint.offset if i == 0 else np.zeros(3)
+            _revolute(robot, joint, i, parent, child, origin)
+            parent = child
+        _segment(ET.SubElement(robot, "link", name=joint.name), joint, table)
+    ET.indent(robot)
+    return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def _revolute(
+    robot: ET.Element, joint: Joint, i: int, parent: str, child: str, origin: Array
+) -> None:
+    element = ET.SubElement(robot, "joint", name=joint.dofs[i].urdf, type="revolute")
+    ET.SubElement(element, "parent", link=parent)
+    ET.SubElement(element, "child", link=child)
+    ET.SubElement(element, "origin", xyz=_text(origin), rpy="0 0 0")
+    ET.SubElement(element, "axis", xyz=_AXIS[joint.axes[i]])
+    low, high = joint.limits[i]
+    ET.SubElement(
+        element,
+        "limit",
+        lower=_number(low),
+        upper=_number(high),
+        effort=_number(MAX_EFFORT_NM),
+        velocity=_number(MAX_VELOCITY),
+    )
+
+
+def segment_inertia(joint: Joint, table: SkeletonTable) -> tuple[float, Array, Array]:
+    """What a segment weighs.
+
+    Returns:
+        Mass, kg, centre of mass (3,), m, and inertia about it (3, 3), kg m^2, both in the link frame.
+    """
+    masses = [
+        (name, share * mass_fraction(name, table.sex) * table.mass_kg)
+        for name, share in joint.mass_shares
+    ]
+    total = sum(mass for _, mass in masses)
+    parts = [inertia(name, mass, joint.end, table.sex) for name, mass in masses]
+    center = np.sum([m * c for (_, m), (c, _) in zip(masses, parts, strict=True)], axis=0) / total
+    matrix = np.zeros((3, 3))
+    for (_, mass), (c, I) in zip(masses, parts, strict=True):
+        d = so3.skew(c - center)
+        matrix += I - mass * d @ d  # Steiner
+    return total, center, matrix
+
+
+def _segment(link: ET.Element, joint: Joint, table: SkeletonTable) -> None:
+    """Inertia and drawing of the segment itself."""
+    _inertial(link, *segment_inertia(joint, table))
+    length = float(np.linalg.norm(joint.end))
+    turn = so3.minimal_rotation([0.0, 0.0, 1.0], joint.end)
+    pitch = np.arcsin(np.clip(-turn[2, 0], -1, 1))
+    rpy = (np.arctan2(turn[2, 1], turn[2, 2]), pitch, np.arctan2(turn[1, 0], turn[0, 0]))
+    body = _visual(link, joint.end / 2, rpy)
+    ET.SubElement(body, "cylinder", radius=_number(joint.radius), length=_number(length))
+    for point in (np.zeros(3), joint.end):
+        ET.SubElement(_visual(link, point), "sphere", radius=_number(joint.radius))
+
+
+def _visual(link: ET.Element, xyz: Array, rpy: Iterable[float] = (0, 0, 0)) -> ET.Element:
+    visual = ET.SubElement(link, "visual")
+    ET.SubElement(visual, "origin", xyz=_text(xyz), rpy=_text(rpy))
+    geometry = ET.SubElement(visual, "geometry")
+    ET.SubElement(visual, "material", name="body")
+    return geometry
+
+
+def _inertial(
+    link: ET.Element, mass_kg: float, center: Array | None = None, matrix: Array | None = None
+) -> None:
+    center = np.zeros(3) if center is None else center
+    matrix = LIGHT_INERTIA * np.eye(3) if matrix is None else matrix
+    element = ET.SubElement(link, "inertial")
+    ET.SubElement(element, "origin", xyz=_text(center), rpy="0 0 0")
+    ET.SubElement(element, "mass", value=_number(mass_kg))
+    upper = [(a, b) for a in range(3) for b in range(a, 3)]
+    ET.SubElement(
+        element, "inertia", {f"i{'xyz'[a]}{'xyz'[b]}": _number(matrix[a, b]) for a, b in upper}
+    )
+
+
+def _number(value: float) -> str:
+    """Shortest text that keeps 12 significant digits; no negative zero."""
+    return f"{float(value) + 0.0:.12g}"
+
+
+def _text(vector: Iterable[float]) -> str:
+    return " ".join(_number(value) for value in vector)

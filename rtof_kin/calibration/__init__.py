@@ -1,0 +1,1 @@
+"""Self-calibration: delay, sensor mounting, bone lengths and landmark offsets from the motion itself."""

@@ -1,0 +1,267 @@
+"""A recording calibrated from itself: what is not known well, estimated from the motion.
+
+No pose is asked for. `calibrate` takes a recording and the poses that its reconstruction would start
+from, and estimates with the residuals of the joint-space solver whatever `CalibrationPriors` leaves open
+(`calibration.unknowns` lists it): how late the video is, how sensors are mounted and where they head,
+how long bones are, where a detector sees its landmarks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration import sensor_unknowns as sensing
+from rtof_kin.calibration import vision_unknowns as seeing
+from rtof_kin.calibration.clock_check import check_clocks
+from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.result import (
+    BONE_GROUPS,
+    Detector,
+    Quantity,
+    SelfCalibration,
+    Verdict,
+    bone_groups,
+    image_slopes,
+)
+from rtof_kin.calibration.shared_fragments import Shared, SharedFragments, Worth
+from rtof_kin.calibration.unknowns import Bones, Unknown
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import CalibrationError
+from rtof_kin.data.stream_faults import StreamFault
+from rtof_kin.data.types import BoneImuSequence, ImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.inertial.outlier_rejection import without
+from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.joint_space.observations import Observations, low_passed, sensor_data
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+
+Array = NDArray[np.float64]
+_NORMAL_MEDIAN = 1.177
+"""Median norm of a normal error in two dimensions, in standard deviations of an axis."""
+_USUAL_HEIGHT_PX = 500.0
+"""Of a person whose image biases `sigma_image_bias` is for."""
+
+
+def calibrate(
+    recording: Recording,
+    start: PoseSequence,
+    priors: CalibrationPriors | None = None,
+    settings: JointSpaceSettings | None = None,
+    frames: int = 50,
+    progress: Callable[[int, int], None] | None = None,
+    left_out: tuple[StreamFault, ...] = (),
+) -> SelfCalibration:
+    """Estimate what is not known well about a recording, from all of it.
+
+    Args:
+        recording: with IMUs and their calibration, however rough.
+        start: poses to begin with, at the keypoints' times: those after SF2.
+        priors: what is open; `CalibrationPriors.of` the recording where not given.
+        settings: of the joint-space solver. frames: N of a fragment.
+        progress: told how far it is.
+        left_out: faults of sensors, by their segments: what they said meanwhile is not listened to.
+
+    Raises:
+        CalibrationError: there are no IMUs, or they and the video have too little time in common.
+        SolverError: the recording cannot be solved.
+    """
+    priors = priors or CalibrationPriors.of(recording)
+    settings = settings or JointSpaceSettings(floor_height=recording.floor_height)
+    fragments = shared_fragments(recording, start, priors, settings, frames, left_out)
+    shared = fragments.estimate(priors.rounds, progress, priors.overcount)
+    quantities = _quantities(fragments, shared, priors.overcount)
+    return SelfCalibration(
+        quantities=tuple(_doubted(q, recording, start, shared) for q in quantities),
+        detector=_detector(fragments.data, shared.residuals, start.rate_hz),
+        middle=float(start.times[0] + start.times[-1]) / 2,
+        converged=shared.converged,
+    )
+
+
+def shared_fragments(
+    recording: Recording,
+    start: PoseSequence,
+    priors: CalibrationPriors,
+    settings: JointSpaceSettings,
+    frames: int,
+    left_out: tuple[StreamFault, ...] = (),
+) -> SharedFragments:
+    """The problem that `calibrate` solves; arguments and errors are its own."""
+    imus, seen = recording.imus, recording.keypoints
+    if imus is None or recording.calibration is None or seen is None:
+        raise CalibrationError(
+            f"recording {recording.name}: without calibrated IMUs and a video there is nothing to "
+            "calibrate by"
+        )
+    _check_long_enough(seen, imus, priors)
+    native = without(recording.calibration.apply(imus), left_out)
+    bone_imus = native.resample(start.times)
+    data = Observations(
+        recording.skeleton, frames, settings, start, seen, bone_imus, places=native.joints
+    )
+    slow = low_passed(_with_even_noise(native), settings)
+
+    def sampled(times: Array) -> tuple[Array, Array, Array, Array]:
+        q, w, a, w_a, _ = sensor_data(times, slow, data.sensors, settings)
+        return q, w, a, w_a
+
+    unknowns = _unknowns(recording.skeleton, seen, data, start, priors, sampled)
+    seconds = min(float(start.times[-1] - start.times[0]), priors.most_seconds)
+    share = priors.lasting_seconds / max(seconds, priors.lasting_seconds)
+    worth = Worth(
+        vision=share * priors.worth_vision, sensors=share * priors.worth_sensors, motion=share,
+        prior=share * priors.worth_poses,
+    )  # fmt: skip
+    return SharedFragments(data, start.times, unknowns, worth, priors.most_seconds)
+
+
+def _with_even_noise(imus: BoneImuSequence) -> BoneImuSequence:
+    """Sensors with accelerations smoothed by a Gaussian of one sample.
+
+    Interpolation averages noise away between samples and leaves it at them. The energy of many samples
+    would fall by hundreds of nats wherever a delay puts frames halfway between two of them.
+    """
+    known = np.isfinite(imus.a_world)
+    smooth = gaussian_filter1d(np.where(known, imus.a_world, 0.0), 1.0, axis=0)
+    share = gaussian_filter1d(known.astype(float), 1.0, axis=0)
+    a_world = np.where(known, smooth / np.where(known, share, 1.0), np.nan)
+    return replace(imus, a_world=a_world)
+
+
+def _check_long_enough(
+    keypoints: KeypointSequence, imus: ImuSequence, priors: CalibrationPriors
+) -> None:
+    common = min(keypoints.times[-1], imus.times[-1]) - max(keypoints.times[0], imus.times[0])
+    searched = 0.0 if priors.sigma_delay is None else 4 * priors.sigma_delay
+    if common <= searched:
+        raise CalibrationError(
+            f"video and IMUs have {max(common, 0):.2f} s in common, too little to look for a delay of "
+            f"{searched:.2f} s; record longer, or give sigma_delay=None where the clocks agree"
+        )
+
+
+def _unknowns(
+    skeleton: SkeletonModel, seen: KeypointSequence, data: Observations, start: PoseSequence,
+    priors: CalibrationPriors, sampled: sensing.Sampled,
+) -> list[Unknown]:  # fmt: skip
+    """What is open, in the order in which it corrects the evidence."""
+    p, found = priors, list[Unknown]()
+    if p.sigma_delay is not None:
+        found.append(sensing.Delay(p.sigma_delay, p.sigma_clock_drift, sampled))
+    if p.sigma_heading is not None:
+        found.append(sensing.Heading(data.sensors, p.sigma_heading, p.sigma_heading_drift))
+    if p.sigma_swing is not None:
+        axes = np.array([_bone_axis(skeleton, joint) for joint in data.sensors])
+        found.append(sensing.Mounting(data.sensors, axes, p.sigma_swing, p.sigma_twist))
+    if p.sigma_lever_arm is not None:
+        found.append(sensing.LeverArm(data.sensors, p.sigma_lever_arm))
+    if p.sigma_size is not None:
+        names = ("all",) if p.sigma_proportion is None else tuple(BONE_GROUPS)
+        groups = bone_groups(skeleton, names)
+        found.append(Bones(
+            tuple(skeleton.parents), groups, p.sigma_size, p.sigma_proportion or 0.0, data.attached
+        ))  # fmt: skip
+    if p.sigma_image_bias is not None:
+        tall = _height_px(seen)
+        sigma_px = np.full(len(data.names), p.sigma_image_bias * tall / 500.0)
+        found.append(seeing.ImageBias(data.names, sigma_px))
+    if p.sigma_place is not None:
+        slopes = image_slopes(seen.camera, skeleton, start, data.names)
+        found.append(seeing.Places(data.names, p.sigma_place, slopes))
+    if p.sigma_focal is not None:
+        found.append(seeing.Focal(p.sigma_focal))
+    if p.sigma_tilt is not None:
+        found.append(seeing.Tilt(p.sigma_tilt))
+    if p.sigma_ankle_height is not None and data.rows["w_floor"].any():
+        found.append(seeing.Ankles(p.sigma_ankle_height))
+    if not found:
+        raise CalibrationError("nothing is left open: give a standard deviation of what is not known")
+    return found
+
+
+def _bone_axis(skeleton: SkeletonModel, joint: str) -> Array:
+    """(3,) direction of a segment's bone in its frame; 0 where it has several or none."""
+    (j,) = skeleton.index(joint)
+    children = kinematics.children_of(skeleton.parents, j)
+    return so3.unit(skeleton.joint_offsets[children[0]]) if len(children) == 1 else np.zeros(3)
+
+
+def _height_px(keypoints: KeypointSequence) -> float:
+    """Usual extent of the landmarks in the image."""
+    seen = keypoints.uv_px[keypoints.seen.sum(axis=1) > 1]
+    if len(seen) == 0:
+        raise CalibrationError("the video sees nothing of the person: there is nothing to calibrate by")
+    extent = np.nanmax(seen, axis=1) - np.nanmin(seen, axis=1)
+    return float(np.median(np.linalg.norm(extent, axis=1)))
+
+
+def _quantities(
+    fragments: SharedFragments, shared: Shared, overcount: float
+) -> tuple[Quantity, ...]:
+    """Every item with its standard deviations. What the recording did not observe is held at zero, but
+    for a nuisance, and what it did observe is what it is given that.
+
+    With prior P and information D of the recording, of which errors that last make k times too much, the
+    estimate's covariance is (P + D)^-1 (P + k D) (P + D)^-1 (White 1982, eq. 3.3).
+    """
+    P, S, y = fragments.prior, shared.hessian, shared.y
+    inverse, variance = np.linalg.inv(S), np.diag(np.linalg.inv(P))
+    known = np.clip(1 - np.diag(inverse) / variance, 0.0, 1.0)
+    claimed = np.minimum(np.diag(inverse @ (P + overcount * (S - P)) @ inverse), variance)
+    parts = []
+    for unknown, columns in zip(fragments.unknowns, fragments.columns, strict=True):
+        stops = np.linspace(columns.start, columns.stop, len(unknown.items) + 1).astype(int)
+        ends = zip(unknown.items, stops[:-1], stops[1:], strict=True)
+        parts += [(unknown.name, item, slice(a, b)) for item, a, b in ends]
+
+    def listed(y: Array, variance_now: Array) -> tuple[Quantity, ...]:
+        return tuple(
+            Quantity(kind, item, y[own], np.sqrt(variance_now[own]), np.sqrt(variance[own]),
+                     float(known[own].max()))
+            for kind, item, own in parts
+        )  # fmt: skip
+
+    kept, nuisances = np.zeros(len(y), dtype=bool), {u.name for u in fragments.unknowns if u.nuisance}
+    for quantity, (_, _, own) in zip(listed(y, claimed), parts, strict=True):
+        kept[own] = quantity.kind in nuisances or quantity.verdict is not Verdict.PRIOR
+    given = np.where(kept, y, 0.0)
+    if kept.any() and not kept.all():
+        given[kept] += np.linalg.solve(S[np.ix_(kept, kept)], S[np.ix_(kept, ~kept)] @ y[~kept])
+    return listed(given, np.where(kept, claimed, variance))
+
+
+def _doubted(quantity: Quantity, recording: Recording, start: PoseSequence, shared: Shared) -> Quantity:
+    """A delay that the search may have missed, or that is another one by how the limbs turn, is no better
+    known than before."""
+    imus, calibration = recording.imus, recording.calibration
+    known = quantity.verdict is not Verdict.PRIOR
+    if quantity.kind != "delay" or not known or imus is None or calibration is None:
+        return quantity
+    clocks = check_clocks(recording.video, calibration.apply(imus), start, recording.skeleton)
+    doubt = clocks.cause if clocks.failed else next(iter(shared.doubts.values()), "")
+    return replace(quantity, sigma=quantity.sigma_prior, doubt=doubt) if doubt else quantity
+
+
+def _detector(data: Observations, residuals: Array, rate_hz: float) -> tuple[Detector, ...]:
+    """Size and memory of every landmark's residuals; landmarks hardly seen are left out."""
+    found = []
+    for i, name in enumerate(data.names):
+        seen = data.confidence[:, i] > 0
+        r = residuals[:, i]
+        seen &= np.isfinite(r).all(axis=1)
+        if seen.sum() < 10:
+            continue
+        sigma = max(float(np.median(np.linalg.norm(r[seen], axis=1))) / _NORMAL_MEDIAN, 1e-6)
+        clipped = np.clip(r, -3 * sigma, 3 * sigma)
+        pairs = seen[1:] & seen[:-1]
+        alike = float(np.mean(clipped[1:][pairs] * clipped[:-1][pairs])) if pairs.any() else 0.0
+        share = np.clip(alike / max(float(np.mean(clipped[seen] ** 2)), 1e-12), 0.0, 0.999)
+        memory = -1 / (rate_hz * np.log(share)) if share > 0 else 0.0
+        found.append(Detector(name, sigma, float(memory)))
+    return tuple(found)

@@ -1,0 +1,1 @@
+"""Errors, checks, rotations, signals and resources that every other folder uses."""

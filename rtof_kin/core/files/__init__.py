@@ -1,0 +1,1 @@
+"""Folders and files: atomic writing, safe reading of text, arrays and TOML."""

@@ -1,0 +1,265 @@
+"""Folders and files of output that appear whole or not at all, and never replace what the user made."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import secrets
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path, PurePosixPath
+
+from rtof_kin.core.errors import OutputExistsError, RtofError, WritingError
+from rtof_kin.core.files.manifest import Contents, read_contents, sync, write_manifest
+from rtof_kin.core.files.temporary import clear, temporary_folder
+
+_NAMED = 3
+"""So many of a folder's foreign files are named in an error."""
+_NO_EXCHANGE = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP}
+_NO_LINKS = {errno.ENOSYS, errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP}
+"""Errors of systems and file systems that cannot exchange folders or link files."""
+_HERE, _EXCHANGE = -100, 2
+"""Linux's AT_FDCWD and RENAME_EXCHANGE."""
+_log = logging.getLogger(__name__)
+
+
+def path_inside(folder: Path, name: str) -> Path | None:
+    """The path that a file's field names inside a folder, either slash between its parts; None where it
+    leads out of it, as '..', absolute names and links do."""
+    parts = PurePosixPath(name.replace("\\", "/"))
+    if parts.is_absolute() or ".." in parts.parts or ":" in name or "\0" in name or not parts.parts:
+        return None
+    path = folder.joinpath(*parts.parts)
+    try:
+        return path if path.resolve().is_relative_to(folder.resolve()) else None
+    except (OSError, RuntimeError):  # a link that leads to itself
+        return None
+
+
+# --- folders -------------------------------------------------------------------------------------
+
+
+@contextmanager
+def new_folder(path: str | Path, marker: str, overwrite: bool = False) -> Iterator[Path]:
+    """A temporary folder beside `path` that takes its place at once when the block ends without an error.
+
+    Args:
+        path: where the folder shall stand in the end.
+        marker: name of a file that every folder of this kind holds.
+        overwrite: whether a folder of this kind may be replaced, see `check_replaceable`.
+
+    Raises:
+        OutputExistsError: something stands there that may not be replaced, or appeared meanwhile.
+        WritingError: the place cannot be written to.
+    """
+    path = Path(os.path.abspath(path))
+    check_replaceable(path, marker, overwrite)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_folder(path.parent) as temporary:
+            yield temporary
+            write_manifest(temporary, marker)
+            _put_folder(temporary, path, marker, overwrite)
+            sync(path.parent)
+    except WritingError as error:  # of a file in the temporary folder, whose name says nothing
+        problem = error.__cause__ or error
+        raise WritingError(f"{path}: cannot be written ({problem}); choose another folder") from error
+    except RtofError:  # some of them are OSErrors too
+        raise
+    except OSError as error:
+        raise WritingError(f"{path}: cannot be written ({error}); choose another folder") from error
+
+
+def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) -> None:
+    """Raise `OutputExistsError` if output may not go there; long work asks before it begins.
+
+    An empty folder may be filled. With `overwrite` a folder of the same kind may be replaced if there is
+    nothing in it but what this package wrote, unchanged (see `core.files.manifest`).
+    """
+    path = Path(path)
+    if path.is_symlink() or path.is_mount():
+        raise OutputExistsError(f"{path}: is a link or a mounted disk; name a folder of its own")
+    _check_place(path, "choose another folder")
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise OutputExistsError(f"{path}: is a file; name a folder")
+    try:
+        found = _contents(path)
+    except OSError as error:
+        raise RtofError(f"{path}: cannot be read ({error}); choose another folder") from error
+    if not (found.own or found.foreign):
+        return
+    if found.foreign:
+        more = len(found.foreign) - _NAMED
+        names = ", ".join(found.foreign[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+        raise OutputExistsError(
+            f"{path}: holds what is not known to be written by this package and is never replaced: "
+            f"{names}; move it elsewhere or name another folder"
+        )
+    if found.kind != marker:
+        raise OutputExistsError(
+            f"{path}: was written by another command ({found.kind}) and is not replaced by this one; "
+            "name another folder"
+        )
+    if not overwrite:
+        raise OutputExistsError.of(path)
+
+
+def _check_place(path: Path, remedy: str) -> None:
+    place = next(parent for parent in path.absolute().parents if os.path.exists(parent))
+    if not (place.is_dir() and os.access(place, os.W_OK | os.X_OK)):
+        raise WritingError(f"{path}: cannot be written ({place} is no folder to write to); {remedy}")
+
+
+def _put_folder(new: Path, path: Path, marker: str, overwrite: bool) -> None:
+    """Rename a folder, or exchange it with an earlier one, which is removed then."""
+    while True:
+        try:
+            os.rename(new, path)  # of what may stand there, only an empty folder gives way
+            return
+        except OSError:
+            if not (new.exists() and os.path.lexists(path)):
+                raise
+        check_replaceable(path, marker, overwrite)
+        with suppress(FileNotFoundError):  # another run is replacing it
+            if not any(path.iterdir()):
+                path.rmdir()  # Windows renames to nothing that exists
+                continue
+            _exchange(new, path)
+            _remove_replaced(new, path)
+            return
+
+
+def _contents(path: Path) -> Contents:
+    """What is in a folder, of one and the same folder while other runs replace it."""
+    while True:
+        before = _identity(path)
+        if before is None:
+            return Contents("", (), ())
+        with suppress(FileNotFoundError):
+            found = read_contents(path)
+            if _identity(path) == before:
+                return found
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    with suppress(FileNotFoundError):
+        found = path.lstat()
+        return found.st_dev, found.st_ino
+    return None
+
+
+def _exchange(new: Path, path: Path) -> None:
+    """Exchange two folders, in one step where the system can; else the old one is under a name of its own
+    for a moment, which says what it is should the process be killed then."""
+    try:
+        _exchange_at_once(new, path)
+    except OSError as error:
+        if error.errno not in _NO_EXCHANGE:
+            raise
+        aside = _beside(path, "replaced")
+        try:
+            os.rename(path, aside)
+            os.rename(new, path)
+        except BaseException:
+            with suppress(OSError):  # where something stands now, the old one keeps its other name
+                os.rename(aside, path)
+            raise
+        os.rename(aside, new)
+
+
+def _exchange_at_once(first: Path, second: Path) -> None:
+    import ctypes  # only who replaces waits for it
+
+    if sys.platform != "linux":
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    library = ctypes.CDLL(None, use_errno=True)
+    if not hasattr(library, "renameat2"):
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    paths = os.fsencode(first), os.fsencode(second)
+    if library.renameat2(_HERE, paths[0], _HERE, paths[1], ctypes.c_uint(_EXCHANGE)):
+        code = ctypes.get_errno()
+        raise OSError(code, os.strerror(code), str(second))
+
+
+def _remove_replaced(old: Path, path: Path) -> None:
+    """Remove an earlier output; what somebody put into it at the last moment is kept."""
+    clear(old)
+    with suppress(FileNotFoundError):  # all of it is gone, maybe by a run that took it for a leftover
+        if read_contents(old).foreign:
+            kept = _beside(path, "kept")
+            os.rename(old, kept)
+            _log.warning("%s: was replaced while files were added to it; they are in %s", path, kept)
+
+
+def _beside(path: Path, what: str) -> Path:
+    return path.with_name(f"{path.name}.{what}-{secrets.token_hex(4)}")
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+@contextmanager
+def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
+    """A path of the same name in a temporary folder beside it; the file written there takes its place at
+    once when the block ends without an error.
+
+    Args:
+        path: where the file shall stand; of a link, the file that it leads to is written.
+        overwrite: whether a file may be replaced.
+
+    Raises:
+        OutputExistsError: something stands there that may not be replaced, or appeared meanwhile.
+        WritingError: it cannot be written.
+    """
+    check_new_file(path, overwrite)
+    target = Path(os.path.realpath(path))
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_folder(target.parent) as folder:
+            file = folder / Path(path).name
+            yield file
+            sync(file)
+            try:
+                _put_file(file, target, overwrite)
+            except FileExistsError as error:
+                raise OutputExistsError.of(path) from error
+            sync(target.parent)
+    except RtofError:
+        raise
+    except OSError as error:
+        raise WritingError(f"{path}: cannot be written ({error}); name another file") from error
+
+
+def check_new_file(path: str | Path, overwrite: bool) -> None:
+    """Refuse to replace a file unasked, and what is no file at all.
+
+    Raises:
+        OutputExistsError: something stands there. WritingError: nothing can be written there.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        what = "a folder" if path.is_dir() else "a device or a pipe"
+        raise OutputExistsError(f"{path}: is {what}; name a file")
+    _check_place(Path(os.path.realpath(path)), "name another file")
+    if path.exists() and not overwrite:
+        raise OutputExistsError.of(path)
+
+
+def _put_file(new: Path, path: Path, overwrite: bool) -> None:
+    if overwrite:
+        with suppress(FileNotFoundError):
+            shutil.copymode(path, new)
+        os.replace(new, path)
+        return
+    try:
+        os.link(new, path)  # fails where something stands, which a renaming would replace
+    except OSError as error:
+        if error.errno not in _NO_LINKS:
+            raise
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))  # the name is ours now
+        os.replace(new, path)

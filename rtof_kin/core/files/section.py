@@ -1,0 +1,154 @@
+"""One table of a TOML file, read field by field: every error names file, field and remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from rtof_kin.core.files.text import LARGEST_NUMBER, load_toml, measurable
+
+Array = NDArray[np.float64]
+
+
+class Section:
+    """A table of a TOML file. Fields that nobody asked for are refused by `close`."""
+
+    def __init__(self, path: Path, data: dict[str, Any], name: str = ""):
+        """Wrap a table `data` called `name` (empty for the file's top level) of the file `path`."""
+        self.path, self.name = path, name
+        self._data = data
+        self._asked: set[str] = set()
+
+    @classmethod
+    def of_file(cls, path: Path) -> Self:
+        """The top level of a file.
+
+        Raises:
+            FileFormatError: there is no such file, or it is not TOML.
+        """
+        return cls(path, load_toml(path))
+
+    def where(self, field: str) -> str:
+        """How messages call a field, e.g. ``[camera] width_px``."""
+        return f"[{self.name}] {field}" if self.name else field
+
+    def error(self, field: str, problem: str) -> FileFormatError:
+        """An error about one field."""
+        return FileFormatError(self.path, f"{self.where(field)}: {problem}")
+
+    def has(self, field: str) -> bool:
+        """Whether a field is there; asking makes it a known one."""
+        self._asked.add(field)
+        return field in self._data
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+    def keys(self) -> list[str]:
+        """Names of all fields, all of them known ones from now on."""
+        self._asked.update(self._data)
+        return list(self._data)
+
+    # --- values ----------------------------------------------------------------------------------
+
+    def _value(self, field: str, missing: str) -> Any:
+        if not self.has(field):
+            left = [name for name in self._data if name not in self._asked]
+            for near in get_close_matches(field, left, n=1, cutoff=0.8):
+                missing = f"there is {near!r}, which may be misspelt"
+            raise self.error(field, f"missing; {missing}")
+        return self._data[field]
+
+    def text(self, field: str, default: str | None = None) -> str:
+        """A string; required where there is no default."""
+        if default is not None and not self.has(field):
+            return default
+        value = self._value(field, f'add e.g. {field} = "..."')
+        if not isinstance(value, str):
+            raise self.error(field, f"{value!r} is not text; put it in quotes")
+        return value
+
+    def optional_text(self, field: str) -> str | None:
+        """A string, or None where the field is absent."""
+        return self.text(field) if self.has(field) else None
+
+    def number(self, field: str, default: float | None = None) -> float:
+        """A finite number; required where there is no default."""
+        if default is not None and not self.has(field):
+            return default
+        value = self._value(field, f"add e.g. {field} = 1.0")
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.error(field, f"{value!r} is not a finite number")
+        if not abs(value) <= LARGEST_NUMBER:
+            raise self.error(field, f"{str(value)[:40]} is not a finite number")
+        return float(value)
+
+    def optional_number(self, field: str) -> float | None:
+        """A finite number, or None where the field is absent."""
+        return self.number(field) if self.has(field) else None
+
+    def integer(self, field: str, default: int | None = None) -> int:
+        """A whole number; required where there is no default."""
+        value = self.number(field, None if default is None else float(default))
+        if value != int(value):
+            raise self.error(field, f"{value!r} is not a whole number")
+        return int(value)
+
+    def array(self, field: str, shape: Sequence[int]) -> Array:
+        """A required array of finite numbers of a given shape."""
+        size = " x ".join(map(str, shape))
+        value = self._value(field, f"add {size} numbers")
+        try:
+            array = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise self.error(field, f"not {size} numbers in brackets ({error})") from error
+        if array.shape != tuple(shape):
+            raise self.error(field, f"expected {size} numbers, got shape {array.shape}")
+        if not (np.all(np.isfinite(array)) and measurable(array)):
+            raise self.error(field, "holds a number that is not finite; every one is needed")
+        return array
+
+    def numbers(self, field: str) -> Array:
+        """A required row of finite numbers, at least one."""
+        value = self._value(field, "add one or more numbers in brackets")
+        if not isinstance(value, list) or not value:
+            raise self.error(field, "not a row of numbers in brackets")
+        return self.array(field, (len(value),))
+
+    def optional_array(self, field: str, shape: Sequence[int]) -> Array | None:
+        """An array of finite numbers, or None where the field is absent."""
+        return self.array(field, shape) if self.has(field) else None
+
+    def optional_names(self, field: str) -> tuple[str, ...] | None:
+        """A list of strings, or None where the field is absent."""
+        if not self.has(field):
+            return None
+        value = self._data[field]
+        if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+            raise self.error(field, 'not a list of names; write e.g. ["Hips", "Spine"]')
+        return tuple(value)
+
+    def table(self, field: str) -> Section:
+        """A table inside this one; empty where the field is absent."""
+        value = self._data[field] if self.has(field) else {}
+        name = f"{self.name}.{field}" if self.name else field
+        if not isinstance(value, dict):
+            raise self.error(field, f"not a table; write its fields under [{name}]")
+        return Section(self.path, value, name)
+
+    def close(self) -> None:
+        """Refuse fields that nobody asked for, which are misspelt or of another format.
+
+        Raises:
+            UnknownNameError: names them, and the nearest one that exists.
+        """
+        unknown = [field for field in self._data if field not in self._asked]
+        if unknown:
+            where = f"field in {self.path}" + (f", [{self.name}]" if self.name else "")
+            raise UnknownNameError(where, unknown, sorted(self._asked))

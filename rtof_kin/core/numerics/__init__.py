@@ -1,0 +1,1 @@
+"""Levenberg-Marquardt, banded systems, the C compiler and SIMD code generation."""

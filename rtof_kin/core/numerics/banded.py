@@ -1,0 +1,239 @@
+"""Symmetric systems that are banded in time: Cholesky factorisation, and parts of the inverse.
+
+`inverse_diagonal` walks from the last block column of the factor to the first and keeps of the inverse Z
+what the next step needs (Takahashi's equations by blocks; Rue & Held 2005, section 2.3.1). With
+G = L_below L_tt^-1, where L_below are the blocks of column t below the diagonal::
+
+    Z_below = -Z_window G             Z_tt = L_tt^-T L_tt^-1 - G^T Z_below
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from rtof_kin.core.errors import ShapeError, SolverError
+from rtof_kin.core.numerics.c_compiler import SWITCH, built, cache_folder, native
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A factorised system of n unknowns."""
+
+    band: Array
+
+    def solve(self, right: Array) -> Array:
+        """The solution, of the shape of the right-hand side: n numbers in any shape.
+
+        Raises:
+            SolverError: the right-hand side has another number of numbers.
+        """
+        if right.size != self.band.shape[1]:
+            raise SolverError(f"{right.size} numbers for a system of {self.band.shape[1]}")
+        x, info = lapack.dpbtrs(self.band, right.ravel(), lower=1)
+        if info:
+            raise SolverError("the banded system could not be solved")
+        return np.asarray(x.reshape(right.shape))
+
+    def solve_columns(self, right: Array) -> Array:
+        """The solutions (n, k) for k right-hand sides (n, k).
+
+        Raises:
+            SolverError: the right-hand sides have another number of rows.
+        """
+        if right.ndim != 2 or len(right) != self.band.shape[1]:
+            raise SolverError(f"right-hand sides {right.shape} for a system of {self.band.shape[1]}")
+        if right.size == 0:
+            return np.zeros(right.shape)
+        x, info = lapack.dpbtrs(self.band, right, lower=1)
+        if info:
+            raise SolverError("the banded system could not be solved")
+        return np.asarray(x)
+
+    def blocks(self, size: int, lags: int) -> Array:
+        """(N, lags, size, size) of the factor L, whose product with its transpose is the matrix.
+
+        The system consists of N blocks of `size` unknowns, each coupled with the next lags - 1. [t, k]
+        has the rows of block t + k and the columns of block t, 0 beyond the end.
+        """
+        return _blocks(self.band.ravel(order="F"), self.band.shape[0] - 1, self.band.shape, size, lags)
+
+
+def inverse_diagonal(factor: Array) -> Array:
+    """(N, D, D) diagonal blocks of the inverse of a matrix with this factor (N, lags, D, D), as
+    `Factor.blocks` gives it."""
+    N, lags, D, _ = factor.shape
+    out, window = np.empty((N, D, D)), np.zeros(((lags - 1) * D,) * 2)
+    for t in range(N - 1, -1, -1):
+        inverse, _ = lapack.dtrtri(factor[t, 0], lower=1)
+        G = factor[t, 1:].reshape(-1, D) @ inverse
+        above = window @ G  # -Z_below
+        own = inverse.T @ inverse + G.T @ above
+        out[t] = (own + own.T) / 2  # without this, rounding's asymmetry grows from frame to frame
+        if lags > 1:
+            window[D:, D:] = window[:-D, :-D]
+            window[:D, :D], window[D:, :D] = out[t], -above[:-D]
+            window[:D, D:] = window[D:, :D].T
+    return out
+
+
+def factorise(band: Array) -> Factor:
+    """Factor of a positive definite matrix.
+
+    Args:
+        band: (n, w), row c holds column c of the matrix from its diagonal downwards; it is overwritten.
+
+    Raises:
+        SolverError: the matrix is not positive definite.
+    """
+    factor, info = lapack.dpbtrf(band.T, lower=1, overwrite_ab=1)
+    if info or not np.isfinite(factor[0]).all():
+        raise SolverError("the fragment's Hessian is not positive definite")
+    return Factor(factor)
+
+
+class Store:
+    """A symmetric band of n unknowns as LAPACK stores it, and compiled code that factorises it.
+
+    Attributes:
+        entries: (n, step + 1), row c holds column c of the matrix from its diagonal downwards; what is
+            below the band or the last row stays zero.
+        step: so that entry (i, j) is ``flat[i + j * step]`` of all of them, one after the other.
+    """
+
+    def __init__(self, size: int, band: int) -> None:
+        """Room for a matrix with so many diagonals below the main one.
+
+        Raises:
+            ShapeError: there is no compiled code (`available`).
+        """
+        code = _code()
+        if code is None:
+            raise ShapeError("banded systems are not compiled here; use `factorise`")
+        self._code, self.size, self.band = code, size, band
+        wide, tile = code.banded_wide(), code.banded_tile()
+        self._blocked = -(-size // wide) * wide
+        self.step = -(-(band + tile) // wide) * wide
+        self._all = _aligned((self._blocked + 1) * (self.step + 1))
+        self._all[:] = 0.0
+        rows = self._all[: self._blocked * (self.step + 1)].reshape(self._blocked, -1)
+        rows[size:, 0] = 1.0
+        self.entries, self._padding = rows[:size], band + tile
+
+    @staticmethod
+    def available() -> bool:
+        """Whether there is compiled code for this machine."""
+        return _code() is not None
+
+    def factorise(self, damping: float) -> StoredFactor:
+        """Factor of the matrix plus `damping` on its diagonal; the matrix stays.
+
+        Raises:
+            SolverError: it is not positive definite.
+        """
+        factor = _aligned(len(self._all))
+        failed = self._code.banded_factorise(
+            self._all.ctypes.data, factor.ctypes.data, self._blocked, self.band, self.step, damping
+        )
+        if failed:
+            raise SolverError("the fragment's Hessian is not positive definite")
+        return StoredFactor(factor, self.size, self.band, self.step, self._solve)
+
+    def _solve(self, factor: Array, right: Array) -> Array:
+        x = np.zeros(self._blocked + self._padding)
+        x[: self.size] = right
+        self._code.banded_solve(
+            factor.ctypes.data, x.ctypes.data, self._blocked, self.band, self.step
+        )
+        return x[: self.size]
+
+
+@dataclass(frozen=True)
+class StoredFactor:
+    """A factorised `Store`, of which it keeps nothing but the layout."""
+
+    _factor: Array
+    _size: int
+    _band: int
+    _step: int
+    _solved: Any
+
+    def solve(self, right: Array) -> Array:
+        """As `Factor.solve`."""
+        if right.size != self._size:
+            raise SolverError(f"{right.size} numbers for a system of {self._size}")
+        return np.asarray(self._solved(self._factor, right.ravel()).reshape(right.shape))
+
+    def solve_columns(self, right: Array) -> Array:
+        """As `Factor.solve_columns`."""
+        if right.ndim != 2 or len(right) != self._size:
+            raise SolverError(f"right-hand sides {right.shape} for a system of {self._size}")
+        out = np.empty(right.shape[::-1])
+        for i, column in enumerate(np.ascontiguousarray(right.T)):
+            out[i] = self._solved(self._factor, column)
+        return out.T
+
+    def blocks(self, size: int, lags: int) -> Array:
+        """As `Factor.blocks`."""
+        return _blocks(self._factor, self._step, (self._band + 1, self._size), size, lags)
+
+
+def _blocks(flat: Array, step: int, shape: tuple[int, ...], size: int, lags: int) -> Array:
+    """`Factor.blocks` of numbers of which ``flat[i + j * step]`` is entry (i, j).
+
+    Args:
+        shape: diagonals from the main one downwards that there are, and unknowns.
+    """
+    band, frames = shape[0] - 1, shape[1] // size
+    if shape[1] % size or band >= lags * size:
+        raise SolverError(f"{shape[1]} unknowns with a band of {band}: not {lags} blocks of {size}")
+    out, word = np.zeros((frames, lags, size, size)), flat.itemsize
+    for k in range(min(lags, frames)):
+        columns = np.lib.stride_tricks.as_strided(
+            flat[k * size :], (frames - k, size, size),
+            (size * (1 + step) * word, step * word, word),
+        )  # fmt: skip
+        out[: frames - k, k] = np.swapaxes(columns, 1, 2)
+    # What is above the diagonal or below the band was the store of other columns.
+    below = np.arange(lags * size).reshape(lags, size)[:, :, None] - np.arange(size)
+    return np.where((below >= 0) & (below <= band), out, 0.0)
+
+
+def _aligned(count: int) -> Array:
+    """Numbers, not set, from the beginning of a cache line."""
+    raw = np.empty(count + 8)
+    first = -raw.ctypes.data // raw.itemsize % 8
+    return raw[first : first + count]
+
+
+def _code() -> Any:
+    """``banded.c`` compiled for this machine; None where it cannot be, or would be slower than LAPACK."""
+    return None if os.environ.get(SWITCH) == "never" else _opened(cache_folder())
+
+
+@lru_cache
+def _opened(cache: Path) -> Any:
+    """The same from one cache, tried once."""
+    text = Path(__file__).with_name("banded.c").read_text(encoding="utf-8")
+
+    def loaded(library: Path) -> Any:
+        opened = ctypes.CDLL(str(library))
+        pointer, count = ctypes.c_void_p, ctypes.c_longlong
+        opened.banded_factorise.argtypes = [pointer, pointer, count, count, count, ctypes.c_double]
+        opened.banded_factorise.restype = count
+        opened.banded_solve.argtypes = [pointer, pointer, count, count, count]
+        opened.banded_solve.restype = None
+        return opened
+
+    code = built(text, lambda: text, loaded, ("-O3", *native()), "banded") if native() else None
+    return code if code is not None and code.banded_wide() else None

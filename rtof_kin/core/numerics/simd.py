@@ -1,0 +1,175 @@
+"""CasADi functions as C that takes several frames at once, one in each lane of the processor's vectors.
+
+CasADi's own code goes through one frame after the other, a number at a time. Here the same expressions
+are written down with vectors in place of numbers: with eight lanes, eight frames take little longer than
+one. Arguments and results are arrays of columns (n, width), a number in each row and a frame in each
+column, so that what belongs to a vector lies together; a neighbouring frame is the same array, one on.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.numerics.c_compiler import built, native
+from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction, c_name, identity, source
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+_OPTIONS = ("-O1", "-fexpensive-optimizations", "-fno-math-errno")
+"""The second lets GCC change between its kinds of vectors in time, which takes long otherwise."""
+
+
+class Over:
+    """A compiled function over the frames of some arrays, which it reads and writes where they are."""
+
+    def __init__(
+        self, code: Any, given: FrameFunction, frames: int, inputs: Sequence[Array],
+        outputs: Sequence[Array], places: Index | None = None,
+    ) -> None:  # fmt: skip
+        """Bind a function to arrays.
+
+        Args:
+            code: the function in its library (`in_lanes`).
+            inputs: (n, >= `whole(frames)`) columns, or (n,) if shared. outputs: the same; columns after
+                the last frame, up to whole vectors, are set to zero. All columns lie equally far apart
+                from those of the next number.
+            places: of a placed output (frames, k), (groups,) where in a row of its array each group goes;
+                rows may reach into the next.
+
+        Raises:
+            ShapeError: an array has too few frames or numbers, or they do not lie as they have to.
+        """
+        f, ins, outs = given.function, list(inputs), list(outputs)
+        if len(ins) != f.n_in() or len(outs) != f.n_out():
+            raise ShapeError(f"{f.name()}: give {f.n_in()} inputs and {f.n_out()} outputs")
+        columns = [a for i, a in enumerate(ins) if i not in given.shared]
+        columns += outs[:-1] if given.placed else outs
+        width = columns[0].strides[0]
+        for i, array in enumerate(ins):
+            shape = (f.nnz_in(i),) if i in given.shared else (f.nnz_in(i), whole(frames))
+            _check(f"{f.name()} input {i}", array, shape, width)
+        for i, array in enumerate(outs):
+            if given.placed and i == len(outs) - 1:
+                self._place(f"{f.name()} output {i}", array, frames, f.nnz_out(i), places)
+            else:
+                _check(f"{f.name()} output {i}", array, (f.nnz_out(i), whole(frames)), width)
+        place = np.zeros(0, np.int64) if places is None else np.array(places, dtype=np.int64)
+        spare = np.zeros(int(place.max(initial=0)) + GROUP)
+        self._kept, self._code = (ins, outs, place, spare), code
+        step = outs[-1].strides[0] // spare.itemsize
+        numbers = (ctypes.c_longlong(n) for n in (width // spare.itemsize, step, frames))
+        self._arguments = (
+            _pointers(ins), _pointers(outs), *(ctypes.c_void_p(a.ctypes.data) for a in (place, spare)),
+            *numbers,
+        )  # fmt: skip
+
+    def __call__(self) -> None:
+        """Evaluate."""
+        self._code(*self._arguments)
+
+    @staticmethod
+    def _place(name: str, array: Array, frames: int, count: int, places: Index | None) -> None:
+        """Raise where a placed output does not fit."""
+        if places is None or len(places) * GROUP != count:
+            raise ShapeError(f"{name}: give a place for each group of {GROUP} of {count} numbers")
+        least = int(places.max(initial=0)) + GROUP
+        if array.ndim != 2 or len(array) < frames or array.shape[1] < least or places.min() < 0:
+            raise ShapeError(f"{name}: {array.shape} for {frames} rows of {least}")
+        if array.strides[1] != array.itemsize or array.dtype != np.float64:
+            raise ShapeError(f"{name}: give numbers of double precision that lie together")
+
+
+class Columns:
+    """Arrays for functions over the same frames, with zeros before and after these.
+
+    Attributes:
+        inside: of the frames themselves among the columns.
+    """
+
+    def __init__(self, frames: int) -> None:
+        self.frames, self.inside = frames, slice(GROUP, GROUP + frames)
+        self._width = whole(frames) + 2 * GROUP
+
+    def zeros(self, numbers: int) -> Array:
+        """(n, width) at the beginning of a cache line."""
+        count = numbers * self._width
+        raw = np.zeros(count + GROUP)
+        first = -raw.ctypes.data // raw.itemsize % GROUP
+        return raw[first : first + count].reshape(numbers, self._width)
+
+    def given(self, rows: Array) -> Array:
+        """Columns of (N, n)."""
+        out = self.zeros(rows.shape[1])
+        out[:, self.inside] = rows.T
+        return out
+
+    def rows(self, columns: Array) -> Array:
+        """(N, n) of columns."""
+        return np.ascontiguousarray(columns[:, self.inside].T)
+
+    def at(self, columns: Array, k: int = 0) -> Array:
+        """What is k frames later (at most `GROUP`, or as many earlier with k negative), as an input."""
+        return columns[:, GROUP + k :]
+
+
+class Mapped:
+    """A compiled function from arrays (N, n) to arrays (N, n)."""
+
+    def __init__(self, code: Any, given: FrameFunction, frames: int) -> None:
+        f, self._columns = given.function, Columns(frames)
+        zeros, at = self._columns.zeros, self._columns.at
+        self._outputs = [zeros(f.nnz_out(i)) for i in range(f.n_out())]
+        inputs, self._targets = list[Array](), list[Array]()
+        for i in range(f.n_in()):
+            own = np.zeros(f.nnz_in(i)) if i in given.shared else zeros(f.nnz_in(i))
+            inputs.append(own if i in given.shared else at(own))
+            self._targets.append(own if i in given.shared else own[:, self._columns.inside].T)
+        self._over = Over(code, given, frames, inputs, [at(a) for a in self._outputs])
+
+    def __call__(self, *values: Array) -> list[Array]:
+        """Outputs (N, n) for inputs (N, n), or (n,) where they are shared."""
+        for target, value in zip(self._targets, values, strict=True):
+            target[:] = value
+        self._over()
+        return [self._columns.rows(array) for array in self._outputs]
+
+
+def whole(frames: int) -> int:
+    """How many frames are in whole vectors of any length."""
+    return -(-frames // GROUP) * GROUP
+
+
+def in_lanes(functions: Sequence[FrameFunction]) -> dict[str, Any] | None:
+    """The functions compiled together, by name, from the cache where they are there; None where they
+    cannot be (`compiled.built`)."""
+
+    def loaded(library: Path) -> dict[str, Any]:
+        opened = ctypes.CDLL(str(library))
+        try:
+            return {g.function.name(): getattr(opened, c_name(g)) for g in functions}
+        except AttributeError as error:
+            raise OSError(f"{library.name}: {error}") from error
+
+    text = partial(source, functions)
+    return built(identity(functions), text, loaded, (*_OPTIONS, *native()))
+
+
+def _check(name: str, array: Array, shape: tuple[int, ...], width: int) -> None:
+    """Raise where an array is not what a function reads or writes."""
+    strides = (width, array.itemsize)[-array.ndim :]
+    if array.dtype != np.float64 or (array.size and array.strides != strides):
+        raise ShapeError(f"{name}: give columns of double precision, of one width with the others")
+    if array.ndim != len(shape) or (np.array(array.shape) < shape).any():
+        raise ShapeError(f"{name}: {array.shape} where {shape} are wanted")
+
+
+def _pointers(arrays: Sequence[NDArray[Any]]) -> Any:
+    return (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))

@@ -1,0 +1,63 @@
+"""Unit quaternions w x y z on arrays: the state that the joint-space solver steps on.
+
+Elsewhere rotations are matrices; inside an optimiser four numbers that are easily kept of unit norm are
+the better state. Any leading batch axes, no loop over time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core import rotations as so3
+
+Array = NDArray[np.float64]
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+_LEFT = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
+_SIGNS = np.array([[1.0, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]])
+"""The matrix of a product with a from the left has a's components at these places, with these signs."""
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """Products (..., 4): first turn by b, then by a."""
+    return np.asarray(np.einsum("...ij,...j->...i", a[..., _LEFT] * _SIGNS, b))
+
+
+def conjugate(q: Array) -> Array:
+    """Inverses (..., 4)."""
+    return np.asarray(q * _CONJUGATE)
+
+
+def exp(rotvec: Array) -> Array:
+    """Quaternions (..., 4) of rotation vectors (..., 3), rad."""
+    half = np.linalg.norm(rotvec, axis=-1, keepdims=True) / 2
+    return np.concatenate([np.cos(half), np.sinc(half / np.pi) * rotvec / 2], axis=-1)
+
+
+def log(q: Array) -> Array:
+    """Rotation vectors (..., 3), rad, of length at most pi."""
+    q = np.where(q[..., :1] < 0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    factor = np.where(sine > 1e-9, 2 * np.arctan2(sine, q[..., :1]) / np.maximum(sine, 1e-12), 2.0)
+    return np.asarray(factor * q[..., 1:])
+
+
+def right_jacobian_inverse(rotvec: Array) -> Array:
+    """(..., 3, 3): by how much log(exp(v) exp(d)) changes with a small d (Sola et al. 2018, eq. 144)."""
+    angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
+    safe = np.maximum(angle, 1e-3)
+    factor = np.where(
+        angle > 1e-3, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe)), 1 / 12
+    )
+    K = so3.skew(rotvec)
+    return np.asarray(np.eye(3) + K / 2 + factor * (K @ K))
+
+
+def right_jacobian(rotvec: Array) -> Array:
+    """(..., 3, 3): log(exp(v)^-1 exp(v + d)) per small d (Sola et al. 2018, eq. 143)."""
+    angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
+    safe = np.maximum(angle, 1e-3)
+    first = np.where(angle > 1e-3, (1 - np.cos(safe)) / safe**2, 0.5 - angle**2 / 24)
+    second = np.where(angle > 1e-3, (safe - np.sin(safe)) / safe**3, 1 / 6 - angle**2 / 120)
+    K = so3.skew(rotvec)
+    return np.asarray(np.eye(3) - first * K + second * (K @ K))

@@ -1,0 +1,150 @@
+"""Resampling, differences and filters of signals sampled over time (first axis)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import signal
+
+from rtof_kin.core import rotations as so3
+
+Array = NDArray[np.float64]
+
+
+def interpolate(times: Array, values: Array, at: ArrayLike, max_gap: float = np.inf) -> Array:
+    """Linear interpolation that leaves gaps open.
+
+    Args:
+        times: (T,) seconds, increasing.
+        values: (T, ...) any unit; NaN where missing, element by element.
+        at: (T',) seconds.
+        max_gap: longest step between two valid samples that is interpolated across, s.
+
+    Returns:
+        (T', ...); NaN outside the valid samples and inside longer gaps.
+    """
+    at = np.asarray(at, dtype=float)
+    flat = values.reshape(len(times), -1)
+    out = np.full((len(at), flat.shape[1]), np.nan)
+    for column in range(flat.shape[1]):
+        ok = np.isfinite(flat[:, column])
+        if not ok.any():
+            continue
+        t, v = times[ok], flat[ok, column]
+        out[:, column] = np.interp(at, t, v, left=np.nan, right=np.nan)
+        out[_in_gap(t, at, max_gap), column] = np.nan
+    return out.reshape(len(at), *values.shape[1:])
+
+
+def _in_gap(t: Array, at: Array, max_gap: float) -> NDArray[np.bool_]:
+    """Whether each instant lies strictly between two samples further apart than `max_gap`."""
+    right = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
+    left = np.maximum(right - 1, 0)
+    between = (at > t[left]) & (at < t[right])
+    return np.asarray(between & (t[right] - t[left] > max_gap * (1 + 1e-9)))
+
+
+def interpolate_rotations(
+    times: Array, R: Array, at: ArrayLike, max_gap: float = np.inf
+) -> Array:
+    """Rotations (T, S, 3, 3) on the geodesic at other instants; gaps stay open as in `interpolate`.
+
+    Returns:
+        (T', S, 3, 3); NaN as a whole where nothing is known.
+    """
+    at = np.asarray(at, dtype=float)
+    out = np.full((len(at), *R.shape[1:]), np.nan)
+    for s in range(R.shape[1]):
+        ok = np.isfinite(R[:, s]).all(axis=(-2, -1))
+        if not ok.any():
+            continue
+        t, M = times[ok], R[ok, s]
+        inside = (at >= t[0]) & (at <= t[-1]) & ~_in_gap(t, at, max_gap)
+        right = np.clip(np.searchsorted(t, at[inside]), min(1, len(t) - 1), len(t) - 1)
+        left = np.maximum(right - 1, 0)
+        span = np.where(right > left, t[right] - t[left], 1.0)
+        share = np.clip((at[inside] - t[left]) / span, 0, 1)
+        step = so3.log(np.swapaxes(M[left], -1, -2) @ M[right])
+        out[inside, s] = M[left] @ so3.exp(share[:, None] * step)
+    return out
+
+
+def hat_average(
+    times: Array, values: Array, at: ArrayLike, half_width: float, max_gap: float = np.inf
+) -> Array:
+    """Weighted average of a signal under a triangular kernel.
+
+    ``(x(t+h) - 2 x(t) + x(t-h)) / h^2`` equals the second derivative of x averaged under a hat of
+    half-width h. The signal is taken as piecewise linear between its samples and integrated exactly
+    (Simpson on every piece): at equal rates this is the kernel [1 4 1] / 6.
+
+    Args:
+        times: (T,) seconds. values: (T, ...). at: (T',) seconds. half_width: h in seconds.
+        max_gap: longest step interpolated across, s.
+
+    Returns:
+        (T', ...); NaN outside the recording and where the kernel touches a gap. At the two ends of the
+        recording the kernel is cut off and renormalised.
+    """
+    at = np.asarray(at, dtype=float)
+    low = np.searchsorted(times, at - half_width, side="right")
+    high = np.searchsorted(times, at + half_width, side="left")
+    count = int(np.max(high - low, initial=0))
+    # Knots: the kernel's corners and every sample under it, padded to one common number.
+    inner = np.minimum(low[:, None] + np.arange(count), high[:, None] - 1)
+    samples = np.where(
+        np.arange(count) < (high - low)[:, None], times[np.clip(inner, 0, None)], at[:, None]
+    )
+    corners = at[:, None] + half_width * np.array([-1.0, 0.0, 1.0])
+    knots = np.sort(np.concatenate([corners, samples], axis=1), axis=1)
+    knots = np.clip(knots, times[0], times[-1])
+    points = np.stack([knots[:, :-1], (knots[:, :-1] + knots[:, 1:]) / 2, knots[:, 1:]])
+    f = interpolate(times, values, points.ravel(), max_gap).reshape(*points.shape, -1)
+    hat = np.maximum(0.0, 1 - np.abs(points - at[:, None]) / half_width)[..., None]
+    width = np.diff(knots, axis=1)[None, ..., None]
+    simpson = np.array([1.0, 4.0, 1.0])[:, None, None, None] / 6
+    # Pieces of no width (or of rounding's) may touch a gap without entering it.
+    weight = simpson * width * hat
+    weight[weight < 1e-9 * half_width] = 0.0
+    product = np.where(weight > 0, weight * f, 0.0)
+    total = weight.sum(axis=(0, 2))
+    mean = product.sum(axis=(0, 2)) / np.where(total > 0, total, np.nan)
+    mean[(at < times[0]) | (at > times[-1])] = np.nan
+    return np.asarray(mean.reshape(len(at), *values.shape[1:]))
+
+
+def derivative(values: ArrayLike, rate_hz: float, order: int) -> Array:
+    """Differences of a given order along the first axis, times rate**order: (T - order, ...)."""
+    return np.asarray(np.diff(np.asarray(values, dtype=float), n=order, axis=0) * rate_hz**order)
+
+
+def low_pass(values: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 2) -> Array:
+    """Zero-phase Butterworth low-pass along the first axis (order doubled by running both ways)."""
+    values = np.asarray(values, dtype=float)
+    sos = signal.butter(order, cutoff_hz, fs=rate_hz, output="sos")
+    padding = min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
+    return np.asarray(signal.sosfiltfilt(sos, values, axis=0, padlen=padding))
+
+
+def low_pass_known(times: Array, values: Array, cutoff_hz: float) -> Array:
+    """`low_pass` of what is known of a signal at even times, run by run; gaps stay open.
+
+    Args:
+        times: (T,) seconds.
+        values: (T, n) any unit; a row is missing where any of it is NaN.
+        cutoff_hz: where it is not below half the rate, nothing is filtered.
+    """
+    rate_hz = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    out = np.array(values, dtype=float)
+    if cutoff_hz < rate_hz / 2:
+        for start, stop in runs(np.isfinite(out).all(axis=1)):
+            if stop - start > 3:
+                out[start:stop] = low_pass(out[start:stop], rate_hz, cutoff_hz)
+    return out
+
+
+def runs(mask: ArrayLike) -> list[tuple[int, int]]:
+    """Half-open index ranges [start, stop) in which a mask (T,) is true."""
+    padded = np.concatenate([[False], np.asarray(mask, dtype=bool), [False]])
+    edges = np.flatnonzero(np.diff(padded.astype(int)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

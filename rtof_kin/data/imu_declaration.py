@@ -1,0 +1,162 @@
+"""What a file of inertial data means by its numbers: units, axes, gravity, order of a quaternion.
+
+A format declares it, and the user may declare otherwise; nothing here is guessed. Whether a declaration
+is true is another question, which physics answers (`rtof_kin.inertial.physics`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.data.types import GRAVITY_WORLD, STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "acceleration_unit": ("m/s2", "g", "mg"),
+    "gravity": ("included", "removed"),
+    "acceleration_axes": ("sensor", "inertial"),
+    "angular_unit": ("rad/s", "deg/s"),
+    "quaternion_order": ("wxyz", "xyzw"),
+    "orientation_maps": ("sensor to inertial", "inertial to sensor"),
+    "inertial_axes": ("z up", "z down", "y up"),
+}
+"""The values that each field of `Declaration` but the rate may have."""
+LARGEST_NUMBER = 1e20
+"""No sensor measures more in any unit, and no clock counts further; squares of it are finite."""
+_METRES = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY / 1000}
+_UPRIGHT: dict[str, Array] = {
+    "z up": np.eye(3),
+    "z down": np.diag([1.0, -1.0, -1.0]),
+    "y up": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+}
+"""Rotations from reference axes to ones with z up."""
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """How the numbers of a file are meant. The defaults are what this package uses itself."""
+
+    acceleration_unit: str = "m/s2"
+    gravity: str = "included"
+    """'included': an accelerometer as it is, 9.81 upwards at rest. 'removed': 0 at rest."""
+    acceleration_axes: str = "sensor"
+    """Axes that accelerations are given in; 'inertial': those of the sensor's own reference."""
+    angular_unit: str = "rad/s"
+    quaternion_order: str = "wxyz"
+    orientation_maps: str = "sensor to inertial"
+    """What the file's orientation does to a vector; 'sensor to inertial' is R_inertial_sensor."""
+    inertial_axes: str = "z up"
+    """'z up': ENU, NWU. 'z down': NED. 'y up': as in computer graphics."""
+    rate_hz: float | None = None
+    """Samples per second; None: by the file's own time stamps, or the rate in its header."""
+
+    def __post_init__(self) -> None:
+        for name, choices in CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise UnknownNameError(name.replace("_", " "), [str(getattr(self, name))], choices)
+        if self.rate_hz is not None and not 0 < self.rate_hz < 1e5:
+            raise ShapeError(f"rate_hz is {self.rate_hz:g}; give a positive number of samples per second")
+
+    def changed(self, **values: Any) -> Self:
+        """The declaration with some fields set anew, None meaning as it was.
+
+        Raises:
+            UnknownNameError: there is no such field, or no such value.
+        """
+        known = [f.name for f in fields(self)]
+        unknown = [name for name in values if name not in known]
+        if unknown:
+            raise UnknownNameError("field of a declaration", unknown, known)
+        return replace(self, **{k: v for k, v in values.items() if v is not None})
+
+    def rotations(self, quaternions: Array) -> Array:
+        """R_inertial_sensor (T, 3, 3), reference with z up, of quaternions (T, 4); NaN where not finite
+        or of no length. Their norm is not looked at: a check does that."""
+        order = [0, 1, 2, 3] if self.quaternion_order == "wxyz" else [3, 0, 1, 2]
+        quat_wxyz = np.asarray(quaternions, dtype=np.float64)[..., order]
+        with np.errstate(over="ignore"):
+            norm = np.linalg.norm(quat_wxyz, axis=-1)
+        known = np.isfinite(norm) & (norm > 0)
+        R = np.full((*norm.shape, 3, 3), np.nan)
+        R[known] = so3.from_quat_wxyz(quat_wxyz[known])
+        return self.upright(R)
+
+    def upright(self, R: Array) -> Array:
+        """R_inertial_sensor (..., 3, 3), reference with z up, of the file's rotation matrices."""
+        if self.orientation_maps == "inertial to sensor":
+            R = np.swapaxes(R, -1, -2)
+        return _UPRIGHT[self.inertial_axes] @ R
+
+    def specific_force(self, acceleration: Array, R_inertial_sensor: Array | None = None) -> Array:
+        """f_sensor (T, 3), m/s^2, of the file's accelerations.
+
+        Args:
+            acceleration: (T, 3) as they stand in the file.
+            R_inertial_sensor: (T, 3, 3) from `rotations`; needed where gravity was removed or the axes
+                are not the sensor's.
+
+        Raises:
+            ShapeError: it is needed and not given.
+        """
+        a = np.asarray(acceleration, dtype=np.float64) * _METRES[self.acceleration_unit]
+        if self.gravity == "included" and self.acceleration_axes == "sensor":
+            return a
+        if R_inertial_sensor is None:
+            raise ShapeError(
+                f"accelerations with gravity {self.gravity}, in {self.acceleration_axes} axes, are of no "
+                "use without an orientation; log the raw accelerometer, or orientation beside it"
+            )
+        if self.acceleration_axes == "inertial":
+            in_world: Array = a @ _UPRIGHT[self.inertial_axes].T
+        else:
+            in_world = np.einsum("tij,tj->ti", R_inertial_sensor, a)
+        if self.gravity == "removed":
+            in_world = in_world - GRAVITY_WORLD
+        f: Array = np.einsum("tji,tj->ti", R_inertial_sensor, in_world)
+        return f
+
+    def angular_velocity(self, rate: Array) -> Array:
+        """w_sensor (T, 3), rad/s, of the file's gyroscope."""
+        factor = np.pi / 180 if self.angular_unit == "deg/s" else 1.0
+        return np.asarray(rate, dtype=np.float64) * factor
+
+    # --- the other way: what the file must have held ---------------------------------------------
+
+    def filed_rotations(self, R_inertial_sensor: Array) -> Array:
+        """The file's rotation matrices (..., 3, 3), of which `upright` made these."""
+        R: Array = _UPRIGHT[self.inertial_axes].T @ R_inertial_sensor
+        return np.swapaxes(R, -1, -2) if self.orientation_maps == "inertial to sensor" else R
+
+    def filed_quaternions(self, R_inertial_sensor: Array) -> Array:
+        """The file's quaternions (T, 4), but for norm and sign, of which `rotations` made these."""
+        R = self.filed_rotations(R_inertial_sensor)
+        known = np.isfinite(R).all(axis=(-2, -1))
+        quat = np.full((*known.shape, 4), np.nan)
+        quat[known] = so3.to_quat_wxyz(R[known])
+        return quat if self.quaternion_order == "wxyz" else quat[..., [1, 2, 3, 0]]
+
+    def filed_acceleration(self, f_sensor: Array, R_inertial_sensor: Array | None = None) -> Array:
+        """The file's accelerations (T, 3), of which `specific_force` made f_sensor."""
+        if self.gravity == "included" and self.acceleration_axes == "sensor":
+            return f_sensor / _METRES[self.acceleration_unit]
+        if R_inertial_sensor is None:
+            raise ShapeError("accelerations of these axes were made with an orientation; give it")
+        a: Array = np.einsum("tij,tj->ti", R_inertial_sensor, f_sensor)
+        if self.gravity == "removed":
+            a = a + GRAVITY_WORLD
+        if self.acceleration_axes == "inertial":
+            a = a @ _UPRIGHT[self.inertial_axes]
+        else:
+            a = np.einsum("tji,tj->ti", R_inertial_sensor, a)
+        return a / _METRES[self.acceleration_unit]
+
+    def filed_angular_velocity(self, w_sensor: Array) -> Array:
+        """The file's angular velocities (T, 3), of which `angular_velocity` made w_sensor."""
+        return w_sensor / self.angular_velocity(np.ones(1))

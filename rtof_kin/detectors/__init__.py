@@ -1,4 +1,0 @@
-"""2D detectors: their files, layouts and people; their points turned into the skeleton's landmarks.
-
-`rtof_kin.detectors.keypoints.read_detector_keypoints` does all of it; each step has a module.
-"""

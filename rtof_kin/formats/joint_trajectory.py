@@ -1,0 +1,167 @@
+"""URDF joint trajectories: CSV with a JSON sidecar of units, and ROS messages as JSON.
+
+ROS's JointTrajectory knows single-degree joints only, so the free base is a stream of its own, a
+``trajectory_msgs/MultiDOFJointTrajectory``. JSON is YAML, which is what ROS's tools read.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from rtof_kin.body.observability import never_observed, observed_dofs, root_turn_observed
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.files.arrays import read_csv
+from rtof_kin.core.files.folder import new_file
+from rtof_kin.core.files.text import write_text
+from rtof_kin.core.signals import runs
+
+Array = NDArray[np.float64]
+BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qx", "base_qy", "base_qz", "base_qw")
+BASE_TURN = "base_q"
+"""The base's orientation, where it has one name."""
+
+
+def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
+    """(T, nv) velocities by central differences on the configuration manifold, one-sided at the ends.
+
+    Pinocchio's convention: base linear and angular velocity in the root's frame, then rad/s.
+    """
+    if len(q) < 2:
+        return np.zeros((len(q), skeleton.nv))
+    steps = [pin.difference(skeleton.model, a, b) for a, b in pairwise(q)]
+    rates = np.array(steps) / np.diff(times)[:, None]
+    padded = np.concatenate([rates[:1], rates, rates[-1:]])
+    return np.asarray((padded[:-1] + padded[1:]) / 2)
+
+
+def write_joint_trajectory_csv(path: str | Path, motion: MotionSequence) -> None:
+    """Named columns: time, base pose, one angle per revolute; then ``NAME_valid`` of the base's turn
+    and of each revolute, 0 where it was not observed. Units are in ``<name>.json`` beside it.
+    """
+    path, skeleton = Path(path), motion.skeleton
+    columns = ("time", *BASE_COLUMNS, *skeleton.dof_names, *_valid_columns(skeleton))
+    valid = np.column_stack([root_turn_observed(motion), observed_dofs(motion)]).astype(int)
+    sidecar = json.dumps(_sidecar(path, skeleton), indent=2) + "\n"
+    with new_file(path, overwrite=True) as file:
+        with file.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.writer(stream)
+            writer.writerow(columns)
+            for time, row, flags in zip(motion.times, motion.q, valid.tolist(), strict=True):
+                writer.writerow([*(repr(float(value)) for value in (time, *row)), *flags])
+        write_text(path.with_suffix(".json"), sidecar, overwrite=True)
+
+
+def _valid_columns(skeleton: SkeletonModel) -> list[str]:
+    return [f"{name}_valid" for name in (BASE_TURN, *skeleton.dof_names)]
+
+
+def _sidecar(path: Path, skeleton: SkeletonModel) -> dict[str, Any]:
+    units = {"time": "s"} | dict.fromkeys(BASE_COLUMNS[:3], "m") | dict.fromkeys(BASE_COLUMNS[3:], "1")
+    dofs = {dof.urdf: dof for joint in skeleton.table.joints for dof in joint.dofs}
+    return {
+        "file": path.name,
+        "urdf": "skeleton.urdf",
+        "frame": "world: z up, metres; base: pose of the root link in world, quaternion x y z w",
+        "units": units | dict.fromkeys(skeleton.dof_names, "rad")
+        | dict.fromkeys(_valid_columns(skeleton), "1"),
+        "valid": "NAME_valid: 1 where somebody observed NAME, 0 where it is a prior's or the model's",
+        "names": {
+            name: {"clinical": dofs[name].clinical, "opensim": dofs[name].opensim}
+            for name in skeleton.dof_names
+        },
+        "sign": "a leading '-' of a clinical or OpenSim name: its sign is the opposite of the column's",
+        "limits": dict(zip(skeleton.dof_names, skeleton.limits.tolist(), strict=True)),
+    }
+
+
+def read_joint_trajectory_csv(path: str | Path) -> tuple[tuple[str, ...], Array]:
+    """Column names and numbers (T, columns) of a trajectory written here.
+
+    Raises:
+        FileFormatError: missing, not a table of numbers with a `time` column.
+    """
+    columns = read_csv(Path(path))
+    table = np.stack(list(columns.values()), axis=-1)
+    if next(iter(columns)) != "time" or len(table) == 0:
+        raise FileFormatError(path, "the first column is not 'time', or there are no rows")
+    return tuple(columns), table
+
+
+def write_ros_trajectory(folder: str | Path, motion: MotionSequence) -> list[Path]:
+    """``ros_joint_trajectory.json`` (trajectory_msgs/JointTrajectory: angles and their velocities) and
+    ``ros_base_trajectory.json`` (trajectory_msgs/MultiDOFJointTrajectory: pose of the root link).
+
+    Who plays a trajectory moves between its points, so it cannot have a gap. Where configurations are not
+    known it ends, and the next one is in a pair of files of its own: ``..._2.json``, the first one's
+    ``..._1.json``. Times are from the motion's first frame in all of them. Revolutes that were never
+    observed are left out, see `observation.never_observed`.
+
+    Returns:
+        The two paths, or those of all pairs.
+    """
+    folder, times, paths = Path(folder), motion.times - motion.times[0], []
+    unseen = never_observed(motion)
+    known = runs(np.isfinite(motion.q).all(axis=1))
+    for number, (start, stop) in enumerate(known, 1):
+        q, t = motion.q[start:stop], times[start:stop]
+        messages = {
+            "joint": _joint_message(motion.skeleton, q, t, unseen),
+            "base": _base_message(motion.skeleton, q, t),
+        }
+        for kind, message in messages.items():
+            suffix = f"_{number}" if len(known) > 1 else ""
+            paths.append(folder / f"ros_{kind}_trajectory{suffix}.json")
+            write_text(paths[-1], json.dumps(message) + "\n", overwrite=True)
+    return paths
+
+
+_HEADER = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "world"}
+
+
+def _joint_message(
+    skeleton: SkeletonModel, q: Array, times: Array, without: tuple[str, ...]
+) -> dict[str, Any]:
+    kept = [i for i, name in enumerate(skeleton.dof_names) if name not in without]
+    angles = q[:, 7:][:, kept]
+    velocities = joint_velocities(skeleton, q, times)[:, 6:][:, kept]
+    return {
+        "header": _HEADER,
+        "joint_names": [skeleton.dof_names[i] for i in kept],
+        "points": [
+            {"positions": row, "velocities": rates, "time_from_start": _duration(time)}
+            for row, rates, time in zip(angles.tolist(), velocities.tolist(), times, strict=True)
+        ],
+    }
+
+
+def _base_message(skeleton: SkeletonModel, q: Array, times: Array) -> dict[str, Any]:
+    return {
+        "header": _HEADER,
+        "joint_names": [skeleton.root],
+        "points": [
+            {
+                "transforms": [
+                    {
+                        "translation": dict(zip("xyz", row[:3], strict=True)),
+                        "rotation": dict(zip("xyzw", row[3:7], strict=True)),
+                    }
+                ],
+                "time_from_start": _duration(time),
+            }
+            for row, time in zip(q.tolist(), times, strict=True)
+        ],
+    }
+
+
+def _duration(seconds: float) -> dict[str, int]:
+    nanoseconds = round(float(seconds) * 1e9)
+    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}

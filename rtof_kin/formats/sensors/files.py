@@ -1,0 +1,182 @@
+"""Files of inertial sensors, recognised by their content and read as one log.
+
+A trial is one file, several files, or a folder: in most formats a file is a sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.formats.sensors import (
+    imu_csv,
+    imu_mat,
+    mvnx,
+    opensense_sto,
+    total_capture_sensors,
+    ximu3,
+    xsens_dot,
+    xsens_mt,
+)
+
+_HEAD_BYTES = 2**14
+_MOST_FILES = 1000
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format of sensor files."""
+
+    title: str
+    """What it is called."""
+    looks: str
+    """What such a file looks like, in words."""
+    recognise: Callable[[str], bool]
+    """Whether a file that begins with this text is one."""
+    read: Callable[..., SensorLog]
+    """From paths, or from one path where a file is a trial, and fields of `Declaration`."""
+    file_is_trial: bool = False
+    """Whether a file holds all sensors of a trial."""
+
+
+FORMATS = (
+    Format(
+        mvnx.TITLE,
+        "XML whose root is <mvnx>",
+        mvnx.is_mvnx,
+        mvnx.read_mvnx,
+        file_is_trial=True,
+    ),
+    Format(
+        imu_mat.TITLE,
+        "MATLAB v5 to v7: vector t, and for each sensor a struct of acc, gyr, mag, quat",
+        imu_mat.is_imu_mat,
+        imu_mat.read_imu_mat,
+        file_is_trial=True,
+    ),
+    Format(
+        opensense_sto.TITLE,
+        "text with DataType=Quaternion before endheader; columns time and BODY_imu",
+        opensense_sto.is_opensense_sto,
+        opensense_sto.read_opensense_sto,
+        file_is_trial=True,
+    ),
+    Format(
+        total_capture_sensors.TITLE,
+        "text: numbers of sensors and frames; then blocks of a frame's number and a line for each sensor",
+        total_capture_sensors.is_total_capture,
+        total_capture_sensors.read_total_capture_sensors,
+        file_is_trial=True,
+    ),
+    Format(
+        ximu3.TITLE,
+        "folders with Inertial.csv, ..., whose first column is 'Timestamp (us)'",
+        ximu3.is_ximu3,
+        ximu3.read_ximu3,
+    ),
+    Format(
+        xsens_dot.TITLE,
+        "CSV: lines 'DeviceTag:', ..., then columns PacketCounter, SampleTimeFine, Quat_W, ...",
+        xsens_dot.is_xsens_dot,
+        xsens_dot.read_xsens_dot,
+    ),
+    Format(
+        xsens_mt.TITLE,
+        "text: lines of '//', then columns PacketCounter, Acc_X, ..., Quat_q0 or Mat[1][1], ...",
+        xsens_mt.is_xsens_mt,
+        xsens_mt.read_xsens_mt,
+    ),
+    Format(
+        imu_csv.TITLE,
+        "columns time, NAME_fx, NAME_fy, NAME_fz, NAME_wx, ..., NAME_mx, ..., NAME_qw, ...",
+        imu_csv.is_imu_csv,
+        imu_csv.read_imu_csv,
+        file_is_trial=True,
+    ),
+)
+"""Every format that is read; the first that recognises a file has it."""
+
+
+def read_sensor_log(path: str | Path | Sequence[str | Path], **declared: Any) -> SensorLog:
+    """The sensors of one trial, in SI units.
+
+    Args:
+        path: a file, several files, or a folder of files, all of one trial.
+        declared: fields of `Declaration` to set otherwise than the format does, e.g.
+            ``acceleration_unit="g"`` or ``rate_hz=60``.
+
+    Raises:
+        FileFormatError: nothing there that is known, files of two formats or two trials, or damaged.
+        UnknownNameError: there is no such field, or no such value.
+    """
+    given = [path] if isinstance(path, str | Path) else list(path)
+    if not given:
+        raise FileFormatError(Path(), "no file was named")
+    found: dict[Path, Format] = {}
+    left: list[Path] = []
+    for part in given:
+        known, others = _recognised(Path(part))
+        found |= known
+        left += others
+    log = _read(found, declared)
+    aside = (f"left aside, as no files of sensors: {_names(left)}",) if left else ()
+    return replace(log, file_notes=(*log.file_notes, *aside))
+
+
+def _read(found: Mapping[Path, Format], declared: Mapping[str, Any]) -> SensorLog:
+    """The one trial that these files are."""
+    titles = list(dict.fromkeys(kind.title for kind in found.values()))
+    first, kind = next(iter(found.items()))
+    if len(titles) > 1:
+        raise FileFormatError(
+            first.parent, f"there are files of {' and of '.join(titles)}; name those of one trial"
+        )
+    if not kind.file_is_trial:
+        return kind.read(list(found), **declared)
+    if len(found) > 1:
+        raise FileFormatError(
+            first.parent, f"there are {len(found)} trials ({_names(list(found))}); name one"
+        )
+    return kind.read(first, **declared)
+
+
+def _recognised(path: Path) -> tuple[dict[Path, Format], list[Path]]:
+    """The files of known formats: a file itself, those in a folder, or those in its folders; and files
+    there with the same ending that are none."""
+    if not path.is_dir():
+        kind = _format_of(path)
+        if kind is None:
+            raise FileFormatError(path, f"no file of sensors that is known. {_known()}")
+        return {path: kind}, []
+    for pattern in ("*", "*/*"):
+        files = sorted(one for one in path.glob(pattern) if one.is_file())
+        if len(files) > _MOST_FILES:
+            raise FileFormatError(path, f"holds {len(files)} files; name the folder of one trial")
+        found = {one: kind for one in files if (kind := _format_of(one)) is not None}
+        if found:
+            endings = {one.suffix for one in found}
+            return found, [one for one in files if one not in found and one.suffix in endings]
+    raise FileFormatError(path, f"no file of sensors that is known in this folder. {_known()}")
+
+
+def _names(paths: Sequence[Path]) -> str:
+    return ", ".join(path.name for path in paths[:5]) + (", ..." if len(paths) > 5 else "")
+
+
+def _format_of(path: Path) -> Format | None:
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES).decode("utf-8-sig", errors="replace")
+    except FileNotFoundError as error:
+        raise FileFormatError(path, "there is no such file or folder") from error
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be read: {error}") from error
+    return next((kind for kind in FORMATS if kind.recognise(head)), None)
+
+
+def _known() -> str:
+    return "Known: " + "; ".join(f"{kind.title} ({kind.looks})" for kind in FORMATS)

@@ -1,0 +1,127 @@
+"""Counters of packets: unwrapped, put in order, without what came twice; what was lost is counted.
+
+Radios lose packets and send some of them late or twice, and counters of 16 or 32 bits begin again at 0
+when they are full. Each of these is told in a sentence. A counter that starts anew for another reason
+is an error: two recordings in one file have no clock in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.errors import FileFormatError
+
+Array = NDArray[np.float64]
+Count = NDArray[np.int64]
+WRAP_16, WRAP_32 = 2**16, 2**32
+_LONGEST_ACROSS_WRAP = 16
+"""A counter that falls is taken to have wrapped where at most this fraction of its range was lost."""
+_MOST_AGAIN = 0.25
+"""No radio sends a larger share of its packets twice."""
+
+
+@dataclass(frozen=True)
+class Packets:
+    """The packets of one sensor, in order."""
+
+    rows: Count
+    """(T,) rows of the file to take."""
+    count: Count
+    """(T,) their places on a counter that never wraps, strictly increasing."""
+    notes: tuple[str, ...] = ()
+    """What was met, in sentences without a subject."""
+
+
+def in_order(
+    path: Path, counters: Array, lines: Sequence[int], wrap: int, late: int, what: str
+) -> Packets:
+    """Packets by a counter that wraps.
+
+    Args:
+        path: the file, for messages.
+        counters: (N,) as they stand in the file.
+        lines: (N,) their lines in the file, for messages.
+        wrap: the first number that the counter cannot show, e.g. 2**16.
+        late: by so much a packet may come after its place.
+        what: the counter's name in the file.
+
+    Raises:
+        FileFormatError: no whole number, out of range, does not count, or started anew; names the line.
+    """
+    wrong = ~((counters >= 0) & (counters < wrap) & (counters == np.round(counters)))
+    if wrong.any():
+        i = int(np.flatnonzero(wrong)[0])
+        raise FileFormatError(
+            path, f"{what} is {counters[i]:g}, not a whole number from 0 to {wrap - 1}", lines[i]
+        )
+    raw = counters.astype(np.int64)
+    forward = np.mod(np.diff(raw), wrap)
+    steps = np.where(forward > wrap - late, forward - wrap, forward)
+    falls = (np.diff(raw) < 0) & (steps > 0)
+    anew = np.flatnonzero(falls & (steps > wrap // _LONGEST_ACROSS_WRAP))
+    if len(anew):
+        i = int(anew[0])
+        raise FileFormatError(
+            path, f"{what} goes from {raw[i]} back to {raw[i + 1]}: it started anew; make a file of each "
+            "recording", lines[i + 1],
+        )  # fmt: skip
+    count = raw[0] + np.concatenate([[0], np.cumsum(steps)])
+    rows = np.argsort(count, kind="stable")
+    new = np.diff(count[rows], prepend=count[rows[0]] - 1) > 0
+    if np.sum(~new) > _MOST_AGAIN * len(raw):
+        raise FileFormatError(
+            path, f"{np.sum(~new)} of {len(raw)} lines repeat a {what}: it started anew, or does not "
+            "count; make a file of each recording", lines[int(np.argmax(steps <= 0)) + 1],
+        )  # fmt: skip
+    events = (
+        (falls, "time", f"{what} passed {wrap - 1} and began again at 0"),
+        (steps < 0, "packet", "late, put in their places"),
+        (~new, "packet", "sent again, taken once"),
+    )
+    notes = [f"{_counted(int(e.sum()), noun)} {said}" for e, noun, said in events if e.any()]
+    return Packets(rows[new], count[rows[new]], tuple(notes))
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" + ("s" if number > 1 else "")
+
+
+def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
+    """A sentence about samples that are not there, by steps of more than 1.5 sampling periods.
+
+    Args:
+        times: (T,) s; nothing is said of those that do not increase.
+        rate_hz: samples per second; by the median step where not given.
+    """
+    steps = np.diff(times)
+    if len(steps) == 0 or not np.all((steps > 0) & (steps < np.inf)):
+        return ()
+    rate_hz = rate_hz or float(1 / np.median(steps))
+    gaps = np.round(steps * rate_hz) - 1
+    gaps = gaps[gaps > 0]
+    missing = int(gaps.sum())
+    if missing == 0:
+        return ()
+    share, longest = missing / (missing + len(times)), gaps.max() / rate_hz
+    places = _counted(len(gaps), "gap")
+    return (
+        f"{_counted(missing, 'packet')} ({share:.1%}) lost in {places}, the longest of {longest:.2f} s",
+    )
+
+
+def aligned(first: Sequence[int], wrap: int) -> list[int]:
+    """What to add to each sensor's count so that all began within half a wrap of the first sensor.
+
+    A trial may begin just before the counters wrap: one sensor's file begins with 65535, another's
+    with 0.
+
+    Args:
+        first: count of each sensor's first packet.
+        wrap: the first number that the counters cannot show.
+    """
+    return [wrap * round((first[0] - one) / wrap) for one in first]

@@ -1,0 +1,130 @@
+"""Folders of x-io Technologies' x-IMU3: a folder for each sensor, a CSV for each kind of message.
+
+Read are ``Inertial.csv`` (gyroscope deg/s, accelerometer g, gravity included, sensor axes),
+``Quaternion.csv`` (W, X, Y, Z from the sensor to the earth, z up in its usual NWU) and
+``Magnetometer.csv``, each with time stamps of its own in us. ``Command.json`` names the sensor, else the
+folder does. Orientation and magnetic field are interpolated to the inertial samples where their stamps
+differ. Clocks are those of the devices, which their maker's software synchronises.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core import signals
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.data.imu_declaration import Declaration
+from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.formats.sensors.packets import in_order, lost
+from rtof_kin.formats.sensors.readings import Readings, sensor_log
+from rtof_kin.formats.sensors.sensor_text import cells, read_table
+
+Array = NDArray[np.float64]
+TITLE = "x-IMU3 folders"
+_STAMP = "Timestamp (us)"
+_GYROSCOPE = tuple(f"Gyroscope {axis} (deg/s)" for axis in "XYZ")
+_ACCELEROMETER = tuple(f"Accelerometer {axis} (g)" for axis in "XYZ")
+_OTHERS = {
+    "Quaternion": (("W", "X", "Y", "Z"), 0.1),
+    "Magnetometer": (("X (a.u.)", "Y (a.u.)", "Z (a.u.)"), 0.5),
+}
+"""Columns of other messages, and the seconds across which they are not interpolated any more."""
+_WHOLE = 2**53
+_LATEST_US = 1_000_000
+_LARGEST_JSON = 2**20
+
+
+def is_ximu3(head: str) -> bool:
+    """Whether a file that begins so is one of such a folder."""
+    return cells(head.split("\n", 1)[0])[0] == _STAMP
+
+
+def read_ximu3(paths: Sequence[Path], **declared: Any) -> SensorLog:
+    """The sensors of one trial.
+
+    Args:
+        paths: the CSV files of all sensors, those of a sensor in one folder.
+        declared: fields of `Declaration` to set otherwise than the format does; `rate_hz` puts samples
+            at equal steps after the first stamp.
+
+    Raises:
+        FileFormatError: a folder without Inertial.csv, a damaged file, time stamps that started anew.
+    """
+    own = Declaration(acceleration_unit="g", angular_unit="deg/s")
+    declaration = own.changed(**declared)
+    folders = list(dict.fromkeys(path.parent for path in paths))
+    labels = [_label(folder) for folder in folders]
+    sensors = []
+    for folder, (name, serial) in zip(folders, labels, strict=True):
+        twice = [label for label, _ in labels].count(name) > 1
+        full = f"{name} {serial}" if twice else name
+        sensors.append(_sensor(folder, full, declaration.rate_hz))
+    return sensor_log(paths if len(paths) == 1 else folders, TITLE, sensors, declaration)
+
+
+def _label(folder: Path) -> tuple[str, str]:
+    """Name and serial number of a sensor, by its Command.json, else by its folder's name."""
+    try:
+        with (folder / "Command.json").open("rb") as stream:
+            commands = json.loads(stream.read(_LARGEST_JSON))
+        ping = next(command["ping"] for command in commands if "ping" in command)
+        name, serial = ping["name"], ping["sn"]
+        if isinstance(name, str) and isinstance(serial, str) and name.strip():
+            return name.strip(), serial
+    except (OSError, ValueError, TypeError, KeyError, StopIteration, RecursionError):
+        pass  # not there, or not as devices write it: the folder's name says the same
+    found = re.fullmatch(r"(.+?) ([0-9A-Fa-f]{8})( \(.*\))?", folder.name)
+    return (found[1], found[2]) if found else (folder.name, "")
+
+
+def _sensor(folder: Path, name: str, rate_hz: float | None) -> Readings:
+    inertial = _messages(folder / "Inertial.csv", (*_GYROSCOPE, *_ACCELEROMETER))
+    if inertial is None:
+        raise FileFormatError(folder, "has no Inertial.csv; log inertial messages")
+    stamps, values, notes = inertial
+    others: dict[str, Array | None] = dict.fromkeys(_OTHERS)
+    for kind, (columns, max_gap) in _OTHERS.items():
+        found = _messages(folder / f"{kind}.csv", columns)
+        if found is not None:
+            own, numbers, told = found
+            if not np.array_equal(own, stamps):
+                told.append(f"{len(own)} messages interpolated to the inertial samples")
+                numbers = _interpolated(own, numbers, stamps, max_gap * 1e6)
+            others[kind] = numbers
+            notes += [f"{kind}: {note}" for note in told]
+    times = stamps / 1e6
+    if rate_hz is not None:
+        times = times[0] + np.arange(len(times)) / rate_hz
+    else:
+        notes += lost(times)
+    f, w = values[:, 3:], values[:, :3]
+    m, quaternions = others["Magnetometer"], others["Quaternion"]
+    return Readings(name, times, f, w, m, quaternions, notes=tuple(notes))
+
+
+def _messages(path: Path, columns: Sequence[str]) -> tuple[Array, Array, list[str]] | None:
+    """Stamps (T,) us, numbers (T, C) and notes of one file, in order; None where there is none."""
+    if not path.exists():
+        return None
+    wanted = {_STAMP, *columns}
+    table = read_table(path, lambda names: _STAMP in names, lambda name: name in wanted)
+    stamps, values = table.column(_STAMP), table.columns(*columns)
+    if stamps is None or values is None:
+        raise FileFormatError(path, f"has no columns {', '.join(columns)}", 1)
+    packets = in_order(path, stamps, table.lines, _WHOLE, _LATEST_US, _STAMP)
+    return packets.count.astype(float), values[packets.rows], [*table.notes, *packets.notes]
+
+
+def _interpolated(stamps: Array, values: Array, at: Array, max_gap: float) -> Array:
+    """Vectors (T, 3), or quaternions (T, 4) whose signs may jump, at other instants."""
+    if values.shape[1] == 4:  # a quaternion and its opposite are the same rotation
+        turned = np.sum(values[1:] * values[:-1], axis=1) < 0
+        values = values * np.cumprod(np.where([False, *turned], -1.0, 1.0))[:, None]
+    return signals.interpolate(stamps, values, at, max_gap)

@@ -1,0 +1,254 @@
+"""Checks of a recording's camera, body and keypoints against the reconstructed motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import signals
+from rtof_kin.core.errors import ViewError
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.types import BoneImuSequence, Camera, KeypointSequence, PoseSequence
+from rtof_kin.reconstruction.image_checks import Picture, look_at_picture, sensed
+from rtof_kin.reconstruction.prepare import Begun, LifterLike, shipped_lifter
+from rtof_kin.reconstruction.scale_checks import (
+    ANKLE_HEIGHT,
+    Standing,
+    check_bones,
+    check_perspective,
+    check_walk,
+    standing,
+)
+from rtof_kin.recording.body_checks import check_camera
+from rtof_kin.recording.recording import Recording
+
+FURTHEST = 100.0
+"""m of a camera from the world's origin: what is further is in another unit."""
+WIDEST_DEG = 100.0
+"""View of a lens that does not distort."""
+BODY, BODY_FACTOR = 1.62, 1.35
+"""Height of a body, m, and how many times more or less it may be: 1.2 to 2.19 m."""
+HEIGHT_DIFFERENCE = 10.0
+"""% that a height may differ from that of the bones."""
+DISTANCE, DISTANCE_FACTOR = 4.5, 9.0
+"""Of a person from the camera, m, and how many times more or less it may be."""
+MOST_OUTSIDE = 50.0
+"""% of the points seen that may lie outside of the picture."""
+LONGEST_FROZEN = 0.5
+"""s for which a detector may repeat its points exactly."""
+_FEWEST, _FRAMES = 6, 64
+_LARGE = 0.6
+"""m of an ankle from the floor, from which the floor is more likely wrong than a scale."""
+UNVERIFIED = "camera unverified: pelvis angles may be off by 20 deg"
+_DISTANCE, _FEET = "distance from the camera", "height of the standing ankle"
+
+
+def check_camera_evidence(
+    recording: Recording, begun: Begun, poses: PoseSequence, skeleton: SkeletonModel,
+    lifter: LifterLike | None = None,
+) -> tuple[Check, ...]:  # fmt: skip
+    """Checks of what the recording declares about camera, picture and body.
+
+    Args:
+        recording: as declared, before calibration and outlier rejection.
+        begun: the prepared streams and the poses of each stage before the solver.
+        poses: the final poses. skeleton: the subject's.
+        lifter: the shipped one where not given.
+
+    Returns:
+        Every check that the recording allows; failed ones name their likely `cause`, the likeliest first.
+    """
+    picture = look_at_picture(recording, skeleton, lifter or shipped_lifter())
+    video = begun.recording.video
+    walk = check_walk(poses, begun.bone_imus, video, skeleton)
+    some = slice(None, None, max(1, len(video) // _FRAMES))
+    stands = standing(begun.start[some], video[some], begun.bone_imus is not None)
+    return _ordered(recording, picture, skeleton, stands, (walk,))
+
+
+def check_camera_alone(
+    recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None = None
+) -> tuple[Check, ...]:
+    """The same before anything was reconstructed."""
+    picture = look_at_picture(recording, skeleton, lifter or shipped_lifter())
+    stands = None
+    if picture.lifted is not None:
+        p, k = picture.lifted.p_world_joint, picture.keypoints
+        R = np.broadcast_to(np.eye(3), (*p.shape, 3))
+        stands = standing(PoseSequence(k.times, p, R, skeleton.names), k, False)
+    return _ordered(recording, picture, skeleton, stands)
+
+
+@contextmanager
+def explained(
+    recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None
+) -> Iterator[None]:
+    """An error about what the camera sees leaves with the cause in front, where a check finds one."""
+    try:
+        yield
+    except ViewError as error:
+        checks = check_camera_alone(recording, skeleton, lifter)
+        cause = next((check.cause for check in checks if check.failed and check.cause), None)
+        if cause is None:
+            raise
+        raise ViewError(f"{cause}: {error}") from error
+
+
+def _ordered(
+    recording: Recording, picture: Picture, skeleton: SkeletonModel, stands: Standing | None,
+    of_motion: tuple[Check, ...] = (),
+) -> tuple[Check, ...]:  # fmt: skip
+    """All checks; of those that one mistake fails together, what names it leads.
+
+    Args:
+        stands: where the person does. of_motion: checks of the reconstructed motion.
+    """
+    keypoints, camera = recording.video, recording.video.camera
+    first = (_check_unit(camera), *picture.checks, _check_frozen(keypoints))
+    lens, declared = _check_view(camera), (*_declared(keypoints), *_check_body(recording, skeleton))
+    wrong = next((check.cause for check in first[:-1] if check.failed), "")
+    if wrong:
+        unknown = (Check.unknown(name, "the person", "m", wrong) for name in (_DISTANCE, _FEET))
+        return (*first, lens, *declared, *unknown)
+    bones = check_bones(_own_sensors(recording), skeleton)
+    perspective = check_perspective(picture, skeleton)
+    known = (bones, lens, perspective, *of_motion)
+    cause = next((check.cause for check in known if check.failed), picture.small)
+    focal = () if any(c.passed for c in (perspective, *of_motion)) else _focal_is_open(camera, stands)
+    return (
+        *first, *focal, *known, _check_feet(recording, stands, cause), _check_distance(stands), *declared,
+    )  # fmt: skip
+
+
+def _own_sensors(recording: Recording) -> BoneImuSequence | None:
+    return None if recording.imus is None else sensed(recording, recording.imus.times)
+
+
+# --- the camera ----------------------------------------------------------------------------------
+
+
+def _check_unit(camera: Camera) -> Check:
+    far = float(np.linalg.norm(camera.t_camera_world))
+    unit = "millimetres" if far > 10 * FURTHEST else "centimetres"
+    return Check(
+        "distance from the world's origin", "camera", far, FURTHEST, "m",
+        "Give t_camera_world in m, of a world whose origin is near",
+        cause=f"the camera's translation is probably in {unit}, not metres",
+    )  # fmt: skip
+
+
+def _check_view(camera: Camera) -> Check:
+    view = float(np.degrees(2 * np.arctan(camera.width_px / 2 / camera.K[0, 0])))
+    limit = WIDEST_DEG if not np.any(camera.distortion) else 130.0
+    return Check(
+        "view of the lens", "camera", view, limit, "deg",
+        "So wide a lens distorts; give the focal length in px, of images of this size",
+        cause="the focal length is probably too short",
+    )  # fmt: skip
+
+
+def _declared(keypoints: KeypointSequence) -> Iterator[Check]:
+    """What is declared of the camera, by itself and against where the points are."""
+    camera = keypoints.camera
+    causes = ("the focal length is of another unit or picture", "pixels are not square",
+              "the principal point is of another picture")  # fmt: skip
+    for check, cause in zip(check_camera("of the recording", camera), causes, strict=True):
+        yield replace(check, cause=cause)
+    uv = keypoints.uv_px[keypoints.seen]
+    outside = ((uv < 0) | (uv > [camera.width_px, camera.height_px])).any(axis=-1)
+    yield Check(
+        "points outside of the picture", "keypoints", 100 * float(outside.mean()) if len(uv) else np.nan,
+        MOST_OUTSIDE, "%", "Give the camera of the picture that was detected in",
+        cause="the keypoints are of a larger picture than the camera's",
+    )  # fmt: skip
+    assumed = camera.assumed
+    yield Check(
+        "assumed, not measured", "camera", float(len(assumed)), 0.0, "quantities",
+        f"Not measured: {', '.join(assumed) or 'nothing'}; calibrate, then take it out of assumed",
+        cause=UNVERIFIED,
+    )  # fmt: skip
+
+
+# --- the body and the floor ----------------------------------------------------------------------
+
+
+def _check_body(recording: Recording, skeleton: SkeletonModel) -> Iterator[Check]:
+    tall = skeleton.height
+    yield Check(
+        "height of the bones", "body", max(tall / BODY, BODY / tall), BODY_FACTOR, "times",
+        f"They make a body {tall:.2f} m tall, usual is {BODY} m",
+        cause=f"the bones are probably too {'long' if tall > BODY else 'short'}",
+    )  # fmt: skip
+    told = recording.height
+    if told is not None:
+        yield Check(
+            "height against that of the bones", "body", 100 * abs(tall / told - 1), HEIGHT_DIFFERENCE,
+            "%", f"{told:.2f} m were told, the bones make {tall:.2f} m; give only one of the two",
+            cause="height and bones are of different people",
+        )  # fmt: skip
+
+
+def _check_distance(stands: Standing | None) -> Check:
+    if stands is None or not stands.distance > 0:
+        return Check.unknown(_DISTANCE, "the person", "m", "nobody was lifted")
+    distance = stands.distance
+    return Check(
+        _DISTANCE, "the person", max(distance / DISTANCE, DISTANCE / distance), DISTANCE_FACTOR, "times",
+        f"It is {distance:.3g} m, usual are {DISTANCE} m",
+        cause="the focal length or the size of the bones is in another unit",
+    )  # fmt: skip
+
+
+def _focal_is_open(camera: Camera, stands: Standing | None) -> tuple[Check, ...]:
+    """Says how wrong the focal length may be where the standing feet alone tell of it: a longer one moves
+    the person away along the camera's axis, which a level camera does not see."""
+    if stands is None:
+        return ()
+    share = 100 * stands.tolerance / max(abs(stands.distance * camera.R_camera_world[2, 2]), 1e-9)
+    name = f"focal length to better than {share:.0f} %" if share < 50 else "focal length"
+    why = "standing feet tell no more of it, and absolute positions may be off by that share"
+    return (Check.unknown(name, "camera", "%", why),)
+
+
+def _check_feet(recording: Recording, stands: Standing | None, cause: str) -> Check:
+    """Whether the person stands on the floor; where none is declared, at z = 0.
+
+    Args:
+        cause: what other checks have found to be wrong with the scale.
+    """
+    if stands is None:
+        return Check.unknown(_FEET, "the person", "m", "nobody was lifted")
+    floor = recording.floor_height
+    off = stands.height - (floor or 0.0) - ANKLE_HEIGHT
+    advice = f"It is at z = {stands.height:.2f} m, {stands.distance:.1f} m away, by the body's size"
+    if floor is None:
+        advice += "; no floor is declared: give its z, floor_height_m, where it is not 0"
+    return Check(
+        f"{_FEET} over {'z = 0' if floor is None else 'the floor'}", "the person",
+        abs(off), stands.tolerance, "m off", advice,
+        cause=cause or _cause_of_height(off, floor is None),
+    )  # fmt: skip
+
+
+def _cause_of_height(off: float, undeclared: bool) -> str:
+    floor = "the floor is not at z = 0" if undeclared else "the floor is probably wrong"
+    scale = f"the focal length or the bones are too {'short' if off > 0 else 'long'}"
+    return f"{floor}, or {scale}" if abs(off) > _LARGE or undeclared else f"{scale}, or {floor}"
+
+
+def _check_frozen(keypoints: KeypointSequence) -> Check:
+    uv = keypoints.uv_px
+    enough = keypoints.seen.sum(axis=1) >= _FEWEST
+    same = ((uv[1:] == uv[:-1]) | np.isnan(uv[1:] + uv[:-1])).all(axis=(1, 2))
+    same &= (keypoints.seen[1:] == keypoints.seen[:-1]).all(axis=1) & enough[1:]
+    times = keypoints.times
+    start, stop = max(signals.runs(same), key=lambda run: run[1] - run[0], default=(0, 0))
+    return Check(
+        "time for which points repeat exactly", "keypoints", float(times[stop] - times[start]),
+        LONGEST_FROZEN, "s", f"At {times[start]:.2f} s; look at the detector, or take those frames out",
+        cause="the keypoints are frozen: the detector repeats one frame",
+    )  # fmt: skip

@@ -1,0 +1,400 @@
+"""Whether a picture is upright, of the declared size and not mirrored, and whether left is left.
+
+What people confuse can be undone. Keypoints are looked at as given and with each mistake undone: by the
+lifter, which is less certain of people who stand on their heads or whose knees bend backwards, and by
+the sensors, which know without any picture where limbs point. What fits much better than what was given
+is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import CalibrationError, ShapeError
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.types import BoneImuSequence, Camera, KeypointSequence
+from rtof_kin.reconstruction.prepare import LifterLike
+from rtof_kin.recording.recording import Recording
+from rtof_kin.vision.outlier_rejection import side_pairs
+
+Array = NDArray[np.float64]
+Undo = Callable[[KeypointSequence], KeypointSequence]
+STEP, PIECE, PIECES = 0.1, 48, 2
+"""s between the frames that are looked at, how many of them follow each other, and how often."""
+LEAST_GAIN, LEAST_GAIN_SENSED = 0.5, 0.35
+"""What a hypothesis must gain over the keypoints as given to be named, without and with sensors;
+recordings without a mistake stay below (benchmarks/results/input_checks.md)."""
+LEAST_GAIN_OF_SIZE = 0.1
+"""The same of the lifter's certainty, of pictures of another size."""
+_CERTAINTY = 3.0
+"""What a gain in certainty counts beside one in the logarithm of the sensors' misfit."""
+_CONTRADICTED, _UNSUPPORTED = -0.1, 0.7
+"""Gain in certainty below which a hypothesis is none, whatever sensors say; and the gain that one needs
+of which the lifter can say nothing."""
+_UNSEEN, _UPRIGHT = 4.4, 6.3
+"""Certainty below which it does not look like a person, and above which like one who stands upright."""
+_AGREED = 0.5
+"""Misfit of sensors below which the picture is upright; of turned ones it is above 0.8."""
+_CLOSE = 0.5
+"""Hypotheses whose gains differ by less are named together."""
+_REPROJECTION, _LEAST_REPROJECTION, _LEAST_MISFIT = 0.3, 1e-3, 0.02
+_HEADINGS = np.radians(np.arange(0, 360, 15))
+_REACH = 0.55
+"""Share of the picture beyond which points of one half as large cannot lie."""
+_SIZE, _TURN, _SIDES = "another size of the picture", "a turned picture or world", "exchanged sides"
+_SWAPPED, _MIRRORED = "left and right of the keypoints are exchanged", "the picture is mirrored"
+_MIRRORED_OR_HEADING = f"{_MIRRORED}, or all sensors head the wrong way"
+_SMALL = "the keypoints are of a picture 2 times smaller than the camera's"
+_MIRRORED_VIDEO = "the video is mirrored, and its sides were named as they appear"
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """What the lifter makes of keypoints."""
+
+    p_world_joint: Array
+    """(T, J, 3) m."""
+    certainty: float
+    """The larger, the more it looks as people do; NaN of a lifter that does not tell."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Some frames of a recording, and what was found about the picture they come from."""
+
+    keypoints: KeypointSequence
+    lifted: Lifted | None
+    """As given; None where too little is seen."""
+    bone_imus: BoneImuSequence | None
+    """The sensors at the same times."""
+    checks: tuple[Check, ...]
+    """Of its orientation, its size, its sides."""
+    small: str
+    """What might be the cause of a wrong scale: that points fill little of the picture; or empty."""
+
+    @property
+    def wrong(self) -> str:
+        """The cause of the check that failed; empty where none did."""
+        return next((check.cause for check in self.checks if check.failed), "")
+
+
+def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike) -> Picture:
+    """Compare keypoints with what they would be without each mistake.
+
+    Args:
+        recording: as declared, with keypoints. skeleton: the subject's.
+    """
+    keypoints = excerpt(recording.video)
+    bone_imus = sensed(recording, keypoints.times)
+    if bone_imus is not None and not _sensed_bones(bone_imus, skeleton):
+        bone_imus = None
+    look = _Look(skeleton, lifter, keypoints, bone_imus)
+    if look.given is None or np.isnan(look.given.certainty):
+        why = "too little is seen" if look.given is None else "the lifter does not tell how certain it is"
+        checks = tuple(_unknown(name, why) for name in (_SIZE, _TURN, _SIDES))
+    else:
+        checks = tuple[Check, ...]()
+        for name, check in ((_TURN, look.turn), (_SIZE, look.size), (_SIDES, look.sides)):
+            wrong = next((earlier.cause for earlier in checks if earlier.failed), "")
+            checks += (_unknown(name, wrong) if wrong else check(),)
+    small = _SMALL if look.reach < _REACH else ""
+    return Picture(keypoints, look.given, look.bone_imus, checks, small)
+
+
+def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
+    """Pieces of a recording: at most `PIECES` of `PIECE` frames, `STEP` apart."""
+    every = 1
+    if len(keypoints) > 1:
+        every = max(1, round(STEP / float(np.median(np.diff(keypoints.times)))))
+    frames = np.arange(0, len(keypoints), every)
+    if len(frames) > PIECES * PIECE:
+        starts = np.linspace(0, len(frames) - PIECE, PIECES).astype(int)
+        frames = frames[(starts[:, None] + np.arange(PIECE)).ravel()]
+    uv, confidence = keypoints.uv_px[frames], keypoints.confidence[frames]
+    return replace(keypoints, times=keypoints.times[frames], uv_px=uv, confidence=confidence)
+
+
+def sensed(recording: Recording, times: Array) -> BoneImuSequence | None:
+    """The calibrated sensors at some times (T,); None where they say nothing."""
+    try:
+        found = recording.bone_imus(times=times)
+    except CalibrationError:
+        return None
+    return found if found is not None and np.isfinite(found.R_world_bone).any() else None
+
+
+def _sensed_bones(
+    bone_imus: BoneImuSequence, skeleton: SkeletonModel
+) -> list[tuple[int, int, int]]:
+    """Sensor, joint and child of every bone whose segment carries a sensor; none of head and feet."""
+    index = skeleton.names.index
+    return [
+        (s, index(joint), child)
+        for s, joint in enumerate(bone_imus.joints)
+        for child in kinematics.children_of(skeleton.parents, index(joint))
+    ]
+
+
+def _agreement(given: float, other: float) -> float:
+    """How much better sensors agree with another picture than with the one given, by their misfits."""
+    return float(np.log((given + _LEAST_MISFIT) / (other + _LEAST_MISFIT)))
+
+
+def _unknown(name: str, why: str) -> Check:
+    return Check.unknown(name, "keypoints", "", why)
+
+
+# --- mistakes, undone ----------------------------------------------------------------------------
+
+
+def exchanged_sides(keypoints: KeypointSequence) -> KeypointSequence:
+    """Left named right."""
+    order = np.arange(len(keypoints.names))
+    for pairs in side_pairs(keypoints.names).values():
+        order[pairs.ravel()] = pairs[:, ::-1].ravel()
+    uv, confidence = keypoints.uv_px[:, order], keypoints.confidence[:, order]
+    return replace(keypoints, uv_px=uv, confidence=confidence)
+
+
+def _moved(M: tuple[tuple[int, int], tuple[int, int]], by: tuple[int, int]) -> Undo:
+    """Pixels M (2, 2) uv + by, in widths and heights of the image where M turns."""
+
+    def undo(k: KeypointSequence) -> KeypointSequence:
+        size = np.array([k.camera.width_px, k.camera.height_px])
+        return replace(k, uv_px=k.uv_px @ np.array(M).T + size * by)
+
+    return undo
+
+
+mirrored = _moved(((-1, 0), (0, 1)), (1, 0))
+upside_down = _moved(((-1, 0), (0, -1)), (1, 1))
+exchanged_axes = _moved(((0, 1), (1, 0)), (0, 0))
+_TURNED: Mapping[str, Undo] = {
+    "the camera or its picture is upside down": upside_down,
+    "the picture is turned by 90 degrees clockwise": _moved(((0, 1), (-1, 0)), (0, 1)),
+    "the picture is turned by 90 degrees anticlockwise": _moved(((0, -1), (1, 0)), (1, 0)),
+    "u and v of the keypoints are exchanged": exchanged_axes,
+}
+
+
+def _stood_up(keypoints: KeypointSequence) -> tuple[str, Undo] | None:
+    """The axis of the declared world that points up in the picture, if not z, and how to put z there."""
+    camera = keypoints.camera
+    up = -camera.R_camera_world[1]
+    axis = int(np.argmax(np.abs(up)))
+    if axis == 2 and up[2] > 0:
+        return None
+    z = np.sign(up[axis]) * np.eye(3)[axis]
+    x = np.eye(3)[(axis + 1) % 3]
+    R_given_world = np.stack([x, np.cross(z, x), z], axis=1)
+    upright = replace(camera, R_camera_world=camera.R_camera_world @ R_given_world)
+    name = f"{'+' if up[axis] > 0 else '-'}{'xyz'[axis]}"
+    cause = f"the camera is given in a world whose {name} points up, not z"
+    return cause, lambda k: replace(k, camera=upright)
+
+
+def halved(keypoints: KeypointSequence) -> KeypointSequence:
+    """Points of a picture half as wide."""
+    return replace(keypoints, uv_px=2 * keypoints.uv_px)
+
+
+# --- what is compared ----------------------------------------------------------------------------
+
+
+def certainty(
+    keypoints: KeypointSequence, skeleton: SkeletonModel, lifter: LifterLike
+) -> Lifted | None:
+    """What a lifter makes of keypoints alone, without sensors and floor; None where it sees nobody."""
+    try:
+        result = lifter.predict(keypoints, skeleton.joint_offsets)
+    except ShapeError:
+        return None
+    p, seen = np.asarray(result.p_world_joint), keypoints.select(skeleton.names)
+    off = np.linalg.norm(keypoints.camera.project(p) - seen.uv_px, axis=-1)
+    spreads = [s[np.isfinite(s)] for s in (result.sigma_m, result.sigma_rad)]
+    if not (np.isfinite(off).any() and all(s.size for s in spreads)):
+        return Lifted(p, np.nan)
+    reprojection = float(np.nanmedian(off)) / _extent(seen)
+    logs = [float(np.log(s).mean()) for s in spreads]
+    return Lifted(
+        p, -sum(logs) - _REPROJECTION * float(np.log(max(reprojection, _LEAST_REPROJECTION)))
+    )
+
+
+def _extent(seen: KeypointSequence) -> float:
+    """Width and height of a person in px, together."""
+    frames = seen.uv_px[seen.seen.any(axis=1)]
+    return max(float(np.median(np.nanmax(frames, axis=1) - np.nanmin(frames, axis=1), axis=0).sum()), 1.0)
+
+
+@dataclass(frozen=True)
+class Limbs:
+    """Bones from each sensor's joint to its children, in the image plane."""
+
+    seen: Array
+    """(T, n, 2) as the keypoints have them, at unit depth; zeros where they are missing."""
+    middle: Array
+    """(T, n, 2) their middles."""
+    bones: Array
+    """(T, n, 3) as the sensors have them, in camera axes, m; likewise."""
+
+    @classmethod
+    def of(
+        cls, keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel
+    ) -> Limbs:
+        """Of keypoints, and of sensors at the same times."""
+        sensor, joint, child = np.array(_sensed_bones(bone_imus, skeleton)).T
+        xy = keypoints.camera.normalise(keypoints.select(skeleton.names).uv_px)
+        R_camera_bone = keypoints.camera.R_camera_world @ bone_imus.R_world_bone[:, sensor]
+        seen, middle = xy[:, child] - xy[:, joint], (xy[:, child] + xy[:, joint]) / 2
+        bones = np.einsum("tnij,nj->tni", R_camera_bone, skeleton.joint_offsets[child])
+        known = np.isfinite(np.concatenate([seen, bones], axis=-1)).all(axis=-1, keepdims=True)
+        kept = (np.where(known, values, 0.0) for values in (seen, middle, bones))
+        return cls(*kept)
+
+    def drawn(self, bones: Array, perspective: ArrayLike = 1.0) -> Array:
+        """(..., T, n, 2) that bones (..., T, n, 3) are seen as, but for a scale.
+
+        Args:
+            perspective: (...) 1 as the focal length has it; 0.5 is that of one twice as long.
+        """
+        share = np.asarray(perspective)[..., None, None, None]
+        return np.asarray(bones[..., :2] - share * self.middle * bones[..., 2:])
+
+    def misfit(self, headings: Array, camera: Camera) -> float:
+        """How far limbs in the picture are from where the sensors have them: 0 they agree, 1 not at all.
+
+        Of every frame's limbs the share of their squares that no single scale explains, in the mean; the
+        least of it with all sensors turned by one of the headings (H,), rad.
+        """
+        R = camera.R_camera_world
+        turns = R @ so3.about_axis("z", headings) @ R.T
+        drawn = self.drawn(np.einsum("hij,tnj->htni", turns, self.bones))
+        both = np.einsum("tni,htni->ht", self.seen, drawn)
+        squares = np.sum(self.seen**2, axis=(1, 2)) * np.sum(drawn**2, axis=(2, 3))
+        known = squares > 0
+        explained = np.maximum(both, 0) ** 2 / np.where(known, squares, 1.0)
+        frames = known.sum(axis=1)
+        return float(np.min(1 - explained.sum(axis=1) / np.maximum(frames, 1)))
+
+
+@dataclass(frozen=True)
+class _Look:
+    """One excerpt, looked at with mistakes undone."""
+
+    skeleton: SkeletonModel
+    lifter: LifterLike
+    keypoints: KeypointSequence
+    bone_imus: BoneImuSequence | None
+
+    @cached_property
+    def given(self) -> Lifted | None:
+        """The keypoints as they are, lifted."""
+        return certainty(self.keypoints, self.skeleton, self.lifter)
+
+    @cached_property
+    def _given_misfit(self) -> float:
+        """The sensors' wherever north is: a wrong heading of all of them is no mistake of the picture."""
+        return self._misfit(self.keypoints, _HEADINGS)
+
+    @cached_property
+    def _sides_gain(self) -> float:
+        return self._gain(exchanged_sides)
+
+    def size(self) -> Check:
+        """Whether the person looks more like one twice as large, and not rather like one mirrored."""
+        gain = self._gain(halved) if self.reach < _REACH else 0.0
+        return Check(
+            _SIZE, "keypoints", gain if gain > max(self._sides_gain, 0.0) else 0.0, LEAST_GAIN_OF_SIZE,
+            "gain in certainty", f"Points reach {100 * self.reach:.0f} % of the picture; give the camera "
+            "of the picture that was detected in, or scale the keypoints", cause=_SMALL,
+        )  # fmt: skip
+
+    @cached_property
+    def reach(self) -> float:
+        """How far to the right or down points lie, as a share of the picture."""
+        size = [self.keypoints.camera.width_px, self.keypoints.camera.height_px]
+        return float(np.max(np.nanpercentile(self.keypoints.uv_px, 99.5, axis=(0, 1)) / size))
+
+    def turn(self) -> Check:
+        """Whether the picture or the world would better be turned; not asked of who stands upright."""
+        assert self.given is not None
+        hypotheses, headings = dict(_TURNED), set[str]()
+        agreed = self.bone_imus is not None and self._given_misfit < _AGREED
+        if agreed or self.given.certainty > _UPRIGHT:
+            hypotheses = {}
+        elif (other := _stood_up(self.keypoints)) is not None:
+            hypotheses[other[0]] = other[1]
+            headings = {other[0]}
+        certain = {cause: self._gain(undo) for cause, undo in hypotheses.items()}
+        gains = {
+            cause: self._with_sensors(certain[cause], hypotheses[cause], cause in headings)
+            for cause in hypotheses
+        }
+        return self._check(
+            _TURN, gains, certain, "Look at a frame with its points; give R_camera_world of a world with "
+            "z up, for the picture as it was detected in"
+        )  # fmt: skip
+
+    def sides(self) -> Check:
+        """Whether left and right would better be the other way round."""
+        gain = self._sides_gain
+        if self.bone_imus is None and abs(_CERTAINTY * gain) < LEAST_GAIN / 2:
+            return _unknown(_SIDES, "the picture looks as likely with its sides exchanged")
+        # A mirrored person is one with exchanged sides, in a mirrored room.
+        undone = {_SWAPPED: exchanged_sides, _MIRRORED: mirrored}
+        gains = {cause: self._with_sensors(gain, undo) for cause, undo in undone.items()}
+        certain = dict.fromkeys(gains, gain)
+        if self.bone_imus is not None:
+            as_given = self._misfit(self.keypoints, _HEADINGS[:1])
+            heads = _agreement(as_given, self._misfit(mirrored(self.keypoints), _HEADINGS[:1]))
+            video = self._with_sensors(0.0, lambda k: exchanged_sides(mirrored(k)))
+            unsure = {_MIRRORED_OR_HEADING: (gain, heads), _MIRRORED_VIDEO: (0.0, video)}
+            if max(gains.values()) < self._limit:
+                for cause, (sure, found) in unsure.items():
+                    gains[cause], certain[cause] = found if found > _UNSUPPORTED else 0.0, sure
+        advice = "Look at a frame with the names of its points, and at how the video was written"
+        return self._check(_SIDES, gains, certain, advice)
+
+    @property
+    def _limit(self) -> float:
+        return LEAST_GAIN if self.bone_imus is None else LEAST_GAIN_SENSED
+
+    def _check(
+        self, name: str, gains: Mapping[str, float], certain: Mapping[str, float], advice: str
+    ) -> Check:
+        """The hypotheses that gain most, of those that the lifter does not speak against."""
+        possible = {c: g for c, g in gains.items() if certain[c] > _CONTRADICTED}
+        most = max(possible.values(), default=0.0)
+        named = sorted((c for c, g in possible.items() if g > most - _CLOSE), key=lambda c: -gains[c])
+        value = max(most, 0.0)
+        return Check(
+            name, "keypoints", value, self._limit, "gain in likelihood", advice, cause=", or ".join(named)
+        )
+
+    def _gain(self, undo: Undo) -> float:
+        """In certainty; minus infinity where nobody is to be seen then."""
+        assert self.given is not None
+        other = certainty(undo(self.keypoints), self.skeleton, self.lifter)
+        if other is None or not other.certainty > _UNSEEN:
+            return -np.inf
+        return other.certainty - self.given.certainty
+
+    def _with_sensors(self, gain: float, undo: Undo, any_heading: bool = False) -> float:
+        """The gain in certainty, and in what the sensors agree."""
+        if self.bone_imus is None:
+            return _CERTAINTY * gain
+        other = self._misfit(undo(self.keypoints), _HEADINGS if any_heading else _HEADINGS[:1])
+        return _CERTAINTY * gain + _agreement(self._given_misfit, other)
+
+    def _misfit(self, keypoints: KeypointSequence, headings: Array) -> float:
+        assert self.bone_imus is not None
+        return Limbs.of(keypoints, self.bone_imus, self.skeleton).misfit(headings, keypoints.camera)

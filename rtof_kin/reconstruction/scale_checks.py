@@ -1,0 +1,188 @@
+"""How large and how far away a person is, by what does not ask the picture: the floor, standing feet, the
+accelerations of two segments at a joint, and the perspective in which the sensors' bones are seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.limbs import LIMBS
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import signals
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.inertial.contacts import FEET, detect_contacts
+from rtof_kin.inertial.root_position import refit_root
+from rtof_kin.reconstruction.image_checks import Limbs, Picture
+
+Array = NDArray[np.float64]
+ANKLE_HEIGHT = 0.08
+"""m over the floor of the ankle that one stands on."""
+LEAST_HEIGHT, LEAST_HEIGHT_SENSED, HEIGHT_PER_DISTANCE = 0.16, 0.12, 0.02
+"""How far an ankle may seem to be from there, m, without and with sensors, and per m of distance: a
+camera tilts by one degree."""
+LARGEST_SCALE = 1.14
+"""Times that bones may seem too long or too short by two sensors' accelerations."""
+WALKED, LONGEST_WALK = 1.045, 1.18
+"""How far a body seems to move over its standing feet, by its distance from the camera and by its legs,
+as feet roll; and how many times more or less it may be."""
+LEAST_WALK = 0.7
+"""m of walking to or from the camera that tell of its focal length."""
+FLATTEST, LEAST_DISTINCT = 0.55, 0.88
+"""Perspective of the sensors' bones, as a share of that of the focal length, below which that is too
+short; and what share of the misfit must be left with it."""
+_PERSPECTIVES = np.linspace(0.0, 3.0, 31)
+_AS_GIVEN = 10
+_LARGEST_MISFIT = 0.3
+_CUTOFF_HZ, _LEAST_SAMPLES, _LEAST_ACCELERATION, _LEAST_EXPLAINED = 3.0, 90, 1.0, 0.5
+_EDGE = 5
+_LEGS = tuple(bone for limb in LIMBS if limb[-1] in FEET for bone in limb[:2])
+_SCALE, _WALK, _PERSPECTIVE = "length of bones by accelerations", "walk in depth", "perspective"
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a person stands, by nothing but the size of the body."""
+
+    height: float
+    """z in world of the ankle that stands, m."""
+    distance: float
+    """Of the hips along the camera's axis, m."""
+    tolerance: float
+    """How far the height may be off, m."""
+
+
+def standing(poses: PoseSequence, k: KeypointSequence, sensed: bool) -> Standing | None:
+    """Of poses (T, J) whose shape is kept, and keypoints of the same frames; None without ankles.
+
+    Args:
+        sensed: whether sensors had a say in the shape.
+    """
+    feet = [poses.names.index(foot) for foot in FEET if foot in poses.names]
+    if not feet:
+        return None
+    placed = refit_root(poses, k, sigma_depth=1.0).p_world_joint
+    height = np.percentile(placed[:, feet, 2].min(axis=1), 20)
+    distance = float(np.median(k.camera.to_camera(placed[:, 0])[:, 2]))
+    least = LEAST_HEIGHT_SENSED if sensed else LEAST_HEIGHT
+    return Standing(float(height), distance, least + HEIGHT_PER_DISTANCE * distance)
+
+
+def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> Check:
+    """Whether two sensors on both sides of a joint accelerate as bones of these lengths do.
+
+    Args:
+        bone_imus: at the sensors' own times.
+    """
+    found = None if bone_imus is None else _length_ratio(bone_imus, skeleton)
+    if found is None:
+        return Check.unknown(
+            _SCALE, "bones", "times", "no two sensors at one joint that turns fast enough"
+        )
+    longer = 1 / found
+    word = "long" if longer > 1 else "short"
+    return Check(
+        _SCALE, "bones", max(longer, found), LARGEST_SCALE, "times",
+        f"Accelerations are those of bones {found:.2f} times as long; give the subject's height or bones "
+        "in m, or look at the sensors' places",
+        cause=f"the bones are probably too {word}",
+    )  # fmt: skip
+
+
+def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> float | None:
+    """How many times longer than declared the bones between sensors are, by regression."""
+    if len(imus.times) < _LEAST_SAMPLES:
+        return None
+    rate_hz = (len(imus.times) - 1) / float(np.ptp(imus.times))
+    if rate_hz < 3 * _CUTOFF_HZ:
+        return None
+    measured, declared = [], []
+    for s, joint in enumerate(imus.joints):
+        for child in kinematics.children_of(skeleton.parents, skeleton.names.index(joint)):
+            if skeleton.names[child] not in imus.joints:
+                continue
+            c = imus.joints.index(skeleton.names[child])
+            R, R_child = imus.R_world_bone[:, s], imus.R_world_bone[:, c]
+            levers = R_child @ imus.p_bone_sensor[c] - R @ imus.p_bone_sensor[s]
+            bone = R @ skeleton.joint_offsets[child]
+            a = (imus.a_world[:, c] - imus.a_world[:, s])[1:-1]
+            parts = np.stack([
+                a - signals.derivative(levers, rate_hz, 2), signals.derivative(bone, rate_hz, 2)
+            ])  # fmt: skip
+            known = parts[:, np.isfinite(parts).all(axis=(0, 2))]
+            if known.shape[1] >= _LEAST_SAMPLES:
+                slow = np.stack([signals.low_pass(part, rate_hz, _CUTOFF_HZ) for part in known])
+                slow = slow[:, _EDGE:-_EDGE]
+                slow -= slow.mean(axis=1, keepdims=True)
+                measured.append(slow[0].ravel())
+                declared.append(slow[1].ravel())
+    if not measured:
+        return None
+    y, x = np.concatenate(measured), np.concatenate(declared)
+    xx, xy, yy = x @ x, x @ y, y @ y
+    moving = xx / len(x) > (_LEAST_ACCELERATION / 3) ** 2
+    return float(xy / xx) if moving and xy > 0 and xy**2 > _LEAST_EXPLAINED * xx * yy else None
+
+
+def check_walk(
+    poses: PoseSequence, bone_imus: BoneImuSequence | None, keypoints: KeypointSequence,
+    skeleton: SkeletonModel,
+) -> Check:  # fmt: skip
+    """Whether a body moves as far to or from the camera over its standing feet as its legs do.
+
+    The legs' bones and sensors make a step; the focal length makes the way that the body goes.
+
+    Args:
+        poses: the final ones. bone_imus: at their times.
+    """
+    if bone_imus is None or not {*_LEGS} <= {*bone_imus.joints}:
+        return Check.unknown(_WALK, "the feet", "times", "needs sensors on thighs and shanks")
+    contacts = detect_contacts(poses, bone_imus, skeleton)
+    ahead = keypoints.camera.R_camera_world[2] * [1, 1, 0]
+    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    body, legs = [], []
+    for i, foot in enumerate(contacts.joints):
+        root = poses.p_world_joint[:, 0]
+        for start, stop in signals.runs(contacts.standing[:, i]):
+            n = max((stop - start) // 6, 1)
+            path = np.stack([root, root - poses.p_world_joint[:, skeleton.names.index(foot)]]) @ ahead
+            moved = path[:, stop - n : stop].mean(axis=1) - path[:, start : start + n].mean(axis=1)
+            body.append(moved[0])
+            legs.append(moved[1])
+    x, y = np.array(legs), np.array(body)
+    if np.abs(x).sum() < LEAST_WALK or x @ y <= 0:
+        why = f"nobody walks {LEAST_WALK:g} m to or from the camera"
+        return Check.unknown(_WALK, "the feet", "times", why)
+    ratio = float(x @ y / (x @ x)) / WALKED
+    word = "long" if ratio > 1 else "short"
+    return Check(
+        _WALK, "the feet", max(ratio, 1 / ratio), LONGEST_WALK, "times",
+        f"Over standing feet the body goes {ratio:.2f} times as far as the legs say, along the view",
+        cause=f"the focal length is probably too {word}",
+    )  # fmt: skip
+
+
+def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
+    """Whether bones far from the picture's middle are seen as obliquely as the focal length has it."""
+    what = "the picture"
+    if picture.bone_imus is None:
+        return Check.unknown(_PERSPECTIVE, what, "times", "needs sensors")
+    limbs = Limbs.of(picture.keypoints, picture.bone_imus, skeleton)
+    seen2 = np.sum(limbs.seen**2, axis=(1, 2))
+    drawn = limbs.drawn(limbs.bones, _PERSPECTIVES)[:, seen2 > 0]
+    seen, seen2 = limbs.seen[seen2 > 0], seen2[seen2 > 0]
+    scale = np.maximum((seen * drawn).sum(axis=(2, 3)), 0) / (drawn**2).sum(axis=(2, 3))
+    off = np.linalg.norm(seen - scale[..., None, None] * drawn, axis=-1) / np.sqrt(seen2)[:, None]
+    misfits = np.mean(np.minimum(off, _LARGEST_MISFIT) ** 2, axis=(1, 2))
+    best = int(np.argmin(misfits))
+    if not misfits[best] < LEAST_DISTINCT * misfits[_AS_GIVEN]:
+        return Check.unknown(_PERSPECTIVE, what, "times", "the person stays near the picture's middle")
+    share = max(float(_PERSPECTIVES[best]), 0.05)
+    return Check(
+        _PERSPECTIVE, what, 1 / share, 1 / FLATTEST, "times",
+        f"It is {share:.2f} times what the focal length makes; give that in px, of images of this size",
+        cause=picture.small or "the focal length is probably too short",
+    )  # fmt: skip

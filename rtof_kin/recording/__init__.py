@@ -1,0 +1,1 @@
+"""`Recording`: what was recorded of a person, and its folder format."""

@@ -1,0 +1,143 @@
+"""Checks of bodies and cameras that need no estimate: bones of constant length, a person's size, focal
+lengths, reprojection."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.types import Camera, KeypointSequence
+
+Array = NDArray[np.float64]
+RIGID_MM = 1.0
+"""Bones of a skeleton that was solved for keep their length to this; of files with six digits too."""
+TRIANGULATED_MM = 50.0
+"""Largest standard deviation of the distance of two joints or markers, each measured on its own; by
+triangulation from four cameras it is 10-37, by markers on skin less."""
+SIZE, SIZE_FACTOR = 1.9, 2.4
+"""Diagonal of the box around a person's points, m, and how many times larger or smaller it may be: 0.8 to
+4.6 m, from a child that sits to a giant with raised arms; any two units are further apart."""
+FOCAL, FOCAL_FACTOR = 1.2, 5.0
+"""Focal length in image widths, and how many times it may be longer or shorter: views of 10-130 deg."""
+CENTRE, ASPECT = 15.0, 3.0
+"""Largest distance of the principal point from the image's centre, % of its width; largest difference of
+the two focal lengths, %."""
+REPROJECTION_PX = 20.0
+"""Largest median distance of a detector's point from the true joint; detectors are off by up to 13 px."""
+UNITS_M = {"mm": 0.001, "cm": 0.01, "inches": 0.0254, "CMU units": 0.0254 / 0.45, "m": 1.0}
+"""Units of length, m."""
+_BONES = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
+
+
+def limb_bones(names: Sequence[str]) -> dict[str, tuple[int, int]]:
+    """Bones between points whose names tell a side and a joint, as ``RHip``, ``left_knee``, ``R.Elbow``.
+
+    Returns:
+        Name of the bone -> indices of its two ends.
+    """
+    found: dict[str, int] = {}
+    for i, name in enumerate(names):
+        words = re.sub(r"[^a-z]", "", name.lower()).replace("right", "r").replace("left", "l")
+        found.setdefault(words, i)
+    return {
+        f"{names[found[side + a]]} to {names[found[side + b]]}": (found[side + a], found[side + b])
+        for side in "rl"
+        for a, b in _BONES
+        if side + a in found and side + b in found
+    }
+
+
+def skeleton_bones(names: Sequence[str], parents: Sequence[int]) -> dict[str, tuple[int, int]]:
+    """The bones of a tree of joints, as `limb_bones` gives them."""
+    return {f"{names[p]} to {names[j]}": (p, j) for j, p in enumerate(parents) if p >= 0}
+
+
+def bone_lengths(p: Array, bones: Mapping[str, tuple[int, int]]) -> dict[str, Array]:
+    """Length (T,) of each bone, NaN where an end is missing, of points (T, J, 3)."""
+    return {name: np.linalg.norm(p[:, a] - p[:, b], axis=-1) for name, (a, b) in bones.items()}
+
+
+def check_bone_lengths(lengths: Mapping[str, Array], limit_mm: float) -> list[Check]:
+    """Standard deviation of every bone's length (T,), m."""
+    name, checks = "spread of length", []
+    for bone, length in lengths.items():
+        known = length[np.isfinite(length)]
+        if len(known) < 2:
+            checks.append(Check.unknown(name, bone, "mm", f"it is seen in {len(known)} frames"))
+            continue
+        advice = f"It is {np.median(known):.3f} m long in the median, and from {known.min():.3f} to "
+        advice += f"{known.max():.3f} m; are points swapped, or another person's?"
+        checks.append(Check(name, bone, 1000 * float(np.std(known)), limit_mm, "mm", advice))
+    return checks
+
+
+def check_size(p: Array, unit: str = "m", metres: float = 1.0) -> Check:
+    """Whether points (T, J, 3) are as far apart as those of a person.
+
+    Args:
+        p: positions, m.
+        unit: what the file's lengths are taken for.
+        metres: of that unit.
+    """
+    name = "size of the person"
+    seen = np.isfinite(p).all(axis=-1).sum(axis=1) >= 5
+    if not seen.any():
+        return Check.unknown(name, "all points", "times", "in no frame are five points seen")
+    box = np.nanmax(p[seen], axis=1) - np.nanmin(p[seen], axis=1)
+    size = float(np.median(np.linalg.norm(box, axis=-1)))
+    others = [
+        other
+        for other, length in UNITS_M.items()
+        if other != unit and _factor(size * length / metres / SIZE) < 1.3
+    ]
+    advice = f"The points of a frame are {size:.3g} m apart, read in {unit}"
+    if others:
+        advice += f"; are they in {' or '.join(others)}?"
+    return Check(name, "all points", _factor(size / SIZE), SIZE_FACTOR, "times", advice)
+
+
+def check_camera(name: str, camera: Camera) -> list[Check]:
+    """Focal length, aspect and principal point of an ordinary camera."""
+    fx, fy = camera.K[0, 0], camera.K[1, 1]
+    size = np.array([camera.width_px, camera.height_px])
+    view = np.degrees(2 * np.arctan(camera.width_px / 2 / fx))
+    off = 100 * float(np.max(np.abs(camera.K[:2, 2] - size / 2))) / camera.width_px
+    where = f"camera {name}"
+    return [
+        Check("focal length", where, _factor(fx / camera.width_px / FOCAL), FOCAL_FACTOR, "times",
+              f"{fx:.5g} px see {view:.0f} deg; is it in px, and of images of this size?"),
+        Check("pixels not square", where, 100 * abs(fx / fy - 1), ASPECT, "%",
+              f"The focal lengths are {fx:.5g} and {fy:.5g} px"),
+        Check("principal point off the centre", where, off, CENTRE, "% of width",
+              "Is the matrix of images of another size, or was the image cropped?"),
+    ]  # fmt: skip
+
+
+def check_reprojection(keypoints: KeypointSequence, p_world: Array, names: Sequence[str]) -> Check:
+    """Median distance of keypoints from known positions in the picture.
+
+    Args:
+        keypoints: what was seen.
+        p_world: (T, J, 3) m, at the keypoints' times.
+        names: J names; those the keypoints have too are compared.
+    """
+    name, where = "median reprojection error", "truth in the camera"
+    common = [joint for joint in keypoints.names if joint in names]
+    index = [list(names).index(joint) for joint in common]
+    error = np.linalg.norm(
+        keypoints.select(common).uv_px - keypoints.camera.project(p_world[:, index]), axis=-1
+    )
+    error = error[np.isfinite(error)]
+    if len(error) == 0:
+        return Check.unknown(name, where, "px", "no joint is both known and seen")
+    advice = f"{len(common)} joints, {len(error)} points: is it another camera, or another clock?"
+    return Check(name, where, float(np.median(error)), REPROJECTION_PX, "px", advice)
+
+
+def _factor(ratio: float) -> float:
+    """By how many times something is larger or smaller."""
+    return max(ratio, 1 / ratio) if ratio > 0 else float("inf")

@@ -1,0 +1,183 @@
+"""Pictures of a reconstruction: skeletons over the truth, error over time, joint angles over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from rtof_kin.body.metrics import BEGUN_TOGETHER, comparable, flexion, hinges
+from rtof_kin.core import signals
+from rtof_kin.core.files.folder import new_file
+from rtof_kin.data.types import PoseSequence
+
+if TYPE_CHECKING:
+    from rtof_kin.reconstruction.pipeline import Reconstruction
+
+Array = NDArray[np.float64]
+ESTIMATE, TRUTH = "#c0392b", "#2e8b57"
+STAGE_COLORS = {
+    "lift": "#8c8c8c", "sf2": "#e69f00", "rto": "#0072b2", "rtof": "#c0392b",
+    "start": "#e69f00", "imu": "#c0392b",
+}  # fmt: skip
+
+
+def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
+    """Draw every figure there is data for into a folder, as PNG.
+
+    Returns:
+        The paths written.
+    """
+    figures = {"skeletons": skeletons(result), "joint_angles": joint_angles(result)}
+    if result.stage_metrics:
+        figures["error_over_time"] = error_over_time(result)
+    return save_figures(figures, folder)
+
+
+def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> list[Path]:
+    """Write figures into a folder as PNG, each by its name; the paths."""
+    folder = Path(folder)
+    paths = []
+    for name, figure in figures.items():
+        path = folder / f"{name}.png"
+        figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
+        with new_file(path, overwrite=True) as whole:
+            figure.savefig(whole)
+        paths.append(path)
+    return paths
+
+
+def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
+    """The estimated skeleton (red) over the true one (green) at a few instants, from two sides.
+
+    Positions are relative to the estimate's root and seen from the camera's side and across; without a
+    camera, from where the person faces. See `comparable` for mode imu.
+    """
+    poses, parents = result.motion.poses, result.motion.skeleton.parents
+    truth = _truth_at(result)
+    if result.recording.truth is not None:
+        poses = comparable(poses, result.recording.truth, result.mode)
+    frames = np.linspace(0, len(poses) - 1, instants + 2).round().astype(int)[1:-1]
+    figure = Figure(figsize=(2.6 * instants, 6.4), layout="constrained")
+    axes = figure.subplots(2, instants, squeeze=False)
+    sides, title = _sides(result)
+    for column, frame in enumerate(frames):
+        root = poses.p_world_joint[frame, 0]
+        for row, (view, label) in enumerate(sides):
+            ax = axes[row][column]
+            if truth is not None:
+                _draw(ax, (truth[frame] - root) @ view.T, parents, TRUTH, "truth")
+            _draw(ax, (poses.p_world_joint[frame] - root) @ view.T, parents, ESTIMATE, result.mode)
+            ax.set_aspect("equal")
+            ax.set_xlim(-1.1, 1.1)
+            ax.set_ylim(-1.2, 1.0)
+            ax.set_xlabel(f"{label} [m]")
+            ax.set_ylabel("up [m]" if column == 0 else "")
+            if row == 0:
+                ax.set_title(f"{poses.times[frame]:.2f} s")
+    axes[0][0].legend(loc="lower left", fontsize=8)
+    if truth is not None and result.mode == "imu":
+        title = f"{title}\n{BEGUN_TOGETHER}"
+    figure.suptitle(f"{result.recording.name}: {title}")
+    return figure
+
+
+def error_over_time(result: Reconstruction) -> Figure:
+    """Mean joint error of every stage, absolute and relative to the root, over time."""
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    axes = figure.subplots(2, 1, sharex=True)
+    titles = {"mpjpe_rr_mm": "relative to the root", "mpjpe_mm": "absolute"}
+    for ax, (key, title) in zip(axes, titles.items(), strict=True):
+        for stage, metrics in result.stage_metrics.items():
+            label = f"{stage}: mean {metrics[key]:.1f} mm"
+            times = result.stages[stage].times
+            ax.plot(times, metrics.over_time[key], color=STAGE_COLORS[stage], lw=1, label=label)
+        _shade_gaps(ax, result)
+        ax.set_ylabel(f"joint error, {title} [mm]")
+        ax.set_ylim(bottom=0)
+        ax.legend(loc="upper right", fontsize=8)
+        ax.grid(alpha=0.3)
+    axes[-1].set_xlabel("time [s]")
+    figure.suptitle(f"{result.recording.name}: mean per joint position error of each stage")
+    return figure
+
+
+def joint_angles(result: Reconstruction) -> Figure:
+    """Flexion of knees and elbows over time, with the truth where there is one."""
+    skeleton, poses = result.motion.skeleton, result.motion.poses
+    truth = _truth_at(result)
+    joints = hinges(skeleton)
+    estimated = np.degrees(flexion(poses.p_world_joint, skeleton))
+    true = None if truth is None else np.degrees(flexion(truth, skeleton))
+    figure = Figure(figsize=(11, 2.0 * len(joints)), layout="constrained")
+    axes = figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0]
+    for ax, j in zip(axes, joints, strict=True):
+        name = next(
+            dof.clinical.removeprefix("-")
+            for dof in skeleton.table.joints[j].dofs
+            if dof.clinical.endswith("flexion")
+        )
+        if true is not None:
+            ax.plot(poses.times, true[:, j], color=TRUTH, lw=1.5, label="truth")
+            off = np.abs(estimated[:, j] - true[:, j])
+            if np.isfinite(off).any():
+                name += f" (error {np.nanmean(off):.1f} deg)"
+        ax.plot(poses.times, estimated[:, j], color=ESTIMATE, lw=1, label=result.mode)
+        _shade_gaps(ax, result)
+        ax.set_title(name, fontsize=9)
+        ax.set_ylabel("[deg]")
+        ax.grid(alpha=0.3)
+    axes[0].legend(loc="upper right", fontsize=8)
+    axes[-1].set_xlabel("time [s]")
+    figure.suptitle(f"{result.recording.name}: flexion angles (0 = straight)")
+    return figure
+
+
+def _sides(result: Reconstruction) -> tuple[list[tuple[Array, str]], str]:
+    """`views`, and what they are in words."""
+    if result.keypoints is not None:
+        camera = result.keypoints.camera
+        return views(camera.R_camera_world), "from the camera (top), from its right (bottom)"
+    forward = np.array([*result.motion.poses.R_world_bone[:, 0, :2, 0].mean(axis=0), 0.0])
+    down = np.array([0.0, 0.0, -1.0])
+    (front, _), (side, _) = views(np.stack([np.cross(down, -forward), down, -forward]))
+    return [(front, "left"), (side * [[-1.0], [1.0]], "forward")], "from the front (top) and the right"
+
+
+def views(R_camera_world: Array) -> list[tuple[Array, str]]:
+    """(2, 3) maps from world to a picture: as the camera sees it, and from the camera's right."""
+    R = R_camera_world
+    looks_down = np.hypot(*R[2, :2]) < 0.1  # then what is up in the picture lies ahead
+    forward = -R[1] if looks_down else R[2].copy()
+    forward[2] = 0.0
+    forward /= np.linalg.norm(forward)
+    up = np.array([0.0, 0.0, 1.0])
+    right = np.cross(forward, up)
+    return [(np.stack([right, up]), "right"), (np.stack([forward, up]), "away from camera")]
+
+
+def _draw(ax: Any, points: Array, parents: Sequence[int], color: str, label: str) -> None:
+    for child, parent in enumerate(parents):
+        if parent >= 0:
+            x, y = points[[parent, child]].T
+            ax.plot(x, y, color=color, lw=2, alpha=0.85, label=label if child == 1 else None)
+
+
+def _truth_at(result: Reconstruction) -> Array | None:
+    """True joint positions (T, J, 3) at the motion's times, or None."""
+    truth: PoseSequence | None = result.recording.truth
+    if truth is None:
+        return None
+    return signals.interpolate(truth.times, truth.p_world_joint, result.motion.times)
+
+
+def _shade_gaps(ax: Any, result: Reconstruction) -> None:
+    """Grey where the motion is not valid, e.g. nobody was in the picture."""
+    times = result.motion.times
+    for start, stop in signals.runs(~result.motion.poses.valid.any(axis=1)):
+        ax.axvspan(times[start], times[stop - 1], color="0.85", zorder=0)

@@ -1,0 +1,107 @@
+"""What a reconstruction was made from, as plain data: a part of ``summary.json``."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rtof_kin.recording.recording import Recording
+
+if TYPE_CHECKING:
+    from rtof_kin.reconstruction.pipeline import Reconstruction
+
+Facts = dict[str, Any]
+
+
+def facts(result: Reconstruction) -> Facts:
+    """Session, subject, camera, keypoints, sensors and calibration of a reconstruction.
+
+    Returns:
+        Plain data; units are in the names. None, or an empty list, is what there was not.
+    """
+    recording = result.recording
+    return {
+        "software": f"rtof_kin {_version()}",
+        "session": recording.session.plain(),
+        "notes": recording.notes,
+        "first_frame": recording.first_frame,
+        "subject": _subject(recording),
+        "floor_height_m": recording.floor_height,
+        "camera": _camera(result),
+        "sensors": _sensors(recording),
+        "calibration": None if result.calibration is None else {
+            "converged": result.calibration.converged,
+            "columns": ["quantity", "of", "value", "sd", "sd expected", "verdict"],
+            "rows": [list(row) for row in result.calibration.table()],
+        },
+    }  # fmt: skip
+
+
+def _version() -> str:
+    try:
+        return version("rtof_kin")
+    except PackageNotFoundError:  # a clone that was not installed
+        return "(not installed)"
+
+
+def _subject(recording: Recording) -> Facts:
+    bones = "proportions of the skeleton table"
+    if recording.bone_lengths:
+        bones = f"{len(recording.bone_lengths)} measured bone lengths, the others by the table"
+    elif recording.height is not None:
+        bones = "proportions of the skeleton table, scaled by the height"
+    return {
+        "height_m": recording.height,
+        "skeleton_height_m": recording.skeleton.height,
+        "mass_kg": recording.mass_kg,
+        "sex": recording.sex,
+        "bones": bones,
+    }
+
+
+def _camera(result: Reconstruction) -> Facts | None:
+    """Of the keypoints as they were used; None where none were."""
+    keypoints = result.keypoints
+    if keypoints is None:
+        return None
+    camera = keypoints.camera
+    depth = camera.to_camera(result.motion.poses.p_world_joint[:, 0])[:, 2]
+    return {
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "focal_px": float(camera.K[1, 1]),
+        "distorted": bool(np.any(camera.distortion)),
+        "height_m": float(camera.center_world[2]),
+        "distance_m": float(np.nanmedian(depth)) if np.isfinite(depth).any() else None,
+        "rate_hz": rate_of(keypoints.times),
+        "landmarks": list(keypoints.names),
+        "seen_share": float(keypoints.seen.mean()),
+    }
+
+
+def _sensors(recording: Recording) -> list[Facts]:
+    """Of the sensors as they were recorded; those without a calibration have no segment."""
+    imus, calibration = recording.imus, recording.calibration
+    if imus is None:
+        return []
+    out = []
+    for s, name in enumerate(imus.names):
+        known = np.isfinite(imus.R_inertial_sensor[:, s]).all(axis=(1, 2))
+        force = np.abs(imus.f_sensor[:, s][np.isfinite(imus.f_sensor[:, s])])
+        place: Facts = {"segment": None, "lever_arm_m": None}
+        if calibration is not None and name in calibration.sensors:
+            own = calibration.sensors.index(name)
+            lever = [round(float(v), 4) for v in calibration.p_bone_sensor[own]]
+            place = {"segment": calibration.joints[own], "lever_arm_m": lever}
+        out.append(
+            {"name": name, **place, "rate_hz": rate_of(imus.times), "known_share": float(known.mean()),
+             "largest_specific_force_m_s2": float(force.max()) if force.size else None}
+        )  # fmt: skip
+    return out
+
+
+def rate_of(times: np.ndarray[Any, Any]) -> float | None:
+    """Samples a second from the median step; None for a single one."""
+    return float(1 / np.median(np.diff(times))) if len(times) > 1 else None

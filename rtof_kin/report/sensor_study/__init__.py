@@ -1,0 +1,1 @@
+"""Which sensors a protocol needs: accuracy of every subset."""

@@ -1,0 +1,93 @@
+"""Pictures of a sensor study: what each sensor is worth, and how much fewer sensors cost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from rtof_kin.report.figures import save_figures
+from rtof_kin.report.sensor_study.study import LEAST_SEEN, TOLERANCE, SensorStudy
+
+_LARGEST = 20.0
+"""deg, the end of the colours."""
+
+
+def write_study_figures(study: SensorStudy, folder: str | Path) -> list[Path]:
+    """Draw both into a folder, as PNG.
+
+    Returns:
+        The paths written.
+    """
+    figures = {"sensors": worth_of_sensors(study), "number": error_by_number(study)}
+    return save_figures(figures, folder)
+
+
+def worth_of_sensors(study: SensorStudy) -> Figure:
+    """Every angle by every sensor left out alone: RMS difference from the full set, deg; where leaving it
+    out makes the angle unseen, that is said instead."""
+    rows = _shown(study)
+    size = (2.5 + 0.85 * len(study.without), 1.8 + 0.28 * len(rows))
+    figure = Figure(figsize=size, layout="constrained")
+    ax = figure.subplots()
+    difference = np.degrees(np.stack([found.difference for found in study.without], axis=1)[rows])
+    lost = np.stack([found.seen for found in study.without], axis=1)[rows] < LEAST_SEEN
+    seen = np.where(lost, np.nan, difference)
+    image = ax.imshow(seen, cmap="YlOrRd", vmin=0, vmax=_LARGEST, aspect="auto")
+    ax.imshow(np.where(lost, 0.0, np.nan), cmap=ListedColormap(["0.35"]), aspect="auto")
+    for (i, j), value in np.ndenumerate(difference):
+        text = "unseen" if lost[i, j] else "" if np.isnan(value) else f"{value:.1f}"
+        dark = lost[i, j] or value > 0.6 * _LARGEST
+        ax.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
+    ax.set_yticks(range(len(rows)), [study.angles[a].replace("_", " ") for a in rows], fontsize=8)
+    labels = list(study.segments.values())
+    ax.set_xticks(range(len(labels)), labels, rotation=30, ha="right", fontsize=8)
+    ax.set_xlabel("sensor left out")
+    figure.colorbar(image, ax=ax, label="RMS difference from all sensors [deg]", extend="max", shrink=0.6)
+    figure.suptitle(f"{study.recording}: what each sensor is worth", fontsize=11)
+    return figure
+
+
+def error_by_number(study: SensorStudy) -> Figure:
+    """The angles' RMS against the number of sensors on the way down, one panel for each joint."""
+    joints: dict[str, list[int]] = {}
+    for a in _shown(study):
+        name = study.angles[a]
+        joint = name.removeprefix("right_").removeprefix("left_").partition("_")[0]
+        joints.setdefault(joint, []).append(a)
+    columns = min(3, len(joints))
+    lines = -(-len(joints) // columns)
+    figure = Figure(figsize=(4.6 * columns, 3.1 * lines), layout="constrained")
+    panels = figure.subplots(lines, columns, sharex=True, squeeze=False).ravel()
+    number = [len(found.sensors) for found in study.path]
+    values = np.degrees(np.stack([study.measure(found) for found in study.path]))
+    values[np.stack([found.seen for found in study.path]) < LEAST_SEEN] = np.nan
+    for ax, (joint, own) in zip(panels, joints.items(), strict=False):
+        for a in own:
+            label = study.angles[a].replace(f"{joint}_", "").replace("_", " ")
+            ax.plot(number, values[:, a], marker="o", ms=3, lw=1.2, label=label,
+                    ls="--" if study.angles[a].startswith("left_") else "-")  # fmt: skip
+        ax.axhline(np.degrees(TOLERANCE), color="0.5", lw=0.8, ls=":")
+        ax.set_title(joint, fontsize=9)
+        ax.set_ylabel("RMS [deg]", fontsize=8)
+        ax.set_ylim(bottom=0)
+        ax.set_xlim(max(number) + 0.3, min(number) - 0.3)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        ax.legend(fontsize=6, ncols=2 if len(own) > 6 else 1, framealpha=0.6)
+        ax.grid(alpha=0.3)
+    for ax in panels[len(joints) :]:
+        ax.set_visible(False)
+    for ax in panels[max(0, len(joints) - columns) : len(joints)]:
+        ax.set_xlabel("number of sensors", fontsize=8)
+    what = "difference from the full set, which is no error"
+    what = "error against the truth" if study.has_truth else what
+    figure.suptitle(f"{study.recording}: {what}; a line ends where nobody sees the angle", fontsize=11)
+    return figure
+
+
+def _shown(study: SensorStudy) -> list[int]:
+    """Angles without OpenSim's second pelvis."""
+    return [a for a, name in enumerate(study.angles) if not name.startswith("pelvis_opensim")]

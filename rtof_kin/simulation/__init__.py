@@ -1,0 +1,1 @@
+"""Recordings made from motion capture: virtual cameras, detectors and sensors."""

@@ -1,0 +1,1 @@
+"""The paper's Cartesian space: joint positions as variables."""

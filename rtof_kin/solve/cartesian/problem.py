@@ -1,0 +1,320 @@
+"""The Cartesian energy of a fragment of N frames, as symbols: the paper's eqs. 2-7.
+
+::
+
+    E(X) = k_V E_V + k_I (k_A E_A + k_B E_B + k_S E_S) + E_L + E_P
+
+The state is X (N, J, 3), joint positions in world. Each term is the mean of its squared whitened
+residuals (a residual divided by its standard deviation), so that the k are what they claim to be however
+many residuals a term has. E_L and E_P are what the printed energy lacks (see `FragmentSettings`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body.kinematics import children_of
+from rtof_kin.core.numerics.c_compiler import BUILDING
+from rtof_kin.solve import residuals as energies
+from rtof_kin.solve.cartesian.settings import FragmentSettings
+
+Array = NDArray[np.float64]
+TERMS = ("visual", "acceleration", "bone", "smooth", "length", "prior")
+CURVED_BY = ("rate_hz", "shares", "w_acceleration", "w_bone", "w_smooth", "k")
+"""Parameters that the Hessian of the terms linear in the positions depends on: nothing measured."""
+
+
+@dataclass(frozen=True)
+class _Term:
+    """Whitened residuals of one term with the weight of each in the mean."""
+
+    residual: Any
+    """(n,) SX."""
+    weight: Any
+    """(n,) SX, 0 where there is no observation; parameters of the problem."""
+    robust: float | None = None
+    """Pseudo-Huber threshold of residuals taken in pairs."""
+    curved: bool = False
+    """Whether the Hessian is exact instead of Gauss-Newton's. Gauss-Newton oscillates on the stiff
+    distances of bones parallel to the image plane, whose depth has no first-order effect."""
+
+
+class FragmentProblem:
+    """The fragment's nonlinear programme, built once; it never changes, every call only passes numbers.
+
+    Attributes:
+        parameters: name -> shape of each parameter, in order.
+        solver: (x0, p) -> x, with IPOPT. energy: (x, p) -> one value per term of `TERMS` (weighted).
+        gradient: (x, p) -> dE/dx.
+        curvature: values of `CURVED_BY` -> upper triangle of the Hessian of the terms linear in x.
+        slope: p -> their gradient and value at the start.
+        landmark, rigid_distance: the others, one element each: (positions, what it observes, what is the
+            same for all) -> value, gradient, Hessian.
+    """
+
+    def __init__(
+        self,
+        parents: tuple[int, ...],
+        frames: int,
+        sensor_bones: tuple[tuple[int, int], ...],
+        settings: FragmentSettings,
+    ) -> None:
+        """Build for a tree `parents` (J,), N `frames` and the (joint, child) `sensor_bones`."""
+        self.parents, self.frames, self.settings = parents, frames, settings
+        self.sensor_bones, self.pairs = sensor_bones, rigid_pairs(parents)
+        J, N, B = len(parents), frames, len(sensor_bones)
+        self.X = ca.SX.sym("X", 3 * J, N)
+        self.parameters: dict[str, Any] = {
+            "R_camera_world": ca.SX.sym("R", 3, 3),
+            "t_camera_world": ca.SX.sym("t", 3),
+            "K": ca.SX.sym("K", 3, 3),
+            "rate_hz": ca.SX.sym("rate"),
+            "sigma_reprojection": ca.SX.sym("sV"),
+            "uv_px": ca.SX.sym("uv", 2, N * J),
+            "w_visual": ca.SX.sym("wV", N * J),
+            "shares": ca.SX.sym("rho", B),
+            "a_world": ca.SX.sym("a", 3 * B, N - 2),
+            "w_acceleration": ca.SX.sym("wA", B, N - 2),
+            "b_world": ca.SX.sym("b", 3 * B, N),
+            "w_bone": ca.SX.sym("wB", B, N),
+            "w_smooth": ca.SX.sym("wS", N - 3),
+            "j_world": ca.SX.sym("j", 3 * J, N - 3 if settings.jerk_target == "sensor" else 0),
+            "w_length": ca.SX.sym("wL", N),
+            "lengths": ca.SX.sym("L", len(self.pairs)),
+            "p_prior": ca.SX.sym("P", 3 * J, N),
+            "k": ca.SX.sym("k", len(TERMS)),
+        }
+        self.terms = self._terms()
+        self._build()
+
+    def pack(self, values: dict[str, Array]) -> Array:
+        """The parameter vector of the problem from named arrays (column-major, CasADi's order)."""
+        return np.concatenate([np.ravel(values[name], order="F") for name in self.parameters])
+
+    def _joint(self, index: int) -> Any:
+        """(3, N) path of one joint."""
+        return self.X[3 * index : 3 * index + 3, :]
+
+    def _terms(self) -> dict[str, _Term]:
+        P, s, J, N = self.parameters, self.settings, len(self.parents), self.frames
+        points = ca.reshape(self.X, 3, J * N)
+        camera = P["R_camera_world"] @ points + ca.repmat(P["t_camera_world"], 1, J * N)
+        visual = energies.reprojection(camera, P["uv_px"], P["K"]) / P["sigma_reprojection"]
+        accelerations, bones = [], []
+        for k, (joint, child) in enumerate(self.sensor_bones):
+            share = P["shares"][k]
+            sensor = (1 - share) * self._joint(joint) + share * self._joint(child)
+            rows = slice(3 * k, 3 * k + 3)
+            accelerations.append(
+                energies.acceleration(sensor, P["a_world"][rows, :], P["rate_hz"])
+            )
+            bones.append(
+                energies.bone_vector(self._joint(joint), self._joint(child), P["b_world"][rows, :])
+            )
+        target = P["j_world"] if s.jerk_target == "sensor" else 0
+        smooth = energies.jerk(self.X, target, P["rate_hz"]) / s.sigma_jerk
+        lengths = [
+            energies.distance(self._joint(a), self._joint(b), P["lengths"][i])
+            for i, (a, b) in enumerate(self.pairs)
+        ]
+        return {
+            "visual": _Term(
+                ca.vec(visual), ca.vec(ca.repmat(P["w_visual"].T, 2, 1)), s.huber_reprojection
+            ),
+            "acceleration": _spread(accelerations, P["w_acceleration"], s.sigma_acceleration),
+            "bone": _spread(bones, P["w_bone"], s.sigma_bone),
+            "smooth": _Term(ca.vec(smooth), ca.vec(ca.repmat(P["w_smooth"].T, 3 * J, 1))),
+            "length": _Term(
+                ca.vec(ca.vertcat(*lengths)) / s.sigma_length,
+                ca.vec(ca.repmat(P["w_length"].T, len(lengths), 1)),
+                curved=True,
+            ),
+            "prior": _Term(ca.vec(self._prior()), ca.SX.ones(3 * J * N) / (3 * J * N)),
+        }
+
+    def _prior(self) -> Any:
+        """Root and bone vectors (or every position) minus those of the start, whitened (3J, N)."""
+        start, s = self.parameters["p_prior"], self.settings
+        if s.prior == "positions":
+            return energies.position(self.X, start) / s.sigma_prior
+        rows = [energies.position(self.X[:3, :], start[:3, :]) / s.sigma_prior]
+        for child, parent in enumerate(self.parents):
+            if parent >= 0:
+                a, b = slice(3 * parent, 3 * parent + 3), slice(3 * child, 3 * child + 3)
+                observed = start[b, :] - start[a, :]
+                bone = energies.bone_vector(self.X[a, :], self.X[b, :], observed)
+                rows.append(bone / s.sigma_prior_bone)
+        return ca.vertcat(*rows)
+
+    def _build(self) -> None:
+        x, p = ca.vec(self.X), ca.vertcat(*(ca.vec(v) for v in self.parameters.values()))
+        values, hessian = [], ca.SX(x.numel(), x.numel())
+        for i, name in enumerate(TERMS):
+            term, k = self.terms[name], self.parameters["k"][i]
+            free = name == "length" and self.settings.bone_lengths != "weighted"
+            if free or term.residual.numel() == 0:
+                values.append(ca.SX(0))
+                continue
+            value, curvature = _energy_and_curvature(term)
+            values.append(k * value)
+            if term.curved:
+                hessian += ca.hessian(k * value, x)[0]
+                continue
+            J_r = ca.jacobian(term.residual, x)
+            hessian += 2 * k * ca.mtimes(J_r.T, ca.diag(curvature) @ J_r)
+        energy = sum(values)
+        gradient = ca.gradient(energy, x)
+        self.energy = ca.Function("energy", [x, p], [ca.vertcat(*values)], ["x", "p"], ["terms"])
+        self.gradient = ca.Function("gradient", [x, p], [gradient], ["x", "p"], ["gradient"])
+        constraints = self._constraints()
+        self.constraints = ca.Function("constraints", [x, p], [constraints], ["x", "p"], ["g"])
+        self.constraint_gradient = self._constraint_gradient(x, p, constraints)
+        lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", constraints.numel())
+        lagrangian = lam_f * hessian
+        if constraints.numel():
+            lagrangian += ca.hessian(ca.dot(lam_g, constraints), x)[0]
+        self.curvature, self.slope = self._quadratic(x, p)
+        hess_lag = ca.Function(
+            "hess_lag",
+            [x, p, lam_f, lam_g],
+            [ca.triu(lagrangian)],
+            ["x", "p", "lam_f", "lam_g"],
+            ["triu_hess_gamma_x_x"],
+        )
+        self.solver = ca.nlpsol(
+            "fragment",
+            "ipopt",
+            {"x": x, "p": p, "f": energy, "g": constraints},
+            self._options(hess_lag),
+        )
+
+    def _quadratic(self, x: Any, p: Any) -> tuple[Any, Any]:
+        """The terms whose residuals are linear in the positions, as one quadratic form."""
+        value, hessian = ca.SX(0), ca.SX(x.numel(), x.numel())
+        for i, name in enumerate(TERMS):
+            term, k = self.terms[name], self.parameters["k"][i]
+            if name in ("visual", "length") or term.residual.numel() == 0:
+                continue
+            value += k * ca.dot(term.weight, term.residual**2)
+            J_r = ca.jacobian(term.residual, x)
+            hessian += ca.triu(2 * k * ca.mtimes(J_r.T, ca.diag(term.weight) @ J_r))
+        start = ca.vec(self.parameters["p_prior"])
+        there = ca.substitute(ca.vertcat(ca.gradient(value, x), value), x, start)
+        curved_by = ca.vertcat(*(ca.vec(self.parameters[name]) for name in CURVED_BY))
+        curvature = ca.Function("curvature", [curved_by], [hessian])
+        return curvature, ca.Function("slope", [p], [ca.densify(there[:-1]), ca.densify(there[-1])])
+
+    @cached_property
+    def landmark(self) -> Any:
+        """One landmark's share of the visual term: (p (3); u, v, weight; R, t, K, sigma, k)."""
+        p, own, shared = ca.SX.sym("p", 3), ca.SX.sym("own", 3), ca.SX.sym("shared", 23)
+        R, t, K = ca.reshape(shared[:9], 3, 3), shared[9:12], ca.reshape(shared[12:21], 3, 3)
+        r = energies.reprojection(R @ p + t, own[:2], K) / shared[21]
+        weight = ca.repmat(own[2], 2, 1)
+        value, curvature = _energy_and_curvature(_Term(r, weight, self.settings.huber_reprojection))
+        J, k = ca.jacobian(r, p), shared[22]
+        outputs = [k * value, k * ca.gradient(value, p), 2 * k * J.T @ ca.diag(curvature) @ J]
+        return ca.Function("landmark", [p, own, shared], [ca.densify(v) for v in outputs])
+
+    @cached_property
+    def rigid_distance(self) -> Any:
+        """One distance's share of the length term: (both ends (6); length, weight; k)."""
+        ends, own, k = ca.SX.sym("p", 6), ca.SX.sym("own", 2), ca.SX.sym("k")
+        r = energies.distance(ends[:3], ends[3:], own[0]) / self.settings.sigma_length
+        value = k * own[1] * r**2
+        hessian, gradient = ca.hessian(value, ends)
+        outputs = [ca.densify(v) for v in (value, gradient, hessian)]
+        return ca.Function("rigid_distance", [ends, own, k], outputs)
+
+    @staticmethod
+    def _constraint_gradient(x: Any, p: Any, constraints: Any) -> Any:
+        """(x, p, lam_g) -> derivative of lam_g . g, what constraints add to the Lagrangian's gradient."""
+        lam = ca.SX.sym("lam_g", constraints.numel())
+        return ca.Function(
+            "constraint_gradient", [x, p, lam], [ca.jtimes(constraints, x, lam, True)]
+        )
+
+    def _constraints(self) -> Any:
+        """Squared distances minus squared lengths, m^2, where bone lengths are equalities."""
+        if self.settings.bone_lengths != "constraint":
+            return ca.SX(0, 1)
+        rows = []
+        for i, (a, b) in enumerate(self.pairs):
+            bone = self._joint(b) - self._joint(a)
+            rows.append(ca.sum1(bone * bone) - self.parameters["lengths"][i] ** 2)
+        return ca.vec(ca.vertcat(*rows))
+
+    def _options(self, hess_lag: Any) -> dict[str, Any]:
+        return {
+            "hess_lag": hess_lag,
+            "print_time": False,
+            "show_eval_warnings": False,
+            "error_on_fail": False,
+            "calc_lam_p": False,
+            "calc_lam_x": False,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "linear_solver": "mumps",
+                "tol": self.settings.tolerance,
+                "max_iter": self.settings.max_iterations,
+                "mumps_scaling": 0,
+                "mumps_permuting_scaling": 0,
+                "mumps_pivot_order": 0,
+                "nlp_scaling_method": "none",
+            },
+        }
+
+
+def fragment_problem(
+    parents: tuple[int, ...],
+    frames: int,
+    sensor_bones: tuple[tuple[int, int], ...],
+    settings: FragmentSettings,
+) -> FragmentProblem:
+    """The problem of a skeleton's tree, built once for all bodies and weights k that share it."""
+    with BUILDING:
+        return _cached_problem(parents, frames, sensor_bones, replace(settings, **_ANY_WEIGHTS))
+
+
+_ANY_WEIGHTS: dict[str, Any] = dict.fromkeys(("k_V", "k_I", "k_A", "k_B", "k_S"), 1.0)
+
+
+@lru_cache(maxsize=8)
+def _cached_problem(*what: Any) -> FragmentProblem:
+    return FragmentProblem(*what)
+
+
+def rigid_pairs(parents: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
+    """Pairs of joints whose distance is constant: the bones, and siblings on one rigid segment."""
+    pairs = [(parent, child) for child, parent in enumerate(parents) if parent >= 0]
+    for joint in range(len(parents)):
+        children = children_of(parents, joint)
+        pairs += [(a, b) for i, a in enumerate(children) for b in children[i + 1 :]]
+    return tuple(pairs)
+
+
+def _spread(residuals: list[Any], weights: Any, sigma: float) -> _Term:
+    """One term of residuals (3, n) a sensor, whose weights (B, n) hold for all three components."""
+    if not residuals:
+        return _Term(ca.SX(0, 1), ca.SX(0, 1))
+    stacked = ca.vertcat(*residuals) / sigma
+    return _Term(ca.vec(stacked), ca.vec(ca.kron(weights, ca.SX.ones(3, 1))))
+
+
+def _energy_and_curvature(term: _Term) -> tuple[Any, Any]:
+    """Value of a term, and the weight of every residual in its Gauss-Newton Hessian."""
+    if term.robust is None:
+        return ca.dot(term.weight, term.residual**2), term.weight
+    pairs = ca.reshape(term.residual, 2, -1)
+    squared = ca.sum1(pairs**2)
+    per_pair = ca.reshape(term.weight, 2, -1)[0, :]
+    value = ca.dot(per_pair, energies.pseudo_huber(squared, term.robust))
+    factor = energies.pseudo_huber_weight(squared, term.robust)
+    return value, term.weight * ca.vec(ca.repmat(factor, 2, 1))

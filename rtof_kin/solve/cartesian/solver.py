@@ -1,0 +1,322 @@
+"""The paper's solver on joint positions, over the fragments of a recording.
+
+The problem is built once (`solve.cartesian.problem`); solving only passes numbers.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import signals
+from rtof_kin.core.errors import SolverError
+from rtof_kin.core.numerics.c_compiler import BUILDING, Buffered
+from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
+from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.inertial.contacts import Footholds
+from rtof_kin.inertial.root_position import refit_root
+from rtof_kin.solve.cartesian.banded import BandedProblem
+from rtof_kin.solve.cartesian.problem import TERMS, fragment_problem
+from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
+
+Array = NDArray[np.float64]
+_DECREASE = 1e-4
+"""Relative decrease that a step must promise to go on, in tolerances (of a gradient)."""
+Progress = Callable[[int, int], None]
+"""Called with (fragments done, fragments in all)."""
+
+
+class CartesianSolver:
+    """Optimises joint positions; see `rtof_kin.solve.fragment_solver.FragmentSolver`."""
+
+    def __init__(
+        self,
+        skeleton: SkeletonModel,
+        frames: int,
+        settings: FragmentSettings,
+        sensor_joints: tuple[str, ...],
+    ) -> None:
+        """Build the problem, with a place for a sensor on each of the segments named."""
+        self.skeleton, self.frames, self.settings = skeleton, frames, settings
+        self.sensor_joints = sensor_joints
+        bones = [
+            (joint, child)
+            for joint in skeleton.index(*self.sensor_joints)
+            for child in kinematics.children_of(skeleton.parents, joint)
+        ]  # leaves (head, feet) have no bone here: a sensor there does not enter
+        with BUILDING:
+            self._problem = fragment_problem(skeleton.parents, frames, tuple(bones), self.settings)
+            self._energy, self._gradient = (
+                Buffered(function) for function in (self._problem.energy, self._problem.gradient)
+            )
+            self._banded = BandedProblem(self._problem) if settings.backend == "realtime" else None
+        self._one_at_a_time = threading.Lock()
+        p = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
+        a, b = np.array(self._problem.pairs).T
+        self._lengths = np.linalg.norm(p[b] - p[a], axis=1)
+
+    # --- the run over fragments ------------------------------------------------------------------
+
+    def run(
+        self,
+        start: PoseSequence,
+        keypoints: KeypointSequence | None,
+        bone_imus: BoneImuSequence | None,
+        footholds: Footholds | None,
+        progress: Progress | None,
+        confidence: bool = False,
+    ) -> Iterator[Block]:
+        """Blocks of N/2 frames, without any confidence, which is nowhere told in this space."""
+        if keypoints is None or footholds is not None:
+            raise SolverError("space 'cartesian' needs keypoints and knows no footholds; use 'joint'")
+        if not set(keypoints.names) & set(self.skeleton.names):
+            raise SolverError("keypoints: none of the landmarks is a joint of the skeleton")
+        if self.settings.refit_root:
+            start = refit_root(start, keypoints)
+        data = self._observations(start, keypoints, bone_imus)
+        half, T = self.frames // 2, len(start)
+        firsts = range(-half, T, half)
+        taper = self._taper()
+        previous: Array | None = None
+        reports: list[FragmentReport] = []
+        for done, first in enumerate(firsts, start=1):
+            with self._one_at_a_time:  # the buffers are this solver's, whatever threads it runs in
+                X, report = self._solve_fragment(first, start, data)
+            reports.append(report)
+            if progress is not None:
+                progress(done, len(firsts))
+            if previous is not None:
+                frames = slice(first, min(first + half, T))
+                weights = taper[half:], taper[:half]
+                blended = (
+                    weights[0][:, None, None] * previous[half:]
+                    + weights[1][:, None, None] * X[:half]
+                ) / (weights[0] + weights[1])[:, None, None]
+                p = blended[: frames.stop - first]
+                yield Block(frames, p, start.R_world_bone[frames], tuple(reports))
+                reports = []
+            previous = X
+
+    def _taper(self) -> Array:
+        """(N,) weight of a fragment's frames when blended with its neighbours'."""
+        i = np.arange(self.frames)
+        if self.settings.blend == "average":
+            return np.ones(self.frames)
+        return np.asarray(np.minimum(i + 0.5, self.frames - i - 0.5) ** 2)
+
+    def _solve_fragment(
+        self, first: int, start: PoseSequence, data: dict[str, Array]
+    ) -> tuple[Array, FragmentReport]:
+        """(N, J, 3) optimised positions, and what happened."""
+        frame = np.arange(first, first + self.frames)
+        inside = (frame >= 0) & (frame < len(start))
+        index = np.clip(frame, 0, len(start) - 1)
+        x = start.p_world_joint[index].ravel()
+        values = self._fragment_values(index, inside, start, data)
+        sigma = self.settings.sigma_reprojection or self.settings.sigma_reprojection_first
+        x, report = self._call(x, values | {"sigma_reprojection": np.array([sigma])}, first)
+        if self.settings.sigma_reprojection is None and report.status is not SolverStatus.FAILED:
+            sigma = self._estimated_sigma(x, values, sigma)
+            x, again = self._call(x, values | {"sigma_reprojection": np.array([sigma])}, first)
+            report = replace(
+                again,
+                iterations=report.iterations + again.iterations,
+                seconds=report.seconds + again.seconds,
+            )
+        if not (values["w_visual"].any() or values["w_bone"].any() or values["w_acceleration"].any()):
+            report = replace(report, status=SolverStatus.UNOBSERVED)
+        return x.reshape(self.frames, -1, 3), report
+
+    def _call(
+        self, x0: Array, values: dict[str, Array], first: int
+    ) -> tuple[Array, FragmentReport]:
+        """One solution; everything in the report is measured at the point returned."""
+        problem, p = self._problem, self._problem.pack(values)
+        began = perf_counter()
+        if self._banded is None:
+            x, status, iterations, lam_g = self._ipopt(x0, p)
+        else:
+            x, status, iterations = self._real_time(self._banded, x0, values, p)
+            lam_g = np.zeros(0)
+        seconds = perf_counter() - began
+        if status is SolverStatus.FAILED or not np.all(np.isfinite(x)):
+            status, x = SolverStatus.FAILED, x0
+        g = np.zeros(0)
+        if self._banded is not None:
+            gradient = self._banded.gradient(self._banded.ordered(x))
+        else:
+            gradient = self._gradient(x, p)[0]
+        if len(lam_g):
+            g = np.asarray(problem.constraints(x, p)).ravel()
+            gradient = gradient + np.asarray(problem.constraint_gradient(x, p, lam_g)).ravel()
+        return x, FragmentReport(
+            first_frame=first,
+            status=status,
+            energy=dict(zip(TERMS, self._energy(x, p)[0].tolist(), strict=True)),
+            iterations=iterations,
+            seconds=seconds,
+            sigma_reprojection=float(values["sigma_reprojection"][0]),
+            optimality=float(np.abs(gradient).max()),
+            infeasibility=float(np.abs(g).max(initial=0.0)),
+        )
+
+    def _ipopt(self, x0: Array, p: Array) -> tuple[Array, SolverStatus, int, Array]:
+        """Positions, how it ended, iterations, multipliers of the constraints."""
+        solver = self._problem.solver
+        bounds = 0.0 if self.settings.bone_lengths == "constraint" else ()
+        with BUILDING:
+            result = solver(x0=x0, p=p, lbg=bounds, ubg=bounds)
+            stats = solver.stats()
+        x, lam_g = (np.asarray(result[name]).ravel() for name in ("x", "lam_g"))
+        return x, _status(stats["return_status"]), int(stats["iter_count"]), lam_g
+
+    def _real_time(
+        self, banded: BandedProblem, x0: Array, values: dict[str, Array], p: Array
+    ) -> tuple[Array, SolverStatus, int]:
+        """Positions, how it ended, iterations; there are no constraints."""
+        banded.bind(values, p)
+        s = self.settings
+        try:
+            solved = LevenbergMarquardt(banded).solve(
+                banded.ordered(x0), s.max_iterations, _DECREASE * s.tolerance
+            )
+        except SolverError:
+            return x0, SolverStatus.FAILED, 0
+        return banded.positions(solved.x), SolverStatus.of(solved), solved.iterations
+
+    def _estimated_sigma(self, x: Array, values: dict[str, Array], sigma: float) -> float:
+        """Twice the size of the reprojection residuals at x, px; `sigma` where hardly any are seen.
+
+        The median norm of a normal error in two dimensions is 1.177 of its standard deviation.
+        """
+        p_camera = values["R_camera_world"] @ x.reshape(-1, 3).T + values["t_camera_world"][:, None]
+        homogeneous = values["K"] @ p_camera
+        error = np.linalg.norm(homogeneous[:2] / homogeneous[2] - values["uv_px"], axis=0)
+        seen = values["w_visual"] > 0
+        if seen.sum() < 20:
+            return sigma
+        low, high = self.settings.sigma_reprojection_range
+        return float(np.clip(2 * np.median(error[seen]) / 1.177, low, high))
+
+    # --- observations ----------------------------------------------------------------------------
+
+    def _observations(
+        self, start: PoseSequence, keypoints: KeypointSequence, bone_imus: BoneImuSequence | None
+    ) -> dict[str, Array]:
+        """Everything observed, per frame of the recording; weights 0 where there is nothing."""
+        camera, seen = keypoints.camera, keypoints.select(self.skeleton.names)
+        uv = camera.normalise(seen.uv_px) @ camera.K[:2, :2].T + camera.K[:2, 2]
+        T, B = len(start), len(self._problem.sensor_bones)
+        shares = np.full(B, 0.5)
+        a, b = np.full((T, B, 3), np.nan), np.full((T, B, 3), np.nan)
+        if bone_imus is not None:
+            if not np.array_equal(bone_imus.times, start.times):
+                bone_imus = bone_imus.resample(start.times)
+            for k, (joint, child) in enumerate(self._problem.sensor_bones):
+                if (name := self.skeleton.names[joint]) in bone_imus.joints:
+                    s = bone_imus.joints.index(name)
+                    R, rest = bone_imus.R_world_bone[:, s], self.skeleton.joint_offsets[child]
+                    lever = bone_imus.p_bone_sensor[s]
+                    shares[k] = np.clip(lever @ rest / (rest @ rest), 0, 1)
+                    # What the lever arm has across the bone moves as the sensor says it turns.
+                    beside = R @ (lever - shares[k] * rest)
+                    own = np.full((T, 3), np.nan)
+                    own[1:-1] = signals.derivative(beside, start.rate_hz, 2)
+                    b[:, k], a[:, k] = R @ rest, bone_imus.a_world[:, s] - own
+        return {
+            "rate_hz": np.array([start.rate_hz]),
+            "shares": shares,
+            "uv_px": np.where(seen.seen[..., None], uv, 0.0),
+            "w_visual": np.where(seen.seen, seen.confidence, 0.0),
+            "a_world": np.nan_to_num(a),
+            "w_acceleration": np.isfinite(a).all(axis=-1).astype(float),
+            "b_world": np.nan_to_num(b),
+            "w_bone": np.isfinite(b).all(axis=-1).astype(float),
+            "R_camera_world": camera.R_camera_world,
+            "t_camera_world": camera.t_camera_world,
+            "K": camera.K,
+        }
+
+    def _fragment_values(
+        self,
+        index: NDArray[np.intp],
+        inside: NDArray[np.bool_],
+        start: PoseSequence,
+        data: dict[str, Array],
+    ) -> dict[str, Array]:
+        """The problem's parameters for the frames `index`, of which some lie in the padding."""
+        present = np.ones_like(inside) if self.settings.padding == "replicate" else inside
+        visual = data["w_visual"][index] * present[:, None]
+        # 0 at the recording's first and last frame, and so at their copies beyond the ends.
+        acceleration = data["w_acceleration"][index][1:-1].T
+        bone = (data["w_bone"][index] * present[:, None]).T
+        smooth = (np.convolve(present, [1] * 4, mode="valid") == 4).astype(float)
+        length = present.astype(float)
+        J = len(self.skeleton.names)
+        columns = (len(index), -1)
+        a = data["a_world"][index].reshape(columns).T
+        return {
+            "R_camera_world": data["R_camera_world"],
+            "t_camera_world": data["t_camera_world"],
+            "K": data["K"],
+            "rate_hz": data["rate_hz"],
+            "uv_px": data["uv_px"][index].reshape(-1, 2).T,
+            "w_visual": _mean(visual, 2).ravel(),
+            "shares": data["shares"],
+            "a_world": a[:, 1:-1],
+            "w_acceleration": _mean(acceleration, 3),
+            "b_world": data["b_world"][index].reshape(columns).T,
+            "w_bone": _mean(bone, 3),
+            "w_smooth": _mean(smooth, 3 * J),
+            "j_world": self._jerk_target(index, data),
+            "w_length": _mean(length, len(self._problem.pairs)),
+            "lengths": self._lengths,
+            "p_prior": start.p_world_joint[index].reshape(columns).T,
+            "k": np.array([self.settings.term_weights()[term] for term in TERMS]),
+        }
+
+    def _jerk_target(self, index: NDArray[np.intp], data: dict[str, Array]) -> Array:
+        """(3J, N - 3) m/s^3: the differentiated acceleration of each joint that carries a sensor.
+
+        Zero where one of the two accelerations is missing.
+        """
+        J, N = len(self.skeleton.names), len(index)
+        if self.settings.jerk_target != "sensor":
+            return np.zeros((3 * J, 0))
+        a, known = data["a_world"][index][1:-1], data["w_acceleration"][index][1:-1] > 0
+        both = (known[1:] & known[:-1])[..., None]
+        jerk = np.where(both, np.diff(a, axis=0) * data["rate_hz"], 0.0)
+        target = np.zeros((N - 3, J, 3))
+        for k, (joint, _) in enumerate(self._problem.sensor_bones):
+            target[:, joint] = jerk[:, k]
+        return target.reshape(N - 3, -1).T
+
+    def oriented(
+        self, poses: PoseSequence, keypoints: KeypointSequence | None, bone_imus: BoneImuSequence | None
+    ) -> PoseSequence:
+        """Orientations from the optimised positions, twist from the sensors; positions as they are."""
+        never = InertialGuidedIKSettings(threshold=np.pi)
+        return InertialGuidedIK(self.skeleton, never).orient(poses, bone_imus)
+
+
+def _mean(weight: Array, components: int) -> Array:
+    """Weights divided by the number of residuals that have any, so that the term is their mean."""
+    count = components * np.count_nonzero(weight)
+    return weight / count if count else weight
+
+
+def _status(text: str) -> SolverStatus:
+    return {
+        "Solve_Succeeded": SolverStatus.CONVERGED,
+        "Solved_To_Acceptable_Level": SolverStatus.ACCEPTABLE,
+        "Maximum_Iterations_Exceeded": SolverStatus.ITERATION_LIMIT,
+    }.get(text, SolverStatus.FAILED)

@@ -1,0 +1,1 @@
+"""The joint-space problem as compiled SIMD code."""

@@ -1,0 +1,235 @@
+"""A fragment's energy as compiled code that takes several frames at once: the same numbers, sooner.
+
+`JointProblem` works on whole arrays and says what the numbers are; here the functions of a frame and its
+neighbours (`windows`, `couplings`) give them, and write the Hessian where it is factorised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.numerics.banded import Store, StoredFactor
+from rtof_kin.core.numerics.simd import Columns, Mapped, Over, in_lanes
+from rtof_kin.core.numerics.simd_codegen import FrameFunction
+from rtof_kin.solve.compiled import hessian_columns as couplings
+from rtof_kin.solve.compiled import stencils as windows
+from rtof_kin.solve.compiled.hessian_columns import PlacedColumns
+from rtof_kin.solve.energy.frame_energy import FrameEnergy
+from rtof_kin.solve.energy.jerk import LAGS, Jerk
+from rtof_kin.solve.energy.problem import TERMS, FragmentData, JointProblem
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+_BEYOND = 2
+"""Rows below the third block's diagonal that the axes of a joint reach."""
+
+
+@dataclass(frozen=True)
+class LaneFunctions:
+    """The functions of a frame that a `LaneProblem` calls, and their code."""
+
+    frames: Mapping[str, FrameFunction]
+    linear: PlacedColumns
+    coupled: PlacedColumns
+    code: Mapping[str, Any]
+    """By name of the function."""
+
+    @classmethod
+    def compiled(cls, energy: FrameEnergy, robust: float) -> LaneFunctions | None:
+        """Those of an energy without unknowns, compiled; None where they cannot be.
+
+        Args:
+            robust: `JointSpaceSettings.robust_acceleration`.
+        """
+        space = energy.space
+        simple = [
+            windows.retract(space), FrameFunction(energy.value, (2,)), windows.step(space),
+            windows.inverse(space), windows.motion(energy, robust), windows.pulled(energy),
+        ]  # fmt: skip
+        linear, coupled = couplings.linear(energy), couplings.coupled(energy)
+        code = in_lanes([*simple, linear.frame, coupled.frame])
+        if code is None:
+            return None
+        return cls({given.function.name(): given for given in simple}, linear, coupled, code)
+
+
+class LaneProblem(JointProblem):
+    """A `JointProblem` without unknowns."""
+
+    def __init__(
+        self, functions: LaneFunctions, energy: FrameEnergy, frames: int, sigma_jerk: Array
+    ) -> None:
+        """Bind the compiled functions to arrays for N frames."""
+        self.space, self.energy, self.frames, self.sigma_jerk = energy.space, energy, frames, sigma_jerk
+        self._jerk = Jerk(energy.space, frames, sigma_jerk)
+        self._functions, self._columns = functions, Columns(frames)
+        size, S = energy.space.size, len(energy.shape.sensors)
+        self._matrix = Store(frames * size, (LAGS - 1) * size + _BEYOND)
+        zeros, shape = self._columns.zeros, energy.value.nnz_out
+        self._x, self._observed = zeros(energy.value.nnz_in(0)), zeros(energy.value.nnz_in(1))
+        self._constant, self._rate = np.zeros(energy.value.nnz_in(2)), np.zeros(1)
+        self._sigma = np.array(sigma_jerk, dtype=float)
+        self._terms, self._points, self._residuals = (zeros(shape(i)) for i in range(3))
+        self._step, self._tension, self._gradient_now = zeros(size), zeros(size), zeros(size)
+        self._motion_energy, self._slope, self._force = zeros(2), zeros(S), zeros(3 * S)
+        self._a, self._w, self._w_jerk = zeros(3 * S), zeros(S), zeros(1)
+        self._inverse = zeros(functions.frames["inverse"].function.nnz_out(0))
+        self._changing = zeros(functions.linear.frame.function.nnz_out(1))
+        self._coefficients = zeros(3 * LAGS)
+        self._retract = Mapped(functions.code["retract"], functions.frames["retract"], frames)
+        self._bind_functions()
+        self._known: tuple[Array, list[float]] | None = None
+        self._inverse_known = False
+
+    def _bind_functions(self) -> None:
+        """Arrays to functions; frames are those of `windows`."""
+        N, at = self.frames, self._columns.at
+        frame = [at(self._x), at(self._observed), self._constant]
+        shared = [self._sigma, self._rate]
+        around = [
+            *(at(self._force, k) for k in (-2, -1, 0)), *(at(self._tension, k) for k in (-3, -2, -1, 0)),
+            *(at(self._inverse, k) for k in (-1, 0)),
+        ]  # fmt: skip
+        self._run = {
+            "value": self._over("value", N, frame, [self._terms, self._points, self._residuals]),
+            "step": self._over("step", N - 1, [at(self._x), at(self._x, 1)], [self._step]),
+            "inverse": self._over("inverse", N - 1, [at(self._step)], [self._inverse]),
+            "pulled": self._over("pulled", N, [*frame, *around], [self._gradient_now]),
+            "motion": self._over(
+                "motion", N - 2,
+                [*(at(self._step, k) for k in range(3)), at(self._w_jerk),
+                 *(at(self._points, k) for k in range(3)), at(self._a), at(self._w), *shared],
+                [self._motion_energy, self._slope, self._tension, self._force],
+            ),
+        }  # fmt: skip
+        coefficients = at(self._coefficients)
+        linear = [*frame, *around, *(at(self._slope, k) for k in (-2, -1, 0)), coefficients, *shared]
+        coupled = [
+            *(at(self._changing, k) for k in range(3)), *(at(self._slope, k) for k in (-1, 0)),
+            *(at(self._inverse, k) for k in (-1, 0, 1, 2)), coefficients, *shared,
+        ]  # fmt: skip
+        self._run["linear"] = self._placed(
+            self._functions.linear, linear, [at(self._gradient_now), at(self._changing)]
+        )
+        self._run["coupled"] = self._placed(self._functions.coupled, coupled, [])
+
+    def _over(self, name: str, frames: int, inputs: list[Array], outputs: list[Array]) -> Over:
+        functions = self._functions
+        to = [self._columns.at(array) for array in outputs]
+        return Over(functions.code[name], functions.frames[name], frames, inputs, to)
+
+    def _placed(self, given: PlacedColumns, inputs: list[Array], outputs: list[Array]) -> Over:
+        name, step = given.frame.function.name(), self._matrix.step
+        band = self._matrix.entries.reshape(self.frames, -1)
+        places = (given.groups[:, 0] + step * given.groups[:, 1]).astype(np.int64)
+        code = self._functions.code[name]
+        return Over(code, given.frame, self.frames, inputs, [*outputs, band], places)
+
+    # --- data ------------------------------------------------------------------------------------
+
+    def bind(self, data: FragmentData) -> None:
+        """Take the data of the fragment that is asked about from now on."""
+        self._known, inside, N = None, self._columns.inside, self.frames
+        rows = [data.observation[n].reshape(N, -1) for n in self.energy.observation]
+        self._observed[:, inside] = np.concatenate(rows, axis=1).T
+        constant = [np.ravel(data.constant[n], order="F") for n in self.energy.constant]
+        self._constant[:] = np.concatenate(constant)
+        self._rate[:] = data.rate_hz
+        first = inside.start
+        self._a[:, first : first + N - 2] = data.a_world.reshape(N - 2, -1).T
+        self._w[:, first : first + N - 2] = data.w_acceleration.T
+        self._w_jerk[0, first : first + N - 3] = data.w_jerk
+        self._jerk.bind(data.w_jerk, data.rate_hz, data.length_scale)
+        self._sigma[:] = self._jerk.sigma
+        self._coefficients[:, inside] = self._jerk.coefficients().T
+
+    def reweigh(self, name: str, weight: Array) -> None:
+        """Replace the weights (N, ...) of one kind of observation."""
+        self._known = None
+        columns = weight.reshape(self.frames, -1).T
+        self._observed[self.energy.rows[name], self._columns.inside] = columns
+
+    def set_unknowns(self, y: Array) -> None:
+        """There are none."""
+
+    # --- the energy ------------------------------------------------------------------------------
+
+    def retract(self, x: Array, step: Array) -> Array:
+        """The state after a step (N, D)."""
+        return self._retract(x, step)[0]
+
+    def value(self, x: Array) -> tuple[dict[str, float], Array]:
+        """Energy per term, and the reprojection residuals (N, L, 2), px."""
+        terms = self._evaluated(x)
+        residuals = self._columns.rows(self._residuals)
+        return dict(zip(TERMS, terms, strict=True)), residuals.reshape(self.frames, -1, 2)
+
+    def total(self, x: Array) -> float:
+        """The energy."""
+        return sum(self._evaluated(x))
+
+    def gradients(self, x: Array) -> tuple[Array, Array]:
+        """(N, D) of the energy in tangent coordinates at x, and by the unknowns: none."""
+        self._turned(x)
+        self._run["pulled"]()
+        return self._columns.rows(self._gradient_now), np.zeros(0)
+
+    def linearise(self, x: Array) -> tuple[float, Array]:
+        """Energy and gradient (N, D); the Hessian is kept for `factorise`."""
+        terms = self._turned(x)
+        self._run["linear"]()
+        self._run["coupled"]()
+        return sum(terms), self._columns.rows(self._gradient_now)
+
+    def border(self) -> tuple[Array, Array, Array]:
+        """Nothing borders the Hessian."""
+        size = self.frames, self.space.size
+        return np.zeros(0), np.zeros((*size, 0)), np.zeros((0, 0))
+
+    def _evaluated(self, x: Array) -> list[float]:
+        """Energies at x as in `TERMS`: kept until another state or other data are asked about."""
+        if self._known is None or self._known[0] is not x:
+            self._x[:, self._columns.inside] = x.T
+            for name in ("value", "step", "motion"):
+                self._run[name]()
+            parts = self._terms.sum(axis=1).tolist() + self._motion_energy.sum(axis=1).tolist()
+            self._known, self._inverse_known = (x, parts), False
+        return self._known[1]
+
+    def _turned(self, x: Array) -> list[float]:
+        """The same, with the steps' inverse right Jacobians."""
+        terms = self._evaluated(x)
+        if not self._inverse_known:
+            self._run["inverse"]()
+            self._inverse_known = True
+        return terms
+
+    # --- the Hessian -----------------------------------------------------------------------------
+
+    def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
+        """Add to entries of the diagonal blocks of the Hessian kept."""
+        band = self._matrix.entries.reshape(-1)
+        size, step = self.space.size, self._matrix.step
+        places, lower = frames * size * (step + 1) + columns * step + rows, rows >= columns
+        shape = np.broadcast_shapes(places.shape, values.shape)
+        chosen = np.broadcast_to(lower, shape)
+        places, values = np.broadcast_to(places, shape), np.broadcast_to(values, shape)
+        np.add.at(band, places[chosen], values[chosen])
+
+    def lower_block(self, k: int) -> Array:
+        """(N - k, D, D) blocks k frames below the diagonal of the Hessian kept: [t, r, c]."""
+        D, band, step = self.space.size, self._matrix.entries, self._matrix.step
+        r, c = np.indices((D, D))
+        place = k * D + r - c  # below the diagonal of the whole matrix
+        rows = band.reshape(self.frames, D, -1)[: self.frames - k, c, np.clip(place, 0, step)]
+        block = np.where((place >= 0) & (place <= self._matrix.band), rows, 0.0)
+        return np.asarray(block + np.swapaxes(np.tril(block, -1), 1, 2) if k == 0 else block)
+
+    def factorise(self, damping: float) -> StoredFactor:  # type: ignore[override]
+        """Cholesky factor of the Hessian kept, plus `damping` on its diagonal."""
+        return self._matrix.factorise(damping)

@@ -1,0 +1,1 @@
+"""The joint-space energy: state, residuals of a frame, jerk and the problem of a fragment."""

@@ -1,0 +1,141 @@
+"""The state of the joint-space solver: the root's position and a quaternion for every moving joint.
+
+A step is a tangent vector: the root's displacement in world and, for each joint, a rotation vector in its
+own frame (one number for a hinge), so that there is no singular posture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.metrics import hinges
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import quaternions as quat
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+
+Array = NDArray[np.float64]
+XYZ = "xyz"
+
+
+class StateSpace:
+    """Which joints of a skeleton move, and how states and poses become each other.
+
+    A state x (T, 3 + 4A) is the root's position and A quaternions w x y z; a tangent d is (T, D).
+
+    Attributes:
+        joints: A indices of the joints that move, root first. names: theirs.
+        hinge_axis: (A,) index of a hinge's one axis, -1 for a ball joint.
+        expand: (3A, D - 3) from tangents to rotation vectors of all joints.
+        first: (A,) first tangent coordinate of each joint's rotation.
+    """
+
+    def __init__(self, skeleton: SkeletonModel, moving: Sequence[str], hinged: bool) -> None:
+        """Joints named in `moving` turn, with knees and elbows as hinges where asked."""
+        self.skeleton = skeleton
+        self.joints = [j for j, name in enumerate(skeleton.names) if name in moving or j == 0]
+        self.names = tuple(skeleton.names[j] for j in self.joints)
+        self.hinge_axis = np.full(len(self.joints), -1)
+        if hinged:
+            for j in set(hinges(skeleton)) & set(self.joints):
+                joint = skeleton.table.joints[j]
+                flexion = next(
+                    i for i, d in enumerate(joint.dofs) if d.clinical.endswith("flexion")
+                )
+                self.hinge_axis[self.joints.index(j)] = XYZ.index(joint.axes[flexion])
+        kept = [
+            3 * a + c
+            for a, axis in enumerate(self.hinge_axis)
+            for c in (range(3) if axis < 0 else (axis,))
+        ]
+        self.expand = np.eye(3 * len(self.joints))[:, kept]
+        self.size = 3 + len(kept)
+        widths = np.where(self.hinge_axis < 0, 3, 1)
+        self.first = 3 + np.cumsum(widths) - widths
+
+    def axes(self, a: int) -> Array:
+        """(3, 1 or 3) axes that the a-th moving joint turns about, in its own frame."""
+        axis = int(self.hinge_axis[a])
+        return np.eye(3) if axis < 0 else np.eye(3)[:, [axis]]
+
+    def columns(self, joint: int) -> slice:
+        """Tangent coordinates of a moving joint; with the root's position those of the root."""
+        a = self.joints.index(joint)
+        first = int(self.first[a])
+        return slice(0 if joint == 0 else first, first + (3 if self.hinge_axis[a] < 0 else 1))
+
+    def from_poses(self, p_root: Array, R_world_bone: Array) -> Array:
+        """States (T, 3 + 4A) of orientations (T, J, 3, 3); joints that do not move lose their turn."""
+        local = kinematics.local_rotations(self.skeleton.parents, R_world_bone)[:, self.joints]
+        q = so3.to_quat_wxyz(local)
+        for a, axis in enumerate(self.hinge_axis):
+            if axis >= 0:
+                about = np.zeros_like(q[:, a])
+                about[:, [0, 1 + axis]] = q[:, a][:, [0, 1 + axis]]
+                norm = np.linalg.norm(about, axis=-1, keepdims=True)
+                q[:, a] = np.where(norm > 1e-6, about / np.maximum(norm, 1e-6), [1.0, 0, 0, 0])
+        return np.concatenate([p_root, q.reshape(len(q), -1)], axis=1)
+
+    def rotations(self, x: Array) -> Array:
+        """Quaternions (T, A, 4) of a state."""
+        return x[:, 3:].reshape(len(x), -1, 4)
+
+    def retract(self, x: Array, d: Array) -> Array:
+        """The state after a step."""
+        turn = quat.exp((d[:, 3:] @ self.expand.T).reshape(len(x), -1, 3))
+        q = quat.multiply(self.rotations(x), turn)
+        q /= np.linalg.norm(q, axis=-1, keepdims=True)
+        return np.concatenate([x[:, :3] + d[:, :3], q.reshape(len(x), -1)], axis=1)
+
+    def steps(self, x: Array) -> Array:
+        """(T - 1, 3 + 3A) from each frame to the next: displacement of the root, rotation vectors."""
+        q = self.rotations(x)
+        turns = quat.log(quat.multiply(quat.conjugate(q[:-1]), q[1:]))
+        return np.concatenate([np.diff(x[:, :3], axis=0), turns.reshape(len(x) - 1, -1)], axis=1)
+
+    def low_passed(self, x: Array, rate_hz: float, cutoff_hz: float) -> Array:
+        """The same motion without what is faster than a frequency."""
+        if len(x) < 4 or cutoff_hz >= rate_hz / 2:
+            return x
+        q = self.rotations(x)
+        turned = np.sum(q[1:] * q[:-1], axis=-1) < 0  # the same rotation with the other sign
+        sign = np.cumprod(np.where(turned, -1.0, 1.0), axis=0)
+        q = np.concatenate([q[:1], q[1:] * sign[..., None]])
+        q = signals.low_pass(q, rate_hz, cutoff_hz)
+        q /= np.linalg.norm(q, axis=-1, keepdims=True)
+        p = signals.low_pass(x[:, :3], rate_hz, cutoff_hz)
+        return np.concatenate([p, q.reshape(len(x), -1)], axis=1)
+
+    def blend(self, x: Array, y: Array, weight_x: Array, weight_y: Array) -> Array:
+        """Weighted means (T, 3 + 4A) of two states, rotations on the shorter arc."""
+        q, r = self.rotations(x), self.rotations(y)
+        r = np.where(np.sum(q * r, axis=-1, keepdims=True) < 0, -r, r)
+        share = (weight_y / (weight_x + weight_y))[:, None]
+        p = (1 - share) * x[:, :3] + share * y[:, :3]
+        q = (1 - share[..., None]) * q + share[..., None] * r
+        q /= np.linalg.norm(q, axis=-1, keepdims=True)
+        return np.concatenate([p, q.reshape(len(x), -1)], axis=1)
+
+    def carried_on(self, x: Array, frame: int, known: Array) -> Array:
+        """States (T, 3 + 4A) moved and turned in all frames as one of them must be to be what is known.
+
+        Args:
+            frame: which one. known: (3 + 4A,) it.
+        """
+        q, r = self.rotations(x), self.rotations(known[None])[0]
+        turn = quat.multiply(quat.conjugate(q[frame]), r)
+        moved = x[:, :3] + known[:3] - x[frame, :3]
+        return np.concatenate([moved, quat.multiply(q, turn[None]).reshape(len(x), -1)], axis=1)
+
+    def poses(self, x: Array) -> tuple[Array, Array]:
+        """Joint positions (T, J, 3) and segment orientations (T, J, 3, 3) of states."""
+        skeleton = self.skeleton
+        R = np.tile(np.eye(3), (len(x), len(skeleton.names), 1, 1))
+        R[:, self.joints] = so3.from_quat_wxyz(self.rotations(x))
+        R = kinematics.world_rotations(skeleton.parents, R)
+        p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, x[:, :3], R)
+        return p, R

@@ -1,0 +1,235 @@
+"""The joint-space solver over a recording: its fragments one after the other, blended."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body.observability import DIRECTION, WHOLE, levels_by_points
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import SolverError
+from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
+from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.inertial.contacts import Footholds
+from rtof_kin.solve.energy.problem import TERMS
+from rtof_kin.solve.joint_space.annealing import Annealing
+from rtof_kin.solve.joint_space.covariance import blended, confidence_of, state_covariances
+from rtof_kin.solve.joint_space.ipopt import Ipopt
+from rtof_kin.solve.joint_space.observations import Observations
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
+
+Array = NDArray[np.float64]
+_STANDS_OUT = 1.8
+"""By how many times the size of a fragment's residuals is more than its neighbour's where it is looked at
+again; biases and outliers change it by less from half a second to the next."""
+_HELD = 4
+"""Fragments that may still be solved again from what comes after them."""
+
+
+class JointSpaceSolver:
+    """Optimises the configuration of a skeleton; see `rtof_kin.solve.fragment_solver.FragmentSolver`."""
+
+    def __init__(
+        self,
+        skeleton: SkeletonModel,
+        frames: int,
+        settings: JointSpaceSettings,
+        places: tuple[str, ...] = (),
+    ) -> None:
+        """Keep what the problem will be built for; see `Observations` for `places`."""
+        self.skeleton, self.frames, self.settings, self.places = skeleton, frames, settings, places
+
+    def run(
+        self,
+        start: PoseSequence,
+        keypoints: KeypointSequence | None,
+        bone_imus: BoneImuSequence | None,
+        footholds: Footholds | None,
+        progress: Callable[[int, int], None] | None,
+        confidence: bool = False,
+    ) -> Iterator[Block]:
+        """Blocks of N/2 frames."""
+        if keypoints is not None and not set(keypoints.names) & set(self.skeleton.landmarks):
+            raise SolverError("keypoints: none of the landmarks is one of the skeleton")
+        data = Observations(
+            self.skeleton, self.frames, self.settings, start, keypoints, bone_imus, footholds,
+            self.places,
+        )  # fmt: skip
+        fragments = _Fragments(data, self.settings, confidence)
+        half, T = self.frames // 2, len(start)
+        i = np.arange(self.frames)
+        taper = np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
+        share = taper[:half] / (taper[half:] + taper[:half])
+        firsts = range(-half, T, half)
+        reports: list[FragmentReport] = []
+        for previous, piece in pairwise(fragments.settled(firsts, progress)):
+            frames = slice(piece.first, min(piece.first + half, T))
+            count = frames.stop - piece.first
+            x = data.space.blend(previous.x[half:], piece.x[:half], taper[half:], taper[:half])
+            x, told = x[:count], None
+            if previous.covariance is not None and piece.covariance is not None:
+                C = blended(previous.covariance[half:], piece.covariance[:half], share)[:count]
+                told = confidence_of(data.space, start.times[frames], x, C, data.held)
+            reports = [piece.report] if reports else [previous.report, piece.report]
+            yield Block(frames, *data.space.poses(x), tuple(reports), told)
+
+    def oriented(
+        self, poses: PoseSequence, keypoints: KeypointSequence | None, bone_imus: BoneImuSequence | None
+    ) -> PoseSequence:
+        """The poses as they are: their orientations are part of the solution. Landmarks beside the joints
+        show those of the segments that they lie in."""
+        if keypoints is None:
+            return poses
+        levels = levels_by_points(self.skeleton, keypoints)
+        ends = [j not in self.skeleton.parents for j in range(len(poses.names))]
+        return replace(
+            poses,
+            orientation_observed=poses.orientation_observed | (levels == WHOLE),
+            direction_observed=poses.direction_observed | ((levels == DIRECTION) & ends),
+        )
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A solved fragment."""
+
+    x: Array
+    """(N, 3 + 4A) states."""
+    report: FragmentReport
+    covariance: Array | None
+    """(N, D, D) of their tangents, where asked for; NaN where the fragment tells nothing."""
+
+    @property
+    def first(self) -> int:
+        """Its first frame."""
+        return self.report.first_frame
+
+    def stands_out(self, other: _Piece) -> bool:
+        """Whether its landmarks are off by much more than another's, as in a minimum of its own."""
+        a, b = self.report, other.report
+        solved = {a.status, b.status}.isdisjoint((SolverStatus.FAILED, SolverStatus.UNOBSERVED))
+        worse = a.sigma_reprojection > _STANDS_OUT * b.sigma_reprojection
+        return solved and a.sees_enough and worse
+
+
+class _Fragments:
+    """Solves the fragments of one recording."""
+
+    def __init__(self, data: Observations, settings: JointSpaceSettings, confidence: bool) -> None:
+        self.data, self.settings, problem = data, settings, data.problem
+        self._confidence = confidence
+        self._real_time = LevenbergMarquardt(problem, data.limits)
+        self._ipopt = Ipopt(problem, data.limits) if settings.backend == "ipopt" else None
+
+    def settled(
+        self, firsts: Sequence[int], progress: Callable[[int, int], None] | None
+    ) -> Iterator[_Piece]:
+        """Fragments one after the other. Of two that overlap, one whose landmarks are off by much more is
+        solved again from where the other is; so are those before it."""
+        held: list[_Piece] = []
+        for done, first in enumerate(firsts, start=1):
+            piece = self.solve(first)
+            if held and piece.stands_out(held[-1]):
+                piece = self._beside(piece, held[-1])
+            held.append(piece)
+            for i in range(len(held) - 1, 0, -1):
+                if not held[i - 1].stands_out(held[i]):
+                    break
+                held[i - 1] = self._beside(held[i - 1], held[i])
+            if progress is not None:
+                progress(done, len(firsts))
+            if len(held) > _HELD:
+                yield held.pop(0)
+        yield from held
+
+    def _beside(self, piece: _Piece, other: _Piece) -> _Piece:
+        """A fragment that starts where a neighbour's states are, and goes on from there as its own start
+        does; as it was, if that is no better."""
+        index, _, _ = self.data.fragment(piece.first)
+        shared = max(piece.first, other.first) + np.arange(self.data.frames // 2)
+        own, theirs = shared - piece.first, shared - other.first
+        edge = -1 if other.first < piece.first else 0
+        x = self.data.space.carried_on(self.data.start[index], own[edge], other.x[theirs[edge]])
+        x[own] = other.x[theirs]
+        again = self.solve(piece.first, x)
+        kept = again if piece.stands_out(again) else piece
+        a, b = piece.report, again.report
+        both = replace(kept.report, iterations=a.iterations + b.iterations, seconds=a.seconds + b.seconds)
+        return replace(kept, report=both)
+
+    def solve(self, first: int, start: Array | None = None) -> _Piece:
+        """The frames from `first`, by default from the recording's start (N, 3 + 4A)."""
+        data = self.data
+        index, inside, values = data.fragment(first)
+        began = perf_counter()
+        data.problem.bind(values)
+        annealing = Annealing(
+            self.settings, data.problem, data.confidence[index], values.observation
+        )
+        x, failed = data.start[index] if start is None else start, True
+        try:
+            solved = self._from(x, annealing, index)
+            failed = not np.isfinite(solved.x).all()
+        except SolverError:
+            pass  # the report says so
+        if failed:
+            M = len(data.limits.names) if data.limits else 0
+            solved = Solved(x, 0, False, np.zeros((len(x), M)))
+        seconds = perf_counter() - began
+        report = self._report(solved, first, annealing.sigma, seconds, inside)
+        if failed:
+            report = replace(report, status=SolverStatus.FAILED)
+        return _Piece(solved.x, report, self._covariance(solved, report) if self._confidence else None)
+
+    def _covariance(self, solved: Solved, report: FragmentReport) -> Array:
+        """(N, D, D) of the states' tangents."""
+        if report.status in (SolverStatus.UNOBSERVED, SolverStatus.FAILED):
+            D = self.data.space.size
+            return np.full((len(solved.x), D, D), np.nan)
+        return state_covariances(self.data.problem, self._real_time, solved)
+
+    def _from(self, x: Array, annealing: Annealing, index: NDArray[np.intp]) -> Solved:
+        """The solution from a start: the lowest of several where there are more starts."""
+        s, solver = self.settings, self._real_time
+        anneals = s.annealing if s.sigma_reprojection is None else 0
+        if self._ipopt is not None:
+            begun = solver.solve(x, anneals, s.tolerance, None, annealing)
+            solved = self._ipopt.solve(begun.x, s.max_iterations, s.tolerance)
+            return replace(solved, iterations=begun.iterations + solved.iterations)
+        solved = solver.solve(x, anneals + s.max_iterations, s.tolerance, None, annealing)
+        total, iterations = self.data.problem.total, solved.iterations
+        for start in self.data.turned:  # with the weights that were found
+            other = solver.solve(start[index], s.max_iterations, s.tolerance)
+            iterations += other.iterations
+            if other.converged and total(other.x) < total(solved.x):
+                solved = other
+        return replace(solved, iterations=iterations)
+
+    def _report(
+        self, solved: Solved, first: int, sigma: float, seconds: float, inside: NDArray[np.bool_]
+    ) -> FragmentReport:
+        """Everything measured at the point returned."""
+        data = self.data
+        energy, _ = data.problem.value(solved.x)
+        gradient, infeasibility = data.problem.gradient(solved.x), 0.0
+        if data.limits is not None:
+            excess = data.limits.excess(data.limits.values(solved.x))
+            infeasibility = float(np.abs(excess).max(initial=0.0))
+            gradient = gradient + data.limits.force(solved.x, solved.multipliers)
+        seen = data.anything_seen(first, inside)
+        return FragmentReport(
+            first_frame=first,
+            status=SolverStatus.of(solved) if seen else SolverStatus.UNOBSERVED,
+            energy={term: energy[term] for term in TERMS},
+            iterations=solved.iterations,
+            seconds=seconds,
+            sigma_reprojection=sigma,
+            optimality=float(np.abs(gradient).max()),
+            infeasibility=infeasibility,
+        )

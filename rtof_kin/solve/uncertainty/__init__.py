@@ -1,0 +1,1 @@
+"""Inflation of pose covariances for correlated errors."""

@@ -1,0 +1,411 @@
+"""Peers of the fragment solvers: the same energy, whoever writes it; everyone scored by one evaluator."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import planted
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from benchmarks.peers.cartesian import CartesianScene
+from benchmarks.peers.fragments import Answer, Fragment, Material, Score, Solver, Trace
+from benchmarks.peers.joint_space import JointScene
+from benchmarks.peers.solvers import Ceres, Lbfgs, Scene, ScipyLeastSquares
+from benchmarks.solvers import __main__ as command
+from benchmarks.solvers import alone, measuring, report, side_by_side
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
+from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.inertial_ik import InertialGuidedIK
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+
+Array = NDArray[np.float64]
+N, T = 8, 24
+BODY = SkeletonModel.default()
+PAPER = FragmentSettings.paper()
+JOINT = JointSpaceSettings(sigma_reprojection=5.0)
+PEERS: dict[str, Callable[[Scene], Solver]] = {
+    "L-BFGS": lambda scene: Lbfgs(scene, 20),
+    "SciPy": lambda scene: ScipyLeastSquares(scene, 10),
+    "Ceres": lambda scene: Ceres(scene, 50),
+}
+
+
+@pytest.fixture(scope="module")
+def material() -> Material:
+    """Somebody who moves, seen with errors."""
+    truth = planted.human(BODY, T)
+    imus = planted.bone_imus(BODY, truth.poses, planted.LIMBS, 5.0, 0.5)
+    seen = planted.unseen(planted.keypoints(truth.poses, 5.0), slice(9, 12), slice(3, 5))
+    start = InertialGuidedIK(BODY).refine(planted.lifted_poses(truth), imus)
+    return Material(BODY, start, seen, imus)
+
+
+@pytest.fixture(scope="module")
+def cartesian(material: Material) -> CartesianScene:
+    return CartesianScene(material, N, PAPER)
+
+
+@pytest.fixture(scope="module")
+def joint(material: Material) -> JointScene:
+    return JointScene(material, N, JOINT)
+
+
+@pytest.fixture(params=["cartesian", "joint"])
+def scene(request: pytest.FixtureRequest) -> Scene:
+    found: Scene = request.getfixturevalue(request.param)
+    return found
+
+
+def somewhere(scene: Scene, fragment: Fragment, seed: int = 0, size: float = 0.05) -> Array:
+    """Variables (N, F) off the start."""
+    z = scene.variables(fragment)
+    return np.asarray(z + size * np.random.default_rng(seed).normal(size=z.shape))
+
+
+def torch_value(scene: Scene, fragment: Fragment, z: Array) -> tuple[float, Array]:
+    """Energy and gradient (N, F) by autograd."""
+    tensor = torch.from_numpy(z.copy()).requires_grad_()
+    energy = scene.torch_energy(fragment)(tensor)
+    torch.autograd.backward(energy)
+    assert tensor.grad is not None
+    return float(energy.detach()), tensor.grad.numpy()
+
+
+def least_squares_value(scene: Scene, fragment: Fragment, z: Array) -> tuple[float, Array]:
+    """Half the squares of all residuals and their gradient (N, F), window by window."""
+    energy, gradient = 0.0, np.zeros(z.shape)
+    for r in scene.residuals:
+        for t, parameters in enumerate(r.values(fragment)):
+            window = z[t : t + r.width].ravel()
+            value = np.asarray(r.value(window, parameters)).ravel()
+            again, jacobian = r.jacobian(window, parameters)
+            np.testing.assert_array_equal(np.asarray(again).ravel(), value)
+            energy += 0.5 * float(value @ value)
+            gradient[t : t + r.width] += (value @ np.asarray(jacobian)).reshape(r.width, -1)
+    return energy, gradient
+
+
+# --- one energy ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("first", [-4, 8, 20])
+def test_autograd_and_half_the_squares_of_the_residuals_have_the_packages_energy(
+    scene: Scene, first: int
+) -> None:
+    fragment = scene.fragment(first)
+    z = somewhere(scene, fragment, first + 4)
+    score = scene.score(fragment, scene.state(fragment, z))
+    by_autograd, slope = torch_value(scene, fragment, z)
+    by_squares, gradient = least_squares_value(scene, fragment, z)
+    assert by_autograd == pytest.approx(score.energy, rel=1e-9)
+    assert by_squares == pytest.approx(score.energy, rel=1e-9)
+    np.testing.assert_allclose(gradient, slope, atol=1e-8 * np.abs(slope).max())
+
+
+def test_residuals_have_finite_derivatives_at_the_start_and_where_nothing_is_seen(
+    scene: Scene,
+) -> None:
+    fragment = scene.fragment(-4)
+    energy, gradient = least_squares_value(scene, fragment, scene.variables(fragment))
+    assert np.isfinite(gradient).all()
+    assert energy == pytest.approx(scene.score(fragment, fragment.x0).energy, rel=1e-9)
+
+
+def test_the_gradient_by_steps_is_that_of_finite_differences(joint: JointScene) -> None:
+    fragment = joint.fragment(8)
+    z = somewhere(joint, fragment, size=0.3)
+    d = np.random.default_rng(1).normal(size=z.shape)
+    ahead, behind = (torch_value(joint, fragment, z + s * d)[0] for s in (1e-6, -1e-6))
+    slope = float(np.sum(torch_value(joint, fragment, z)[1] * d))
+    assert slope == pytest.approx((ahead - behind) / 2e-6, rel=1e-6)
+
+
+def test_the_cartesian_gradient_is_the_packages(cartesian: CartesianScene) -> None:
+    fragment = cartesian.fragment(8)
+    z = somewhere(cartesian, fragment)
+    gradient = np.abs(torch_value(cartesian, fragment, z)[1]).max()
+    assert cartesian.score(fragment, z).gradient == pytest.approx(gradient, rel=1e-9)
+
+
+# --- the peers -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("peer", PEERS)
+def test_each_peer_lowers_the_energy_and_tells_how(scene: Scene, peer: str) -> None:
+    fragment, trace = scene.fragment(8), Trace()
+    start = scene.score(fragment, fragment.x0).energy
+    answer = PEERS[peer](scene).solve(fragment, trace)
+    energy = scene.score(fragment, answer.x).energy
+    assert energy < 0.9 * start
+    assert answer.seconds > 0
+    assert answer.iterations > 2
+    curve = measuring.curve(scene, fragment, trace)
+    seconds, energies = np.array(curve).T
+    assert np.all(np.diff(seconds) >= 0)
+    assert seconds[-1] <= answer.seconds
+    assert np.all(np.diff(energies) <= 0)
+    assert energies[-1] == pytest.approx(energy, rel=1e-6)
+
+
+@pytest.mark.parametrize("peer", PEERS)
+def test_a_peer_gives_the_same_answer_twice_whatever_it_solved_between(
+    scene: Scene, peer: str
+) -> None:
+    solver = PEERS[peer](scene)
+    one = solver.solve(scene.fragment(8)).x
+    solver.solve(scene.fragment(-4))
+    np.testing.assert_array_equal(solver.solve(scene.fragment(8), []).x, one)
+
+
+def test_ceres_and_the_packages_solvers_find_one_minimum(
+    cartesian: CartesianScene, joint: JointScene
+) -> None:
+    own: list[tuple[Scene, Solver]] = [
+        (cartesian, side_by_side.Cartesian(cartesian, settings))
+        for settings in side_by_side.CARTESIAN_BACKENDS.values()
+    ]
+    own.append((joint, side_by_side.Joint(joint, LevenbergMarquardt, None, 1e-10, 200)))
+    for scene, solver in own:
+        fragment, ceres = scene.fragment(8), Ceres(scene, 100)
+        answers = [s.solve(fragment) for s in (solver, ceres)]
+        assert all(a.converged for a in answers)
+        energies = [scene.score(fragment, a.x).energy for a in answers]
+        assert energies[0] == pytest.approx(energies[1], rel=1e-5)
+        assert 0 < ceres.shares[0] < 1
+
+
+def test_l_bfgs_says_whether_it_stopped_by_itself(cartesian: CartesianScene) -> None:
+    fragment = cartesian.fragment(8)
+    cut_short = Lbfgs(cartesian, 3).solve(fragment)
+    assert cut_short.iterations == 3
+    assert not cut_short.converged
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        FragmentSettings(),
+        replace(PAPER, huber_reprojection=2.0),
+        replace(PAPER, sigma_reprojection=None),
+        replace(PAPER, prior="bones"),
+    ],
+)
+def test_an_energy_that_is_not_the_printed_one_is_refused(
+    material: Material, settings: FragmentSettings
+) -> None:
+    with pytest.raises(ShapeError, match="printed alone: use FragmentSettings.paper"):
+        CartesianScene(material, N, settings)
+
+
+@pytest.mark.parametrize(
+    "change, what",
+    [
+        ({"sigma_reprojection": None}, "sigma_reprojection given"),
+        ({"floor_height": 0.0}, "no floor"),
+        ({"limits": False}, "limits=True"),
+    ],
+)
+def test_joint_space_settings_the_peers_do_not_know_are_refused(
+    material: Material, change: dict[str, Any], what: str
+) -> None:
+    with pytest.raises(ShapeError, match=what):
+        JointScene(material, N, replace(JOINT, **change))
+
+
+# --- the evaluator -------------------------------------------------------------------------------
+
+
+def test_a_limit_that_is_missed_is_scored_in_degrees(joint: JointScene) -> None:
+    fragment, space = joint.fragment(8), joint.space
+    x = fragment.x0.copy()
+    inside = joint.score(fragment, x).violation_deg
+    knee = joint.limits.names.index("LeftLeg_y")
+    a = space.names.index("LeftLeg")
+    axis, beyond = space.hinge_axis[a], joint.limits.upper[knee] + np.radians(10.0)
+    x[2, 3 + 4 * a : 7 + 4 * a] = 0.0
+    x[2, 3 + 4 * a] = np.cos(beyond / 2)
+    x[2, 4 + 4 * a + axis] = np.sin(beyond / 2)
+    assert inside < 10.0
+    assert joint.score(fragment, x).violation_deg == pytest.approx(10.0, abs=1e-6)
+
+
+def test_multipliers_enter_the_gradient(joint: JointScene) -> None:
+    fragment = joint.fragment(8)
+    multipliers = np.zeros((N, len(joint.limits.names)))
+    plain = joint.score(fragment, fragment.x0)
+    assert joint.score(fragment, fragment.x0, multipliers) == plain
+    multipliers[3] = 1e6
+    pushed = joint.score(fragment, fragment.x0, multipliers)
+    assert pushed.energy == plain.energy
+    assert pushed.gradient > 2 * plain.gradient
+
+
+def test_ipopt_and_real_time_agree_on_planted_fragments(joint: JointScene) -> None:
+    told: list[str] = []
+    found = side_by_side.agreement(joint, [4, 8], told.append)
+    assert len(told) == 2
+    assert found["fragments"] == 2
+    parts = ("different_minima", "not_certified_by_both")
+    assert found["same_minimum"] + sum(len(found[part]) for part in parts) == 2
+    assert found["same_minimum"] > 0
+    assert found["largest_relative_energy_difference"] < 1e-6
+    assert found["largest_distance_mm"] < 0.1
+
+
+# --- tables --------------------------------------------------------------------------------------
+
+
+def row(name: str, energies: dict[int, float], seconds: float = 0.05) -> measuring.Row:
+    out = measuring.Row(name)
+    for first, energy in energies.items():
+        x = np.zeros(1)
+        out.add(
+            Fragment(first, x, None), Answer(x, seconds, 4, True), Score(energy, energy / 10, 0.0)
+        )
+    return out
+
+
+def test_an_answer_is_compared_with_the_best_of_the_same_fragment() -> None:
+    rows = [row("a", {0: 2.0, 25: 8.0, 50: 3.0}), row("b", {25: 4.0}), row("c", {0: 1.0, 50: 3.0})]
+    a, b, c = measuring.summaries(rows, 25)
+    assert a["ratio_to_best"] == pytest.approx(2.0)
+    assert a["largest_ratio"] == pytest.approx(2.0)
+    assert b["ratio_to_best"] == c["largest_ratio"] == pytest.approx(1.0)
+    assert a["energy"] == pytest.approx(3.0)
+    assert a["gradient"] == pytest.approx(0.8)
+    assert a["milliseconds"] == pytest.approx(50.0)
+    assert a["frames_per_second"] == pytest.approx(500.0)
+    assert (a["fragments"], a["converged"]) == (3, 3)
+
+
+def test_what_took_no_time_has_no_rate() -> None:
+    (start,) = measuring.summaries([row("start", {0: 1.0}, seconds=0.0)], 25)
+    assert start["milliseconds"] is None
+    assert start["frames_per_second"] is None
+
+
+def test_a_table_has_a_line_for_each_row_and_dashes_for_what_is_missing() -> None:
+    columns: report.Columns = {"name": ("solver", ""), "ms": ("time [ms]", ".1f")}
+    lines = report.table(
+        [{"name": "a", "ms": 1.25}, {"name": "b", "ms": None}, {"name": "c"}], columns
+    )
+    assert lines.splitlines() == [
+        "| solver | time [ms] |", "|---|---|", "| a | 1.2 |", "| b | - |", "| c | - |",
+    ]  # fmt: skip
+
+
+def test_fragments_are_spread_from_the_first_to_the_last() -> None:
+    assert measuring.spread(3, 50, 150) == [-25, 50, 125]
+    assert measuring.spread(99, 50, 100) == [-25, 0, 25, 50, 75]
+
+
+def test_slow_solvers_get_some_of_the_fragments_the_typical_one_among_them(
+    joint: JointScene,
+) -> None:
+    effort = replace(measuring.Effort.quick(), fragments=5, slow_fragments=2)
+    choice = measuring.Choice.of(joint, effort, T)
+    assert len(choice.firsts) == 5
+    assert len(choice.slow) == 2
+    assert choice.typical in choice.slow
+    assert set(choice.slow) < set(choice.firsts)
+    assert all(0 <= first <= T - N for first in choice.slow)
+
+
+def test_rising_caps_end_where_the_solver_converges(joint: JointScene) -> None:
+    def capped(cap: int) -> Solver:
+        return side_by_side.Joint(joint, LevenbergMarquardt, None, 1e-6, cap)
+
+    fragment = joint.fragment(8)
+    trace = measuring.rising(capped, fragment, range(1, 60), 1)
+    assert 3 < len(trace) < 59
+    assert trace[0][0] == 0.0
+    assert np.all(np.diff([seconds for seconds, _ in trace]) >= 0)
+    energies = [energy for _, energy in measuring.curve(joint, fragment, trace)]
+    assert energies[0] == pytest.approx(joint.score(fragment, fragment.x0).energy)
+    assert energies[-1] < 0.9 * energies[0]
+
+
+def test_a_recording_is_tiled_to_and_fro(material: Material) -> None:
+    long = material.tiled(3 * T)
+    p = long.start.p_world_joint
+    np.testing.assert_array_equal(p[:T], material.start.p_world_joint)
+    np.testing.assert_array_equal(p[T : 2 * T], p[:T][::-1])
+    np.testing.assert_array_equal(p[2 * T :], p[:T])
+    np.testing.assert_array_equal(long.keypoints.times, long.start.times)
+    np.testing.assert_array_equal(long.imus.times, long.start.times)
+    np.testing.assert_allclose(np.diff(long.start.times), 1 / 60, rtol=1e-9)
+
+
+def result() -> dict[str, Any]:
+    """Everything that is written, with made-up numbers."""
+    rows = measuring.summaries([row("start (SF2)", {0: 9.0}, 0.0), row("real time", {0: 1.0})], 25)
+    answers = {"energy": 1.0, "gradient": 0.1, "violation_deg": 0.0}
+    apart = {
+        "first_frame": 300, "distance_mm": 12.0, "real_time": answers,
+        "ipopt": {**answers, "energy": 0.75}, "real_time_converged": True, "ipopt_converged": False,
+    }  # fmt: skip
+    common = {
+        "ceres_share_in_python": 0.66, "typical_first_frame": 0,
+        "curves": {"real time": [(0.0, 9.0), (0.01, 1.0)], "IPOPT": [(0.0, 9.0), (0.1, 0.99)]},
+    }  # fmt: skip
+    agreement = {
+        "fragments": 9, "same_minimum": 8, "largest_relative_energy_difference": 2e-9,
+        "largest_distance_mm": 0.01, "different_minima": [], "not_certified_by_both": [apart],
+    }  # fmt: skip
+    return {
+        "command": "python -m benchmarks.solvers", "machine": {"threads": "1"},
+        "effort": asdict(measuring.Effort()), "cartesian": {"rows": rows, **common},
+        "joint": {
+            "without_limits": rows, "with_limits": rows, "agreement": agreement, **common,
+            "degrees_of_freedom": {"per_frame": 43, "per_fragment": 2150},
+        },
+        "by_length": [{"N": 20, "paper": 1256, "joint, real time": 300.0}],
+        "by_settings": [
+            {"settings": "joint space", "frames_per_second": 600.0, "iterations_per_fragment": 5.6,
+             "converged": 5, "fragments": 5, "build_seconds": 0.1}
+        ],
+        "build_seconds": {"interpreted": 0.7},
+        "by_duration": [{"recording_seconds": 10, "seconds": 1.0, "seconds_per_second": 0.1,
+                         "resident_growth_mb": 0.5}],
+    }  # fmt: skip
+
+
+def test_the_text_has_every_table_and_the_fragments_that_are_not_certified() -> None:
+    text = report.markdown(json.loads(json.dumps(result(), allow_nan=False)))
+    assert text.count("| real time | 50.0 |") == 3
+    assert "| start (SF2) | - |" in text
+    assert "43 degrees of freedom a frame, 2150 a fragment" in text
+    assert "Of 9 fragments both certify the same minimum in 8" in text
+    assert "Not certified by both" in text
+    assert "different minima:" not in text
+    assert "| 300 | 1.0000 | 0.7500 | 12.00 | 0.000 | 0.000 | yes | no |" in text
+    assert "66 % of its time" in text
+    assert "| 20 | 1256 | 300.0 |" in text
+
+
+def test_the_figure_is_drawn(tmp_path: Path) -> None:
+    path = tmp_path / "solvers.png"
+    report.figure(result(), path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_command_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        command.main(["--help"])
+    assert "--quick" in capsys.readouterr().out
+
+
+def test_memory_is_told_in_megabytes() -> None:
+    before = alone.resident_mb()
+    kept = np.ones(25_000_000)
+    assert 100 < alone.resident_mb() - before < 300
+    assert len(kept)

@@ -1,0 +1,213 @@
+"""The tree on arrays: chains, SolveRotation, and a twist that nobody saw but that must not jump."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+
+Array = NDArray[np.float64]
+RNG = np.random.default_rng(2)
+PARENTS = (-1, 0, 1, 1, 0, 4)
+OFFSETS = np.array(
+    [[0, 0, 0], [0, 0, 0.3], [0, 0.4, 0], [0.1, -0.4, 0], [0, 0.1, -0.4], [0.2, 0, -0.3]]
+)
+DOWN = np.array([0.0, 0.0, -0.4])
+
+
+def random_rotations(*shape: int, seed: int = 0) -> Array:
+    R = Rotation.random(int(np.prod(shape)), rng=np.random.default_rng(seed)).as_matrix()
+    return np.asarray(R).reshape(*shape, 3, 3)
+
+
+def assert_close(a: Array, b: Array, tolerance: float = 1e-12) -> None:
+    np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
+
+
+# --- chains -----------------------------------------------------------------------------------------
+
+
+def test_children_are_in_order() -> None:
+    assert kinematics.children_of(PARENTS, 1) == [2, 3]
+    assert kinematics.children_of(PARENTS, 5) == []
+
+
+def test_positions_hang_each_joint_on_its_parents_segment() -> None:
+    R, root = random_rotations(7, 6), RNG.normal(size=(7, 3))
+    p = kinematics.positions(PARENTS, OFFSETS, root, R)
+    assert_close(p[:, 0], root)
+    for t in range(7):
+        for child, parent in list(enumerate(PARENTS))[1:]:
+            assert_close(p[t, child], p[t, parent] + R[t, parent] @ OFFSETS[child])
+
+
+def test_local_and_world_rotations_are_inverse_for_any_batch() -> None:
+    R = random_rotations(4, 3, 6)
+    local = kinematics.local_rotations(PARENTS, R)
+    assert_close(kinematics.world_rotations(PARENTS, local), R)
+    assert_close(local[..., 0, :, :], R[..., 0, :, :])
+    assert_close(local[..., 5, :, :], np.swapaxes(R[..., 4, :, :], -1, -2) @ R[..., 5, :, :])
+    assert kinematics.positions(PARENTS, OFFSETS, np.zeros((4, 3, 3)), R).shape == (4, 3, 6, 3)
+
+
+# --- one segment ----------------------------------------------------------------------------------------
+
+
+def test_several_children_fix_a_segment_like_scipys_align_vectors() -> None:
+    p = RNG.normal(size=(5, 6, 3))
+    R = kinematics.segment_rotation(PARENTS, OFFSETS, 1, p, random_rotations(5))
+    for t in range(5):
+        bones = p[t, [2, 3]] - p[t, 1]
+        expected, _ = Rotation.align_vectors(bones, OFFSETS[[2, 3]])
+        assert_close(R[t], expected.as_matrix(), 1e-7)
+
+
+def test_one_child_gives_the_swing_and_the_twist_follows_the_parent() -> None:
+    p, R_parent = RNG.normal(size=(50, 6, 3)), random_rotations(50)
+    R = kinematics.segment_rotation(PARENTS, OFFSETS, 4, p, R_parent)
+    bone = so3.unit(p[:, 5] - p[:, 4])
+    assert_close((R @ so3.unit(OFFSETS[5])[:, None])[..., 0], bone)
+    turn = so3.log(R @ np.swapaxes(R_parent, -1, -2))
+    expected = R_parent @ so3.unit(OFFSETS[5])
+    assert np.abs(np.sum(so3.unit(turn) * (expected + bone), axis=-1)).max() < 1e-6  # no twist
+    assert_close(np.linalg.norm(turn, axis=-1), np.arccos(np.sum(expected * bone, axis=-1)), 1e-6)
+
+
+def test_a_leaf_copies_its_parent() -> None:
+    R_parent = random_rotations(5)
+    p = RNG.normal(size=(5, 6, 3))
+    assert_close(kinematics.segment_rotation(PARENTS, OFFSETS, 5, p, R_parent), R_parent, 0)
+
+
+@given(st.floats(0.2, 3.0))
+def test_bone_lengths_do_not_matter_to_orientations(factor: float) -> None:
+    p = RNG.normal(size=(3, 6, 3))
+    R = kinematics.rotations_from_positions(PARENTS, OFFSETS, p)
+    assert_close(kinematics.rotations_from_positions(PARENTS, OFFSETS, factor * p), R, 1e-10)
+
+
+def test_positions_from_untwisted_rotations_give_them_back() -> None:
+    """Swings only, leaves like their parents: exactly what positions can tell."""
+    skeleton = SkeletonModel.default()
+    T, J = 20, len(skeleton.names)
+    rest, local = skeleton.joint_offsets, np.tile(np.eye(3), (T, J, 1, 1))
+    for j in range(J):
+        children = kinematics.children_of(skeleton.parents, j)
+        if len(children) > 1:
+            local[:, j] = so3.exp(0.8 * RNG.normal(size=(T, 3)))
+        elif children:
+            axis = np.cross(rest[children[0]], RNG.normal(size=(T, 3)))
+            local[:, j] = so3.exp(0.8 * so3.unit(axis) * RNG.normal(size=(T, 1)))
+    R = kinematics.world_rotations(skeleton.parents, local)
+    p = kinematics.positions(skeleton.parents, rest, RNG.normal(size=(T, 3)), R)
+    assert_close(kinematics.rotations_from_positions(skeleton.parents, rest, p), R, 1e-9)
+
+
+def test_a_frame_with_an_unknown_joint_is_nan_and_the_others_are_not_touched() -> None:
+    p = RNG.normal(size=(6, 6, 3))
+    whole = kinematics.rotations_from_positions(PARENTS, OFFSETS, p)
+    p[2, 5, 0] = np.nan
+    p[4] = np.inf
+    R = kinematics.rotations_from_positions(PARENTS, OFFSETS, p)
+    assert np.isnan(R[[2, 4]]).all()
+    assert_close(R[[0, 1, 3, 5]], whole[[0, 1, 3, 5]])
+    p[:] = np.nan
+    assert np.isnan(kinematics.rotations_from_positions(PARENTS, OFFSETS, p)).all()
+
+
+# --- near half a turn -----------------------------------------------------------------------------------
+
+
+def passing(miss_deg: float, frames: int = 161, reach_deg: float = 80.0) -> Array:
+    """Unit vectors on a great circle that misses straight up by some degrees, DOWN's opposite."""
+    along = np.radians(np.linspace(-reach_deg, reach_deg, frames))
+    path = np.stack([np.sin(along), np.zeros(frames), np.cos(along)], axis=-1)
+    return path @ so3.about_axis("x", np.radians(miss_deg)).T
+
+
+def steps_deg(R: Array) -> Array:
+    return np.degrees(so3.angle_between(R[1:], R[:-1]))
+
+
+STILL = np.tile(np.eye(3), (161, 1, 1))
+
+
+@pytest.mark.parametrize("miss_deg", [0.0, 1e-9, 0.01, 0.5, 2.0, 5.0, 8.0, 9.99])
+def test_a_bone_that_swings_past_its_opposite_does_not_flip(miss_deg: float) -> None:
+    observed = passing(miss_deg)
+    R = kinematics.swing(STILL, DOWN, observed)
+    assert_close((R @ so3.unit(DOWN)[:, None])[..., 0], observed)
+    # The bone turns by one degree a frame. Five more come from the returning twist, or, outside ten
+    # degrees, tan(170 / 2) of them from the smallest turn itself, which has no jump there.
+    assert steps_deg(R).max() < (
+        6.1 if miss_deg <= 5 else np.hypot(1, np.tan(np.radians(85))) + 0.1
+    )
+
+
+def test_the_smallest_turn_alone_would_have_flipped() -> None:
+    assert steps_deg(so3.minimal_rotation(DOWN, passing(0.5))).max() > 60
+
+
+def test_within_ten_degrees_of_opposite_the_twist_does_not_change_at_all() -> None:
+    observed = passing(3.0)
+    near = observed[:, 2] > np.cos(np.radians(10))
+    R = kinematics.swing(STILL, DOWN, observed)
+    inside = np.flatnonzero(near)[1:]
+    turn = so3.log(R[inside] @ np.swapaxes(R[inside - 1], -1, -2))
+    assert np.abs(np.sum(turn * observed[inside], axis=-1)).max() < 1e-4
+
+
+def test_afterwards_the_twist_returns_to_the_parents() -> None:
+    observed = np.vstack([passing(5.0), np.repeat(passing(5.0)[-1:], 40, axis=0)])
+    R_parent = np.tile(np.eye(3), (len(observed), 1, 1))
+    R = kinematics.swing(R_parent, DOWN, observed)
+    smallest = so3.minimal_rotation(DOWN, observed)
+    assert_close(R[-1], smallest[-1])
+    assert_close(R[:60], smallest[:60])  # and before it never left it
+
+
+def test_away_from_the_opposite_the_swing_is_the_smallest_turn_in_every_frame() -> None:
+    observed = passing(12.0)
+    assert_close(kinematics.swing(STILL, DOWN, observed), so3.minimal_rotation(DOWN, observed))
+
+
+def test_a_first_frame_that_is_already_opposite_is_a_rotation_and_is_followed() -> None:
+    observed = np.repeat([[0.0, 0.0, 1.0]], 5, axis=0)
+    R = kinematics.swing(STILL[:5], DOWN, observed)
+    assert so3.is_rotation(R)
+    assert_close(R[1:], R[:-1])
+    assert_close((R @ so3.unit(DOWN)[:, None])[..., 0], observed)
+
+
+def test_the_twist_of_a_first_frame_that_is_opposite_is_carried_on_and_then_returns() -> None:
+    observed = passing(5.0)[83:]  # starts seven degrees from opposite and leaves
+    R = kinematics.swing(STILL[: len(observed)], DOWN, observed)
+    assert steps_deg(R).max() < 6.1
+    assert_close(R[-1], so3.minimal_rotation(DOWN, observed[-1]))
+    leaving = passing(0.5)[[80, 100, 101]]  # one frame opposite, the next twenty degrees further
+    R = kinematics.swing(STILL[:3], DOWN, leaving)
+    assert steps_deg(R)[0] < 20 + 5 + 0.5
+
+
+def test_the_swing_is_the_same_whichever_way_the_whole_body_faces() -> None:
+    observed, R_world = passing(5.0), random_rotations(1)[0]
+    R = kinematics.swing(STILL, DOWN, observed)
+    turned = kinematics.swing(R_world @ STILL, DOWN, observed @ R_world.T)
+    assert_close(turned, R_world @ R, 1e-9)
+
+
+def test_a_parent_that_turns_carries_the_twist_along() -> None:
+    """Bone opposite in the parent's frame all the time, the parent spinning: a rigid body."""
+    R_parent = so3.about_axis("z", np.radians(3.0) * np.arange(60))
+    observed = np.repeat([[0.0, 0.02, 1.0]], 60, axis=0)
+    observed = (R_parent @ observed[..., None])[..., 0]
+    R = kinematics.swing(R_parent, DOWN, observed)
+    relative = np.swapaxes(R_parent, -1, -2) @ R
+    assert_close(relative, np.repeat(relative[:1], 60, axis=0), 1e-9)

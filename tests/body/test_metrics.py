@@ -1,0 +1,398 @@
+"""Figures against numbers worked out by hand, against SciPy, and where nothing is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import planted
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import procrustes as scipy_procrustes
+from scipy.spatial.transform import Rotation
+
+from rtof_kin.body import metrics
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.data.types import PoseSequence
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+T, J = 30, len(BODY.names)
+TIME = np.arange(T)[:, None, None] / planted.RATE_HZ
+DIRECTION = np.array([2.0, -1.0, 2.0]) / 3
+
+
+@pytest.fixture(scope="module")
+def truth() -> PoseSequence:
+    return planted.moving(BODY, T).poses
+
+
+def shifted(poses: PoseSequence, by: ArrayLike) -> PoseSequence:
+    return replace(poses, p_world_joint=poses.p_world_joint + np.asarray(by))
+
+
+def evaluate(estimate: PoseSequence, truth: PoseSequence) -> metrics.Metrics:
+    return metrics.evaluate(estimate, truth, BODY)
+
+
+# --- mode imu, which knows no place --------------------------------------------------------------
+
+
+def test_an_estimate_of_mode_imu_begins_where_the_truth_does(truth: PoseSequence) -> None:
+    far = shifted(truth, [5.0, -3.0, 1.0])
+    begun = metrics.comparable(far, truth, "imu")
+    np.testing.assert_allclose(begun.p_world_joint, truth.p_world_joint, atol=1e-12)
+    drifting = shifted(truth, [5.0, -3.0, 1.0] + 0.1 * TIME * DIRECTION)
+    error = metrics.comparable(drifting, truth, "imu").p_world_joint - truth.p_world_joint
+    np.testing.assert_allclose(error, np.broadcast_to(0.1 * TIME * DIRECTION, error.shape), atol=1e-12)
+
+
+def test_an_estimate_of_a_camera_stays_where_it_is(truth: PoseSequence) -> None:
+    assert metrics.comparable(truth, shifted(truth, 1.0), "rtof") is truth
+
+
+def test_they_begin_together_in_the_first_frame_in_which_both_are_known(truth: PoseSequence) -> None:
+    p, valid = np.array(truth.p_world_joint), np.array(truth.valid)
+    p[:3], valid[3:5] = np.nan, False
+    glitch = replace(truth, p_world_joint=p, valid=valid)
+    drifting = shifted(truth, 0.1 * TIME * DIRECTION)
+    begun = metrics.comparable(drifting, glitch, "imu")
+    np.testing.assert_allclose(begun.p_world_joint[5], truth.p_world_joint[5], atol=1e-12)
+    nowhere = replace(truth, valid=np.zeros_like(valid))
+    assert metrics.comparable(drifting, nowhere, "imu") is drifting
+
+
+# --- by hand -------------------------------------------------------------------------------------
+
+
+def test_the_truth_itself_has_no_error(truth: PoseSequence) -> None:
+    figures = evaluate(truth, truth)
+    assert figures["coverage"] == 1.0
+    for name in figures:
+        if name != "coverage":
+            assert figures[name] == pytest.approx(0.0, abs=1e-5), name
+
+
+def test_a_constant_shift_is_an_absolute_error_alone(truth: PoseSequence) -> None:
+    figures = evaluate(shifted(truth, 0.05 * DIRECTION), truth)
+    assert figures["mpjpe_mm"] == pytest.approx(50.0)
+    for name in ("mpjpe_rr_mm", "mpjpe_pa_mm", "mpjae", "mpjje", "angle_deg", "flexion_deg"):
+        assert figures[name] == pytest.approx(0.0, abs=1e-5), name
+
+
+def test_one_joint_that_is_off_counts_as_one_of_them(truth: PoseSequence) -> None:
+    p = np.array(truth.p_world_joint)
+    p[:, 6] += 0.021 * DIRECTION
+    figures = evaluate(replace(truth, p_world_joint=p), truth)
+    assert figures["mpjpe_mm"] == pytest.approx(21.0 / J)
+    assert figures["mpjpe_rr_mm"] == pytest.approx(21.0 / J)
+    assert figures.per_joint["Head"]["mpjpe_mm"] == pytest.approx(21.0)
+    assert figures.per_joint["Neck"]["mpjpe_mm"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_roots_own_zero_counts_in_the_relative_error(truth: PoseSequence) -> None:
+    p = np.array(truth.p_world_joint)
+    p[:, 0] += 0.010 * DIRECTION  # all others are off, relative to it
+    figures = evaluate(replace(truth, p_world_joint=p), truth)
+    assert figures["mpjpe_mm"] == pytest.approx(10.0 / J)
+    assert figures["mpjpe_rr_mm"] == pytest.approx(10.0 * (J - 1) / J)
+    assert figures.per_joint["Hips"]["mpjpe_rr_mm"] == 0.0
+
+
+def test_acceleration_and_jerk_are_per_second_and_per_frame(truth: PoseSequence) -> None:
+    accelerated = evaluate(shifted(truth, 3.0 * DIRECTION * TIME**2 / 2), truth)
+    assert accelerated["mpjae"] == pytest.approx(3.0)
+    assert accelerated["mpjae_frame_mm"] == pytest.approx(3.0 * 1000 / 60**2)
+    assert accelerated["mpjje"] == pytest.approx(0.0, abs=1e-6)
+    jerked = evaluate(shifted(truth, 40.0 * DIRECTION * TIME**3 / 6), truth)
+    assert jerked["mpjje"] == pytest.approx(40.0)
+    assert jerked["mpjje_frame_mm"] == pytest.approx(40.0 * 1000 / 60**3)
+
+
+def test_the_frame_rate_changes_what_is_per_frame_and_not_what_is_per_second() -> None:
+    slow = planted.moving(BODY, 60).poses[::3]
+    t = slow.times[:, None, None]
+    figures = evaluate(shifted(slow, 3.0 * DIRECTION * t**2 / 2), slow)
+    assert figures["mpjae"] == pytest.approx(3.0)
+    assert figures["mpjae_frame_mm"] == pytest.approx(3.0 * 1000 / 20**2)
+
+
+def test_a_turned_body_has_one_wrong_angle_the_roots(truth: PoseSequence) -> None:
+    turned = replace(truth, R_world_bone=so3.about_axis("z", 0.3) @ truth.R_world_bone)
+    figures = evaluate(turned, truth)
+    assert figures["angle_deg"] == pytest.approx(np.degrees(0.3) / J)
+    assert figures.per_joint["Hips"]["angle_deg"] == pytest.approx(np.degrees(0.3))
+    assert figures.per_joint["Spine"]["angle_deg"] == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_turned_leaf_has_one_wrong_angle_its_own(truth: PoseSequence) -> None:
+    R = np.array(truth.R_world_bone)
+    (foot,) = BODY.index("LeftFoot")
+    R[:, foot] = R[:, foot] @ so3.exp([0.0, 0.2, 0.0])
+    figures = evaluate(replace(truth, R_world_bone=R), truth)
+    assert figures["angle_deg"] == pytest.approx(np.degrees(0.2) / J)
+
+
+def test_flexion_is_the_angle_between_the_bones_that_meet() -> None:
+    p = np.array(planted.standing(BODY, 4).poses.p_world_joint)
+    hip, knee, foot = BODY.index("LeftUpLeg", "LeftLeg", "LeftFoot")
+    p[:, hip], p[:, knee] = [0, 0, 1.0], [0, 0, 0.6]
+    p[:, foot] = [[0, 0, 0.2], [-0.4, 0, 0.6], [0, 0.4, 1.0], [0, 0, 1.0]]
+    np.testing.assert_allclose(
+        np.degrees(metrics.flexion(p, BODY)[:, knee]), [0, 90, 135, 180], atol=1e-9
+    )
+    elsewhere = [j for j in range(J) if j not in metrics.hinges(BODY)]
+    assert np.isnan(metrics.flexion(p, BODY)[:, elsewhere]).all()
+
+
+@pytest.mark.parametrize("name, expected", [
+    ("total_capture", {"LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm"}),
+    ("human36m", {"LKnee", "RKnee", "LElbow", "RElbow"}),
+])  # fmt: skip
+def test_the_hinges_are_knees_and_elbows(name: str, expected: set[str]) -> None:
+    skeleton = SkeletonModel.named(name)
+    assert {skeleton.names[j] for j in metrics.hinges(skeleton)} == expected
+
+
+def test_an_error_of_one_knee_is_a_quarter_of_the_mean_flexion_error(truth: PoseSequence) -> None:
+    p = np.array(truth.p_world_joint)
+    knee, foot = BODY.index("LeftLeg", "LeftFoot")
+    thigh, shank = p[:, knee] - p[:, BODY.parents[knee]], p[:, foot] - p[:, knee]
+    axis = so3.unit(np.cross(thigh, shank))
+    p[:, foot] = p[:, knee] + (so3.exp(0.1 * axis) @ shank[..., None])[..., 0]
+    figures = evaluate(replace(truth, p_world_joint=p), truth)
+    assert figures["flexion_deg"] == pytest.approx(np.degrees(0.1) / 4)
+    assert figures.per_joint["LeftLeg"]["flexion_deg"] == pytest.approx(np.degrees(0.1))
+    assert "flexion_deg" not in figures.per_joint["Head"]
+
+
+def test_standing_still_where_the_truth_was_on_average_is_the_zero_motion_row(
+    truth: PoseSequence,
+) -> None:
+    still = metrics.motionless(truth)
+    figures = evaluate(still, truth)
+    p = truth.p_world_joint
+    assert figures["mpjpe_mm"] == pytest.approx(planted.mpjpe_mm(np.mean(p, axis=0), p))
+    acceleration = np.linalg.norm(np.diff(p, n=2, axis=0), axis=-1).mean() * 60**2
+    assert figures["mpjae"] == pytest.approx(acceleration)
+    assert figures["mpjpe_mm"] > 5
+
+
+def test_zero_motion_stands_in_the_mean_orientation_and_not_in_the_truths_own(
+    truth: PoseSequence,
+) -> None:
+    still = metrics.motionless(truth).R_world_bone
+    assert np.ptp(still, axis=0).max() == 0.0
+    mean = Rotation.from_matrix(truth.R_world_bone[:, 5]).mean().as_matrix()
+    np.testing.assert_allclose(still[0, 5], mean, atol=1e-9)
+    assert evaluate(metrics.motionless(truth), truth)["angle_deg"] > 1.0
+    R = np.array(truth.R_world_bone)
+    R[:, 5] = np.nan
+    gap = metrics.motionless(replace(truth, R_world_bone=R)).R_world_bone
+    assert np.isnan(gap[:, 5]).all()
+    assert np.isfinite(gap[:, 6]).all()
+
+
+# --- peers ---------------------------------------------------------------------------------------
+
+
+def test_procrustes_turns_as_scipy_does() -> None:
+    rng = np.random.default_rng(1)
+    p_true = rng.normal(size=(5, J, 3))
+    p = 1.3 * p_true @ so3.exp([0.3, 2.0, -1.0]).T + rng.normal(size=(5, J, 3)) * 0.2
+    aligned = metrics.procrustes(p, p_true)
+    for frame in range(5):
+        a, b = p[frame] - p[frame].mean(axis=0), p_true[frame] - p_true[frame].mean(axis=0)
+        R, _ = Rotation.align_vectors(b, a)
+        scale = np.sum(R.apply(a) * b) / np.sum(a**2)
+        expected = scale * R.apply(a) + p_true[frame].mean(axis=0)
+        np.testing.assert_allclose(aligned[frame], expected, atol=1e-9)
+        # SciPy's own Procrustes normalises the truth; no reflection is needed here.
+        _, _, disparity = scipy_procrustes(p_true[frame], p[frame])
+        residual = np.sum((aligned[frame] - p_true[frame]) ** 2) / np.sum(b**2)
+        assert residual == pytest.approx(disparity)
+
+
+def test_procrustes_never_mirrors() -> None:
+    p_true = np.random.default_rng(2).normal(size=(1, J, 3))
+    mirrored = p_true * [1.0, -1.0, 1.0]
+    assert np.abs(metrics.procrustes(mirrored, p_true) - p_true).max() > 0.1
+
+
+# --- invariances ---------------------------------------------------------------------------------
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    rotvec=st.tuples(*[st.floats(-3, 3)] * 3),
+    translation=st.tuples(*[st.floats(-5, 5)] * 3),
+    scale=st.floats(0.3, 3.0),
+)
+def test_the_aligned_error_ignores_any_similarity(
+    rotvec: tuple[float, ...], translation: tuple[float, ...], scale: float
+) -> None:
+    truth = planted.moving(BODY, 4).poses
+    noisy = shifted(truth, np.random.default_rng(0).normal(size=(4, J, 3)) * 0.02)
+    moved = scale * noisy.p_world_joint @ so3.exp(rotvec).T + np.array(translation)
+    one = evaluate(noisy, truth)
+    two = evaluate(replace(noisy, p_world_joint=moved), truth)
+    assert two["mpjpe_pa_mm"] == pytest.approx(one["mpjpe_pa_mm"], rel=1e-6)
+
+
+def test_the_relative_error_ignores_where_the_root_is(truth: PoseSequence) -> None:
+    rng = np.random.default_rng(0)
+    noisy = shifted(truth, rng.normal(size=(T, J, 3)) * 0.02)
+    walked = shifted(noisy, rng.normal(size=(T, 1, 3)))
+    one, two = evaluate(noisy, truth), evaluate(walked, truth)
+    assert two["mpjpe_rr_mm"] == pytest.approx(one["mpjpe_rr_mm"])
+    assert two["mpjpe_mm"] > 10 * one["mpjpe_mm"]
+
+
+def test_each_alignment_can_only_help(truth: PoseSequence) -> None:
+    figures = evaluate(replace(truth, p_world_joint=planted.lifted(lifted_from())), truth)
+    assert figures["mpjpe_pa_mm"] < figures["mpjpe_rr_mm"] < figures["mpjpe_mm"]
+
+
+def lifted_from() -> MotionSequence:
+    return planted.moving(BODY, T)
+
+
+# --- times and gaps ------------------------------------------------------------------------------
+
+
+def test_the_truth_at_other_times_is_interpolated() -> None:
+    fine = planted.moving(BODY, 121).poses
+    estimate = fine[10:100:2]
+    figures = evaluate(estimate, fine)
+    assert figures["mpjpe_mm"] == pytest.approx(0.0, abs=1e-9)
+    assert figures["angle_deg"] == pytest.approx(0.0, abs=1e-5)
+    between = replace(estimate, times=estimate.times + 0.25 / planted.RATE_HZ)
+    velocity = np.linalg.norm(np.diff(fine.p_world_joint, axis=0), axis=-1)[10:99:2].mean()
+    assert evaluate(between, fine)["mpjpe_mm"] == pytest.approx(250 * velocity)
+
+
+def test_only_frames_that_both_have_are_counted(truth: PoseSequence) -> None:
+    wrong_outside = np.where(np.arange(T)[:, None, None] < 10, 1.0, 0.01) * DIRECTION
+    figures = evaluate(shifted(truth, wrong_outside), truth[10:])
+    assert figures["mpjpe_mm"] == pytest.approx(10.0)
+    assert np.isnan(figures.over_time["mpjpe_mm"][:10]).all()
+    np.testing.assert_allclose(figures.over_time["mpjpe_mm"][10:], 10.0)
+
+
+def test_frames_that_are_nan_are_left_out_of_every_figure(truth: PoseSequence) -> None:
+    p, R = np.array(truth.p_world_joint) + 0.01 * DIRECTION, np.array(truth.R_world_bone)
+    p[12:15], R[12:15] = np.nan, np.nan
+    figures = evaluate(replace(truth, p_world_joint=p, R_world_bone=R), truth)
+    assert figures["mpjpe_mm"] == pytest.approx(10.0)
+    assert np.isfinite(list(figures.values())).all()
+
+
+def test_a_frame_with_one_unknown_joint_is_left_out_as_a_whole(truth: PoseSequence) -> None:
+    p = np.array(truth.p_world_joint)
+    p[5] += 0.5
+    p[5, 3] = np.nan
+    figures = evaluate(replace(truth, p_world_joint=p), truth)
+    for name in ("mpjpe_mm", "mpjpe_rr_mm", "mpjpe_pa_mm"):
+        assert figures[name] == pytest.approx(0.0, abs=1e-6), name
+
+
+@pytest.mark.parametrize("kept", [[0, 2, 4, 6, 8], [0, 1, 3, 4, 6, 7]])
+def test_scattered_frames_have_no_jerk_and_raise_no_warning(
+    truth: PoseSequence, kept: list[int]
+) -> None:
+    p = np.full((T, J, 3), np.nan)
+    p[kept] = truth.p_world_joint[kept]
+    figures = evaluate(replace(truth, p_world_joint=p), truth)
+    assert figures["mpjpe_mm"] == 0.0
+    assert np.isnan(figures["mpjje"])
+    assert "mpjje" not in figures.per_joint["Head"]
+
+
+def test_a_truth_without_orientations_has_no_angles_and_raises_no_warning(
+    truth: PoseSequence,
+) -> None:
+    blind = replace(truth, R_world_bone=np.full_like(truth.R_world_bone, np.nan))
+    figures = evaluate(truth, blind)
+    assert np.isnan(figures["angle_deg"])
+    assert figures["mpjpe_mm"] == 0.0
+    assert "angle_deg" not in figures.per_joint["Head"]
+
+
+def test_the_zero_motion_row_of_a_truth_with_gaps_raises_no_warning(truth: PoseSequence) -> None:
+    p = np.array(truth.p_world_joint)
+    p[:10] = np.nan
+    p[:, 6] = np.nan
+    still = metrics.motionless(replace(truth, p_world_joint=p))
+    np.testing.assert_allclose(still.p_world_joint[0, 3], p[10:, 3].mean(axis=0))
+    assert np.isnan(still.p_world_joint[:, 6]).all()
+
+
+def test_coverage_is_the_share_that_claims_validity(truth: PoseSequence) -> None:
+    valid = np.ones((T, J), dtype=bool)
+    valid[:15, :7] = False
+    figures = evaluate(replace(truth, valid=valid), truth)
+    assert figures["coverage"] == pytest.approx(1 - 15 * 7 / (T * J))
+
+
+# --- the object ----------------------------------------------------------------------------------
+
+
+def test_metrics_are_a_mapping_and_show_each_joint_and_frame(truth: PoseSequence) -> None:
+    figures = evaluate(shifted(truth, 0.01 * DIRECTION), truth)
+    assert isinstance(figures, Mapping)
+    assert list(figures) == [
+        "mpjpe_mm", "mpjpe_rr_mm", "mpjpe_pa_mm", "mpjae", "mpjje", "mpjae_frame_mm",
+        "mpjje_frame_mm", "angle_deg", "flexion_deg", "coverage",
+    ]  # fmt: skip
+    assert len(figures) == 10
+    assert dict(figures) == figures.pooled
+    assert tuple(figures.per_joint) == BODY.names
+    assert figures.over_time["mpjpe_rr_mm"].shape == (T,)
+    mean = np.mean([figures.per_joint[name]["mpjpe_mm"] for name in BODY.names])
+    assert figures["mpjpe_mm"] == pytest.approx(mean)
+    for name in figures:
+        assert name in (metrics.__doc__ or "")
+
+
+def test_poses_of_another_skeleton_are_refused(truth: PoseSequence) -> None:
+    other = planted.moving(SkeletonModel.human36m(), T).poses
+    with pytest.raises(UnknownNameError, match=r"unknown joint .*'RWrist'"):
+        evaluate(other, truth)
+
+
+def test_joints_in_another_order_are_refused(truth: PoseSequence) -> None:
+    names = (*truth.names[1:], truth.names[0])
+    with pytest.raises(ShapeError, match="truth: need all joints, in this order: Hips, Spine, "):
+        evaluate(truth, replace(truth, names=names))
+
+
+@pytest.mark.parametrize("seconds", [100.0, (T - 3.5) / 60])
+def test_times_that_hardly_meet_are_refused(truth: PoseSequence, seconds: float) -> None:
+    with pytest.raises(ShapeError, match="fewer than four frames in common"):
+        evaluate(replace(truth, times=truth.times + seconds), truth)
+
+
+def test_frames_in_which_the_truth_is_not_valid_are_not_scored(skeleton: SkeletonModel) -> None:
+    """A glitch of the reference, 5 m for one joint: in no figure, at the truth's times or others."""
+    truth = planted.moving(skeleton, 60).poses
+    estimate = replace(truth, p_world_joint=truth.p_world_joint + np.array([0.01, 0, 0]))
+    p, valid = truth.p_world_joint.copy(), truth.valid.copy()
+    p[20:25, 3] += 5.0
+    valid[20:25] = False
+    glitched = replace(truth, p_world_joint=p, valid=valid)
+    for times in (truth.times, truth.times[:-1] + 0.25 * np.diff(truth.times)):
+        at = replace(estimate[: len(times)], times=times)
+        if times is not truth.times:
+            moved = [np.interp(times, truth.times, column)
+                     for column in estimate.p_world_joint.reshape(60, -1).T]  # fmt: skip
+            at = replace(at, p_world_joint=np.stack(moved, axis=1).reshape(len(times), -1, 3))
+        scores = metrics.evaluate(at, glitched, skeleton)
+        assert scores["mpjpe_mm"] == pytest.approx(10.0, abs=1e-6)
+        assert scores["mpjje"] == pytest.approx(0.0, abs=1e-6)
+        assert np.isnan(scores.over_time["joint_mm"][20:24]).all()
+    assert np.abs(metrics.motionless(glitched).p_world_joint[0, 3] - p[0, 3]).max() < 0.5

@@ -1,0 +1,197 @@
+"""Which numbers of a motion somebody observed, and which are a prior's or the model's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.body.kinematics import children_of
+from rtof_kin.body.observability import (
+    DIRECTION,
+    NOTHING,
+    WHOLE,
+    levels_by_points,
+    never_observed,
+    observed_bones,
+    observed_dofs,
+    observed_landmarks,
+    root_turn_observed,
+    segment_levels,
+)
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.data.types import Camera, KeypointSequence, Provenance
+
+BODY = SkeletonModel.default()
+T = 12
+ELBOWS_AND_KNEES = {
+    f"{side}{axes}" for side in ("Left", "Right")
+    for axes in ("ForeArm_y", "ForeArm_x", "Leg_x", "Leg_z")
+}  # fmt: skip
+LEAVES = ("Head", "LeftHand", "RightHand", "LeftFoot", "RightFoot")
+ENDS = {f"{leaf}_{axis}" for leaf in LEAVES for axis in "xyz"}
+
+
+def seen_by(motion: MotionSequence, *sensors: str) -> MotionSequence:
+    """The camera sees all joints, and sensors these segments."""
+    observed = BODY.orientation_observed(sensors)
+    return replace(motion, poses=replace(motion.poses, orientation_observed=observed))
+
+
+def hinged(motion: MotionSequence) -> MotionSequence:
+    """The same with knees and elbows that only bend."""
+    q = np.array(motion.q)
+    q[:, [7 + BODY.dof_names.index(name) for name in ELBOWS_AND_KNEES]] = 0.0
+    return replace(motion, q=q)
+
+
+def unobserved(motion: MotionSequence) -> set[str]:
+    """Degrees of freedom that were not observed in any frame."""
+    return {n for n, seen in zip(BODY.dof_names, observed_dofs(motion).T, strict=True) if not seen.any()}
+
+
+def with_landmarks(names: tuple[str, ...], camera: Camera) -> KeypointSequence:
+    return KeypointSequence(camera, [0.0], np.ones((1, len(names), 2)), np.ones((1, len(names))), names)
+
+
+# --- degrees of freedom --------------------------------------------------------------------------
+
+
+def test_what_a_solver_leaves_at_zero_was_not_observed_even_beside_sensors() -> None:
+    """Limbs with sensors, in joint space: neither pronation, ankles and wrists, nor the neck's turn."""
+    motion = hinged(seen_by(planted.moving(BODY, T), *planted.LIMBS))
+    assert unobserved(motion) == ELBOWS_AND_KNEES | ENDS | {"Neck_z"}
+    assert root_turn_observed(motion).all()
+
+
+def test_a_sensor_on_a_segment_observes_its_joint() -> None:
+    motion = seen_by(planted.moving(BODY, T), *planted.LIMBS, "RightFoot", "Head")
+    assert unobserved(motion) == {n for n in ENDS if not n.startswith(("RightFoot", "Head"))}
+
+
+def test_a_shank_alone_shows_no_turn_about_itself_but_a_thighs() -> None:
+    none = unobserved(seen_by(planted.moving(BODY, T)))
+    assert none == ENDS | {"Neck_z", "LeftLeg_z", "RightLeg_z", "LeftForeArm_y", "RightForeArm_y"}
+
+
+def test_a_joint_of_a_segment_that_nobody_saw_is_not_observed_in_those_frames() -> None:
+    motion = seen_by(planted.moving(BODY, T), *planted.LIMBS)
+    provenance, observed = np.array(motion.poses.provenance), np.array(motion.poses.orientation_observed)
+    leg = BODY.index("LeftLeg", "LeftFoot")
+    provenance[3:5, leg] = Provenance.PRIOR
+    observed[3:5, [*leg, *BODY.index("LeftUpLeg")]] = False
+    poses = replace(motion.poses, provenance=provenance, orientation_observed=observed)
+    found = observed_dofs(replace(motion, poses=poses))
+    for name in ("LeftUpLeg_y", "LeftLeg_y"):
+        np.testing.assert_array_equal(
+            np.flatnonzero(~found[:, BODY.dof_names.index(name)]), [3, 4], err_msg=name
+        )
+    assert found[:, BODY.dof_names.index("RightLeg_y")].all()
+
+
+def test_without_a_camera_joints_between_sensors_are_not_observed() -> None:
+    motion = seen_by(planted.moving(BODY, T), *planted.LIMBS)
+    names = set(BODY.names) - {n for j in BODY.index(*planted.LIMBS) for n in
+                               (BODY.names[c] for c in children_of(BODY.parents, j))}  # fmt: skip
+    provenance = np.full((T, len(BODY.names)), Provenance.IMU)
+    provenance[:, BODY.index(*names)] = Provenance.PRIOR
+    observed = np.isin(BODY.names, planted.LIMBS)
+    poses = replace(motion.poses, provenance=provenance, orientation_observed=observed)
+    motion = replace(motion, poses=poses)
+    assert not root_turn_observed(motion).any()
+    moved = {"LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm"}
+    assert {n.split("_")[0] for n in set(BODY.dof_names) - unobserved(motion)} == moved
+
+
+def test_a_motion_that_does_not_say_who_saw_it_is_believed_where_it_is_known() -> None:
+    motion = planted.moving(BODY, T)
+    q = np.array(motion.q)
+    q[2] = np.nan
+    motion = replace(motion, q=q, poses=replace(motion.poses, provenance=None))
+    assert observed_dofs(motion).all(axis=1).sum() == observed_dofs(motion).any(axis=1).sum() == T - 1
+    assert not never_observed(motion)
+    assert observed_landmarks(motion).all()
+    np.testing.assert_array_equal(np.flatnonzero(~root_turn_observed(motion)), [2])
+
+
+def test_what_may_be_left_out_places_nothing_that_was_seen() -> None:
+    """A neck's turn that is not zero moves the head, which was seen; a wrist moves nothing."""
+    motion = hinged(seen_by(planted.moving(BODY, T), *planted.LIMBS))
+    assert set(never_observed(motion)) == ELBOWS_AND_KNEES | ENDS
+    q = np.array(motion.q)
+    q[:, [7 + BODY.dof_names.index(name) for name in never_observed(motion)]] = 0.0
+    p, _ = BODY.forward_kinematics(q)
+    np.testing.assert_allclose(p, BODY.forward_kinematics(motion.q)[0], atol=1e-12)
+
+
+# --- landmarks -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("names", "segment", "level"),
+    [
+        (("RightFoot", "RightHeel", "RightToe"), "RightFoot", WHOLE),
+        (("RightFoot", "RightToe", "RightToeBase"), "RightFoot", DIRECTION),
+        (("RightFoot", "RightToe"), "RightFoot", DIRECTION),
+        (("RightFoot",), "RightFoot", NOTHING),
+        (("RightHand", "RightHandEnd"), "RightHand", DIRECTION),
+        (("Head", "Nose", "LeftEar"), "Head", WHOLE),
+        (("RightLeg", "RightFoot"), "RightLeg", DIRECTION),
+        (("Hips", "LeftUpLeg", "RightUpLeg"), "Hips", WHOLE),
+        (("somebody's hat", "RightFoot", "LeftFoot"), "RightFoot", NOTHING),
+    ],
+)
+def test_points_of_a_segment_show_its_direction_or_all_of_its_turn(
+    names: tuple[str, ...], segment: str, level: int, camera: Camera
+) -> None:
+    levels = levels_by_points(BODY, with_landmarks(names, camera))
+    assert levels[0, BODY.names.index(segment)] == level
+
+
+def test_only_points_that_were_seen_show_anything(camera: Camera) -> None:
+    names = ("RightFoot", "RightHeel", "RightToe")
+    uv = np.ones((4, 3, 2))
+    uv[1, 2], uv[2, 1:] = np.nan, np.nan
+    confidence = np.isfinite(uv[..., 0]).astype(float)
+    levels = levels_by_points(BODY, KeypointSequence(camera, np.arange(4.0), uv, confidence, names))
+    foot: NDArray[np.int_] = levels[:, BODY.names.index("RightFoot")]
+    assert foot.tolist() == [WHOLE, DIRECTION, NOTHING, WHOLE]
+
+
+def test_a_hand_whose_far_end_was_seen_bends_but_does_not_turn_about_itself() -> None:
+    motion = seen_by(planted.moving(BODY, T), *planted.LIMBS)
+    directed = np.isin(BODY.names, "RightHand")
+    motion = replace(motion, poses=replace(motion.poses, direction_observed=directed))
+    assert (segment_levels(motion.poses, BODY)[:, directed] == DIRECTION).all()
+    assert unobserved(motion) & {"RightHand_x", "RightHand_y", "RightHand_z"} == {"RightHand_y"}
+    landmarks = dict(zip(BODY.landmarks, observed_landmarks(motion).T, strict=True))
+    assert landmarks["RightHandEnd"].all()
+    assert not landmarks["LeftHandEnd"].any()
+
+
+def test_a_heel_was_seen_only_with_its_foots_turn() -> None:
+    motion = seen_by(planted.moving(BODY, T), "LeftFoot")
+    seen = observed_landmarks(motion)
+    names = {n for n, whole in zip(BODY.landmarks, seen.all(axis=0), strict=True) if whole}
+    assert names == {*BODY.names, "LeftHeel", "LeftToe", "LeftToeBase"}
+
+
+# --- bones ---------------------------------------------------------------------------------------
+
+
+def test_a_bone_was_seen_by_both_ends_or_by_its_sensor() -> None:
+    motion = planted.moving(BODY, T)
+    provenance, observed = np.array(motion.poses.provenance), np.zeros((T, len(BODY.names)), dtype=bool)
+    arm, forearm, hand = BODY.index("LeftArm", "LeftForeArm", "LeftHand")
+    provenance[4:, [forearm, hand]] = Provenance.PRIOR
+    observed[8:, forearm] = True
+    valid = np.array(motion.poses.valid)
+    valid[10:] = False
+    poses = replace(motion.poses, provenance=provenance, orientation_observed=observed, valid=valid)
+    bones = observed_bones(replace(motion, poses=poses))
+    assert np.flatnonzero(bones[:, forearm]).tolist() == [0, 1, 2, 3]
+    assert np.flatnonzero(bones[:, hand]).tolist() == [0, 1, 2, 3, 8, 9]
+    assert np.flatnonzero(bones[:, arm]).tolist() == list(range(10))

@@ -1,0 +1,174 @@
+"""The shipped pose prior, priors from files, and files that are none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.body.pose_prior import PosePrior, has_prior, shipped_prior
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.core.files.arrays import write_npz
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+PRIOR = shipped_prior(BODY.names)
+LARGEST, SMALLEST = np.radians(90.0), np.radians(0.3)
+
+
+def arrays(**changes: Any) -> dict[str, Any]:
+    """Of a small prior of three joints."""
+    root = np.random.default_rng(0).normal(size=(6, 6))
+    return {
+        "mean_quat_wxyz": np.tile([1.0, 0, 0, 0], (2, 1)), "covariance": root @ root.T / 50,
+        "sigma_jerk": np.array([300.0, 400.0, 500.0]), "sigma_root_jerk": np.array(50.0), **changes,
+    }  # fmt: skip
+
+
+def saved(folder: Path, **changes: Any) -> Path:
+    path = folder / "prior.npz"
+    write_npz(path, {k: np.asarray(v) for k, v in arrays(**changes).items() if v is not None})
+    return path
+
+
+# --- the shipped one -----------------------------------------------------------------------------
+
+
+def test_it_ships_for_the_21_joints_and_for_no_other_skeleton() -> None:
+    assert has_prior("total_capture")
+    assert not has_prior("human36m")
+    assert PRIOR.joints == BODY.names
+    assert PRIOR.covariance.shape == (60, 60)
+
+
+def test_it_is_a_gaussian_of_rotations_that_people_make() -> None:
+    np.testing.assert_allclose(np.linalg.norm(PRIOR.mean_quat_wxyz, axis=-1), 1.0, atol=1e-9)
+    np.testing.assert_allclose(PRIOR.covariance, PRIOR.covariance.T, atol=1e-12)
+    assert np.linalg.eigvalsh(PRIOR.covariance)[0] > -1e-12
+    sigma = np.sqrt(np.diag(PRIOR.covariance)).reshape(-1, 3)
+    assert sigma.max() < LARGEST
+    arm, spine = (BODY.index(name)[0] - 1 for name in ("LeftArm", "Spine1"))
+    assert np.linalg.norm(sigma[arm]) > 3 * np.linalg.norm(sigma[spine])
+
+
+def test_knees_and_elbows_are_hinges_in_it() -> None:
+    sigma = np.sqrt(np.diag(PRIOR.covariance)).reshape(-1, 3)
+    for name, axis in (("LeftLeg", 1), ("RightLeg", 1), ("LeftForeArm", 2), ("RightForeArm", 2)):
+        own = sigma[BODY.index(name)[0] - 1]
+        assert np.argmax(own) == axis
+        assert own[axis] > 3 * np.delete(own, axis).max()
+
+
+def test_left_and_right_are_mirror_images() -> None:
+    other = [
+        BODY.index(n.replace("Left", "?").replace("Right", "Left").replace("?", "Right"))[0]
+        for n in BODY.names
+    ]
+    np.testing.assert_allclose(PRIOR.sigma_jerk, PRIOR.sigma_jerk[other], rtol=1e-9)
+    sigma = np.sqrt(np.diag(PRIOR.covariance)).reshape(-1, 3)
+    np.testing.assert_allclose(sigma, sigma[[i - 1 for i in other[1:]]], rtol=0.02, atol=1e-3)
+    w, x, y, z = PRIOR.mean_quat_wxyz[[i - 1 for i in other[1:]]].T
+    mirrored = np.stack([w, -x, y, -z], axis=-1)  # in the plane of x and z
+    same = np.abs(np.sum(mirrored * PRIOR.mean_quat_wxyz, axis=-1))
+    np.testing.assert_allclose(same, 1.0, atol=1e-3)
+
+
+def test_its_mean_pose_is_within_the_limits_of_the_skeleton() -> None:
+    truth = planted.human(BODY, 1, size=0.0)
+    assert not truth.report.violations
+    p = truth.poses.p_world_joint[0]
+    head, hips, foot = (p[BODY.index(n)[0], 2] for n in ("Head", "Hips", "LeftFoot"))
+    assert head > hips > foot
+
+
+def test_jerk_has_the_size_of_peoples() -> None:
+    assert np.all(PRIOR.sigma_jerk >= 200.0)
+    assert np.all(PRIOR.sigma_jerk < 20000.0)
+    assert 5.0 < PRIOR.sigma_root_jerk < 500.0
+
+
+def test_it_is_read_once() -> None:
+    assert shipped_prior(BODY.names) is PRIOR
+
+
+# --- precision -----------------------------------------------------------------------------------
+
+
+def test_the_precision_is_the_inverse_of_the_inflated_covariance() -> None:
+    joints, least = BODY.names[1:], np.radians(3.0)
+    P = PRIOR.precision(joints, 2.0, least)
+    np.testing.assert_allclose(P @ (4 * PRIOR.covariance + least**2 * np.eye(60)), np.eye(60), atol=1e-8)
+    assert np.linalg.eigvalsh(P)[0] > 0
+
+
+def test_the_precision_of_some_joints_is_that_of_their_marginal() -> None:
+    joints = ("LeftArm", "Spine", "Head")
+    rows = np.concatenate([3 * (BODY.index(n)[0] - 1) + np.arange(3) for n in joints])
+    expected = PRIOR.covariance[np.ix_(rows, rows)] + SMALLEST**2 * np.eye(9)
+    P = PRIOR.precision(joints, 1.0, SMALLEST)
+    np.testing.assert_allclose(np.linalg.inv(P), expected, atol=1e-10)
+
+
+def test_a_joint_it_does_not_know_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match=r"unknown joint of the pose prior 'LeftShin'"):
+        PRIOR.precision(("LeftArm", "LeftShin"), 1.0, 0.1)
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+def test_a_prior_of_ones_own_is_read_as_it_was_written(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    prior = PosePrior.load(("a", "b", "c"), path)
+    for name, value in arrays().items():
+        np.testing.assert_allclose(getattr(prior, name), value)
+    with pytest.raises(ValueError, match="read-only"):
+        prior.covariance[0, 0] = 1.0
+
+
+def test_a_prior_of_another_skeleton_is_refused_with_the_file(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    with pytest.raises(FileFormatError, match=r"prior\.npz.*no pose prior of 21 joints"):
+        PosePrior.load(BODY.names, path)
+    with pytest.raises(FileFormatError, match=r"pose_prior\.npz.*no pose prior of 17 joints"):
+        PosePrior.load(SkeletonModel.human36m().names)
+
+
+@pytest.mark.parametrize("change, message", [
+    ({"covariance": None}, "covariance"),
+    ({"sigma_root_jerk": None}, "sigma_root_jerk"),
+    ({"sigma_root_jerk": np.ones(2)}, "sigma_root_jerk"),
+    ({"covariance": -np.eye(6)}, "not symmetric and positive semidefinite"),
+    ({"covariance": np.triu(np.ones((6, 6))) + 5 * np.eye(6)}, "not symmetric"),
+    ({"covariance": np.full((6, 6), np.nan)}, "not symmetric"),
+    ({"mean_quat_wxyz": np.zeros((2, 4))}, "not unit quaternions"),
+    ({"mean_quat_wxyz": np.full((2, 4), np.nan)}, "not unit quaternions"),
+    ({"sigma_jerk": np.array([300.0, 0.0, 1.0])}, "jerk must be positive and finite"),
+    ({"sigma_jerk": np.array([300.0, np.inf, 1.0])}, "jerk must be positive and finite"),
+    ({"sigma_root_jerk": np.array(np.nan)}, "jerk must be positive and finite"),
+])  # fmt: skip
+def test_a_file_that_is_no_prior_is_refused_and_says_why(
+    tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    path = saved(tmp_path, **change)
+    with pytest.raises(FileFormatError, match=rf"prior\.npz.*no pose prior of 3 joints.*{message}"):
+        PosePrior.load(("a", "b", "c"), path)
+
+
+def test_a_file_that_is_not_there_or_damaged_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match="there is no such file"):
+        PosePrior.load(BODY.names, tmp_path / "none.npz")
+    path = saved(tmp_path)
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(FileFormatError, match="damaged, or no NPZ archive"):
+        PosePrior.load(BODY.names, path)
+
+
+def test_arrays_of_the_wrong_shape_are_a_shape_error_by_name() -> None:
+    with pytest.raises(ShapeError, match=r"prior sigma_jerk: expected shape \(3\)"):
+        PosePrior(("a", "b", "c"), **arrays(sigma_jerk=np.ones(2), sigma_root_jerk=1.0))

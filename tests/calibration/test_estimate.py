@@ -1,0 +1,234 @@
+"""Calibration from the recording itself: planted truth comes back, bad input is refused or told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import calibration_support as cs
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.calibration.estimate import calibrate
+from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.result import SelfCalibration, Verdict
+from rtof_kin.core.errors import CalibrationError, ShapeError
+from rtof_kin.data.types import PoseSequence
+from rtof_kin.reconstruction.consistency_checks import contradictions
+from rtof_kin.recording.recording import Recording
+
+Array = NDArray[np.float64]
+T = 96
+
+
+@cache
+def truth() -> MotionSequence:
+    return cs.motion(T)
+
+
+@cache
+def recorded(sigma_px: float = 0.5, degrees: float = 0.5) -> Recording:
+    return planted.recording(truth(), sigma_px=sigma_px, degrees=degrees)
+
+
+def found(recording: Recording, priors: CalibrationPriors, **start: Array) -> SelfCalibration:
+    poses = replace(truth().poses, times=recording.keypoints.times, **start)
+    return calibrate(recording, poses, priors, cs.SETTINGS, frames=24)
+
+
+@pytest.mark.parametrize("seconds", [0.03, -0.02, 0.09])
+def test_a_planted_delay_is_found_to_5_ms(seconds: float) -> None:
+    result = found(cs.late(recorded(), seconds), cs.only("delay", sigma_clock_drift=None))
+    assert result["delay", "video"].value[0] == pytest.approx(seconds, abs=0.005)
+    assert result["delay", "video"].verdict is Verdict.OBSERVED
+
+
+def test_a_delay_at_the_end_of_the_search_is_in_doubt_and_not_observed() -> None:
+    result = found(cs.late(recorded(), 0.3), cs.only("delay", sigma_clock_drift=None))
+    delay = result["delay", "video"]
+    assert delay.verdict is Verdict.DOUBTFUL
+    assert "border of 0.15 s" in delay.doubt
+    assert delay.sigma[0] == delay.sigma_prior[0]
+    assert any("is in doubt" in line for line in contradictions(recorded(), result))
+
+
+def test_planted_headings_are_found() -> None:
+    S = 8
+    heading = np.radians([10, -8, 6, 12, -10, 5, 8, -12.0])
+    priors = cs.only("heading", sigma_heading=0.2, sigma_heading_drift=None)
+    result = found(cs.misaligned(recorded(), heading=heading), priors)
+    values = np.array([result["heading", joint].value[0] for joint in planted.LIMBS])
+    ordered = [planted.LIMBS.index(j) for j in recorded().calibration.joints]
+    np.testing.assert_allclose(values[ordered], heading, atol=np.radians(3.5))
+    assert len(result.of_kind("heading")) == S
+
+
+def test_planted_mountings_become_smaller() -> None:
+    rng = np.random.default_rng(5)
+    mounting = np.radians(6) * rng.normal(size=(8, 3))
+    priors = cs.only("mounting", sigma_swing=0.1, sigma_twist=0.1, worth_sensors=1.0)
+    result = found(cs.misaligned(recorded(), mounting=mounting), priors)
+    joints = recorded().calibration.joints
+    left = np.array([result["mounting", joint].value for joint in joints]) - mounting
+    assert np.sqrt(np.mean(left**2)) < 0.4 * np.sqrt(np.mean(mounting**2))
+
+
+def test_a_planted_bias_of_the_detector_is_found_but_for_what_moves_the_whole_person() -> None:
+    bias = 8 * np.random.default_rng(6).normal(size=(21, 2))
+    result = found(cs.biased(recorded(), bias), cs.only("image bias", sigma_image_bias=8.0))
+    left = np.array([result["image bias", n].value for n in cs.BODY.names]) - bias
+    assert np.sqrt(np.mean((left - left.mean(axis=0)) ** 2)) < 0.5 * np.sqrt(np.mean(bias**2))
+
+
+def standing(ankles: float = 0.08) -> MotionSequence:
+    """Somebody who stands and swings the arms, the ankles so high over the floor."""
+    q, times = np.tile(cs.BODY.n_pose(), (T, 1)), np.arange(T) / 60
+    swing = 0.6 * np.sin(2 * np.pi * times)[:, None]
+    q[:, [7 + i for i, name in enumerate(cs.BODY.dof_names) if "Arm" in name]] += swing
+    p, R = cs.BODY.forward_kinematics(q)
+    p[..., 2] += ankles - p[:, cs.BODY.index("LeftFoot", "RightFoot"), 2].mean()
+    return cs.BODY.motion(PoseSequence(times, p, R, cs.BODY.names))
+
+
+def test_with_a_floor_a_body_too_small_is_found() -> None:
+    truth, body = standing(), cs.BODY
+    given = planted.recording(truth, sigma_px=0.5, degrees=0.5)
+    small = replace(given, joint_offsets=body.joint_offsets / 1.05)
+    poses = replace(truth.poses, times=given.keypoints.times)
+    result = calibrate(small, poses, cs.only("bones", sigma_proportion=None), cs.SETTINGS, frames=24)
+    assert result["bones", "all"].value[0] == pytest.approx(0.05, abs=0.015)
+    offsets = result.apply(small).joint_offsets
+    assert np.abs(offsets - body.joint_offsets).max() < 0.4 * np.abs(body.joint_offsets).max() * 0.05
+
+
+def test_ankles_higher_than_they_are_held_to_be_are_not_taken_for_a_tall_body() -> None:
+    """How high they are is left open: the size moves less, and is no surer than that allows."""
+    truth = standing(ankles=0.11)
+    given = planted.recording(truth, sigma_px=0.5, degrees=0.5)
+    poses = replace(truth.poses, times=given.keypoints.times)
+    results = [
+        calibrate(given, poses, cs.only(*kinds, sigma_size=0.03, sigma_proportion=None), cs.SETTINGS, 24)
+        for kinds in (("bones",), ("bones", "ankle height"))
+    ]
+    held, left_open = (result["bones", "all"] for result in results)
+    assert held.value[0] > 0.02
+    assert left_open.value[0] < 0.75 * held.value[0]
+    assert held.value[0] > 2 * held.sigma[0]
+    assert left_open.value[0] < left_open.sigma[0]
+    assert results[0].ankle_height == 0.0
+    assert results[1].ankle_height == pytest.approx(0.01, abs=0.005)
+
+
+def test_without_a_floor_nothing_is_said_of_ankles() -> None:
+    poses = replace(truth().poses, times=recorded().keypoints.times)
+    settings = replace(cs.SETTINGS, floor_height=None)
+    result = calibrate(recorded(), poses, CalibrationPriors(), settings, frames=24)
+    assert not any(q.kind == "ankle height" for q in result.quantities)
+
+
+def test_claimed_standard_deviations_cover_what_was_planted() -> None:
+    """All together, errors as large as their priors say: about two thirds within one."""
+    z = []
+    priors = cs.only("heading", "image bias", sigma_heading=0.1, sigma_heading_drift=None)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        heading, bias = 0.1 * rng.normal(size=8), 6 * rng.normal(size=(21, 2))
+        wrong = cs.biased(cs.misaligned(recorded(), heading=heading), bias)
+        result = found(wrong, priors)
+        for joint, value in zip(recorded().calibration.joints, heading, strict=True):
+            q = result["heading", joint]
+            z.append((q.value[0] - value) / q.sigma[0])
+        for name, pixels in zip(cs.BODY.names, bias, strict=True):
+            q = result["image bias", name]
+            z += ((q.value - pixels) / q.sigma).tolist()
+    z = np.abs(z)
+    assert np.mean(z < 1) > 0.5
+    assert np.mean(z < 2) > 0.85
+
+
+def test_a_good_calibration_stays_as_it_is_where_the_detectors_biases_are_known() -> None:
+    result = found(recorded(0.3, 0.3), CalibrationPriors(sigma_image_bias=None))
+    assert abs(result["delay", "video"].value[0]) < 0.003
+    turns = np.array([result["mounting", j].value for j in recorded().calibration.joints])
+    assert np.degrees(np.abs(turns).max()) < 1.5
+
+
+def test_what_was_corrected_is_closer_to_the_truth() -> None:
+    heading = 0.1 * np.random.default_rng(1).normal(size=8)
+    wrong = cs.late(cs.misaligned(recorded(), heading=heading), 0.05)
+    priors = cs.only("delay", "heading", sigma_clock_drift=None, sigma_heading_drift=None)
+    right = found(wrong, priors).apply(wrong)
+    np.testing.assert_allclose(right.keypoints.times, recorded().keypoints.times, atol=0.006)
+    assert right.calibration is not None
+    assert wrong.calibration is not None
+    given = recorded().calibration
+    assert given is not None
+    before = np.abs(wrong.calibration.R_world_inertial - given.R_world_inertial).max()
+    after = np.abs(right.calibration.R_world_inertial - given.R_world_inertial).max()
+    assert after < before / 3
+
+
+def test_the_detectors_errors_are_measured() -> None:
+    result = found(recorded(3.0), cs.only("delay"))
+    sizes = [d.sigma_px for d in result.detector]
+    assert len(sizes) == 21
+    assert 1.0 < np.median(sizes) < 4.0
+    assert np.median([d.memory for d in result.detector]) < 0.05  # white
+
+
+# --- bad input -----------------------------------------------------------------------------------
+
+
+def test_somebody_who_does_not_move_leaves_the_delay_to_the_prior() -> None:
+    still = replace(truth(), q=np.tile(truth().q[:1], (T, 1)))
+    p, R = cs.BODY.forward_kinematics(still.q)
+    still = replace(still, poses=replace(truth().poses, p_world_joint=p, R_world_bone=R))
+    recording = planted.recording(still, sigma_px=1.0)
+    result = calibrate(recording, still.poses, cs.only("delay"), cs.SETTINGS, frames=24)
+    delay = result["delay", "video"]
+    assert delay.verdict is Verdict.PRIOR
+    assert not delay.value.any()
+    np.testing.assert_array_equal(result.apply(recording).keypoints.times, recording.keypoints.times)
+
+
+def test_a_recording_shorter_than_the_delay_looked_for_is_refused() -> None:
+    recording = recorded()
+    short = replace(recording, keypoints=recording.keypoints[:10])
+    with pytest.raises(CalibrationError, match=r"0.15 s in common, too little .* delay of 0.20 s"):
+        calibrate(short, truth().poses[:10], cs.only("delay"), cs.SETTINGS, frames=24)
+
+
+def test_a_recording_without_sensors_is_refused() -> None:
+    with pytest.raises(CalibrationError, match="without calibrated IMUs and a video"):
+        calibrate(replace(recorded(), imus=None), truth().poses)
+
+
+def test_nothing_open_is_refused() -> None:
+    with pytest.raises(CalibrationError, match="nothing is left open"):
+        found(recorded(), cs.only())
+
+
+def test_a_video_that_sees_nobody_is_refused() -> None:
+    blind = planted.unseen(recorded().keypoints, slice(None))
+    with pytest.raises(CalibrationError, match="sees nothing"):
+        found(replace(recorded(), keypoints=blind), CalibrationPriors())
+
+
+@pytest.mark.parametrize("wrong", [
+    {"sigma_delay": 0.0}, {"sigma_twist": -1.0}, {"rounds": 0}, {"overcount": np.nan},
+])  # fmt: skip
+def test_priors_that_are_none_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ShapeError, match=f"{next(iter(wrong))} is .*positive, finite"):
+        CalibrationPriors(**wrong)
+
+
+def test_bones_are_open_only_where_nobody_measured_them() -> None:
+    table = SkeletonModel.default()
+    recording = replace(recorded(), joint_offsets=table.joint_offsets)
+    assert CalibrationPriors.of(recording).sigma_size == 0.05
+    assert CalibrationPriors.of(replace(recording, height=table.height)).sigma_size == 0.02
+    measured = replace(recording, joint_offsets=1.02 * table.joint_offsets)
+    assert CalibrationPriors.of(measured).sigma_size is None

@@ -1,0 +1,276 @@
+"""What a calibration is: verdicts, its table, what it changes in a recording, its file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import calibration_support as cs
+import numpy as np
+import planted
+import pytest
+
+from rtof_kin.calibration.file import (
+    read_self_calibration_toml,
+    write_self_calibration_toml,
+)
+from rtof_kin.calibration.result import (
+    Detector,
+    Quantity,
+    SelfCalibration,
+    Verdict,
+    bone_groups,
+    image_slopes,
+)
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import (
+    CalibrationError,
+    FileFormatError,
+    OutputExistsError,
+    ShapeError,
+    UnknownNameError,
+)
+from rtof_kin.recording.recording import Recording
+
+KNOWN = 0.9
+
+
+def quantity(kind: str, item: str, *value: float, known: float = KNOWN) -> Quantity:
+    ones = np.ones(len(value))
+    return Quantity(kind, item, np.array(value), 0.1 * ones, 0.5 * ones, known)
+
+
+def recording() -> Recording:
+    return planted.recording(cs.motion(20))
+
+
+def applied(*quantities: Quantity, middle: float = 0.0) -> Recording:
+    return SelfCalibration(quantities, middle=middle).apply(recording())
+
+
+@pytest.mark.parametrize("known, verdict", [
+    (0.9, Verdict.OBSERVED), (0.5, Verdict.WEAKLY), (0.05, Verdict.PRIOR),
+])  # fmt: skip
+def test_the_verdict_says_how_much_the_recording_knew(known: float, verdict: Verdict) -> None:
+    assert quantity("delay", "video", 0.01, known=known).verdict is verdict
+
+
+def test_nothing_is_changed_by_what_was_not_observed() -> None:
+    before = recording()
+    after = applied(
+        quantity("delay", "video", 0.01, known=0.0), quantity("image bias", "Head", 3.0, 4.0, known=0.0),
+        quantity("mounting", "LeftArm", 0.1, 0.0, 0.0, known=0.0),
+    )  # fmt: skip
+    np.testing.assert_array_equal(after.keypoints.times, before.keypoints.times)
+    np.testing.assert_array_equal(after.keypoints.uv_px, before.keypoints.uv_px)
+    assert after.calibration is not None
+    assert before.calibration is not None
+    np.testing.assert_array_equal(after.calibration.R_sensor_bone, before.calibration.R_sensor_bone)
+
+
+def test_keypoints_get_the_times_of_what_they_show() -> None:
+    times = recording().keypoints.times
+    after = applied(quantity("delay", "video", 0.05, 0.01), middle=0.1)
+    np.testing.assert_allclose(after.keypoints.times, times - 0.05 - 0.01 * (times - 0.1))
+
+
+def test_a_bias_is_taken_off_its_landmark_alone() -> None:
+    before, after = recording().keypoints, applied(quantity("image bias", "Head", 3.0, -4.0)).keypoints
+    moved = before.uv_px - after.uv_px
+    head = before.names.index("Head")
+    np.testing.assert_allclose(moved[:, head], np.tile([3.0, -4.0], (20, 1)))
+    assert not np.delete(moved, head, axis=1).any()
+
+
+def test_a_mounting_and_a_heading_turn_the_segment() -> None:
+    turn = np.array([0.1, -0.05, 0.02])
+    before = recording().bone_imus()
+    after = applied(
+        quantity("mounting", "LeftArm", *turn), quantity("heading", "RightLeg", 0.2)
+    ).bone_imus()
+    assert before is not None
+    assert after is not None
+    arm, leg = before.joints.index("LeftArm"), before.joints.index("RightLeg")
+    expected = before.R_world_bone[:, arm] @ so3.exp(turn)
+    np.testing.assert_allclose(after.R_world_bone[:, arm], expected, atol=1e-9)
+    expected = so3.about_axis("z", 0.2) @ before.R_world_bone[:, leg]
+    np.testing.assert_allclose(after.R_world_bone[:, leg], expected, atol=1e-9)
+
+
+def test_a_drifting_heading_turns_more_and_more() -> None:
+    before = recording().bone_imus()
+    after = applied(quantity("heading", "LeftArm", 0.1, 0.5), middle=0.1).bone_imus()
+    assert before is not None
+    assert after is not None
+    arm = before.joints.index("LeftArm")
+    turn = so3.about_axis("z", 0.1 + 0.5 * (before.times - 0.1))
+    np.testing.assert_allclose(
+        after.R_world_bone[:, arm], turn @ before.R_world_bone[:, arm], atol=1e-6
+    )
+
+
+def test_bones_lever_arms_and_camera_are_changed() -> None:
+    before = recording()
+    after = applied(
+        quantity("bones", "thighs", 0.1), quantity("lever arm", "LeftArm", 0.01, 0.02, 0.03),
+        quantity("focal length", "camera", 0.02), quantity("camera tilt", "camera", 0.01, 0.0, 0.0),
+    )  # fmt: skip
+    ratio = after.skeleton.bone_lengths["LeftLeg"] / before.skeleton.bone_lengths["LeftLeg"]
+    assert ratio == pytest.approx(1.1)
+    assert after.skeleton.bone_lengths["Neck"] == pytest.approx(before.skeleton.bone_lengths["Neck"])
+    assert after.calibration is not None
+    assert before.calibration is not None
+    s = before.calibration.joints.index("LeftArm")
+    moved = after.calibration.p_bone_sensor[s] - before.calibration.p_bone_sensor[s]
+    np.testing.assert_allclose(moved, [0.01, 0.02, 0.03])
+    old, new = before.keypoints.camera, after.keypoints.camera
+    assert new.K[0, 0] == pytest.approx(1.02 * old.K[0, 0])
+    np.testing.assert_allclose(new.center_world, old.center_world, atol=1e-12)
+    assert so3.angle_between(new.R_camera_world, old.R_camera_world) == pytest.approx(0.01)
+
+
+def test_places_move_keypoints_as_the_landmark_would_move() -> None:
+    truth = cs.motion(20)
+    seen = planted.keypoints(truth.poses)
+    place = np.array([0.01, -0.02, 0.005])
+    calibration = SelfCalibration((quantity("place", "LeftLeg", *place),))
+    (j,) = truth.skeleton.index("LeftLeg")
+    p = truth.poses.p_world_joint[:, j] + truth.poses.R_world_bone[:, j] @ place
+    uv = seen.uv_px.copy()
+    uv[:, j] = seen.camera.project(p)
+    back = calibration.moved(replace(seen, uv_px=uv), truth.poses)
+    np.testing.assert_allclose(back.uv_px, seen.uv_px, atol=0.05)
+
+
+def test_slopes_are_derivatives_of_the_image() -> None:
+    truth = cs.motion(6)
+    camera, poses = planted.camera(), truth.poses
+    slopes = image_slopes(camera, truth.skeleton, poses, ("Head",))
+    (j,) = truth.skeleton.index("Head")
+    step = 1e-6
+    for axis in range(3):
+        p = poses.p_world_joint[:, j] + step * poses.R_world_bone[:, j, :, axis]
+        numeric = (camera.project(p) - camera.project(poses.p_world_joint[:, j])) / step
+        np.testing.assert_allclose(slopes[:, 0, :, axis], numeric, rtol=1e-3, atol=0.1)
+
+
+def test_another_recording_of_the_person_gets_bones_ankles_and_places_alone() -> None:
+    found = SelfCalibration((
+        quantity("bones", "thighs", 0.1), quantity("delay", "video", 0.1),
+        quantity("ankle height", "feet", 0.02),
+    ))  # fmt: skip
+    kept = found.for_another_recording()
+    assert [q.kind for q in kept.quantities] == ["bones", "ankle height"]
+    assert kept.ankle_height == 0.02
+    after = kept.apply(recording())
+    np.testing.assert_array_equal(after.keypoints.times, recording().keypoints.times)
+
+
+def test_what_comes_later_stands_above_what_was_known() -> None:
+    before = SelfCalibration((quantity("bones", "thighs", 0.1), quantity("delay", "video", 0.1)))
+    later = SelfCalibration((quantity("delay", "video", 0.2),), middle=3.0)
+    both = before.followed_by(later)
+    assert [(q.kind, q.value[0]) for q in both.quantities] == [("bones", 0.1), ("delay", 0.2)]
+    assert both.middle == 3.0
+
+
+def test_the_height_that_was_told_stays_told() -> None:
+    told = replace(recording(), height=1.7)
+    found = SelfCalibration((quantity("bones", "thighs", 0.1),))
+    assert found.apply(told).height == 1.7
+
+
+def test_the_table_has_units_that_people_read() -> None:
+    table = SelfCalibration((
+        quantity("delay", "video", 0.05), quantity("mounting", "LeftArm", 0.1, 0.1, 0.1),
+    )).table()  # fmt: skip
+    assert table[0] == ("delay", "video", "50 ms", "100", "500", "observed")
+    assert table[1] == ("mounting", "LeftArm", "5.73 deg", "5.73", "28.6", "observed")
+
+
+def test_groups_of_bones_hold_every_joint_but_the_root_once() -> None:
+    names = ("trunk", "head", "shoulders", "upper arms", "forearms", "pelvis", "thighs", "shanks")
+    joints = [j for _, own in bone_groups(cs.BODY, names) for j in own]
+    assert sorted(joints) == list(range(1, len(cs.BODY.names)))
+    with pytest.raises(UnknownNameError, match="unknown group of bones 'tail'"):
+        bone_groups(cs.BODY, ("tail",))
+
+
+def test_what_was_not_estimated_is_not_there() -> None:
+    with pytest.raises(CalibrationError, match="delay of video was not estimated"):
+        SelfCalibration(())["delay", "video"]
+
+
+@pytest.mark.parametrize("wrong, message", [
+    ({"kind": "colour"}, "unknown kind of quantity 'colour'"),
+    ({"value": np.array([np.nan])}, "value must be finite"),
+    ({"sigma": np.array([0.0])}, "must be positive"),
+    ({"sigma": np.ones(2)}, "as many as values"),
+    ({"known": 1.5}, "known is 1.5"),
+])  # fmt: skip
+def test_quantities_that_are_none_are_refused(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises((ShapeError, UnknownNameError), match=message):
+        replace(quantity("delay", "video", 0.1), **wrong)
+
+
+# --- the file ------------------------------------------------------------------------------------
+
+WHOLE = SelfCalibration(
+    (quantity("image bias", "Head", 1 / 3, 2.0), quantity("image bias", "Neck", 1.0, 0.1),
+     quantity("mounting", "LeftArm", 0.1, 0.2, 0.3, known=0.4)),
+    (Detector("Head", 5.1, 0.4),), 1.25, False,
+)  # fmt: skip
+
+
+def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    write_self_calibration_toml(path, WHOLE)
+    back = read_self_calibration_toml(path)
+    assert (back.detector, back.middle, back.converged) == (WHOLE.detector, 1.25, False)
+    assert len(back.quantities) == 3
+    for ours, theirs in zip(back.quantities, WHOLE.quantities, strict=True):
+        assert (ours.kind, ours.item, ours.known) == (theirs.kind, theirs.item, theirs.known)
+        assert ours.doubt == theirs.doubt
+        for name in ("value", "sigma", "sigma_prior"):
+            np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+
+
+def test_a_doubt_is_kept_in_the_file_and_is_the_verdict(tmp_path: Path) -> None:
+    doubted = replace(quantity("image bias", "Head", 1.0, 2.0), doubt="another one is as good")
+    write_self_calibration_toml(tmp_path / "calibration.toml", SelfCalibration((doubted,)))
+    (back,) = read_self_calibration_toml(tmp_path / "calibration.toml").quantities
+    assert back.doubt == doubted.doubt
+    assert back.verdict is Verdict.DOUBTFUL
+
+
+def test_a_file_is_not_replaced_unasked(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    write_self_calibration_toml(path, WHOLE)
+    with pytest.raises(OutputExistsError, match="is there already"):
+        write_self_calibration_toml(path, WHOLE)
+    write_self_calibration_toml(path, WHOLE, overwrite=True)
+
+
+def test_another_file_is_not_taken_for_a_calibration(tmp_path: Path) -> None:
+    recording().save(tmp_path / "take")
+    with pytest.raises(FileFormatError, match="no calibration that `rtof-kin calibrate` wrote"):
+        read_self_calibration_toml(tmp_path / "take" / "recording.toml")
+
+
+@pytest.mark.parametrize("old, new, message", [
+    ("schema_version = 1", "schema_version = 9", "9 is not 1"),
+    ("known = 0.4", "known = 4.0", "no share of 1"),
+    ("known = 0.4", "knwon = 0.4", "known: missing"),
+    ("[quantities.mounting.LeftArm]", "[quantities.mouning.LeftArm]", "unknown kind"),
+    ("sigma_px = 5.1", 'sigma_px = "much"', "not a finite number"),
+    ("middle_s = 1.25", "middle_s = 1.25\nwhat = 1", "unknown field"),
+])  # fmt: skip
+def test_files_that_are_none_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = tmp_path / "calibration.toml"
+    write_self_calibration_toml(path, WHOLE)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises((FileFormatError, UnknownNameError), match=message):
+        read_self_calibration_toml(path)

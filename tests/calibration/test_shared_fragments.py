@@ -1,0 +1,132 @@
+"""Fragments that share unknowns: the profile against differences and against the compiled oracle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import calibration_support as cs
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.calibration.estimate import shared_fragments
+from rtof_kin.calibration.shared_fragments import SharedFragments
+from rtof_kin.solve.compiled.building import built_problem
+
+Array = NDArray[np.float64]
+
+
+def fragments(*kinds: str, frames: int = 24, **more: float) -> SharedFragments:
+    truth = cs.motion(frames)
+    recording = planted.recording(truth, sigma_px=3.0, degrees=3.0)
+    shared = cs.fragments(recording, truth.poses, cs.only(*kinds, **more))
+    shared.begin()
+    return shared
+
+
+def test_columns_and_corner_are_those_of_the_compiled_oracle() -> None:
+    shared = without_growth(fragments("heading", "mounting", frames=12))
+    data, s, x = shared.data, shared.data.settings, shared.states(0)
+    shape = replace(data.problem.energy.shape, unknowns=("heading", "mounting"))
+    oracle = built_problem(
+        data.skeleton.name, shape, data.space.names, cs.FRAMES, s.hinges, "never",
+        (s.jerk,) * (1 + len(data.space.names)), s.robust_acceleration,
+    )  # fmt: skip
+    y = np.zeros(len(shared.prior))
+    evidence = shared.corrected(y)
+    values = evidence.fragment(0, cs.FRAMES)
+    oracle.bind(replace(values, constant=values.constant | {"unknowns": y}))
+    oracle.linearise(x)
+    by_y, columns, corner = oracle.border()
+    border = shared.border(evidence, 0, x, y)
+    for ours, theirs in ((border.gradient, by_y), (border.columns, columns), (border.corner, corner)):
+        np.testing.assert_allclose(ours, theirs, atol=1e-8 * np.abs(theirs).max())
+
+
+def without_growth(shared: SharedFragments) -> SharedFragments:
+    """The same with headings that stay, as the oracle has them."""
+    heading, mounting = shared.unknowns
+    kinds = [replace(heading, sigma_drift=None), mounting]
+    other = SharedFragments(shared.data, shared.times, kinds, shared.worth)
+    other.begin()
+    return other
+
+
+@pytest.mark.parametrize("kinds", [("heading", "image bias"), ("bones",)])
+def test_the_profiles_gradient_is_that_of_the_energy_with_states_at_their_optimum(
+    kinds: tuple[str, ...]
+) -> None:
+    shared = fragments(*kinds, frames=24)
+    y = np.full(len(shared.prior), 0.01)
+    evidence = shared.corrected(y)
+    for _ in range(4):
+        shared.settle(evidence)
+    gradient = shared.profile(evidence, y)[1] + shared.prior @ y
+    rng = np.random.default_rng(2)
+    direction = 0.1 * np.sqrt(np.diag(np.linalg.inv(shared.prior))) * rng.normal(size=len(y))
+
+    def energy(step: Array) -> float:
+        y = 0.01 + step
+        evidence = shared.corrected(y)
+        total = [shared.settle(evidence) for _ in range(4)][-1]
+        return total + 0.5 * float(y @ shared.prior @ y)
+
+    slope = (energy(direction) - energy(-direction)) / 2
+    # States are solved to 1e-4 of the energy.
+    assert slope == pytest.approx(float(gradient @ direction), rel=0.1)
+
+
+def test_how_large_somebody_is_neither_accelerations_nor_jerk_tell() -> None:
+    truth, no_floor = cs.motion(24), replace(cs.SETTINGS, floor_height=None)
+    recording = planted.recording(truth, sigma_px=3.0, degrees=3.0)
+    shared = shared_fragments(recording, truth.poses, cs.only("bones"), no_floor, cs.FRAMES)
+    shared.begin()
+    y = np.zeros(len(shared.prior))
+    evidence = shared.corrected(y)
+    for _ in range(4):
+        shared.settle(evidence)
+    told, gradient = shared.profile(evidence, y)
+    all_alike = np.ones(len(y))
+    assert abs(all_alike @ told @ all_alike) < 1e-4 * np.trace(told)
+    assert abs(gradient @ all_alike) < 1e-3 * np.abs(gradient).sum()
+
+
+def test_the_profiles_hessian_is_never_negative() -> None:
+    shared = fragments("delay", "heading", "mounting", "image bias", "place")
+    y = np.zeros(len(shared.prior))
+    hessian, _ = shared.profile(shared.corrected(y), y)
+    assert np.linalg.eigvalsh(hessian)[0] > -1e-6 * np.abs(hessian).max()
+
+
+def test_energies_fall_from_round_to_round() -> None:
+    truth = cs.motion(48)
+    recording = planted.recording(truth, sigma_px=2.0)
+    wrong = cs.biased(recording, np.tile([8.0, -5.0], (21, 1)))
+    shared = cs.fragments(wrong, truth.poses, cs.only("image bias", "heading")).estimate(4)
+    assert shared.energies[-1] < shared.energies[0]
+    assert all(b <= a * (1 + 1e-3) for a, b in zip(shared.energies, shared.energies[1:], strict=False))
+
+
+def test_one_that_starts_where_another_ended_stays_there() -> None:
+    truth = cs.motion(48)
+    bias = 8 * np.random.default_rng(2).normal(size=(21, 2))
+    wrong = cs.biased(planted.recording(truth, sigma_px=2.0), bias)
+    priors = cs.only("image bias", "heading")
+    found = cs.fragments(wrong, truth.poses, priors).estimate(6)
+    again = cs.fragments(wrong, truth.poses, priors).estimate(6, start=found.y)
+    assert again.energies[0] < found.energies[0]
+    np.testing.assert_allclose(again.y, found.y, atol=0.1)  # px and rad
+    assert np.linalg.norm(found.y) > 0.5 * np.linalg.norm(bias)
+
+
+def test_a_calibration_tells_how_far_it_is() -> None:
+    truth = cs.motion(24)
+    told: list[tuple[int, int]] = []
+    recording = planted.recording(truth)
+    cs.fragments(recording, truth.poses, cs.only("image bias")).estimate(
+        2, lambda done, total: told.append((done, total))
+    )
+    assert told[0] == (1, 3)
+    assert told[-1] == (3, 3)
+    assert [done for done, _ in told] == sorted(done for done, _ in told)

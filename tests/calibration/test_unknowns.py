@@ -1,0 +1,107 @@
+"""Every kind of unknown: derivatives against finite differences, and against the compiled oracle."""
+
+from __future__ import annotations
+
+import calibration_support as cs
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.calibration.shared_fragments import SharedFragments
+
+Array = NDArray[np.float64]
+T = 24
+
+
+def open_fragments(*kinds: str) -> SharedFragments:
+    truth = cs.motion(T)
+    recording = planted.recording(truth, sigma_px=4.0, degrees=4.0)
+    return cs.fragments(recording, truth.poses, cs.only(*kinds, worth_vision=0.5))
+
+
+def some_unknowns(shared: SharedFragments, size: float = 0.5) -> Array:
+    root = np.linalg.cholesky(np.linalg.inv(shared.prior))
+    return np.asarray(size * root @ np.random.default_rng(4).normal(size=len(root)))
+
+
+def energy(shared: SharedFragments, y: Array, first: int, x: Array) -> float:
+    problem = shared.bound(shared.corrected(y), first)
+    return problem.total(x.copy())
+
+
+def by_differences(shared: SharedFragments, y: Array, first: int, x: Array) -> Array:
+    step = 1e-3 * np.sqrt(np.diag(np.linalg.inv(shared.prior)))
+    return np.array([
+        (energy(shared, y + e, first, x) - energy(shared, y - e, first, x)) / (2 * e.sum())
+        for e in np.diag(step)
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [k for k in cs.OPEN if k != "delay"])
+def test_the_gradient_of_a_kind_is_that_of_finite_differences(kind: str) -> None:
+    shared = open_fragments(kind)
+    shared.begin()
+    y = some_unknowns(shared)
+    x = shared.states(0)
+    gradient = shared.border(shared.corrected(y), 0, x, y).gradient
+    numeric = by_differences(shared, y, 0, x)
+    np.testing.assert_allclose(gradient, numeric, rtol=1e-5, atol=1e-5 * np.abs(numeric).max())
+
+
+def test_the_gradient_by_a_delay_is_that_of_the_sensors_motion() -> None:
+    """Samples in between are interpolated: the two agree to their curvature."""
+    shared = open_fragments("delay")
+    shared.begin()
+    y = np.array([0.004, 0.001])
+    x = shared.states(0)
+    gradient = shared.border(shared.corrected(y), 0, x, y).gradient
+    numeric = by_differences(shared, y, 0, x)
+    np.testing.assert_allclose(gradient, numeric, rtol=0.3, atol=0.3 * np.abs(numeric).max())
+
+
+def test_the_gradient_of_all_kinds_together_is_that_of_finite_differences() -> None:
+    kinds = [k for k in cs.OPEN if k not in ("delay", "lever arm")]
+    shared = open_fragments(*kinds)
+    shared.begin()
+    y = some_unknowns(shared)
+    x = shared.states(12)
+    gradient = shared.border(shared.corrected(y), 12, x, y).gradient
+    numeric = by_differences(shared, y, 12, x)
+    for part in shared.columns:
+        np.testing.assert_allclose(
+            gradient[part], numeric[part], rtol=1e-4, atol=1e-4 * np.abs(numeric[part]).max()
+        )
+
+
+def test_columns_and_corner_are_derivatives_of_the_gradients_where_residuals_vanish() -> None:
+    """With exact data the Gauss-Newton Hessian is the Hessian."""
+    truth = cs.motion(T)
+    recording = planted.recording(truth)
+    kinds = [k for k in cs.OPEN if k != "delay"]
+    shared = cs.fragments(recording, truth.poses, cs.only(*kinds))
+    shared.begin()
+    space, y = shared.data.space, np.zeros(len(shared.prior))
+    x = space.from_poses(truth.poses.p_world_joint[:12, 0], truth.poses.R_world_bone[:12])
+    border = shared.border(shared.corrected(y), 0, x, y)
+    rng = np.random.default_rng(1)
+    direction = np.sqrt(np.diag(np.linalg.inv(shared.prior))) * rng.normal(size=len(y)) * 1e-4
+
+    def gradients(y: Array) -> tuple[Array, Array]:
+        evidence = shared.corrected(y)
+        by_y = shared.border(evidence, 0, x, y).gradient
+        return shared.bound(evidence, 0).gradient(x), by_y
+
+    (x_up, y_up), (x_down, y_down) = gradients(direction), gradients(-direction)
+    expected, expected_y = border.columns @ direction, border.corner @ direction
+    np.testing.assert_allclose((x_up - x_down) / 2, expected, atol=2e-3 * np.abs(expected).max())
+    np.testing.assert_allclose((y_up - y_down) / 2, expected_y, atol=2e-3 * np.abs(expected_y).max())
+
+
+def test_a_detector_whose_errors_are_white_leaves_no_room_for_biases() -> None:
+    shared = open_fragments("image bias", "mounting")
+    mounting, bias = shared.unknowns
+    assert mounting.limited(0.0) is mounting
+    assert np.sqrt(np.diag(bias.limited(0.0).covariance)).max() < 0.1
+    assert np.sqrt(np.diag(bias.limited(2.0).covariance)).max() == pytest.approx(2.0)
+    np.testing.assert_array_equal(bias.limited(50.0).covariance, bias.covariance)

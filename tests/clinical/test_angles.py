@@ -1,0 +1,469 @@
+"""Clinical angles: postures anyone can picture, peers, mirror images, continuity, what nobody saw."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted
+import pytest
+from clinical_support import ARM, LEG, limb, posture, turn, walk
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from rtof_kin.body.metrics import flexion
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.clinical import joint_coordinate_systems as jcs
+from rtof_kin.clinical.angle_table import angle_table
+from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.data.types import PoseSequence, Provenance
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+ANY_ANGLE = st.floats(-3.1, 3.1)
+
+
+def degrees(poses: PoseSequence, skeleton: SkeletonModel = BODY) -> dict[str, float]:
+    angles = clinical_angles(poses, skeleton)
+    return dict(zip(angles.names, angles.values_deg[0].tolist(), strict=True))
+
+
+def both(segments: tuple[str, ...], R_turn: Array) -> dict[str, Array]:
+    return limb("right", segments, R_turn) | limb("left", segments, R_turn)
+
+
+def either_side(right: Array, left: Array, *segments: str) -> dict[str, Array]:
+    return limb("right", segments, right) | limb("left", segments, left)
+
+
+THIGHS_FORWARD = both(("thigh",), turn(y=-90))
+PICTURES = {
+    "seated, shanks down, feet flat": (THIGHS_FORWARD, {"hip_flexion": 90, "knee_flexion": 90}),
+    "lying thighs up, shanks level": (
+        THIGHS_FORWARD | both(("shank", "foot"), turn(y=0)),
+        {"hip_flexion": 90, "knee_flexion": 90},
+    ),
+    "leg swung forward, straight": (both(LEG, turn(y=-30)), {"hip_flexion": 30}),
+    "leg swung back, straight": (both(LEG, turn(y=20)), {"hip_flexion": -20}),
+    "heels at the buttocks": (both(("shank", "foot"), turn(y=120)), {"knee_flexion": 120}),
+    "legs spread": (either_side(turn(x=-25), turn(x=25), *LEG), {"hip_adduction": -25}),
+    "legs turned inwards": (
+        either_side(turn(z=15), turn(z=-15), *LEG),
+        {"hip_internal_rotation": 15},
+    ),
+    "standing on the heels": (both(("foot",), turn(y=-20)), {"ankle_dorsiflexion": 20}),
+    "standing on tiptoe": (both(("foot",), turn(y=40)), {"ankle_dorsiflexion": -40}),
+    "soles facing each other": (
+        either_side(turn(x=15), turn(x=-15), "foot"),
+        {"ankle_inversion": 15},
+    ),
+    "arms forward, palms up": (
+        both(ARM, turn(y=-90)),
+        {"shoulder_elevation": 90, "shoulder_plane_of_elevation": 90, "shoulder_axial_rotation": -90,
+         "shoulder_xzy_flexion": 90},
+    ),
+    "arms sideways, palms forward": (
+        either_side(turn(x=-90), turn(x=90), *ARM),
+        {"shoulder_elevation": 90, "shoulder_xzy_abduction": 90},
+    ),
+    "forearms forward, palms up": (both(("forearm", "hand"), turn(y=-90)), {"elbow_flexion": 90}),
+    "thumbs forward": (
+        either_side(turn(z=90), turn(z=-90), "forearm", "hand"),
+        {"elbow_pronation": 90},
+    ),
+    "palms back": (
+        either_side(turn(z=170), turn(z=-170), "forearm", "hand"),
+        {"elbow_pronation": 170},
+    ),
+    "hands bent forward": (both(("hand",), turn(y=-60)), {"wrist_flexion": 60}),
+    "hands bent to the thighs": (
+        either_side(turn(x=20), turn(x=-20), "hand"),
+        {"wrist_ulnar_deviation": 20},
+    ),
+    "forearms spread": (
+        either_side(turn(x=-10), turn(x=10), "forearm", "hand"),
+        {"elbow_carrying_angle": 10},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_posture_anyone_can_picture_has_the_angles_one_expects(name: str) -> None:
+    turns, expected = PICTURES[name]
+    found = degrees(posture(BODY, **turns))
+    undefined = {"shoulder_plane_of_elevation", "shoulder_axial_rotation"}
+    singular = {"shoulder_xzy_abduction", "shoulder_xzy_internal_rotation"}
+    for angle, value in found.items():
+        side, _, short = angle.partition("_")
+        if side not in ("right", "left"):
+            assert value == pytest.approx(0, abs=1e-9), angle
+        elif short in expected:
+            assert value == pytest.approx(expected[short], abs=1e-9), angle
+        elif not (short in undefined or (short in singular and "arms forward" in name)):
+            assert value == pytest.approx(0, abs=1e-9), angle
+
+
+def test_in_the_anatomical_posture_every_angle_is_zero(any_skeleton: SkeletonModel) -> None:
+    np.testing.assert_allclose(list(degrees(posture(any_skeleton), any_skeleton).values()), 0, atol=1e-9)
+
+
+def test_in_the_skeletons_own_postures_arms_hang_or_reach_sideways_with_thumbs_forward() -> None:
+    for q, elevation in ((BODY.n_pose(), 0.0), (BODY.t_pose(), 90.0)):
+        p, R = BODY.forward_kinematics(q[None])
+        found = degrees(all_observed(PoseSequence(np.zeros(1), p, R, BODY.names)))
+        for side in ("right", "left"):
+            assert found[f"{side}_shoulder_elevation"] == pytest.approx(elevation, abs=1e-9)
+            assert found[f"{side}_elbow_pronation"] == pytest.approx(90)
+            assert found[f"{side}_elbow_flexion"] == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("heading", [0.0, 90.0, 180.0, -135.0])
+def test_tilt_and_list_do_not_depend_on_where_one_faces(heading: float) -> None:
+    """As OpenSim's order does: there a tilt becomes a list for somebody who faces world y."""
+    lean = posture(BODY, body=turn(z=heading) @ turn(x=5, y=20))
+    found = degrees(lean)
+    assert found["pelvis_tilt"] == pytest.approx(20)
+    assert found["pelvis_list"] == pytest.approx(5)
+    assert np.cos(np.radians(found["pelvis_rotation"] - heading)) == pytest.approx(1)
+    if heading == 90.0:
+        assert abs(found["pelvis_opensim_tilt"]) < 6
+
+
+def test_the_trunk_bends_forward_right_and_turns_left() -> None:
+    for thorax, name in (
+        (turn(y=30), "spine_flexion"), (turn(x=30), "spine_lateral_bending"),
+        (turn(z=30), "spine_axial_rotation"),
+    ):  # fmt: skip
+        assert degrees(posture(BODY, thorax=thorax))[name] == pytest.approx(30)
+
+
+def test_leg_angles_are_those_of_the_urdf_by_the_skeletons_own_names() -> None:
+    """Two tables, written apart, agree: axes, order and signs of hip, knee and ankle."""
+    q = planted.moving(BODY, 40, radians=0.3).q
+    p, R = BODY.forward_kinematics(q)
+    angles = clinical_angles(all_observed(PoseSequence(np.arange(40) / 60, p, R, BODY.names)), BODY)
+    compared = 0
+    for joint in BODY.table.joints:
+        for dof in joint.dofs:
+            sign, clinical = (-1, dof.clinical[1:]) if dof.clinical[0] == "-" else (1, dof.clinical)
+            if not any(word in clinical for word in (" hip ", " knee ", " ankle ")):
+                continue
+            expected = sign * q[:, 7 + BODY.dof_names.index(dof.urdf)]
+            np.testing.assert_allclose(angles[clinical.replace(" ", "_")], expected, atol=1e-9)
+            compared += 1
+    assert compared == 18
+
+
+def test_opensim_names_agree_with_the_skeletons_wherever_both_name_a_coordinate() -> None:
+    """Up to the sign, which each table states against an angle of its own."""
+    own = {row.opensim.strip("-") for row in angle_table(BODY.table).rows} - {""}
+    theirs = {dof.opensim.strip("-") for joint in BODY.table.joints for dof in joint.dofs} - {""}
+    assert theirs <= own
+    assert own - theirs == {"pelvis_tilt", "pelvis_list", "pelvis_rotation"}
+
+
+def mirror(poses: PoseSequence) -> PoseSequence:
+    """The same person in a mirror: left and right change places."""
+    swap = {"Left": "Right", "Right": "Left"}
+    other = [next((swap[s] + n[len(s):] for s in swap if n.startswith(s)), n) for n in poses.names]
+    index = [poses.names.index(n) for n in other]
+    M = np.diag([1.0, -1.0, 1.0])
+    return replace(
+        poses, p_world_joint=poses.p_world_joint[:, index] @ M,
+        R_world_bone=M @ poses.R_world_bone[:, index] @ M,
+    )  # fmt: skip
+
+
+def test_in_a_mirror_left_and_right_change_places_and_keep_their_angles() -> None:
+    poses = all_observed(planted.moving(BODY, 30, radians=0.2).poses)
+    angles, seen = clinical_angles(poses, BODY), clinical_angles(mirror(poses), BODY)
+    for name in angles.names:
+        side, _, short = name.partition("_")
+        if side in ("right", "left"):
+            other = {"right": "left", "left": "right"}[side]
+            np.testing.assert_allclose(seen[f"{other}_{short}"], angles[name], atol=1e-9)
+        elif name.endswith(("tilt", "spine_flexion")):
+            np.testing.assert_allclose(seen[name], angles[name], atol=1e-9)
+        else:
+            np.testing.assert_allclose(seen[name], -angles[name], atol=1e-9)
+
+
+@given(st.tuples(ANY_ANGLE, ANY_ANGLE, ANY_ANGLE), st.sampled_from(["zxy", "yxz", "xzy", "yxy"]))
+@settings(max_examples=60, deadline=None)
+def test_any_rotation_is_the_product_of_its_angles(
+    angles: tuple[float, float, float], sequence: str
+) -> None:
+    R = so3.exp(np.array(angles))
+    np.testing.assert_allclose(jcs.compose(sequence, jcs.decompose(sequence, R)), R, atol=1e-9)
+
+
+@pytest.mark.parametrize("sequence", ["zxy", "yxz", "xzy", "yxy"])
+def test_scipy_decomposes_alike(sequence: str) -> None:
+    rotations = Rotation.random(200, rng=3)
+    a, b, c = rotations.as_euler(sequence.upper()).T
+    if sequence == "yxy":  # SciPy's elevation is positive, ISB's negative
+        a, b, c = a + np.pi, -b, c + np.pi
+    error = jcs.decompose(sequence, rotations.as_matrix()) - np.stack([a, b, c], axis=-1)
+    np.testing.assert_allclose(np.angle(np.exp(1j * error)), 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("elevation", [0.0, -np.pi])
+def test_where_an_arm_hangs_or_stands_exactly_the_product_still_holds(elevation: float) -> None:
+    R = jcs.compose("yxy", np.array([0.4, elevation, 0.3]))
+    angles = jcs.decompose("yxy", R)
+    np.testing.assert_allclose(jcs.compose("yxy", angles), R, atol=1e-12)
+    assert jcs.near_singular("yxy", angles)
+
+
+def test_somebody_who_turns_round_twice_has_turned_by_720_degrees() -> None:
+    heading = np.linspace(0, 4 * np.pi, 240)
+    angles = clinical_angles(posture(BODY, 240, body=so3.about_axis("z", heading)), BODY)
+    rotation = angles["pelvis_rotation"]
+    assert rotation[-1] - rotation[0] == pytest.approx(4 * np.pi)
+    assert np.abs(np.diff(rotation)).max() < 0.06
+    assert np.abs(np.median(rotation)) <= np.pi
+
+
+def test_no_angle_of_real_walking_jumps_where_it_is_defined() -> None:
+    angles = clinical_angles(walk())
+    steps = np.abs(np.diff(angles.values, axis=0))
+    defined = ~(angles.singular[1:] | angles.singular[:-1])
+    glitch = np.array(["left_wrist" in name for name in angles.names])  # in the first frames of the file
+    assert np.degrees(np.nanmax(steps[defined & ~glitch])) < 15
+    assert defined[:, ~glitch].mean() > 0.9
+
+
+def test_an_arm_that_circles_its_vertical_for_long_stays_in_its_range() -> None:
+    """Three cones, between them the arm hangs: the plane of elevation does not count the turns."""
+    T = 360
+    plane = np.linspace(0, 6 * np.pi, T)
+    elevation = np.where(np.sin(plane / 2) ** 2 > 0.3, np.radians(-30), np.radians(-1))
+    R_isb = jcs.compose("yxy", np.stack([plane, elevation, -plane], axis=-1))
+    poses = posture(BODY, T, **limb("right", ARM, jcs.R_ROS_ISB @ R_isb @ jcs.R_ROS_ISB.T))
+    angles = clinical_angles(poses, BODY)
+    name = "right_shoulder_plane_of_elevation"
+    singular = angles.singular[:, angles.names.index(name)]
+    assert 0.2 < singular.mean() < 0.6
+    assert np.degrees(np.abs(angles[name][~singular]).max()) < 180 + 250 / 2  # a cone is 250 wide
+    np.testing.assert_allclose(np.degrees(angles["right_shoulder_elevation"][~singular]), 30)
+    assert not angles.singular[:, angles.names.index("right_shoulder_elevation")].any()
+
+
+def test_after_a_glitch_of_a_frame_every_angle_is_as_before() -> None:
+    flexion = so3.about_axis("y", np.radians(np.linspace(10, 60, 90)))
+    smooth = posture(BODY, 90, **limb("right", ("shank", "foot"), flexion))
+    R = np.array(smooth.R_world_bone)
+    R[40, BODY.index("RightLeg")[0]] = so3.exp(np.array([2.0, -1.5, 1.0]))
+    angles = clinical_angles(replace(smooth, R_world_bone=R), BODY)
+    expected = clinical_angles(smooth, BODY)
+    other = np.arange(90) != 40
+    known = expected.known & other[:, None]
+    np.testing.assert_allclose(angles.values[known], expected.values[known], atol=1e-9)
+    assert known[:, expected.names.index("right_knee_flexion")].sum() == 89
+
+
+@pytest.mark.parametrize(("axis", "name"), [("y", "flexion"), ("x", "abduction")])
+def test_an_arm_raised_overhead_goes_on_counting_on_either_way_up(axis: str, name: str) -> None:
+    raised = so3.about_axis(axis, np.radians(-np.linspace(5, 175, 120)))
+    angles = clinical_angles(posture(BODY, 120, **limb("right", ARM, raised)), BODY)
+    found = np.degrees(angles[f"right_shoulder_xzy_{name}"])
+    regular = ~angles.singular[:, angles.names.index("right_shoulder_xzy_abduction")]
+    np.testing.assert_allclose(found[regular], np.linspace(5, 175, 120)[regular], atol=1e-6)
+    np.testing.assert_allclose(
+        np.degrees(angles["right_shoulder_elevation"]), np.linspace(5, 175, 120), atol=1e-6
+    )
+
+
+def test_after_a_gap_an_angle_goes_on_in_its_range() -> None:
+    heading = np.linspace(0, 5 * np.pi, 300)
+    poses = posture(BODY, 300, body=so3.about_axis("z", heading))
+    R = np.array(poses.R_world_bone)
+    R[100:200] = np.nan
+    angles = clinical_angles(replace(poses, R_world_bone=R), BODY)
+    rotation = angles["pelvis_rotation"]
+    assert np.isnan(rotation[100:200]).all()
+    assert angles.provenance[150, 0] == Provenance.NOBODY
+    assert abs(np.median(rotation[200:])) <= np.pi
+    assert "have gaps where nobody saw them, the largest share 33 %" in angles.notes[0]
+    R = np.array(poses.R_world_bone)
+    R[100] = np.nan
+    angles = clinical_angles(replace(poses, R_world_bone=R), BODY)
+    assert "the largest share under 1 % of the time" in angles.notes[0]
+
+
+# --- what nobody saw ---
+
+
+def seen_by(poses: PoseSequence, sensors: tuple[str, ...], who: Provenance) -> PoseSequence:
+    return replace(
+        poses,
+        provenance=np.full(poses.valid.shape, who, dtype=np.uint8),
+        orientation_observed=BODY.orientation_observed(sensors),
+    )
+
+
+@pytest.fixture(scope="module")
+def moving() -> PoseSequence:
+    return planted.human(BODY, 40).poses
+
+
+def test_what_a_camera_alone_cannot_see_is_nan_and_by_the_prior(moving: PoseSequence) -> None:
+    angles = clinical_angles(seen_by(moving, (), Provenance.CAMERA), BODY)
+    known = {name for name, column in zip(angles.names, angles.known.T, strict=True) if column.all()}
+    for joint in ("ankle", "wrist"):
+        assert not any(f"_{joint}_" in name for name in known)
+    assert {"right_hip_flexion", "right_hip_adduction", "left_knee_flexion"} <= known
+    assert {"left_shoulder_elevation", "right_elbow_flexion", "pelvis_tilt", "spine_flexion"} <= known
+    unseen = {"right_hip_internal_rotation", "left_knee_adduction", "left_shoulder_axial_rotation",
+              "right_elbow_pronation"}  # fmt: skip
+    assert not unseen & known
+    column = angles.names.index("right_ankle_dorsiflexion")
+    assert np.all(angles.provenance[:, column] == Provenance.PRIOR)
+    column = angles.names.index("right_hip_flexion")
+    assert np.all(angles.provenance[:, column] == Provenance.CAMERA)
+    assert "no sensor and no landmark shows that turn" in angles.notes[0]
+    assert "right_ankle_dorsiflexion" in angles.notes[0]
+
+
+def test_where_the_thighs_twist_is_unseen_the_knees_flexion_is_that_of_its_bones(
+    moving: PoseSequence,
+) -> None:
+    poses = seen_by(moving, (), Provenance.CAMERA)
+    R = np.array(poses.R_world_bone)
+    thigh, knee = BODY.index("RightUpLeg", "RightLeg")
+    bone = so3.unit(poses.p_world_joint[:, knee] - poses.p_world_joint[:, thigh])
+    R[:, thigh] = so3.exp(np.radians(50) * bone) @ R[:, thigh]  # as a lifter's twist may be wrong
+    angles = clinical_angles(replace(poses, R_world_bone=R), BODY)
+    expected = flexion(poses.p_world_joint, BODY)[:, knee]
+    np.testing.assert_allclose(np.abs(angles["right_knee_flexion"]), expected, atol=1e-6)
+
+
+def test_sensors_bring_the_twists_of_their_segments() -> None:
+    sensors = ("RightUpLeg", "RightLeg", "RightFoot")
+    poses = seen_by(planted.moving(BODY, 40).poses, sensors, Provenance.CAMERA_AND_IMU)
+    angles = clinical_angles(poses, BODY)
+    for name in ("hip_internal_rotation", "knee_adduction", "ankle_inversion"):
+        assert np.isfinite(angles[f"right_{name}"]).all()
+        assert np.isnan(angles[f"left_{name}"]).all()
+
+
+def test_what_the_motions_model_fixes_nobody_saw_even_with_sensors(moving: PoseSequence) -> None:
+    """Knees and elbows of the planted person are hinges, as those of a solver may be."""
+    angles = clinical_angles(seen_by(moving, BODY.names, Provenance.CAMERA_AND_IMU), BODY)
+    hinged = (
+        "knee_adduction", "knee_internal_rotation", "elbow_carrying_angle", "elbow_pronation",
+    )  # fmt: skip
+    fixed = {f"{side}_{name}" for side in ("right", "left") for name in hinged}
+    columns = zip(angles.names, angles.known.T, angles.provenance.T, strict=True)
+    for name, known, who in columns:
+        assert known.all() != (name in fixed), name
+        assert np.all(who == (Provenance.PRIOR if name in fixed else Provenance.CAMERA_AND_IMU))
+    assert "or the model that made the motion fixes it" in angles.notes[0]
+
+
+def test_a_joint_that_was_bridged_has_no_angles_and_says_so(moving: PoseSequence) -> None:
+    poses = seen_by(moving, (), Provenance.CAMERA)
+    provenance, valid = np.array(poses.provenance), np.array(poses.valid)
+    observed = np.array(poses.orientation_observed)
+    provenance[10:20], valid[10:20], observed[10:20] = Provenance.BRIDGED, False, False
+    poses = replace(poses, provenance=provenance, valid=valid, orientation_observed=observed)
+    angles = clinical_angles(poses, BODY)
+    assert np.isnan(angles.values[10:20]).all()
+    assert np.all(angles.provenance[10:20] == Provenance.BRIDGED)
+    assert np.isfinite(angles["right_knee_flexion"][[9, 20]]).all()
+
+
+def test_a_sensor_still_sees_its_bone_turn_while_nobody_is_in_the_picture(moving: PoseSequence) -> None:
+    sensors = ("Hips", "RightUpLeg", "RightLeg")
+    poses = seen_by(moving, sensors, Provenance.IMU)
+    angles = clinical_angles(replace(poses, valid=np.zeros_like(poses.valid)), BODY)
+    assert np.isfinite(angles["right_hip_flexion"]).all()
+    assert np.isnan(angles["left_hip_flexion"]).all()
+
+
+def test_sensors_on_limbs_show_the_angles_between_them_wherever_hips_and_shoulders_are() -> None:
+    """As in mode imu: without a sensor on the trunk the thigh's upper end is where a prior puts it."""
+    poses = seen_by(planted.moving(BODY, 40).poses, planted.LIMBS, Provenance.PRIOR)
+    poses = replace(poses, orientation_observed=seen_by_sensors_alone(planted.LIMBS))
+    angles = clinical_angles(poses, BODY)
+    known = {name for name, column in zip(angles.names, angles.known.T, strict=True) if column.all()}
+    knees = ("knee_flexion", "knee_adduction", "knee_internal_rotation")
+    elbows = ("elbow_flexion", "elbow_carrying_angle", "elbow_pronation")
+    assert known == {f"{side}_{name}" for side in ("right", "left") for name in (*knees, *elbows)}
+    expected = clinical_angles(all_observed(poses), BODY)
+    np.testing.assert_array_equal(angles.values[angles.known], expected.values[angles.known])
+    assert np.all(angles.provenance[angles.known] == Provenance.IMU)
+
+
+def test_sensors_on_pelvis_and_sternum_show_how_the_trunk_bends() -> None:
+    poses = seen_by(planted.moving(BODY, 40).poses, (), Provenance.PRIOR)
+    poses = replace(poses, orientation_observed=seen_by_sensors_alone(("Hips", "Spine3")))
+    angles = clinical_angles(poses, BODY)
+    for name in ("pelvis_tilt", "spine_flexion", "spine_lateral_bending", "spine_axial_rotation"):
+        assert np.isfinite(angles[name]).all()
+    assert not any("hip_" in name for name in np.array(angles.names)[angles.known.any(axis=0)])
+
+
+def test_a_pelvis_that_a_camera_saw_turn_by_its_legs_was_seen_by_the_camera() -> None:
+    poses = seen_by(planted.moving(BODY, 40).poses, (), Provenance.CAMERA)
+    provenance = np.array(poses.provenance)
+    provenance[:, 0] = Provenance.PRIOR
+    angles = clinical_angles(replace(poses, provenance=provenance), BODY)
+    assert np.all(angles.provenance[:, angles.names.index("pelvis_tilt")] == Provenance.CAMERA)
+
+
+def seen_by_sensors_alone(sensors: tuple[str, ...]) -> NDArray[np.bool_]:
+    """(J,) of the segments that carry them."""
+    return np.isin(BODY.names, sensors)
+
+
+# --- the record ---
+
+
+def test_an_unknown_angle_is_named_with_the_nearest_one() -> None:
+    angles = clinical_angles(posture(BODY), BODY)
+    with pytest.raises(UnknownNameError, match="Did you mean 'right_knee_flexion'"):
+        angles["right_knee_flexions"]
+
+
+def test_selected_angles_keep_their_names_and_values() -> None:
+    angles = clinical_angles(walk())
+    some = angles.select(["left_hip_flexion", "pelvis_tilt"])
+    assert some.names == ("left_hip_flexion", "pelvis_tilt")
+    np.testing.assert_array_equal(some.values[:, 0], angles["left_hip_flexion"])
+    with pytest.raises(ValueError, match="read-only"):
+        some.values[0] = 0
+
+
+def test_poses_without_a_skeleton_and_records_of_wrong_shape_are_refused() -> None:
+    with pytest.raises(ShapeError, match="poses do not bring a skeleton; give the one they are of"):
+        clinical_angles(posture(BODY))
+    with pytest.raises(UnknownNameError):
+        clinical_angles(posture(BODY), SkeletonModel.human36m())
+    with pytest.raises(ShapeError, match="angle values: expected shape"):
+        ClinicalAngles(np.zeros(1), np.zeros((2, 0)), np.zeros((1, 0)), np.zeros((1, 0)), ())
+
+
+def test_a_skeleton_without_segments_in_the_table_is_refused() -> None:
+    other = replace(BODY.table, name="robot")
+    with pytest.raises(UnknownNameError, match="clinical angles 'robot'. Known: total_capture, human36m"):
+        angle_table(other)
+
+
+def test_the_table_says_of_every_angle_what_it_is(any_skeleton: SkeletonModel) -> None:
+    table = angle_table(any_skeleton.table)
+    entries = table.sidecar()
+    assert len({entry["name"] for entry in entries}) == len(entries) == 9 + 2 * 21
+    for entry, row in zip(entries, table.rows, strict=True):
+        assert entry["sign"] in (-1, 1)
+        low, high = entry["range_deg"]
+        assert high - low in (180, 360)
+        assert low <= 0 <= high
+        assert all(entry[key] for key in ("positive", "zero", "parent", "child", "sequence", "singular"))
+        assert entry["clinical"] == row.label
+        assert (entry["parent"] == "world") == (not entry["urdf"])
+        assert set(entry["urdf"]) <= set(any_skeleton.dof_names)

@@ -1,0 +1,257 @@
+"""Gait: events of planted and of real walking, cycles, symmetry, and what cannot be told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted
+import pytest
+from clinical_support import limb, posture, walk
+from numpy.typing import NDArray
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.clinical.angles import clinical_angles
+from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis, analyse_gait, cycle_curves
+from rtof_kin.clinical.gait_events import gait_events
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.types import PoseSequence, Provenance
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+PERIOD = 1.2
+
+
+def swinging_legs(frames: int = 360, speed: float = 0.0, heading: float = 0.0) -> PoseSequence:
+    """Straight legs that swing by 25 degrees, half a period apart, under a pelvis that moves on."""
+    times = np.arange(frames) / 60
+    swing = np.radians(25) * np.sin(2 * np.pi * times / PERIOD)
+    legs = ("thigh", "shank", "foot")
+    R = so3.about_axis("z", heading)
+    poses = posture(
+        BODY, frames, body=R,
+        **limb("right", legs, so3.about_axis("y", swing)),
+        **limb("left", legs, so3.about_axis("y", -swing)),
+    )  # fmt: skip
+    path = speed * times[:, None] * R[:, 0]
+    return poses.posed(slice(None), poses.p_world_joint + path[:, None])
+
+
+def analysed(poses: PoseSequence, skeleton: SkeletonModel = BODY) -> GaitAnalysis:
+    return analyse_gait(gait_events(poses, skeleton))
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.0, -3.0])
+def test_heels_strike_at_the_front_and_toes_leave_at_the_back(heading: float) -> None:
+    events = gait_events(swinging_legs(heading=heading), BODY)
+    # A straight leg is furthest ahead at -25 degrees about the left axis: three quarters of the period.
+    right, left = events.feet["right"], events.feet["left"]
+    np.testing.assert_allclose((right.strikes / PERIOD) % 1, 0.75, atol=0.02)
+    np.testing.assert_allclose((right.offs / PERIOD) % 1, 0.25, atol=0.02)
+    np.testing.assert_allclose((left.strikes / PERIOD) % 1, 0.25, atol=0.02)
+    assert len(right.strikes) == len(left.strikes) == 5
+    assert events.notes == ()
+
+
+def test_planted_strides_have_their_cadence_length_and_stance() -> None:
+    gait = analysed(swinging_legs(speed=1.1))
+    for side in ("right", "left"):
+        measures = gait.summary[side]
+        assert measures["cadence"][0] == pytest.approx(100, rel=2e-3)
+        assert measures["stride_length"][0] == pytest.approx(1.1 * PERIOD, rel=2e-3)
+        assert measures["stance_share"][0] == pytest.approx(0.5, abs=0.01)
+        assert measures["speed"][0] == pytest.approx(1.1, rel=2e-3)
+        assert measures["stride_time"][1] < 0.005
+    assert all(abs(value) < 0.02 for value in gait.symmetry.values())
+    assert all("stance takes less than 55 %" in note for note in gait.notes)  # legs like pendulums
+
+
+def test_on_a_treadmill_the_events_are_the_same_and_the_length_is_zero() -> None:
+    walking, treadmill = analysed(swinging_legs(speed=1.1)), analysed(swinging_legs())
+    assert [s.start for s in walking.strides] == pytest.approx([s.start for s in treadmill.strides])
+    assert treadmill.summary["right"]["stride_length"][0] < 0.01
+
+
+def transitions(skeleton: SkeletonModel, poses: PoseSequence, landmark: str) -> tuple[Array, Array]:
+    """Instants at which a point of the foot comes to rest and leaves it (0.6 m/s), and its height."""
+    points = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
+    path = points[:, list(skeleton.landmarks).index(landmark)]
+    moving = np.linalg.norm(np.gradient(path, poses.times, axis=0), axis=-1) > 0.6
+    change = np.flatnonzero(np.diff(moving.astype(int)))
+    return (poses.times[change] + poses.times[change + 1]) / 2, path[:, 2] - path[:, 2].min()
+
+
+def test_events_of_real_walking_are_where_the_foot_is_low_and_comes_to_rest_or_leaves_it() -> None:
+    motion = walk()
+    events = gait_events(motion.poses, motion.skeleton)
+    compared = 0
+    for side, foot in events.feet.items():
+        for instants, point in ((foot.strikes, "Heel"), (foot.offs, "ToeBase")):
+            changes, height = transitions(motion.skeleton, motion.poses, side.title() + point)
+            for instant in instants:
+                assert np.abs(changes - instant).min() < 0.06
+                assert np.interp(instant, motion.times, height) < 0.06
+                compared += 1
+    assert compared >= 14
+
+
+def test_real_walking_has_the_measures_of_a_healthy_adult() -> None:
+    motion = walk()
+    gait = analysed(motion.poses, motion.skeleton)
+    assert len(gait.strides) == 5
+    for side in ("right", "left"):
+        measures = gait.summary[side]
+        assert 90 < measures["cadence"][0] < 110
+        assert 1.1 < measures["stride_length"][0] < 1.3
+        assert 0.62 < measures["stance_share"][0] < 0.70
+    assert all(abs(value) < 0.05 for value in gait.symmetry.values())
+    assert gait.notes == ()
+
+
+def curve(curves: tuple[CycleCurves, ...], name: str, side: str) -> CycleCurves:
+    return next(c for c in curves if (c.name, c.side) == (name, side))
+
+
+def test_angles_over_the_cycle_look_as_in_the_textbook() -> None:
+    """Hip flexed at the strike, extended late in stance; knee flexed most in swing; ankle pushes off."""
+    motion = walk()
+    curves = cycle_curves(clinical_angles(motion), analysed(motion.poses, motion.skeleton))
+    for side in ("right", "left"):
+        hip = np.degrees(curve(curves, f"{side}_hip_flexion", side).mean)
+        assert hip[0] > 20
+        assert 40 < 100 * PHASES[hip.argmin()] < 65
+        knee = curve(curves, f"{side}_knee_flexion", side)
+        assert 65 < 100 * PHASES[knee.mean.argmax()] < 85
+        assert 55 < np.degrees(knee.mean.max()) < 75
+        assert np.degrees(knee.sd.mean()) < 4
+        ankle = curve(curves, f"{side}_ankle_dorsiflexion", side)
+        assert 58 < 100 * PHASES[ankle.mean.argmin()] < 75
+    assert {c.side for c in curves if c.name == "pelvis_list"} == {"right", "left"}
+
+
+def test_mean_and_spread_are_those_of_the_curves() -> None:
+    curves = np.stack([np.sin(PHASES), np.sin(PHASES) + 0.2])
+    known = CycleCurves("right_hip_flexion", "right", curves)
+    np.testing.assert_allclose(known.mean, np.sin(PHASES) + 0.1)
+    np.testing.assert_allclose(known.sd, 0.2 / np.sqrt(2))
+    assert np.isnan(replace(known, curves=curves[:1]).sd).all()
+
+
+# --- what cannot be told ---
+
+
+def test_who_stands_still_takes_no_step_and_is_told_so() -> None:
+    gait = analysed(planted.standing(BODY, 120).poses)
+    assert gait.strides == ()
+    assert gait.summary == {}
+    assert any("right foot: no heel strike in 2.0 s" in note for note in gait.notes)
+    assert "symmetry needs a complete stride of either side" in gait.notes
+
+
+def test_a_leg_that_nobody_saw_has_no_events_and_the_other_one_has() -> None:
+    poses = swinging_legs()
+    provenance = np.full(poses.valid.shape, Provenance.CAMERA_AND_IMU, dtype=np.uint8)
+    provenance[:, BODY.index("LeftFoot")] = Provenance.PRIOR
+    gait = analysed(replace(poses, provenance=provenance))
+    assert set(gait.summary) == {"right"}
+    assert "left foot: never seen, so it has no events and no strides" in gait.notes
+    assert gait.symmetry == {}
+    assert "symmetry needs a complete stride of either side" in gait.notes
+
+
+def test_two_seconds_give_a_stride_without_a_spread() -> None:
+    gait = analysed(swinging_legs(120))
+    assert any("a single complete stride, so no spread" in note for note in gait.notes)
+    assert all(np.isnan(spread) for m in gait.summary.values() for _, spread, n in m.values() if n == 1)
+
+
+def test_unsteady_strides_and_running_are_called_so() -> None:
+    times = np.arange(480) / 60
+    phase = 2 * np.pi * (times / 1.2 + 0.35 * np.sin(2 * np.pi * times / 5))
+    turns = so3.about_axis("y", np.radians(25) * np.sin(phase))
+    legs = ("thigh", "shank", "foot")
+    poses = posture(BODY, 480, **limb("right", legs, turns), **limb("left", legs, turns.swapaxes(1, 2)))
+    notes = " ".join(analysed(poses).notes)
+    assert "which is no steady walking; means and curves are of unlike movements" in notes
+    assert "stance takes less than 55 % of the stride: running, or no gait" in notes
+
+
+def test_hopping_on_both_legs_at_once_is_no_walking() -> None:
+    times = np.arange(240) / 60
+    turns = so3.about_axis("y", np.radians(25) * np.sin(2 * np.pi * times / PERIOD))
+    legs = ("thigh", "shank", "foot")
+    gait = analysed(posture(BODY, 240, **limb("right", legs, turns), **limb("left", legs, turns)))
+    assert gait.strides == ()
+    assert any("a strike of the other foot between them" in note for note in gait.notes)
+
+
+def test_one_second_gives_no_stride_and_says_why() -> None:
+    gait = analysed(swinging_legs(60))
+    assert gait.strides == ()
+    assert any("heel strike(s), but no two with a toe off and" in n for n in gait.notes)
+
+
+def test_no_stride_reaches_across_a_gap() -> None:
+    poses = swinging_legs()
+    p = np.array(poses.p_world_joint)
+    p[150:160] = np.nan
+    gait = analysed(replace(poses, p_world_joint=p, valid=None))
+    gap = poses.times[150], poses.times[159]
+    assert gait.strides
+    assert all(s.stop < gap[0] or s.start > gap[1] for s in gait.strides)
+
+
+def test_where_nobody_saw_the_foot_turn_its_events_are_the_ankles() -> None:
+    poses = replace(swinging_legs(), orientation_observed=BODY.orientation_observed())
+    events = gait_events(poses, BODY)
+    assert "right foot: nobody saw it turn, so its events are those of the ankle" in events.notes
+    np.testing.assert_allclose((events.feet["right"].strikes / PERIOD) % 1, 0.75, atol=0.03)
+
+
+@pytest.mark.parametrize("step", [13, 15, 60, 180])
+def test_a_rate_too_low_for_gait_events_is_said_to_be_so(step: int) -> None:
+    poses = swinging_legs()[::step]
+    gait = analysed(poses)
+    assert gait.strides == ()
+    note = f"{60 / step:.3g} Hz is too low a rate for gait events; record 5 Hz"
+    assert gait.notes == (note, "symmetry needs a complete stride of either side")
+    assert np.isnan(gait.events.forward).all()
+
+
+def test_five_frames_a_second_give_strides_of_the_right_time() -> None:
+    gait = analysed(swinging_legs()[::12])
+    assert gait.summary["right"]["stride_time"][0] == pytest.approx(PERIOD, rel=0.01)
+
+
+def test_a_frame_in_which_nobody_saw_the_foot_turn_costs_that_frame_alone() -> None:
+    """As the first one, which lies before the sensors' first sample."""
+    whole = gait_events(swinging_legs(), BODY)
+    observed = np.ones((360, len(BODY.names)), dtype=bool)
+    observed[0, BODY.index("RightFoot", "LeftFoot")] = False
+    events = gait_events(replace(swinging_legs(), orientation_observed=observed), BODY)
+    note = "foot: nobody saw it turn for 0.017 s, where it has no events"
+    assert events.notes == (f"right {note}", f"left {note}")
+    for side, foot in events.feet.items():
+        assert np.isnan(foot.heel[0]).all()
+        np.testing.assert_array_equal(foot.heel[1:], whole.feet[side].heel[1:])
+        np.testing.assert_allclose(foot.strikes, whole.feet[side].strikes, atol=1e-3)
+
+
+def test_a_foot_that_was_mostly_not_seen_to_turn_has_the_ankles_events_throughout() -> None:
+    observed = np.ones((360, len(BODY.names)), dtype=bool)
+    observed[:216, BODY.index("RightFoot")] = False
+    events = gait_events(replace(swinging_legs(), orientation_observed=observed), BODY)
+    (note,) = events.notes
+    assert "right foot: nobody saw it turn in 60 % of the frames, so its events are" in note
+    ankle = swinging_legs().p_world_joint[:, BODY.index("RightFoot")[0]]
+    np.testing.assert_array_equal(events.feet["right"].heel, ankle)
+
+
+def test_a_cycle_with_a_gap_in_an_angle_is_left_out_of_its_mean_alone() -> None:
+    poses = swinging_legs()
+    angles, gait = clinical_angles(poses, BODY), analysed(poses)
+    values = np.array(angles.values)
+    values[150, angles.names.index("right_hip_flexion")] = np.nan
+    curves = cycle_curves(replace(angles, values=values), gait)
+    whole = len(curve(curves, "right_knee_flexion", "right").curves)
+    assert len(curve(curves, "right_hip_flexion", "right").curves) == whole - 1

@@ -1,0 +1,90 @@
+"""Range of motion and angular velocity, against movements whose figures are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from clinical_support import limb, posture
+from numpy.typing import NDArray
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
+from rtof_kin.clinical.range_of_motion import RangeOfMotion, angular_velocity, ranges_of_motion
+from rtof_kin.core import rotations as so3
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+T = 240
+TIMES = np.arange(T) / 60
+
+
+def swinging_knee() -> ClinicalAngles:
+    """The right knee between 10 and 70 degrees, once in two seconds."""
+    flexion = np.radians(40 - 30 * np.cos(np.pi * TIMES))
+    return clinical_angles(
+        posture(BODY, T, **limb("right", ("shank", "foot"), so3.about_axis("y", flexion))), BODY
+    )
+
+
+def of(angles: ClinicalAngles, name: str) -> RangeOfMotion:
+    return next(r for r in ranges_of_motion(angles) if r.name == name)
+
+
+def test_a_swinging_knee_has_the_range_and_the_speed_it_was_given() -> None:
+    knee = of(swinging_knee(), "right_knee_flexion")
+    assert np.degrees([knee.low, knee.high, knee.mean]) == pytest.approx([10, 70, 40], abs=0.2)
+    assert np.degrees(knee.range) == pytest.approx(60, abs=0.1)
+    assert knee.time_high == pytest.approx(1.0)
+    assert np.degrees(knee.peak_velocity) == pytest.approx(30 * np.pi, rel=0.01)
+    assert knee.known_share == 1
+    assert knee.singular_share == 0
+
+
+def test_velocity_is_the_derivative_at_every_instant() -> None:
+    angles = swinging_knee()
+    velocity = angular_velocity(angles)[:, angles.names.index("right_knee_flexion")]
+    expected = np.radians(30) * np.pi * np.sin(np.pi * TIMES)
+    np.testing.assert_allclose(velocity[12:-12], expected[12:-12], atol=0.01)
+
+
+def test_noise_is_filtered_before_it_is_differentiated() -> None:
+    angles = swinging_knee()
+    noisy = replace(angles, values=angles.values + np.random.default_rng(0).normal(0, 0.01, (T, 51)))
+    column = angles.names.index("left_hip_flexion")
+    raw, filtered = (angular_velocity(noisy, cutoff)[:, column] for cutoff in (None, 6.0))
+    assert filtered.std() < 0.3 * raw.std()
+
+
+def test_a_gap_divides_an_angle_and_no_velocity_leaks_across_it() -> None:
+    angles = swinging_knee()
+    values = np.array(angles.values)
+    values[100:110] = np.nan
+    values[110:] += 1.0
+    values[200:210:2] = np.nan
+    broken = replace(angles, values=values)
+    column = angles.names.index("right_knee_flexion")
+    velocity = angular_velocity(broken)[:, column]
+    assert np.isnan(velocity[100:110]).all()
+    assert np.isnan(velocity[201:209]).all()  # single frames have none
+    assert np.nanmax(np.abs(velocity)) < 2.2
+    assert of(broken, "right_knee_flexion").known_share == pytest.approx(225 / 240)
+
+
+def test_an_angle_nobody_saw_has_no_range_and_a_share_of_zero() -> None:
+    angles = swinging_knee()
+    values = np.array(angles.values)
+    values[:, angles.names.index("left_wrist_flexion")] = np.nan
+    wrist = of(replace(angles, values=values), "left_wrist_flexion")
+    assert np.isnan([wrist.low, wrist.high, wrist.range, wrist.peak_velocity]).all()
+    assert wrist.known_share == 0
+
+
+def test_where_an_angle_is_not_defined_it_has_no_range() -> None:
+    """The plane of elevation of hanging arms is any number."""
+    plane = of(swinging_knee(), "right_shoulder_plane_of_elevation")
+    assert np.isnan(plane.range)
+    assert plane.known_share == 1
+    assert plane.singular_share == 1
+    assert of(swinging_knee(), "right_shoulder_elevation").high == pytest.approx(0, abs=1e-9)

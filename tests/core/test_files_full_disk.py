@@ -1,0 +1,109 @@
+"""Every file that is written to a place of the user's choice is whole or absent, also on a full disk."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import planted
+import pytest
+import torch
+from matplotlib.figure import Figure
+
+from lifting.checkpoint import save_tensors
+from lifting.curves import write_curves
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.cli import inspection
+from rtof_kin.core.errors import RtofError
+from rtof_kin.core.files.text import write_text
+from rtof_kin.formats.c3d import write_c3d
+from rtof_kin.formats.joint_trajectory import write_joint_trajectory_csv, write_ros_trajectory
+from rtof_kin.formats.motion_npz import write_motion_npz
+from rtof_kin.formats.motion_table import write_motion_parquet
+from rtof_kin.formats.motion_views import landmark_markers
+from rtof_kin.report.figures import save_figures
+from rtof_kin.vision.detections import Detections
+from rtof_kin.vision.video import write_detections
+
+ROOM = 2000
+"""Bytes that fit into a file."""
+NOISE = np.random.default_rng(0).uniform(size=(4, 2, 17, 2))
+
+
+@pytest.fixture(scope="module")
+def motion() -> MotionSequence:
+    return planted.moving(SkeletonModel.default(), 12)
+
+
+@contextmanager
+def full_disk(room: int = ROOM) -> Iterator[None]:
+    """Files that may not grow beyond so many bytes: to who writes, the same as a disk without room."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def picture(path: Path, motion: MotionSequence) -> None:
+    save_figures({path.stem: Figure()}, path.parent)
+
+
+def curves(path: Path, motion: MotionSequence) -> None:
+    write_curves(str(path).removesuffix(".curves.json"), {"seed": "x" * ROOM}, [])
+
+
+def detections(path: Path, motion: MotionSequence) -> None:
+    write_detections(path, Detections(NOISE, NOISE[..., 0]), overwrite=True)
+
+
+WRITERS: dict[str, Callable[[Path, MotionSequence], object]] = {
+    "page.html": lambda path, motion: write_text(path, "x" * 2 * ROOM, overwrite=True),
+    "motion.c3d": lambda path, motion: write_c3d(path, landmark_markers(motion), overwrite=True),
+    "motion.npz": write_motion_npz,
+    "motion.parquet": lambda path, motion: write_motion_parquet(path, motion, overwrite=True),
+    "trajectory.csv": write_joint_trajectory_csv,
+    "ros_joint_trajectory.json": lambda path, motion: write_ros_trajectory(path.parent, motion),
+    "keypoints.npz": detections,
+    "skeletons.png": picture,
+    "x.curves.json": curves,
+    "lifter.pt": lambda path, motion: save_tensors({"weights": torch.rand(ROOM)}, path, overwrite=True),
+}
+
+
+def test_a_picture_of_inspect_is_whole_or_absent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rtof_kin.report.inspection_figures.picture", lambda found: Figure())
+    with full_disk(), pytest.raises(RtofError, match=r"wrong\.png: cannot be written"):
+        inspection._draw(None, tmp_path / "wrong.png", False)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("share", [0.2, 0.9])
+def test_a_c3d_file_that_was_cut_off_is_noticed(
+    share: float, motion: MotionSequence, tmp_path: Path
+) -> None:
+    path, markers = tmp_path / "motion.c3d", landmark_markers(motion)
+    write_c3d(path, markers)
+    room = int(share * path.stat().st_size)
+    with full_disk(room), pytest.raises(RtofError, match=r"motion\.c3d: cannot be written"):
+        write_c3d(path, markers, overwrite=True)
+    assert path.stat().st_size > room
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_full_disk_is_one_error_and_leaves_the_old_file(
+    name: str, motion: MotionSequence, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_text("old")
+    with full_disk(), pytest.raises(RtofError, match=name):
+        WRITERS[name](tmp_path / name, motion)
+    assert (tmp_path / name).read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    WRITERS[name](tmp_path / name, motion)
+    assert (tmp_path / name).read_bytes() != b"old"

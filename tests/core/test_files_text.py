@@ -1,0 +1,88 @@
+"""Text, TOML, JSON and array files: what is refused, and with what words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.files.arrays import npz_names, read_npy, read_npz
+from rtof_kin.core.files.folder import path_inside
+from rtof_kin.core.files.text import load_json, load_toml, measurable, read_text
+
+
+def written(folder: Path, content: bytes) -> Path:
+    path = folder / "file"
+    path.write_bytes(content)
+    return path
+
+
+def test_text_is_read_without_its_byte_order_mark(tmp_path: Path) -> None:
+    assert read_text(written(tmp_path, b"\xef\xbb\xbfa\xc3\xa4\r\n"), "a list") == "aä\r\n"
+
+
+@pytest.mark.parametrize(
+    "content, says",
+    [
+        (b"", "line 1: empty; expected a list"),
+        (b" \n\t", "line 1: empty; expected a list"),
+        (b"caf\xe9", "not a text file in UTF-8, so not a list"),
+        (b"a" * 2**20 + b"a", "larger than 1 MiB, so not a list"),
+    ],
+)
+def test_what_is_no_text_of_that_size_is_refused(content: bytes, says: str, tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match=f"file.*{says}"):
+        read_text(written(tmp_path, content), "a list", 2**20)
+
+
+def test_folders_devices_and_files_that_are_not_there_are_refused(tmp_path: Path) -> None:
+    for path, says in (
+        (tmp_path, "a folder, not a list"),
+        (Path("/dev/zero"), "there is no such file"),
+        (tmp_path / "none", "there is no such file"),
+    ):
+        with pytest.raises(FileFormatError, match=says):
+            read_text(path, "a list")
+
+
+def test_toml_and_json_are_answered_with_the_place_of_what_is_wrong(tmp_path: Path) -> None:
+    assert load_toml(written(tmp_path, b"a.b = [1, 2.5]")) == {"a": {"b": [1, 2.5]}}
+    assert load_json(written(tmp_path, b'{"a": [1, 2.5]}')) == {"a": [1, 2.5]}
+    with pytest.raises(FileFormatError, match=r"not readable as TOML: .*line 2"):
+        load_toml(written(tmp_path, b"a = 1\nb = \nc = 2"))
+    with pytest.raises(FileFormatError, match="line 2: not readable as JSON"):
+        load_json(written(tmp_path, b"[1,\n"))
+    with pytest.raises(FileFormatError, match="a key of more than 1000 parts"):
+        load_toml(written(tmp_path, b".".join([b"a"] * 1500) + b" = 1"))
+    with pytest.raises(FileFormatError, match="not readable as JSON: maximum recursion"):
+        load_json(written(tmp_path, b"[" * 100_000))
+
+
+def test_numbers_beyond_all_measure_are_not_measurable_but_gaps_are() -> None:
+    assert measurable(np.array([1e19, -3.0, np.nan, np.inf]))
+    assert not measurable(np.array([1.0, -1e21]))
+
+
+def test_arrays_are_named_without_being_read_and_single_ones_are_read(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", b=np.eye(2), c=np.array({}, dtype=object))
+    assert npz_names(tmp_path / "a.npz") == ("b", "c")
+    np.save(tmp_path / "a.npy", np.arange(3, dtype=np.int16))
+    np.testing.assert_array_equal(read_npy(tmp_path / "a.npy"), [0.0, 1.0, 2.0])
+    np.savez(tmp_path / "a.npz", b=np.array([1e300]))
+    with pytest.raises(FileFormatError, match=r"a\.npz: b: holds a number beyond 1e\+20"):
+        read_npz(tmp_path / "a.npz")
+    for read in (npz_names, read_npz):
+        with pytest.raises(FileFormatError, match="damaged, or no NPZ archive"):
+            read(written(tmp_path, b"PK"))
+
+
+def test_a_name_leads_to_a_file_inside_a_folder_or_nowhere(tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "out").symlink_to(tmp_path)
+    (folder / "round").symlink_to(folder / "round")
+    assert path_inside(folder, "a/b.npz") == path_inside(folder, "a\\b.npz") == folder / "a" / "b.npz"
+    for name in ("", "../a", "a/../../b", "/a", "C:a", "a\0", "out/a", "a\\..\\..\\b"):
+        assert path_inside(folder, name) is None

@@ -1,0 +1,242 @@
+"""Functions of several frames at once against CasADi's interpreter, one frame after the other."""
+
+from __future__ import annotations
+
+import logging
+import platform
+import shutil
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.numerics import c_compiler as module
+from rtof_kin.core.numerics import simd as lanes
+from rtof_kin.core.numerics import simd_codegen as lane_code
+from rtof_kin.core.numerics.simd import Columns, Mapped, Over, in_lanes, whole
+from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction
+
+Array = NDArray[np.float64]
+pytestmark = pytest.mark.skipif(
+    not any(map(shutil.which, module.COMPILERS)), reason="there is no C compiler"
+)
+VECTORS = [(), ("-mno-avx512f",), ("-mno-avx",)] if platform.machine() == "x86_64" else [()]
+"""Compiler options for all lengths of vectors that this machine has."""
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache, and compilation turned on and quick."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("RTOF_KIN_CACHE", str(folder))
+    monkeypatch.delenv("RTOF_KIN_COMPILE", raising=False)
+    monkeypatch.setattr(lanes, "_OPTIONS", ("-O1",))
+    return folder
+
+
+@pytest.fixture(params=VECTORS, ids=str)
+def vectors(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Vectors of every length in turn."""
+    monkeypatch.setattr(lanes, "native", lambda: (*module.native(), *request.param))
+
+
+def everything() -> FrameFunction:
+    """Every operation there is, of inputs of which the second is shared."""
+    x, s = ca.SX.sym("x", 4), ca.SX.sym("s", 2)
+    a, b = x[0], x[1]
+    numbers = [
+        a + b, a - b, a * b, a / b, -a, a**2, 2 * a, 1 / b, a < b, a <= b, a == b, a != b,
+        ca.logic_not(x[2]), ca.logic_and(x[2], x[3]), ca.logic_or(x[2], x[3]), ca.fmin(a, b),
+        ca.fmax(a, b), ca.fabs(a), ca.sign(a), ca.sqrt(ca.fabs(a)), ca.floor(a), ca.log(ca.fabs(b)),
+        ca.sin(a), ca.cos(a), ca.atan2(a, b), ca.if_else(a < b, a, b), ca.SX(2.5), s[0] * a + s[1], b,
+    ]  # fmt: skip
+    outputs = [ca.densify(ca.vertcat(*numbers)), ca.densify(x * s[1])]
+    return FrameFunction(ca.Function("everything", [x, s], outputs), (1,))
+
+
+def inputs(frames: int, size: int, seed: int = 0) -> Array:
+    """(T, n) with equal, negative and zero numbers among them."""
+    x = np.random.default_rng(seed).normal(size=(frames, size)) * 3
+    x[::3, 1] = x[::3, 0]
+    x[::2, 2:] = 0.0
+    return x
+
+
+def one_by_one(function: Any, x: Array, *shared: Array) -> list[Array]:
+    rows = [[np.array(v).ravel() for v in function.call([row, *shared])] for row in x]
+    return [np.array(column) for column in zip(*rows, strict=True)]
+
+
+def code_of(*given: FrameFunction) -> dict[str, Any]:
+    code = in_lanes(given)
+    assert code is not None
+    return code
+
+
+# --- the same numbers ----------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("vectors")
+def test_every_operation_gives_what_the_interpreter_does() -> None:
+    given, shared = everything(), np.array([0.7, -1.3])
+    code = code_of(given)["everything"]
+    for frames in (1, 2, 7, 8, 9, 21):
+        x = inputs(frames, 4, frames)
+        mapped = Mapped(code, given, frames)
+        for _ in range(2):
+            for own, expected in zip(
+                mapped(x, shared), one_by_one(given.function, x, shared), strict=True
+            ):
+                np.testing.assert_allclose(own, expected, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.usefixtures("vectors")
+def test_a_long_function_is_the_same_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    x = ca.SX.sym("x", 6)
+    values = [x[i] for i in range(6)]
+    for k in range(400):  # much is needed again much later
+        values.append(ca.sin(values[-1 - k % 5]) + 0.9 * values[k // 2] * values[(7 * k) % len(values)])
+    given = FrameFunction(ca.Function("long", [x], [ca.vertcat(*values[-50:])]))
+    rows = 0.3 * np.random.default_rng(0).normal(size=(11, 6))
+    (expected,) = one_by_one(given.function, rows)
+    for piece in (7, 100):
+        monkeypatch.setattr(lane_code, "_PIECE", piece)
+        (own,) = Mapped(code_of(given)["long"], given, len(rows))(rows)
+        np.testing.assert_allclose(own, expected, rtol=1e-10, atol=1e-12)
+
+
+def test_neighbouring_frames_are_the_same_array_one_on_and_zero_beyond() -> None:
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
+    given = FrameFunction(ca.Function("between", [x, y], [y - x]))
+    columns = Columns(10)
+    rows = np.random.default_rng(0).normal(size=(10, 2))
+    here, out = columns.given(rows), columns.zeros(2)
+    code = code_of(given)["between"]
+    Over(code, given, 10, [columns.at(here, -1), columns.at(here)], [columns.at(out)])()
+    np.testing.assert_array_equal(columns.rows(out), np.diff(rows, axis=0, prepend=0.0))
+    Over(code, given, 9, [columns.at(here), columns.at(here, 1)], [columns.at(out)])()
+    np.testing.assert_array_equal(columns.rows(out)[:9], np.diff(rows, axis=0))
+    assert not columns.rows(out)[9].any(), "what no frame gives is zero"
+
+
+def test_frames_that_are_not_there_leave_no_number_that_is_none() -> None:
+    x = ca.SX.sym("x", 1)
+    given = FrameFunction(ca.Function("inverted", [x], [1 / x]))
+    columns = Columns(5)
+    here, out = columns.given(np.full((5, 1), 4.0)), columns.zeros(1)
+    Over(code_of(given)["inverted"], given, 5, [columns.at(here)], [columns.at(out)])()
+    assert out.sum() == 1.25
+
+
+@pytest.mark.usefixtures("vectors")
+def test_a_placed_output_goes_where_it_is_told_in_every_frame() -> None:
+    x = ca.SX.sym("x", 3)
+    numbers = ca.vertcat(*(x[i % 3] * (i + 1) for i in range(3 * GROUP)))
+    given = FrameFunction(ca.Function("placed", [x], [ca.sum1(x), numbers]), placed=True)
+    columns, rows = Columns(13), np.random.default_rng(0).normal(size=(13, 3))
+    total, matrix, places = columns.zeros(1), np.full((13, 60), -1.0), np.array([40, 3, 21])
+    Over(
+        code_of(given)["placed"], given, 13, [columns.at(columns.given(rows))],
+        [columns.at(total), matrix], places,
+    )()  # fmt: skip
+    expected = np.full((13, 60), -1.0)
+    all_numbers = rows[:, np.arange(3 * GROUP) % 3] * np.arange(1, 3 * GROUP + 1)
+    for g, place in enumerate(places):
+        expected[:, place : place + GROUP] = all_numbers[:, g * GROUP : (g + 1) * GROUP]
+    np.testing.assert_allclose(matrix, expected, rtol=1e-14)
+    np.testing.assert_allclose(columns.rows(total)[:, 0], rows.sum(axis=1), rtol=1e-13, atol=1e-14)
+
+
+# --- arrays --------------------------------------------------------------------------------------
+
+
+def test_columns_begin_with_a_cache_line_and_keep_room_around_the_frames() -> None:
+    for frames in (1, 8, 50):
+        columns = Columns(frames)
+        array = columns.zeros(3)
+        assert array.ctypes.data % 64 == 0
+        assert array.strides[0] % 64 == 0
+        assert array.shape[1] >= whole(frames) + 2 * GROUP
+        rows = np.arange(3.0 * frames).reshape(frames, 3)
+        np.testing.assert_array_equal(columns.rows(columns.given(rows)), rows)
+    assert [whole(n) for n in (1, 8, 9)] == [8, 8, 16]
+
+
+def test_arrays_that_do_not_fit_are_refused() -> None:
+    given, columns = everything(), Columns(9)
+    code = code_of(given)["everything"]
+    out = [columns.zeros(29), columns.zeros(4)]
+    right = columns.at(columns.zeros(4)), np.zeros(2)
+
+    def bind(
+        x: Array = right[0], s: Array = right[1], out: list[Array] = out, frames: int = 9
+    ) -> None:
+        Over(code, given, frames, [x, s], [columns.at(array) for array in out])
+
+    bind()
+    with pytest.raises(ShapeError, match=r"everything input 0: \(3, 24\) where \(4, 16\)"):
+        bind(x=columns.at(columns.zeros(3)))
+    with pytest.raises(ShapeError, match=r"input 0: \(4, 24\) where \(4, 32\) are wanted"):
+        bind(frames=25)
+    with pytest.raises(ShapeError, match=r"input 1: \(1,\) where \(2,\) are wanted"):
+        bind(s=np.zeros(1))
+    with pytest.raises(ShapeError, match="output 0: give columns of double precision, of one width"):
+        bind(out=[Columns(40).zeros(29), out[1]])
+    with pytest.raises(ShapeError, match="input 0: give columns of double precision"):
+        bind(x=right[0].astype(np.float32))  # type: ignore[arg-type]
+    with pytest.raises(ShapeError, match="everything: give 2 inputs and 2 outputs"):
+        bind(out=out[:1])
+
+
+def test_places_that_do_not_fit_are_refused() -> None:
+    x = ca.SX.sym("x", 1)
+    given = FrameFunction(ca.Function("put", [x], [ca.repmat(x, GROUP, 1)]), placed=True)
+    columns, code = Columns(4), code_of(given)["put"]
+    here = [columns.at(columns.zeros(1))]
+    with pytest.raises(ShapeError, match="put output 0: give a place for each group of 8 of 8"):
+        Over(code, given, 4, here, [np.zeros((4, 20))])
+    for rows, place in [(4, 13), (3, 0), (4, -1)]:
+        with pytest.raises(ShapeError, match=rf"put output 0: \({rows}, 20\) for 4 rows of"):
+            Over(code, given, 4, here, [np.zeros((rows, 20))], np.array([place]))
+    with pytest.raises(ShapeError, match="numbers of double precision that lie together"):
+        Over(code, given, 4, here, [np.zeros((4, 40))[:, ::2]], np.array([0]))
+
+
+# --- the library ---------------------------------------------------------------------------------
+
+
+def test_the_library_is_kept_and_told_from_others(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = everything()
+    code_of(given)
+    assert len(list(cache.glob("*.so"))) == 1
+    code_of(FrameFunction(given.function, ()))
+    assert len(list(cache.glob("*.so"))) == 2
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    assert set(code_of(given)) == {"everything"}
+
+
+def test_without_a_compiler_there_are_none(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with caplog.at_level(logging.WARNING):
+        assert in_lanes([everything()]) is None
+    assert "it is interpreted, which is slower" in caplog.text
+
+
+def test_an_operation_without_c_is_told_and_interpreted(caplog: pytest.LogCaptureFixture) -> None:
+    x = ca.SX.sym("x")
+    with caplog.at_level(logging.WARNING):
+        assert in_lanes([FrameFunction(ca.Function("curve", [x], [ca.erf(x)]))]) is None
+    assert "curve: no C is known for CasADi's operation" in caplog.text
+
+
+def test_the_environment_turns_them_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RTOF_KIN_COMPILE", "never")
+    assert in_lanes([everything()]) is None

@@ -1,0 +1,79 @@
+"""Solvers in several threads give what they give one after the other, bit by bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.fragment_solver import FragmentSolver
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+BODIES = (BODY, BODY.with_height(1.6), BODY.with_height(1.9), BODY)
+N, FRAMES = 8, 12
+SETTINGS = {
+    "joint": JointSpaceSettings(), "cartesian": FragmentSettings(),
+    "cartesian by IPOPT": FragmentSettings(backend="ipopt"),
+}  # fmt: skip
+
+
+def solve(kind: str, i: int, solver: FragmentSolver | None = None) -> Array:
+    """Positions of the i-th recording, of a body and a motion of its own."""
+    body = BODIES[i]
+    truth = planted.human(body, FRAMES, seed=i)
+    seen = planted.keypoints(truth.poses, 2.0, seed=i)
+    imus = planted.bone_imus(body, truth.poses, degrees=3.0, seed=i)
+    solver = solver or FragmentSolver(body, N, SETTINGS[kind])
+    start = planted.human(body, FRAMES, seed=i, size=0.9).poses
+    return solver.solve(start, seen, imus).poses.p_world_joint
+
+
+@cache
+def one_after_the_other(kind: str) -> list[Array]:
+    return [solve(kind, i) for i in range(4)]
+
+
+def at_once(task: Callable[[int], Array], numbers: list[int]) -> list[Array]:
+    with ThreadPoolExecutor(4) as pool:
+        return list(pool.map(task, numbers))
+
+
+@pytest.mark.parametrize("kind", SETTINGS)
+def test_four_threads_give_what_one_gives(kind: str) -> None:
+    expected = one_after_the_other(kind)
+    for found, alone in zip(at_once(lambda i: solve(kind, i), [0, 1, 2, 3]), expected, strict=True):
+        np.testing.assert_array_equal(found, alone)
+
+
+@pytest.mark.parametrize("kind", ["joint", "cartesian"])
+def test_a_solver_may_be_shared_by_threads(kind: str) -> None:
+    solver = FragmentSolver(BODY, N, SETTINGS[kind])
+    expected = one_after_the_other(kind)
+    numbers = [0, 3, 0, 3]  # of the same body
+    for i, found in zip(numbers, at_once(lambda i: solve(kind, i, solver), numbers), strict=True):
+        np.testing.assert_array_equal(found, expected[i])
+
+
+@pytest.mark.parametrize("kind", ["joint", "cartesian"])
+def test_recordings_solved_alternately_do_not_mix(kind: str) -> None:
+    """Fragment by fragment, with solvers of two bodies."""
+    streams = []
+    for i in (0, 1):
+        body, truth = BODIES[i], planted.human(BODIES[i], FRAMES, seed=i)
+        imus = planted.bone_imus(body, truth.poses, degrees=3.0, seed=i)
+        start = planted.human(body, FRAMES, seed=i, size=0.9).poses
+        solver = FragmentSolver(body, N, SETTINGS[kind])
+        streams.append(solver.stream(start, planted.keypoints(truth.poses, 2.0, seed=i), imus))
+    pieces = list(zip(*streams, strict=True))
+    for i in (0, 1):
+        found = np.concatenate([piece[i].p_world_joint for piece in pieces])
+        np.testing.assert_array_equal(found, one_after_the_other(kind)[i])

@@ -1,0 +1,208 @@
+"""Reading .asf and .amc files: conventions, and files that are broken in every way."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.formats.asf_amc import read_asf_amc
+
+DATA = Path(__file__).parents[1] / "fixtures" / "mocap"
+ASF = """# two bones
+:version 1.10
+:units
+  mass 1.0
+  length 0.45
+  angle deg
+:root
+  order TX TY TZ RX RY RZ
+  axis XYZ
+  position 0 0 0
+  orientation 0 0 0
+:bonedata
+  begin
+    id 1
+    name thigh
+    direction 0 -2 0
+    length 7.5
+    axis 10 20 30 XYZ
+    dof rx rz
+    limits (-160.0 20.0)
+           (-70.0 70.0)
+  end
+  begin
+    id 2
+    name shank
+    direction 0 -1 0
+    length 7
+    axis 0 0 0 ZYX
+    dof ry
+  end
+:hierarchy
+  begin
+    root thigh
+    thigh shank
+  end
+"""
+AMC = """:FULLY-SPECIFIED
+:DEGREES
+1
+root 0 0 0 0 0 0
+thigh 0 0
+shank 0
+2
+root 1 2 3 15 25 35
+thigh 40 50
+shank 60
+"""
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read_texts(asf=ASF, amc=AMC):
+        asf = asf if isinstance(asf, bytes) else asf.encode()
+        amc = amc if isinstance(amc, bytes) else amc.encode()
+        (tmp_path / "a.asf").write_bytes(asf)
+        (tmp_path / "a.amc").write_bytes(amc)
+        return read_asf_amc(tmp_path / "a.asf", tmp_path / "a.amc")
+
+    return read_texts
+
+
+def fixed_axes(order, angles, degrees=True):
+    """SciPy's extrinsic rotation: about fixed axes, in the order given."""
+    return Rotation.from_euler(order, angles, degrees=degrees)
+
+
+def test_a_bone_turns_by_its_degrees_of_freedom_about_its_own_axes(read):
+    motion = read()
+    C = fixed_axes("xyz", [10, 20, 30])
+    thigh = C * fixed_axes("xz", [40, 50]) * C.inv()
+    np.testing.assert_allclose(motion.R_parent_joint[1, 1], thigh.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(motion.R_parent_joint[0], np.tile(np.eye(3), (3, 1, 1)), atol=1e-12)
+
+
+def test_bones_are_chained_end_to_end_from_the_root(read):
+    motion = read()
+    p, R = motion.forward_kinematics()
+    root = fixed_axes("xyz", [15, 25, 35])
+    np.testing.assert_allclose(R[1, 0], root.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(p[1, :2], [[1, 2, 3], [1, 2, 3]], atol=1e-12)
+    np.testing.assert_allclose(p[1, 2], p[1, 1] + R[1, 1] @ [0, -7.5, 0], atol=1e-12)
+    end = p[1, 2] + R[1, 2] @ [0, -7, 0]
+    np.testing.assert_allclose(motion.end_positions()[1, 0], end, atol=1e-12)
+
+
+def test_the_unit_is_an_inch_divided_by_what_the_file_says(read):
+    assert read().unit_m == pytest.approx(0.0254 / 0.45)
+    assert read(ASF.replace("length 0.45", "length 1.0")).unit_m == pytest.approx(0.0254)
+
+
+def test_angles_may_be_radians_in_either_file(read):
+    radians = read(amc=AMC.replace(":DEGREES", ":RADIANS"))
+    thigh = fixed_axes("xyz", [10, 20, 30])
+    turned = thigh * fixed_axes("xz", [40, 50], degrees=False) * thigh.inv()
+    np.testing.assert_allclose(radians.R_parent_joint[1, 1], turned.as_matrix(), atol=1e-12)
+    both = read(ASF.replace("angle deg", "angle rad"), AMC.replace(":DEGREES\n", ""))
+    C = fixed_axes("xyz", [10, 20, 30], degrees=False)
+    turned = C * fixed_axes("xz", [40, 50], degrees=False) * C.inv()
+    np.testing.assert_allclose(both.R_parent_joint[1, 1], turned.as_matrix(), atol=1e-12)
+
+
+def test_the_root_takes_its_channels_in_the_order_listed(read):
+    swapped = ASF.replace("order TX TY TZ RX RY RZ", "order RZ RY RX TX TY TZ")
+    amc = AMC.replace("root 1 2 3 15 25 35", "root 15 25 35 1 2 3")
+    motion = read(swapped, amc)
+    np.testing.assert_allclose(motion.p_root[1], [1, 2, 3])
+    root = fixed_axes("zyx", [15, 25, 35]).as_matrix()
+    np.testing.assert_allclose(motion.R_parent_joint[1, 0], root, atol=1e-12)
+
+
+def test_a_bone_that_slides_moves_its_joint_in_its_parent(read):
+    motion = read(ASF.replace("dof ry", "dof ry ty"), AMC.replace("shank 60", "shank 60 0.5")
+                  .replace("shank 0", "shank 0 0"))  # fmt: skip
+    p, R = motion.forward_kinematics()
+    np.testing.assert_allclose(p[1, 2], p[1, 1] + R[1, 1] @ [0, -7.0, 0], atol=1e-12)
+
+
+def test_a_recording_of_cmu_has_human_proportions():
+    motion = read_asf_amc(DATA / "16.asf", DATA / "16_15.amc", rate_hz=3)
+    p, _ = motion.forward_kinematics()
+    p = p * motion.unit_m
+    head, foot = p[:, motion.index("head"), 1], p[:, motion.index("lfoot"), 1]
+    assert np.all((head - foot > 1.3) & (head - foot < 1.7))
+    assert motion.rate_hz == 3
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "says"),
+    [
+        (":hierarchy", ":hirarchy", 35, "no :hierarchy section"),
+        ("length 0.45", "length 0", 5, "not positive"),
+        ("length 0.45", "length x", 5, "expected 1 number"),
+        ("angle deg", "angle grad", 6, "known: deg, rad"),
+        ("order TX TY TZ RX RY RZ", "order TX TX", 8, "degrees of freedom"),
+        ("  order TX TY TZ RX RY RZ\n", "", 8, "the root has no 'order"),
+        ("axis XYZ", "axis XXZ", 9, "axis order 'XXZ'"),
+        ("direction 0 -2 0", "direction 0 -2", 16, "direction: expected 3 number(s)"),
+        ("direction 0 -2 0", "direction 0 nan 0", 16, "direction: expected 3"),
+        ("direction 0 -2 0", "direction 0 0 0", 22, "lacks a direction"),
+        ("    length 7.5\n", "", 21, "lacks a direction or a length"),
+        ("axis 10 20 30 XYZ", "axis 10 20 XYZ", 18, "axis: expected 3"),
+        ("dof rx rz", "dof rx l", 19, "degrees of freedom 'rx l'"),
+        ("name shank", "name thigh", 30, "'thigh' is missing or taken"),
+        ("  end\n  begin\n    id 2", "  begin\n    id 2", 22, "'end' is missing"),
+        ("root thigh", "root thig", 33, "no bone is named 'thig'"),
+        ("thigh shank", "thigh shank thigh", 34, "second parent"),
+        ("    thigh shank\n", "", 23, "'shank' is not below the root"),
+        ("    thigh shank\n  end\n", "", 33, "not enclosed in 'begin' and 'end'"),
+    ],
+)
+def test_a_broken_skeleton_is_named_with_its_line(read, tmp_path, old, new, line, says):
+    with pytest.raises(FileFormatError) as caught:
+        read(ASF.replace(old, new, 1))
+    assert str(caught.value).startswith(f"{tmp_path / 'a.asf'}, line {line}: ")
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "says"),
+    [
+        ("1\nroot 0", "root 0", 3, "expected a frame number"),
+        ("thigh 40 50", "thigh 40", 9, "thigh: expected 2 value(s)"),
+        ("thigh 40 50", "thigh 40 x", 9, "thigh: expected 2 number(s), found '40 x'"),
+        ("thigh 40 50", "thigh 40 inf", 9, "thigh: expected 2 number(s)"),
+        ("thigh 40 50", "tigh 40 50", 9, "'tigh' is no moving bone"),
+        ("shank 60", "shank 60\nshank 60", 11, "shank: expected 1 value(s) once a frame"),
+        ("shank 0\n", "", 6, "frame 1 ends without shank"),
+        ("shank 60\n", "", 9, "frame 2 ends without shank; is the file cut off?"),
+    ],
+)
+def test_a_broken_motion_is_named_with_its_line(read, tmp_path, old, new, line, says):
+    with pytest.raises(FileFormatError) as caught:
+        read(amc=AMC.replace(old, new, 1))
+    assert str(caught.value).startswith(f"{tmp_path / 'a.amc'}, line {line}: ")
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\n# only a comment\n", b"\xff\xfe\x00\x01", b"\x00" * 9]
+)
+def test_what_is_no_such_file_at_all_is_refused(read, content):
+    with pytest.raises(FileFormatError):
+        read(asf=content)
+    with pytest.raises(FileFormatError):
+        read(amc=content)
+
+
+def test_a_motion_without_frames_is_refused(read):
+    with pytest.raises(FileFormatError, match="no frames"):
+        read(amc=":FULLY-SPECIFIED\n:DEGREES\n")
+
+
+def test_a_skeleton_cut_off_anywhere_is_refused(read):
+    for length in range(0, len(ASF.rstrip()) - 2, 3):
+        with pytest.raises(FileFormatError):
+            read(asf=ASF[:length])

@@ -1,0 +1,93 @@
+"""Calibrations of IMUs in TOML: a round trip, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, UnknownNameError
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.formats.imu_calibration_toml import (
+    read_imu_calibration_toml,
+    write_imu_calibration_toml,
+)
+
+ONE = """
+[sensors.L_UpArm]
+quat_wxyz_world_inertial = [1, 0, 0, 0]
+R_sensor_bone = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+"""
+
+
+def calibration() -> ImuCalibration:
+    rng = np.random.default_rng(0)
+    return ImuCalibration(
+        sensors=("00B42D", 'odd "name"'),
+        joints=("LeftLeg", "Hips"),
+        R_world_inertial=so3.about_axis("z", rng.uniform(-3, 3, 2)),
+        R_sensor_bone=so3.exp(rng.standard_normal((2, 3))),
+        p_bone_sensor=rng.uniform(-0.1, 0.1, (2, 3)),
+    )
+
+
+def test_what_is_written_is_read_back_to_the_same_bits(
+    tmp_path: Path, skeleton: SkeletonModel
+) -> None:
+    path = tmp_path / "calibration.toml"
+    write_imu_calibration_toml(path, calibration())
+    back = read_imu_calibration_toml(path, skeleton)
+    assert (back.sensors, back.joints) == (calibration().sensors, calibration().joints)
+    for field in ("R_world_inertial", "R_sensor_bone", "p_bone_sensor"):
+        np.testing.assert_array_equal(getattr(back, field), getattr(calibration(), field))
+
+
+def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    path.write_text("mine")
+    with pytest.raises(OutputExistsError, match="is there already"):
+        write_imu_calibration_toml(path, calibration())
+    assert path.read_text() == "mine"
+    write_imu_calibration_toml(path, calibration(), overwrite=True)
+    with pytest.raises(RtofError, match="cannot be written"):
+        write_imu_calibration_toml(path / "such.toml", calibration())
+
+
+def test_a_usual_sensor_needs_no_segment_and_no_place(
+    tmp_path: Path, skeleton: SkeletonModel
+) -> None:
+    path = tmp_path / "calibration.toml"
+    path.write_text(ONE)
+    read = read_imu_calibration_toml(path, skeleton)
+    assert read.joints == ("LeftArm",)
+    np.testing.assert_allclose(read.p_bone_sensor, [[0.03, 0.225, 0.012]])
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        ("", FileFormatError, "empty; expected TOML"),
+        ("[sensors]", FileFormatError, r"no table \[sensors.NAME\]"),
+        (ONE.replace("UpArm", "UpperArm"), FileFormatError, r"\[sensors.L_UpperArm\] joint: missing"),
+        (ONE + 'joint = "LeftArmm"', UnknownNameError, "Did you mean 'LeftArm'"),
+        (ONE + "lever = [0, 0, 0]", UnknownNameError, "unknown field .* 'lever'"),
+        (ONE + "lever_arm_m = [30, 225, 12]", FileFormatError, "longer than 1 m; give metres"),
+        (ONE + "quat_wxyz_sensor_bone = [1, 0, 0, 0]", FileFormatError, "give one of R_sensor_bone"),
+        (ONE.replace("[1, 0, 0, 0]", "[2, 0, 0, 0]"), FileFormatError, "has norm 2, not 1"),
+        (ONE.replace("[0, 0, 1]]", "[0, 0, 2]]"), FileFormatError, "R_sensor_bone is not a rotation"),
+        (ONE.replace("[1, 0, 0, 0]", "[nan, 0, 0, 0]"), FileFormatError, "not finite"),
+        (ONE + "[camera]", UnknownNameError, "unknown field .* 'camera'"),
+        ("sensors = 3", FileFormatError, "not a table"),
+        ("= [", FileFormatError, "not readable as TOML"),
+    ],
+)  # fmt: skip
+def test_a_broken_file_is_refused_with_what_is_wrong(
+    text: str, error: type[Exception], message: str, tmp_path: Path, skeleton: SkeletonModel
+) -> None:
+    path = tmp_path / "calibration.toml"
+    path.write_text(text)
+    with pytest.raises(error, match=message):
+        read_imu_calibration_toml(path, skeleton)

@@ -1,0 +1,87 @@
+"""OpenSim's own word on the models written for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import planted
+import pytest
+from opensim_support import read_by_opensim
+
+from rtof_kin.body import urdf
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import OutputExistsError
+from rtof_kin.formats.opensim_coordinates import coordinates
+from rtof_kin.formats.opensim_model import to_osim, write_osim
+from rtof_kin.formats.opensim_mot import write_mot
+
+R_GROUND_WORLD = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+@pytest.fixture
+def body(any_skeleton: SkeletonModel) -> SkeletonModel:
+    """Somebody in particular, on either skeleton."""
+    return any_skeleton.with_height(1.83).with_mass(68, "female")
+
+
+def test_opensim_loads_a_body_with_the_weight_and_inertia_that_the_urdf_has(
+    body: SkeletonModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_osim(tmp_path / "skeleton.osim", body)
+    found = read_by_opensim(tmp_path, tmp_path / "found.npz")
+    # Without the light links between revolutes, which OpenSim does not need, it is the same mechanism.
+    monkeypatch.setattr(urdf, "LIGHT_MASS_KG", 1e-12)
+    monkeypatch.setattr(urdf, "LIGHT_INERTIA", 1e-15)
+    model = pin.buildModelFromXML(body.to_urdf(), pin.JointModelFreeFlyer())
+    data, q = model.createData(), pin.neutral(model)
+    assert found["mass"] == pytest.approx(sum(inertia.mass for inertia in model.inertias), abs=1e-9)
+    center = pin.centerOfMass(model, data, q)
+    np.testing.assert_allclose(found["center_of_mass"], R_GROUND_WORLD @ center, atol=1e-9)
+
+    every = {c.name: c for c in coordinates(body.table)}
+    revolutes = {d.opensim.lstrip("-") or d.urdf: d.urdf for j in body.table.joints for d in j.dofs}
+    names = [name for name in found["coordinates"] if name in revolutes]
+    ours = [model.joints[model.getJointId(revolutes[name])].idx_v for name in names]
+    theirs = [list(found["coordinates"]).index(name) for name in names]
+    sign = np.array([every[name].sign for name in names])
+    M = pin.crba(model, data, q)
+    M = np.triu(M) + np.triu(M, 1).T
+    expected = M[np.ix_(ours, ours)] * np.outer(sign, sign)
+    np.testing.assert_allclose(found["mass_matrix"][np.ix_(theirs, theirs)], expected, atol=1e-9)
+
+
+def test_opensim_knows_the_coordinates_and_their_ranges(body: SkeletonModel, tmp_path: Path) -> None:
+    write_osim(tmp_path / "skeleton.osim", body)
+    found = read_by_opensim(tmp_path, tmp_path / "found.npz")
+    expected = {c.name: c.range for c in coordinates(body.table)}
+    assert set(found["coordinates"]) == set(expected)
+    for name, limits in zip(found["coordinates"], found["ranges"], strict=True):
+        np.testing.assert_allclose(limits, expected[name])
+
+
+def test_opensim_moves_either_skeleton_to_where_it_is(body: SkeletonModel, tmp_path: Path) -> None:
+    motion = planted.seen(body, 12)
+    write_osim(tmp_path / "skeleton.osim", body)
+    write_mot(tmp_path / "motion.mot", motion)
+    found = read_by_opensim(tmp_path, tmp_path / "found.npz")
+    p = body.landmark_positions(motion.poses.p_world_joint, motion.poses.R_world_bone)
+    np.testing.assert_allclose(found["motion.mot/markers"], p @ R_GROUND_WORLD.T, atol=1e-9)
+
+
+def test_the_file_says_what_its_axes_and_its_zero_are(skeleton: SkeletonModel) -> None:
+    text = to_osim(skeleton)
+    assert "x forward, y left, z up in the T-pose, where every coordinate is zero" in text
+    assert "nan" not in text.lower()
+
+
+def test_a_model_that_exists_is_replaced_only_when_asked(
+    skeleton: SkeletonModel, tmp_path: Path
+) -> None:
+    path = tmp_path / "skeleton.osim"
+    write_osim(path, skeleton)
+    with pytest.raises(OutputExistsError, match=r"skeleton\.osim: is there already"):
+        write_osim(path, skeleton)
+    write_osim(path, skeleton.with_height(1.5), overwrite=True)
+    assert path.read_text() == to_osim(skeleton.with_height(1.5))

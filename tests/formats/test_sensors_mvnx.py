@@ -1,0 +1,155 @@
+"""MVNX: what MVN writes, versions that lack tags, and XML that is made to harm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sensor_files import mvnx_text, truth
+
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.formats.sensors import mvnx
+from rtof_kin.formats.sensors.mvnx import is_mvnx, read_mvnx, read_mvnx_file
+
+TRUTHS = [truth(1, T=6), truth(2, T=6)]
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "walk.mvnx"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def frame(index: int, content: str, kind: str = "normal") -> str:
+    return f'<frame time="{index * 17}" index="{index}" type="{kind}">{content}</frame>'
+
+
+def orientations(count: int = 2) -> str:
+    return f"<sensorOrientation>{'1 0 0 0 ' * count}</sensorOrientation>"
+
+
+def test_sensors_segments_and_calibration_poses_are_kept_apart(tmp_path: Path) -> None:
+    path = written(tmp_path, mvnx_text(TRUTHS))
+    content = read_mvnx_file(path)
+    assert content.sensors == ("00B40001", "00B40002")
+    assert content.segments == ("Pelvis",)
+    assert content.rate_hz == 60
+    assert list(content.poses) == ["tpose"]
+    np.testing.assert_array_equal(content.poses["tpose"].quat_wxyz, [[1, 0, 0, 0]])
+    assert content.poses["tpose"].p_world is None
+    assert content.p_world_segment is not None
+    np.testing.assert_allclose(content.p_world_segment[:, 0, 2], np.arange(6) / 100)
+    log = read_mvnx(path)
+    assert log.notes == ("calibration poses (tpose) are no samples; see read_mvnx_file",)
+    assert (log.declaration.gravity, log.declaration.acceleration_axes) == ("removed", "inertial")
+    np.testing.assert_allclose(log.streams[1].f_sensor, TRUTHS[1].f, atol=1e-9)
+    np.testing.assert_allclose(log.streams[1].times, np.arange(6) / 60)
+
+
+def test_a_tag_may_be_absent_everywhere_or_in_some_frames(tmp_path: Path) -> None:
+    field = f"<sensorMagneticField>{'1 2 3 ' * 2}</sensorMagneticField>"
+    frames = "".join(frame(i, orientations() + (field if i else "")) for i in range(3))
+    log = read_mvnx(written(tmp_path, mvnx_text(TRUTHS, frames)))
+    assert log.streams[0].holds == ("m_sensor", "R_inertial_sensor")
+    np.testing.assert_array_equal(log.streams[1].m_sensor, [[np.nan] * 3, [1, 2, 3], [1, 2, 3]])
+
+
+def test_tags_of_old_versions_are_named_and_not_read(tmp_path: Path) -> None:
+    old = "<sensorAcceleration>1 2 3 4 5 6</sensorAcceleration>"
+    log = read_mvnx(written(tmp_path, mvnx_text(TRUTHS, frame(0, orientations() + old))))
+    assert log.notes == ("not read, as their axes differ between versions: sensorAcceleration",)
+
+
+def test_frames_that_were_not_exported_are_a_gap(tmp_path: Path) -> None:
+    frames = "".join(frame(i, orientations()) for i in (10, 11, 12, 15))
+    stream = read_mvnx(written(tmp_path, mvnx_text(TRUTHS, frames)))
+    np.testing.assert_allclose(stream.streams[0].times, np.array([10, 11, 12, 15]) / 60)
+    assert stream.notes == ("2 packets (33.3%) lost in 1 gap, the longest of 0.03 s",)
+
+
+BOMB = """<?xml version="1.0"?><!DOCTYPE mvnx [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;">
+<!ENTITY c "&b;&b;&b;&b;">]><mvnx>&c;</mvnx>"""
+EXTERNAL = '<?xml version="1.0"?><!DOCTYPE mvnx [<!ENTITY x SYSTEM "file:///etc/passwd">]><mvnx>&x;</mvnx>'
+ONE_FRAME = mvnx_text(TRUTHS, frame(0, orientations()))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (BOMB, "holds what no MVNX file needs and is refused: DTDForbidden"),
+        (EXTERNAL, "refused: DTDForbidden"),
+        ('<!DOCTYPE mvnx SYSTEM "http://x/y"><mvnx/>', "refused: DTDForbidden"),
+        ("<mvnx>", "line 1: broken XML"),
+        ("<html><mvnx/></html>", "its root is <html>, not <mvnx>"),
+        ("", "broken XML"),
+        ("<mvnx/>", "has no frame of a recording"),
+        (mvnx_text(TRUTHS, ""), "has no frame of a recording"),
+        (mvnx_text(TRUTHS, frame(0, "")), "no frame has sensorOrientation or sensorFreeAcceleration"),
+        (mvnx_text(TRUTHS, frame(0, orientations(3))),
+         "frame 0: sensorOrientation has 12 numbers, and 8 are needed"),
+        (mvnx_text(TRUTHS, frame(0, "<sensorOrientation>1 0 0 x</sensorOrientation>")),
+         "frame 0: sensorOrientation holds no numbers"),
+        (mvnx_text(TRUTHS, frame(0, orientations().replace("1 0 0 0", "1e300 0 0 0", 1))),
+         "sensor 00B40001, sample 0: 1e[+]300 in quaternions is no measurement"),
+        (mvnx_text(TRUTHS, frame(3, orientations()) + frame(2, orientations())),
+         "frame 2 comes after frame 3"),
+        (mvnx_text(TRUTHS, frame(0, orientations()).replace('index="0"', 'index="1e9999"')),
+         "index of frame 1e9999 is '1e9999', not a number"),
+        (ONE_FRAME.replace('frameRate="60"', 'frameRate="0"'),
+         "frameRate of <subject> is 0; it must be positive"),
+        (ONE_FRAME.replace('frameRate="60"', ""), "frameRate of <subject> is None, not a number"),
+        (ONE_FRAME.replace("00B40002", "00B40001"), "<sensor> 2 has no label of its own"),
+        (ONE_FRAME.replace(' label="00B40002"', ""), "<sensor> 2 has no label of its own"),
+        (ONE_FRAME.replace("<frames>", "<frames>\0"), "broken XML"),
+        (ONE_FRAME.replace('"UTF-8"', '"wrong-8"'), "broken XML|cannot be read"),
+    ],
+)  # fmt: skip
+def test_damaged_and_harmful_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(FileFormatError, match=message) as caught:
+        read_mvnx(path)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "frames",
+    [
+        "<frame index='0'>" + "<x/>" * 30000,  # never ends
+        "<a>" * 30000,  # nested
+        f"<frame index='0'><position>{'1 ' * 60000}",  # one long text
+        f"<a b='{'1' * 120000}'/>",  # one long attribute
+    ],
+)
+def test_what_cannot_be_dropped_does_not_grow_without_bound(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: str
+) -> None:
+    monkeypatch.setattr(mvnx, "LARGEST_FRAME", 2**14)
+    path = written(tmp_path, mvnx_text(TRUTHS, frames))
+    with pytest.raises(FileFormatError, match="an element in it is larger than"):
+        read_mvnx(path)
+
+
+def test_a_file_that_is_too_large_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mvnx, "LARGEST_BYTES", 100)
+    with pytest.raises(FileFormatError, match="larger than 0 GiB; split it"):
+        read_mvnx(written(tmp_path, ONE_FRAME))
+    with pytest.raises(FileFormatError, match="there is no such file"):
+        read_mvnx(tmp_path / "other.mvnx")
+
+
+def test_many_frames_are_read_within_bounds_and_frames_are_dropped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The whole is larger than what may be held at a time."""
+    monkeypatch.setattr(mvnx, "LARGEST_FRAME", 2**18)
+    path = written(tmp_path, mvnx_text(TRUTHS, "".join(frame(i, orientations()) for i in range(4000))))
+    assert path.stat().st_size > 2**18
+    assert len(read_mvnx(path).streams[0]) == 4000
+
+
+def test_it_is_recognised_by_its_root() -> None:
+    assert is_mvnx(ONE_FRAME[:200])
+    assert not is_mvnx("<html>")

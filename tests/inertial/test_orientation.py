@@ -1,0 +1,203 @@
+"""Orientation by VQF: against planted motion with gyroscope bias, and against the maker's own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.data.imu_declaration import Declaration
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.formats.sensors.files import read_sensor_log
+from rtof_kin.inertial.orientation import (
+    OrientationSettings,
+    log_with_orientation,
+    with_orientation,
+)
+
+Array = NDArray[np.float64]
+REAL = Path(__file__).parents[1] / "fixtures" / "inertial"
+FIELD = np.array([0.0, 0.4, -0.9])
+BIAS = np.array([0.004, -0.006, 0.005])
+RATE = 100.0
+
+
+def moving(seconds: float = 30) -> tuple[SensorStream, Array]:
+    """A limb that swings and rests, measured with noise and a gyroscope's bias; its true orientation."""
+    rng = np.random.default_rng(8)
+    t = np.arange(int(seconds * RATE)) / RATE
+    swing = np.clip(np.sin(0.4 * t), 0, None) * np.sin(2 * np.pi * 0.7 * t)
+    R = Rotation.from_euler("zyx", np.stack([1.2 * swing, 0.8 * swing, 0.5 * swing], axis=1))
+    R = Rotation.from_euler("zyx", [0.5, -0.4, 0.3]) * R
+    middle = (R[:-1].inv() * R[1:]).as_rotvec() * RATE
+    w = np.concatenate([middle[:1], (middle[1:] + middle[:-1]) / 2, middle[-1:]])
+    p = 0.3 * R.apply([0, 0, -1.0])
+    a = np.gradient(np.gradient(p, 1 / RATE, axis=0), 1 / RATE, axis=0)
+    f = R.inv().apply(a + np.array([0, 0, 9.81])) + rng.normal(0, 0.03, (len(t), 3))
+    m = R.inv().apply(FIELD) + rng.normal(0, 0.005, (len(t), 3))
+    w = w + BIAS + rng.normal(0, 0.003, w.shape)
+    return SensorStream("shank", t + 5, f, None, w, m), R.as_matrix()
+
+
+def inclination_deg(R: Array, true: Array) -> Array:
+    """Angle between the verticals, seen by the sensor: (T,) degrees."""
+    cos = np.sum(R[:, 2] * true[:, 2], axis=1)
+    return np.rad2deg(np.arccos(np.clip(cos, -1, 1)))
+
+
+def oriented(stream: SensorStream, settings: OrientationSettings | None = None) -> Array:
+    R = with_orientation(stream, settings or OrientationSettings()).R_inertial_sensor
+    assert R is not None
+    return R
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_planted_inclination_is_found_whatever_the_gyroscopes_bias(causal: bool) -> None:
+    stream, true = moving()
+    settings = OrientationSettings(magnetometer=False, causal=causal)
+    error = inclination_deg(oriented(stream, settings), true)[500:]
+    assert np.median(error) < 0.5
+    assert error.max() < 3
+
+
+def test_the_magnetometer_gives_the_heading() -> None:
+    stream, true = moving()
+    R = oriented(stream)
+    drift = np.unwrap(so3.heading(R @ np.swapaxes(true, 1, 2)))
+    assert np.abs(np.rad2deg(drift))[500:].max() < 3  # x east: the field lies towards +y, so truth's axes
+    alone = oriented(replace(stream, m_sensor=None))
+    drift_alone = np.unwrap(so3.heading(alone @ np.swapaxes(true, 1, 2)))
+    assert np.ptp(drift_alone) != pytest.approx(np.ptp(drift))
+
+
+def test_notes_say_how_it_was_made() -> None:
+    stream, _ = moving()
+    stream = replace(stream, notes=("counter wrapped",))
+    assert with_orientation(stream).notes == (
+        "counter wrapped",
+        "orientation by VQF (offline) from gyroscope, accelerometer and magnetometer",
+    )
+    note = with_orientation(stream, OrientationSettings(magnetometer=False, causal=True)).notes[-1]
+    assert note == (
+        "orientation by VQF (causal) from gyroscope and accelerometer: its heading is arbitrary and "
+        "drifts"
+    )
+
+
+def cut(stream: SensorStream, rows: Array) -> SensorStream:
+    arrays = {n: getattr(stream, n)[rows] for n in ("times", "f_sensor", "w_sensor", "m_sensor")}
+    return replace(stream, **arrays)
+
+
+def test_short_gaps_are_bridged_and_told() -> None:
+    stream, true = moving()
+    rows = np.delete(np.arange(len(stream)), [1000, 1001, 1500, *range(2000, 2007)])
+    got = with_orientation(cut(stream, rows))
+    assert got.R_inertial_sensor is not None
+    assert np.median(inclination_deg(got.R_inertial_sensor, true[rows])) < 0.5
+    assert got.notes[-1] == "3 gaps of up to 0.080 s were bridged by linear interpolation"
+
+
+def test_at_a_long_gap_the_filter_starts_anew_and_that_is_told() -> None:
+    stream, true = moving()
+    rows = np.delete(np.arange(len(stream)), np.arange(1000, 1300))
+    got = with_orientation(cut(stream, rows), OrientationSettings(magnetometer=False))
+    assert got.R_inertial_sensor is not None
+    assert np.median(inclination_deg(got.R_inertial_sensor, true[rows])) < 0.5
+    assert got.notes[-1] == (
+        "the filter started anew 1 time, at 18.00 s; headings before and after are not related"
+    )
+    longer = OrientationSettings(magnetometer=False, longest_bridged=4)
+    assert "started anew" not in str(with_orientation(cut(stream, rows), longer).notes)
+
+
+def test_missing_samples_do_not_spread_and_long_ones_stay_missing() -> None:
+    stream, true = moving()
+    f, w, m = (np.array(x) for x in (stream.f_sensor, stream.w_sensor, stream.m_sensor))
+    f[700:703, 1] = np.nan
+    w[1200:1250] = np.nan
+    m[100:400] = np.nan
+    f[:3] = np.nan
+    w[-2:] = np.inf
+    R = oriented(replace(stream, f_sensor=f, w_sensor=w, m_sensor=m))
+    missing = np.isnan(R).any(axis=(1, 2))
+    assert np.flatnonzero(missing).tolist() == [0, 1, 2, *range(1200, 1250), 2998, 2999]
+    assert np.median(inclination_deg(R[~missing], true[~missing])) < 0.5
+
+
+def test_pieces_that_are_too_short_stay_without_orientation() -> None:
+    stream, _ = moving()
+    rows = np.concatenate([np.arange(50), np.arange(500, 1500)])
+    R = oriented(cut(stream, rows))
+    assert np.isnan(R[:50]).all()
+    assert np.isfinite(R[50:]).all()
+    with pytest.raises(ShapeError, match="shank has nowhere 1 s of samples; record for longer"):
+        with_orientation(cut(stream, np.arange(50)))
+    with pytest.raises(ShapeError, match="shank has nowhere 1 s of samples"):
+        with_orientation(cut(stream, np.arange(1)))
+
+
+def test_what_is_not_measured_is_asked_for() -> None:
+    stream, _ = moving()
+    for lacking, word in (("f_sensor", "accelerometer"), ("w_sensor", "gyroscope")):
+        with pytest.raises(ShapeError, match=f"shank has no {word}"):
+            with_orientation(replace(stream, **{lacking: None}))
+    no_field = replace(stream, m_sensor=None)
+    assert len(oriented(no_field)) == len(stream)
+    with pytest.raises(ShapeError, match="shank has no magnetometer; let orientation do without it"):
+        with_orientation(no_field, OrientationSettings(magnetometer=True))
+    with pytest.raises(ShapeError, match="orientation rate_hz is 0; it must be positive"):
+        OrientationSettings(rate_hz=0)
+
+
+def test_a_rate_far_above_the_samples_is_refused_before_it_fills_the_memory() -> None:
+    stream, _ = moving(3)
+    with pytest.raises(ShapeError, match="shank: 1e[+]08 Hz is far above its samples' rate; set rate"):
+        with_orientation(stream, OrientationSettings(rate_hz=1e8))
+
+
+def test_times_that_jitter_make_little_difference() -> None:
+    stream, true = moving()
+    rng = np.random.default_rng(4)
+    jitter = replace(stream, times=stream.times + rng.uniform(-0.0005, 0.0005, len(stream)))
+    assert np.median(inclination_deg(oriented(jitter), true)) < 0.5
+
+
+def test_in_a_log_sensors_without_orientation_get_one_and_others_where_named() -> None:
+    stream, true = moving(5)
+    other = replace(stream, name="foot", R_inertial_sensor=true)
+    log = SensorLog(Path("walk"), "made here", (stream, other), Declaration())
+    got = log_with_orientation(log)
+    assert got.streams[0].R_inertial_sensor is not None
+    assert got.streams[1] is other
+    assert [note.split(":")[0] for note in got.notes] == ["shank"]
+    named = log_with_orientation(log, ["foot"])
+    assert named.streams[0] is stream
+    assert named.streams[1].R_inertial_sensor is not true
+    with pytest.raises(UnknownNameError, match="sensor 'hand'"):
+        log_with_orientation(log, ["hand"])
+
+
+def test_inclination_is_the_makers_own_within_two_degrees() -> None:
+    log = read_sensor_log(REAL / "hipose_mtw17")
+    got = log_with_orientation(log, log.names)
+    for theirs, ours in zip(log.streams, got.streams, strict=True):
+        assert theirs.R_inertial_sensor is not None
+        assert ours.R_inertial_sensor is not None
+        error = inclination_deg(ours.R_inertial_sensor, theirs.R_inertial_sensor)
+        assert np.median(error) < 2
+        assert error.max() < 8
+
+
+def test_raw_measurements_make_a_recording_of_the_real_matlab_file() -> None:
+    """Its quaternions are not its sensors'; gravity shows which orientation is."""
+    log = read_sensor_log(REAL / "qmt_fullbody_16imu")
+    (imus,) = log_with_orientation(log, log.names).imus()
+    up = np.mean(np.einsum("tsij,tsj->tsi", imus.R_inertial_sensor, imus.f_sensor), axis=0)
+    np.testing.assert_allclose(up, [[0, 0, 9.81]] * 2, atol=0.6)

@@ -1,0 +1,92 @@
+"""Poses of calibration, against where limbs point in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.inertial.poses import POSES, facing_of, flexion_axis, pose_rotations, turned_to
+
+BACK, DOWN, AHEAD = [-1, 0, 0], [0, 0, -1], [1, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("pose", "joint", "direction"),
+    [
+        ("T", "LeftArm", [0, 1, 0]),
+        ("N", "LeftArm", DOWN),
+        ("N", "RightForeArm", DOWN),
+        ("N", "LeftLeg", DOWN),
+        ("seated", "LeftUpLeg", AHEAD),
+        ("seated", "RightLeg", DOWN),
+        ("seated", "RightArm", DOWN),
+    ],
+)  # fmt: skip
+def test_limbs_point_where_the_pose_says(
+    pose: str, joint: str, direction: list[float], skeleton: SkeletonModel
+) -> None:
+    R = pose_rotations(pose, skeleton)
+    child = next(i for i, p in enumerate(skeleton.parents) if p == skeleton.index(joint)[0])
+    bone = R[skeleton.index(joint)[0]] @ so3.unit(skeleton.joint_offsets[child])
+    assert bone @ np.array(direction) > 0.95
+
+
+def test_palms_face_the_thighs_in_an_n_pose_and_feet_are_flat_when_seated(
+    skeleton: SkeletonModel,
+) -> None:
+    R = pose_rotations("N", skeleton)
+    for hand, inward in (("LeftHand", -1.0), ("RightHand", 1.0)):
+        palm = R[skeleton.index(hand)[0]] @ np.array(DOWN)  # palms are down in the T-pose
+        np.testing.assert_allclose(palm, [0, inward, 0], atol=1e-9)
+    seated = pose_rotations("seated", skeleton)
+    np.testing.assert_allclose(seated[skeleton.index("LeftFoot")[0]], np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_a_named_pose_faces_x_and_can_be_turned(pose: str, skeleton: SkeletonModel) -> None:
+    R = pose_rotations(pose, skeleton)
+    assert facing_of(R) == pytest.approx(0.0)
+    turned = turned_to(R, 2.0)
+    assert facing_of(turned) == pytest.approx(2.0)
+    relative = (np.swapaxes(M[:1], -1, -2) @ M for M in (turned, R))
+    np.testing.assert_allclose(*relative, atol=1e-12)
+
+
+def test_a_measured_pose_is_taken_as_it_is(skeleton: SkeletonModel) -> None:
+    R = so3.exp(np.random.default_rng(0).standard_normal((21, 3)))
+    np.testing.assert_array_equal(pose_rotations(R, skeleton), R)
+
+
+def test_poses_that_are_none_are_refused(skeleton: SkeletonModel) -> None:
+    with pytest.raises(UnknownNameError, match="unknown calibration pose 'TT'.*Known: T, N, seated"):
+        pose_rotations("TT", skeleton)
+    with pytest.raises(ShapeError, match=r"expected shape \(21, 3, 3\)"):
+        pose_rotations(np.eye(3), skeleton)
+    R = np.tile(np.eye(3), (21, 1, 1))
+    R[4] = np.nan
+    with pytest.raises(ShapeError, match="Spine3 is not known"):
+        pose_rotations(R, skeleton)
+    lying = np.tile(so3.about_axis("y", np.pi / 2), (21, 1, 1))
+    with pytest.raises(ShapeError, match="faces nowhere"):
+        facing_of(lying)
+
+
+@pytest.mark.parametrize(
+    ("joint", "goes"),
+    [("LeftLeg", BACK), ("LeftUpLeg", AHEAD), ("RightForeArm", AHEAD), ("LeftArm", AHEAD)],
+)
+def test_flexion_moves_a_hanging_limb_where_it_does_in_people(
+    joint: str, goes: list[float], skeleton: SkeletonModel
+) -> None:
+    R_pose = pose_rotations("N", skeleton)
+    axis = flexion_axis(joint, skeleton, R_pose)
+    assert np.cross(axis, DOWN) @ np.array(goes) > 0.95
+
+
+def test_the_root_and_the_spine_bow(skeleton: SkeletonModel) -> None:
+    for joint in ("Hips", "Spine2"):
+        axis = flexion_axis(joint, skeleton, pose_rotations("N", skeleton))
+        assert np.cross(axis, [0, 0, 1]) @ np.array(AHEAD) > 0.95

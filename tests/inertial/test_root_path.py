@@ -1,0 +1,108 @@
+"""The root's path: planted walks come back, jumps fly, and nothing known means nothing moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.inertial.contacts import Contacts, detect_contacts
+from rtof_kin.inertial.root_path import RootPath, RootPathSettings, root_path
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+WALK, STANDS = planted.walking(BODY, 6.0)
+LEGS = ("Hips", "LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg")
+FEET = ("LeftFoot", "RightFoot")
+
+
+def errors(path: RootPath, p_root: Array) -> Array:
+    """(T, 3) m, relative to the first frame."""
+    return np.asarray((path.p_world - path.p_world[0]) - (p_root - p_root[0]))
+
+
+def test_a_walk_of_known_length_comes_back_from_its_planted_feet() -> None:
+    imus = planted.bone_imus(BODY, WALK.poses, LEGS)
+    path = root_path(WALK.poses, imus, Contacts(FEET, STANDS), BODY, 0.08)
+    assert np.abs(errors(path, WALK.poses.p_world_joint[:, 0])).max() < 0.005
+    np.testing.assert_allclose(path.p_world[0, :2], 0.0, atol=1e-5)
+    np.testing.assert_allclose(path.p_world[:, 2], WALK.poses.p_world_joint[:, 0, 2], atol=0.005)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_a_walk_drifts_by_little_of_its_length_with_the_feet_that_are_found(noise: float) -> None:
+    imus = planted.bone_imus(BODY, WALK.poses, LEGS, acceleration=noise)
+    contacts = detect_contacts(WALK.poses, imus, BODY)
+    path = root_path(WALK.poses, imus, contacts, BODY, 0.08)
+    walked = float(WALK.poses.p_world_joint[-1, 0, 0] - WALK.poses.p_world_joint[0, 0, 0])
+    assert np.linalg.norm(errors(path, WALK.poses.p_world_joint[:, 0])[-1]) < 0.02 * walked
+
+
+def test_in_flight_accelerations_carry_the_root() -> None:
+    """A jump forward: 0.6 m in half a second, 0.3 m high."""
+    poses = planted.upright(BODY, 120).poses
+    t = np.arange(120) / 60 - 0.75
+    s = np.clip(t / 0.5, 0, 1)
+    x, z = 0.6 * s**3 * (10 - 15 * s + 6 * s**2), 0.3 * 64 * (s * (1 - s)) ** 3
+    jump = np.stack([x, 0 * t, z], axis=1)
+    there = replace(poses, p_world_joint=poses.p_world_joint + jump[:, None])
+    imus = planted.bone_imus(BODY, there, LEGS)
+    standing = np.tile(((t <= 0) | (t >= 0.5))[:, None], (1, 2))
+    path = root_path(poses, imus, Contacts(FEET, standing), BODY, 0.08)
+    assert np.abs(errors(path, there.p_world_joint[:, 0])).max() < 0.02
+
+
+def test_where_no_sensor_tells_of_the_feet_the_root_stays_over_the_origin_and_on_the_floor() -> None:
+    poses = WALK.poses
+    imus = planted.bone_imus(BODY, poses, LEGS)
+    path = root_path(poses, imus, Contacts((), np.zeros((len(poses), 0))), BODY, 0.5)
+    assert np.all(path.p_world == path.p_world[0])
+    np.testing.assert_array_equal(path.p_world[0, :2], 0.0)
+    assert np.isnan(path.sigma).all()
+    lowest = (poses.p_world_joint[0] - poses.p_world_joint[0, 0])[:, 2].min()
+    assert path.p_world[0, 2] + lowest == pytest.approx(0.5)
+
+
+def test_without_any_contact_the_lower_foot_and_accelerations_lead_the_right_way() -> None:
+    imus = planted.bone_imus(BODY, WALK.poses, LEGS)
+    path = root_path(WALK.poses, imus, Contacts(FEET, 0 * STANDS), BODY, 0.08)
+    error = errors(path, WALK.poses.p_world_joint[:, 0])
+    assert np.linalg.norm(error[-1, :2]) < 0.1 * np.ptp(WALK.poses.p_world_joint[:, 0, 0])
+    assert np.abs(error[:, 2]).max() < 0.05
+    assert path.sigma[-1] < 3.0  # decimetres a second, not metres
+
+
+def test_the_drift_grows_with_what_is_walked_and_with_the_square_of_flights() -> None:
+    imus = planted.bone_imus(BODY, WALK.poses, LEGS)
+    settings = RootPathSettings(drift_per_metre=0.1)
+    path = root_path(WALK.poses, imus, Contacts(FEET, STANDS), BODY, 0.08, settings)
+    assert np.all(np.diff(path.sigma) >= 0)
+    assert path.sigma[0] == 0.0
+    assert path.sigma[-1] == pytest.approx(0.1 * 0.8 * 6.0, rel=0.05)
+    standing = planted.upright(BODY, 120).poses
+    still = planted.bone_imus(BODY, standing, LEGS)
+    for seconds, expected in ((0.5, 0.5 / 2 * 0.5**2), (1.0, 0.5 / 2)):
+        on = np.ones((120, 2), dtype=bool)
+        on[30 : 30 + round(60 * seconds)] = False
+        found = root_path(standing, still, Contacts(FEET, on), BODY, 0.08)
+        assert found.sigma[-1] == pytest.approx(expected, rel=0.1)
+
+
+def test_missing_accelerations_are_left_out() -> None:
+    imus = planted.bone_imus(BODY, WALK.poses, LEGS)
+    a = np.array(imus.a_world)
+    a[50:80, 1] = np.nan
+    path = root_path(
+        WALK.poses, replace(imus, a_world=a), Contacts(FEET, STANDS), BODY, 0.08
+    )
+    assert np.abs(errors(path, WALK.poses.p_world_joint[:, 0])).max() < 0.01
+
+
+def test_settings_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ShapeError, match="sigma_slip must be positive"):
+        RootPathSettings(sigma_slip=-1.0)

@@ -1,0 +1,138 @@
+"""The root from the rays of the landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.data.types import Camera, PoseSequence
+from rtof_kin.inertial.root_position import refit_root
+
+Array = NDArray[np.float64]
+SKELETON = SkeletonModel.default()
+
+
+@pytest.fixture(scope="module")
+def truth() -> MotionSequence:
+    return planted.moving(SKELETON, 12)
+
+
+def moved(poses: PoseSequence, by: Array) -> PoseSequence:
+    return replace(poses, p_world_joint=poses.p_world_joint + by)
+
+
+def offsets(seed: int = 0) -> Array:
+    """(12, 1, 3) m, the root wrong by some 20 cm."""
+    return np.random.default_rng(seed).normal(size=(12, 1, 3)) * 0.2
+
+
+def test_the_true_root_is_found_from_exact_keypoints(truth: MotionSequence) -> None:
+    out = refit_root(
+        moved(truth.poses, offsets()), planted.keypoints(truth.poses), sigma_depth=100.0, iterations=8
+    )
+    np.testing.assert_allclose(out.p_world_joint, truth.poses.p_world_joint, atol=1e-4)
+
+
+def test_the_defaults_take_part_of_the_error_away(truth: MotionSequence) -> None:
+    start = moved(truth.poses, 0.5 * offsets())
+    out = refit_root(start, planted.keypoints(truth.poses))
+    before = planted.mpjpe_mm(start.p_world_joint, truth.poses.p_world_joint)
+    assert planted.mpjpe_mm(out.p_world_joint, truth.poses.p_world_joint) < 0.6 * before
+
+
+def test_shape_and_orientation_are_kept(truth: MotionSequence) -> None:
+    start = moved(truth.poses, offsets())
+    out = refit_root(start, planted.keypoints(truth.poses, sigma_px=4.0))
+    shift = out.p_world_joint - start.p_world_joint
+    np.testing.assert_allclose(shift, np.broadcast_to(shift[:, :1], shift.shape), atol=1e-12)
+    np.testing.assert_array_equal(out.R_world_bone, start.R_world_bone)
+
+
+def test_it_is_the_minimum_that_scipys_cauchy_loss_finds(truth: MotionSequence) -> None:
+    # The re-weighted normal equations solve sum 4 log(1 + r^2 / 4) + |shift|^2 / sigma_depth^2.
+    seen = planted.keypoints(truth.poses, sigma_px=5.0)
+    start, camera = moved(truth.poses, offsets(1)), planted.camera()
+    out = refit_root(start, seen, sigma_px=8.0, sigma_depth=0.2, iterations=40)
+    for t in (0, 7):
+
+        def residuals(shift: Array, t: int = t) -> Array:
+            r = (camera.project(start.p_world_joint[t] + shift) - seen.uv_px[t]) / 8.0
+            # r (log(1 + s / 4) 4 / s)^(1/2) has the Cauchy loss as its square.
+            s = np.sum(r**2, axis=-1, keepdims=True)
+            return np.concatenate([(r * np.sqrt(4 * np.log1p(s / 4) / s)).ravel(), shift / 0.2])
+
+        peer = least_squares(residuals, np.zeros(3), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        shift = (out.p_world_joint - start.p_world_joint)[t, 0]
+        np.testing.assert_allclose(shift, peer.x, atol=1e-5)
+
+
+def test_noise_does_not_pull_it_towards_the_camera() -> None:
+    truth = planted.moving(SKELETON, 400).poses
+    seen = planted.keypoints(truth, sigma_px=10.0)
+    out = refit_root(truth, seen, sigma_depth=100.0, iterations=6)
+    shift = (out.p_world_joint - truth.p_world_joint)[:, 0]
+    depth = shift @ planted.camera().R_camera_world[2]
+    # 80 mm a frame: the mean of 400 is known to 4 mm, the bias of the linear equations is 50 mm.
+    assert abs(depth.mean()) < 0.015
+
+
+def test_outliers_hardly_move_it(truth: MotionSequence) -> None:
+    seen = planted.keypoints(truth.poses)
+    uv = np.array(seen.uv_px)
+    uv[:, [2, 10, 17]] += [150.0, -90.0]
+    start = moved(truth.poses, 0.3 * offsets())
+    out = refit_root(start, replace(seen, uv_px=uv), sigma_px=5.0, sigma_depth=1.0, iterations=10)
+    assert planted.mpjpe_mm(out.p_world_joint, truth.poses.p_world_joint) < 20
+
+
+def test_frames_without_keypoints_are_unchanged_and_the_others_solved(truth: MotionSequence) -> None:
+    start = moved(truth.poses, offsets())
+    seen = planted.unseen(planted.keypoints(truth.poses), slice(3, 6))
+    out, whole = refit_root(start, seen), refit_root(start, planted.keypoints(truth.poses))
+    np.testing.assert_array_equal(out.p_world_joint[3:6], start.p_world_joint[3:6])
+    np.testing.assert_array_equal(out.p_world_joint[6:], whole.p_world_joint[6:])
+
+
+def test_poses_that_are_nan_stay_nan_and_disturb_nobody(truth: MotionSequence) -> None:
+    p = np.array(moved(truth.poses, offsets()).p_world_joint)
+    p[4] = np.nan
+    p[5, 10:] = np.nan
+    seen = planted.keypoints(truth.poses)
+    out = refit_root(replace(truth.poses, p_world_joint=p), seen, sigma_px=5.0, sigma_depth=1.0)
+    assert np.isnan(out.p_world_joint[4]).all()
+    assert np.isfinite(out.p_world_joint[5, :10]).all()
+    known = np.delete(np.arange(12), [4])
+    error = out.p_world_joint[known, :10] - truth.poses.p_world_joint[known, :10]
+    assert np.linalg.norm(error, axis=-1).max() < 0.1
+
+
+def test_landmarks_that_are_no_joints_are_ignored(truth: MotionSequence) -> None:
+    seen = planted.keypoints(truth.poses)
+    names = (*seen.names[:-1], "Nose")
+    start = moved(truth.poses, offsets())
+    out = refit_root(start, replace(seen, names=names))
+    same = refit_root(start, planted.unseen(seen, slice(None), 20))
+    np.testing.assert_array_equal(out.p_world_joint, same.p_world_joint)
+
+
+def test_a_lens_with_distortion_leads_to_the_same_place(truth: MotionSequence) -> None:
+    straight = planted.keypoints(truth.poses)
+    lens: Camera = replace(straight.camera, distortion=np.array([-0.2, 0.05, 0.001, -0.002, 0.0]))
+    bent = replace(straight, camera=lens, uv_px=lens.project(truth.poses.p_world_joint))
+    start = moved(truth.poses, offsets())
+    out = refit_root(start, bent)
+    np.testing.assert_allclose(
+        out.p_world_joint, refit_root(start, straight).p_world_joint, atol=1e-5
+    )
+
+
+def test_a_tight_prior_keeps_the_given_root(truth: MotionSequence) -> None:
+    start = moved(truth.poses, offsets())
+    out = refit_root(start, planted.keypoints(truth.poses), sigma_depth=1e-6)
+    np.testing.assert_allclose(out.p_world_joint, start.p_world_joint, atol=1e-6)

@@ -1,0 +1,107 @@
+"""The body a lifter knows: sides, limbs, bones, and segments that may carry sensors."""
+
+from __future__ import annotations
+
+import lifting_support as support
+import numpy as np
+import pytest
+import torch
+
+from lifting.body import Body, bone_groups, side_of
+from rtof_kin.body.skeleton_table import SkeletonTable
+
+
+@pytest.fixture(scope="module")
+def body() -> Body:
+    return support.tiny_corpus().body()
+
+
+@pytest.fixture(scope="module")
+def body_17() -> Body:
+    return support.tiny_corpus(table=support.TABLE_17).body()
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "rest"),
+    [
+        ("LeftArm", "left", "Arm"),
+        ("RightUpLeg", "right", "UpLeg"),
+        ("LElbow", "left", "Elbow"),
+        ("RHip", "right", "Hip"),
+        ("Hip", "", "Hip"),
+        ("Root", "", "Root"),
+        ("Lumbar", "", "Lumbar"),
+    ],
+)
+def test_both_ways_to_name_a_side_are_read(name: str, side: str, rest: str) -> None:
+    assert side_of(name) == (side, rest)
+
+
+@pytest.mark.parametrize(
+    ("table", "arms", "legs"),
+    [
+        (support.TABLE, "RightArm RightForeArm RightHand LeftArm LeftForeArm LeftHand",
+         "RightUpLeg RightLeg RightFoot LeftUpLeg LeftLeg LeftFoot"),
+        (support.TABLE_17, "LShoulder LElbow LWrist RShoulder RElbow RWrist",
+         "RHip RKnee RFoot LHip LKnee LFoot"),
+    ],
+)  # fmt: skip
+def test_limbs_are_found_in_both_skeletons(table: SkeletonTable, arms: str, legs: str) -> None:
+    body = Body(table.names, table.parents, ())
+    assert [body.names[j] for limb in body.arms for j in limb] == arms.split()
+    assert [body.names[j] for limb in body.legs for j in limb] == legs.split()
+    assert body.feet == [leg[2] for leg in body.legs]
+    assert body.hips == [leg[0] for leg in body.legs]
+
+
+def test_every_joint_of_the_17_has_its_counterpart(body_17: Body) -> None:
+    order = body_17.mirrored
+    assert [order[j] for j in order] == list(range(17))
+    for name, j in zip(body_17.names, order, strict=True):
+        swapped = {"L": "R", "R": "L"}.get(name[0], name[0]) + name[1:]
+        assert body_17.names[j] == swapped
+    assert len(bone_groups(body_17.names)) == 10  # 4 in the middle, 6 of two sides
+
+
+def test_a_joint_without_a_counterpart_is_its_own() -> None:
+    assert Body(("Hips", "LeftArm", "RightHand"), (-1, 0, 0), ()).mirrored == [0, 1, 2]
+
+
+def test_left_and_right_bones_are_one(body: Body) -> None:
+    groups = bone_groups(body.names)
+    assert len(groups) == 13
+    assert [body.names[j] for j in groups["ForeArm"]] == ["RightForeArm", "LeftForeArm"]
+    assert len(groups["Head"]) == 1
+
+
+def test_bones_do_not_change_when_left_and_right_are_exchanged(body: Body) -> None:
+    offsets = torch.from_numpy(support.TABLE.offsets + np.random.default_rng(0).normal(size=(21, 3)))
+    mirrored = offsets[body.mirrored] * torch.tensor([1.0, -1.0, 1.0])
+    torch.testing.assert_close(body.bones_of(mirrored), body.bones_of(offsets))
+
+
+def test_the_usual_sensors_of_the_21_joints_are_known_and_the_17_have_none(
+    body: Body, body_17: Body
+) -> None:
+    assert set(body.sensors) == {
+        "Head", "Spine3", "Hips", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm",
+        "LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg", "LeftFoot", "RightFoot",
+    }  # fmt: skip
+    assert len(body.sensors) == 13
+    assert [body.names[j] for j in body.sensor_joints] == list(body.sensors)
+    assert body_17.sensors == ()
+
+
+def test_every_sensor_has_its_counterpart_on_the_other_side(body: Body) -> None:
+    swapped = {"Left": "Right", "Right": "Left"}
+    for name, other in zip(body.sensors, body.mirrored_sensors, strict=True):
+        side = next((s for s in swapped if name.startswith(s)), "")
+        assert body.sensors[other] == swapped.get(side, "") + name.removeprefix(side)
+
+
+def test_what_goes_in_and_out_is_counted(body: Body, body_17: Body) -> None:
+    assert body.inputs == 3 * 21 + 2 * 2 + 7 * 13
+    assert body.outputs == 3 * 21 + 2 * 21 + 7 * 21
+    assert body_17.inputs == 3 * 17 + 2 * 2
+    assert body_17.outputs == 3 * 17 + 2 * 17
+    assert body.constants == 2 + 2 + 3 * 13 + 1

@@ -1,0 +1,218 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import lifting_support as support
+import pytest
+import torch
+
+from lifting import checkpoint
+from lifting.checkpoint import load_checkpoint, save_checkpoint
+from lifting.predict import Lifter
+from rtof_kin.core.errors import FileFormatError
+
+
+@pytest.fixture(scope="module")
+def lifter() -> Lifter:
+    return support.untrained_lifter()
+
+
+@pytest.fixture
+def saved(lifter: Lifter, tmp_path: Path) -> Path:
+    return save_checkpoint(tmp_path / "lifter.pt", lifter._network, lifter.description)
+
+
+def rewrite(path: Path, change: Callable[[dict[str, Any]], None], sign: bool = False) -> None:
+    """Alter a lifter's file, with a checksum that fits again where `sign`."""
+    content = torch.load(path, weights_only=True)
+    change(content)
+    if sign:
+        content["sha256"] = checkpoint._digest(content["description"], content["weights"])
+    torch.save(content, path)
+
+
+def redescribe(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    """Alter the description, with a checksum that fits."""
+
+    def edit(content: dict[str, Any]) -> None:
+        description = json.loads(content["description"])
+        change(description)
+        content["description"] = json.dumps(description)
+
+    rewrite(path, edit, sign=True)
+
+
+def test_a_lifter_survives_its_file(lifter: Lifter, saved: Path) -> None:
+    described = replace(
+        lifter.description, recipe={"batch": 512}, validation={"perfect": {"rr_mm": 30.0}}
+    )
+    save_checkpoint(saved, lifter._network, described, overwrite=True)
+    network, description = load_checkpoint(saved)
+    assert description == described
+    assert len(description.body.sensors) == 13
+    assert not network.training
+    for name, tensor in lifter._network.state_dict().items():
+        assert torch.equal(network.state_dict()[name], tensor), name
+
+
+def test_a_causal_lifter_and_one_without_sensors_survive_their_files(tmp_path: Path) -> None:
+    for given in (
+        support.untrained_lifter(causal=True), support.untrained_lifter(table=support.TABLE_17)
+    ):
+        path = tmp_path / "lifter.pt"
+        save_checkpoint(path, given._network, given.description, overwrite=True)
+        network, description = load_checkpoint(path)
+        assert description == given.description
+        assert network.estimated() == given._network.estimated()
+
+
+def test_the_file_says_where_its_motion_came_from(saved: Path) -> None:
+    assert "mocap.cs.cmu.edu" in load_checkpoint(saved)[1].data
+    assert "NSF EIA-0196217" in load_checkpoint(saved)[1].data
+
+
+def test_nothing_but_the_lifter_is_left_in_the_folder(saved: Path) -> None:
+    assert [path.name for path in saved.parent.iterdir()] == ["lifter.pt"]
+
+
+def test_a_single_changed_weight_is_found(saved: Path) -> None:
+    def nudge(content: dict[str, Any]) -> None:
+        content["weights"]["shrink.bias"][0] += 1e-6
+
+    rewrite(saved, nudge)
+    with pytest.raises(FileFormatError, match="checksum does not match: the file is damaged"):
+        load_checkpoint(saved)
+
+
+def test_a_changed_description_is_found(saved: Path) -> None:
+    def rename(content: dict[str, Any]) -> None:
+        content["description"] = content["description"].replace("LeftHand", "RightHnd")
+
+    rewrite(saved, rename)
+    with pytest.raises(FileFormatError, match="checksum does not match"):
+        load_checkpoint(saved)
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.1, 0.5, 0.99])
+def test_truncated_files_are_refused(saved: Path, keep: float) -> None:
+    data = saved.read_bytes()
+    saved.write_bytes(data[: int(keep * len(data))])
+    with pytest.raises(FileFormatError, match=r"lifter\.pt: .*(copy|not a readable lifter)"):
+        load_checkpoint(saved)
+
+
+def test_flipped_bytes_are_refused(saved: Path) -> None:
+    data = bytearray(saved.read_bytes())
+    for at in range(len(data) // 4, len(data), len(data) // 4):
+        data[at] ^= 0xFF
+    saved.write_bytes(bytes(data))
+    with pytest.raises(FileFormatError, match="copy"):
+        load_checkpoint(saved)
+
+
+def test_another_version_says_what_to_install(saved: Path) -> None:
+    rewrite(saved, lambda content: content.update(version=99))
+    with pytest.raises(FileFormatError, match="lifter format 99; .* reads format 2: install"):
+        load_checkpoint(saved)
+
+
+def test_a_lifter_of_the_version_before_is_refused_and_says_what_to_do(saved: Path) -> None:
+    """It knew no sensors: its description lacks them, and its weights have another shape."""
+
+    def age(content: dict[str, Any]) -> None:
+        description = json.loads(content["description"])
+        del description["body"]["sensors"], description["network"]["constants"]
+        del description["network"]["causal"], content["weights"]["constant.weight"]
+        content.update(version=1, description=json.dumps(description))
+
+    rewrite(saved, age, sign=True)
+    with pytest.raises(FileFormatError, match=(
+        "lifter format 1; this version of the package reads format 2: install the version that "
+        "wrote it, or train again"
+    )):  # fmt: skip
+        load_checkpoint(saved)
+
+
+def test_other_torch_files_and_missing_files_are_refused(tmp_path: Path) -> None:
+    torch.save({"weights": {}}, tmp_path / "other.pt")
+    with pytest.raises(FileFormatError, match="not a lifter of this package"):
+        load_checkpoint(tmp_path / "other.pt")
+    with pytest.raises(FileFormatError, match="no such file; give the path"):
+        load_checkpoint(tmp_path / "nowhere.pt")
+    with pytest.raises(FileFormatError, match="no such file"):
+        load_checkpoint(tmp_path)
+
+
+class Harmful:
+    """Runs when it is unpickled by a careless reader."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (Path("harm").write_text, ("done",))
+
+
+def test_a_file_that_carries_code_does_not_run_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    torch.save({"format": checkpoint.FORMAT, "version": 2, "weights": Harmful()}, "lifter.pt")
+    with pytest.raises(FileFormatError, match="not a readable lifter"):
+        load_checkpoint("lifter.pt")
+    assert not (tmp_path / "harm").exists()
+
+
+def swap(description: dict[str, Any], joint: str, other: str) -> None:
+    """A sensor on one side of the body that has no counterpart."""
+    sensors = description["body"]["sensors"]
+    sensors[sensors.index(joint)] = other
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d["network"].update(channels=10**9), "1000000000 channels"),
+        (lambda d: d["network"].update(filter_widths=[3] * 40), "filter widths"),
+        (lambda d: d["network"].update(inputs=5), "inputs or outputs do not fit"),
+        (lambda d: d["network"].update(constants=5), "inputs or outputs do not fit"),
+        (lambda d: d["network"].update(outputs=5), "inputs or outputs do not fit"),
+        (lambda d: d["body"].update(sensors=[]), "inputs or outputs do not fit"),
+        (lambda d: d["body"]["sensors"].pop(), "no counterpart on the other side"),
+        (lambda d: d["body"]["sensors"].append("Tail"), "sensors' segments are not among the joints"),
+        (lambda d: d["body"].update(sensors=["Head"] * 13), "sensors' segments are not among"),
+        (lambda d: swap(d, "LeftArm", "LeftHand"), "no counterpart"),
+        (lambda d: d["body"].update(sensors=7), "description of this lifter is wrong"),
+        (lambda d: d["body"].pop("sensors"), "'sensors'"),
+        (lambda d: d["network"].pop("constants"), "constants"),
+        (lambda d: d["body"].update(parents=[-1, *range(1, 21)]), "no tree of joints"),
+        (lambda d: d["body"].update(nominal_bones=[0.1]), "nominal bones do not fit"),
+        (lambda d: d.update(rate_hz=0.0), "a rate of 0.0 Hz"),
+        (lambda d: d.pop("body"), "'body'"),
+        (lambda d: d.update(surprise=1), "surprise"),
+        (lambda d: d["network"].update(channels=8), "do not fit the network described"),
+    ],
+)
+def test_absurd_descriptions_are_refused_even_if_signed(
+    saved: Path, change: Callable[[dict[str, Any]], None], message: str
+) -> None:
+    redescribe(saved, change)
+    with pytest.raises(FileFormatError, match=message):
+        load_checkpoint(saved)
+
+
+def test_weights_that_are_not_finite_are_refused(saved: Path) -> None:
+    rewrite(saved, lambda c: c["weights"]["shrink.bias"].fill_(float("nan")), sign=True)
+    with pytest.raises(FileFormatError, match="weights are not finite"):
+        load_checkpoint(saved)
+
+
+def test_the_shipped_lifter_loads_and_says_how_good_it_is() -> None:
+    lifter = Lifter.load()
+    assert lifter.receptive_field() == 27
+    assert len(lifter.names) == 21
+    assert len(lifter.description.body.sensors) == 13
+    assert lifter.description.network.causal is False
+    assert lifter.description.validation["perfect"]["rr_mm"] < 80
+    assert lifter.description.recipe["windows_seen"] > 100_000

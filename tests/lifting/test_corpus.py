@@ -1,0 +1,182 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import lifting_support as support
+import numpy as np
+import pytest
+
+from lifting.corpus import Corpus, join_clips, make_corpus, read_corpus
+from rtof_kin.body import kinematics
+from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.data.types import PoseSequence
+from rtof_kin.simulation.mocap import MocapClip, read_mocap
+
+EXCERPT = Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh"
+
+
+@pytest.fixture(scope="module")
+def corpus() -> Corpus:
+    return support.tiny_corpus()
+
+
+def test_a_corpus_survives_its_file(corpus: Corpus, tmp_path: Path) -> None:
+    back = read_corpus(corpus.save(tmp_path / "motion.npz"))
+    np.testing.assert_allclose(back.R_world_bone, corpus.R_world_bone, atol=1e-6)
+    np.testing.assert_array_equal(back.p_world_root, corpus.p_world_root)
+    np.testing.assert_array_equal(back.joint_offsets, corpus.joint_offsets)
+    assert (back.names, back.parents) == (corpus.names, corpus.parents)
+    assert (back.subjects, back.split) == (corpus.subjects, corpus.split)
+    assert back.body() == corpus.body()
+
+
+def test_positions_are_those_of_the_clip_read(tmp_path: Path) -> None:
+    clip = replace(read_mocap(EXCERPT), subject="somebody")
+    corpus = make_corpus([clip], {"somebody": "validation"})
+    np.testing.assert_allclose(corpus.positions(0), clip.poses.p_world_joint, atol=1e-5)
+    assert corpus.clips("validation") == [0]
+
+
+def test_subjects_that_no_list_names_train() -> None:
+    corpus = make_corpus([replace(read_mocap(EXCERPT), subject="unheard of")], {"x": "test"})
+    assert corpus.split == ("train",)
+
+
+def test_clips_at_another_rate_are_resampled() -> None:
+    clip = read_mocap(EXCERPT, output_rate_hz=None)
+    assert clip.poses.rate_hz == pytest.approx(30)
+    corpus = make_corpus([clip, read_mocap(EXCERPT)], {})
+    assert corpus.rate_hz == 60
+    np.testing.assert_array_equal(
+        corpus.positions(0)[::2], make_corpus([clip], {}, 30).positions(0)
+    )
+    lengths = np.linalg.norm(corpus.positions(0)[:, 1:] - corpus.positions(0)[:, corpus.parents[1:]],
+                             axis=-1)  # fmt: skip
+    np.testing.assert_allclose(lengths, np.broadcast_to(lengths[:1], lengths.shape), atol=1e-5)
+    np.testing.assert_allclose(corpus.positions(0), corpus.positions(1), atol=1e-5)
+
+
+def test_a_whole_ratio_of_rates_takes_every_nth_frame() -> None:
+    clip = read_mocap(EXCERPT)
+    half = make_corpus([clip], {}, rate_hz=30)
+    np.testing.assert_allclose(half.positions(0), clip.poses.p_world_joint[::2], atol=1e-5)
+
+
+def seventeen(bend: float = 0.0, rate_hz: float = 50.0) -> MocapClip:
+    """A clip of the 17 joints whose left shoulder moves up and down by `bend`."""
+    table = support.TABLE_17
+    p_root, R = support.moving(3, 60, table, rate_hz)
+    p = kinematics.positions(table.parents, table.offsets, p_root, R)
+    times = np.arange(60) / rate_hz
+    left = [table.names.index(name) for name in ("LShoulder", "LElbow", "LWrist")]
+    p[:, left, 2] += bend * np.sin(20 * times)[:, None]
+    return MocapClip("seventeen", PoseSequence(times, p, R, table.names), table.offsets, "s")
+
+
+def test_clips_of_any_skeleton_make_a_corpus() -> None:
+    clip = seventeen()
+    corpus = join_clips([(clip, "train")], support.TABLE_17.parents, 50.0, "ask before use")
+    assert (corpus.names, corpus.rate_hz) == (support.TABLE_17.names, 50.0)
+    assert corpus.beyond_rigid is None
+    assert corpus.acknowledgement == "ask before use"
+    np.testing.assert_allclose(corpus.positions(0), clip.poses.p_world_joint, atol=1e-5)
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 60.0])
+def test_joints_that_no_rigid_body_has_stay_where_they_were_recorded(rate_hz: float) -> None:
+    clip = seventeen(bend=0.03)
+    corpus = join_clips([(clip, "train")], support.TABLE_17.parents, rate_hz)
+    assert corpus.beyond_rigid is not None
+    at = np.arange(0, 50, 5)  # tenths of a second
+    now = (at * rate_hz / 50).astype(int)
+    np.testing.assert_allclose(
+        corpus.positions(0)[now], clip.poses.p_world_joint[at], atol=1e-5 if rate_hz == 50 else 1e-3
+    )
+
+
+def test_what_is_not_rigid_moves_another_body_alike() -> None:
+    bent, rigid = (
+        join_clips([(seventeen(b), "train")], support.TABLE_17.parents, 50.0) for b in (0.03, 0.0)
+    )
+    other = (1.1 * support.TABLE_17.offsets).astype(np.float32)
+    shift = bent.positions(0, other) - rigid.positions(0, other)
+    np.testing.assert_allclose(shift, bent.positions(0) - rigid.positions(0), atol=1e-5)
+    assert np.abs(shift).max() > 0.029
+
+
+def test_a_corpus_that_is_not_rigid_survives_its_file(tmp_path: Path) -> None:
+    corpus = join_clips([(seventeen(0.03), "train")], support.TABLE_17.parents, 50.0, "ask")
+    back = read_corpus(corpus.save(tmp_path / "motion.npz"))
+    np.testing.assert_array_equal(back.beyond_rigid, corpus.beyond_rigid)
+    assert (back.rate_hz, back.acknowledgement) == (50.0, "ask")
+
+
+def test_clips_of_different_skeletons_are_refused() -> None:
+    with pytest.raises(ShapeError, match="clip seventeen has the joints Hip, RHip.*each skeleton"):
+        make_corpus([read_mocap(EXCERPT), seventeen()], {})
+    with pytest.raises(ShapeError, match="has the joints Hip, .*not the 21"):
+        make_corpus([seventeen()], {})
+
+
+def test_an_empty_corpus_is_refused() -> None:
+    with pytest.raises(ShapeError, match="there is no clip"):
+        make_corpus([], {})
+
+
+def test_a_split_without_clips_names_the_subjects(corpus: Corpus) -> None:
+    everyone_tests = replace(corpus, split=("test",) * 4)
+    with pytest.raises(ShapeError, match="no clip is in the split 'train'.*subject 0, subject 1"):
+        everyone_tests.clips("train")
+    assert everyone_tests.clips("train", required=False) == []
+
+
+def test_different_bodies_are_listed_once_largest_first(corpus: Corpus) -> None:
+    offsets = corpus.joint_offsets.copy()
+    offsets[1] = offsets[0] + 4e-4  # as measured twice
+    twins = replace(corpus, joint_offsets=offsets, split=("train", "train", "train", "test"))
+    bodies = twins.skeletons("train", at_most=5)
+    assert len(bodies) == 2
+    np.testing.assert_array_equal(bodies[0], offsets[0])
+    assert len(twins.skeletons("train", at_most=1)) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"start": np.array([0, 5, 5, 180, 360])}, "does not cut the frames"),
+        ({"split": ("train", "train", "train", "holdout")}, "no holdout; known: train"),
+        ({"subjects": ("a", "b")}, "joint_offsets: expected shape"),
+        ({"parents": (-1, 0)}, "parents: expected shape"),
+        ({"rate_hz": 0.0}, "rate_hz: 0 frames per second"),
+        ({"rate_hz": np.nan}, "rate_hz: nan"),
+        ({"beyond_rigid": np.zeros((3, 21, 3))}, "beyond_rigid: expected shape"),
+        ({"beyond_rigid": np.full((360, 21, 3), np.nan)}, "beyond_rigid: not finite"),
+    ],
+)
+def test_inconsistent_corpora_are_refused(corpus: Corpus, change: dict, message: str) -> None:
+    with pytest.raises(ShapeError, match=message):
+        replace(corpus, **change)
+
+
+def test_motion_with_gaps_is_refused(corpus: Corpus) -> None:
+    p = corpus.p_world_root.copy()
+    p[7] = np.nan
+    with pytest.raises(ShapeError, match="p_world_root: not finite; leave gaps out"):
+        replace(corpus, p_world_root=p)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 broken", b"not an archive at all"])
+def test_files_that_are_no_corpus_are_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "bad.npz"
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError, match=r"bad\.npz: damaged, or no NPZ archive"):
+        read_corpus(path)
+
+
+def test_a_missing_file_and_a_missing_field_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match="there is no such file"):
+        read_corpus(tmp_path / "nowhere.npz")
+    np.savez(tmp_path / "half.npz", joint_names=["a"], parents=[-1])
+    with pytest.raises(FileFormatError, match="quat_wxyz"):
+        read_corpus(tmp_path / "half.npz")

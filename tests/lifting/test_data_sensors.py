@@ -1,0 +1,327 @@
+"""Training windows' orientations: with sensors without errors they are the truth, whatever is drawn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import lifting_support as support
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from lifting.corpus import Corpus
+from lifting.data import AugmentConfig, Batch, MotionBank, plain
+from lifting.noise import perfect
+from lifting.sensors import SensorConfig
+from lifting.windows import rotations
+from rtof_kin.core import rotations as so3
+
+Array = NDArray[np.float64]
+B, W = 48, 27
+T = 90
+"""Frames in each clip."""
+CPU = torch.device("cpu")
+MIRROR = np.diag([1.0, -1.0, 1.0])
+EXACT = SensorConfig(
+    none=0.0, limbs=0.0, limbs_and_trunk=0.0, ends=0.0, every=1.0, amplitude=(1.0, 1.0),
+    misalignment=0.0, roll=0.0, heading=0.0, lag=(0.0, 0.0), missing=0.0,
+)  # fmt: skip
+"""Everything is worn and nothing wrong."""
+PLAIN = replace(plain(), sensors=EXACT)
+EVERYTHING = replace(
+    AugmentConfig(), sensors=EXACT, noise=perfect(), warp=(1.0, 1.0), recombine=0.0
+)
+HALF_A_FRAME = 0.05
+"""More than anybody turns in the time to the nearest frame, which sensors are looked up in."""
+
+
+@pytest.fixture(scope="module")
+def corpus() -> Corpus:
+    return support.tiny_corpus(frames=T)
+
+
+@pytest.fixture(scope="module")
+def bank(corpus: Corpus) -> MotionBank:
+    return MotionBank(corpus, [0, 1], CPU)
+
+
+def draw(
+    bank: MotionBank, config: AugmentConfig, frames: Tensor | None = None, causal: bool = False
+) -> Batch:
+    return bank.draw(B, W, config, torch.Generator().manual_seed(1), frames, causal)
+
+
+def matrices(axes: Tensor) -> Array:
+    """Rotations (..., n, 3, 3), the batch first, of axes (B, 3, ..., 2, n)."""
+    R = rotations(axes.movedim(1, -3) if axes.ndim == 5 else axes)
+    return R.movedim(-1, -3).double().numpy()
+
+
+def recorded(corpus: Corpus, at: Array) -> Array:
+    """Rotations (..., J, 3, 3) of the first clip at frames, on the geodesic between them."""
+    at = np.clip(at, 0, T - 1)
+    low = np.minimum(np.floor(at).astype(int), T - 2)
+    R = corpus.R_world_bone[:T].astype(float)
+    turn = so3.log(np.swapaxes(R[low], -1, -2) @ R[low + 1])
+    return np.asarray(R[low] @ so3.exp((at - low)[..., None, None] * turn))
+
+
+def sensed_truth(
+    corpus: Corpus, batch: Batch, frames: Tensor, speed: float = 1.0, lag: float = 0.0,
+    mirrored: bool = False,
+) -> Array:
+    """What sensors must say (B, W, S, 3, 3), from the recording and the heading of the estimated pose."""
+    body, at = corpus.body(), frames.numpy().astype(float)
+
+    def motion(at: Array) -> Array:
+        R = recorded(corpus, at)
+        return MIRROR @ R[..., body.mirrored, :, :] @ MIRROR if mirrored else R
+
+    now = matrices(batch.axes)
+    R_drawn_recorded = now[:, 0] @ np.swapaxes(motion(at)[:, 0], -1, -2)
+    steps = np.arange(W) - batch.windows.estimated
+    R = motion(at[:, None] + speed * steps + lag)[:, :, body.sensor_joints]
+    return np.asarray(R_drawn_recorded[:, None, None] @ R)
+
+
+FRAMES = torch.randint(20, T - 20, (B,), generator=torch.Generator().manual_seed(0))
+
+
+def assert_sensed(corpus: Corpus, batch: Batch, atol: float = 2e-5, **how: float) -> None:
+    assert batch.windows.sensed.all()
+    expected = sensed_truth(corpus, batch, FRAMES, **how)
+    np.testing.assert_allclose(matrices(batch.windows.axes_world), expected, atol=atol)
+
+
+# --- without errors ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_the_axes_to_be_answered_are_those_of_the_motion(
+    corpus: Corpus, bank: MotionBank, causal: bool
+) -> None:
+    batch = draw(bank, PLAIN, FRAMES, causal)
+    now, R = matrices(batch.axes), recorded(corpus, FRAMES.numpy().astype(float))
+    heading = now[:, 0] @ np.swapaxes(R[:, 0], -1, -2)
+    np.testing.assert_allclose(now, heading[:, None] @ R, atol=1e-5)
+    np.testing.assert_allclose(heading[:, 2, 2], 1.0, atol=1e-6)
+    assert batch.windows.estimated == (W - 1 if causal else W // 2)
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_sensors_show_the_true_axes_at_every_frame(
+    corpus: Corpus, bank: MotionBank, causal: bool
+) -> None:
+    assert_sensed(corpus, draw(bank, PLAIN, FRAMES, causal))
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_also_of_motion_that_was_re_timed(
+    corpus: Corpus, bank: MotionBank, causal: bool
+) -> None:
+    batch = draw(bank, replace(PLAIN, warp=(0.63, 0.63)), FRAMES, causal)
+    assert_sensed(corpus, batch, HALF_A_FRAME, speed=0.63)
+    with pytest.raises(AssertionError):
+        assert_sensed(corpus, batch, HALF_A_FRAME, speed=1.0)
+
+
+def test_also_mirrored(corpus: Corpus, bank: MotionBank) -> None:
+    batch = draw(bank, replace(PLAIN, mirror=1.0), FRAMES)
+    assert_sensed(corpus, batch, mirrored=True)
+    now = matrices(batch.axes)
+    assert so3.is_rotation(now, tolerance=1e-5)
+
+
+def test_also_tilted(corpus: Corpus, bank: MotionBank) -> None:
+    batch = draw(bank, replace(PLAIN, tilt=1.0), FRAMES)
+    assert_sensed(corpus, batch)
+    R = recorded(corpus, FRAMES.numpy().astype(float))
+    heading = matrices(batch.axes)[:, 0] @ np.swapaxes(R[:, 0], -1, -2)
+    assert heading[:, 2, 2].min() < 0.9
+
+
+def test_also_on_a_body_of_other_proportions(corpus: Corpus) -> None:
+    other = support.TABLE.offsets.astype(np.float32) * 1.3
+    bank = MotionBank(corpus, [0], CPU, [other])
+    config = replace(PLAIN, own_skeleton=0.0, bone_scale=0.1, overall_scale=0.1)
+    assert_sensed(corpus, draw(bank, config, FRAMES))
+
+
+def bones(batch: Batch, bank: MotionBank, offsets: Array) -> list[tuple[str, Array, Array]]:
+    """Of each segment of one bone: its name, the bone's direction (B, 3) in the pose, and by its axes."""
+    R, body = matrices(batch.axes), bank.body
+    pose, out = batch.pose.double().numpy(), []
+    for j, name in enumerate(body.names):
+        children = [c for c, parent in enumerate(body.parents) if parent == j]
+        if len(children) == 1:
+            seen = so3.unit(pose[:, :, children[0]] - pose[:, :, j])
+            out.append((name, seen, R[:, j] @ so3.unit(offsets[children[0]])))
+    return out
+
+
+ASKEW = support.TABLE.offsets + np.array([0.03, 0.0, 0.02]) * (np.arange(21) > 0)[:, None]
+"""Offsets of somebody whose bones have other directions, left and right alike."""
+HOW = {
+    "everything else": (EVERYTHING, support.TABLE.offsets, False),
+    "causal": (EVERYTHING, support.TABLE.offsets, True),
+    "another body": (replace(EVERYTHING, own_skeleton=0.0), ASKEW, False),
+    "recombined": (replace(EVERYTHING, recombine=1.0, own_skeleton=0.0), ASKEW, False),
+}
+
+
+@pytest.mark.parametrize("how", HOW)
+def test_the_bones_of_the_pose_are_where_the_axes_say(corpus: Corpus, how: str) -> None:
+    config, offsets, causal = HOW[how]
+    bank = MotionBank(corpus, [0, 1], CPU, [offsets.astype(np.float32)])
+    for name, seen, by_axes in bones(draw(bank, config, causal=causal), bank, offsets):
+        np.testing.assert_allclose(seen, by_axes, atol=1e-4, err_msg=name)
+
+
+@pytest.mark.parametrize("how", HOW)
+def test_every_frames_rays_and_sensors_are_of_one_body(corpus: Corpus, how: str) -> None:
+    """A bone lies in the plane of the rays to its ends: at every frame, not at the estimated one."""
+    config, offsets, causal = HOW[how]
+    bank = MotionBank(corpus, [0, 1], CPU, [offsets.astype(np.float32)])
+    batch = draw(bank, config, causal=causal)
+    rays = so3.unit(batch.windows.rays_world.permute(0, 2, 3, 1).double().numpy())
+    seen, R = batch.windows.seen.numpy(), matrices(batch.windows.axes_world)
+    wrong, body = [], bank.body
+    for s, j in enumerate(body.sensor_joints):
+        children = [c for c, parent in enumerate(body.parents) if parent == j]
+        if len(children) != 1:
+            continue
+        normal = np.cross(rays[:, :, j], rays[:, :, children[0]])
+        read = seen[:, :, j] & seen[:, :, children[0]] & (np.linalg.norm(normal, axis=-1) > 0.03)
+        bone = R[:, :, s] @ so3.unit(offsets[children[0]])
+        out = np.abs(np.sum(so3.unit(normal + 1e-12) * bone, axis=-1))
+        assert read.mean() > 0.3
+        wrong.append(out[read])
+    assert np.concatenate(wrong).max() < 3e-3
+
+
+def test_recombined_sensors_are_those_of_two_motions(corpus: Corpus, bank: MotionBank) -> None:
+    whole, mixed = (draw(bank, replace(PLAIN, recombine=r), FRAMES) for r in (0.0, 0.5))
+    names = bank.body.sensors
+    R = [matrices(batch.windows.axes_world) for batch in (whole, mixed)]
+    # Headings are drawn after what is recombined: compare what does not change with them.
+    to_pelvis = [np.swapaxes(r[:, :, [names.index("Hips")]], -1, -2) @ r for r in R]
+    angle = so3.angle_between(*to_pelvis)
+    for s, name in enumerate(names):
+        lower = name.endswith(("Leg", "Foot", "Hips"))
+        assert angle[B // 2 :, :, s].max() < 1e-3, name
+        assert (angle[: B // 2, :, s].max() < 1e-3) == lower, name
+
+
+def test_the_pelvis_of_one_motion_and_the_chest_of_another_face_the_same_way(
+    corpus: Corpus, bank: MotionBank
+) -> None:
+    """The other motion is turned until its own pelvis faces as this one does."""
+    turned = replace(
+        corpus, R_world_bone=np.concatenate([
+            corpus.R_world_bone[:T], so3.about_axis("z", 2.0) @ corpus.R_world_bone[T:],
+        ]).astype(np.float32),
+    )  # fmt: skip
+    names, apart = bank.body.names, []
+    for motion in (corpus, turned):
+        R = matrices(draw(MotionBank(motion, [0, 1], CPU), replace(PLAIN, recombine=1.0)).axes)
+        hips, chest = R[:, names.index("Hips")], R[:, names.index("Spine3")]
+        apart.append(np.swapaxes(hips, -1, -2) @ chest)
+    np.testing.assert_allclose(*apart, atol=1e-4)
+
+
+# --- lag, losses, shares -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lag", [5.0, -3.0, 1.5])
+def test_sensors_ahead_of_the_camera_show_what_it_is_going_to_see(
+    corpus: Corpus, bank: MotionBank, lag: float
+) -> None:
+    config = replace(PLAIN, sensors=replace(EXACT, lag=(lag, lag)))
+    batch = draw(bank, config, FRAMES)
+    assert_sensed(corpus, batch, HALF_A_FRAME if lag % 1 else 2e-5, lag=lag)
+    with pytest.raises(AssertionError):
+        assert_sensed(corpus, batch, HALF_A_FRAME, lag=-lag)
+
+
+def test_every_window_has_its_own_lag_and_all_its_sensors_the_same(
+    corpus: Corpus, bank: MotionBank
+) -> None:
+    config = replace(PLAIN, sensors=replace(EXACT, lag=(-3.0, 6.0)))
+    batch = draw(bank, config, FRAMES)
+    R = matrices(batch.windows.axes_world)
+    lags = np.linspace(-3, 6, 19)
+    wrong = np.stack([
+        so3.angle_between(sensed_truth(corpus, batch, FRAMES, lag=lag), R).max(axis=(1, 2))
+        for lag in lags
+    ])  # fmt: skip
+    assert wrong.min(axis=0).max() < 0.05, "of every sensor at once"
+    best = lags[wrong.argmin(axis=0)]
+    assert best.min() < -1.5
+    assert best.max() > 4.5
+
+
+def test_the_truth_is_the_cameras_not_the_sensors(corpus: Corpus, bank: MotionBank) -> None:
+    late = draw(bank, replace(PLAIN, sensors=replace(EXACT, lag=(6.0, 6.0))), FRAMES)
+    exact = draw(bank, PLAIN, FRAMES)
+    assert torch.equal(late.axes, exact.axes)
+    assert torch.equal(late.pose, exact.pose)
+    assert torch.equal(late.windows.rays_world, exact.windows.rays_world)
+    assert not torch.equal(late.windows.axes_world, exact.windows.axes_world)
+
+
+def test_samples_are_lost_in_runs_and_with_their_share(bank: MotionBank) -> None:
+    config = replace(PLAIN, sensors=replace(EXACT, missing=0.2))
+    sensed = bank.draw(1000, W, config, torch.Generator().manual_seed(2)).windows.sensed
+    assert 1 - sensed.float().mean() == pytest.approx(0.2, rel=0.1)
+    assert (sensed[:, 1:] != sensed[:, :-1]).sum(dim=1).max() <= 2
+
+
+def test_errors_do_not_change_the_truth(bank: MotionBank) -> None:
+    wrong = replace(PLAIN, sensors=replace(EXACT, misalignment=0.2, roll=0.3, heading=0.3))
+    one, two = draw(bank, PLAIN, FRAMES), draw(bank, wrong, FRAMES)
+    assert torch.equal(one.axes, two.axes)
+    angle = so3.angle_between(
+        matrices(one.windows.axes_world), matrices(two.windows.axes_world)
+    )
+    assert 0.2 < angle.mean() < 0.7
+
+
+def test_bones_that_sensors_roll_about_are_those_of_their_segments(bank: MotionBank) -> None:
+    axes = dict(zip(bank.body.sensors, bank.bone_axes, strict=True))
+    for name in ("Hips", "Spine3", "Head", "LeftFoot", "RightFoot"):
+        assert axes[name].abs().max() == 0, name
+    offsets = support.TABLE.offsets
+    for name, child in (("LeftArm", "LeftForeArm"), ("RightLeg", "RightFoot")):
+        rest = so3.unit(offsets[support.TABLE.names.index(child)])
+        np.testing.assert_allclose(axes[name].numpy(), rest, atol=1e-6)
+
+
+def test_without_sensors_nothing_is_sensed(bank: MotionBank) -> None:
+    assert not draw(bank, plain()).windows.sensed.any()
+    some = draw(bank, AugmentConfig()).windows.sensed
+    assert some.any()
+    assert not some.all()
+
+
+def test_the_17_joints_have_no_sensors_to_draw() -> None:
+    corpus = support.tiny_corpus(table=support.TABLE_17, rate_hz=50.0)
+    batch = draw(MotionBank(corpus, [0, 1], CPU), AugmentConfig())
+    assert batch.windows.axes_world.shape == (B, 3, W, 2, 0)
+    assert batch.windows.sensed.shape == (B, W, 0)
+
+
+@pytest.mark.parametrize("config", [plain(), replace(EVERYTHING, warp=(1.0, 1.0))])
+def test_a_causal_window_ends_where_the_other_has_its_middle(
+    bank: MotionBank, config: AugmentConfig
+) -> None:
+    """Of the same frames, and nothing else is drawn differently."""
+    config = replace(config, sensors=EXACT)
+    middle, last = draw(bank, config, FRAMES), draw(bank, config, FRAMES, causal=True)
+    torch.testing.assert_close(last.pose, middle.pose, atol=1e-5, rtol=0)
+    torch.testing.assert_close(last.axes, middle.axes)
+    rays = middle.windows.rays_world[:, :, : W // 2 + 1]
+    torch.testing.assert_close(last.windows.rays_world[:, :, W // 2 :], rays, atol=1e-5, rtol=0)
+    axes = middle.windows.axes_world[:, :, : W // 2 + 1]
+    torch.testing.assert_close(last.windows.axes_world[:, :, W // 2 :], axes, atol=1e-5, rtol=0)

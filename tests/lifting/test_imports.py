@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+
+def modules_after(statement: str) -> set[str]:
+    """Top-level modules that a fresh interpreter has loaded after a statement."""
+    code = f"{statement}\nimport sys\nprint(*{{name.split('.')[0] for name in sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize("module", ["rtof_kin", "rtof_kin.reconstruction.pipeline", "rtof_kin.core.resources"])
+def test_the_package_does_not_load_torch(module: str) -> None:
+    assert "torch" not in modules_after(f"import {module}")
+
+
+def test_training_needs_no_solver_and_no_plotting() -> None:
+    loaded = modules_after("import lifting.train, lifting.predict")
+    assert "torch" in loaded
+    assert not loaded & {"pinocchio", "casadi", "matplotlib", "yourdfpy", "rich"}

@@ -1,0 +1,191 @@
+"""What training minimises: distances, angles, and spreads whose optimum is the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import lifting_support as support
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from lifting import losses, windows
+from lifting.data import Batch
+from lifting.windows import Estimate
+from rtof_kin.core import rotations as so3
+
+B, J = 6, 5
+
+
+def axes_of(R: np.ndarray) -> Tensor:
+    """(B, 3, 2, J) of rotations (B, J, 3, 3)."""
+    return torch.from_numpy(R[..., [0, 2]]).permute(0, 2, 3, 1)
+
+
+def batch(seed: int = 0, axes: Tensor | None = None) -> Batch:
+    """A truth, in double precision; nobody reads what was observed."""
+    generator = torch.Generator().manual_seed(seed)
+    pose = torch.randn((B, 3, J), generator=generator, dtype=torch.float64)
+    pose[:, :, 0] = 0.0
+    root = torch.randn((B, 3), generator=generator, dtype=torch.float64) + 4
+    if axes is None:
+        axes = axes_of(so3.exp(np.random.default_rng(seed).normal(size=(B, J, 3))))
+    body = support.tiny_corpus().body()
+    observed = support.windows_of(body, support.scene_of(range(1), 3)[0])
+    return Batch(observed, pose, root, axes)
+
+
+def estimate(seed: int = 1, oriented: bool = True) -> Estimate:
+    """An answer that can be differentiated."""
+    made = batch(seed)
+    generator = torch.Generator().manual_seed(seed + 10)
+    spread = torch.rand((B, 2, J), generator=generator, dtype=torch.float64) - 2
+    turn = torch.rand((B, J), generator=generator, dtype=torch.float64) - 2
+    parts = made.pose, made.root, spread, made.axes, turn
+    pose, root, spread, axes, turn = (x.detach().clone().requires_grad_() for x in parts)
+    return Estimate(pose, root, spread, axes if oriented else None, turn if oriented else None)
+
+
+def perfect(truth: Batch) -> Estimate:
+    spread = torch.full((B, 2, J), -3.0, dtype=torch.float64)
+    return Estimate(truth.pose, truth.root, spread, truth.axes, spread[:, 0])
+
+
+def sample(dimensions: int, count: int, scale: float, seed: int = 0) -> np.ndarray:
+    """Errors (count, dimensions) of density b^-n exp(-|e| / b): by rejection, from its definition."""
+    rng = np.random.default_rng(seed)
+    kept: list[np.ndarray] = []
+    while sum(map(len, kept)) < count:
+        e = rng.uniform(-18, 18, (2_000_000, dimensions))
+        kept.append(e[rng.uniform(size=len(e)) < np.exp(-np.linalg.norm(e, axis=1))])
+    return scale * np.concatenate(kept)[:count]
+
+
+# --- distances and angles ------------------------------------------------------------------------
+
+
+def test_losses_are_distances_in_metres() -> None:
+    truth, pose = torch.zeros(2, 3, 5), torch.zeros(2, 3, 5)
+    pose[:, 0, 1:], pose[:, 2, 1:] = 3.0, 4.0
+    torch.testing.assert_close(losses.mean_joint_distance(pose, truth), torch.full((2,), 5.0))
+    root = torch.tensor([[0.0, 2.0, 0.0], [0.0, 0.0, 4.0]])
+    torch.testing.assert_close(
+        losses.root_distance(root, torch.zeros(2, 3)), torch.tensor([2.0, 4.0])
+    )
+    made = replace(batch(), pose=truth, root=torch.zeros(2, 3))
+    total = losses.position_loss(Estimate(pose, root, torch.zeros(2, 2, 5), None, None), made)
+    assert float(total) == pytest.approx(5.0 + 0.3 * 3.0)
+
+
+def test_angles_are_those_between_rotations() -> None:
+    rng = np.random.default_rng(4)
+    R, turn = so3.exp(rng.normal(size=(B, J, 3))), rng.normal(size=(B, J, 3))
+    chord = losses.turn_angles(axes_of(R @ so3.exp(turn)), axes_of(R)).numpy()
+    peer = Rotation.from_rotvec(turn.reshape(-1, 3)).magnitude().reshape(B, J)
+    np.testing.assert_allclose(chord, 2 * np.sin(peer / 2), atol=1e-12)
+    small = losses.turn_angles(axes_of(R @ so3.exp(0.01 * turn)), axes_of(R)).numpy()
+    np.testing.assert_allclose(small, 0.01 * np.linalg.norm(turn, axis=-1), rtol=1e-3)
+
+
+def test_errors_are_told_apart_along_and_across_the_ray_to_the_root() -> None:
+    truth = batch()
+    ray = torch.nn.functional.normalize(truth.root)
+    side = torch.nn.functional.normalize(torch.linalg.cross(ray, ray.roll(1, dims=1)))
+    up = torch.linalg.cross(ray, side)
+    error = 0.3 * ray + 0.04 * side - 0.03 * up
+    pose = truth.pose + error[:, :, None]
+    root = truth.root + error * truth.root.norm(dim=1)[:, None]
+    made = replace(estimate(), pose=pose, root=root)
+    lengths = losses.errors_by_direction(made, truth)
+    torch.testing.assert_close(lengths[:, 0], torch.full((B, J), 0.05).double())
+    torch.testing.assert_close(lengths[:, 1], torch.full((B, J), 0.3).double())
+
+
+# --- spreads -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3])
+def test_maximum_likelihood_recovers_the_scale_that_was_planted(dimensions: int) -> None:
+    length = torch.from_numpy(np.linalg.norm(sample(dimensions, 4000, 0.07), axis=1))
+    log_scale = torch.zeros((), dtype=torch.float64, requires_grad=True)
+    optimizer = torch.optim.LBFGS([log_scale], max_iter=50)
+
+    def closure() -> Tensor:
+        optimizer.zero_grad()
+        value = losses.likelihood(length, log_scale, dimensions).mean()
+        value.backward()
+        return value
+
+    optimizer.step(closure)
+    assert float(log_scale.detach().exp()) == pytest.approx(0.07, rel=0.05)
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3])
+def test_the_likelihood_is_that_of_the_density(dimensions: int) -> None:
+    """The integral of exp(-loss) over all errors is the same for every scale."""
+    r = torch.linspace(0, 60, 60_001, dtype=torch.float64)
+    shell = r ** (dimensions - 1)
+    total = [
+        torch.trapezoid(torch.exp(-losses.likelihood(r, torch.tensor(b), dimensions)) * shell, r)
+        for b in (-1.0, 0.0, 0.7)
+    ]
+    torch.testing.assert_close(torch.stack(total), total[1].expand(3), rtol=1e-3, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("dimensions", "sigma"),
+    [(1, windows.SIGMA_ALONG), (2, windows.SIGMA_ACROSS), (3, windows.SIGMA_TURN)],
+)
+def test_sigmas_are_standard_deviations_per_axis(dimensions: int, sigma: float) -> None:
+    assert sample(dimensions, 5000, 1.0).std() == pytest.approx(sigma, rel=0.04)
+
+
+def test_each_spread_learns_from_its_own_error() -> None:
+    """At the optimum of the whole loss, scale x dimensions is the error's length."""
+    truth, made = batch(), estimate()
+    wrong = [losses.errors_by_direction(made, truth)[:, k].detach() for k in range(2)]
+    angle = losses.turn_angles(made.axes, truth.axes).detach()
+    best = Estimate(
+        made.pose, made.root,
+        torch.stack([(wrong[0] / 2).log(), wrong[1].log()], dim=1).requires_grad_(),
+        made.axes, (angle / 3).log().requires_grad_(),
+    )  # fmt: skip
+    losses.lifting_loss(best, truth).backward()
+    assert best.log_spread.grad.abs().max() < 1e-12
+    assert best.log_turn.grad.abs().max() < 1e-12
+
+
+def test_spreads_pull_at_neither_positions_nor_orientations() -> None:
+    truth = batch()
+    whole, bare = estimate(), estimate()
+    losses.lifting_loss(whole, truth).backward()
+    turn = losses.turn_angles(bare.axes, truth.axes).mean()
+    (losses.position_loss(bare, truth) + losses.TURN_WEIGHT * turn).backward()
+    for name in ("pose", "root", "axes"):
+        torch.testing.assert_close(getattr(whole, name).grad, getattr(bare, name).grad)
+    assert bare.log_spread.grad is None
+    assert whole.log_spread.grad.abs().min() > 0
+    assert whole.log_turn.grad.abs().min() > 0
+
+
+def test_without_orientations_positions_alone_are_learnt() -> None:
+    truth = batch()
+    with_, without = estimate(), estimate(oriented=False)
+    angle = losses.turn_angles(with_.axes, truth.axes)
+    turn = losses.TURN_WEIGHT * angle.mean()
+    turn = turn + losses.SPREAD_WEIGHT * losses.likelihood(angle, with_.log_turn, 3).mean()
+    torch.testing.assert_close(
+        losses.lifting_loss(with_, truth), losses.lifting_loss(without, truth) + turn
+    )
+
+
+def test_a_perfect_answer_has_finite_gradients() -> None:
+    truth = batch()
+    made = perfect(truth)
+    parts = [made.pose, made.root, made.log_spread, made.axes, made.log_turn]
+    leaves = [x.clone().requires_grad_() for x in parts if x is not None]
+    losses.lifting_loss(Estimate(*leaves), truth).backward()
+    for leaf in leaves:
+        assert torch.isfinite(leaf.grad).all()

@@ -1,0 +1,260 @@
+"""What stands beside a lifter: curves, a state that knows its motion; trainings equal bit by bit."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import lifting_support as support
+import numpy as np
+import pytest
+import torch
+
+from lifting import curves
+from lifting.checkpoint import load_checkpoint
+from lifting.corpus import Corpus, read_corpus
+from lifting.data import plain
+from lifting.predict import Lifter
+from lifting.settings import TrainConfig
+from lifting.train import train
+from lifting.validation import Validation
+from rtof_kin import cli
+from rtof_kin.cli import training
+from rtof_kin.core.errors import FileFormatError, ShapeError
+
+QUICK = TrainConfig(
+    windows=64, batch=16, channels=8, skeletons=0, report_every=1, validations=2, threads=1,
+    validation_windows=8, bfloat16=False, augment=plain(),
+)  # fmt: skip
+PNG = b"\x89PNG\r\n"
+
+
+@pytest.fixture(scope="module")
+def corpus() -> Corpus:
+    return support.tiny_corpus(frames=30)
+
+
+# --- the corpus of a state -----------------------------------------------------------------------
+
+
+def test_the_digest_is_that_of_the_motion_however_it_was_stored(corpus: Corpus, tmp_path: Path) -> None:
+    assert len(corpus.digest()) == 64
+    assert support.tiny_corpus(frames=30).digest() == corpus.digest()
+    again = read_corpus(corpus.save(tmp_path / "a.npz")).save(tmp_path / "b.npz")
+    assert read_corpus(again).digest() == read_corpus(tmp_path / "b.npz").digest()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda c: replace(c, p_world_root=c.p_world_root + 1e-3),
+        lambda c: replace(c, R_world_bone=c.R_world_bone[::-1].copy()),
+        lambda c: replace(c, joint_offsets=c.joint_offsets * 1.001),
+        lambda c: replace(c, split=("train", "train", "test", "validation")),
+        lambda c: replace(c, subjects=("a", "b", "c", "d")),
+        lambda c: replace(c, rate_hz=50.0),
+        lambda c: replace(c, start=np.array([0, 29, 60, 90, 120])),
+        lambda c: replace(c, beyond_rigid=np.zeros((120, 21, 3), np.float32)),
+    ],
+)
+def test_anything_else_about_the_motion_is_another_digest(corpus: Corpus, change: Any) -> None:
+    assert change(corpus).digest() != corpus.digest()
+
+
+def test_a_state_is_not_taken_up_with_other_motion(corpus: Corpus, tmp_path: Path) -> None:
+    path = train(QUICK, corpus, tmp_path / "lifter.pt")
+    assert load_checkpoint(path)[1].recipe["corpus_sha256"] == corpus.digest()
+    longer = replace(QUICK, windows=96)
+    message = r"lifter\.pt\.state: belongs to a training on other motion"
+    with pytest.raises(FileFormatError, match=message):
+        train(longer, support.tiny_corpus(frames=30, seed=7), path, resume=True)
+    steps: list[int] = []
+    train(longer, corpus, path, lambda report: steps.append(report["step"]), resume=True)
+    assert steps == [5, 6]
+
+
+def test_a_lifter_of_another_shape_is_no_start(corpus: Corpus, tmp_path: Path) -> None:
+    path = train(QUICK, corpus, tmp_path / "lifter.pt")
+    message = "a rays lifter of 8 channels and 21 joints; this training is of rays, 9 channels"
+    with pytest.raises(FileFormatError, match=message):
+        train(replace(QUICK, channels=9), corpus, tmp_path / "other.pt", start=path)
+    with pytest.raises(FileFormatError, match="this training is of videopose3d"):
+        train(replace(QUICK, model="videopose3d"), corpus, tmp_path / "other.pt", start=path)
+    with pytest.raises(FileFormatError, match=r"lifter_causal\.pt: .*start from one that fits"):
+        train(QUICK, corpus, tmp_path / "other.pt", start="causal")
+
+
+def test_a_start_gives_the_first_weights(corpus: Corpus, tmp_path: Path) -> None:
+    path = train(replace(QUICK, windows=320, learning_rate=1e-2), corpus, tmp_path / "lifter.pt")
+    losses: dict[bool, list[float]] = {}
+    for causal in (False, True):
+        reports: list[dict[str, Any]] = []
+        config = replace(QUICK, windows=16, causal=causal)
+        train(config, corpus, tmp_path / "tuned.pt", reports.append, start=path, overwrite=True)
+        losses[causal] = [reports[0]["loss_mm"]]
+        reports.clear()
+        train(config, corpus, tmp_path / "fresh.pt", reports.append, overwrite=True)
+        losses[causal].append(reports[0]["loss_mm"])
+    for tuned, fresh in losses.values():
+        assert tuned < 0.8 * fresh
+    origin = Lifter.load(tmp_path / "tuned.pt").description.recipe["started_from_sha256"]
+    assert origin == Lifter.load(path).sha256
+
+
+# --- curves --------------------------------------------------------------------------------------
+
+
+def test_curves_stand_beside_the_lifter_also_of_an_interrupted_training(
+    corpus: Corpus, tmp_path: Path
+) -> None:
+    out = tmp_path / "lifter.pt"
+
+    def interrupt(report: dict[str, Any]) -> None:
+        if report["step"] == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(QUICK, corpus, out, interrupt)
+    assert not out.exists()
+    history = json.loads(curves.data_file(out).read_text())["history"]
+    assert [row["windows"] for row in history] == [32]
+    before = curves.figure_file(out).read_bytes()
+    assert before.startswith(PNG)
+    train(QUICK, corpus, out, resume=True)
+    content = json.loads(curves.data_file(out).read_text())
+    assert [row["windows"] for row in content["history"]] == [32, 64]
+    assert content["recipe"]["windows_seen"] == 64
+    assert curves.figure_file(out).read_bytes() != before
+
+
+def test_the_figure_shows_loss_and_both_errors_of_every_kind_of_2d() -> None:
+    kinds = {"perfect": 30.0, "realistic": 50.0}
+    history = [
+        {
+            "windows": 1000 * k, "loss_mm": 200 / k,
+            "validation": {n: {"rr_mm": e / k, "abs_mm": 2 * e / k} for n, e in kinds.items()},
+        }
+        for k in (1, 2, 4)
+    ]  # fmt: skip
+    figure = curves.draw(history, "lifter.pt")
+    assert figure.get_suptitle() == "lifter.pt"
+    loss, rr, absolute = figure.axes
+    for ax in (loss, rr, absolute):
+        assert ax.get_xscale() == "log"
+        assert ax.get_xlabel() == "windows seen"
+        assert ax.xaxis.get_major_formatter()(2e6, 0) == "2 M"
+        assert "[mm]" in ax.get_ylabel()
+        assert ax.get_ylim()[0] == 0
+        assert all(list(line.get_xdata()) == [1000, 2000, 4000] for line in ax.get_lines())
+    assert list(loss.get_lines()[0].get_ydata()) == [200, 100, 50]
+    shown = {line.get_label(): list(line.get_ydata()) for line in absolute.get_lines()}
+    assert shown == {"perfect: 15.0": [60, 30, 15], "realistic: 25.0": [100, 50, 25]}
+    assert [line.get_ydata()[-1] for line in rr.get_lines()] == [7.5, 12.5]
+
+
+def test_nothing_measured_is_no_figure(tmp_path: Path) -> None:
+    curves.write_curves(tmp_path / "x.pt", {"seed": 1}, [])
+    assert json.loads((tmp_path / "x.pt.curves.json").read_text())["history"] == []
+    assert not (tmp_path / "x.pt.curves.png").exists()
+
+
+# --- deterministic -------------------------------------------------------------------------------
+
+
+def test_deterministic_trainings_are_equal_bit_by_bit_and_leave_torch_as_it_was(
+    corpus: Corpus, tmp_path: Path
+) -> None:
+    config = replace(QUICK, deterministic=True, dropout=0.2, bfloat16=True, threads=2)
+    states, during = [], []
+    for name in ("a", "b"):
+        path = train(
+            config, corpus, tmp_path / f"{name}.pt",
+            lambda report: during.append(torch.are_deterministic_algorithms_enabled()),
+        )  # fmt: skip
+        states.append(load_checkpoint(path)[0].state_dict())
+    assert all(during)
+    assert len(during) == 8
+    assert not torch.are_deterministic_algorithms_enabled()
+    assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
+
+
+def test_a_deterministic_training_is_not_ended_by_the_clock() -> None:
+    with pytest.raises(ShapeError, match="give a number of windows and no minutes"):
+        TrainConfig(windows=10, minutes=1.0, deterministic=True)
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def test_the_command_trains_with_every_option_and_says_where_the_curves_are(
+    corpus: Corpus,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def small(corpus: Corpus, size: int, device: torch.device, count: int, *rest: Any) -> Validation:
+        return Validation(corpus, size, device, 8, *rest)
+
+    monkeypatch.setattr("lifting.run.Validation", small)
+    file, out = str(corpus.save(tmp_path / "corpus.npz")), tmp_path / "lifter.pt"
+    common = ["train", file, "--windows", "32", "--batch", "16", "--channels", "8", "--threads", "1"]
+    assert cli.main([*common, "-o", str(out), "--causal", "--camera", "4", "1.5", "--seed", "3"]) == 0
+    assert f"curves: {out}.curves.png" in capsys.readouterr().out
+    description = load_checkpoint(out)[1]
+    assert description.network.causal
+    assert description.network.channels == 8
+    assert description.recipe["augment"]["distance"] == [4.0, 4.0]
+    assert description.recipe["augment"]["camera_height"] == [1.5, 1.5]
+    tuned = tmp_path / "tuned.pt"
+    assert cli.main([*common, "-o", str(tuned), "--start", str(out)]) == 0
+    baseline = tmp_path / "baseline.pt"
+    assert cli.main([*common, "-o", str(baseline), "--model", "videopose3d"]) == 0
+    assert load_checkpoint(baseline)[1].recipe["dropout"] == 0.25
+    assert cli.main([*common, "-o", str(tmp_path / "x.pt"), "--start", str(tmp_path / "none.pt")]) == 2
+    assert "none.pt: no such file" in capsys.readouterr().err
+
+
+def test_without_a_budget_the_command_trains_for_45_minutes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[TrainConfig] = []
+
+    def pretend(config: TrainConfig, corpus: object, out: str, *others: object) -> Path:
+        asked.append(config)
+        return Path(out)
+
+    monkeypatch.setattr("lifting.train.train", pretend)
+    for options in ([], ["--minutes", "3"], ["--windows", "8"], ["--windows", "8", "--minutes", "3"]):
+        assert cli.main(["train", "corpus.npz", *options]) == 0
+    budgets = [(config.windows, config.minutes) for config in asked]
+    assert budgets == [(None, 45.0), (None, 3.0), (8, None), (8, 3.0)]
+    assert training.DEFAULT_MINUTES == 45.0
+    with pytest.raises(SystemExit):
+        cli.main(["train", "--help"])
+    assert "45 where neither they nor windows are given" in " ".join(capsys.readouterr().out.split())
+
+
+def test_an_interrupted_command_says_how_to_go_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*arguments: object) -> Path:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lifting.train.train", interrupted)
+    assert cli.main(["train", "corpus.npz", "-o", "x.pt"]) == 130
+    told = capsys.readouterr().err
+    assert "--resume goes on from x.pt.state; curves so far: x.pt.curves.png" in told
+
+
+def test_only_the_first_of_several_processes_prints(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("lifting.train.train", lambda *arguments: Path("x.pt"))
+    monkeypatch.setenv("RANK", "1")
+    assert cli.main(["train", "corpus.npz"]) == 0
+    assert "wrote" not in capsys.readouterr().out
+    monkeypatch.setenv("RANK", "0")
+    assert cli.main(["train", "corpus.npz"]) == 0
+    assert "wrote x.pt" in capsys.readouterr().out

@@ -1,0 +1,387 @@
+"""From rays and axes to network input and back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import lifting_support as support
+import numpy as np
+import pytest
+import torch
+from lifting_support import assert_same_input, windows_of
+from torch import Tensor
+
+from lifting.body import Body
+from lifting.windows import (
+    EncodedWindows,
+    Estimate,
+    answer,
+    decode,
+    encode,
+    mirror_features,
+    mirror_output,
+    rotations,
+)
+from rtof_kin.core import rotations as so3
+
+W = 27
+ACROSS = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
+"""Signs of a vector's components in the mirrored scene."""
+
+
+@pytest.fixture(scope="module")
+def body() -> Body:
+    return support.tiny_corpus().body()
+
+
+@pytest.fixture(scope="module")
+def body_17() -> Body:
+    return support.tiny_corpus(table=support.TABLE_17).body()
+
+
+@pytest.fixture(scope="module")
+def scene() -> Tensor:
+    """Points (B, 3, W, J) from the optical centre of a camera at 1.6 m, some way off along x."""
+    return support.scene_of(range(3), W)[0]
+
+
+@pytest.fixture(scope="module")
+def axes() -> Tensor:
+    """Axes (B, 3, W, 2, J) of the same people's segments."""
+    return support.scene_of(range(3), W)[1]
+
+
+def everything(scene: Tensor) -> Tensor:
+    return torch.ones(scene.shape[0], *scene.shape[2:], dtype=torch.bool)
+
+
+def turned(R: np.ndarray, p: Tensor) -> Tensor:
+    return torch.einsum("ij,bj...->bi...", torch.from_numpy(R), p)
+
+
+def mirrored(body: Body, values: Tensor) -> Tensor:
+    """Points or axes (B, 3, ..., J) of the mirrored scene."""
+    return (values * ACROSS.reshape(3, *[1] * (values.ndim - 2)))[..., body.mirrored]
+
+
+def spreads(body: Body, B: int) -> tuple[Tensor, Tensor]:
+    """Some logarithms of spreads (B, 2, J) and (B, J), all different."""
+    generator = torch.Generator().manual_seed(3)
+    J = len(body.names)
+    make = [torch.rand((B, *n), generator=generator, dtype=torch.float64) - 4 for n in ((2, J), (J,))]
+    return make[0], make[1]
+
+
+def true_output(
+    body: Body, scene: Tensor, axes: Tensor, encoded: EncodedWindows, at: int = W // 2
+) -> Tensor:
+    """What a perfect network would answer."""
+    now = scene[:, :, at]
+    pose = torch.bmm(encoded.R_ray_world, now - now[:, :, :1])[:, :, 1:]
+    root = torch.einsum("bij,bj->bi", encoded.R_view_world, now[:, :, 0])
+    shift = root[:, :2] / root[:, 2:] / encoded.scale[:, None]
+    distance = (root.norm(dim=1) * encoded.scale).log()
+    log_spread, log_turn = spreads(body, len(scene))
+    parts = [pose.flatten(1), shift, distance[:, None], log_spread.flatten(1)]
+    if body.sensors:
+        in_ray = torch.einsum("bij,bjaJ->baiJ", encoded.R_ray_world, axes[:, :, at])
+        parts += [in_ray.flatten(1), log_turn]
+    return torch.cat(parts, dim=1)
+
+
+def fields(estimate: Estimate) -> list[Tensor]:
+    """All there is in it."""
+    assert estimate.axes is not None
+    assert estimate.log_turn is not None
+    return [
+        estimate.pose, estimate.root, estimate.log_spread, estimate.axes, estimate.log_turn
+    ]  # fmt: skip
+
+
+# --- there and back ------------------------------------------------------------------------------
+
+
+def test_mirrored_scenes_of_17_joints_have_mirrored_features(body_17: Body) -> None:
+    scene, _ = support.scene_of(range(5, 6), W, support.TABLE_17)
+    here = encode(body_17, windows_of(body_17, scene))
+    there = encode(body_17, windows_of(body_17, mirrored(body_17, scene)))
+    assert here.features.shape[-1] == body_17.inputs
+    torch.testing.assert_close(mirror_features(body_17, here.features), there.features)
+    torch.testing.assert_close(here.constants, there.constants)
+    assert not torch.allclose(here.features, there.features)
+
+
+@pytest.mark.parametrize("at", [W // 2, W - 1, 0])
+def test_the_answer_read_back_is_the_scene(
+    body: Body, scene: Tensor, axes: Tensor, at: int
+) -> None:
+    encoded = encode(body, windows_of(body, scene, axes, estimated=at))
+    estimate = decode(body, true_output(body, scene, axes, encoded, at), encoded)
+    now = scene[:, :, at]
+    log_spread, log_turn = spreads(body, 3)
+    expected = [now - now[:, :, :1], now[:, :, 0], log_spread, axes[:, :, at], log_turn]
+    for is_, should in zip(fields(estimate), expected, strict=True):
+        torch.testing.assert_close(is_, should, atol=1e-9, rtol=0)
+
+
+def test_without_sensors_there_are_no_orientations(body_17: Body) -> None:
+    scene, axes = support.scene_of(range(2), W, support.TABLE_17)
+    encoded = encode(body_17, windows_of(body_17, scene))
+    estimate = decode(body_17, true_output(body_17, scene, axes, encoded), encoded)
+    assert estimate.axes is None
+    assert estimate.log_turn is None
+    now = scene[:, :, W // 2]
+    torch.testing.assert_close(estimate.pose, now - now[:, :, :1], atol=1e-9, rtol=0)
+    torch.testing.assert_close(estimate.log_spread, spreads(body_17, 2)[0])
+
+
+def test_axes_answered_askew_are_made_orthonormal_and_z_keeps_its_direction(
+    body: Body, scene: Tensor, axes: Tensor
+) -> None:
+    encoded = encode(body, windows_of(body, scene))
+    output = true_output(body, scene, axes, encoded)
+    askew = output.clone()
+    at = 5 * 21
+    z = output[:, at + 63 : at + 126].reshape(3, 3, 21)
+    askew[:, at : at + 63] = 3 * (output[:, at : at + 63] + 0.4 * z.flatten(1))
+    askew[:, at + 63 : at + 126] *= 0.2
+    for one in (decode(body, askew, encoded), decode(body, output, encoded)):
+        R = rotations(one.axes).permute(0, 3, 1, 2)
+        assert so3.is_rotation(R.numpy())
+        torch.testing.assert_close(one.axes, axes[:, :, W // 2], atol=1e-9, rtol=0)
+
+
+def test_rotations_have_the_axes_given(axes: Tensor) -> None:
+    R = rotations(axes[:, :, 0])
+    peer = np.stack([support.moving(seed, W)[1][0] for seed in range(3)])
+    np.testing.assert_allclose(R.permute(0, 3, 1, 2).numpy(), peer, atol=1e-12)
+
+
+def test_spreads_are_kept_in_bounds(body: Body, scene: Tensor) -> None:
+    encoded = encode(body, windows_of(body, scene))
+    for value, bound in ((50.0, 2.0), (-50.0, -7.0)):
+        estimate = decode(body, torch.full((3, body.outputs), value), encoded)
+        assert estimate.log_turn is not None
+        assert torch.all(estimate.log_spread == bound)
+        assert torch.all(estimate.log_turn == bound)
+
+
+def test_turning_the_world_about_the_vertical_leaves_the_input_unchanged(
+    body: Body, scene: Tensor, axes: Tensor
+) -> None:
+    R = so3.about_axis("z", 2.1)
+    straight = encode(body, windows_of(body, scene, axes))
+    rotated = encode(body, windows_of(body, turned(R, scene), turned(R, axes)))
+    assert_same_input(rotated, straight)
+    estimate = decode(body, true_output(body, scene, axes, straight), rotated)
+    now = scene[:, :, W // 2]
+    torch.testing.assert_close(estimate.root, turned(R, now[:, :, 0]))
+    torch.testing.assert_close(estimate.pose, turned(R, now - now[:, :, :1]))
+    torch.testing.assert_close(estimate.axes, turned(R, axes[:, :, W // 2]))
+
+
+def test_a_lean_of_the_world_does_change_the_input(
+    body: Body, scene: Tensor, axes: Tensor
+) -> None:
+    R = so3.about_axis("y", 0.2)
+    straight = encode(body, windows_of(body, scene, axes))
+    leaned = encode(body, windows_of(body, turned(R, scene), turned(R, axes)))
+    change = (leaned.features - straight.features).abs()
+    assert change[..., :63].max() > 0.05
+    assert change[..., 67:].max() > 0.1
+    assert (leaned.constants - straight.constants).abs().max() > 0.1
+
+
+def test_the_length_of_rays_carries_nothing(body: Body, scene: Tensor) -> None:
+    unit = scene / scene.norm(dim=1, keepdim=True)
+    assert_same_input(encode(body, windows_of(body, unit)), encode(body, windows_of(body, scene)))
+
+
+def test_the_mirrored_scene_has_the_mirrored_features_and_answer(
+    body: Body, scene: Tensor, axes: Tensor
+) -> None:
+    generator = torch.Generator().manual_seed(1)
+    seen = torch.rand(everything(scene).shape, generator=generator) > 0.2
+    sensed = torch.rand((3, W, 13), generator=generator) > 0.3
+    here = encode(body, windows_of(body, scene, axes, seen=seen, sensed=sensed))
+    there = encode(body, windows_of(
+        body, mirrored(body, scene), mirrored(body, axes), seen=seen[..., body.mirrored],
+        sensed=sensed[..., body.mirrored_sensors],
+    ))  # fmt: skip
+    torch.testing.assert_close(mirror_features(body, here.features), there.features)
+    torch.testing.assert_close(here.constants, there.constants)
+    output = true_output(body, scene, axes, here)
+    flipped = decode(body, mirror_output(body, output), there)
+    now = mirrored(body, scene[:, :, W // 2])
+    log_spread, log_turn = spreads(body, 3)
+    expected = [
+        now - now[:, :, :1], now[:, :, 0], log_spread[..., body.mirrored],
+        mirrored(body, axes[:, :, W // 2]), log_turn[:, body.mirrored],
+    ]  # fmt: skip
+    for is_, should in zip(fields(flipped), expected, strict=True):
+        torch.testing.assert_close(is_, should, atol=1e-9, rtol=0)
+
+
+def test_the_flipped_answer_of_the_mirrored_scene_is_the_mirrored_answer(
+    body: Body, scene: Tensor, axes: Tensor
+) -> None:
+    network = support.untrained_lifter()._network.double()
+    here = encode(body, windows_of(body, scene, axes))
+    there = encode(body, windows_of(body, mirrored(body, scene), mirrored(body, axes)))
+    both = answer(body, network, here, flip=True)
+    torch.testing.assert_close(answer(body, network, there, flip=True), mirror_output(body, both))
+    alone = answer(body, network, here, flip=False)
+    other = answer(body, network, there, flip=False)
+    torch.testing.assert_close(both, (alone + mirror_output(body, other)) / 2)
+    assert (other - mirror_output(body, alone)).abs().max() > 1e-3
+
+
+@pytest.mark.parametrize("at", [W // 2, W - 1, 4])
+def test_with_the_root_seen_in_the_estimated_frame_its_ray_is_the_view_axis(
+    body: Body, scene: Tensor, at: int
+) -> None:
+    encoded = encode(body, windows_of(body, scene, estimated=at))
+    on_axis = torch.einsum("bij,bj->bi", encoded.R_view_world, scene[:, :, at, 0])
+    assert on_axis[:, :2].abs().max() < 1e-9
+    assert torch.all(on_axis[:, 2] > 0)
+    assert encoded.features[:, at, [0, 21]].abs().max() < 1e-6
+    assert encoded.features[:, 20 if at == 4 else 4, [0, 21]].abs().max() > 1e-3
+
+
+def test_frames_of_a_window_are_rotations_with_no_roll(body: Body, scene: Tensor) -> None:
+    encoded = encode(body, windows_of(body, scene))
+    assert so3.is_rotation(encoded.R_view_world.numpy())
+    assert so3.is_rotation(encoded.R_ray_world.numpy())
+    assert encoded.R_view_world[:, 0, 2].abs().max() < 1e-12  # right is level
+    torch.testing.assert_close(
+        encoded.R_ray_world[:, 2], torch.tensor([[0.0, 0, 1]] * 3, dtype=torch.float64)
+    )
+
+
+def test_mirroring_twice_changes_nothing(body: Body) -> None:
+    features, output = torch.randn(2, W, body.inputs), torch.randn(2, body.outputs)
+    torch.testing.assert_close(mirror_features(body, mirror_features(body, features)), features)
+    torch.testing.assert_close(mirror_output(body, mirror_output(body, output)), output)
+
+
+def test_hips_stand_in_for_an_unseen_root(body: Body, scene: Tensor) -> None:
+    seen = everything(scene)
+    seen[:, :, 0] = False
+    encoded = encode(body, windows_of(body, scene, seen=seen))
+    unit = scene / scene.norm(dim=1, keepdim=True)
+    mean = unit[:, :, W // 2, body.hips].mean(dim=2)
+    axis = torch.nn.functional.normalize(mean, dim=1)
+    torch.testing.assert_close(encoded.R_view_world[:, 2], axis)
+
+
+@pytest.mark.parametrize(("at", "nearest"), [(W // 2, 9), (W - 1, 17), (11, 9)])
+def test_the_nearest_frame_stands_in_for_an_unseen_one(
+    body: Body, scene: Tensor, at: int, nearest: int
+) -> None:
+    seen = everything(scene)
+    seen[:, 10:17] = False  # 9 is nearer to 13 than 17 by nothing: the first of equals
+    if at == W - 1:
+        seen[:, 18:] = False
+    encoded = encode(body, windows_of(body, scene, seen=seen, estimated=at))
+    root = torch.nn.functional.normalize(scene[:, :, nearest, 0], dim=1)
+    torch.testing.assert_close(encoded.R_view_world[:, 2], root)
+
+
+def test_a_foot_on_the_floor_tells_its_distance(body: Body, scene: Tensor) -> None:
+    lowest = scene.clone()
+    lowest[:, 2, :, body.feet] = 0.08 - 1.6
+    encoded = encode(body, windows_of(body, lowest))
+    away = lowest[:, :2, :, body.feet].norm(dim=1)
+    expected = (away * encoded.scale[:, None, None]).log()
+    torch.testing.assert_close(encoded.features[..., 63:65], expected)
+    assert torch.all(encoded.features[..., 65:67] == 1)
+
+
+# --- what is not there ---------------------------------------------------------------------------
+
+
+def test_what_is_unseen_is_not_read(body: Body, scene: Tensor) -> None:
+    seen = everything(scene)
+    seen[:, :, 10] = False
+    seen[:, 20:] = False
+    expected = encode(body, windows_of(body, scene, seen=seen))
+    changed = torch.where(seen[:, None], scene, 7.0)
+    assert_same_input(encode(body, windows_of(body, changed, seen=seen)), expected)
+
+
+def test_axes_that_are_not_sensed_are_never_read(
+    body: Body, scene: Tensor, axes: Tensor
+) -> None:
+    sensed = torch.rand((3, W, 13), generator=torch.Generator().manual_seed(2)) > 0.4
+    windows = windows_of(body, scene, axes, sensed=sensed)
+    expected = encode(body, windows)
+    for hostile in (-7.0, 1e30):
+        spoilt = torch.where(sensed[:, None, :, None], windows.axes_world, hostile)
+        encoded = encode(body, replace(windows, axes_world=spoilt))
+        assert torch.isfinite(encoded.features).all()
+        assert_same_input(encoded, expected)
+    assert torch.equal(expected.features[..., -13:], sensed.double())
+
+
+def test_axes_reach_the_network_in_the_ray_frame_and_as_zeros_where_not_sensed(
+    body: Body, scene: Tensor, axes: Tensor
+) -> None:
+    sensed = torch.ones((3, W, 13), dtype=torch.bool)
+    sensed[1, 4, 7] = False
+    encoded = encode(body, windows_of(body, scene, axes, sensed=sensed))
+    read = encoded.features[..., 67:-13].reshape(3, W, 3, 2, 13)
+    carried = axes[..., body.sensor_joints]
+    expected = torch.einsum("bij,bjwas->bwias", encoded.R_ray_world, carried)
+    expected[1, 4, :, :, 7] = 0.0
+    torch.testing.assert_close(read, expected)
+
+
+def test_what_is_sensed_does_not_change_what_is_seen(
+    body: Body, scene: Tensor, axes: Tensor
+) -> None:
+    with_, without = (encode(body, windows_of(body, scene, a)) for a in (axes, None))
+    torch.testing.assert_close(with_.features[..., :67], without.features[..., :67])
+    torch.testing.assert_close(with_.constants, without.constants)
+    assert without.features[..., 67:].abs().max() == 0
+
+
+def test_unknown_bones_and_height_are_zeros_with_a_flag(body: Body, scene: Tensor) -> None:
+    nan = torch.full((3, 39), torch.nan)
+    told = encode(body, windows_of(body, scene))
+    untold = encode(body, windows_of(body, scene, bones=nan, height=float("nan")))
+    assert torch.isfinite(untold.features).all()
+    assert torch.all(told.constants[:, 3] == 1)
+    assert torch.all(told.constants[:, -1] == 1)
+    assert untold.constants[:, 2:].abs().max() == 0
+    assert untold.features[..., 63:67].abs().max() == 0
+    torch.testing.assert_close(told.features[..., :63], untold.features[..., :63])
+    torch.testing.assert_close(told.constants[:, :2], untold.constants[:, :2])
+
+
+def test_constants_are_elevation_scale_height_and_bones(body: Body, scene: Tensor) -> None:
+    bones = torch.tensor(body.nominal_bones, dtype=torch.float64).expand(3, -1).clone()
+    bones[:, 4] += 0.01
+    encoded = encode(body, windows_of(body, scene, bones=bones))
+    root = scene[:, :, W // 2, 0]
+    elevation = torch.asin(root[:, 2] / root.norm(dim=1))
+    torch.testing.assert_close(encoded.constants[:, 0], elevation)
+    torch.testing.assert_close(encoded.constants[:, 1], encoded.scale.log())
+    torch.testing.assert_close(encoded.constants[:, 2], (1.6 * encoded.scale).log())
+    assert encoded.constants[:, 4:-1].abs().max(dim=1).indices.tolist() == [4, 4, 4]
+    torch.testing.assert_close(encoded.constants[:, 8], torch.full((3,), 0.15).double())
+
+
+def test_nothing_seen_and_degenerate_scenes_stay_finite(
+    body: Body, scene: Tensor, axes: Tensor
+) -> None:
+    nothing = windows_of(body, scene, seen=~everything(scene))
+    behind = windows_of(body, -scene + 2 * scene[..., :1], axes)
+    point = windows_of(body, scene[..., :1].expand(scene.shape), axes)
+    above = windows_of(body, scene * torch.tensor([0.0, 0.0, 1.0])[:, None, None].double())
+    for windows in (nothing, behind, point, above):
+        encoded = encode(body, windows)
+        assert torch.isfinite(encoded.features).all()
+        assert torch.isfinite(encoded.constants).all()
+        for value in (1e6, 0.0):
+            for part in fields(decode(body, torch.full((3, body.outputs), value), encoded)):
+                assert torch.isfinite(part).all()

@@ -1,0 +1,511 @@
+"""Tables: the paper's own figures, ours pooled over frames, and every reservation where it belongs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+from protocol_support import cells_of, read_json, row
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import RtofError
+from rtof_kin.protocols import human36m, pictures, published
+from rtof_kin.protocols.jobs import Outcome
+from rtof_kin.protocols.pictures import error_curves, write_pictures
+from rtof_kin.protocols.tables import Table, pooled, write_tables
+from rtof_kin.protocols.total_capture import LOW_PASSED, STILL, TotalCaptureProtocol
+from rtof_kin.protocols.total_capture_tables import all_tables
+
+FRAMES = {
+    "walking2": (3189, 3575, 3239, 3376, 3738),
+    "acting3": (2770, 4828, 4293, 3577, 3006),
+    "freestyle3": (2040, 3178, 3931, 2826, 3561),
+}
+"""Frames of the test takes of S1 to S5, counted in the files."""
+GROUPS = [(take, unseen) for unseen in (False, True) for take in FRAMES]
+"""Takes of the subjects seen and unseen, in the order of table 1's columns."""
+FIGURES = ("mpjpe_mm", "mpjpe_rr_mm", "mpjpe_pa_mm", "mpjae", "mpjje", "angle_deg", "flexion_deg",
+           "coverage", "sixteen_mm")  # fmt: skip
+MODES = ("lift", "rtof")
+
+
+def scores(value: float = 1.0, frames: int = 100, **figures: Any) -> dict[str, Any]:
+    """Every figure of one method; all of one value but those given."""
+    about = dict.fromkeys(FIGURES, value) | {"frames": frames, "sixteen_frames": frames // 16}
+    return about | figures
+
+
+def measured(
+    subject: str, take: str, camera: int | None, **methods: dict[str, Any]
+) -> dict[str, dict[str, Any]]:
+    """The facts of one job by its key; names of methods with a blank in them are calibration rows."""
+    key = f"{subject}_{take}" + (f"_cam{camera}" if camera is not None else "")
+    return {key: {"subject": subject, "take": take, "camera": camera, "methods": methods,
+                  "failed_checks": [], "notes": []}}  # fmt: skip
+
+
+def calibration(subject: str, take: str) -> dict[str, dict[str, Any]]:
+    """The facts of the job that needs no camera."""
+    rows = {STILL: scores(146), LOW_PASSED: scores(123, angle_deg=None)}
+    return measured(subject, take, None, **rows)
+
+
+def protocol(**changed: Any) -> TotalCaptureProtocol:
+    """One take of S1, cameras 1 and 3, two modes, no studies."""
+    usual = {"subjects": ("S1",), "takes": ("walking2",), "cameras": (1, 3), "modes": MODES}
+    return TotalCaptureProtocol(Path("data"), **(usual | {"studies": False} | changed))
+
+
+def tables_of(
+    about: TotalCaptureProtocol, done: dict[str, Any], failed: dict[str, str] | None = None
+) -> dict[str, Table]:
+    """Every table by its name."""
+    outcome = Outcome(Path("nowhere"), done, failed or {})
+    return {table.name: table for table in all_tables(about, outcome)}
+
+
+# --- the paper's figures -------------------------------------------------------------------------
+
+
+def test_the_published_figures_are_the_papers() -> None:
+    assert published.TABLE_1["RTOF-GT, the paper's (1 camera + IMUs)"] == (
+        10.8, 13.9, 32.6, 16.9, 34.8, 41.5, 23.2,
+    )  # fmt: skip
+    assert published.TABLE_1["RTOF-SN, the paper's (1 camera + IMUs)"] == (
+        15.7, 20.1, 47.3, 24.5, 50.5, 60.2, 33.7,
+    )  # fmt: skip
+    assert published.TABLE_1["VP3D-SN, the paper's baseline (1 camera)"][5] == 123.6
+    assert published.TABLE_1["VIP (1 camera + IMUs)"] == (None,) * 6 + (26.0,)
+    assert published.ABLATION == {
+        "lift": (53.7, 2.70, 87.3),
+        "sf2": (34.5, 3.96, 185.4),
+        "rto": (40.6, 1.79, 55.2),
+        "rtof": (23.2, 1.54, 63.8),
+    }
+    assert published.INERTIAL_ONLY["TransPose (6 IMUs)"] == (54.2, 77.2)
+    assert published.INERTIAL_ONLY["RTOF-SN, the paper's (8 IMUs + 1 camera)"] == (33.7, 63.8)
+    assert published.FRAGMENT_LENGTH[20] == (1256, 23.19, 77.31)
+    assert published.FRAGMENT_LENGTH[50][1:] == published.VISUAL_WEIGHT[0.9]
+    assert published.VISUAL_WEIGHT[1.0] == (23.29, 104.9)
+    assert published.HUMAN36M["RTO-SN, the paper's"] == (46.1, 2.03, 11.25)
+
+
+def test_every_published_row_has_its_columns() -> None:
+    assert {len(cells) for cells in published.TABLE_1.values()} == {len(published.NAMES_1)}
+    assert (len(published.TABLE_1), len(published.HUMAN36M)) == (10, 3)
+    assert list(published.FRAGMENT_LENGTH) == [200, 100, 50, 20]
+    assert list(published.VISUAL_WEIGHT) == [1.0, 0.9, 0.8, 0.7, 0.6]
+
+
+def test_our_average_over_frames_gives_the_papers_from_its_own_cells() -> None:
+    """So the paper's average is one over frames; its takes have 51,127 of them."""
+    assert sum(map(sum, FRAMES.values())) == 51127
+    names = {"RTOF-GT, the paper's (1 camera + IMUs)": 23.2,
+             "RTOF-SN, the paper's (1 camera + IMUs)": 33.7}  # fmt: skip
+    for name, average in names.items():
+        cells = dict(zip(GROUPS, published.TABLE_1[name], strict=False))
+        done: dict[str, Any] = {}
+        for take, frames in FRAMES.items():
+            for s, count in enumerate(frames):
+                value = cells[take, s >= 3]
+                assert value is not None
+                done |= measured(f"S{s + 1}", take, 1, rtof=scores(value, count))
+        about = protocol(subjects=("S1", "S2", "S3", "S4", "S5"), takes=tuple(FRAMES), cameras=(1,),
+                         modes=("rtof",))  # fmt: skip
+        ours = row(tables_of(about, done)["by_take"], "rtof, ours, root-relative")
+        assert ours["average"] == pytest.approx(average, abs=0.06)  # cells are rounded to 0.1
+        assert list(ours.values())[1:7] == pytest.approx(list(published.TABLE_1[name][:6]))
+        plain = np.mean([cell for cell in published.TABLE_1[name][:6] if cell is not None])
+        assert abs(plain - average) > 1
+
+
+def test_no_method_can_have_the_papers_pairs_on_human36m_in_one_unit() -> None:
+    for _, mpjae, mpjje in published.HUMAN36M.values():
+        assert mpjje > 2 * mpjae
+    assert any("2.03 and 11.25" in note for note in published.HUMAN36M_CAVEATS)
+
+
+# --- pooling -------------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(
+        st.tuples(st.one_of(st.none(), st.floats(0, 1e3), st.just(np.nan)), st.integers(0, 50)),
+        max_size=8,
+    )
+)
+def test_the_pooled_figure_is_the_mean_over_all_frames(
+    parts: list[tuple[float | None, int]],
+) -> None:
+    rows = [{"error": value, "frames": frames} for value, frames in parts]
+    values = [[v] * frames for v, frames in parts if v is not None and np.isfinite(v)]
+    frames = np.concatenate([[], *values])
+    expected = pytest.approx(frames.mean(), rel=1e-9, abs=1e-9) if len(frames) else None
+    assert pooled(rows, "error") == expected
+
+
+def test_a_row_without_the_figure_does_not_count() -> None:
+    rows = [{"a": 1.0, "frames": 3}, {"frames": 5}, {"a": 5.0, "frames": 1}]
+    assert pooled(rows, "a") == 2.0
+    assert pooled(rows, "b") is None
+
+
+# --- one table -----------------------------------------------------------------------------------
+
+PLAIN = Table(
+    "plain", "A title", ("method", "error [mm]", "share"), (0, 1, 2),
+    (("a | b", 12.345, "50 %"), ("two\nlines", None, np.nan), ("", np.inf, 0)),
+    ("First.", "Second [mm]."),
+)  # fmt: skip
+
+
+def test_markdown_has_every_cell_rounded_in_its_column() -> None:
+    text = PLAIN.markdown()
+    assert cells_of(text) == [
+        ["method", "error [mm]", "share"],
+        ["a | b", "12.3", "50 %"],
+        ["two lines", "-", "-"],
+        ["", "-", "0.00"],
+    ]
+    assert text.startswith("### A title\n\n|")
+    assert text.endswith("|\n\n- First.\n- Second [mm].\n")
+
+
+def test_json_has_the_figures_unrounded_and_null_where_there_is_none(tmp_path: Path) -> None:
+    asked = tmp_path / "deep" / "all.json"
+    paths = write_tables(tmp_path / "out", [PLAIN], {"settings": {"seed": 3}}, asked)
+    assert paths == [tmp_path / "out" / "tables.md", tmp_path / "out" / "tables.json", asked]
+    content = read_json(asked)
+    assert content["settings"] == {"seed": 3}
+    assert content["tables"]["plain"] == {
+        "title": "A title",
+        "columns": ["method", "error [mm]", "share"],
+        "rows": [["a | b", 12.345, "50 %"], ["two\nlines", None, None], ["", None, 0]],
+        "notes": ["First.", "Second [mm]."],
+    }
+    assert asked.read_bytes() == (tmp_path / "out" / "tables.json").read_bytes()
+    assert len(write_tables(tmp_path / "out", [PLAIN, PLAIN], {})) == 2
+
+
+def test_a_table_that_cannot_be_written_is_an_error_of_the_package(tmp_path: Path) -> None:
+    with pytest.raises(RtofError, match=f"{tmp_path}: is a folder; name a file"):
+        write_tables(tmp_path / "out", [PLAIN], {}, tmp_path)
+
+
+# --- Total Capture -------------------------------------------------------------------------------
+
+
+def complete(
+    cameras: Iterable[int] = (1, 3), modes: Sequence[str] = MODES, **figures: Any
+) -> dict[str, Any]:
+    """What the jobs of `protocol` found when nothing failed."""
+    done = calibration("S1", "walking2")
+    for camera in cameras:
+        done |= measured("S1", "walking2", camera, **{m: scores(10.0, **figures) for m in modes})
+    return done
+
+
+def test_the_subjects_seen_and_unseen_and_the_takes_have_columns_of_their_own() -> None:
+    done = measured("S1", "walking2", 1, lift=scores(10, 100), rtof=scores(1, 100))
+    done |= measured("S3", "walking2", 1, lift=scores(40, 200), rtof=scores(4, 200))
+    done |= measured("S4", "walking2", 1, lift=scores(70, 100, mpjpe_mm=700))
+    done |= measured("S5", "freestyle3", 1, lift=scores(90, 400))
+    about = protocol(subjects=("S1", "S3", "S4", "S5"), takes=("walking2", "freestyle3"))
+    lift = row(tables_of(about, done)["by_take"], "lift, ours, root-relative")
+    assert lift == {
+        "method": "lift, ours, root-relative",
+        "seen W2": pytest.approx(30), "seen A3": None, "seen FS3": None,
+        "unseen W2": pytest.approx(70), "unseen A3": None, "unseen FS3": pytest.approx(90),
+        "average": pytest.approx((10 * 100 + 40 * 200 + 70 * 100 + 90 * 400) / 800),
+    }  # fmt: skip
+    absolute = row(tables_of(about, done)["by_take"], "lift, ours, absolute")
+    assert absolute["unseen W2"] == pytest.approx(700)
+
+
+def test_table_1_has_the_papers_rows_before_ours() -> None:
+    table = tables_of(protocol(), complete())["by_take"]
+    labels = [cells[0] for cells in table.rows]
+    assert labels[: len(published.TABLE_1)] == list(published.TABLE_1)
+    assert labels[len(published.TABLE_1) :] == [
+        f"{mode}, ours, {kind}" for mode in MODES for kind in ("root-relative", "absolute")
+    ]
+    assert row(table, "GeoFuse (4 cameras + IMUs)")["average"] == 24.6
+
+
+def test_the_ablation_has_the_papers_beside_ours_and_the_calibration_rows_below() -> None:
+    table = tables_of(protocol(), complete(mpjae=2.5, coverage=0.987))["ablation"]
+    assert [cells[0] for cells in table.rows] == ["lift", "rtof", STILL, LOW_PASSED]
+    ours = row(table, "rtof")
+    assert (ours["paper: MPJPE [mm]"], ours["paper: MPJAE"], ours["paper: MPJJE"]) == (
+        23.2, 1.54, 63.8,
+    )  # fmt: skip
+    assert ours["MPJAE [m/s2]"] == pytest.approx(2.5)
+    assert ours["valid"] == "99 %"
+    still = row(table, STILL)
+    assert still["MPJJE [m/s3]"] == pytest.approx(146)
+    assert (still["paper: MPJPE [mm]"], still["valid"]) == (None, None)
+    low_passed = row(table, LOW_PASSED)
+    assert low_passed["MPJJE [m/s3]"] == pytest.approx(123)
+    assert low_passed["joint angle [deg]"] is None  # its orientations are the truth's own
+
+
+def test_the_inertial_table_has_only_what_uses_sensors_and_the_calibration_rows() -> None:
+    table = tables_of(protocol(), complete())["inertial_only"]
+    labels = [cells[0] for cells in table.rows]
+    assert labels == [*published.INERTIAL_ONLY, "rtof, ours", STILL, LOW_PASSED]
+    assert row(table, "DIP (6 IMUs)")["MPJJE [m/s3]"] == 159.1
+
+
+def test_the_multi_view_table_counts_its_own_cameras_and_frames() -> None:
+    done = measured("S1", "walking2", 1, lift=scores(0, 1000, sixteen_mm=10, sixteen_frames=1))
+    done |= measured("S1", "walking2", 3, lift=scores(0, 10, sixteen_mm=40, sixteen_frames=2))
+    done |= measured("S1", "walking2", 4, lift=scores(0, 10, sixteen_mm=999, sixteen_frames=9))
+    table = tables_of(protocol(cameras=(1, 3, 4), modes=("lift",)), done)["sixteen_joints"]
+    ours = row(table, "lift, ours, each camera alone")
+    assert ours["absolute MPJPE [mm]"] == pytest.approx(30)
+    assert "cameras 1, 3 of 1, 3, 5, 7" in table.notes[0]
+    assert not any("VP3D" in str(cells[0]) for cells in table.rows)
+
+
+def test_the_study_of_fragment_length_has_its_speed_and_the_printed_one() -> None:
+    methods = {
+        "as printed, N = 50": scores(5.0, 100, seconds=2.0),
+        "as printed, N = 20": scores(6.0, 100, seconds=0.5),
+    }
+    done = measured("S1", "walking2", 1, rtof=scores(), **methods)
+    done |= measured("S1", "walking2", 3, rtof=scores(),
+                     **{"as printed, N = 50": scores(8.0, 200, seconds=1.0)})  # fmt: skip
+    tables = tables_of(protocol(modes=("rtof",), studies=True), done)
+    fifty = row(tables["fragment_length"], "50")
+    assert fifty["frames/s"] == pytest.approx(300 / 3.0)
+    assert fifty["root-relative [mm]"] == pytest.approx(7.0)
+    assert (fifty["paper: frames/s"], fifty["paper: MPJJE"]) == (743, 63.84)
+    assert row(tables["fragment_length"], "200")["frames/s"] is None
+    assert [cells[0] for cells in tables["fragment_length"].rows] == ["200", "100", "50", "20"]
+
+
+def test_the_study_of_k_v_has_the_printed_weight_as_n_50() -> None:
+    methods = {"as printed, N = 50": scores(5.0, seconds=1.0),
+               "as printed, k_V = 1": scores(6.0, seconds=1.0),
+               "as printed, k_V = 0.6": scores(7.0, seconds=1.0)}  # fmt: skip
+    done = measured("S1", "walking2", 1, rtof=scores(), **methods)
+    table = tables_of(protocol(modes=("rtof",), studies=True), done)["visual_weight"]
+    ours = {cells[0]: cells[3] for cells in table.rows}
+    assert ours == {"1": 6.0, "0.9": 5.0, "0.8": None, "0.7": None, "0.6": 7.0}
+    assert [cells[1] for cells in table.rows] == [23.29, 23.23, 23.23, 23.24, 23.26]
+
+
+def test_there_are_no_studies_where_none_were_made() -> None:
+    assert set(tables_of(protocol(), complete())) == {
+        "by_take", "inertial_only", "ablation", "sixteen_joints",
+    }  # fmt: skip
+    lift = protocol(modes=("lift",), studies=True)
+    assert "fragment_length" not in tables_of(lift, complete(modes=("lift",)))
+
+
+def test_every_table_with_the_papers_figures_says_what_is_known_of_them() -> None:
+    tables = tables_of(protocol(modes=("lift", "rtof"), studies=True), complete())
+    for name in ("by_take", "inertial_only", "ablation", "fragment_length", "visual_weight"):
+        for caveat in published.TOTAL_CAPTURE_CAVEATS:
+            assert caveat in tables[name].notes
+    assert "absolute or root-relative" in published.TOTAL_CAPTURE_CAVEATS[0]
+
+
+def test_what_ours_was_measured_with_stands_under_the_table(tmp_path: Path) -> None:
+    detections = tmp_path / "hrnet"
+    detections.mkdir()
+    own = tmp_path / "own.pt"
+    own.touch()
+    (setup, *_) = tables_of(protocol(), complete())["by_take"].notes
+    assert "one camera at a time (1, 3), pooled over all 200 frames of all cameras" in setup
+    assert "8 IMUs" in setup
+    assert "ground-truth 2D of every joint, also outside the picture" in setup
+    assert "for which no subject is seen" in setup
+    noisy = tables_of(protocol(noise_px=4.5, sensors=("Pelvis",)), complete())
+    assert "ground-truth 2D with 4.5 px of white noise per axis" in noisy["by_take"].notes[0]
+    assert "1 IMUs where" in noisy["by_take"].notes[0]
+    assert any("exact ground-truth 2D; this run has not" in n for n in noisy["ablation"].notes)
+    detected = tables_of(protocol(keypoints=detections, lifter=own), complete())
+    assert "the detections in hrnet" in detected["by_take"].notes[0]
+    assert "Lifter: own.pt." in detected["by_take"].notes[0]
+    exact = tables_of(protocol(), complete())
+    assert not any("this run has not" in note for note in exact["ablation"].notes)
+
+
+# --- what is missing -----------------------------------------------------------------------------
+
+AFFECTED = ("by_take", "inertial_only", "ablation", "sixteen_joints")
+
+
+def incomplete(tables: dict[str, Table]) -> set[str]:
+    """The sentences about what is missing under the tables that it affects; '' for none."""
+    notes = [[n for n in tables[name].notes if n.startswith("INCOMPLETE")] for name in AFFECTED]
+    assert {len(found) for found in notes} <= {0, 1}
+    return {found[0] if found else "" for found in notes}
+
+
+def test_nothing_is_said_to_be_missing_where_nothing_is() -> None:
+    assert incomplete(tables_of(protocol(), complete())) == {""}
+
+
+def test_every_affected_table_names_the_take_that_is_missing_and_the_last_says_why() -> None:
+    about = protocol(takes=("walking2", "acting3"))
+    why = "S1 acting3: gt_skel_gbl_pos.txt is damaged"
+    failed = dict.fromkeys(("S1_acting3", "S1_acting3_cam1", "S1_acting3_cam3"), why)
+    tables = tables_of(about, complete(), failed)
+    assert incomplete(tables) == {"INCOMPLETE, without: S1 acting3. The last table says why."}
+    assert list(tables)[-1] == "state_of_data"
+    assert tables["state_of_data"].rows == (("S1 acting3", "not measured", why),)
+
+
+def test_a_camera_that_is_missing_is_named_with_its_take() -> None:
+    done = complete(cameras=(1,))
+    tables = tables_of(protocol(), done, {"S1_walking2_cam3": "no detections"})
+    expected = "INCOMPLETE, without: S1 walking2 (camera 3). The last table says why."
+    assert incomplete(tables) == {expected}
+    assert tables["state_of_data"].rows == (
+        ("S1 walking2 camera 3", "not measured", "no detections"),
+    )
+
+
+def test_modes_that_are_missing_are_named_with_their_take() -> None:
+    """As of a take without sensors: the rows of lift and rtof are means over different takes."""
+    done = complete() | complete(cameras=(1, 3), modes=("lift",))
+    tables = tables_of(protocol(), done)
+    expected = "INCOMPLETE, without: S1 walking2 (rtof). The last table says why."
+    assert incomplete(tables) == {expected}
+    mixed = tables_of(protocol(), complete() | measured("S1", "walking2", 3, lift=scores()))
+    (sentence,) = incomplete(mixed)
+    assert "S1 walking2 (rtof, camera 3)." in sentence
+
+
+def test_calibration_rows_that_lack_a_take_are_named() -> None:
+    done = {key: facts for key, facts in complete().items() if facts["camera"] is not None}
+    tables = tables_of(protocol(), done, {"S1_walking2": "too short"})
+    (sentence,) = incomplete(tables)
+    assert f"S1 walking2 ({STILL}, {LOW_PASSED})" in sentence
+    assert tables["state_of_data"].rows == (("S1 walking2", "not measured", "too short"),)
+
+
+def test_failed_checks_and_notes_are_told_with_their_place() -> None:
+    done = complete()
+    done["S1_walking2"]["notes"] = ["no positions: taken from a BVH file"]
+    done["S1_walking2"]["failed_checks"] = ["sensor L_Foot: 20 deg"]
+    done["S1_walking2_cam3"]["failed_checks"] = ["camera 3: 25 px"]
+    assert tables_of(protocol(), done)["state_of_data"].rows == (
+        ("S1 walking2", "check failed", "sensor L_Foot: 20 deg"),
+        ("S1 walking2", "note", "no positions: taken from a BVH file"),
+        ("S1 walking2 camera 3", "check failed", "camera 3: 25 px"),
+    )
+
+
+def test_all_tables_can_be_written_where_nothing_was_measured() -> None:
+    failed = dict.fromkeys(protocol().jobs(), "no calibration.cal | none\nat all")
+    for table in tables_of(protocol(studies=True), {}, failed).values():
+        assert len(cells_of(table.markdown())) == 1 + len(table.rows)
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+J = 21
+
+
+def drawn(folder: Path, key: str, modes: Sequence[str], seed: int = 0) -> None:
+    """The arrays of a job: curves and poses of every mode."""
+    rng = np.random.default_rng(seed)
+    standing = SkeletonModel.default().forward_kinematics(SkeletonModel.default().n_pose()[None])[0]
+    arrays = {"R_camera_world": np.eye(3)[[0, 2, 1]] * [[1], [-1], [1]],
+              "snapshot_frames": np.arange(5.0) * 10,
+              "snapshot_truth": np.repeat(standing, 5, axis=0)}  # fmt: skip
+    for mode in modes:
+        arrays[f"{mode}_rr_mm"] = 20 + rng.uniform(size=60)
+        arrays[f"{mode}_knee_deg"] = 2 + rng.uniform(size=60)
+        arrays[f"{mode}_snapshots"] = arrays["snapshot_truth"] + rng.normal(0, 0.05, (5, J, 3))
+    np.savez(folder / f"{key}.npz", **arrays)
+
+
+def outcome_with(folder: Path, takes: dict[str, float], modes: Sequence[str]) -> Outcome:
+    """Takes of S1 by their liveliness, with camera 1."""
+    done: dict[str, Any] = {}
+    for take, lively in takes.items():
+        done |= measured("S1", take, None, **{STILL: scores(mpjae=lively)})
+        done |= measured("S1", take, 1, **{mode: scores() for mode in modes})
+        if modes:
+            drawn(folder, f"S1_{take}_cam1", modes)
+    return Outcome(folder, done, {})
+
+
+def labels(outcome: Outcome, keys: Sequence[str]) -> list[list[str]]:
+    """Legend of every panel of the error curves."""
+    figure = error_curves(outcome, keys, 60.0)
+    return [[line.get_label() for line in ax.get_lines()] for ax in figure.axes]
+
+
+def test_the_figures_are_written_and_show_something(tmp_path: Path) -> None:
+    """Of one mode here, of all by the whole protocol in test_protocol_total_capture."""
+    outcome = outcome_with(tmp_path, {"walking2": 2.0, "acting3": 5.0}, ("sf2",))
+    table = SkeletonModel.default().table
+    paths = write_pictures(outcome, tmp_path / "figures", table, 60.0)
+    assert [path.name for path in paths] == ["error_curves.png", "skeletons.png"]
+    for path in paths:
+        pixels = matplotlib.image.imread(path)
+        assert min(pixels.shape[:2]) > 200
+        assert len(np.unique(pixels.reshape(-1, pixels.shape[-1]), axis=0)) > 50
+
+
+def test_the_curves_compare_the_baseline_with_the_best_mode_there_is(tmp_path: Path) -> None:
+    key = "S1_walking2_cam1"
+    for modes, shown in {
+        ("lift", "rto", "sf2", "rtof"): ["baseline (lift): mean 20.", "rtof: mean 20."],
+        ("lift", "sf2", "rto"): ["baseline (lift): mean 20.", "rto: mean 20."],
+        ("lift",): ["baseline (lift): mean 20."],
+        ("sf2",): ["sf2: mean 20."],
+    }.items():
+        outcome = outcome_with(tmp_path, {"walking2": 1.0}, modes)
+        found = labels(outcome, [key])
+        assert len(found) == 2
+        assert [text[:-1] for text in found[0]] == shown
+
+
+def test_the_takes_drawn_are_the_steadiest_and_the_liveliest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lively = {"walking2": 3.0, "acting3": 1.0, "freestyle3": 9.0}
+    outcome = outcome_with(tmp_path, lively, ("lift",))
+    drawn: list[Any] = []
+
+    def figure(outcome: Outcome, keys: Any, *about: Any) -> Figure:
+        drawn.append(keys)
+        return Figure(figsize=(1, 1))
+
+    monkeypatch.setattr(pictures, "error_curves", figure)
+    monkeypatch.setattr(pictures, "skeletons", figure)
+    write_pictures(outcome, tmp_path, SkeletonModel.default().table, 60.0)
+    assert drawn == [["S1_acting3_cam1", "S1_freestyle3_cam1"], "S1_freestyle3_cam1"]
+
+
+def test_no_picture_is_made_of_nothing(tmp_path: Path) -> None:
+    table = SkeletonModel.default().table
+    empty = Outcome(tmp_path, calibration("S1", "walking2"), {})
+    without_modes = outcome_with(tmp_path, {"walking2": 1.0}, ())
+    for outcome in (empty, without_modes):
+        assert write_pictures(outcome, tmp_path / "figures", table, 60.0) == []
+    assert not (tmp_path / "figures").exists()
+
+
+# --- Human3.6M -----------------------------------------------------------------------------------
+
+
+def test_the_modes_of_human36m_are_those_without_sensors(tmp_path: Path) -> None:
+    lifter = tmp_path / "lifter.pt"
+    lifter.touch()
+    assert human36m.Human36MProtocol(tmp_path, lifter).modes == ("lift", "rto")
+    with pytest.raises(RtofError, match="unknown mode without sensors 'rtof'"):
+        human36m.Human36MProtocol(tmp_path, lifter, modes=("lift", "rtof"))

@@ -1,0 +1,784 @@
+"""Recordings as folders: exact round trips, folders written by hand, and everything that can be wrong."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import re
+import textwrap
+import zipfile
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import planted
+import pytest
+
+import rtof_kin.recording.recording
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import (
+    CalibrationError,
+    FileFormatError,
+    OutputExistsError,
+    RtofError,
+    ShapeError,
+    UnitError,
+    UnknownNameError,
+)
+from rtof_kin.core.files.arrays import read_npz
+from rtof_kin.core.files.manifest import MANIFEST
+from rtof_kin.recording.recording import INDEX, Recording
+
+SKELETON = SkeletonModel.default()
+T, S = 12, 2
+BY_HAND = """
+    schema_version = 1
+    name = "by hand"
+    [subject]
+    height_m = 1.80
+    mass_kg = 82.5
+    sex = "male"
+    [camera]
+    width_px = 1920
+    height_px = 1080
+    focal_px = 1250.0
+    position_m = [4.0, 0.6, 1.5]
+    target_m = [0.0, 0.0, 1.0]
+    [keypoints]
+    file = "keypoints.npz"
+    rate_hz = 60.0
+    start_s = 0.5
+    layout = "joints"
+    [imus]
+    file = "imus.npz"
+    rate_hz = 100.0
+    start_s = 0.4
+    [imus.sensors.L_UpArm]
+    quat_wxyz_world_inertial = [1, 0, 0, 0]
+    quat_wxyz_sensor_bone = [0.5, 0.5, 0.5, 0.5]
+    [imus.sensors.strap]
+    joint = "RightLeg"
+    lever_arm_m = [0.05, 0.0, -0.16]
+    R_world_inertial = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    R_sensor_bone = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    [notes]
+    acknowledgement = "Data by nobody."
+"""
+
+
+def keypoint_arrays() -> dict[str, np.ndarray]:
+    uv = np.random.default_rng(0).uniform(100, 900, (T, 21, 2))
+    return {"uv_px": uv, "confidence": np.full((T, 21), 0.9)}
+
+
+def imu_arrays() -> dict[str, np.ndarray]:
+    quat = np.random.default_rng(1).normal(size=(40, S, 4))
+    quat /= np.linalg.norm(quat, axis=-1, keepdims=True)
+    f = np.tile([0.0, 0.0, 9.81], (40, S, 1))
+    return {"quat_wxyz": quat, "f_sensor": f}
+
+
+def write(
+    folder: Path,
+    old: str = "",
+    new: str = "",
+    keypoints: dict[str, np.ndarray] | None = None,
+    imus: dict[str, np.ndarray] | None = None,
+) -> Path:
+    """The folder of `BY_HAND`, with one piece of its text or one of its files changed."""
+    text = textwrap.dedent(BY_HAND)
+    assert old in text
+    (folder / INDEX).write_text(text.replace(old, new, 1))
+    np.savez(folder / "keypoints.npz", **(keypoints or keypoint_arrays()))
+    np.savez(folder / "imus.npz", **(imus or imu_arrays()))
+    return folder
+
+
+def full_recording() -> Recording:
+    """A recording with every field set and something missing in every array."""
+    moving = planted.moving(SKELETON.with_height(1.65), T)
+    base = planted.recording(moving, sigma_px=2.0)
+    assert base.imus is not None
+    assert base.truth is not None
+    uv, R, f = (np.array(a) for a in (base.keypoints.uv_px, base.imus.R_inertial_sensor,
+                                      base.imus.f_sensor))  # fmt: skip
+    uv[3, 4], R[2, 1], f[5, 0] = np.nan, np.nan, np.nan
+    confidence = np.random.default_rng(2).uniform(0.1, 1, uv.shape[:2])
+    camera = replace(base.keypoints.camera, distortion=[0.01, 1e-3, -2e-4, 1e-17, 0.3])
+    keypoints = replace(base.keypoints, camera=camera, uv_px=uv, confidence=confidence)
+    return replace(
+        base,
+        name='a "quoted" name, ünïcode',
+        keypoints=keypoints,
+        imus=replace(base.imus, times=base.imus.times + 1 / 30, R_inertial_sensor=R, f_sensor=f),
+        joint_offsets=moving.skeleton.joint_offsets * np.pi / 3,
+        bone_lengths={"LeftLeg": float(moving.skeleton.bone_lengths["LeftLeg"] * np.pi / 3)},
+        height=1.7,
+        mass_kg=61.0,
+        sex="female",
+        truth=replace(base.truth, valid=np.random.default_rng(4).random((T, 21)) > 0.2),
+        first_frame=17,
+        floor_height=-0.02,
+        acknowledgement="Thanks\nto all.",
+        notes="α = 3",
+    )
+
+
+def assert_same(a: object, b: object, where: str = "recording") -> None:
+    """Equal to the last bit, field by field."""
+    assert type(a) is type(b), where
+    if hasattr(a, "__dataclass_fields__"):
+        for field in fields(a):  # type: ignore[arg-type]
+            assert_same(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
+    elif isinstance(a, np.ndarray):
+        assert isinstance(b, np.ndarray)
+        assert a.dtype == b.dtype, where
+        np.testing.assert_array_equal(a, b, err_msg=where, strict=True)
+    else:
+        assert a == b, where
+
+
+# --- round trips ---------------------------------------------------------------------------------
+
+
+def test_a_full_recording_comes_back_to_the_last_bit(tmp_path: Path) -> None:
+    recording = full_recording()
+    recording.save(tmp_path / "take")
+    assert_same(Recording.load(tmp_path / "take"), recording)
+
+
+def test_a_recording_without_imus_or_truth_comes_back_to_the_last_bit(tmp_path: Path) -> None:
+    recording = replace(full_recording(), imus=None, calibration=None, truth=None)
+    recording.save(tmp_path / "take")
+    assert_same(Recording.load(tmp_path / "take"), recording)
+    assert sorted(p.name for p in (tmp_path / "take").iterdir()) == [MANIFEST, "keypoints.npz", INDEX]
+
+
+def test_a_recording_that_nobody_filmed_comes_back_to_the_last_bit(tmp_path: Path) -> None:
+    recording = replace(full_recording(), keypoints=None)
+    recording.save(tmp_path / "take")
+    assert_same(Recording.load(tmp_path / "take"), recording)
+    names = sorted(p.name for p in (tmp_path / "take").iterdir())
+    assert names == [MANIFEST, "imus.npz", INDEX, "truth.npz"]
+    assert "[camera]" not in (tmp_path / "take" / INDEX).read_text(encoding="utf-8")
+    with pytest.raises(ShapeError, match="has no keypoints, as nobody filmed it"):
+        _ = recording.video
+
+
+def test_a_camera_without_keypoints_and_a_folder_with_neither_are_refused(tmp_path: Path) -> None:
+    full_recording().save(tmp_path / "take")
+    path = tmp_path / "take" / INDEX
+    text = path.read_text(encoding="utf-8")
+    for kept, message in (("[camera]", "keypoints"), ("", "camera")):
+        parts = re.split(r"(?m)^(?=\[)", text)
+        unwanted = {"[camera]", "[keypoints]"} - {kept} | ({"[imus"} if not kept else set())
+        left = [part for part in parts if not part.startswith(tuple(unwanted))]
+        path.write_text("".join(left), encoding="utf-8")
+        with pytest.raises(FileFormatError, match=message):
+            Recording.load(tmp_path / "take")
+
+
+def test_a_floor_is_written_and_a_floor_at_no_height_is_refused(tmp_path: Path) -> None:
+    recording = replace(full_recording(), floor_height=0.25)
+    recording.save(tmp_path / "take")
+    index = (tmp_path / "take" / INDEX).read_text(encoding="utf-8")
+    assert "[scene]\nfloor_height_m = 0.25" in index
+    with pytest.raises(ShapeError, match="floor_height: not finite"):
+        replace(recording, floor_height=np.nan)
+
+
+def test_imus_without_calibration_and_calibration_without_imus_come_back(tmp_path: Path) -> None:
+    recording = full_recording()
+    for missing in ({"imus": None}, {"calibration": None}):
+        part = replace(recording, **missing)  # type: ignore[arg-type]
+        part.save(tmp_path / "take", overwrite=True)
+        assert_same(Recording.load(tmp_path / "take"), part)
+
+
+def test_a_human36m_recording_comes_back_with_its_17_joints(tmp_path: Path) -> None:
+    skeleton = SkeletonModel.human36m()
+    moving = planted.moving(skeleton, T)
+    recording = Recording(
+        "h", planted.keypoints(moving.poses), skeleton_table="human36m", truth=moving.poses
+    )
+    recording.save(tmp_path / "take")
+    loaded = Recording.load(tmp_path / "take")
+    assert_same(loaded, recording)
+    assert loaded.skeleton.names == skeleton.names
+
+
+def test_a_recording_can_be_sent_to_another_process() -> None:
+    recording = full_recording()
+    assert_same(pickle.loads(pickle.dumps(recording)), recording)
+
+
+# --- folders written by hand ---------------------------------------------------------------------
+
+
+def test_a_folder_written_by_hand_says_what_its_author_meant(tmp_path: Path) -> None:
+    recording = Recording.load(write(tmp_path))
+    assert recording.name == "by hand"
+    assert recording.acknowledgement == "Data by nobody."
+    assert recording.keypoints.names == SKELETON.names
+    np.testing.assert_array_equal(recording.keypoints.uv_px, keypoint_arrays()["uv_px"])
+    np.testing.assert_allclose(recording.keypoints.times, 0.5 + np.arange(T) / 60)
+    np.testing.assert_allclose(recording.keypoints.camera.center_world, [4.0, 0.6, 1.5])
+    np.testing.assert_allclose(recording.keypoints.camera.project([0.0, 0.0, 1.0]), [960, 540])
+    assert recording.skeleton.height == pytest.approx(1.80, abs=0.01)
+    assert recording.skeleton.table.mass_kg == 82.5
+    assert recording.skeleton.table.sex == "male"
+    assert recording.imus is not None
+    assert recording.calibration is not None
+    assert recording.imus.names == recording.calibration.sensors == ("L_UpArm", "strap")
+    np.testing.assert_allclose(recording.imus.times, 0.4 + np.arange(40) / 100)
+    np.testing.assert_allclose(
+        recording.imus.R_inertial_sensor, so3.from_quat_wxyz(imu_arrays()["quat_wxyz"]), atol=1e-12
+    )
+    assert recording.calibration.joints == ("LeftArm", "RightLeg")
+    np.testing.assert_allclose(recording.calibration.R_sensor_bone[0] @ [1, 0, 0], [0, 1, 0])
+    np.testing.assert_allclose(recording.calibration.p_bone_sensor[1], [0.05, 0.0, -0.16])
+
+
+def test_the_example_of_the_documentation_can_be_loaded(tmp_path: Path) -> None:
+    text = rtof_kin.recording.recording.__doc__ or ""
+    example = text[text.index("    schema_version") : text.index("Missing is NaN")]
+    (tmp_path / INDEX).write_text(textwrap.dedent(example))
+    np.savez(tmp_path / "keypoints.npz", uv_px=UV[:, :3], confidence=np.ones((T, 3)))
+    np.savez(tmp_path / "imus.npz", quat_wxyz=QUAT[:, :1], f_sensor=FORCE[:, :1])
+    poses = planted.moving(SKELETON, T).poses
+    np.savez(
+        tmp_path / "truth.npz",
+        times=poses.times, p_world_joint=poses.p_world_joint, R_world_bone=poses.R_world_bone,
+    )  # fmt: skip
+    recording = Recording.load(tmp_path)
+    assert recording.name == "walk"
+    assert recording.keypoints.names == ("LeftArm", "Nose")
+    assert recording.skeleton.bone_lengths["LeftLeg"] == pytest.approx(0.41)
+    assert recording.bone_imus() is not None
+    assert recording.truth is not None
+
+
+def test_the_usual_lever_arm_of_a_known_sensor_is_that_of_the_subject(tmp_path: Path) -> None:
+    recording = Recording.load(write(tmp_path))
+    assert recording.calibration is not None
+    joint, lever = SKELETON.with_height(1.80).sensors["L_UpArm"]
+    assert recording.calibration.joints[0] == joint
+    np.testing.assert_allclose(recording.calibration.p_bone_sensor[0], lever)
+
+
+def test_the_name_of_the_folder_serves_where_no_name_is_given(tmp_path: Path) -> None:
+    assert Recording.load(write(tmp_path, 'name = "by hand"')).name == tmp_path.name
+
+
+def test_times_in_the_file_are_shifted_by_the_start(tmp_path: Path) -> None:
+    times = np.cumsum(np.random.default_rng(0).uniform(0.01, 0.02, T))
+    write(tmp_path, "rate_hz = 60.0\n", keypoints={**keypoint_arrays(), "times": times})
+    np.testing.assert_array_equal(Recording.load(tmp_path).keypoints.times, times + 0.5)
+
+
+def test_points_with_an_empty_name_are_left_out(tmp_path: Path) -> None:
+    arrays = {"uv_px": keypoint_arrays()["uv_px"][:, :3]}
+    write(tmp_path, 'layout = "joints"', 'landmarks = ["Nose", "", "LeftHand"]', arrays)
+    keypoints = Recording.load(tmp_path).keypoints
+    assert keypoints.names == ("Nose", "LeftHand")
+    np.testing.assert_array_equal(keypoints.uv_px, arrays["uv_px"][:, [0, 2]])
+    assert np.all(keypoints.confidence == 1)
+
+
+def test_bone_lengths_stand_above_the_height(tmp_path: Path) -> None:
+    write(tmp_path, "[camera]", "[skeleton]\nbone_lengths_m = {LeftLeg = 0.45}\n[camera]")
+    recording = Recording.load(tmp_path)
+    taller = SKELETON.with_height(1.80).bone_lengths
+    assert recording.skeleton.bone_lengths["LeftLeg"] == pytest.approx(0.45)
+    assert recording.skeleton.bone_lengths["RightLeg"] == pytest.approx(taller["RightLeg"])
+
+
+def test_the_camera_may_be_given_by_its_matrices(tmp_path: Path) -> None:
+    wanted = planted.camera()
+    old = "focal_px = 1250.0\nposition_m = [4.0, 0.6, 1.5]\ntarget_m = [0.0, 0.0, 1.0]\n"
+    new = (
+        f"K = {wanted.K.tolist()}\nR_camera_world = {wanted.R_camera_world.tolist()}\n"
+        f"t_camera_world_m = {wanted.t_camera_world.tolist()}\n"
+    )
+    camera = Recording.load(write(tmp_path, old, new)).keypoints.camera
+    assert_same(camera, wanted)
+
+
+def csv_text(columns: dict[str, np.ndarray]) -> str:
+    rows = zip(*columns.values(), strict=True)
+    cells = [",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in rows]
+    return "\n".join([",".join(columns), *cells]) + "\n"
+
+
+def test_csv_files_give_the_same_recording_as_arrays(tmp_path: Path) -> None:
+    arrays, imus = keypoint_arrays(), imu_arrays()
+    arrays["uv_px"][4, 2] = np.nan
+    arrays["confidence"][4, 2] = 0
+    wanted = Recording.load(write(tmp_path, keypoints=arrays))
+    columns = {"time": np.arange(T) / 60}
+    for j, name in enumerate(SKELETON.names):
+        columns |= {
+            f"{name}_u_px": arrays["uv_px"][:, j, 0],
+            f"{name}_v_px": arrays["uv_px"][:, j, 1],
+        }
+        columns[f"{name}_confidence"] = arrays["confidence"][:, j]
+    (tmp_path / "keypoints.csv").write_text(csv_text(columns))
+    columns = {}
+    for s, name in enumerate(("L_UpArm", "strap")):
+        for i, axis in enumerate("wxyz"):
+            columns[f"{name}_q{axis}"] = imus["quat_wxyz"][:, s, i]
+        for i, axis in enumerate("xyz"):
+            columns[f"{name}_f{axis}"] = imus["f_sensor"][:, s, i]
+    (tmp_path / "imus.csv").write_text(csv_text(columns))
+    text = (tmp_path / INDEX).read_text().replace(".npz", ".csv")
+    text = text.replace("rate_hz = 60.0\n", "").replace('layout = "joints"\n', "")
+    (tmp_path / INDEX).write_text(text)
+    assert_same(Recording.load(tmp_path), wanted)
+
+
+# --- in memory -----------------------------------------------------------------------------------
+
+
+def test_the_body_is_the_table_where_nothing_is_known() -> None:
+    recording = Recording("x", planted.keypoints(planted.moving(SKELETON, 4).poses))
+    np.testing.assert_array_equal(recording.joint_offsets, SKELETON.joint_offsets)
+    assert recording.bone_imus() is None
+
+
+def test_bone_imus_come_at_the_times_of_the_video_with_the_planted_orientation() -> None:
+    truth = planted.moving(SKELETON, 30)
+    recording = planted.recording(truth)
+    bones = recording.bone_imus()
+    assert bones is not None
+    np.testing.assert_array_equal(bones.times, recording.keypoints.times)
+    index = SKELETON.index(*bones.joints)
+    assert so3.angle_between(bones.R_world_bone, truth.poses.R_world_bone[:, index]).max() < 1e-9
+
+
+def test_bone_imus_come_at_their_own_times_or_at_those_asked_for_where_nobody_filmed() -> None:
+    recording = replace(full_recording(), keypoints=None)
+    assert recording.imus is not None
+    own = recording.bone_imus()
+    assert own is not None
+    np.testing.assert_array_equal(own.times, recording.imus.times)
+    times = recording.imus.times[2:6]
+    asked = recording.bone_imus(times=times)
+    assert asked is not None
+    np.testing.assert_array_equal(asked.times, times)
+
+
+def test_a_recording_of_nothing_is_refused() -> None:
+    with pytest.raises(ShapeError, match="neither keypoints nor IMUs"):
+        Recording("empty")
+
+
+def test_imus_without_a_calibration_are_refused_when_they_are_used() -> None:
+    recording = replace(full_recording(), calibration=None)
+    with pytest.raises(CalibrationError, match=r"its IMUs have no calibration; add a table"):
+        recording.bone_imus()
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"skeleton_table": "total_captur"}, UnknownNameError, "Did you mean 'total_capture'"),
+        ({"bone_lengths": {"LeftLeg": 0.3}}, ShapeError, "but joint_offsets make it .* give only one"),
+        ({"bone_lengths": {"LeftLegg": 0.3}}, UnknownNameError, "Did you mean 'LeftLeg'"),
+        ({"height": 170.0}, ShapeError, "height: 170 m, but the skeleton stands"),
+        ({"joint_offsets": np.zeros((20, 3))}, ShapeError, r"expected shape \(21, 3\)"),
+        ({"joint_offsets": np.full((21, 3), np.nan)}, ShapeError, "offset of Spine is not finite"),
+        ({"skeleton_table": "human36m", "joint_offsets": None, "height": None,
+          "bone_lengths": None}, UnknownNameError, "unknown landmark"),
+    ],
+)  # fmt: skip
+def test_fields_that_contradict_each_other_are_refused(
+    change: dict[str, object], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        replace(full_recording(), **change)  # type: ignore[arg-type]
+
+
+def test_imus_on_another_clock_are_refused() -> None:
+    recording = full_recording()
+    assert recording.imus is not None
+    late = replace(recording.imus, times=recording.imus.times + 1.7e9)
+    with pytest.raises(
+        ShapeError, match=r"IMU times run from 1\.7e\+09 .* shift them to one clock"
+    ):
+        replace(recording, imus=late)
+
+
+def test_truth_of_another_skeleton_is_refused() -> None:
+    other = planted.moving(SkeletonModel.human36m(), T).poses
+    with pytest.raises(ShapeError, match="truth: its joints are not those of the skeleton"):
+        replace(full_recording(), truth=other)
+
+
+# --- hostile folders: text -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "error", "message"),
+    [
+        ("schema_version = 1", "", FileFormatError, "schema_version: missing"),
+        ("schema_version = 1", "schema_version = 2", FileFormatError, "schema_version: 2 is not 1"),
+        ("schema_version = 1", "schema_version = [", FileFormatError, "not readable as TOML"),
+        ("width_px = 1920", "", FileFormatError, r"\[camera\] width_px: missing; add e\.g\."),
+        ("width_px = 1920", "widht_px = 1920", FileFormatError,
+         r"\[camera\] width_px: missing; there is 'widht_px', which may be misspelt"),
+        ("width_px = 1920", "width_px = 0", FileFormatError, "must be positive"),
+        ("width_px = 1920", 'width_px = "a"', FileFormatError, "'a' is not a finite number"),
+        ("width_px = 1920", "width_px = 19.5", FileFormatError, "not a whole number"),
+        ("focal_px = 1250.0", "focal_px = nan", FileFormatError, "focal_px: nan is not a finite"),
+        ("focal_px = 1250.0", "focal_px = -3", FileFormatError, "positive focal lengths"),
+        ("focal_px = 1250.0", "focal_px = 4.2", FileFormatError,
+         r"\[camera\] focal_px: a focal length of 4\.2 px .* is it in mm\? Give px"),
+        ("target_m = [0.0, 0.0, 1.0]", "", FileFormatError, "target_m: missing; add 3 numbers"),
+        ("[0.0, 0.0, 1.0]", "[4.0, 0.6, 0.0]", FileFormatError, "target_m: straight above, below"),
+        ("[0.0, 0.0, 1.0]", "[0.0, 1.0]", FileFormatError, r"expected 3 numbers, got shape \(2,\)"),
+        ("[0.0, 0.0, 1.0]", "[0.0, inf, 1.0]", FileFormatError, "holds a number that is not finite"),
+        ("[camera]", "[camera]\ndistorsion = [0]", UnknownNameError, "Did you mean 'distortion'"),
+        ("[subject]", "[subject]\nheigth_m = 1", UnknownNameError, r"\[subject\] 'heigth_m'"),
+        ("height_m = 1.80", "height_m = 180", FileFormatError, "no human height; give metres"),
+        ("mass_kg = 82.5", "mass_kg = 7e4", FileFormatError, "mass: 70000 kg is no person's; give"),
+        ('sex = "male"', 'sex = "m"', FileFormatError, "male, female or None"),
+        ('file = "keypoints.npz"', "", FileFormatError, r"\[keypoints\] file: missing"),
+        ("keypoints.npz", "points.npz", FileFormatError, r"there is no file .*points\.npz"),
+        ("keypoints.npz", "../keypoints.npz", FileFormatError, "leads out of the folder"),
+        ("keypoints.npz", "/etc/passwd", FileFormatError, "leads out of the folder"),
+        ("rate_hz = 60.0\n", "", FileFormatError, r"\[keypoints\] rate_hz: missing, and .* no times"),
+        ("rate_hz = 60.0", "rate_hz = 0", FileFormatError, "0 is not a positive number of samples"),
+        ('layout = "joints"', "", FileFormatError, "landmarks: missing; list the names"),
+        ('layout = "joints"', 'layout = "coco"', FileFormatError, "'coco' is not known; write"),
+        ('"joints"', '"joints"\nlandmarks = []', FileFormatError, "layout: stands beside landmarks"),
+        ('layout = "joints"', 'landmarks = ["Hips"]', FileFormatError, "1 names, but .* 21 points"),
+        ('layout = "joints"', "landmarks = 3", FileFormatError, "not a list of names"),
+        ("[imus.sensors.strap]", "[imus.sensors]\nx = 3\n[imus.sensors.strap]", FileFormatError,
+         r"\[imus\.sensors\] x: not a table"),
+        ('joint = "RightLeg"', 'joint = "RightLag"', UnknownNameError,
+         r"recording\.toml, \[imus\.sensors\.strap\] joint 'RightLag'\. Did you mean 'RightLeg'"),
+        ('joint = "RightLeg"', "", FileFormatError, r"\[imus\.sensors\.strap\] joint: missing"),
+        ('joint = "RightLeg"', 'joint = "LeftArm"', FileFormatError, "LeftArm stands there more than"),
+        ("lever_arm_m = [0.05, 0.0, -0.16]", "", FileFormatError, "lever_arm_m: missing; add 3"),
+        ("[0.05, 0.0, -0.16]", "[50, 0, -160]", FileFormatError, "lever arm is .* longer than 1 m"),
+        ("quat_wxyz_world_inertial = [1, 0, 0, 0]", "", FileFormatError,
+         "give one of R_world_inertial"),
+        ("[0.5, 0.5, 0.5, 0.5]", "[0.5, 0.5, 0.5, 0.4]", FileFormatError,
+         r"\[imus\.sensors\.L_UpArm\] quat_wxyz_sensor_bone: has norm 0\.95"),
+        ("[[0, -1, 0], [1, 0, 0], [0, 0, 1]]", "[[0, 1, 0], [1, 0, 0], [0, 0, 1]]", FileFormatError,
+         "calibration of strap: R_world_inertial is not a rotation"),
+        ("start_s = 0.4", "start_s = 40", FileFormatError, "shift them to one clock"),
+        ("[imus.sensors.L_UpArm]", 'names = ["L_UpArm", "belt"]\n[imus.sensors.L_UpArm]',
+         UnknownNameError, "'belt'"),
+        ("[imus.sensors.L_UpArm]", 'names = ["strap"]\n[imus.sensors.L_UpArm]', FileFormatError,
+         r"names: 1 sensors are named, but .* has 2"),
+        ("[camera]", "[skeleton]\ntable = 'smpl'\n[camera]", UnknownNameError, "human36m"),
+        ("[camera]", "[skeleton]\nbone_lengths_m = {Elbow = 1}\n[camera]", UnknownNameError,
+         r"bone_lengths_m 'Elbow'"),
+        ("[camera]", "[skeleton]\njoint_offsets_m = {Spine = [0, 0, 1]}\n[camera]", FileFormatError,
+         r"\[skeleton\.joint_offsets_m\] Spine1: missing"),
+        ("[notes]", "[truth]\n[notes]", FileFormatError, r"\[truth\] file: missing"),
+        ("[notes]", "[note]\n[notes]", UnknownNameError, "Did you mean 'notes'"),
+    ],
+)  # fmt: skip
+def test_a_wrong_line_is_answered_with_file_field_and_remedy(
+    tmp_path: Path, old: str, new: str, error: type[Exception], message: str
+) -> None:
+    write(tmp_path, old, new)
+    with pytest.raises(error, match=message) as caught:
+        Recording.load(tmp_path)
+    assert isinstance(caught.value, RtofError)
+    assert str(tmp_path) in str(caught.value)
+
+
+def test_an_unknown_landmark_is_answered_with_the_nearest_one(tmp_path: Path) -> None:
+    names = [*SKELETON.names[:-1], "LeftFot"]
+    write(tmp_path, 'layout = "joints"', f"landmarks = {names}")
+    with pytest.raises(
+        UnknownNameError, match=r"\[keypoints\] landmarks 'LeftFot'\. Did .*'LeftFoot'"
+    ):
+        Recording.load(tmp_path)
+
+
+def test_a_folder_that_is_no_recording_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match=r"recording\.toml: there is no such file"):
+        Recording.load(tmp_path)
+    with pytest.raises(FileFormatError, match=r"nowhere.*there is no such file"):
+        Recording.load(tmp_path / "nowhere")
+    (tmp_path / INDEX).write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FileFormatError, match="not a text file in UTF-8, so not TOML"):
+        Recording.load(tmp_path)
+
+
+# --- hostile folders: arrays ---------------------------------------------------------------------
+
+
+def changed(make: Callable[[], dict[str, np.ndarray]], **new: object) -> dict[str, np.ndarray]:
+    """Arrays with some replaced, or taken away where None is given."""
+    arrays = {**make(), **new}
+    return {name: np.asarray(value) for name, value in arrays.items() if value is not None}
+
+
+def with_value(array: np.ndarray, index: object, value: object) -> np.ndarray:
+    out = np.array(array)
+    out[index] = value  # type: ignore[index]
+    return out
+
+
+UV = keypoint_arrays()["uv_px"]
+QUAT, FORCE = imu_arrays()["quat_wxyz"], imu_arrays()["f_sensor"]
+BACKWARDS = with_value(np.arange(T) / 60, 5, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("new", "error", "message"),
+    [
+        ({"uv_px": None}, FileFormatError, "no array 'uv_px' of shape"),
+        ({"uv_px": UV[..., :1]}, FileFormatError, r"keypoints uv_px: expected shape \(12, 21, 2\)"),
+        ({"uv_px": UV[0]}, FileFormatError, r"uv_px: expected shape \(T, L, 2\), got \(21, 2\)"),
+        ({"uv_px": UV[:0], "confidence": None}, FileFormatError, "times: empty"),
+        ({"uv_px": with_value(UV, (1, 2), np.inf)}, FileFormatError, "infinite; write NaN"),
+        ({"confidence": np.full((T, 20), 1.0)}, FileFormatError, "confidence: expected shape"),
+        ({"confidence": np.full((T, 21), 90.0)}, FileFormatError, r"outside \[0, 1\]; divide"),
+        ({"uvpx": UV}, UnknownNameError, "array in .*keypoints.npz 'uvpx'. Did you mean 'uv_px'"),
+        ({"times": np.arange(T) / 60}, FileFormatError, "rate_hz: .* has times of its own"),
+    ],
+)
+def test_wrong_keypoint_arrays_are_answered_with_file_and_field(
+    tmp_path: Path, new: dict[str, object], error: type[Exception], message: str
+) -> None:
+    write(tmp_path, keypoints=changed(keypoint_arrays, **new))
+    with pytest.raises(error, match=message) as caught:
+        Recording.load(tmp_path)
+    assert str(tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        (BACKWARDS, "time does not increase from index 4"),
+        (with_value(np.arange(T) / 60, 3, np.nan), "not finite at index 3"),
+        (np.arange(T - 1) / 60, r"keypoints uv_px: expected shape \(11, "),
+        (np.ones((T, 2)), "keypoint times: expected shape"),
+    ],
+)
+def test_wrong_times_are_answered_with_the_sample(
+    tmp_path: Path, times: np.ndarray, message: str
+) -> None:
+    write(tmp_path, "rate_hz = 60.0\n", keypoints={**keypoint_arrays(), "times": times})
+    with pytest.raises(FileFormatError, match=rf"keypoints\.npz: .*{message}"):
+        Recording.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("new", "error", "message"),
+    [
+        ({"quat_wxyz": with_value(QUAT, (7, 1), QUAT[7, 1] * 1.01)}, FileFormatError,
+         r"imus\.npz: quat_wxyz: sample 7 of strap has norm 1\.01, not 1; normalise it"),
+        ({"quat_wxyz": np.zeros_like(QUAT)}, FileFormatError, "sample 0 of L_UpArm has norm 0"),
+        ({"quat_wxyz": QUAT[:-1]}, FileFormatError, r"quat_wxyz: expected shape \(40, 2, 4\)"),
+        ({"quat_wxyz": None}, FileFormatError, "give one of quat_wxyz"),
+        ({"R_inertial_sensor": np.ones((40, S, 3, 3))}, FileFormatError, "give one of quat_wxyz"),
+        ({"quat_wxyz": None, "R_inertial_sensor": np.ones((40, S, 3, 3))}, FileFormatError,
+         r"imus\.npz: IMU R_inertial_sensor: not a rotation matrix at index \(0, 0\)"),
+        ({"f_sensor": FORCE / 9.81}, UnitError, r"imus\.npz: IMU L_UpArm: .* in g; multiply by 9\.81"),
+        ({"f_sensor": FORCE * 0}, UnitError, r"imus\.npz: .* gravity was removed"),
+        ({"f_sensor": FORCE * 1000}, UnitError, r"imus\.npz: .* not milli-g or raw counts"),
+        ({"f_sensor": with_value(FORCE, (3, 1), np.inf)}, FileFormatError, "infinite; write NaN"),
+        ({"f_sensor": None}, FileFormatError, "no array 'f_sensor' of shape"),
+        ({"f_sensor": FORCE[:, :, :2]}, FileFormatError, r"IMU f_sensor: expected shape \(40, 2, 3\)"),
+    ],
+)  # fmt: skip
+def test_wrong_imu_arrays_are_answered_with_file_and_field(
+    tmp_path: Path, new: dict[str, object], error: type[Exception], message: str
+) -> None:
+    write(tmp_path, imus=changed(imu_arrays, **new))
+    with pytest.raises(error, match=message) as caught:
+        Recording.load(tmp_path)
+    assert str(tmp_path) in str(caught.value)
+
+
+def test_a_quaternion_off_by_less_than_a_thousandth_is_normalised(tmp_path: Path) -> None:
+    write(tmp_path, imus=changed(imu_arrays, quat_wxyz=QUAT * 1.0009))
+    imus = Recording.load(tmp_path).imus
+    assert imus is not None
+    np.testing.assert_allclose(imus.R_inertial_sensor, so3.from_quat_wxyz(QUAT), atol=1e-12)
+
+
+def test_missing_imu_samples_are_nan(tmp_path: Path) -> None:
+    write(tmp_path, imus=changed(imu_arrays, quat_wxyz=with_value(QUAT, (3, 1), np.nan)))
+    imus = Recording.load(tmp_path).imus
+    assert imus is not None
+    assert np.isnan(imus.R_inertial_sensor[3, 1]).all()
+    assert np.isfinite(imus.R_inertial_sensor).all(axis=(2, 3)).sum() == 40 * S - 1
+
+
+# --- hostile folders: bytes ----------------------------------------------------------------------
+
+
+class Bomb:
+    """Unpickling this would run a command."""
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return (exec, ("raise SystemExit('unpickled')",))
+
+
+def npz_bytes(**members: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(f"{name}.npy", content)
+    return buffer.getvalue()
+
+
+def npy_bytes(array: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+def test_pickled_objects_are_refused_and_not_run(tmp_path: Path) -> None:
+    write(tmp_path, keypoints={"uv_px": np.array([Bomb()], dtype=object)})
+    with pytest.raises(FileFormatError, match=r"uv_px: holds object, .* objects are never read"):
+        Recording.load(tmp_path)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
+def test_a_truncated_archive_is_said_to_be_damaged(tmp_path: Path, share: float) -> None:
+    write(tmp_path)
+    content = (tmp_path / "keypoints.npz").read_bytes()
+    (tmp_path / "keypoints.npz").write_bytes(content[: int(share * len(content))])
+    with pytest.raises(FileFormatError, match=r"keypoints\.npz: damaged, or no NPZ archive"):
+        Recording.load(tmp_path)
+
+
+def test_a_flipped_byte_in_an_archive_is_said_to_be_damaged(tmp_path: Path) -> None:
+    write(tmp_path)
+    content = bytearray((tmp_path / "keypoints.npz").read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    (tmp_path / "keypoints.npz").write_bytes(bytes(content))
+    with pytest.raises(FileFormatError, match=r"keypoints\.npz: damaged"):
+        Recording.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "damaged, or no NPZ archive"),
+        (b"time,Hips_u_px\n0,1\n", "damaged, or no NPZ archive"),
+        (npz_bytes(uv_px=b"hello"), "uv_px: not a NumPy array"),
+        (npz_bytes(uv_px=npy_bytes(UV)[:-8]), "uv_px: damaged, 4024 of 4032"),
+        (
+            npz_bytes(uv_px=npy_bytes(UV).replace(b"(12, 21, 2)", b"(92, 21, 2)")),
+            "needs 30912 bytes",
+        ),
+        (npz_bytes(uv_px=npy_bytes(UV) + bytes(8)), "uv_px: damaged, 4040 of 4032"),
+        (npz_bytes(uv_px=npy_bytes(np.array(["a", "b"]))), "uv_px: holds <U1, not numbers"),
+    ],
+)
+def test_bytes_that_are_no_archive_of_numbers_are_refused(
+    tmp_path: Path, content: bytes, message: str
+) -> None:
+    write(tmp_path)
+    (tmp_path / "keypoints.npz").write_bytes(content)
+    with pytest.raises(FileFormatError, match=message):
+        Recording.load(tmp_path)
+
+
+def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "zeros.npz", x=np.zeros(10**6))
+    assert len(read_npz(tmp_path / "zeros.npz")["x"]) == 10**6
+    with pytest.raises(FileFormatError, match="would fill more than 1 MiB of memory"):
+        read_npz(tmp_path / "zeros.npz", limit=2**20)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "line 1: empty; expected a CSV file; its first line names"),
+        ("time;Hips_u_px;Hips_v_px\n", "line 1: separated by ';'"),
+        ("time,Hips_u_px\n0,1\n", "line 1: the column 'Hips_v_px' is missing"),
+        ("time,Hips_x,Hips_y\n0,1,2\n", "line 1: column 'Hips_x': expected 'time'"),
+        ("time\n0\n", "line 1: no column ends in _u_px"),
+        ("time,Hips_u_px,Hips_u_px\n0,1,2\n", "'Hips_u_px' stands there more than once"),
+        ("time,Hips_u_px,Hips_v_px\n0,1,2\n1,2\n", "line 3: 2 cells where the header names 3"),
+        ("time,Hips_u_px,Hips_v_px\n0,1,two\n", "line 2: column Hips_v_px: 'two' is not a number"),
+        ("time,Hips_u_px,Hips_v_px\n1,1,2\n0,1,2\n", "time does not increase from index 0"),
+        ("time,Hips_u_px,Hips_v_px\n", "times: empty"),
+    ],
+)
+def test_a_wrong_csv_file_is_answered_with_line_and_column(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    write(tmp_path, 'file = "keypoints.npz"\nrate_hz = 60.0', 'file = "keypoints.csv"')
+    (tmp_path / "keypoints.csv").write_text(text)
+    toml = (tmp_path / INDEX).read_text().replace('layout = "joints"\n', "")
+    (tmp_path / INDEX).write_text(toml)
+    with pytest.raises(FileFormatError, match=rf"keypoints\.csv.*{message}"):
+        Recording.load(tmp_path)
+
+
+def test_an_unknown_landmark_in_a_csv_file_is_answered_with_the_file(tmp_path: Path) -> None:
+    write(tmp_path, 'file = "keypoints.npz"\nrate_hz = 60.0', 'file = "keypoints.csv"')
+    (tmp_path / "keypoints.csv").write_text("time,Nouse_u_px,Nouse_v_px\n0,1,2\n")
+    with pytest.raises(UnknownNameError, match=r"keypoints\.csv 'Nouse'\. Did you mean 'Nose'"):
+        Recording.load(tmp_path)
+
+
+# --- writing -------------------------------------------------------------------------------------
+
+
+def test_an_existing_recording_is_only_replaced_when_asked(tmp_path: Path) -> None:
+    recording = full_recording()
+    recording.save(tmp_path / "take")
+    with pytest.raises(OutputExistsError, match=r"take: is there already; .*overwrite=True"):
+        replace(recording, name="other").save(tmp_path / "take")
+    assert Recording.load(tmp_path / "take").name == recording.name
+    replace(recording, name="other", imus=None).save(tmp_path / "take", overwrite=True)
+    assert Recording.load(tmp_path / "take").name == "other"
+    assert not (tmp_path / "take" / "imus.npz").exists()
+    assert [p.name for p in tmp_path.iterdir()] == ["take"]
+
+
+def test_a_folder_that_is_no_recording_is_never_replaced(tmp_path: Path) -> None:
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "thesis.tex").write_text("three years")
+    (tmp_path / "file").write_text("x")
+    for name in ("thesis", "file"):
+        with pytest.raises(OutputExistsError, match="name a"):
+            full_recording().save(tmp_path / name, overwrite=True)
+    assert (tmp_path / "thesis" / "thesis.tex").read_text() == "three years"
+
+
+def test_a_recording_with_somebody_elses_files_beside_it_is_not_replaced(tmp_path: Path) -> None:
+    recording = full_recording()
+    recording.save(tmp_path / "take")
+    (tmp_path / "take" / "video.mp4").write_text("the only copy")
+    with pytest.raises(OutputExistsError, match=r"take: holds .*: video\.mp4; move it"):
+        recording.save(tmp_path / "take", overwrite=True)
+    assert (tmp_path / "take" / "video.mp4").exists()
+
+
+def test_a_failed_write_leaves_what_was_there_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = full_recording()
+    recording.save(tmp_path / "take")
+
+    def full_disk(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("rtof_kin.recording.recording.tomli_w.dumps", full_disk)
+    for name in ("take", "new"):
+        with pytest.raises(RtofError, match=r"No space left on device"):
+            replace(recording, name="b").save(tmp_path / name, overwrite=True)
+    assert Recording.load(tmp_path / "take").name == recording.name
+    assert [p.name for p in tmp_path.iterdir()] == ["take"]
+
+
+def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(RtofError, match=r"take: cannot be written .*; choose another folder"):
+        full_recording().save(tmp_path / "file" / "take")

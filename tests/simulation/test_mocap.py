@@ -1,0 +1,405 @@
+"""Motion capture carried over to the package's skeleton: planted postures, real walks, corpora."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtof_kin.body import kinematics
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.data.types import PoseSequence
+from rtof_kin.formats.asf_amc import read_asf_amc
+from rtof_kin.formats.bvh import read_bvh
+from rtof_kin.simulation import mocap
+from rtof_kin.simulation.mocap_families import (
+    NAMES,
+    PARENTS,
+    families,
+    lead_in,
+    recognise_family,
+    recognise_unit,
+    restored_offsets,
+)
+from rtof_kin.simulation.mocap_mapping import map_motion
+
+DATA = Path(__file__).parents[1] / "fixtures" / "mocap"
+WALK = DATA / "02_01_excerpt.bvh"  # at 30 Hz, its first frame an added T-pose
+FILES = (WALK, DATA / "10_01_excerpt.bvh", DATA / "14_14_excerpt.bvh", DATA / "16_15.amc")
+CMU_UNIT_M = 0.0254 / 0.45
+
+
+def index(name):
+    return NAMES.index(name)
+
+
+def local(clip):
+    return kinematics.local_rotations(PARENTS, clip.poses.R_world_bone)
+
+
+@pytest.fixture
+def planted(tmp_path):
+    """A clip of one frame in which only the CMU bones named are turned, by degrees."""
+
+    def plant(**angles):
+        frame = (DATA / "16_15.amc").read_text().split("\n2\n")[0].splitlines()
+        lines = []
+        for line in frame:
+            name, *words = line.split()
+            if words:
+                values = angles.get(name, [0] * len(words))
+                line = " ".join([name, *map(str, values)])
+            lines.append(line)
+        path = tmp_path / "planted.amc"
+        path.write_text("\n".join(lines) + "\n")
+        return mocap.read_mocap(path, asf=DATA / "16.asf")
+
+    return plant
+
+
+@pytest.mark.parametrize(
+    ("bone", "angles", "joint", "axis", "degrees"),
+    [
+        ("ltibia", [50], "LeftLeg", "y", 50),
+        ("rtibia", [50], "RightLeg", "y", 50),
+        ("lradius", [70], "LeftForeArm", "z", -70),
+        ("rradius", [70], "RightForeArm", "z", 70),
+        ("root", [0, 0, 0, 0, 90, 0], "Hips", "z", 90),
+        ("root", [0, 0, 0, 20, 0, 0], "Hips", "y", 20),
+        ("root", [0, 0, 0, 0, 0, 10], "Hips", "x", 10),
+    ],
+)
+def test_a_planted_angle_arrives_about_the_axis_of_its_joint(
+    planted, bone, angles, joint, axis, degrees
+):
+    R = local(planted(**{bone: angles}))[0, index(joint)]
+    np.testing.assert_allclose(R, so3.about_axis(axis, np.radians(degrees)), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("bone", "joint", "spread"), [("lfemur", "Left", 20), ("rfemur", "Right", -20)]
+)
+def test_the_legs_that_cmu_spreads_at_rest_are_spread_here_too(planted, bone, joint, spread):
+    R = local(planted(**{bone: [-40, 0, 0]}))[0, index(joint + "UpLeg")]
+    expected = so3.euler_to_matrix("xyz", np.radians([spread, -40, 0]))
+    np.testing.assert_allclose(R, expected, atol=1e-6)
+    upright = local(planted(**{bone: [0, 0, -spread]}))[0, index(joint + "UpLeg")]
+    np.testing.assert_allclose(upright, np.eye(3), atol=1e-6)
+
+
+def test_pronation_turns_the_hand_and_not_the_forearm(planted):
+    flat, turned = planted(), planted(lwrist=[40])
+    before, after = local(flat)[0], local(turned)[0]
+    np.testing.assert_allclose(after[index("LeftForeArm")], np.eye(3), atol=1e-9)
+    hand = after[index("LeftHand")] @ before[index("LeftHand")].T
+    np.testing.assert_allclose(hand, so3.about_axis("y", np.radians(-40)), atol=1e-9)
+    np.testing.assert_allclose(turned.poses.p_world_joint, flat.poses.p_world_joint, atol=1e-9)
+
+
+def test_the_root_moves_in_metres_with_z_up_and_its_rest_facing_x(planted):
+    p = planted(root=[1, 2, 3, 0, 0, 0]).poses.p_world_joint[0]
+    np.testing.assert_allclose(p[index("Hips")], np.array([3, 1, 2]) * CMU_UNIT_M, atol=1e-12)
+    assert p[index("LeftArm"), 1] > p[index("RightArm"), 1]
+    assert p[index("Head"), 2] > p[index("Hips"), 2] > p[index("LeftFoot"), 2]
+
+
+def test_the_added_t_pose_has_parallel_frames():
+    motion = read_bvh(WALK)
+    family = recognise_family(WALK, motion)
+    R = map_motion(motion[:1], family, CMU_UNIT_M, 30.0, "pose").poses.R_world_bone[0]
+    # The converter's pose differs from a T by 1 degree at the legs, 8 at the arms and their roll.
+    arms = {index(side + joint) for side in ("Left", "Right") for joint in ("Arm", "ForeArm")}
+    straight = [m for m in range(len(NAMES)) if m not in arms and "Hand" not in NAMES[m]]
+    assert np.degrees(so3.angle_between(R[straight], np.eye(3))).max() < 1.01
+    for side, sign in (("Left", 1), ("Right", -1)):
+        expected = so3.euler_to_matrix("xyz", np.radians([sign * -8, -30, 0]))
+        np.testing.assert_allclose(R[index(side + "Arm")], expected, atol=1e-6)
+
+
+def test_arms_that_hang_in_the_rest_pose_hang_here_too():
+    path = DATA / "14_14_excerpt.bvh"
+    motion = read_bvh(path)
+    family = recognise_family(path, motion)
+    rest = replace(motion[:1], R_parent_joint=np.tile(np.eye(3), (1, len(motion.names), 1, 1)))
+    clip = map_motion(rest, family, CMU_UNIT_M, 120.0, "rest")
+    p = clip.poses.p_world_joint[0]
+    for side in ("Left", "Right"):
+        arm = p[index(side + "Hand")] - p[index(side + "Arm")]
+        np.testing.assert_allclose(so3.unit(arm), [0, 0, -1], atol=1e-9)
+    # Thumbs point forward when arms hang from a T-pose with the palms down.
+    R = clip.poses.R_world_bone[0]
+    np.testing.assert_allclose(R[index("LeftHand")], so3.about_axis("x", -np.pi / 2), atol=1e-9)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_positions_are_exactly_rigid_and_limbs_lie_on_their_axes(path):
+    clip = mocap.read_mocap(path)
+    poses, offsets = clip.poses, clip.joint_offsets
+    p = kinematics.positions(PARENTS, offsets, poses.p_world_joint[:, 0], poses.R_world_bone)
+    np.testing.assert_allclose(p, poses.p_world_joint, atol=1e-9)
+    for side, sign in (("Left", 1), ("Right", -1)):
+        for joint in ("Leg", "Foot"):
+            np.testing.assert_allclose(
+                so3.unit(offsets[index(side + joint)]), [0, 0, -1], atol=1e-9
+            )
+        for joint in ("ForeArm", "Hand"):
+            outward = so3.unit(offsets[index(side + joint)])
+            np.testing.assert_allclose(outward, [0, sign, 0], atol=1e-9)
+        assert sign * offsets[index(side + "UpLeg"), 1] > 0.05
+        assert 0.6 < -offsets[index(side + "Leg"), 2] - offsets[index(side + "Foot"), 2] < 1.0
+        arm = offsets[index(side + "ForeArm")] + offsets[index(side + "Hand")]
+        assert sign * arm[1] > 0.4
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_joints_stay_where_the_source_has_them(path):
+    motion = read_asf_amc(DATA / "16.asf", path) if path.suffix == ".amc" else read_bvh(path)
+    family = recognise_family(path, motion)
+    unit_m = recognise_unit(path, motion, family)
+    rigid = replace(motion, offsets=restored_offsets(motion, family))[lead_in(motion, family) :]
+    p_source = rigid.forward_kinematics()[0][..., [2, 0, 1]] * unit_m
+    p = mocap.read_mocap(path, output_rate_hz=None).poses.p_world_joint
+    for m, (start, stop, share) in enumerate(family.at):
+        a, b = p_source[:, motion.index(start)], p_source[:, motion.index(stop)]
+        error = np.linalg.norm(p[:, m] - (a + share * (b - a)), axis=-1).max()
+        of_leg = NAMES[m].endswith(("Hips", "Leg", "Foot"))
+        assert error < (1e-9 if of_leg else 0.045), NAMES[m]
+
+
+def test_the_walk_flexes_knees_about_y_and_goes_where_the_pelvis_faces():
+    clip = mocap.read_mocap(WALK)
+    for side in ("Left", "Right"):
+        angles = np.degrees(so3.log(local(clip)[:, index(side + "Leg")]))
+        assert np.abs(angles[:, [0, 2]]).max() < 1
+        assert -1 < angles[:, 1].min() < 25
+        assert 50 < angles[:, 1].max() < 75
+    p = clip.poses.p_world_joint[:, 0]
+    way = np.arctan2(*(p[-1] - p[0])[[1, 0]])
+    facing = so3.heading(clip.poses.R_world_bone[:, 0]) - way
+    assert abs(np.degrees(np.angle(np.exp(1j * facing).mean()))) < 15
+    for joint, most in (("Hips", 10), ("Spine3", 10), ("Head", 30)):
+        up = clip.poses.R_world_bone[:, index(joint), 2, 2]
+        assert np.degrees(np.arccos(up)).max() < most
+
+
+# --- files --------------------------------------------------------------------------------
+
+
+def test_every_family_places_every_joint_once_and_none_is_taken_for_another():
+    for family in families():
+        assert len(family.at) == len(family.turns) == len(family.aim) == len(NAMES)
+        need = {joint for entry in (*family.at, *family.turns) for joint in entry[:2]}
+        others = [other for other in families() if other is not family]
+        assert not any(other.recognise <= need | family.recognise for other in others), family.name
+    names = ["cmu_bvh", "daz", "cmu_hanging_arms", "cmu_asf"]
+    for path, name in zip(FILES, names, strict=True):
+        motion = read_asf_amc(DATA / "16.asf", path) if path.suffix == ".amc" else read_bvh(path)
+        assert recognise_family(path, motion).name == name
+
+
+def test_frames_that_a_converter_added_are_left_out():
+    assert len(mocap.read_mocap(WALK, output_rate_hz=None).poses) == len(read_bvh(WALK)) - 1
+    assert len(mocap.read_mocap(DATA / "10_01_excerpt.bvh", output_rate_hz=None).poses) == 3
+    motion = read_bvh(WALK)
+    R = motion.R_parent_joint.copy()
+    R[1:4] = np.eye(3)
+    family = recognise_family(WALK, motion)
+    assert lead_in(replace(motion, R_parent_joint=R), family) == 4
+
+
+def test_the_unit_is_the_one_that_gives_a_human_leg():
+    motion = read_bvh(WALK)
+    family = recognise_family(WALK, motion)
+    for unit_m in (1.0, 0.01, 0.0254, CMU_UNIT_M):
+        scaled = replace(motion, offsets=motion.offsets * CMU_UNIT_M / unit_m)
+        assert recognise_unit(WALK, scaled, family) == pytest.approx(unit_m)
+    with pytest.raises(FileFormatError, match=r"legs are .* units long, human in no unit"):
+        recognise_unit(WALK, replace(motion, offsets=motion.offsets * 300), family)
+    forced = mocap.read_mocap(WALK, unit_m=2 * CMU_UNIT_M)
+    plain = mocap.read_mocap(WALK)
+    np.testing.assert_allclose(forced.joint_offsets, 2 * plain.joint_offsets, atol=1e-12)
+
+
+def test_a_whole_ratio_of_rates_takes_every_nth_frame():
+    source = mocap.read_mocap(WALK, rate_hz=120, output_rate_hz=None)
+    clip = mocap.read_mocap(WALK, rate_hz=120, output_rate_hz=60)
+    assert clip.poses.rate_hz == pytest.approx(60)
+    np.testing.assert_array_equal(clip.poses.p_world_joint, source.poses.p_world_joint[::2])
+
+
+def test_other_ratios_interpolate_between_the_frames_and_stay_rigid():
+    source = mocap.read_mocap(WALK, output_rate_hz=None)
+    clip = mocap.resample_clip(source, 75.0)
+    assert source.poses.rate_hz == pytest.approx(30.0, abs=1e-9)
+    assert clip.poses.rate_hz == pytest.approx(75)
+    shared = clip.poses.p_world_joint[::5]
+    np.testing.assert_allclose(shared, source.poses.p_world_joint[::2][: len(shared)], atol=1e-9)
+    R = clip.poses.R_world_bone
+    p = kinematics.positions(PARENTS, clip.joint_offsets, clip.poses.p_world_joint[:, 0], R)
+    np.testing.assert_allclose(p, clip.poses.p_world_joint, atol=1e-9)
+    between = R[1, index("LeftLeg")] @ R[0, index("LeftLeg")].T
+    whole = source.poses.R_world_bone[1] @ np.swapaxes(source.poses.R_world_bone[0], -1, -2)
+    share = so3.angle_between(between, np.eye(3)) / so3.angle_between(
+        whole[index("LeftLeg")], np.eye(3)
+    )
+    assert share == pytest.approx(0.4, abs=0.05)
+
+
+def test_a_skeleton_is_found_beside_its_motion(tmp_path):
+    for name in ("16.asf", "gs_charleston.asf", "35_01.asf"):
+        (tmp_path / name).touch()
+    assert mocap.find_asf(tmp_path / "16_21.amc").name == "16.asf"
+    assert mocap.find_asf(tmp_path / "gs_charleston2.amc").name == "gs_charleston.asf"
+    assert mocap.find_asf(tmp_path / "35_01.amc").name == "35_01.asf"
+    with pytest.raises(FileFormatError, match=r"no \.asf skeleton beside it; name one with asf="):
+        mocap.find_asf(tmp_path / "17_01.amc")
+
+
+def test_unknown_files_and_skeletons_are_refused_with_what_is_known(tmp_path):
+    with pytest.raises(FileFormatError, match=r"read from \.bvh and \.amc files"):
+        mocap.read_mocap(tmp_path / "walk.fbx")
+    text = WALK.read_text()
+    (tmp_path / "a.bvh").write_text(text.replace("LHipJoint", "Hip"))
+    with pytest.raises(FileFormatError, match=r"unknown skeleton .*known families: cmu_bvh"):
+        mocap.read_mocap(tmp_path / "a.bvh")
+    (tmp_path / "b.bvh").write_text(text.replace("JOINT RightFoot", "JOINT RFoot"))
+    with pytest.raises(FileFormatError, match="family cmu_bvh without RightFoot"):
+        mocap.read_mocap(tmp_path / "b.bvh")
+
+
+@pytest.mark.parametrize("before", ["mixamorig:", "Actor_1_", "take|"])
+def test_a_characters_name_before_the_joints_does_not_matter(before, tmp_path):
+    path = tmp_path / "named.bvh"
+    text = WALK.read_text()
+    path.write_text(text.replace("ROOT ", f"ROOT {before}").replace("JOINT ", f"JOINT {before}"))
+    same = mocap.read_mocap(WALK)
+    np.testing.assert_array_equal(
+        mocap.read_mocap(path).poses.p_world_joint, same.poses.p_world_joint
+    )
+
+
+def test_another_vendors_names_are_read_by_a_map_to_a_familys(tmp_path):
+    path = tmp_path / "vendor.bvh"
+    path.write_text(WALK.read_text().replace("JOINT LeftUpLeg", "JOINT thigh.L"))
+    with pytest.raises(FileFormatError, match=r"unknown skeleton.*names of one of them \(names=...\)"):
+        mocap.read_mocap(path)
+    clip = mocap.read_mocap(path, names={"thigh.L": "LeftUpLeg"})
+    np.testing.assert_array_equal(
+        clip.poses.p_world_joint, mocap.read_mocap(WALK).poses.p_world_joint
+    )
+    with pytest.raises(UnknownNameError, match="unknown joint 'thigh.R'"):
+        mocap.read_mocap(path, names={"thigh.R": "RightUpLeg"})
+
+
+def test_a_clip_needs_an_offset_for_each_joint():
+    clip = mocap.read_mocap(WALK)
+    with pytest.raises(ShapeError, match="clip joint_offsets"):
+        replace(clip, joint_offsets=np.zeros((3, 3)))
+
+
+# --- the corpus ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def corpus(tmp_path):
+    """A folder of three recordings with an index."""
+    (tmp_path / "cmu_amc").mkdir()
+    shutil.copy(WALK, tmp_path / "walk.bvh")
+    header, frame = (DATA / "16_15.amc").read_text().split("\n2\n")[0].split("\n1\n")
+    still = "".join(f"\n{number}\n{frame}" for number in range(1, 13))
+    (tmp_path / "cmu_amc" / "gs_backflip.amc").write_text(header + still + "\n")
+    shutil.copy(DATA / "16.asf", tmp_path / "cmu_amc" / "gs_backflip.asf")
+    (tmp_path / "index.csv").write_text(
+        "file,subject,tc_like,fps,quality,note\n"
+        "walk.bvh,CMU002,walking,15,max joint speed 4 m/s,slow\n"
+        "cmu_amc/gs_backflip.asf,unknown,skeleton,,,\n"
+        'cmu_amc/gs_backflip.amc,unknown,freestyle,120,"GLITCH, perhaps",\n'
+    )
+    return tmp_path
+
+
+def test_a_corpus_tells_subject_category_and_quality_of_each_clip(corpus):
+    walk, flip = mocap.read_corpus(corpus, min_seconds=0)
+    assert (walk.name, walk.subject, walk.category) == ("walk", "CMU002", "walking")
+    assert (flip.subject, flip.category, flip.quality) == (
+        "unknown",
+        "freestyle",
+        "GLITCH, perhaps",
+    )
+    assert [clip.name for clip in mocap.read_corpus(corpus, {"CMU002"})] == ["walk"]
+
+
+def test_the_rate_of_the_index_stands_above_the_files_and_corrections_above_it(corpus):
+    walk, flip = mocap.read_corpus(corpus, min_seconds=0)
+    frames = len(read_bvh(WALK)) - 1
+    assert walk.poses.times[-1] == pytest.approx((frames - 1) / 15, abs=1 / 60)
+    assert len(flip.poses) == 12  # all of them: 60 Hz, not 120
+
+
+def test_the_floor_lies_under_the_feet(corpus):
+    for clip in mocap.read_corpus(corpus):
+        ankles = clip.poses.p_world_joint[:, [index("LeftFoot"), index("RightFoot")], 2]
+        assert np.percentile(ankles.min(axis=1), 5) == pytest.approx(mocap.ANKLE_HEIGHT, abs=0.01)
+
+
+def test_a_subject_or_a_column_that_is_not_there_is_named(corpus):
+    with pytest.raises(UnknownNameError, match=r"unknown subject 'CMU003'\. Did you mean 'CMU002'"):
+        list(mocap.read_corpus(corpus, ["CMU003"]))
+    (corpus / "index.csv").write_text("file,subject,tc_like,quality\n")
+    with pytest.raises(FileFormatError, match=r"index\.csv, line 1: no column fps"):
+        list(mocap.read_corpus(corpus))
+
+
+@pytest.mark.parametrize("height", [0.37, 0.8])  # 11 and 24 m/s, where the knee makes 2
+def test_a_spike_is_cut_out_and_a_clean_clip_is_left_alone(height):
+    clip = mocap.read_mocap(WALK, output_rate_hz=None)
+    assert mocap.without_spikes(clip) == [clip]
+    p = clip.poses.p_world_joint.copy()
+    p[20, index("LeftLeg")] += [0, 0, height]
+    spiked = replace(clip, poses=replace(clip.poses, p_world_joint=p))
+    first, second = mocap.without_spikes(spiked)
+    assert (first.name, second.name) == ("02_01_excerpt[0:18]", "02_01_excerpt[23:50]")
+    np.testing.assert_array_equal(second.poses.p_world_joint, p[23:])
+    assert second.poses.times[0] == 0
+
+
+def test_a_body_that_flies_is_cut_out_until_it_lands():
+    clip = mocap.read_mocap(WALK, output_rate_hz=None)
+    flight = np.interp(np.arange(len(clip.poses)), [15, 35], [0, 20 * 0.7])  # 21 m/s at 30 Hz
+    p = clip.poses.p_world_joint + flight[:, None, None] * [0, 1, 0]
+    pieces = mocap.without_spikes(replace(clip, poses=replace(clip.poses, p_world_joint=p)))
+    assert [len(piece.poses) for piece in pieces] == [14, 13]
+
+
+def test_a_segment_that_turns_faster_than_any_body_is_cut_out():
+    clip = mocap.read_mocap(WALK, output_rate_hz=None)
+    R = clip.poses.R_world_bone.copy()
+    R[20, index("Head")] = R[20, index("Head")] @ so3.about_axis("z", 2.5)
+    pieces = mocap.without_spikes(replace(clip, poses=replace(clip.poses, R_world_bone=R)))
+    assert [len(piece.poses) for piece in pieces] == [18, 27]
+
+
+def test_a_foot_that_is_turned_round_is_cut_out_but_a_hand_is_not():
+    clip = mocap.resample_clip(mocap.read_mocap(WALK), 120.0)
+
+    def turned(joint, frames):
+        R = clip.poses.R_world_bone.copy()
+        R[frames, index(joint)] = R[frames, index(joint)] @ so3.about_axis("z", np.pi)
+        return replace(clip, poses=replace(clip.poses, R_world_bone=R))
+
+    assert len(mocap.without_spikes(turned("LeftHand", slice(40, 80)))) == 1
+    pieces = mocap.without_spikes(turned("LeftFoot", slice(40, 80)))
+    assert [len(piece.poses) for piece in pieces] == [38, len(clip.poses) - 82]
+
+
+def test_short_pieces_between_spikes_are_left_out(corpus):
+    text = (corpus / "walk.bvh").read_text().splitlines()
+    for line in (-10, -15):  # the pelvis half a metre away in two frames near the end
+        x, rest = text[line].split(maxsplit=1)
+        text[line] = f"{float(x) + 30} {rest}"
+    (corpus / "walk.bvh").write_text("\n".join(text) + "\n")
+    pieces = list(mocap.read_corpus(corpus, {"CMU002"}, min_seconds=0.4))
+    assert [piece.name for piece in pieces] == ["walk[0:33]", "walk[43:50]"]
+    assert all(isinstance(piece.poses, PoseSequence) for piece in pieces)

@@ -1,0 +1,303 @@
+"""The programme's functions: energy, gradient and Hessian of random fragments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.solve.cartesian.problem import TERMS, FragmentProblem, fragment_problem, rigid_pairs
+from rtof_kin.solve.cartesian.settings import FragmentSettings
+
+Array = NDArray[np.float64]
+SKELETON = SkeletonModel.human36m()
+N, J = 8, len(SKELETON.names)
+BONES = tuple(
+    (joint, kinematics.children_of(SKELETON.parents, joint)[0])
+    for joint in SKELETON.index("LElbow", "RKnee", "LHip")
+)
+RATE, SIGMA_PX = 60.0, 7.0
+SETTINGS = {
+    "default": FragmentSettings(),
+    "plain squares, no visual": FragmentSettings(k_V=0.0, huber_reprojection=None),
+    "printed": FragmentSettings.paper(),
+    "constraint": FragmentSettings(bone_lengths="constraint"),
+    "prior on positions": FragmentSettings(prior="positions"),
+}
+
+
+def problem_of(settings: FragmentSettings) -> FragmentProblem:
+    return fragment_problem(SKELETON.parents, N, BONES, settings)
+
+
+def fragment(problem: FragmentProblem, seed: int = 0) -> tuple[Array, dict[str, Array]]:
+    """Positions (N, J, 3) off the truth by centimetres, and parameters with weights of every size."""
+    rng = np.random.default_rng(seed)
+    truth = planted.moving(SKELETON, N, seed).poses
+    X = truth.p_world_joint + rng.normal(size=(N, J, 3)) * 0.02
+    cam, B = planted.camera(), len(BONES)
+    uv = cam.project(truth.p_world_joint) + rng.normal(size=(N, J, 2)) * 15
+    jerks = N - 3 if problem.settings.jerk_target == "sensor" else 0
+    start = truth.p_world_joint + rng.normal(size=(N, J, 3)) * 0.05
+    return X, {
+        "R_camera_world": cam.R_camera_world,
+        "t_camera_world": cam.t_camera_world,
+        "K": cam.K,
+        "rate_hz": np.array([RATE]),
+        "sigma_reprojection": np.array([SIGMA_PX]),
+        "uv_px": uv.reshape(-1, 2).T,
+        "w_visual": rng.uniform(0, 0.01, N * J) * (rng.uniform(size=N * J) < 0.8),
+        "shares": rng.uniform(0.2, 0.9, B),
+        "a_world": rng.normal(size=(3 * B, N - 2)) * 5,
+        "w_acceleration": rng.uniform(0, 0.1, (B, N - 2)),
+        "b_world": rng.normal(size=(3 * B, N)) * 0.2,
+        "w_bone": rng.uniform(0, 0.1, (B, N)),
+        "w_smooth": rng.uniform(0, 0.01, N - 3),
+        "j_world": rng.normal(size=(3 * J, jerks)) * 100,
+        "w_length": rng.uniform(0, 0.1, N),
+        "lengths": rng.uniform(0.1, 0.5, len(problem.pairs)),
+        "p_prior": start.reshape(N, -1).T,
+        "k": rng.uniform(0.3, 2.0, len(TERMS)),
+    }
+
+
+def numpy_terms(problem: FragmentProblem, X: Array, v: dict[str, Array]) -> dict[str, float]:
+    """The six weighted terms, written once more from the module's text."""
+    s, cam = problem.settings, planted.camera()
+    uv = v["uv_px"].T.reshape(N, J, 2)
+    squared = np.sum((cam.project(X) - uv) ** 2, axis=-1) / SIGMA_PX**2
+    if s.huber_reprojection is not None:
+        d2 = s.huber_reprojection**2
+        squared = 2 * d2 * (np.sqrt(1 + squared / d2) - 1)
+    acceleration = bone = 0.0
+    for k, (j, child) in enumerate(BONES):
+        rows = slice(3 * k, 3 * k + 3)
+        point = X[:, j] + v["shares"][k] * (X[:, child] - X[:, j])
+        r = np.diff(point, n=2, axis=0) * RATE**2 - v["a_world"][rows].T
+        acceleration += np.sum(v["w_acceleration"][k] @ r**2) / s.sigma_acceleration**2
+        r = X[:, child] - X[:, j] - v["b_world"][rows].T
+        bone += np.sum(v["w_bone"][k] @ r**2) / s.sigma_bone**2
+    jerk = np.diff(X, n=3, axis=0) * RATE**3
+    if s.jerk_target == "sensor":
+        jerk = jerk - v["j_world"].T.reshape(N - 3, J, 3)
+    a, b = np.array(problem.pairs).T
+    length = np.linalg.norm(X[:, b] - X[:, a], axis=-1) - v["lengths"]
+    P = v["p_prior"].T.reshape(N, J, 3)
+    if s.prior == "positions":
+        prior = (X - P) / s.sigma_prior
+    else:
+        parents = list(SKELETON.parents[1:])
+        bones, theirs = X[:, 1:] - X[:, parents], P[:, 1:] - P[:, parents]
+        root = (X[:, :1] - P[:, :1]) / s.sigma_prior
+        prior = np.concatenate([root, (bones - theirs) / s.sigma_prior_bone], axis=1)
+    values = {
+        "visual": float(v["w_visual"] @ squared.ravel()),
+        "acceleration": acceleration,
+        "bone": bone,
+        "smooth": float(v["w_smooth"] @ np.sum(jerk**2, axis=(1, 2))) / s.sigma_jerk**2,
+        "length": float(v["w_length"] @ np.sum(length**2, axis=1)) / s.sigma_length**2
+        * (s.bone_lengths == "weighted"),
+        "prior": float(np.mean(prior**2)),
+    }  # fmt: skip
+    return {term: k * values[term] for term, k in zip(TERMS, v["k"], strict=True)}
+
+
+def flat(X: Array) -> Array:
+    """The solver's state vector: frame by frame."""
+    return X.reshape(-1)
+
+
+def central_differences(f: Callable[[Array], Array], x: Array, step: float) -> Array:
+    """Derivative (..., n) of f at x."""
+    columns = []
+    for i in range(len(x)):
+        d = np.zeros(len(x))
+        d[i] = step
+        columns.append((f(x + d) - f(x - d)) / (2 * step))
+    return np.stack(columns, axis=-1)
+
+
+def hessian(problem: FragmentProblem, x: Array, p: Array, lam_g: Any = ()) -> Array:
+    """The full symmetric matrix that IPOPT is given, of the energy's Lagrangian."""
+    upper = np.array(problem.solver.get_function("nlp_hess_l")(x, p, 1.0, ca.DM(lam_g)))
+    return np.asarray(upper + np.triu(upper, 1).T)
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_every_term_is_what_numpy_says(name: str) -> None:
+    problem = problem_of(SETTINGS[name])
+    X, values = fragment(problem)
+    energy = np.array(problem.energy(flat(X), problem.pack(values))).ravel()
+    peer = numpy_terms(problem, X, values)
+    assert tuple(peer) == TERMS
+    np.testing.assert_allclose(energy, list(peer.values()), rtol=1e-10, atol=1e-12)
+    assert energy[-1] > 0
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_the_gradient_agrees_with_finite_differences_of_the_summed_energy(name: str) -> None:
+    problem = problem_of(SETTINGS[name])
+    X, values = fragment(problem, seed=1)
+    p = problem.pack(values)
+
+    def total(x: Array) -> Array:
+        return np.asarray(np.array(problem.energy(x, p)).sum())
+
+    gradient = np.array(problem.gradient(flat(X), p)).ravel()
+    peer = central_differences(total, flat(X), 1e-6)
+    np.testing.assert_allclose(gradient, peer, rtol=1e-6, atol=1e-7 * np.abs(gradient).max())
+
+
+def test_the_hessian_is_exact_where_the_residuals_are_linear() -> None:
+    # Distances are not linear, but their Hessian is taken exactly.
+    problem = problem_of(SETTINGS["plain squares, no visual"])
+    X, values = fragment(problem, seed=2)
+    p = problem.pack(values)
+
+    def gradient(x: Array) -> Array:
+        return np.array(problem.gradient(x, p)).ravel()
+
+    H, peer = hessian(problem, flat(X), p), central_differences(gradient, flat(X), 1e-5)
+    np.testing.assert_allclose(H, peer, atol=1e-6 * np.abs(peer).max())
+
+
+def test_the_visual_hessian_is_exact_where_the_residual_vanishes_and_never_indefinite() -> None:
+    problem = problem_of(FragmentSettings(k_I=0.0, bone_lengths="free"))
+    X, values = fragment(problem, seed=3)
+    p = problem.pack(values)
+    assert np.linalg.eigvalsh(hessian(problem, flat(X), p)).min() > 0
+    values["uv_px"] = planted.camera().project(X).reshape(-1, 2).T
+    p = problem.pack(values)
+
+    def gradient(x: Array) -> Array:
+        return np.array(problem.gradient(x, p)).ravel()
+
+    peer = central_differences(gradient, flat(X), 1e-6)
+    np.testing.assert_allclose(hessian(problem, flat(X), p), peer, atol=1e-5 * np.abs(peer).max())
+
+
+def test_constraints_are_squared_distances_and_enter_hessian_and_lagrangian() -> None:
+    problem = problem_of(SETTINGS["constraint"])
+    X, values = fragment(problem, seed=4)
+    p = problem.pack(values)
+    a, b = np.array(problem.pairs).T
+    squared = np.sum((X[:, b] - X[:, a]) ** 2, axis=-1) - values["lengths"] ** 2
+    g = np.array(problem.constraints(flat(X), p)).ravel()
+    np.testing.assert_allclose(g, squared.ravel(), atol=1e-12)
+    lam = np.random.default_rng(0).normal(size=len(g)) * 1e3
+
+    def force(x: Array) -> Array:
+        return np.array(problem.constraint_gradient(x, p, lam)).ravel()
+
+    def work(x: Array) -> Array:
+        return np.asarray(lam @ np.array(problem.constraints(x, p)).ravel())
+
+    np.testing.assert_allclose(
+        force(flat(X)), central_differences(work, flat(X), 1e-5), rtol=1e-6, atol=1e-4
+    )
+    added = hessian(problem, flat(X), p, lam) - hessian(problem, flat(X), p, 0 * lam)
+    peer = central_differences(force, flat(X), 1e-4)
+    np.testing.assert_allclose(added, peer, atol=1e-5 * np.abs(peer).max())
+
+
+def test_without_constraints_there_are_none() -> None:
+    problem = problem_of(SETTINGS["default"])
+    X, values = fragment(problem)
+    assert np.array(problem.constraints(flat(X), problem.pack(values))).size == 0
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_a_weight_scales_its_own_term_alone(term: str) -> None:
+    problem = problem_of(SETTINGS["default"])
+    X, values = fragment(problem)
+    before = np.array(problem.energy(flat(X), problem.pack(values))).ravel()
+    for factor in (0.0, 2.0):
+        own = np.where(np.array(TERMS) == term, factor, 1.0)
+        p = problem.pack(values | {"k": own * values["k"]})
+        energy = np.array(problem.energy(flat(X), p)).ravel()
+        np.testing.assert_allclose(energy, own * before, rtol=1e-12)
+
+
+def test_a_problem_without_sensors_has_no_inertial_terms() -> None:
+    problem = fragment_problem(SKELETON.parents, N, (), FragmentSettings())
+    assert problem.parameters["a_world"].shape == (0, N - 2)
+    X, values = fragment(problem)
+    values |= {name: np.zeros(0) for name in ("shares", "a_world", "w_acceleration")}
+    values |= {name: np.zeros(0) for name in ("b_world", "w_bone")}
+    energy = dict(
+        zip(TERMS, np.array(problem.energy(flat(X), problem.pack(values))).ravel(), strict=True)
+    )
+    assert energy["acceleration"] == energy["bone"] == 0
+    assert energy["visual"] > 0
+
+
+def test_a_problem_is_built_once_for_all_bodies_and_weights_of_one_tree() -> None:
+    taller = SKELETON.with_height(1.9)
+    same = fragment_problem(taller.parents, N, BONES, FragmentSettings())
+    assert same is problem_of(FragmentSettings())
+    assert same is problem_of(FragmentSettings(k_V=0.5, k_S=0.0))
+    assert same is not problem_of(FragmentSettings(sigma_jerk=100.0))
+
+
+def test_rigid_pairs_keep_their_distance_in_any_motion_and_all_others_do_not() -> None:
+    p = planted.moving(SKELETON, 50, radians=0.6).poses.p_world_joint
+    spread = np.linalg.norm(p[:, :, None] - p[:, None], axis=-1).std(axis=0)
+    rigid = {(a, b) for a in range(J) for b in range(a + 1, J) if spread[a, b] < 1e-9}
+    assert {(min(pair), max(pair)) for pair in rigid_pairs(SKELETON.parents)} == rigid
+    assert len(rigid_pairs(SKELETON.parents)) == len(rigid)
+
+
+@pytest.mark.parametrize("change, message", [
+    ({"jerk_target": "imu"}, "jerk_target: 'imu' is none of zero, sensor"),
+    ({"bone_lengths": "fixed"}, "bone_lengths: 'fixed' is none of weighted, constraint, free"),
+    ({"prior": "root"}, "prior: 'root' is none of bones, positions"),
+    ({"blend": "hann"}, "blend: 'hann' is none of tapered, average"),
+    ({"padding": "zeros"}, "padding: 'zeros' is none of masked, replicate"),
+    ({"k_V": -0.1}, "k_V must not be negative"),
+    ({"k_S": np.nan}, "k_S must not be negative"),
+    ({"k_A": np.inf}, "k_A must not be negative, and finite"),
+    ({"huber_reprojection": 0.0}, "huber_reprojection must be positive; None stands for plain"),
+    ({"huber_reprojection": -2.0}, "huber_reprojection must be positive"),
+    ({"sigma_reprojection_range": (0.0, 9.0)}, "sigma_reprojection_range must be positive"),
+    ({"sigma_reprojection_range": (9.0, 2.0)}, "the smaller one first"),
+    ({"tolerance": 0.0}, "tolerance must be positive"),
+    ({"max_iterations": -1}, "max_iterations not negative"),
+])  # fmt: skip
+def test_settings_that_mean_nothing_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ShapeError, match=message):
+        replace(FragmentSettings(), **change)
+
+
+@pytest.mark.parametrize(
+    "field", [f.name for f in fields(FragmentSettings) if "sigma" in f.name and "range" not in f.name]
+)
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
+def test_a_sigma_that_is_not_positive_is_refused(field: str, value: float) -> None:
+    change: dict[str, Any] = {field: value}
+    with pytest.raises(ShapeError, match=f"{field} must be positive"):
+        replace(FragmentSettings(), **change)
+
+
+def test_the_papers_settings_are_the_printed_energy() -> None:
+    s = FragmentSettings.paper()
+    assert (s.k_V, s.k_I, s.k_A, s.k_B, s.k_S) == (0.9, 0.1, 0.5, 0.2, 0.3)
+    assert s.huber_reprojection is None
+    assert (s.jerk_target, s.bone_lengths, s.blend, s.padding) == (
+        "sensor", "free", "average", "replicate",
+    )  # fmt: skip
+    weights = s.term_weights()
+    assert weights["visual"] == 0.9
+    assert weights["acceleration"] == pytest.approx(0.05)
+    assert weights["bone"] == pytest.approx(0.02)
+    assert weights["smooth"] == pytest.approx(0.03)
+    assert weights["length"] == 0.0
+    assert weights["prior"] == 1.0

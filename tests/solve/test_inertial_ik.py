@@ -1,0 +1,471 @@
+"""SF2: what a sensor may change, and what it may not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.data.types import BoneImuSequence, PoseSequence, Provenance
+from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+
+Array = NDArray[np.float64]
+SKELETON = SkeletonModel.default()
+EVERYWHERE = ("Hips", "Spine3", "Head", *planted.LIMBS, "LeftFoot", "RightFoot")
+CHILD = {
+    joint: kinematics.children_of(SKELETON.parents, SKELETON.index(joint)[0])[0]
+    for joint in planted.LIMBS
+}
+
+
+@pytest.fixture(scope="module")
+def truth() -> MotionSequence:
+    return planted.moving(SKELETON, 40)
+
+
+@pytest.fixture(scope="module")
+def lifted(truth: MotionSequence) -> PoseSequence:
+    return planted.lifted_poses(truth)
+
+
+def refine(
+    poses: PoseSequence,
+    imus: BoneImuSequence | None = None,
+    threshold: float = 0.0,
+    blend_angle: float | None = None,
+    oriented: bool = False,
+) -> PoseSequence:
+    ik = InertialGuidedIK(SKELETON, InertialGuidedIKSettings(threshold, blend_angle))
+    return ik.refine(poses, imus, poses.R_world_bone if oriented else None)
+
+
+def sensors(truth: MotionSequence, joints: tuple[str, ...], degrees: float = 0.0) -> BoneImuSequence:
+    return planted.bone_imus(SKELETON, truth.poses, joints, degrees)
+
+
+def turned(imus: BoneImuSequence, angle: float, axis: str = "x") -> BoneImuSequence:
+    """Sensors that are all wrong by one rotation in the bone's own axes."""
+    return replace(imus, R_world_bone=imus.R_world_bone @ so3.about_axis(axis, angle))
+
+
+def bone_directions(poses: PoseSequence, joint: str) -> Array:
+    """Unit vectors (T, 3) in world from a joint to its child."""
+    (j,) = SKELETON.index(joint)
+    return so3.unit(poses.p_world_joint[:, CHILD[joint]] - poses.p_world_joint[:, j])
+
+
+def angle(a: Array, b: Array) -> Array:
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
+
+
+def test_perfect_sensors_put_the_limbs_where_they_truly_are(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    out = refine(lifted, sensors(truth, planted.LIMBS))
+    limbs = SKELETON.index(*planted.LIMBS)
+    angles = so3.angle_between(out.R_world_bone[:, limbs], truth.poses.R_world_bone[:, limbs])
+    assert angles.max() < 1e-7
+    before = so3.angle_between(refine(lifted).R_world_bone[:, limbs], truth.poses.R_world_bone[:, limbs])
+    assert before.mean() > 0.1
+
+
+def test_sensors_on_every_segment_recover_the_whole_body(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    out = refine(lifted, sensors(truth, SKELETON.names))
+    assert so3.angle_between(out.R_world_bone, truth.poses.R_world_bone).max() < 1e-7
+    shift = lifted.p_world_joint[:, :1] - truth.poses.p_world_joint[:, :1]
+    np.testing.assert_allclose(out.p_world_joint, truth.poses.p_world_joint + shift, atol=1e-9)
+
+
+def test_threshold_pi_keeps_every_observed_direction_but_takes_the_sensors_twist(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    imus = turned(sensors(truth, planted.LIMBS), 0.4)
+    out = refine(lifted, imus, threshold=np.pi)
+    for s, joint in enumerate(planted.LIMBS):
+        np.testing.assert_allclose(
+            bone_directions(out, joint), bone_directions(lifted, joint), atol=1e-9
+        )
+        (j,) = SKELETON.index(joint)
+        # No twist is left between the sensor and the answer: their difference is across the bone.
+        rest = so3.unit(SKELETON.joint_offsets[CHILD[joint]])
+        R_imu = imus.R_world_bone[:, s]
+        swing = so3.log(out.R_world_bone[:, j] @ np.swapaxes(R_imu, -1, -2))
+        assert np.abs(np.sum(swing * (R_imu @ rest), axis=-1)).max() < 1e-7
+
+
+def test_orienting_leaves_positions_and_gives_the_orientations_of_refining(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    imus = sensors(truth, planted.LIMBS, 5.0)
+    refined, oriented = refine(lifted, imus), InertialGuidedIK(SKELETON).orient(lifted, imus)
+    np.testing.assert_array_equal(oriented.p_world_joint, lifted.p_world_joint)
+    np.testing.assert_array_equal(oriented.R_world_bone, refined.R_world_bone)
+    np.testing.assert_array_equal(oriented.provenance, refined.provenance)
+
+
+@pytest.mark.parametrize("threshold, sensor_wins", [(0.29, True), (0.31, False)])
+def test_the_threshold_compares_bone_directions(
+    truth: MotionSequence, threshold: float, sensor_wins: bool
+) -> None:
+    poses = refine(truth.poses)
+    imus = turned(sensors(truth, ("LeftLeg",)), 0.3)  # across the shank
+    out = refine(poses, imus, threshold)
+    taken = imus.R_world_bone[:, 0]
+    error = angle(bone_directions(out, "LeftLeg"), bone_directions(truth.poses, "LeftLeg"))
+    np.testing.assert_allclose(error, 0.3 if sensor_wins else 0.0, atol=0.01)
+    (j,) = SKELETON.index("LeftLeg")
+    equal = so3.angle_between(out.R_world_bone[:, j], taken) < 1e-9
+    assert np.all(equal == sensor_wins)
+
+
+def test_a_twist_about_the_bone_is_no_disagreement(truth: MotionSequence) -> None:
+    # Two radians about the shank: vision cannot see it, so even a small threshold keeps the bone.
+    rest = so3.unit(SKELETON.joint_offsets[CHILD["LeftLeg"]])
+    exact = sensors(truth, ("LeftLeg",))
+    imus = replace(exact, R_world_bone=exact.R_world_bone @ so3.exp(2.0 * rest))
+    out = refine(truth.poses, imus, threshold=0.01)
+    np.testing.assert_allclose(
+        bone_directions(out, "LeftLeg"), bone_directions(truth.poses, "LeftLeg"), atol=1e-9
+    )
+    (j,) = SKELETON.index("LeftLeg")
+    assert so3.angle_between(out.R_world_bone[:, j], imus.R_world_bone[:, 0]).max() < 1e-6
+
+
+def test_children_keep_their_own_direction_when_a_parent_is_replaced(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    out = refine(lifted, turned(sensors(truth, ("LeftArm",)), 1.0))
+    assert angle(bone_directions(out, "LeftArm"), bone_directions(lifted, "LeftArm")).min() > 0.2
+    np.testing.assert_allclose(
+        bone_directions(out, "LeftForeArm"), bone_directions(lifted, "LeftForeArm"), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        bone_directions(out, "RightArm"), bone_directions(lifted, "RightArm"), atol=1e-9
+    )
+
+
+def test_a_sensor_belongs_to_the_segment_that_begins_at_its_joint(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    out, without = refine(lifted, sensors(truth, ("LeftForeArm",))), refine(lifted)
+    moved = np.linalg.norm(out.p_world_joint - without.p_world_joint, axis=-1).max(axis=0) > 1e-9
+    assert [n for n, m in zip(SKELETON.names, moved, strict=True) if m] == ["LeftHand"]
+
+
+def test_bone_lengths_are_the_skeletons_and_the_root_stays(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    out = refine(lifted, sensors(truth, EVERYWHERE, degrees=5))
+    parents = np.array(SKELETON.parents[1:])
+    bones = out.p_world_joint[:, 1:] - out.p_world_joint[:, parents]
+    lengths = np.linalg.norm(SKELETON.joint_offsets[1:], axis=-1)
+    np.testing.assert_allclose(np.linalg.norm(bones, axis=-1), np.tile(lengths, (40, 1)), atol=1e-12)
+    np.testing.assert_array_equal(out.p_world_joint[:, 0], lifted.p_world_joint[:, 0])
+
+
+@settings(max_examples=20, deadline=None)
+@given(joints=st.sets(st.sampled_from(EVERYWHERE)))
+def test_any_subset_of_sensors_is_taken_and_reported(joints: set[str]) -> None:
+    truth = planted.moving(SKELETON, 3)
+    seen = replace(planted.lifted_poses(truth), orientation_observed=SKELETON.orientation_observed())
+    out = refine(seen, sensors(truth, tuple(sorted(joints))))
+    index = SKELETON.index(*sorted(joints))
+    error = so3.angle_between(out.R_world_bone[:, index], truth.poses.R_world_bone[:, index])
+    assert error.max(initial=0.0) < 1e-7
+    observed = {"Hips", "Spine3"} | joints
+    named = {n for n, o in zip(SKELETON.names, out.orientation_observed[0], strict=True) if o}
+    assert named == observed
+
+
+def test_a_sensor_on_a_leaf_turns_it_whatever_the_threshold(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    # Nothing else tells a foot's orientation, so there is no disagreement to weigh.
+    imus = sensors(truth, ("LeftFoot",))
+    (j,) = SKELETON.index("LeftFoot")
+    for threshold in (0.0, np.pi):
+        out = refine(lifted, imus, threshold)
+        assert so3.angle_between(out.R_world_bone[:, j], imus.R_world_bone[:, 0]).max() < 1e-9
+        np.testing.assert_allclose(out.p_world_joint, refine(lifted).p_world_joint, atol=1e-12)
+
+
+def test_samples_that_are_nan_leave_the_observed_bone(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    imus = sensors(truth, planted.LIMBS)
+    R = np.array(imus.R_world_bone)
+    R[10:20, 2] = np.nan  # LeftForeArm
+    out = refine(lifted, replace(imus, R_world_bone=R))
+    seen = bone_directions(lifted, "LeftForeArm")
+    np.testing.assert_allclose(bone_directions(out, "LeftForeArm")[10:20], seen[10:20], atol=1e-9)
+    true = bone_directions(truth.poses, "LeftForeArm")
+    np.testing.assert_allclose(bone_directions(out, "LeftForeArm")[20:], true[20:], atol=1e-9)
+    (j,) = SKELETON.index("LeftForeArm")
+    assert not out.orientation_observed[10:20, j].any()
+    assert out.orientation_observed[20:, j].all()
+    (hand,) = SKELETON.index("LeftHand")
+    assert np.all(out.provenance[10:20, hand] == Provenance.CAMERA)
+    assert np.all(out.provenance[20:, hand] == Provenance.CAMERA_AND_IMU)
+
+
+def test_frames_with_nan_stay_nan_and_do_not_touch_the_others(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    p = np.array(lifted.p_world_joint)
+    p[5, 3] = np.nan
+    out = refine(replace(lifted, p_world_joint=p), sensors(truth, planted.LIMBS))
+    whole = refine(lifted, sensors(truth, planted.LIMBS))
+    assert np.isnan(out.R_world_bone[5]).all()
+    assert np.isnan(out.p_world_joint[5, 1:]).all()
+    assert not out.valid[5, 1:].any()
+    others = np.arange(40) != 5
+    np.testing.assert_allclose(
+        out.p_world_joint[others], whole.p_world_joint[others], atol=1e-12
+    )
+
+
+def test_sensors_at_other_times_are_brought_to_the_frames() -> None:
+    truth = planted.moving(SKELETON, 81)
+    even = slice(0, None, 2)
+    poses, imus = truth.poses[even], sensors(truth, planted.LIMBS)
+    direct, resampled = refine(poses, imus[even]), refine(poses, imus)
+    np.testing.assert_allclose(resampled.p_world_joint, direct.p_world_joint, atol=1e-9)
+
+
+@pytest.mark.parametrize("blend_angle", [0.05, 0.3])
+def test_the_blend_lies_between_observation_and_sensor_and_trusts_what_agrees(
+    truth: MotionSequence, blend_angle: float
+) -> None:
+    shares = []
+    for wrong in (0.1, 0.8):
+        out = refine(truth.poses, turned(sensors(truth, ("LeftLeg",)), wrong), 0.0, blend_angle)
+        moved = angle(bone_directions(out, "LeftLeg"), bone_directions(truth.poses, "LeftLeg"))
+        assert np.all((moved > 0) & (moved < wrong))
+        shares.append(moved.mean() / wrong)
+    assert shares[1] < shares[0] < 1
+
+
+def test_a_blend_with_a_wide_angle_has_no_jump_where_a_threshold_switches(
+    truth: MotionSequence,
+) -> None:
+    wrong = np.linspace(0.2, 0.4, 41)
+    poses = truth.poses[:1]
+    imus = sensors(truth, ("LeftLeg",))[:1]
+
+    def direction(a: float, **how: float) -> Array:
+        out = refine(poses, turned(imus, a), **how)
+        return np.asarray(bone_directions(out, "LeftLeg")[0])
+
+    def largest_step(**how: float) -> float:
+        steps = np.diff([direction(a, **how) for a in wrong], axis=0)
+        return float(np.linalg.norm(steps, axis=-1).max())
+
+    assert largest_step(threshold=0.3) > 0.25
+    assert largest_step(blend_angle=0.3) < 0.01
+
+
+def test_sensors_that_agree_change_nothing_in_any_mode(truth: MotionSequence) -> None:
+    imus = sensors(truth, EVERYWHERE)
+    for threshold, blend in ((0.0, None), (0.5, None), (np.pi, None), (0.0, 0.2)):
+        out = refine(truth.poses, imus, threshold, blend)
+        np.testing.assert_allclose(out.p_world_joint, truth.poses.p_world_joint, atol=1e-7)
+
+
+@pytest.mark.parametrize("threshold, blend_angle", [(0.0, None), (0.2, None), (0.0, 0.2)])
+def test_turning_the_world_about_z_and_moving_it_turns_and_moves_the_answer(
+    truth: MotionSequence, lifted: PoseSequence, threshold: float, blend_angle: float | None
+) -> None:
+    # Sensors also at the trunk, whose twist would otherwise follow the fixed axes of the world.
+    imus = sensors(truth, ("Hips", *planted.LIMBS), degrees=6)
+    R, t = so3.about_axis("z", 1.1), np.array([0.3, -2.0, 0.5])
+    out = refine(lifted, imus, threshold, blend_angle)
+    moved = refine(
+        replace(lifted, p_world_joint=lifted.p_world_joint @ R.T + t),
+        replace(imus, R_world_bone=R @ imus.R_world_bone),
+        threshold,
+        blend_angle,
+    )
+    np.testing.assert_allclose(moved.p_world_joint, out.p_world_joint @ R.T + t, atol=1e-9)
+    np.testing.assert_allclose(moved.R_world_bone, R @ out.R_world_bone, atol=1e-9)
+
+
+def test_provenance_gains_the_imu_for_joints_behind_a_sensor(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    before = np.full(lifted.provenance.shape, Provenance.CAMERA)
+    leg, foot, hand = SKELETON.index("LeftLeg", "LeftFoot", "RightHand")
+    before[:, foot] = Provenance.PRIOR
+    before[1, foot] = Provenance.BRIDGED
+    before[2, foot] = Provenance.NOBODY
+    out = refine(replace(lifted, provenance=before), sensors(truth, ("LeftUpLeg", "LeftLeg")))
+    assert np.all(out.provenance[:, leg] == Provenance.CAMERA_AND_IMU)
+    assert np.all(out.provenance[:, foot] == Provenance.IMU)
+    assert np.all(out.provenance[:, hand] == Provenance.CAMERA)
+
+
+def test_the_arguments_are_left_as_they_were(truth: MotionSequence, lifted: PoseSequence) -> None:
+    imus = sensors(truth, planted.LIMBS, degrees=5)
+    p, R = lifted.p_world_joint.copy(), imus.R_world_bone.copy()
+    one, two = refine(lifted, imus), refine(lifted, imus)
+    np.testing.assert_array_equal(one.p_world_joint, two.p_world_joint)
+    np.testing.assert_array_equal(lifted.p_world_joint, p)
+    np.testing.assert_array_equal(imus.R_world_bone, R)
+
+
+@pytest.mark.parametrize("threshold", [-0.1, 3.2, np.nan])
+def test_a_threshold_outside_0_to_pi_is_refused(threshold: float) -> None:
+    with pytest.raises(ShapeError, match=r"threshold: .* rad is outside \[0, pi\]"):
+        InertialGuidedIKSettings(threshold=threshold)
+
+
+@pytest.mark.parametrize("blend_angle", [0.0, -1.0, np.nan])
+def test_a_blend_angle_that_is_not_positive_is_refused(blend_angle: float) -> None:
+    with pytest.raises(ShapeError, match=r"blend_angle: .* rad must be positive"):
+        InertialGuidedIKSettings(blend_angle=blend_angle)
+
+
+def test_poses_of_another_skeleton_are_refused_by_name() -> None:
+    other = planted.moving(SkeletonModel.human36m(), 4).poses
+    with pytest.raises(UnknownNameError, match=r"unknown joint .*'RWrist'"):
+        refine(other)
+
+
+def test_joints_in_another_order_are_refused(lifted: PoseSequence) -> None:
+    names = (*lifted.names[1:], lifted.names[0])
+    with pytest.raises(ShapeError, match="poses: need all joints, in this order: Hips, Spine, "):
+        refine(replace(lifted, names=names))
+
+
+def test_a_sensor_on_no_joint_of_the_skeleton_is_refused(
+    truth: MotionSequence, lifted: PoseSequence
+) -> None:
+    imus = replace(sensors(truth, ("LeftLeg",)), joints=("LeftShank",))
+    with pytest.raises(UnknownNameError, match="'LeftShank'"):
+        refine(lifted, imus)
+
+
+# --- poses whose orientations were observed too --------------------------------------------------
+
+CHILDREN = [kinematics.children_of(SKELETON.parents, j) for j in range(len(SKELETON.names))]
+SINGLE = [j for j, children in enumerate(CHILDREN) if len(children) == 1]
+OTHERS = [j for j, children in enumerate(CHILDREN) if len(children) != 1]
+"""Leaves, and segments with several children."""
+
+
+@pytest.fixture(scope="module")
+def oriented(lifted: PoseSequence) -> PoseSequence:
+    """Lifted positions, with orientations that do not quite agree with them."""
+    error = planted.smooth_noise(21, (40, len(SKELETON.names), 3), 12, 0.15)
+    return replace(lifted, R_world_bone=lifted.R_world_bone @ so3.exp(error))
+
+
+def directions(poses: PoseSequence, j: int) -> Array:
+    p = poses.p_world_joint
+    return so3.unit(p[:, CHILDREN[j][0]] - p[:, j])
+
+
+def test_orientations_are_not_read_where_they_were_not_observed(
+    lifted: PoseSequence, oriented: PoseSequence
+) -> None:
+    one, two = refine(lifted), refine(oriented)
+    np.testing.assert_array_equal(one.R_world_bone, two.R_world_bone)
+    np.testing.assert_array_equal(one.p_world_joint, two.p_world_joint)
+
+
+def test_segments_of_one_bone_keep_its_direction_and_take_the_twist_that_was_observed(
+    oriented: PoseSequence,
+) -> None:
+    out = refine(oriented, oriented=True)
+    for j in SINGLE:
+        np.testing.assert_allclose(directions(out, j), directions(oriented, j), atol=1e-9)
+        rest = so3.unit(SKELETON.joint_offsets[CHILDREN[j][0]])
+        R = oriented.R_world_bone[:, j]
+        swing = so3.log(out.R_world_bone[:, j] @ np.swapaxes(R, -1, -2))
+        assert np.abs(np.sum(swing * (R @ rest), axis=-1)).max() < 1e-7, SKELETON.names[j]
+        by_position = refine(oriented).R_world_bone[:, j]
+        assert so3.angle_between(out.R_world_bone[:, j], by_position).max() > 0.05
+
+
+def test_leaves_are_oriented_as_observed_and_segments_of_several_bones_half_way(
+    oriented: PoseSequence,
+) -> None:
+    out = refine(oriented, oriented=True).R_world_bone
+    assert {SKELETON.names[j] for j in OTHERS} >= {"Hips", "Spine3", "Head", "LeftHand", "RightFoot"}
+    seen, by_position = oriented.R_world_bone, refine(oriented).R_world_bone
+    assert so3.angle_between(by_position, seen)[:, OTHERS].max(axis=0).min() > 0.05
+    leaves = [j for j in OTHERS if not CHILDREN[j]]
+    assert so3.angle_between(out[:, leaves], seen[:, leaves]).max() < 1e-7
+    several = [j for j in OTHERS if CHILDREN[j]]
+    whole, half = so3.angle_between(by_position, seen), so3.angle_between(out, seen)
+    other = so3.angle_between(out, by_position)
+    np.testing.assert_allclose(half[:, several], whole[:, several] / 2, atol=1e-7)
+    np.testing.assert_allclose(other[:, several], whole[:, several] / 2, atol=1e-7)
+
+
+def test_the_truth_is_left_as_it_is(truth: MotionSequence) -> None:
+    out = refine(truth.poses, oriented=True)
+    np.testing.assert_allclose(out.p_world_joint, truth.poses.p_world_joint, atol=1e-9)
+    assert so3.angle_between(out.R_world_bone, truth.poses.R_world_bone).max() < 1e-6
+    assert so3.angle_between(refine(truth.poses).R_world_bone, truth.poses.R_world_bone).max() > 0.1
+
+
+def test_orientations_that_are_nan_come_from_positions(oriented: PoseSequence) -> None:
+    R = np.array(oriented.R_world_bone)
+    R[10:20] = np.nan
+    R[30, [0, 9]] = np.nan
+    out = refine(replace(oriented, R_world_bone=R), oriented=True)
+    by_position, whole = refine(oriented), refine(oriented, oriented=True)
+    np.testing.assert_allclose(
+        out.R_world_bone[10:20], by_position.R_world_bone[10:20], atol=1e-9
+    )
+    np.testing.assert_allclose(out.R_world_bone[:10], whole.R_world_bone[:10], atol=1e-9)
+    np.testing.assert_allclose(out.R_world_bone[30, 0], by_position.R_world_bone[30, 0], atol=1e-9)
+    others = [j for j in range(21) if j not in (0, 9)]
+    np.testing.assert_allclose(
+        out.R_world_bone[30, others], whole.R_world_bone[30, others], atol=1e-9
+    )
+    nothing = refine(replace(oriented, R_world_bone=np.full_like(R, np.nan)), oriented=True)
+    np.testing.assert_array_equal(nothing.R_world_bone, by_position.R_world_bone)
+    np.testing.assert_array_equal(nothing.p_world_joint, by_position.p_world_joint)
+
+
+def test_sensors_stand_above_what_was_observed(
+    truth: MotionSequence, oriented: PoseSequence
+) -> None:
+    joints = ("Hips", "LeftLeg", "LeftFoot")
+    out = refine(oriented, sensors(truth, joints), oriented=True)
+    index = SKELETON.index(*joints)
+    angle = so3.angle_between(out.R_world_bone[:, index], truth.poses.R_world_bone[:, index])
+    assert angle.max() < 1e-7
+    without = refine(oriented, oriented=True)
+    others = [j for j in range(21) if j not in index]
+    np.testing.assert_allclose(
+        out.R_world_bone[:, others], without.R_world_bone[:, others], atol=1e-9
+    )
+
+
+def test_a_threshold_of_pi_keeps_directions_and_takes_the_sensors_twist_of_oriented_poses_too(
+    truth: MotionSequence, oriented: PoseSequence
+) -> None:
+    imus = turned(sensors(truth, ("LeftLeg",)), 0.4)
+    one = refine(oriented, imus, threshold=np.pi, oriented=True)
+    two = refine(oriented, imus, threshold=np.pi)
+    (j,) = SKELETON.index("LeftLeg")
+    np.testing.assert_allclose(one.R_world_bone[:, j], two.R_world_bone[:, j], atol=1e-9)
+
+
+def test_uncertainties_are_passed_on(oriented: PoseSequence) -> None:
+    sigma = np.random.default_rng(0).uniform(0.1, 0.3, (40, 21))
+    out = refine(replace(oriented, sigma_rad=sigma), oriented=True)
+    np.testing.assert_array_equal(out.sigma_rad, sigma)

@@ -1,0 +1,241 @@
+"""What the Hessian says of a solution, against dense inverses, perturbed poses and repeated noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
+from rtof_kin.data.confidence import WORLD, Confidence
+from rtof_kin.data.types import PoseSequence
+from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.energy.state import StateSpace
+from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
+from rtof_kin.solve.joint_space.covariance import (
+    blended,
+    confidence_of,
+    segment_pairs,
+    state_covariances,
+)
+from rtof_kin.solve.joint_space.observations import Observations
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+N = 16
+SIGMA_PX, SIGMA_RAD = 3.0, np.radians(3.0)
+HONEST = JointSpaceSettings(
+    sigma_reprojection=SIGMA_PX, robust_reprojection=50.0, sigma_swing=SIGMA_RAD, sigma_twist=SIGMA_RAD,
+    robust_orientation=50.0, sigma_torso=None, sigma_bone=None, prior_inflation=5.0, jerk=20.0,
+    limits=False, refit_root=False, smooth_start_hz=29.0,
+)  # fmt: skip
+"""Of somebody who knows how large errors are, and of motion next to nothing."""
+
+
+def truth(frames: int, seed: int = 0) -> PoseSequence:
+    """As people move, but less than they do, so that it is nothing beside what is allowed."""
+    return planted.human(BODY, frames, seed, size=0.5).poses
+
+
+def observed(poses: PoseSequence, seed: int) -> dict[str, Any]:
+    """White errors of the sizes that `HONEST` knows of; no accelerations."""
+    imus = planted.bone_imus(BODY, poses, (*planted.LIMBS, "Hips", "Spine3"))
+    errors = np.random.default_rng(seed).normal(size=(*imus.R_world_bone.shape[:2], 3)) * SIGMA_RAD
+    unmeasured = np.full(imus.a_world.shape, np.nan)
+    imus = replace(imus, R_world_bone=imus.R_world_bone @ so3.exp(errors), a_world=unmeasured)
+    return {"keypoints": planted.keypoints(poses, SIGMA_PX, seed), "bone_imus": imus}
+
+
+def solved(poses: PoseSequence, seed: int = 0, **changes: Any) -> FragmentSolution:
+    solver = FragmentSolver(BODY, N, HONEST)
+    return solver.solve(poses, confidence=True, **{**observed(poses, seed), **changes})
+
+
+def known(solution: FragmentSolution) -> Confidence:
+    assert solution.confidence is not None
+    return solution.confidence
+
+
+# --- against peers -------------------------------------------------------------------------------
+
+
+def test_covariances_of_states_are_blocks_of_the_dense_inverse() -> None:
+    poses = truth(N)
+    data = Observations(BODY, N, HONEST, poses, **observed(poses, 1))
+    solver = LevenbergMarquardt(data.problem, None)
+    data.problem.bind(data.fragment(0)[2])
+    answer = solver.solve(data.start, 20, 1e-6)
+    found = state_covariances(data.problem, solver, answer)
+    D = data.space.size
+    H = np.zeros((N * D, N * D))
+    for k in range(4):
+        for t, block in enumerate(data.problem.lower_block(k)):
+            H[(t + k) * D : (t + k + 1) * D, t * D : (t + 1) * D] = block
+    H = np.tril(H) + np.tril(H, -1).T
+    expected = np.linalg.inv(H).reshape(N, D, N, D)
+    for t in (0, 7, N - 1):
+        np.testing.assert_allclose(found[t], expected[t, :, t], rtol=1e-4, atol=1e-8)
+
+
+def test_what_states_do_to_poses_is_what_perturbed_states_do() -> None:
+    space = StateSpace(BODY, [n for n in BODY.names if n not in ("LeftHand", "RightHand")], hinged=True)
+    poses, h = truth(1), 1e-6
+    x = space.from_poses(poses.p_world_joint[:, 0], poses.R_world_bone)
+    root = 0.02 * np.random.default_rng(0).normal(size=(space.size, space.size))
+    found = confidence_of(space, poses.times, x, (root @ root.T)[None])
+    many = np.repeat(x, space.size, axis=0)
+    there, back = (space.poses(space.retract(many, s * h * root.T)) for s in (1, -1))
+    moved = (there[0] - back[0]) / (2 * h)  # by every column of the covariance's root
+    np.testing.assert_allclose(
+        np.einsum("dji,djk->jik", moved, moved), found.position_covariance[0], rtol=1e-6, atol=1e-6
+    )
+    moved = moved - moved[:, :1]
+    np.testing.assert_allclose(
+        np.einsum("dji,djk->jik", moved, moved), found.relative_covariance[0], rtol=1e-6, atol=1e-6
+    )
+    for parent, child in found.pairs:
+        before, after = (seen_from(R, parent, child) for R in (back[1], there[1]))
+        turned = so3.log(np.swapaxes(before, 1, 2) @ after) / (2 * h)
+        if child in space.names:
+            told = found.turn(parent, child)[0]
+            np.testing.assert_allclose(turned.T @ turned, told, rtol=1e-5, atol=1e-5)
+
+
+def seen_from(R: Array, parent: str, child: str) -> Array:
+    own = R[:, BODY.names.index(child)]
+    return own if parent == WORLD else np.swapaxes(R[:, BODY.names.index(parent)], 1, 2) @ own
+
+
+def test_parent_and_child_share_most_of_their_errors() -> None:
+    told = known(solved(truth(2 * N)))
+    upper, fore = told.turn(WORLD, "LeftUpLeg"), told.turn(WORLD, "LeftLeg")
+    apart = np.trace(upper + fore, axis1=1, axis2=2)
+    assert np.all(np.trace(told.turn("LeftUpLeg", "LeftLeg"), axis1=1, axis2=2) < 0.8 * apart)
+
+
+def test_bands_cover_white_errors_of_known_size_as_often_as_they_say() -> None:
+    """Without any inflation: nothing lasts here, so the Hessian knows all there is."""
+    poses = truth(3 * N)
+    inside = {name: list[Array]() for name in ("position", "relative", "turn")}
+    for seed in range(4):
+        solution = solved(poses, seed)
+        told, p, R = known(solution), solution.poses.p_world_joint, solution.poses.R_world_bone
+        error = p - poses.p_world_joint
+        limbs = BODY.index(*planted.LIMBS)
+        turned = so3.log(np.swapaxes(poses.R_world_bone[:, limbs], 2, 3) @ R[:, limbs])
+        turns = np.stack([told.turn(WORLD, name) for name in planted.LIMBS], axis=1)
+        for name, off, covariance in (
+            ("position", error, told.position_covariance),
+            ("relative", (error - error[:, :1])[:, 1:], told.relative_covariance[:, 1:]),
+            ("turn", turned, turns),
+        ):
+            sigma = np.sqrt(np.diagonal(covariance, axis1=2, axis2=3))
+            inside[name].append(np.abs(off) < 1.96 * sigma)
+    for name, hits in inside.items():
+        assert 0.92 < np.mean(hits) < 0.985, name
+
+
+# --- what it depends on --------------------------------------------------------------------------
+
+
+def test_larger_errors_give_wider_bands() -> None:
+    poses = truth(2 * N)
+    seen = observed(poses, 0)
+    narrow = known(FragmentSolver(BODY, N, HONEST).solve(poses, confidence=True, **seen))
+    twice = replace(HONEST, sigma_reprojection=2 * SIGMA_PX, sigma_swing=2 * SIGMA_RAD)
+    wide = known(FragmentSolver(BODY, N, twice).solve(poses, confidence=True, **seen))
+    assert 1.5 < np.median(wide.position_sigma / narrow.position_sigma) < 2.0
+
+
+def test_frames_that_nobody_saw_get_wide_bands_and_not_nan() -> None:
+    poses = truth(4 * N)
+    seen = observed(poses, 0)
+    gap = slice(24, 36)
+    seen["keypoints"] = planted.unseen(seen["keypoints"], gap)
+    told = known(solved(poses, **seen))
+    assert np.isfinite(told.position_covariance).all()
+    assert told.position_sigma[30].min() > 2 * told.position_sigma[10].max()
+
+
+def test_where_nothing_is_seen_for_long_nobody_knows_where_the_root_is() -> None:
+    poses = truth(6 * N)
+    seen = planted.unseen(planted.keypoints(poses, SIGMA_PX), slice(N, None))
+    told = known(solved(poses, keypoints=seen, bone_imus=None))
+    assert np.isfinite(told.position_sigma[: N // 2]).all()
+    assert np.isnan(told.position_sigma[-N:]).all()
+    assert np.isnan(told.turn_covariance[-N:]).all()
+
+
+def test_a_segment_that_the_model_turns_with_its_parent_is_not_known() -> None:
+    told = known(solved(truth(2 * N)))
+    for name in ("LeftHand", "RightFoot", "Head"):
+        assert np.isnan(told.turn(WORLD, name)).all(), name
+    assert np.isfinite(told.position_covariance).all()
+
+
+def test_the_root_seen_from_itself_has_no_error() -> None:
+    assert np.all(known(solved(truth(2 * N))).relative_covariance[:, 0] == 0)
+
+
+def test_a_limit_that_pushes_takes_freedom_away() -> None:
+    """Bent knees on somebody whose knees do not bend."""
+    poses = truth(2 * N)
+    joints = tuple(
+        replace(joint, limits=np.tile([-0.02, 0.02], (3, 1))) if joint.name == "LeftLeg" else joint
+        for joint in BODY.table.joints
+    )
+    body, seen, sigma = SkeletonModel(replace(BODY.table, joints=joints)), observed(poses, 0), []
+    for settings in (HONEST, replace(HONEST, limits=True)):
+        told = known(FragmentSolver(body, N, settings).solve(poses, confidence=True, **seen))
+        knee = told.turn("LeftUpLeg", "LeftLeg")
+        sigma.append(np.degrees(np.sqrt(np.trace(knee, axis1=1, axis2=2))))
+    assert np.all(sigma[0] > 1.0)
+    assert np.all(sigma[1] < 0.8 * sigma[0])
+
+
+def test_asking_changes_no_pose_and_not_asking_tells_nothing() -> None:
+    poses = truth(2 * N)
+    asked = solved(poses)
+    plain = FragmentSolver(BODY, N, HONEST).solve(poses, **observed(poses, 0))
+    assert plain.confidence is None
+    np.testing.assert_array_equal(asked.poses.p_world_joint, plain.poses.p_world_joint)
+
+
+def test_cartesian_space_tells_nothing() -> None:
+    poses = truth(2 * N)
+    solver = FragmentSolver(BODY, N, FragmentSettings(), space="cartesian")
+    assert solver.solve(poses, confidence=True, **observed(poses, 0)).confidence is None
+
+
+# --- parts ---------------------------------------------------------------------------------------
+
+
+def test_a_blend_lies_between_and_takes_what_the_other_does_not_know() -> None:
+    one, two = np.tile(np.eye(2), (3, 1, 1)), np.tile(4 * np.eye(2), (3, 1, 1))
+    two[2] = np.nan
+    found = blended(one, two, np.array([0.0, 0.5, 0.5]))
+    np.testing.assert_allclose(found[:, 0, 0], [1.0, 2.5, 1.0])
+    np.testing.assert_allclose(blended(two, one, np.full(3, 0.5))[2], np.eye(2))
+
+
+def test_pairs_are_those_that_clinical_angles_are_read_from() -> None:
+    from rtof_kin.clinical.angle_table import angle_table
+
+    pairs = segment_pairs(BODY)
+    assert {(joint.parent, joint.child) for joint in angle_table(BODY.table).joints} <= set(pairs)
+    assert len(pairs) == len(set(pairs))
+
+
+def test_a_confidence_needs_covariances_of_its_frames() -> None:
+    space = StateSpace(BODY, BODY.names, hinged=True)
+    x = space.from_poses(np.zeros((2, 3)), np.tile(np.eye(3), (2, 21, 1, 1)))
+    with pytest.raises(ShapeError, match="confidence times"):
+        confidence_of(space, np.zeros(2), x, np.tile(np.eye(space.size), (2, 1, 1)))

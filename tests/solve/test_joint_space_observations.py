@@ -1,0 +1,267 @@
+"""A recording as the joint-space problem wants it: how strongly it holds to the start, and where."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.data.types import BoneImuSequence, PoseSequence
+from rtof_kin.inertial.contacts import FEET, Footholds
+from rtof_kin.solve.energy.frame_energy import TORSO
+from rtof_kin.solve.fragment_solver import FragmentSolver
+from rtof_kin.solve.joint_space.observations import Observations
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+N, T = 8, 20
+SETTINGS = JointSpaceSettings(sigma_torso=0.3, torso_inflation=2.5, refit_root=False)
+POSES = planted.human(BODY, T).poses
+HIPS, CHEST = BODY.index(*TORSO)
+
+
+def start(sigma_rad: Array | None = None) -> PoseSequence:
+    return replace(POSES, sigma_rad=sigma_rad)
+
+
+def observed(
+    poses: PoseSequence, imus: BoneImuSequence | None = None, settings: JointSpaceSettings = SETTINGS
+) -> Observations:
+    return Observations(BODY, N, settings, poses, planted.keypoints(POSES), imus)
+
+
+def weights(
+    sigma_rad: Array | None = None, imus: BoneImuSequence | None = None,
+    settings: JointSpaceSettings = SETTINGS,
+) -> Array:  # fmt: skip
+    """(T, 2) of the pelvis and the upper trunk."""
+    return observed(start(sigma_rad), imus, settings).rows["w_torso"]
+
+
+def sigmas() -> Array:
+    return np.random.default_rng(0).uniform(0.05, 0.4, (T, 21))
+
+
+def worn(*joints: str) -> BoneImuSequence:
+    return planted.bone_imus(BODY, POSES, joints)
+
+
+def test_where_the_start_does_not_tell_the_settings_do() -> None:
+    np.testing.assert_allclose(weights(), np.full((T, 2), 1 / 0.3**2))
+
+
+def test_each_segment_is_held_as_the_start_is_sure_of_it_in_every_frame() -> None:
+    sigma = sigmas()
+    expected = 1 / (2.5 * sigma[:, [HIPS, CHEST]]) ** 2
+    np.testing.assert_allclose(weights(sigma), expected)
+    assert np.ptp(expected[:, 0] / expected[:, 1]) > 1
+
+
+def test_frames_of_which_the_start_is_not_sure_fall_back_to_the_settings() -> None:
+    sigma = sigmas()
+    sigma[3:7] = np.nan
+    sigma[12, CHEST] = np.nan
+    found = weights(sigma)
+    np.testing.assert_allclose(found[3:7], 1 / 0.3**2)
+    np.testing.assert_allclose(found[12], [1 / (2.5 * sigma[12, HIPS]) ** 2, 1 / 0.3**2])
+
+
+@pytest.mark.parametrize("sigma", [None, sigmas()])
+def test_a_sensor_on_one_segment_frees_that_one_alone(sigma: Array | None) -> None:
+    without = weights(sigma)
+    for joints, free in ((("Hips",), [0]), (("Spine3",), [1]), (("Hips", "Spine3"), [0, 1])):
+        found = weights(sigma, worn("LeftArm", *joints))
+        held = [i for i in (0, 1) if i not in free]
+        assert np.all(found[:, free] == 0)
+        np.testing.assert_allclose(found[:, held], without[:, held])
+    np.testing.assert_allclose(weights(sigma, worn("LeftArm", "Head", "RightLeg")), without)
+
+
+def test_in_frames_in_which_its_sensor_says_nothing_a_segment_is_held_again() -> None:
+    imus = worn("Hips", "LeftArm")
+    R = np.array(imus.R_world_bone)
+    R[5:9, 0], R[10:12, 1] = np.nan, np.nan
+    found = weights(sigmas(), replace(imus, R_world_bone=R))
+    silent = np.isin(np.arange(T), np.arange(5, 9))
+    np.testing.assert_array_equal(found[:, 0] > 0, silent)
+    np.testing.assert_allclose(found[silent, 0], weights(sigmas())[silent, 0])
+    assert np.all(found[:, 1] > 0)
+
+
+def test_none_leaves_the_anchor_out_however_sure_the_start_is() -> None:
+    off = replace(SETTINGS, sigma_torso=None)
+    assert np.all(weights(sigmas(), settings=off) == 0)
+    assert weights(sigmas(), settings=off).shape == (T, 2)
+
+
+def test_fragments_carry_the_weights_of_their_frames_and_none_beyond_the_ends() -> None:
+    sigma = sigmas()
+    problem = observed(start(sigma))
+    _, inside, data = problem.fragment(-3)
+    assert inside.tolist() == [False] * 3 + [True] * 5
+    found = data.observation["w_torso"]
+    assert found.shape == (N, 2)
+    assert np.all(found[:3] == 0)
+    np.testing.assert_allclose(found[3:], weights(sigma)[:5])
+
+
+def test_what_the_torso_is_held_to_is_the_start() -> None:
+    rows = observed(start(sigmas())).rows
+    quat = so3.to_quat_wxyz(POSES.R_world_bone[:, [HIPS, CHEST]])
+    np.testing.assert_allclose(np.abs(np.sum(rows["quat_torso"] * quat, axis=-1)), 1.0)
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
+def test_an_inflation_must_be_positive_and_finite(wrong: float) -> None:
+    with pytest.raises(ShapeError, match="torso_inflation"):
+        JointSpaceSettings(torso_inflation=wrong)
+
+
+ARM = ("LeftArm", "LeftForeArm")
+ALL_BONES = {side + bone for side in ("Left", "Right") for bone in ("Arm", "ForeArm", "UpLeg", "Leg")}
+
+
+@pytest.mark.parametrize(
+    ("sensors", "bare"),
+    [
+        ((), ALL_BONES),
+        (("Hips", "Spine3"), ALL_BONES),
+        (("LeftForeArm",), ALL_BONES - {*ARM}),
+        (("LeftHand",), ALL_BONES - {*ARM}),
+        (("LeftForeArm", "RightForeArm", "LeftLeg", "RightLeg"), set()),
+    ],
+)
+def test_bones_of_limbs_without_a_sensor_are_held_to_the_start(
+    sensors: tuple[str, ...], bare: set[str]
+) -> None:
+    found = observed(start(), worn(*sensors) if sensors else None)
+    bones, held = found.problem.energy.shape.bones, found.rows["w_bone"] > 0
+    assert {BODY.names[bones[i][0]] for i in np.flatnonzero(held.all(axis=0))} == bare
+    assert np.array_equal(held.all(axis=0), held.any(axis=0))
+    p = POSES.p_world_joint
+    for i, (joint, child) in enumerate(bones):
+        np.testing.assert_allclose(found.rows["b_world"][:, i], p[:, child] - p[:, joint])
+
+
+def test_limbs_without_a_sensor_move_as_smoothly_as_where_there_is_none() -> None:
+    def sigma_jerk(*sensors: str) -> dict[str, float]:
+        found = observed(start(), worn(*sensors) if sensors else None)
+        first = {BODY.names[j]: found.space.columns(j).stop - 1 for j in found.space.joints}
+        return {name: float(found.problem.sigma_jerk[i]) for name, i in first.items()}
+
+    alone, one_arm = sigma_jerk(), sigma_jerk("LeftForeArm")
+    ratio = SETTINGS.jerk / SETTINGS.jerk_without_sensors
+    for name in alone:
+        limb = name.removeprefix("Left").removeprefix("Right")
+        is_bare = limb in ("Arm", "ForeArm", "UpLeg", "Leg") and name not in ARM
+        assert one_arm[name] / alone[name] == pytest.approx(1 if is_bare else ratio), name
+
+
+@pytest.mark.parametrize(
+    ("sensors", "times_wider"),
+    [
+        ((), 1),
+        (("LeftForeArm",), 2),
+        (("Hips", "LeftForeArm", "RightForeArm", "LeftLeg", "RightLeg"), 2),
+        (ARM, np.inf),
+        (("LeftUpLeg", "LeftLeg", "RightForeArm"), np.inf),
+    ],
+)
+def test_the_root_is_held_to_the_start_until_a_limbs_two_bones_are_sensed(
+    sensors: tuple[str, ...], times_wider: float
+) -> None:
+    found = observed(start(), worn(*sensors) if sensors else None)
+    assert SETTINGS.sigma_root is not None
+    expected = 1 / (times_wider * SETTINGS.sigma_root) ** 2
+    np.testing.assert_allclose(found.rows["w_root"], expected)
+
+
+def noisy(imus: BoneImuSequence) -> BoneImuSequence:
+    return replace(imus, a_world=imus.a_world + np.random.default_rng(1).normal(size=imus.a_world.shape))
+
+
+def test_accelerations_are_low_passed_unless_told_not_to() -> None:
+    imus, plain = noisy(worn("LeftLeg")), replace(SETTINGS, acceleration_cutoff_hz=None)
+    slow = signals.low_pass(imus.a_world, 60.0, 12.0)
+    np.testing.assert_allclose(observed(start(), imus).a_world, slow, atol=1e-9)
+    np.testing.assert_allclose(observed(start(), imus, plain).a_world, imus.a_world)
+
+
+def test_a_sensor_is_low_passed_at_its_own_rate_before_it_is_brought_to_the_frames() -> None:
+    times = np.arange(4 * T) / 240
+    a = np.random.default_rng(2).normal(size=(4 * T, 1, 3))
+    imus = replace(worn("LeftLeg").resample(times), a_world=a)
+    slow = replace(imus, a_world=signals.low_pass(a, 240.0, 12.0)).resample(POSES.times)
+    np.testing.assert_allclose(observed(start(), imus).a_world, np.nan_to_num(slow.a_world), atol=1e-9)
+
+
+def test_an_absurd_acceleration_stays_where_it_is() -> None:
+    imus = noisy(worn("LeftLeg", "RightLeg"))
+    a = imus.a_world.copy()
+    a[8, 0, 1] = 1e100
+    data = observed(start(), replace(imus, a_world=a))
+    a_world = data.a_world[:, [data.sensors.index(joint) for joint in imus.joints]]
+    assert a_world[8, 0, 1] == 1e100
+    assert np.abs(np.delete(a_world, 8, axis=0)).max() < 50
+
+
+# --- sensors that say nothing --------------------------------------------------------------------
+
+PLACES = ("Hips", "Head", "LeftArm", "LeftForeArm", "LeftFoot", "RightLeg")
+
+
+def masked(places: tuple[str, ...], *sensors: str, **more: Any) -> Observations:
+    imus = worn(*sensors) if sensors else None
+    seen = planted.keypoints(POSES, 2.0)
+    return Observations(BODY, N, SETTINGS, start(), seen, imus, places=places, **more)
+
+
+SETS = [(), ("LeftForeArm",), ("LeftArm", "LeftForeArm", "Head"), PLACES]
+
+
+@pytest.mark.parametrize("sensors", SETS)
+def test_every_subset_of_the_places_takes_the_same_compiled_problem(sensors: tuple[str, ...]) -> None:
+    full, some = masked(PLACES, *PLACES), masked(PLACES, *sensors)
+    assert some.problem.energy is full.problem.energy
+    assert some.problem is not full.problem
+
+
+@pytest.mark.parametrize("sensors", SETS)
+def test_places_without_a_sensor_change_nothing(sensors: tuple[str, ...]) -> None:
+    """Not the motion, not the energy, not which joints turn, not what is known of them."""
+    found = []
+    for places in ((), PLACES):
+        solver = FragmentSolver(BODY, N, SETTINGS, sensor_joints=places or None)
+        seen, imus = planted.keypoints(POSES, 2.0), worn(*sensors) if sensors else None
+        found.append(solver.solve(start(), seen, imus, confidence=True))
+    own, with_places = found
+    np.testing.assert_allclose(with_places.poses.p_world_joint, own.poses.p_world_joint, atol=1e-8)
+    np.testing.assert_allclose(with_places.poses.R_world_bone, own.poses.R_world_bone, atol=1e-8)
+    for term, energy in own.energy.items():
+        assert with_places.energy[term] == pytest.approx(energy, rel=1e-6, abs=1e-9), term
+    assert own.confidence is not None
+    assert with_places.confidence is not None
+    for field in ("position_covariance", "turn_covariance"):
+        a, b = (getattr(told, field) for told in (own.confidence, with_places.confidence))
+        np.testing.assert_allclose(b, a, rtol=1e-5, atol=1e-10)
+
+
+def test_contacts_of_one_foot_take_the_problem_of_both() -> None:
+    def stands(*feet: str) -> Footholds:
+        return Footholds(feet, POSES.p_world_joint[:, BODY.index(*feet)])
+
+    one, both = (masked((), footholds=stands(*feet)) for feet in (("RightFoot",), FEET))
+    assert one.problem.energy is both.problem.energy
+    stood = [BODY.names[j] == "RightFoot" for j in one.problem.energy.shape.contacts]
+    assert (one.rows["w_contact"] > 0).all(axis=0).tolist() == stood
+    own, other = (found.rows["p_contact"][:, stood] for found in (one, both))
+    np.testing.assert_array_equal(own, other)

@@ -1,0 +1,622 @@
+"""The joint-space solver on whole recordings: what it recovers, estimates, reports and does not mind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import planted
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.metrics import flexion, hinges
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton_table import SkeletonTable
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
+from rtof_kin.data.types import KeypointSequence, PoseSequence
+from rtof_kin.solve.energy.problem import TERMS
+from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
+from rtof_kin.solve.inertial_ik import InertialGuidedIK
+from rtof_kin.solve.joint_space import solver as solver_module
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+N, T = 16, 40
+DEFAULT = JointSpaceSettings()
+GIVEN = replace(DEFAULT, sigma_reprojection=3.0)
+QUICK = replace(DEFAULT, annealing=3, max_iterations=3)
+EXACT = replace(
+    DEFAULT, sigma_reprojection=0.5, sigma_swing=0.01, sigma_twist=0.01, sigma_acceleration=0.2,
+    prior_inflation=20.0, sigma_torso=None, sigma_bone=None, max_iterations=100,
+)  # fmt: skip
+"""Of somebody who knows that nothing is wrong with the observations."""
+LIMIT = np.radians(0.1)
+"""By how much a limit may be missed, rad."""
+
+
+def body(set_: JointSpaceSettings = DEFAULT, frames: int = N) -> FragmentSolver:
+    return FragmentSolver(BODY, frames, set_)
+
+
+class Scene:
+    """A motion as people move, what was observed of it, and poses to start from."""
+
+    def __init__(self, frames: int = T, seed: int = 0) -> None:
+        self.truth: MotionSequence = planted.human(BODY, frames, seed)
+        poses = self.truth.poses
+        self.exact, self.seen = planted.keypoints(poses), planted.keypoints(poses, 3.0)
+        self.exact_imus = planted.bone_imus(BODY, poses)
+        self.imus = planted.bone_imus(BODY, poses, planted.LIMBS, 3.0, 0.4)
+        self.start = InertialGuidedIK(BODY).refine(planted.lifted_poses(self.truth), self.imus)
+
+    def solve(
+        self, solver: FragmentSolver | JointSpaceSettings = DEFAULT, frames: int = T, **given: Any
+    ) -> FragmentSolution:
+        """From its start and noisy observations, or from those given."""
+        observed: dict[str, Any] = {
+            "start": self.start, "keypoints": self.seen, "bone_imus": self.imus, **given
+        }  # fmt: skip
+        cut: dict[str, Any] = {k: v and v[:frames] for k, v in observed.items()}
+        return (solver if isinstance(solver, FragmentSolver) else body(solver)).solve(**cut)
+
+    def mm(self, poses: PoseSequence) -> float:
+        return planted.mpjpe_mm(poses.p_world_joint, self.truth.poses.p_world_joint)
+
+    def relative_mm(self, poses: PoseSequence) -> float:
+        return planted.root_relative_mm(poses.p_world_joint, self.truth.poses.p_world_joint)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene()
+
+
+@pytest.fixture(scope="module")
+def solution(scene: Scene) -> FragmentSolution:
+    return scene.solve()
+
+
+@pytest.fixture(scope="module")
+def alone(scene: Scene) -> FragmentSolution:
+    """Without sensors."""
+    return scene.solve(bone_imus=None)
+
+
+def same(one: FragmentSolution, two: FragmentSolution, atol: float = 1e-9) -> None:
+    np.testing.assert_allclose(one.poses.p_world_joint, two.poses.p_world_joint, rtol=0, atol=atol)
+
+
+def sigmas(solution: FragmentSolution) -> list[float]:
+    return [f.sigma_reprojection for f in solution.fragments]
+
+
+def changed(array: Array, where: Any, value: Any) -> Array:
+    out = np.array(array)
+    out[where] = value
+    return out
+
+
+# --- what is recovered ---------------------------------------------------------------------------
+
+
+def test_exact_observations_recover_the_truth(scene: Scene) -> None:
+    out = scene.solve(EXACT, keypoints=scene.exact, bone_imus=scene.exact_imus)
+    assert scene.mm(scene.start) > 150
+    assert scene.mm(out.poses) < 0.5
+    assert out.status is SolverStatus.CONVERGED
+    assert scene.mm(scene.solve(keypoints=scene.exact, bone_imus=scene.exact_imus).poses) < 5.0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_noisy_observations_are_improved_upon_by_far(seed: int) -> None:
+    s = Scene(seed=seed)
+    out = s.solve()
+    assert out.status is SolverStatus.CONVERGED
+    assert s.relative_mm(out.poses) < 0.25 * s.relative_mm(s.start)
+    assert s.mm(out.poses) < 0.15 * s.mm(s.start)
+    result, start, true = (
+        flexion(poses.p_world_joint, BODY) for poses in (out.poses, s.start, s.truth.poses)
+    )
+    assert np.nanmean(np.abs(result - true)) < 0.7 * np.nanmean(np.abs(start - true))
+    assert 1.5 < min(sigmas(out)) < max(sigmas(out)) < 4.5, "it is 3 px"
+
+
+def test_vision_alone_beats_its_start_and_sensors_add_to_it(
+    scene: Scene, alone: FragmentSolution
+) -> None:
+    assert alone.energy["orientation"] == alone.energy["acceleration"] == 0.0
+    assert min(alone.energy["bone"], alone.energy["root"]) > 0
+    sensed = scene.solve(bone_imus=scene.exact_imus)
+    assert sensed.energy["root"] == 0.0 < sensed.energy["acceleration"]
+    errors = [scene.relative_mm(poses) for poses in (sensed.poses, alone.poses, scene.start)]
+    assert errors[0] < errors[1] < 0.5 * errors[2]
+
+
+def test_landmarks_far_off_do_little_harm(scene: Scene, solution: FragmentSolution) -> None:
+    far = np.random.default_rng(0).random((T, 21)) < 0.1
+    seen = replace(scene.seen, uv_px=scene.seen.uv_px + 80.0 * far[..., None])
+    error = scene.relative_mm(scene.solve(keypoints=seen).poses)
+    assert error < 1.5 * scene.relative_mm(solution.poses) + 2.0
+
+
+def test_turning_and_moving_the_whole_scene_turns_and_moves_the_answer(scene: Scene) -> None:
+    R, t = so3.exp([0.2, -0.4, 1.3]), np.array([3.0, -1.0, 0.4])
+    cam, start, imus = scene.seen.camera, scene.start, scene.imus
+    R_camera = cam.R_camera_world @ R.T
+    moved = replace(cam, R_camera_world=R_camera, t_camera_world=cam.t_camera_world - R_camera @ t)
+    fine = replace(GIVEN, max_iterations=100, tolerance=1e-9)
+    here = scene.solve(fine, 24).poses.p_world_joint
+    there = scene.solve(
+        fine, 24, keypoints=replace(scene.seen, camera=moved),
+        start=replace(
+            start, p_world_joint=start.p_world_joint @ R.T + t, R_world_bone=R @ start.R_world_bone
+        ),
+        bone_imus=replace(imus, R_world_bone=R @ imus.R_world_bone, a_world=imus.a_world @ R.T),
+    )  # fmt: skip
+    np.testing.assert_allclose(there.poses.p_world_joint, here @ R.T + t, atol=5e-4)
+
+
+def test_a_lens_with_distortion_gives_the_same_answer(
+    scene: Scene, solution: FragmentSolution
+) -> None:
+    seen = scene.seen
+    lens = replace(seen.camera, distortion=np.array([-0.2, 0.05, 0.001, -0.002, 0.0]))
+    uv = lens.project(seen.camera.rays_world(seen.uv_px) + seen.camera.center_world)
+    assert np.abs(uv - seen.uv_px).max() > 2
+    same(scene.solve(keypoints=replace(seen, camera=lens, uv_px=uv)), solution, atol=1e-4)
+
+
+def test_a_body_of_another_size_is_not_mistaken_for_the_first(scene: Scene) -> None:
+    tall = BODY.with_height(1.95)
+    truth = planted.human(tall, 12).poses
+    imus, seen = planted.bone_imus(tall, truth), planted.keypoints(truth)
+    scene.solve(EXACT, 12)
+    out = FragmentSolver(tall, N, EXACT).solve(truth, seen, imus).poses
+    assert planted.mpjpe_mm(out.p_world_joint, truth.p_world_joint) < 1.0
+
+
+# --- the answer ----------------------------------------------------------------------------------
+
+
+def test_bones_are_rigid_orientations_whole_and_knees_and_elbows_hinges(
+    scene: Scene, solution: FragmentSolution
+) -> None:
+    def across(R: Array) -> float:
+        """Largest turn of knees and elbows about the two axes they turn least about, rad."""
+        local = so3.log(kinematics.local_rotations(BODY.parents, R)[:, hinges(BODY)])
+        return float(np.sort(np.abs(local).max(axis=0), axis=-1)[:, :2].max())
+
+    p, R = solution.poses.p_world_joint, solution.poses.R_world_bone
+    assert so3.is_rotation(R, tolerance=1e-9)
+    rigid = kinematics.positions(BODY.parents, BODY.joint_offsets, p[:, 0], R)
+    np.testing.assert_allclose(p, rigid, atol=1e-9)
+    free = scene.solve(replace(DEFAULT, hinges=False)).poses
+    assert across(R) < 1e-7 < 0.01 < across(free.R_world_bone)
+    assert scene.relative_mm(free) < 0.4 * scene.relative_mm(scene.start)
+
+
+def test_anatomical_limits_hold_and_without_them_they_do_not() -> None:
+    # A knee that is seen overstretched by 15 degrees.
+    truth, dof = planted.human(BODY, N), BODY.dof_names.index("LeftLeg_y")
+    low = BODY.limits[dof, 0]
+    p, R = BODY.forward_kinematics(changed(truth.q, np.s_[:, 7 + dof], low - np.radians(15.0)))
+    poses = replace(truth.poses, p_world_joint=p, R_world_bone=R)
+    seen, imus = planted.keypoints(poses, 1.0), planted.bone_imus(BODY, poses)
+    beyond = {}
+    for limited in (True, False):
+        out = body(replace(DEFAULT, limits=limited)).solve(poses, seen, imus)
+        q = BODY.inverse_kinematics(out.poses.p_world_joint, out.poses.R_world_bone)
+        beyond[limited] = np.degrees(low - q[:, 7 + dof])
+        assert max(f.infeasibility for f in out.fragments) <= (LIMIT if limited else 0.0)
+    assert beyond[True].max() < 0.2
+    assert beyond[False].mean() > 5
+
+
+def with_limit(low: float, high: float) -> SkeletonTable:
+    """The skeleton's table with another limit of the left knee, rad."""
+    (j,) = BODY.index("LeftLeg")
+    joint, joints = BODY.table.joints[j], list(BODY.table.joints)
+    joints[j] = replace(joint, limits=changed(joint.limits, 0, (low, high)))
+    return replace(BODY.table, joints=tuple(joints))
+
+
+@pytest.mark.parametrize("source", ["table", "URDF"])
+def test_somebody_with_limits_of_their_own_has_them_kept(source: str, tmp_path: Path) -> None:
+    truth, dof = planted.human(BODY, N), BODY.dof_names.index("LeftLeg_y")
+    p, R = BODY.forward_kinematics(changed(truth.q, np.s_[:, 7 + dof], 0.6))
+    poses = replace(truth.poses, p_world_joint=p, R_world_bone=R)
+    somebody = SkeletonModel(with_limit(0.0, 0.3))
+    if source == "URDF":
+        (tmp_path / "somebody.urdf").write_text(somebody.to_urdf(), encoding="utf-8")
+        somebody = SkeletonModel.from_urdf(tmp_path / "somebody.urdf")
+    assert somebody.limits[dof] == pytest.approx((0.0, 0.3))
+    solver = FragmentSolver(somebody, N, DEFAULT)
+    out = solver.solve(poses, planted.keypoints(poses), planted.bone_imus(BODY, poses)).poses
+    knee = BODY.inverse_kinematics(out.p_world_joint, out.R_world_bone)[:, 7 + dof]
+    assert knee.max() < 0.3 + 2 * LIMIT
+
+
+def test_a_report_has_every_term_and_counts_what_was_done(solution: FragmentSolution) -> None:
+    assert [f.first_frame for f in solution.fragments] == [-8, 0, 8, 16, 24, 32]
+    for f in solution.fragments:
+        assert tuple(f.energy) == TERMS
+        assert min(f.energy.values()) >= 0
+        assert f.infeasibility <= LIMIT
+        assert 0 < f.optimality < np.inf
+        assert 0 < f.iterations <= DEFAULT.annealing + DEFAULT.max_iterations
+
+
+def test_a_finer_tolerance_leaves_a_smaller_gradient(scene: Scene) -> None:
+    free = replace(GIVEN, max_iterations=100, limits=False)
+    coarse, fine = (scene.solve(replace(free, tolerance=tolerance)) for tolerance in (1e-2, 1e-8))
+    assert fine.status is coarse.status is SolverStatus.CONVERGED
+    assert fine.optimality < 0.01 * coarse.optimality
+    for a, b in zip(fine.fragments, coarse.fragments, strict=True):
+        assert a.iterations > b.iterations
+        assert sum(a.energy.values()) < sum(b.energy.values())
+
+
+@pytest.mark.parametrize("annealing, most", [(0, 0), (0, 1), (2, 0), (2, 1)])
+def test_too_few_iterations_are_reported(scene: Scene, annealing: int, most: int) -> None:
+    out = scene.solve(replace(DEFAULT, annealing=annealing, max_iterations=most), 12)
+    assert out.status is SolverStatus.ITERATION_LIMIT
+    assert {f.iterations for f in out.fragments} == {annealing + most}
+
+
+def test_the_limit_is_told_also_where_sigma_is_given_and_nothing_is_annealed(scene: Scene) -> None:
+    out = scene.solve(replace(DEFAULT, sigma_reprojection=4.0, max_iterations=1), 12)
+    assert out.status is SolverStatus.ITERATION_LIMIT
+
+
+# --- the sigma of the landmarks ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sigma_px", [3.0, 8.0])
+def test_the_sigma_of_white_errors_is_found_from_near_and_far(
+    scene: Scene, sigma_px: float
+) -> None:
+    seen = planted.keypoints(scene.truth.poses, sigma_px)
+    for start in (scene.start, scene.truth.poses):
+        found = sigmas(scene.solve(start=start, keypoints=seen, bone_imus=scene.exact_imus))
+        assert np.mean(found) == pytest.approx(sigma_px, rel=0.25), found
+        assert max(found) < 1.5 * sigma_px, found
+
+
+def test_errors_that_stay_are_counted_as_larger_than_they_are(scene: Scene) -> None:
+    drift = planted.smooth_noise(3, (T, 21, 2), 15, 5.0)
+    assert drift.std() == pytest.approx(5.0, rel=0.1)
+    seen, mean = replace(scene.exact, uv_px=scene.exact.uv_px + drift), {}
+    for factor in (2.5, 1.0):
+        set_ = replace(DEFAULT, largest_correlation_factor=factor)
+        mean[factor] = np.mean(
+            sigmas(scene.solve(set_, keypoints=seen, bone_imus=scene.exact_imus))
+        )
+    assert 1.5 * 5.0 < mean[2.5] <= 2.5 * 5.0
+    assert mean[1.0] < 1.1 * 5.0
+
+
+def test_the_sigma_stays_in_its_range_and_a_given_one_is_kept(scene: Scene) -> None:
+    within = scene.solve(replace(QUICK, sigma_reprojection_range=(5.0, 6.0)))
+    assert 5.0 <= min(sigmas(within)) <= max(sigmas(within)) <= 6.0
+    assert set(sigmas(scene.solve(replace(QUICK, sigma_reprojection=7.5)))) == {7.5}
+
+
+def test_confidence_weighs_landmarks(scene: Scene) -> None:
+    # The left half of the body is 40 px off and says that it is hardly to be believed.
+    left = [name.startswith("Left") for name in BODY.names]
+    uv, errors = scene.exact.uv_px + 40.0 * np.array(left)[:, None], []
+    for trust in (1.0, 1e-4):
+        confidence = changed(np.ones((T, 21)), np.s_[:, left], trust)
+        seen = replace(scene.exact, uv_px=uv, confidence=confidence)
+        out = scene.solve(replace(GIVEN, robust_reprojection=1e3), keypoints=seen)
+        errors.append(scene.relative_mm(out.poses))
+    assert errors[1] < 0.5 * errors[0]
+
+
+# --- sensors -------------------------------------------------------------------------------------
+
+
+@settings(max_examples=5, deadline=None)
+@given(joints=st.sets(st.sampled_from(["Hips", "Spine3", "Head", "LeftFoot", *planted.LIMBS])))
+def test_any_subset_of_sensors_is_taken(joints: set[str]) -> None:
+    poses = planted.human(BODY, 10).poses
+    imus = planted.bone_imus(BODY, poses, sorted(joints))
+    out = body(QUICK).solve(poses, planted.keypoints(poses), imus)
+    assert planted.mpjpe_mm(out.poses.p_world_joint, poses.p_world_joint) < 15
+    assert (out.energy["orientation"] > 0) == (out.energy["acceleration"] > 0) == bool(joints)
+
+
+@pytest.mark.parametrize("silent", [3, 8])
+def test_sensors_that_never_say_anything_are_as_if_they_were_not_there(
+    scene: Scene, silent: int
+) -> None:
+    imus, of = scene.imus, np.s_[:, :silent]
+    mute = replace(
+        imus, R_world_bone=changed(imus.R_world_bone, of, np.nan),
+        a_world=changed(imus.a_world, of, np.nan),
+    )  # fmt: skip
+    rest = imus.select(imus.joints[silent:]) if silent < 8 else None
+    same(scene.solve(frames=24, bone_imus=mute), scene.solve(frames=24, bone_imus=rest))
+
+
+def test_orientation_and_acceleration_may_be_missing_apart(scene: Scene) -> None:
+    imus = replace(
+        scene.exact_imus,
+        R_world_bone=changed(scene.exact_imus.R_world_bone, np.s_[10:20, 2], np.nan),
+        a_world=changed(scene.exact_imus.a_world, np.s_[15:30, 5], np.nan),
+    )
+    assert scene.mm(scene.solve(keypoints=scene.exact, bone_imus=imus).poses) < 6.0
+
+
+def test_sensors_at_another_rate_and_shifted_in_time_are_brought_to_the_frames() -> None:
+    truth = planted.human(BODY, 121)
+    imus, poses = planted.bone_imus(BODY, truth.poses)[3:118], truth.poses[20:100:2]
+    out = body().solve(poses, planted.keypoints(poses), imus)
+    assert planted.mpjpe_mm(out.poses.p_world_joint, poses.p_world_joint) < 8
+    assert out.energy["acceleration"] < 0.5
+    later = replace(poses, times=poses.times + 0.4 / 60)
+    assert body(QUICK).solve(later, planted.keypoints(later), imus).energy["acceleration"] < 5
+
+
+def test_the_lever_arm_of_a_sensor_matters(scene: Scene) -> None:
+    at_once, energies = replace(DEFAULT, max_iterations=0, annealing=0), []
+    for lever in (scene.exact_imus.p_bone_sensor, np.zeros((8, 3))):
+        imus = replace(scene.exact_imus, p_bone_sensor=lever)
+        out = scene.solve(at_once, start=scene.truth.poses, keypoints=scene.exact, bone_imus=imus)
+        energies.append(out.energy["acceleration"])
+    assert energies[1] > 5 * energies[0]
+
+
+def test_sensors_on_the_trunk_take_the_place_of_the_torso_of_the_start(
+    scene: Scene, solution: FragmentSolution
+) -> None:
+    imus = planted.bone_imus(BODY, scene.truth.poses, (*planted.LIMBS, "Hips", "Spine3"))
+    ten = scene.solve(bone_imus=imus)
+    assert ten.energy["torso"] == 0.0 < solution.energy["torso"]
+    assert scene.relative_mm(ten.poses) < scene.relative_mm(solution.poses)
+
+
+# --- landmarks -----------------------------------------------------------------------------------
+
+ENDS = ("Head", "LeftFoot", "RightFoot")
+MARKS = ("LeftHeel", "LeftToe", "RightHeel", "RightToe", "Nose", "LeftEar", "RightEar")
+
+
+def with_marks(seen: KeypointSequence, poses: PoseSequence) -> KeypointSequence:
+    """The same keypoints and heels, toes, nose and ears."""
+    every = BODY.landmark_positions(poses.p_world_joint, poses.R_world_bone)
+    at = [list(BODY.landmarks).index(name) for name in MARKS]
+    uv = np.concatenate([seen.uv_px, seen.camera.project(every[:, at])], axis=1)
+    return replace(seen, uv_px=uv, confidence=np.ones(uv.shape[:2]), names=(*seen.names, *MARKS))
+
+
+def test_heels_toes_nose_and_sensors_there_turn_feet_and_head() -> None:
+    poses, index = planted.human(BODY, 20).poses, list(BODY.index(*ENDS))
+    exact, parents = planted.keypoints(poses), [BODY.parents[j] for j in index]
+    eleven = planted.bone_imus(BODY, poses, (*planted.LIMBS, *ENDS))
+    eight, degrees = eleven.select(planted.LIMBS), []
+    for seen, imus in ((exact, eight), (with_marks(exact, poses), eight), (exact, eleven)):
+        out = body().solve(poses, seen, imus).poses
+        R, shown = out.R_world_bone, out.orientation_observed[:, index]
+        assert shown.all() if seen is not exact else not shown.any()
+        angles = so3.angle_between(R[:, index], poses.R_world_bone[:, index])
+        degrees.append(float(np.degrees(angles.mean())))
+        rigid = np.allclose(R[:, index], R[:, parents], atol=1e-9)
+        assert rigid == (seen is exact and imus is eight)
+    assert degrees[0] > 4
+    assert max(degrees[1:]) < 0.5 * degrees[0]
+
+
+def test_landmarks_that_the_skeleton_does_not_know_are_left_out(scene: Scene) -> None:
+    named = replace(scene.seen, names=(*scene.seen.names[:-1], "left big toe nail"))
+    missing = planted.unseen(scene.seen, slice(None), 20)
+    same(scene.solve(frames=24, keypoints=named), scene.solve(frames=24, keypoints=missing))
+
+
+@settings(max_examples=5, deadline=None)
+@given(joints=st.sets(st.sampled_from(BODY.names), max_size=15))
+def test_any_subset_of_landmarks_is_taken(joints: set[str]) -> None:
+    poses = planted.human(BODY, 10).poses
+    imus = planted.bone_imus(BODY, poses)
+    blind = list(BODY.index(*joints)) if joints else []
+    seen = planted.unseen(planted.keypoints(poses), slice(None), blind)
+    out = body(QUICK).solve(poses, seen, imus)
+    assert planted.root_relative_mm(out.poses.p_world_joint, poses.p_world_joint) < 40
+    only = seen.select([name for name in BODY.names if name not in joints])
+    same(body(QUICK).solve(poses, only, imus), out, atol=0.0)
+
+
+def test_joints_and_frames_that_were_not_seen_are_bridged(scene: Scene) -> None:
+    gap = slice(18, 26)
+    seen = planted.unseen(scene.seen, gap)
+    out = scene.solve(keypoints=planted.unseen(seen, slice(None), BODY.index("LeftHand", "Head")))
+    assert out.status is SolverStatus.CONVERGED
+    p, start, true = (x.p_world_joint for x in (out.poses, scene.start, scene.truth.poses))
+    before = planted.root_relative_mm(start[gap], true[gap])
+    assert planted.root_relative_mm(p[gap], true[gap]) < 0.6 * before
+    fastest = [np.linalg.norm(np.diff(x, axis=0), axis=-1).max() for x in (p, true)]
+    assert fastest[0] < 3 * fastest[1]
+
+
+# --- what was not observed -----------------------------------------------------------------------
+
+
+def test_fragments_in_which_nothing_was_seen_say_so(scene: Scene) -> None:
+    out = scene.solve(keypoints=planted.unseen(scene.seen, slice(16, T)), bone_imus=None)
+    expected = [SolverStatus.CONVERGED] * 3 + [SolverStatus.UNOBSERVED] * 3
+    assert [f.status for f in out.fragments] == expected
+    assert out.status is SolverStatus.UNOBSERVED
+    for report in out.fragments[3:]:
+        assert report.energy["visual"] == report.energy["orientation"] == 0.0
+    assert scene.mm(out.poses) < scene.mm(scene.start)
+
+
+def test_a_sensor_alone_is_an_observation(scene: Scene) -> None:
+    out = scene.solve(keypoints=planted.unseen(scene.seen, slice(None)))
+    assert SolverStatus.UNOBSERVED not in [f.status for f in out.fragments]
+    limbs = BODY.index(*planted.LIMBS)
+    R, R_true = (poses.R_world_bone[:, limbs] for poses in (out.poses, scene.truth.poses))
+    assert np.degrees(so3.angle_between(R, R_true).mean()) < 12
+
+
+# --- bad input -----------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
+@pytest.mark.parametrize("size", [1e100, 1e160, 1e300])
+@pytest.mark.parametrize("what", ["keypoint", "acceleration"])
+def test_absurd_numbers_harm_their_fragments_alone_and_give_back_the_start_where_none_can_be_squared(
+    scene: Scene, what: str, size: float
+) -> None:
+    seen, imus = scene.seen, scene.imus
+    if what == "keypoint":
+        seen = replace(seen, uv_px=changed(seen.uv_px, (20, 3), size))
+    else:
+        imus = replace(imus, a_world=changed(imus.a_world, (20, 3), size))
+    unfiltered = replace(DEFAULT, smooth_start_hz=30.0)
+    out = scene.solve(unfiltered, keypoints=seen, bone_imus=imus)
+    assert np.isfinite(out.poses.p_world_joint).all()
+    clean = [f.status is SolverStatus.CONVERGED for f in out.fragments]
+    assert clean[:2] + clean[4:] == [True] * 4
+    for f in out.fragments[2:4]:
+        overflows = not np.isfinite(sum(f.energy.values()))
+        assert overflows == (f.status is SolverStatus.FAILED) == (size > 1e154)
+    if size > 1e154:
+        hips, of_start = out.poses.R_world_bone[16:24, 0], scene.start.R_world_bone[16:24, 0]
+        np.testing.assert_allclose(hips, of_start, atol=1e-6)
+
+
+def test_limits_that_contradict_each_other_are_refused_by_name(scene: Scene) -> None:
+    wrong = SkeletonModel(with_limit(1.0, 0.2))
+    with pytest.raises(ShapeError, match="limits of LeftLeg_y contradict each other"):
+        scene.solve(FragmentSolver(wrong, N))
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("field", [
+    "sigma_reprojection", "sigma_swing", "sigma_acceleration", "robust_orientation", "jerk",
+    "prior_inflation", "tolerance",
+])  # fmt: skip
+def test_a_sigma_must_be_positive_and_finite(field: str, value: float) -> None:
+    change: dict[str, Any] = {field: value}
+    with pytest.raises(ShapeError, match=f"{field} must be positive and finite"):
+        replace(DEFAULT, **change)
+
+
+# --- frames --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 4, 7, 8, 9, 16, 17])
+def test_any_number_of_frames_is_solved(frames: int) -> None:
+    poses = planted.human(BODY, frames).poses
+    out = body(QUICK).solve(poses, planted.keypoints(poses), planted.bone_imus(BODY, poses))
+    np.testing.assert_array_equal(out.poses.times, poses.times)
+    assert len(out.fragments) == -(-frames // 8) + 1
+    assert planted.mpjpe_mm(out.poses.p_world_joint, poses.p_world_joint) < 6
+
+
+def test_frames_far_from_the_ends_do_not_know_of_them(scene: Scene) -> None:
+    unfiltered = replace(DEFAULT, smooth_start_hz=29.9)  # the start's filter would tell
+    whole, part = (scene.solve(unfiltered, frames).poses.p_world_joint for frames in (T, 32))
+    assert planted.mpjpe_mm(whole[:12], part[:12]) < 0.5
+
+
+# --- what the settings do ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("term", ["torso", "bone", "root"])
+def test_none_leaves_an_anchor_to_the_start_out(
+    scene: Scene, alone: FragmentSolution, term: str
+) -> None:
+    off: dict[str, Any] = {f"sigma_{term}": None}
+    without = scene.solve(replace(QUICK, **off), 24, bone_imus=None)
+    assert alone.energy[term] > 0.0 == without.energy[term]
+
+
+def test_a_known_floor_keeps_the_feet_on_it() -> None:
+    # Somebody stands still, seen 10 % too large: too near, and from above that is too high.
+    q = np.tile(BODY.n_pose(), (N, 1))
+    q[:, 2] += 0.95
+    p, R = BODY.forward_kinematics(q)
+    poses = PoseSequence(np.arange(N) / 60, p, R, BODY.names)
+    feet = list(BODY.index("LeftFoot", "RightFoot"))
+    ankle, exact, height = float(p[:, feet, 2].mean()), planted.keypoints(poses), {}
+    center = exact.uv_px.mean(axis=1, keepdims=True)
+    seen = replace(exact, uv_px=center + 1.1 * (exact.uv_px - center))
+    for floor in (None, 0.0):
+        set_ = replace(GIVEN, floor_height=floor, ankle_height=ankle, sigma_floor=0.005)
+        out = body(set_).solve(poses, seen, planted.bone_imus(BODY, poses))
+        height[floor] = np.abs(out.poses.p_world_joint[:, feet, 2] - ankle).mean()
+        assert (out.energy["floor"] > 0) == (floor == 0.0)
+    assert height[None] > 0.03
+    assert height[0.0] < 0.5 * height[None]
+
+
+def test_more_jerk_allowed_is_rougher(scene: Scene) -> None:
+    rough = []
+    for jerk in (0.2, 50.0):
+        out = scene.solve(replace(DEFAULT, jerk=jerk, sigma_reprojection=1.0)).poses.p_world_joint
+        rough.append(np.linalg.norm(np.diff(out, n=3, axis=0), axis=-1).mean())
+    assert rough[0] < 0.3 * rough[1]
+
+
+def test_with_nothing_else_the_prior_takes_over(scene: Scene) -> None:
+    def away(R: Array) -> float:
+        """Mean angle of the joints to the prior's mean, rad."""
+        mean = planted.human(BODY, 1, size=0.0).poses.R_world_bone
+        local, rest = (kinematics.local_rotations(BODY.parents, X)[:, 1:] for X in (R, mean))
+        return float(so3.angle_between(local, rest).mean())
+
+    blind, angles = planted.unseen(scene.seen, slice(None)), [away(scene.start.R_world_bone)]
+    for inflation in (10.0, 1.0):
+        set_ = replace(DEFAULT, prior_inflation=inflation, sigma_torso=None, sigma_bone=None)
+        out = scene.solve(set_, 12, keypoints=blind, bone_imus=None)
+        angles.append(away(out.poses.R_world_bone))
+    assert angles[2] < angles[1] < 0.5 * angles[0]
+    assert angles[2] < 0.15
+
+
+def test_a_fragment_that_no_step_improves_before_the_limit_is_acceptable(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = LevenbergMarquardt.solve
+
+    def stalled(*args: Any, **more: Any) -> Solved:
+        return replace(whole(*args, **more), converged=False)
+
+    monkeypatch.setattr(LevenbergMarquardt, "solve", stalled)
+    assert scene.solve().status is SolverStatus.ACCEPTABLE
+
+
+# --- neighbours ----------------------------------------------------------------------------------
+
+
+def bent_over(start: PoseSequence, frames: slice) -> PoseSequence:
+    """Poses whose trunk, head and all, lies backwards for a while."""
+    R = start.R_world_bone.copy()
+    for j in BODY.index("Spine", "Spine1", "Spine2", "Spine3", "Neck", "Head"):
+        R[frames, j] = R[frames, j] @ so3.about_axis("y", -2.6)
+    p = kinematics.positions(BODY.parents, BODY.joint_offsets, start.p_world_joint[:, 0], R)
+    return replace(start, R_world_bone=R, p_world_joint=p)
+
+
+@pytest.mark.parametrize("frames", [slice(18, 40), slice(0, 18)])
+def test_a_fragment_that_is_caught_in_a_minimum_of_its_own_goes_on_from_its_neighbour(
+    scene: Scene, frames: slice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = bent_over(scene.start, frames)
+    told: dict[str, Any] = {"start": start, "keypoints": scene.exact, "bone_imus": scene.imus}
+    found = scene.solve(**told)
+    monkeypatch.setattr(solver_module, "_STANDS_OUT", np.inf)
+    caught = scene.solve(**told)
+    assert max(f.sigma_reprojection for f in caught.fragments) > 5.0
+    assert max(f.sigma_reprojection for f in found.fragments) < 1.5
+    assert scene.mm(found.poses) < 0.25 * scene.mm(caught.poses)

@@ -1,0 +1,90 @@
+"""What a fragment solver gives back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from rtof_kin.core.numerics.levenberg_marquardt import Solved
+from rtof_kin.data.types import PoseSequence
+from rtof_kin.solve.solution import FragmentReport, FragmentSolution, SolverStatus, misfits
+
+POSES = PoseSequence(np.zeros(1), np.zeros((1, 1, 3)), np.eye(3)[None, None], ("Hips",))
+
+
+def report(status: SolverStatus = SolverStatus.CONVERGED, k: float = 1.0) -> FragmentReport:
+    return FragmentReport(
+        first_frame=0, status=status, energy={"visual": k, "smooth": 2 * k}, iterations=int(k),
+        seconds=0.1 * k, sigma_reprojection=4.0, optimality=k, infeasibility=0.0,
+    )  # fmt: skip
+
+
+def test_a_solution_sums_up_its_fragments() -> None:
+    solution = FragmentSolution(POSES, (report(k=1), report(k=6), report(k=2)))
+    assert solution.iterations == 9
+    assert solution.seconds == pytest.approx(0.9)
+    assert solution.optimality == 6
+    assert solution.energy == pytest.approx({"visual": 3.0, "smooth": 6.0})
+
+
+@pytest.mark.parametrize("better, worse", list(pairwise(SolverStatus)))
+def test_the_status_of_a_solution_is_its_worst_fragments(
+    better: SolverStatus, worse: SolverStatus
+) -> None:
+    reports = (report(better), report(worse), report(better), report())
+    assert FragmentSolution(POSES, reports).status is worse
+
+
+def test_the_outcome_counts_fragments_instead_of_naming_the_worst_alone() -> None:
+    loose, failed = report(SolverStatus.ACCEPTABLE), report(SolverStatus.FAILED)
+    outcome = FragmentSolution(POSES, (report(), loose, report(), loose, failed)).outcome
+    assert outcome.startswith("2 of 5 fragments converged, 2 at a looser tolerance")
+    assert outcome.endswith("1 failed")
+    assert FragmentSolution(POSES, (report(), report())).outcome == "2 of 2 fragments converged"
+
+
+def test_a_solver_that_stalls_and_one_that_runs_out_of_iterations_are_told_apart() -> None:
+    stalled = Solved(np.zeros((1, 3)), 7, False, np.zeros((1, 0)))
+    assert SolverStatus.of(stalled) is SolverStatus.ACCEPTABLE
+    assert SolverStatus.of(replace(stalled, out_of_iterations=True)) is SolverStatus.ITERATION_LIMIT
+    assert SolverStatus.of(replace(stalled, converged=True)) is SolverStatus.CONVERGED
+
+
+def fitted(*sizes: float) -> tuple[str, ...]:
+    """Warnings of fragments of ten frames, five apart, with residuals of these sizes, at 10 Hz."""
+    firsts = range(-5, 5 * len(sizes), 5)
+    reports = [
+        replace(report(k=9.0), first_frame=first, sigma_reprojection=size)
+        for first, size in zip(firsts, sizes, strict=False)
+    ]
+    return misfits(reports, np.arange(40) / 10, 10, 25.0)
+
+
+def test_fragments_that_fit_much_worse_than_the_others_are_told_with_their_time() -> None:
+    (told,) = fitted(0.5, 0.5, 0.6, 3.9, 12.5, 0.5, 0.5, 0.5, 0.5)
+    assert told.startswith("1.0 to 2.4 s: joints lie 12 px per axis from where they were seen (0.5 is")
+    assert len(fitted(0.5, 4.0, 0.5, 0.5, 0.5, 0.5, 0.5, 9.0, 0.5)) == 2
+
+
+def test_fits_that_are_alike_are_told_only_at_the_limit() -> None:
+    assert fitted(4.0, 6.0, 9.0, 11.0, 5.0, 0.5, 4.0, 4.0, 5.0) == ()
+    assert fitted(0.5, 0.5, 0.5, 2.9, 0.5, 0.5, 0.5, 0.5, 0.5) == ()
+    (told,) = fitted(*[25.0] * 9)
+    assert told.startswith("0.0 to 3.9 s")
+
+
+def test_of_a_fragment_in_which_hardly_anything_was_seen_nothing_is_told() -> None:
+    reports = [replace(report(k=0.1), first_frame=5 * i - 5, sigma_reprojection=25.0) for i in range(9)]
+    assert misfits(reports, np.arange(40) / 10, 10, 25.0) == ()
+
+
+def test_the_states_are_sentences_from_good_to_bad() -> None:
+    assert [status.name for status in SolverStatus] == [
+        "CONVERGED", "ACCEPTABLE", "ITERATION_LIMIT", "UNOBSERVED", "FAILED",
+    ]  # fmt: skip
+    assert all(status.value.endswith(".") for status in SolverStatus)
+    assert "starting poses" in SolverStatus.FAILED.value
+    assert "prior alone" in SolverStatus.UNOBSERVED.value

@@ -1,0 +1,78 @@
+"""What a recording tells of its own errors: white and lasting residuals, and a lifter's doubt."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.data.types import Camera, KeypointSequence
+from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA
+from rtof_kin.solve.uncertainty.residual_statistics import circumstances, correlation
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+MOTION = planted.moving(BODY, 240, 1)
+CAMERA = Camera.looking_at((4.0, 1.0, 1.5), MOTION.poses.p_world_joint.mean(axis=(0, 1)), 1250.0)
+
+
+def keypoints(error_px: Array, motion: MotionSequence = MOTION) -> KeypointSequence:
+    """Of the motion's joints, off by errors (T, J, 2)."""
+    uv = CAMERA.project(motion.poses.p_world_joint) + error_px
+    return KeypointSequence(CAMERA, motion.times, uv, np.ones(uv.shape[:2]), BODY.names)
+
+
+def errors(number: int, shape: tuple[int, ...] = (240, 21, 2)) -> Array:
+    return 5.0 * np.random.default_rng(number).normal(size=shape)
+
+
+def test_white_residuals_do_not_last_and_a_bias_does() -> None:
+    white = circumstances(keypoints(errors(0)), MOTION, MOTION.poses)
+    biased = circumstances(keypoints(errors(1, (21, 2)) + 0.2 * errors(2)), MOTION, MOTION.poses)
+    assert white.lasting < 0.05
+    assert biased.lasting == 1.0
+
+
+@pytest.mark.parametrize("rate_hz", [30.0, 60.0, 120.0])
+def test_the_correlation_is_that_of_a_fifteenth_of_a_second_at_every_rate(rate_hz: float) -> None:
+    rng, memory = np.random.default_rng(3), 0.2
+    stay = np.exp(-1 / (rate_hz * memory))
+    residuals = [rng.normal(size=(40, 2))]
+    for _ in range(600):
+        residuals.append(stay * residuals[-1] + np.sqrt(1 - stay**2) * rng.normal(size=(40, 2)))
+    found = correlation(np.array(residuals), np.arange(601) / rate_hz)
+    assert found == pytest.approx(np.exp(-1 / (15 * memory)), abs=0.05)
+
+
+def test_outliers_that_stay_do_not_pass_for_a_detector_s_drift() -> None:
+    residuals = errors(4)
+    residuals[50:100, :2] += 300.0
+    found = correlation(residuals, np.arange(240) / 60)
+    assert found is not None
+    assert found < 0.3
+
+
+def test_unseen_landmarks_are_left_out_and_nothing_is_said_of_too_few() -> None:
+    residuals = np.broadcast_to(errors(5, (21, 2)), (240, 21, 2)).copy()
+    residuals[::3] = np.nan
+    assert correlation(residuals, np.arange(240) / 60) == pytest.approx(1.0)
+    assert correlation(residuals[:5], np.arange(5) / 60) is None
+    assert correlation(np.full((240, 21, 2), np.nan), np.arange(240) / 60) is None
+    assert correlation(np.zeros((240, 21, 2)), np.arange(240) / 60) is None
+
+
+def test_a_recording_that_tells_nothing_is_taken_for_a_usual_one() -> None:
+    told = circumstances(keypoints(np.full((240, 21, 2), np.nan)), MOTION, MOTION.poses, ("Hips",))
+    assert (told.lasting, told.torso_sigma, told.sensors) == (1.0, USUAL_TORSO_SIGMA, ("Hips",))
+
+
+def test_the_lifter_s_doubt_is_that_of_pelvis_and_upper_trunk() -> None:
+    sigma = np.full((240, 21), 0.5)
+    sigma[:, BODY.index("Hips", "Spine3")] = 0.2
+    sigma[:30] = np.nan
+    lifted = replace(MOTION.poses, sigma_rad=sigma)
+    assert circumstances(keypoints(errors(6)), MOTION, lifted).torso_sigma == pytest.approx(0.2)

@@ -1,0 +1,87 @@
+"""A short recording with planted errors, and everything open that can be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted
+from numpy.typing import NDArray
+
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.calibration.estimate import shared_fragments
+from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.shared_fragments import SharedFragments
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.types import PoseSequence
+from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+FRAMES = 12
+SETTINGS = JointSpaceSettings(floor_height=0.0, sigma_floor=0.03, compile="never")
+OPEN = {
+    "delay": {"sigma_delay": 0.05, "sigma_clock_drift": 0.01},
+    "heading": {"sigma_heading": 0.1, "sigma_heading_drift": 0.05},
+    "mounting": {"sigma_swing": 0.05, "sigma_twist": 0.1},
+    "lever arm": {"sigma_lever_arm": 0.02},
+    "bones": {"sigma_size": 0.05, "sigma_proportion": 0.03},
+    "image bias": {"sigma_image_bias": 6.0},
+    "place": {"sigma_place": 0.02},
+    "focal length": {"sigma_focal": 0.02},
+    "camera tilt": {"sigma_tilt": 0.02},
+    "ankle height": {"sigma_ankle_height": 0.03},
+}
+"""Kind -> what leaves it open."""
+NOTHING = {name: None for name in vars(CalibrationPriors()) if name.startswith("sigma_")} | {
+    "sigma_twist": 0.1
+}
+
+
+def only(*kinds: str, **more: float) -> CalibrationPriors:
+    """Priors that leave nothing else open."""
+    chosen = {name: value for kind in kinds for name, value in OPEN[kind].items()}
+    return CalibrationPriors(**(NOTHING | chosen | more))
+
+
+def motion(frames: int, seed: int = 0) -> MotionSequence:
+    """Somebody who moves as people do, and walks about a little."""
+    return planted.human(BODY, frames, seed)
+
+
+def fragments(
+    recording: Recording, start: PoseSequence, priors: CalibrationPriors
+) -> SharedFragments:
+    """Fragments of so few frames that a test is quick."""
+    return shared_fragments(recording, start, priors, SETTINGS, FRAMES)
+
+
+def misaligned(recording: Recording, **wrong: Array) -> Recording:
+    """A recording whose calibration is wrong by headings (S,) and mountings (S, 3): what a perfect
+    calibration finds."""
+    given = recording.calibration
+    assert given is not None
+    S = len(given.sensors)
+    heading = so3.about_axis("z", -wrong.get("heading", np.zeros(S)))
+    mounting = so3.exp(-wrong.get("mounting", np.zeros((S, 3))))
+    return replace(
+        recording,
+        calibration=replace(
+            given,
+            R_world_inertial=heading @ given.R_world_inertial,
+            R_sensor_bone=given.R_sensor_bone @ mounting,
+        ),
+    )
+
+
+def late(recording: Recording, seconds: float) -> Recording:
+    """A recording whose video is late."""
+    seen = recording.keypoints
+    return replace(recording, keypoints=replace(seen, times=seen.times + seconds))
+
+
+def biased(recording: Recording, bias_px: Array) -> Recording:
+    """A recording whose detector sees every landmark (L, 2) px beside where it is."""
+    seen = recording.keypoints
+    return replace(recording, keypoints=replace(seen, uv_px=seen.uv_px + bias_px))

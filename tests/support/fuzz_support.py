@@ -1,0 +1,385 @@
+"""Every reader of the package with a small valid example.
+
+To add a reader, add a line to `READERS`: a name, the example's files by their names in a folder, and how
+to read that folder. `test_fuzz_readers` damages each file of it in turn.
+"""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+import human36m_files
+import lifting_support
+import numpy as np
+import planted
+import total_capture_support
+from scipy.io import savemat
+
+from lifting.checkpoint import load_checkpoint, save_checkpoint
+from lifting.corpus import read_corpus
+from lifting.splits import read_split
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.body.skeleton_table import read_skeleton_table
+from rtof_kin.core.files.arrays import read_csv, read_npz
+from rtof_kin.core.resources import model_path
+from rtof_kin.datasets.detections import read_detections
+from rtof_kin.datasets.human36m import Human36M
+from rtof_kin.datasets.human36m_cameras import read_cameras as read_human36m_cameras
+from rtof_kin.datasets.object_npz import read_object_npz
+from rtof_kin.formats import total_capture
+from rtof_kin.formats.asf_amc import read_asf_amc
+from rtof_kin.formats.bvh import read_bvh
+from rtof_kin.formats.c3d import read_c3d, write_c3d
+from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
+from rtof_kin.formats.joint_trajectory import read_joint_trajectory_csv, write_joint_trajectory_csv
+from rtof_kin.formats.markers import MarkerSequence
+from rtof_kin.formats.motion_npz import read_motion_npz, write_motion_npz
+from rtof_kin.formats.opencv_yaml import read_opencv_yaml
+from rtof_kin.formats.sensors.files import read_sensor_log
+from rtof_kin.formats.sensors.mvnx import read_mvnx_file
+from rtof_kin.formats.trc import read_trc, write_trc
+from rtof_kin.recording.recording import Recording
+from rtof_kin.report.inspection import inspect
+from rtof_kin.simulation.mocap import read_corpus as read_mocap_corpus
+from rtof_kin.simulation.mocap import read_mocap
+from rtof_kin.vision.keypoint_files import read_detector_file
+from rtof_kin.vision.landmark_regression import read_gaussian
+from rtof_kin.vision.layouts import detector_table, read_detector_table
+
+DATA = Path(__file__).parents[1] / "fixtures"
+Files = Mapping[str, bytes]
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader and what it reads."""
+
+    name: str
+    example: Callable[[], Files]
+    """Makes contents by name in a folder."""
+    read: Callable[[Path], Any]
+    """From that folder."""
+
+    @cached_property
+    def files(self) -> Files:
+        """The example, made once."""
+        return self.example()
+
+    def __str__(self) -> str:
+        return self.name
+
+
+# --- examples ------------------------------------------------------------------------------------
+
+
+def made_by(write: Callable[[Path], object]) -> Files:
+    """The files that a function writes into a folder."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write(folder)
+        paths = sorted(path for path in folder.rglob("*") if path.is_file())
+        return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def real(*parts: str) -> bytes:
+    return DATA.joinpath(*parts).read_bytes()
+
+
+def npz(**arrays: Any) -> bytes:
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+@cache
+def motion() -> Any:
+    return planted.moving(SKELETON, 4)
+
+
+def recording(folder: Path) -> None:
+    planted.recording(planted.moving(SKELETON, 12)).save(folder / "take")
+
+
+def _markers() -> MarkerSequence:
+    p = np.random.default_rng(0).normal(size=(4, 3, 3))
+    p[1, 1] = np.nan
+    return MarkerSequence(np.arange(4) / 50, ("LASI", "RASI", "C7"), p)
+
+
+@cache
+def _human36m() -> Files:
+    def write(folder: Path) -> None:
+        human36m_files.write_dataset(folder, human36m_files.motions(("S9",), 1, 4))
+
+    return made_by(write)
+
+
+def _read_human36m(folder: Path) -> Any:
+    both = [Human36M(folder, keypoints=kind) for kind in ("gt", "cpn_ft_h36m_dbb")]
+    take = "S9", "Action 0"
+    seen = [data._archives.keypoints(*take, 0) for data in both]
+    return both[0].cameras, both[0]._archives.positions(*take), seen
+
+
+@cache
+def _total_capture() -> dict[str, bytes]:
+    def write(folder: Path) -> None:
+        total_capture_support.dataset(folder, total_capture_support.take(frames=30))
+
+    return dict(made_by(write))
+
+
+def total_capture_file(ending: str) -> bytes:
+    return next(v for name, v in _total_capture().items() if name.lower().endswith(ending))
+
+
+OPENPOSE = b'{"version": 1.3, "people": [{"person_id": [-1], "pose_keypoints_2d": [%s]}]}' % b", ".join(
+    b"%d.5, %d.25, 0.5" % (100 + 10 * i, 200 + 20 * i) for i in range(25)
+)
+OPENCV = b"""%YAML:1.0
+---
+image_width: 640
+image_height: 480
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 500., 0., 320., 0., 500., 240., 0., 0., 1. ]
+distortion_coefficients: [ 0.1, -0.05, 0., 0., 1.0e-03 ]
+R: [ 0.1, 0.2, 0.3 ]
+T: [ 0.5, 1.5, 4. ]
+"""
+SENSOR_CSV = b"time,A_fx,A_fy,A_fz,A_wx,A_wy,A_wz,A_qw,A_qx,A_qy,A_qz\n" + b"".join(
+    b"%.2f,0.1,0.2,9.8,0.01,0.02,0.03,1,0,0,0\n" % (i / 100) for i in range(6)
+)
+MT = b"// Update Rate: 100.0Hz\nPacketCounter\tSampleTimeFine\tAcc_X\tAcc_Y\tAcc_Z"
+MT += b"\tGyr_X\tGyr_Y\tGyr_Z\tQuat_q0\tQuat_q1\tQuat_q2\tQuat_q3\n" + b"".join(
+    b"%05d\t\t0.1\t0.2\t9.8\t0.01\t0.02\t0.03\t1.0\t0.0\t0.0\t0.0\n" % (100 + i) for i in range(6)
+)
+DOT = b"DeviceTag:,D1\nOutputRate:,60Hz\n\nPacketCounter,SampleTimeFine,Quat_W,Quat_X,Quat_Y,Quat_Z,"
+DOT += b"FreeAcc_X,FreeAcc_Y,FreeAcc_Z\n" + b"".join(
+    b"%d,%d,1.0,0.0,0.0,0.0,0.1,0.2,0.3\n" % (i, 5000 + 16667 * i) for i in range(6)
+)
+STO = b"DataRate=100\nDataType=Quaternion\nversion=3\nendheader\ntime\tpelvis_imu\ttibia_r_imu\n"
+STO += b"".join(b"%.2f\t1,0,0,0\t0.8,0.6,0,0\n" % (i / 100) for i in range(4))
+XIMU = b"Timestamp (us),Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s),Accelerometer X (g),"
+XIMU += b"Accelerometer Y (g),Accelerometer Z (g)\n" + b"".join(
+    b"%d,1.0,2.0,3.0,0.1,0.2,1.0\n" % (1000000 + 10000 * i) for i in range(5)
+)
+MVNX = b"""<?xml version="1.0" encoding="UTF-8"?>
+<mvnx version="4"><subject label="A" frameRate="60"><segments><segment label="Pelvis" id="1"/></segments>
+<sensors><sensor label="Pelvis"/></sensors><frames segmentCount="1" sensorCount="1">
+%s</frames></subject></mvnx>
+""" % b"".join(
+    b'<frame time="%d" index="%d" type="normal"><orientation>1 0 0 0</orientation><position>0 0 1'
+    b"</position><sensorFreeAcceleration>0.1 0.2 0.3</sensorFreeAcceleration><sensorOrientation>"
+    b"1 0 0 0</sensorOrientation></frame>\n" % (17 * i, i)
+    for i in range(4)
+)
+
+
+def _mat() -> bytes:
+    stream = io.BytesIO()
+    T = 5
+    sensor = {"acc": np.tile([0, 0, 9.81], (T, 1)), "quat": np.tile([1.0, 0, 0, 0], (T, 1))}
+    savemat(stream, {"t": np.arange(T) / 100, "hip": {**sensor, "gyr": np.zeros((T, 3))}})
+    return stream.getvalue()
+
+
+def _corpus_index() -> Files:
+    rows = b"file,subject,tc_like,fps,quality\nwalk.bvh,CMU002,walking,30,ok\n"
+    return {"index.csv": rows, "walk.bvh": real("mocap", "02_01_excerpt.bvh")}
+
+
+def _lifter() -> Files:
+    lifter = lifting_support.untrained_lifter(channels=4)
+    return made_by(lambda d: save_checkpoint(d / "a.pt", lifter._network, lifter.description))
+
+
+def one(name: str, content: Callable[[], bytes] | bytes) -> Callable[[], Files]:
+    """The example of a reader of one file."""
+    return lambda: {name: content() if callable(content) else content}
+
+
+def log(name: str, content: Callable[[], bytes] | bytes) -> Reader:
+    """A format of sensors, read as a folder, which recognises it by its content."""
+    return Reader(f"sensors {name}", one(name, content), read_sensor_log)
+
+
+def looked_at(name: str, example: Callable[[], Files]) -> Reader:
+    """A file or folder that `inspect` looks at."""
+    return Reader(f"inspect {name}", example, lambda folder: inspect(folder / name))
+
+
+UV = np.random.default_rng(1).uniform(100, 900, (4, 21, 2))
+CAMERA, SKELETON = planted.camera(), SkeletonModel.default()
+READERS = (
+    Reader("npz", one("a.npz", lambda: npz(a=UV, b=np.eye(3))), lambda d: read_npz(d / "a.npz")),
+    Reader("csv", one("a.csv", b"time,b\n0.0,1e3\n0.1,\n0.2,-3\n"), lambda d: read_csv(d / "a.csv")),
+    Reader(
+        "motion.npz",
+        lambda: made_by(lambda d: write_motion_npz(d / "motion.npz", motion())),
+        lambda d: read_motion_npz(d / "motion.npz"),
+    ),
+    Reader(
+        "joint trajectory",
+        lambda: made_by(lambda d: write_joint_trajectory_csv(d / "a.csv", motion())),
+        lambda d: read_joint_trajectory_csv(d / "a.csv"),
+    ),
+    Reader(
+        "object npz",
+        one("a.npz", lambda: npz(a=np.array({"S1": [np.eye(2), "x", 1.5]}, dtype=object))),
+        lambda d: read_object_npz(d / "a.npz", ["a"]),
+    ),
+    # --- motion capture
+    Reader(
+        "BVH", one("a.bvh", lambda: real("mocap", "10_01_excerpt.bvh")),
+        lambda d: read_bvh(d / "a.bvh"),
+    ),
+    Reader(
+        "ASF and AMC",
+        lambda: {"a.asf": real("mocap", "16.asf"), "a.amc": real("mocap", "16_15.amc")},
+        lambda d: read_asf_amc(d / "a.asf", d / "a.amc"),
+    ),
+    Reader(
+        "motion capture", one("a.bvh", lambda: real("mocap", "02_01_excerpt.bvh")),
+        lambda d: read_mocap(d / "a.bvh"),
+    ),
+    Reader("motion capture corpus", _corpus_index, lambda d: list(read_mocap_corpus(d))),
+    Reader(
+        "TRC", lambda: made_by(lambda d: write_trc(d / "a.trc", _markers())),
+        lambda d: read_trc(d / "a.trc"),
+    ),
+    Reader(
+        "C3D", lambda: made_by(lambda d: write_c3d(d / "a.c3d", _markers())),
+        lambda d: read_c3d(d / "a.c3d"),
+    ),
+    # --- cameras
+    Reader(
+        "camera TOML", lambda: made_by(lambda d: write_camera_toml(d / "a.toml", {"left": CAMERA})),
+        lambda d: read_camera_toml(d / "a.toml"),
+    ),
+    Reader("OpenCV YAML", one("a.yml", OPENCV), lambda d: read_opencv_yaml(d / "a.yml")),
+    Reader(
+        "OpenCV JSON",
+        one("a.json", b'{"width": 64, "height": 48, "K": [[9, 0, 3], [0, 9, 2], [0, 0, 1]],\n'
+            b'"rvec": [0.1, 0, 0], "tvec": [0, 0, 4], "D": {"rows": 1, "data": [0.1, 0, 0, 0]}}'),
+        lambda d: read_opencv_yaml(d / "a.json"),
+    ),
+    # --- datasets
+    Reader(
+        "Total Capture positions", one("a.txt", lambda: total_capture_file("gt_skel_gbl_pos.txt")),
+        lambda d: total_capture.read_joints(d / "a.txt", 3),
+    ),
+    Reader(
+        "Total Capture sensors", one("a.sensors", lambda: total_capture_file("_xsens.sensors")),
+        lambda d: total_capture.read_sensors(d / "a.sensors"),
+    ),
+    Reader(
+        "Total Capture IMU calibration", one("a.txt", lambda: total_capture_file("calib_imu_bone.txt")),
+        lambda d: total_capture.read_imu_calibration(d / "a.txt"),
+    ),
+    Reader(
+        "Total Capture cameras", one("a.cal", lambda: total_capture_file("calibration.cal")),
+        lambda d: total_capture.read_cameras(d / "a.cal"),
+    ),
+    Reader("Human3.6M archives", _human36m, _read_human36m),
+    Reader(
+        "Human3.6M cameras in JSON",
+        lambda: made_by(lambda d: human36m_files.write_camera_json(d, ("S9",))),
+        lambda d: read_human36m_cameras(d / "camera-parameters.json"),
+    ),
+    Reader(
+        "Human3.6M cameras in Python",
+        lambda: made_by(lambda d: human36m_files.write_camera_source(d, ("S9",))),
+        lambda d: read_human36m_cameras(d / "h36m_dataset.py"),
+    ),
+    Reader(
+        "dataset detections",
+        lambda: {"S5_acting3_cam1.npz": npz(uv_px=UV[:, :2]), "landmarks.txt": b"Hips\nLeftArm\n"},
+        lambda d: read_detections(d, "S5", "acting3", 1, CAMERA, SKELETON),
+    ),
+    # --- detectors
+    Reader("OpenPose", one("p_0_keypoints.json", OPENPOSE), lambda d: read_detector_file(d)),
+    Reader(
+        "COCO results",
+        one("a.json", b'[{"image_id": 0, "keypoints": [1.5, 2.5, 0.5, 3, 4, 1], "idx": 1},\n'
+            b'{"image_id": "1.jpg", "keypoints": [1.5, 2.5, 0.5, 3, 4, 1], "idx": 1}]'),
+        lambda d: read_detector_file(d / "a.json"),
+    ),
+    Reader(
+        "MediaPipe",
+        one("a.json", b'{"frames": [{"time": 0.1, "landmarks": [{"x": 0.5, "y": 0.25, "visibility": 1},\n'
+            b'{"x": 0.75, "y": 0.25, "visibility": 0.5}]}]}'),
+        lambda d: read_detector_file(d / "a.json", 640, 480),
+    ),
+    Reader(
+        "detector npz", one("a.npz", lambda: npz(uv_px=UV)),
+        lambda d: read_detector_file(d / "a.npz"),
+    ),
+    Reader(
+        "detector npy", lambda: made_by(lambda d: np.save(d / "a.npy", UV)),
+        lambda d: read_detector_file(d / "a.npy"),
+    ),
+    Reader(
+        "detector csv", one("a.csv", b"time,nose_x,nose_y,nose_score\n0.0,151.5,212.5,0.5\n0.1,,,0\n"),
+        lambda d: read_detector_file(d / "a.csv"),
+    ),
+    # --- tables of this package
+    Reader(
+        "skeleton table", one("a.toml", lambda: model_path("skeleton.toml").read_bytes()),
+        lambda d: read_skeleton_table(d / "a.toml"),
+    ),
+    Reader(
+        "detector table", one("a.toml", lambda: model_path("detectors.toml").read_bytes()),
+        lambda d: read_detector_table(d / "a.toml"),
+    ),
+    Reader(
+        "point distribution", one("a.npz", lambda: model_path("detectors.npz").read_bytes()),
+        lambda d: read_gaussian(d / "a.npz", detector_table()),
+    ),
+    Reader(
+        "URDF", one("a.urdf", lambda: model_path("skeleton.urdf").read_bytes()),
+        lambda d: SkeletonModel.from_urdf(d / "a.urdf"),
+    ),
+    Reader("recording", lambda: made_by(recording), lambda d: Recording.load(d / "take")),
+    # --- learning
+    Reader("lifter", _lifter, lambda d: load_checkpoint(d / "a.pt")),
+    Reader(
+        "corpus", lambda: made_by(lambda d: lifting_support.tiny_corpus(4, 3).save(d / "a.npz")),
+        lambda d: read_corpus(d / "a.npz"),
+    ),
+    Reader("split", one("a.toml", b'test = ["S9"]\nvalidation = ["S8", "S7"]\n'),
+           lambda d: read_split(d / "a.toml")),
+    # --- inertial sensors
+    log("a.csv", SENSOR_CSV),
+    log("MT_0001.txt", MT),
+    log("D1_20260102_101112.csv", DOT),
+    log("a.sto", STO),
+    log("hip 0123abcd/Inertial.csv", XIMU),
+    log("a.mvnx", MVNX),
+    log("a.mat", _mat),
+    log("s1_Xsens.sensors", lambda: total_capture_file("_xsens.sensors")),
+    # --- any of them
+    looked_at("motion.npz", lambda: made_by(lambda d: write_motion_npz(d / "motion.npz", motion()))),
+    looked_at("a.trc", lambda: made_by(lambda d: write_trc(d / "a.trc", _markers()))),
+    looked_at("a.c3d", lambda: made_by(lambda d: write_c3d(d / "a.c3d", _markers()))),
+    looked_at("a.bvh", one("a.bvh", lambda: real("mocap", "10_01_excerpt.bvh"))),
+    looked_at("a.yml", one("a.yml", OPENCV)),
+    looked_at("a.csv", one("a.csv", SENSOR_CSV)),
+    looked_at("take", lambda: made_by(recording)),
+    Reader("MVNX", one("a.mvnx", MVNX), lambda d: read_mvnx_file(d / "a.mvnx")),
+)  # fmt: skip
+
+
+def write_files(folder: Path, files: Files) -> None:
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)

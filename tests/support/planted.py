@@ -1,0 +1,385 @@
+"""Synthetic motion with planted sensors: the truth that tests recover."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from rtof_kin.body.kinematics import children_of, world_rotations
+from rtof_kin.body.metrics import hinges
+from rtof_kin.body.pose_prior import shipped_prior
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.clinical.angles import all_observed
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.types import (
+    GRAVITY_WORLD,
+    BoneImuSequence,
+    Camera,
+    ImuSequence,
+    KeypointSequence,
+    PoseSequence,
+    Provenance,
+)
+from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.cartesian.settings import FragmentSettings
+
+Array = NDArray[np.float64]
+LIMBS = (
+    "LeftArm", "RightArm", "LeftForeArm", "RightForeArm",
+    "LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg",
+)  # fmt: skip
+"""Segments that carry the paper's eight sensors."""
+RATE_HZ = 60.0
+
+
+def smooth_noise(
+    seed: int, shape: tuple[int, ...], frames_wide: float, amplitude: float
+) -> Array:
+    """Noise of unit-free shape (T, ...) with a memory of some frames and a given standard deviation."""
+    rng = np.random.default_rng(seed)
+    noise = rng.normal(size=(shape[0] + 400, *shape[1:]))
+    out = gaussian_filter1d(noise, frames_wide, axis=0)[200:-200]
+    return np.asarray(out * amplitude * np.sqrt(2 * np.sqrt(np.pi) * frames_wide))
+
+
+def moving(skeleton: SkeletonModel, frames: int, seed: int = 0, radians: float = 0.25) -> MotionSequence:
+    """Somebody who stands near the origin, waving everything a little at about 1 Hz."""
+    q = np.tile(skeleton.n_pose(), (frames, 1))
+    q[:, 7:] += smooth_noise(seed, (frames, skeleton.nq - 7), 15, radians)
+    q[:, :3] += smooth_noise(seed + 1, (frames, 3), 40, 0.05) + np.array([0.0, 0.0, 0.95])
+    turn = so3.about_axis("z", np.full(frames, 0.3)) @ so3.exp(
+        smooth_noise(seed + 2, (frames, 3), 30, 0.1)
+    )
+    q[:, 3:7] = np.roll(so3.to_quat_wxyz(turn), -1, axis=-1)
+    p, R = skeleton.forward_kinematics(q)
+    poses = PoseSequence(
+        np.arange(frames) / RATE_HZ, p, R, skeleton.names,
+        provenance=np.full(p.shape[:2], Provenance.CAMERA),
+    )  # fmt: skip
+    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+
+
+def seen(skeleton: SkeletonModel, frames: int) -> MotionSequence:
+    """Who is `moving`, with every angle of every segment seen."""
+    motion = moving(skeleton, frames)
+    return replace(motion, poses=all_observed(motion.poses))
+
+
+def human(skeleton: SkeletonModel, frames: int, seed: int = 0, size: float = 1.0) -> MotionSequence:
+    """Somebody who moves as people do: drawn from the pose prior, hinges and limits kept.
+
+    Args:
+        size: of the poses about the mean one, in the prior's standard deviations.
+    """
+    prior = shipped_prior(skeleton.names)
+    root = np.linalg.cholesky(prior.covariance + 1e-12 * np.eye(len(prior.covariance)))
+    rotvec = size * smooth_noise(seed, (frames, len(root)), 20, 1.0) @ root.T
+    local = so3.from_quat_wxyz(prior.mean_quat_wxyz) @ so3.exp(rotvec.reshape(frames, -1, 3))
+    turn = so3.exp(smooth_noise(seed + 1, (frames, 1, 3), 40, 0.15)) @ so3.about_axis("z", 0.3)
+    R = world_rotations(skeleton.parents, np.concatenate([turn, local], axis=1))
+    p = smooth_noise(seed + 2, (frames, 1, 3), 60, 0.1) + np.array([0.0, 0.0, 0.95])
+    q = skeleton.inverse_kinematics(np.repeat(p, R.shape[1], axis=1), R)
+    for j in hinges(skeleton):
+        for dof in skeleton.table.joints[j].dofs:
+            if not dof.clinical.endswith("flexion"):
+                q[:, 7 + skeleton.dof_names.index(dof.urdf)] = 0.0
+    low, high = skeleton.limits.T
+    q[:, 7:] = np.clip(q[:, 7:], 0.98 * low, 0.98 * high)
+    p, R = skeleton.forward_kinematics(q)
+    poses = PoseSequence(
+        np.arange(frames) / RATE_HZ, p, R, skeleton.names,
+        provenance=np.full(p.shape[:2], Provenance.CAMERA),
+    )  # fmt: skip
+    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+
+
+def standing(skeleton: SkeletonModel, frames: int) -> MotionSequence:
+    """The same person, frozen at the first frame of `moving`."""
+    first = moving(skeleton, 1)
+    q = np.tile(first.q, (frames, 1))
+    p, R = skeleton.forward_kinematics(q)
+    poses = PoseSequence(np.arange(frames) / RATE_HZ, p, R, skeleton.names)
+    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+
+
+def upright(skeleton: SkeletonModel, frames: int) -> MotionSequence:
+    """Somebody who stands straight with hanging arms, ankles 0.08 m high."""
+    q = np.tile(skeleton.n_pose(), (frames, 1))
+    q[:, 2] = 0.08 - skeleton.forward_kinematics(q[:1])[0][0, :, 2].min() + q[0, 2]
+    p, R = skeleton.forward_kinematics(q)
+    poses = PoseSequence(np.arange(frames) / RATE_HZ, p, R, skeleton.names)
+    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+
+
+def walking(
+    skeleton: SkeletonModel, seconds: float, speed: float = 0.8, stride_s: float = 1.2
+) -> tuple[MotionSequence, NDArray[np.bool_]]:
+    """Somebody who walks along x on the floor at z = 0, and which ankles stand still (T, 2), left first.
+
+    A foot stands for 0.6 of a stride, flat, its ankle 0.08 m high, and swings without a jerk to the next
+    place: both stand for a tenth of a stride twice. Without speed, this is walking in place.
+    """
+    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    thigh = -skeleton.joint_offsets[skeleton.index("LeftLeg")[0], 2]
+    hip = skeleton.joint_offsets[skeleton.index("LeftUpLeg")[0]]
+    p_root = np.stack([speed * t, 0 * t, np.full(len(t), 0.08 + 0.9 * 2 * thigh - hip[2])], axis=1)
+    R = np.tile(skeleton.forward_kinematics(skeleton.n_pose()[None])[1][0], (len(t), 1, 1, 1))
+    stands = np.zeros((len(t), 2), dtype=bool)
+    for i, (side, late) in enumerate((("Left", 0.0), ("Right", 0.5))):
+        cycle, phase = np.divmod(t / stride_s + late, 1.0)
+        stands[:, i] = phase < 0.6
+        s = np.clip((phase - 0.6) / 0.4, 0, 1)
+        swung = s**3 * (10 - 15 * s + 6 * s**2)
+        ankle_x = speed * stride_s * (cycle - late + 0.3 + swung)
+        ankle_z = 0.08 + 0.1 * 64 * (s * (1 - s)) ** 3
+        x, z = ankle_x - p_root[:, 0] - hip[0], p_root[:, 2] + hip[2] - ankle_z
+        bend, lean = np.arccos(np.hypot(x, z) / (2 * thigh)), np.arctan2(-x, z)
+        for name, angle in ((f"{side}UpLeg", lean - bend), (f"{side}Leg", lean + bend)):
+            R[:, skeleton.index(name)[0]] = so3.about_axis("y", angle)
+    q = skeleton.inverse_kinematics(np.repeat(p_root[:, None], R.shape[1], axis=1), R)
+    p, R = skeleton.forward_kinematics(q)
+    poses = PoseSequence(t, p, R, skeleton.names)
+    return MotionSequence(skeleton, q, poses, skeleton.check(q)), stands
+
+
+def camera() -> Camera:
+    """One camera 4 m away at 1.5 m."""
+    return Camera.looking_at([4.0, 0.6, 1.5], [0.0, 0.0, 1.0], focal_px=1250.0)
+
+
+def keypoints(poses: PoseSequence, sigma_px: float = 0.0, seed: int = 7) -> KeypointSequence:
+    """What the camera sees of poses, with white noise."""
+    cam = camera()
+    rng = np.random.default_rng(seed)
+    uv = cam.project(poses.p_world_joint)
+    uv = uv + sigma_px * rng.normal(size=uv.shape)
+    return KeypointSequence(cam, poses.times, uv, np.ones(uv.shape[:2]), poses.names)
+
+
+def unseen(seen: KeypointSequence, frames: object, joints: object = slice(None)) -> KeypointSequence:
+    """The same keypoints with some missing."""
+    uv = np.array(seen.uv_px)
+    uv[frames, joints] = np.nan  # type: ignore[index]
+    return replace(seen, uv_px=uv)
+
+
+def bone_imus(
+    skeleton: SkeletonModel,
+    poses: PoseSequence,
+    joints: Sequence[str] = LIMBS,
+    degrees: float = 0.0,
+    acceleration: float = 0.0,
+    seed: int = 11,
+) -> BoneImuSequence:
+    """Sensors at their usual places: true orientation and central second differences, plus errors.
+
+    Args:
+        degrees: standard deviation of a slow orientation error per axis. acceleration: of white noise,
+            m/s^2.
+    """
+    usual: dict[str, ArrayLike] = {joint: lever for joint, lever in skeleton.sensors.values()}
+    levers = np.array([usual.get(joint, (0.02, 0.03, -0.1)) for joint in joints]).reshape(-1, 3)
+    index = skeleton.index(*joints)
+    R = poses.R_world_bone[:, index]
+    a = np.full((len(poses), len(index), 3), np.nan)
+    p = poses.p_world_joint[:, index] + np.einsum("tsij,sj->tsi", R, levers)
+    a[1:-1] = (p[2:] - 2 * p[1:-1] + p[:-2]) * poses.rate_hz**2
+    a[[0, -1]] = a[[1, -2]] if len(a) > 2 else 0.0
+    rng = np.random.default_rng(seed)
+    a += acceleration * rng.normal(size=a.shape)
+    error = smooth_noise(seed, (len(poses), len(index), 3), 60, np.radians(degrees))
+    return BoneImuSequence(poses.times, R @ so3.exp(error), a, levers, tuple(joints))
+
+
+def lifted(truth: MotionSequence, radians: float = 0.2, metres: float = 0.15, seed: int = 5) -> Array:
+    """Joint positions (T, J, 3) m as a lifter gives them: wrong angles, bones not rigid, root off."""
+    skeleton, T = truth.skeleton, len(truth.q)
+    q = np.array(truth.q)
+    spine = [name.startswith(("Spine", "Neck", "Thorax")) for name in skeleton.dof_names]
+    q[:, 7:] += smooth_noise(seed, (T, skeleton.nq - 7), 10, radians) * np.where(spine, 0.3, 1.0)
+    p, _ = skeleton.forward_kinematics(q)
+    p = p + smooth_noise(seed + 1, p.shape, 10, radians / 20)
+    return np.asarray(p + smooth_noise(seed + 2, (T, 1, 3), 30, metres))
+
+
+def lifted_poses(truth: MotionSequence, radians: float = 0.2, metres: float = 0.15) -> PoseSequence:
+    """`lifted` as poses; the orientations are of no use to anybody."""
+    return replace(truth.poses, p_world_joint=lifted(truth, radians, metres))
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """What a lifter returns, as far as the pipeline looks at it."""
+
+    p_world_joint: Array
+    seen: NDArray[np.bool_]
+    R_world_bone: Array
+    sigma_rad: Array
+    sigma_m: Array
+
+
+class PlantedLifter:
+    """Answers with the truth and smooth errors, at whatever times it is asked for.
+
+    Orientations, where it gives them, are the truth turned by `turned`, and NaN where it is blind.
+    """
+
+    def __init__(
+        self,
+        truth: MotionSequence,
+        blind: slice = slice(0),
+        turned: Array | None = None,
+        sigma_rad: float = 0.1,
+    ) -> None:
+        self.times, self.p = truth.times, lifted(truth)
+        self.blind = blind
+        self.R = np.full((*self.p.shape, 3), np.nan)
+        self.sigma_rad = np.full(self.p.shape[:2], np.nan)
+        if turned is not None:
+            self.R = truth.poses.R_world_bone @ turned
+            self.sigma_rad[:] = sigma_rad
+        self.asked: list[tuple[KeypointSequence, Array | None]] = []
+        self.floors: list[float | None] = []
+        self.sensors: list[BoneImuSequence | None] = []
+
+    def predict(
+        self,
+        keypoints: KeypointSequence,
+        joint_offsets: Array | None = None,
+        *,
+        bone_imus: BoneImuSequence | None = None,
+        floor_height: float | None = None,
+    ) -> Any:
+        self.asked.append((keypoints, joint_offsets))
+        self.floors.append(floor_height)
+        self.sensors.append(bone_imus)
+        nearest = np.abs(self.times - keypoints.times[:, None]).argmin(axis=1)
+        seen = np.ones(len(keypoints), dtype=bool)
+        seen[self.blind] = False
+        R, sigma = np.array(self.R[nearest]), np.array(self.sigma_rad[nearest])
+        R[~seen], sigma[~seen] = np.nan, np.nan
+        return Lifted(self.p[nearest], seen, R, sigma, np.full((*sigma.shape, 2), np.nan))
+
+
+def recording(
+    truth: MotionSequence, sigma_px: float = 0.0, joints: Sequence[str] = LIMBS, degrees: float = 0.0
+) -> Recording:
+    """A recording of a motion, its IMUs mounted askew with headings of their own, calibrated."""
+    bones = bone_imus(truth.skeleton, truth.poses, joints, degrees)
+    S = len(bones.joints)
+    rng = np.random.default_rng(3)
+    R_world_inertial = so3.about_axis("z", rng.uniform(-3, 3, S))
+    R_sensor_bone = so3.exp(rng.normal(size=(S, 3)))
+    R_inertial_world = np.swapaxes(R_world_inertial, -1, -2)
+    R = R_inertial_world @ bones.R_world_bone @ np.swapaxes(R_sensor_bone, -1, -2)
+    R_sensor_world = np.swapaxes(R_world_inertial @ R, -1, -2)
+    f = np.einsum("tsij,tsj->tsi", R_sensor_world, bones.a_world - GRAVITY_WORLD)
+    names = tuple(f"imu_{joint}" for joint in bones.joints)
+    calibration = ImuCalibration(
+        names, bones.joints, R_world_inertial, R_sensor_bone, bones.p_bone_sensor
+    )
+    return Recording(
+        name="planted",
+        keypoints=keypoints(truth.poses, sigma_px),
+        imus=ImuSequence(bones.times, R, f, names),
+        calibration=calibration,
+        skeleton_table=truth.skeleton.name,
+        truth=truth.poses,
+    )
+
+
+def mpjpe_mm(p: Array, p_true: Array) -> float:
+    """Mean distance of positions (..., 3) in metres, mm."""
+    return float(1000 * np.linalg.norm(p - p_true, axis=-1).mean())
+
+
+def root_relative_mm(p: Array, p_true: Array) -> float:
+    """The same relative to the first joint."""
+    return mpjpe_mm(p - p[:, :1], p_true - p_true[:, :1])
+
+
+def documented_residuals(
+    X: Array,
+    start: PoseSequence,
+    seen: KeypointSequence,
+    imus: BoneImuSequence | None,
+    skeleton: SkeletonModel,
+    settings: FragmentSettings,
+    frames: int,
+    sigma_px: float,
+) -> dict[str, Array]:
+    """The energy of `rtof_kin.solve.cartesian.problem` in plain NumPy: a term is the sum of these squared.
+
+    Each term is k times the mean of its squared whitened residuals over what was observed; the prior's
+    mean is over all N frames of the fragment, of which those in the padding stay at the start.
+
+    Args:
+        X, start: (T, J, 3) m, the frames of one fragment inside the recording. seen, imus: at the same
+            times. frames: N. sigma_px: of the reprojection error.
+    """
+    s, rate = settings, start.rate_hz
+    bones = [(parent, child) for child, parent in enumerate(skeleton.parents) if parent >= 0]
+    siblings = [(a, b) for p, a in bones for q, b in bones if p == q and a < b]
+    rest = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
+    acceleration, bone = _inertial_residuals(X, imus, skeleton, rate)
+    length = [
+        np.linalg.norm(X[:, b] - X[:, a], axis=-1) - np.linalg.norm(rest[b] - rest[a])
+        for a, b in bones + siblings
+    ]
+    D, sigma = start.p_world_joint, s.sigma_prior_bone
+    prior = [(X - D) / s.sigma_prior]
+    if s.prior == "bones":
+        prior = [prior[0][:, 0]] + [(X[:, c] - X[:, p] - D[:, c] + D[:, p]) / sigma for p, c in bones]
+
+    def mean(k: float, residuals: Array) -> Array:
+        residuals = residuals[np.isfinite(residuals)]
+        return np.asarray(residuals * np.sqrt(k / max(residuals.size, 1)))
+
+    return {
+        "visual": mean(s.k_V, _visual_residuals(X, seen, sigma_px, s.huber_reprojection)),
+        "acceleration": mean(s.k_I * s.k_A, acceleration / s.sigma_acceleration),
+        "bone": mean(s.k_I * s.k_B, bone / s.sigma_bone),
+        "smooth": mean(s.k_I * s.k_S, np.diff(X, n=3, axis=0) * rate**3 / s.sigma_jerk),
+        "length": mean(s.bone_lengths == "weighted", np.array(length) / s.sigma_length),
+        "prior": np.concatenate([r.ravel() for r in prior]) / np.sqrt(frames * X[0].size),
+    }
+
+
+def _visual_residuals(
+    X: Array, seen: KeypointSequence, sigma_px: float, huber: float | None
+) -> Array:
+    """(T, J, 2) of undistorted pixels, weighted by confidence and the robust loss; NaN where unseen."""
+    pinhole = seen.camera.undistorted()
+    uv = pinhole.project(seen.camera.rays_world(seen.uv_px) + pinhole.center_world)
+    r = (pinhole.project(X) - uv) / sigma_px
+    if huber is not None:
+        squared, d2 = np.sum(r**2, axis=-1, keepdims=True), huber**2
+        loss = 2 * d2 * (np.sqrt(1 + squared / d2) - 1)
+        r = r * np.sqrt(loss / np.maximum(squared, 1e-30))
+    return np.asarray(r * np.sqrt(seen.confidence)[..., None])
+
+
+def _inertial_residuals(
+    X: Array, imus: BoneImuSequence | None, skeleton: SkeletonModel, rate_hz: float
+) -> tuple[Array, Array]:
+    """Of every bone with a sensor: m/s^2 at the sensor's own place, and m; NaN where unknown."""
+    accelerations, bones = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for k, name in enumerate(imus.joints if imus is not None else ()):
+        assert imus is not None
+        (j,) = skeleton.index(name)
+        R = imus.R_world_bone[:, k]
+        for child in children_of(skeleton.parents, j):
+            rest = skeleton.joint_offsets[child]
+            share = np.clip(imus.p_bone_sensor[k] @ rest / (rest @ rest), 0, 1)
+            on_bone = (1 - share) * X[:, j] + share * X[:, child]
+            sensor = on_bone + R @ (imus.p_bone_sensor[k] - share * rest)
+            measured = imus.a_world[1:-1, k]
+            accelerations.append(np.diff(sensor, n=2, axis=0) * rate_hz**2 - measured)
+            bones.append(X[:, child] - X[:, j] - R @ rest)
+    return np.concatenate(accelerations), np.concatenate(bones)

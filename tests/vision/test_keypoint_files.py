@@ -1,0 +1,342 @@
+"""Detectors' files: every format gives the same people, and what is broken is refused by name."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from detector_support import flat
+from numpy.typing import NDArray
+
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.vision import json_files
+from rtof_kin.vision.detections import Detections
+from rtof_kin.vision.keypoint_files import read_detector_file
+from rtof_kin.vision.layouts import detector_table
+
+Array = NDArray[np.float64]
+T, K = 6, 17
+RNG = np.random.default_rng(0)
+UV = RNG.uniform(50, 900, (T, 2, K, 2)).round(3)
+NAMES = detector_table().layout("coco17").names
+MP_NAMES = detector_table().layout("mediapipe33").names
+
+
+def points(t: int, p: int) -> list[float]:
+    return flat(UV[t, p])
+
+
+def openpose_folder(path: Path) -> Path:
+    folder = path / "walk_json"
+    folder.mkdir()
+    for t in range(T):
+        people = [{"person_id": [-1], "pose_keypoints_2d": points(t, p), "face_keypoints_2d": []}
+                  for p in (0, 1)]  # fmt: skip
+        name = f"walk_{t + 100:012d}_keypoints.json"
+        (folder / name).write_text(json.dumps({"version": 1.3, "people": people}))
+    return folder
+
+
+def dumped(path: Path, data: Any) -> Path:
+    path = path / "people.json"
+    path.write_text(json.dumps(data))
+    return path
+
+
+def frames(key: str, of: str) -> list[dict[str, Any]]:
+    return [{key: [{of: points(t, p)} for p in (0, 1)]} for t in range(T)]
+
+
+def rows(t: int, p: int) -> list[list[float]]:
+    return np.array(points(t, p)).reshape(K, 3).tolist()
+
+
+def entries(image: Callable[[int], Any]) -> list[dict[str, Any]]:
+    return [
+        {
+            "image_id": image(t),
+            "category_id": 1,
+            "keypoints": points(t, p),
+            "score": 2.5,
+            "idx": p + 4,
+        }
+        for t in range(T)
+        for p in (0, 1)
+    ]
+
+
+def coco_annotations() -> dict[str, Any]:
+    """Image ids in no order; 2 for visible instead of a confidence."""
+
+    def flags(t: int, p: int) -> list[float]:
+        return [v if i % 3 < 2 else 2 for i, v in enumerate(points(t, p))]
+
+    return {
+        "images": [{"id": 900 - 7 * t} for t in range(T)],
+        "annotations": [
+            {"image_id": 900 - 7 * t, "keypoints": flags(t, p)} for p in (0, 1) for t in range(T)
+        ],
+        "categories": [{"id": 1, "keypoints": list(NAMES)}],
+    }
+
+
+def mmpose() -> dict[str, Any]:
+    return {
+        "meta_info": {},
+        "instance_info": [
+            {"frame_id": t + 1,
+             "instances": [
+                 {"keypoints": UV[t, p].tolist(), "keypoint_scores": [0.8] * K} for p in (0, 1)
+             ]}
+            for t in range(T)
+        ],
+    }  # fmt: skip
+
+
+FORMATS: dict[str, Callable[[Path], Path]] = {
+    "OpenPose folder": openpose_folder,
+    "OpenPose frames": lambda p: dumped(p, frames("people", "pose_keypoints_2d")),
+    "frames in a table": lambda p: dumped(p, {"frames": frames("people", "pose_keypoints")}),
+    "AlphaPose": lambda p: dumped(p, entries(lambda t: f"{t}.jpg")),
+    "AlphaPose cmu": lambda p: dumped(
+        p, {f"frame_{t}.jpg": frame for t, frame in enumerate(frames("bodies", "joints"))}
+    ),
+    "COCO results": lambda p: dumped(p, entries(lambda t: t)),
+    "COCO annotations": lambda p: dumped(p, coco_annotations()),
+    "MMPose": lambda p: dumped(p, mmpose()),
+    "lists of lists": lambda p: dumped(p, [[rows(t, 0), rows(t, 1)] for t in range(T)]),
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_json_gives_the_same_people(name: str, tmp_path: Path) -> None:
+    found = read_detector_file(FORMATS[name](tmp_path))
+    np.testing.assert_allclose(found.uv_px, UV)
+    np.testing.assert_allclose(found.confidence, 1.0 if name == "COCO annotations" else 0.8)
+    assert (found.names == NAMES) == (name == "COCO annotations")
+    assert (found.identity is not None) == (name in ("AlphaPose", "COCO results"))
+    if found.identity is not None:
+        np.testing.assert_array_equal(found.identity, np.tile([4, 5], (T, 1)))
+
+
+@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize("split", [False, True])
+@pytest.mark.parametrize("suffix", ["npz", "npy"])
+def test_arrays_of_one_or_many_people(many: bool, split: bool, suffix: str, tmp_path: Path) -> None:
+    uv = UV if many else UV[:, 0]
+    joined = np.concatenate([uv, np.full((*uv.shape[:-1], 1), 0.8)], axis=-1)
+    path = tmp_path / f"people.{suffix}"
+    if suffix == "npy":
+        np.save(path, uv if split else joined)
+    elif split:
+        np.savez(path, uv_px=uv, confidence=joined[..., 2], times=np.arange(T) / 25)
+    else:
+        np.savez(path, keypoints=joined)
+    found = read_detector_file(path)
+    np.testing.assert_allclose(found.uv_px, UV if many else UV[:, :1])
+    np.testing.assert_allclose(found.confidence, 1.0 if split and suffix == "npy" else 0.8)
+    assert (found.times is not None) == (split and suffix == "npz")
+
+
+def landmark(t: int, k: int) -> dict[str, float]:
+    u, v = UV[t, 0, k % K] / [1920, 1080]
+    return {"x": u, "y": v, "z": -0.2, "visibility": 0.8}
+
+
+MEDIAPIPE: dict[str, Callable[[int], Any]] = {
+    "bare": lambda t: [landmark(t, k) for k in range(33)],
+    "landmarks": lambda t: {
+        "timestamp_ms": 40 * t,
+        "landmarks": [landmark(t, k) for k in range(33)],
+    },
+    "several": lambda t: {
+        "time": 0.04 * t,
+        "pose_landmarks": [[landmark(t, k) for k in range(33)]],
+    },
+    "one": lambda t: {"time": 0.04 * t, "pose_landmarks": [landmark(t, k) for k in range(33)]},
+}
+
+
+@pytest.mark.parametrize("kind", MEDIAPIPE)
+def test_mediapipes_shares_of_the_image_become_pixels(kind: str, tmp_path: Path) -> None:
+    path = dumped(tmp_path, [MEDIAPIPE[kind](t) for t in range(T)])
+    found = read_detector_file(path, 1920, 1080)
+    np.testing.assert_allclose(found.uv_px[:, 0], UV[:, 0][:, np.arange(33) % K])
+    if kind == "bare":
+        assert found.times is None
+    else:
+        np.testing.assert_allclose(found.times, 0.04 * np.arange(T))
+    with pytest.raises(FileFormatError, match="shares of the image .*width_px and height_px"):
+        read_detector_file(path)
+
+
+@pytest.mark.parametrize("header", ["named", "numbered", "pixels"])
+def test_columns_with_names_or_numbers(header: str, tmp_path: Path) -> None:
+    lines = []
+    for t in range(T):
+        cells = [f"{40 * t}"]
+        for k in range(33):
+            u, v = UV[t, 0, k % K] / ([1, 1] if header == "pixels" else [1920, 1080])
+            cells += [f"{u}", f"{v}"] + (["0.8"] if header == "pixels" else ["-0.1", "0.8"])
+        lines.append(",".join(cells))
+    names = [f"{n}_{e}" for n in MP_NAMES for e in ("x", "y", "z", "visibility")]
+    if header == "numbered":
+        names = [f"{e}{k}" for k in range(33) for e in "xyzv"]
+    elif header == "pixels":
+        names = [f"{n}_{e}" for n in MP_NAMES for e in ("u_px", "v_px", "confidence")]
+    path = tmp_path / "pose.csv"
+    path.write_text("\n".join([",".join(["timestamp_ms", *names]), *lines]))
+    found = read_detector_file(path, 1920, 1080)
+    np.testing.assert_allclose(found.uv_px[:, 0], UV[:, 0][:, np.arange(33) % K])
+    np.testing.assert_allclose(found.confidence, 0.8)
+    np.testing.assert_allclose(found.times, 0.04 * np.arange(T))
+    assert found.names == (None if header == "numbered" else MP_NAMES)
+
+
+def test_frames_without_anybody_keep_their_place(tmp_path: Path) -> None:
+    folder = openpose_folder(tmp_path)
+    (folder / "walk_000000000102_keypoints.json").unlink()
+    (folder / "walk_000000000103_keypoints.json").write_text('{"people": []}')
+    empty = {"people": [{"pose_keypoints_2d": []}, {}]}
+    (folder / "walk_000000000104_keypoints.json").write_text(json.dumps(empty))
+    found = read_detector_file(folder)
+    np.testing.assert_array_equal(
+        found.present.any(axis=1), [True, True, False, False, False, True]
+    )
+    np.testing.assert_allclose(found.uv_px[5], UV[5])
+    path = dumped(tmp_path, [e for e in entries(lambda t: f"{t}.jpg") if e["image_id"] != "0.jpg"])
+    np.testing.assert_array_equal(
+        read_detector_file(path).present.any(axis=1), [False] + 5 * [True]
+    )
+
+
+def test_zeros_and_nan_are_unseen_and_odd_confidences_are_cut(tmp_path: Path) -> None:
+    data = np.concatenate([UV[:, 0], np.full((T, K, 1), 1.7)], axis=-1)
+    data[0, 3], data[1, 4, 0], data[2, 5, 2] = 0.0, np.nan, np.nan
+    np.save(tmp_path / "p.npy", data)
+    found = read_detector_file(tmp_path / "p.npy")
+    for t, k in ((0, 3), (1, 4), (2, 5)):
+        assert found.confidence[t, 0, k] == 0
+        assert np.isnan(found.uv_px[t, 0, k]).all()
+    assert found.confidence.max() == 1.0
+
+
+BROKEN: dict[str, tuple[str, Any, str]] = {
+    "no json": ("p.json", "{", "p.json, line 1: not readable as JSON"),
+    "not text": ("p.json", b"\xff\xfe\x00", "not a text file in UTF-8"),
+    "deep": ("p.json", "[" * 100000, "not readable as JSON"),
+    "number": ("p.json", "3", "holds a number, not people's keypoints"),
+    "text": ("p.json", '["a"]', "frame 0: holds text, not people"),
+    "nobody": ("p.json", "[]", "nobody in any frame"),
+    "empty frames": ("p.json", '[{"people": []}]', "nobody in any frame"),
+    "odd count": ("p.json", '[{"people": [{"keypoints": [1, 2, 3, 4]}]}]', "4 numbers are not x, y"),
+    "words": ("p.json", '[{"people": [{"keypoints": ["a", "b", "c"]}]}]', "its points are not"),
+    "no x": ("p.json", '[[{"x": 1, "y": 2}, {"y": 2}]]', "its points are not numbers"),
+    "huge number": ("p.json", f'[[{{"x": 1{"0" * 400}, "y": 2}}]]', "its points are not numbers"),
+    "no points": ("p.json", '[{"image_id": 1}]', "nobody in any frame"),
+    "two layouts": (
+        "p.json", json.dumps([[[[1, 2, 1]] * 17], [[[1, 2, 1]] * 18]]), "frame 1: a person has 18 points",
+    ),
+    "far frame": (
+        "p.json", json.dumps([{"image_id": 10**15, "keypoints": [9, 9, 1]}]), "numbered from 10+ to 10+",
+    ),
+    "negative": (
+        "p.json", json.dumps([{"image_id": -1, "keypoints": [9, 9, 1]}]), "numbered from -1",
+    ),
+    "no image": ("p.json", json.dumps([{"image_id": "x.jpg", "keypoints": [9, 9, 1]}]), "has no number"),
+    "unknown table": ("p.json", '{"results": 3}', "'results' is no frame's name"),
+    "no npz": ("p.npz", b"PK\x03\x04", "damaged, or no NPZ archive"),
+    "no npy": ("p.npy", b"\x93NUMPY\x01\x00", "not a NumPy array"),
+    "suffix": ("p.yaml", "a: 1", "not one of .json, .npz, .npy, .csv"),
+    "csv column": ("p.csv", "time,nose\n0,1\n", "column 'nose': expected time"),
+    "csv half": ("p.csv", "time,nose_x\n0,1\n", "point nose: has no column of y"),
+    "csv nothing": ("p.csv", "time\n0\n", "no column ends in _x or _y"),
+    "csv cell": ("p.csv", "nose_x,nose_y\n0,a\n", "line 2: column nose_y: 'a' is not a number"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_what_is_broken_is_refused_by_name(name: str, tmp_path: Path) -> None:
+    file, content, message = BROKEN[name]
+    path = tmp_path / file
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(FileFormatError, match=message) as caught:
+        read_detector_file(path)
+    assert caught.value.path == path
+
+
+@pytest.mark.parametrize(
+    "arrays, message",
+    [
+        ({"other": np.zeros(3)}, "no array uv_px or keypoints .*there is other"),
+        ({"uv_px": np.ones((3, 17))}, r"shape \(3, 17\) is neither"),
+        ({"uv_px": np.ones((3, 17, 4))}, "is neither"),
+        ({"uv_px": UV, "keypoints": UV}, "has uv_px and keypoints; leave only one"),
+        ({"uv_px": UV, "confidence": np.ones((T, K))}, r"confidence: expected shape \(6, 2, 17\)"),
+        (
+            {"uv_px": UV, "confidence": np.full((T, 2, K), 87.0)},
+            "reaches from 87 to 87; give values from 0",
+        ),
+        ({"uv_px": UV, "confidence": np.full((T, 2, K), -0.1)}, "give values from 0 to 1"),
+        ({"uv_px": UV, "times": np.arange(3)}, "3, but there are 6 frames"),
+        ({"uv_px": UV, "times": np.zeros(T)}, "time does not increase"),
+        ({"uv_px": UV[:0]}, "nobody in any frame"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(
+    arrays: dict[str, Array], message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "p.npz"
+    np.savez(path, **arrays)  # type: ignore[arg-type]
+    with pytest.raises(FileFormatError, match=message):
+        read_detector_file(path)
+
+
+def test_pickles_are_never_opened(tmp_path: Path) -> None:
+    np.save(tmp_path / "p.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    with pytest.raises(FileFormatError, match="pickled objects are never read"):
+        read_detector_file(tmp_path / "p.npy")
+    np.savez(tmp_path / "p.npz", keypoints=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(FileFormatError, match="pickled objects are never read"):
+        read_detector_file(tmp_path / "p.npz")
+
+
+def test_a_header_cannot_claim_memory_that_the_file_does_not_fill(tmp_path: Path) -> None:
+    path = tmp_path / "p.npy"
+    np.save(path, np.zeros((4, 17, 3)))
+    path.write_bytes(path.read_bytes().replace(b"(4, 17, 3)", b"(999999,9)"))
+    with pytest.raises(FileFormatError, match="needs 71999928 bytes, 1760 are there"):
+        read_detector_file(path)
+
+
+def test_files_that_are_too_large_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(json_files, "LARGEST_JSON", 10)
+    with pytest.raises(FileFormatError, match="larger than 0 MiB, .*; write one file a frame"):
+        read_detector_file(dumped(tmp_path, frames("people", "keypoints")))
+
+
+def test_a_folder_must_hold_numbered_json(tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match="no .json file in this folder"):
+        read_detector_file(tmp_path)
+    (tmp_path / "a.json").write_text('{"people": []}')
+    with pytest.raises(FileFormatError, match="a.json: its name has no frame number"):
+        read_detector_file(tmp_path)
+    (tmp_path / "a.json").rename(tmp_path / "a_1.json")
+    (tmp_path / "b_1.json").write_text('{"people": []}')
+    with pytest.raises(FileFormatError, match="b_1.json: its name .*another file has the same"):
+        read_detector_file(tmp_path)
+    with pytest.raises(FileFormatError, match="there is no such file or folder"):
+        read_detector_file(tmp_path / "none.json")
+
+
+def test_points_can_be_put_in_another_order() -> None:
+    found = Detections(UV, np.full((T, 2, K), 0.5), names=NAMES)
+    turned = found.ordered(range(K - 1, 4, -1))
+    assert turned.names == NAMES[:4:-1]
+    np.testing.assert_array_equal(turned.uv_px, UV[:, :, :4:-1])

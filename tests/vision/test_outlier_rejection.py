@@ -1,0 +1,159 @@
+"""Keypoints that exchange sides or jump to somebody else: planted, found, mended; nothing else is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.data.stream_faults import FaultKind
+from rtof_kin.data.types import KeypointSequence
+from rtof_kin.vision.outlier_rejection import guarded_keypoints
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+SEEN = planted.keypoints(planted.human(BODY, 180).poses, sigma_px=3.0)
+LEGS = ("UpLeg", "Leg", "Foot")
+
+
+def exchanged(
+    seen: KeypointSequence, frames: slice, parts: tuple[str, ...] | None = None
+) -> KeypointSequence:
+    """Left and right of some parts, or of all, exchanged in some frames."""
+    source = list(range(len(seen.names)))
+    for i, name in enumerate(seen.names):
+        part = name.removeprefix("Left").removeprefix("Right")
+        if part != name and (parts is None or part in parts):
+            side = "Right" if name.startswith("Left") else "Left"
+            source[i] = seen.names.index(side + part)
+    uv, confidence = seen.uv_px.copy(), seen.confidence.copy()
+    uv[frames], confidence[frames] = uv[frames][:, source], confidence[frames][:, source]
+    return replace(seen, uv_px=uv, confidence=confidence)
+
+
+def jumped(seen: KeypointSequence, frames: slice, px: float = 500.0) -> KeypointSequence:
+    """Somebody to the side, three quarters as large, in some frames."""
+    uv = seen.uv_px.copy()
+    uv[frames] = uv[frames].mean(axis=1, keepdims=True) * [0.25, 0.25] + 0.75 * uv[frames] + [px, 0]
+    return replace(seen, uv_px=uv)
+
+
+def at_rate(seen: KeypointSequence, every: int) -> KeypointSequence:
+    return seen[slice(None, None, every)]
+
+
+def test_keypoints_that_nothing_is_wrong_with_are_the_same_object() -> None:
+    for seen in (SEEN, at_rate(SEEN, 2), planted.keypoints(planted.moving(BODY, 60).poses)):
+        again, faults = guarded_keypoints(seen)
+        assert again is seen
+        assert faults == ()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("sigma_px", [0.0, 5.0])
+def test_nothing_is_found_in_people_that_move(seed: int, sigma_px: float) -> None:
+    seen = planted.keypoints(planted.human(BODY, 240, seed=10 * seed).poses, sigma_px, seed)
+    assert guarded_keypoints(seen) == (seen, ())
+
+
+@pytest.mark.parametrize("frames", [slice(60, 90), slice(70, 71), slice(50, 160)])
+def test_sides_that_were_exchanged_for_some_time_are_exchanged_back(frames: slice) -> None:
+    mended, faults = guarded_keypoints(exchanged(SEEN, frames))
+    np.testing.assert_array_equal(mended.uv_px, SEEN.uv_px)
+    np.testing.assert_array_equal(mended.confidence, SEEN.confidence)
+    assert {f.what for f in faults} == {"keypoints of legs", "keypoints of arms and head"}
+    for fault in faults:
+        assert fault.kind is FaultKind.SIDES
+        assert fault.start == SEEN.times[frames.start]
+        assert fault.stop == SEEN.times[frames.stop - 1]
+
+
+def test_legs_alone_may_be_exchanged_and_confidence_goes_with_them() -> None:
+    own = replace(SEEN, confidence=np.linspace(0.5, 1.0, len(SEEN.names)) * np.ones((180, 1)))
+    mended, faults = guarded_keypoints(exchanged(own, slice(60, 90), LEGS))
+    np.testing.assert_array_equal(mended.uv_px, own.uv_px)
+    np.testing.assert_array_equal(mended.confidence, own.confidence)
+    assert [f.what for f in faults] == ["keypoints of legs"]
+
+
+def test_points_that_a_detector_never_or_seldom_sees_have_no_say_in_sides() -> None:
+    seen = planted.unseen(SEEN, slice(None), BODY.index("LeftHand", "RightFoot"))
+    seen = planted.unseen(seen, slice(0, None, 3), BODY.index("LeftForeArm"))
+    mended, faults = guarded_keypoints(exchanged(seen, slice(61, 91)))
+    np.testing.assert_array_equal(mended.uv_px, seen.uv_px)
+    assert {f.kind for f in faults} == {FaultKind.SIDES}
+    assert len(faults) == 2
+
+
+def test_sides_at_30_hz_are_exchanged_back_too() -> None:
+    slow = at_rate(SEEN, 2)
+    mended, faults = guarded_keypoints(exchanged(slow, slice(30, 50)))
+    np.testing.assert_array_equal(mended.uv_px, slow.uv_px)
+    assert len(faults) == 2
+
+
+@pytest.mark.parametrize("frames", [slice(100, None), slice(30, 170)])
+def test_sides_whose_exchange_does_not_end_soon_are_left_and_told(frames: slice) -> None:
+    wrong = exchanged(SEEN, frames)
+    mended, faults = guarded_keypoints(wrong)
+    np.testing.assert_array_equal(mended.uv_px, wrong.uv_px)
+    assert faults
+    assert all(f.kind is FaultKind.SIDES_IN_DOUBT for f in faults)
+    assert faults[0].start == SEEN.times[frames.start]
+
+
+def test_sides_in_doubt_when_the_person_leaves_are_not_carried_over_the_gap() -> None:
+    seen = planted.unseen(SEEN, slice(90, 120))
+    mended, faults = guarded_keypoints(exchanged(seen, slice(80, 90)))
+    assert {f.kind for f in faults} == {FaultKind.SIDES_IN_DOUBT}
+    np.testing.assert_array_equal(mended.uv_px[120:], SEEN.uv_px[120:])
+
+
+def test_somebody_else_for_half_a_second_is_left_out() -> None:
+    mended, (fault,) = guarded_keypoints(jumped(SEEN, slice(60, 90)))
+    assert fault.kind is FaultKind.SOMEBODY_ELSE
+    assert (fault.start, fault.stop) == (SEEN.times[60], SEEN.times[89])
+    assert np.isnan(mended.uv_px[60:90]).all()
+    assert not mended.seen[60:90].any()
+    np.testing.assert_array_equal(mended.uv_px[:60], SEEN.uv_px[:60])
+    np.testing.assert_array_equal(mended.uv_px[90:], SEEN.uv_px[90:])
+
+
+def test_a_jump_without_return_is_told_and_nothing_left_out() -> None:
+    wrong = jumped(SEEN, slice(90, None))
+    mended, (fault,) = guarded_keypoints(wrong)
+    assert fault.kind is FaultKind.JUMP
+    assert fault.start == SEEN.times[90]
+    np.testing.assert_array_equal(mended.uv_px, wrong.uv_px)
+
+
+def test_somebody_who_comes_back_elsewhere_after_a_second_did_not_jump() -> None:
+    uv = SEEN.uv_px.copy()
+    uv[60:120] = np.nan
+    uv[120:] += [300.0, 0.0]
+    assert guarded_keypoints(replace(SEEN, uv_px=uv))[1] == ()
+
+
+def test_single_outliers_are_no_exchange_and_nobody_else() -> None:
+    rng = np.random.default_rng(0)
+    uv = SEEN.uv_px + 80 * rng.standard_normal(SEEN.uv_px.shape) * (rng.random((180, 21, 1)) < 0.1)
+    assert guarded_keypoints(replace(SEEN, uv_px=uv))[1] == ()
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5])
+def test_few_frames_and_unseen_people_are_nothing_to_look_at(frames: int) -> None:
+    for seen in (SEEN[:frames], planted.unseen(SEEN[:frames], slice(None))):
+        assert guarded_keypoints(seen) == (seen, ())
+
+
+def test_sides_of_human36m_are_known_by_a_letter() -> None:
+    names = ("Hip", "LHip", "RHip", "LKnee", "RKnee", "LFoot", "RFoot", "Head", "Neck")
+    legs = tuple(side + part for part in LEGS for side in ("Left", "Right"))
+    seen = SEEN.select(("Hips", *legs, "Head", "Neck"))
+    mended, faults = guarded_keypoints(replace(exchanged(seen, slice(60, 90)), names=names))
+    np.testing.assert_array_equal(mended.uv_px, seen.uv_px)
+    assert [f.what for f in faults] == ["keypoints of legs"]
