@@ -29,8 +29,9 @@ from benchmarks.held import HELD, MOVING, exercise, held_then_moving, held_wrong
 from benchmarks.mounting import pieces
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import ImuSequence, PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.functional import calibrate_by_movement
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 from rtof_kin.inertial.poses import POSES, facing_of, pose_rotations

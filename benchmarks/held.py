@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.functional import Movement
 from rtof_kin.inertial.poses import flexion_axis, pose_rotations, turned_to
 

@@ -26,7 +26,7 @@ from rich.progress import track
 from benchmarks import harness
 from lifting.predict import Lifter
 from rtof_kin.core.plausibility import Check
-from rtof_kin.data.types import KeypointSequence
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.camera_checks import UNVERIFIED, check_camera_alone
 from rtof_kin.reconstruction.image_checks import (
     exchanged_axes,

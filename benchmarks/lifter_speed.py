@@ -28,7 +28,8 @@ from lifting.model import TemporalNetwork
 from lifting.predict import Lifter
 from lifting.streaming import StreamingLifter
 from rtof_kin.core.resources import model_path
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.recording.recording import Recording
 
 RESULTS = Path(__file__).parent / "results"

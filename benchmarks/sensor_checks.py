@@ -27,7 +27,7 @@ from benchmarks.harness import SENSOR_SETS, write_results
 from rtof_kin.calibration.clock_check import NAME as CLOCKS
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import RtofError
-from rtof_kin.data.types import ImuSequence
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial.recorded_form import FROZEN, GRAVITY, check_form
 from rtof_kin.reconstruction.pipeline import reconstruct

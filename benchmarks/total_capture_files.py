@@ -20,8 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import Camera, ImuSequence, PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import NAMES, PARENTS
 
 Array = NDArray[np.float64]

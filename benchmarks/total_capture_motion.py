@@ -17,7 +17,8 @@ from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import Camera, PoseSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import (
     ANKLE_HEIGHT,
     NAMES,

@@ -35,8 +35,10 @@ from benchmarks.total_capture_motion import (
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import OutputExistsError, RtofError, ShapeError
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import Camera, ImuSequence, PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.noise import ImuNoise
 from rtof_kin.simulation.sensors import simulate_imus
 from rtof_kin.simulation.simulate import SimulationSettings, simulate

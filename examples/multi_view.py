@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 
 Array = NDArray[np.float64]
 FEWEST = 2

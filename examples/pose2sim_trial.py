@@ -14,7 +14,7 @@ from multi_view import triangulate
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import read_camera_toml
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file

@@ -30,7 +30,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli.terminal import err, out, progress
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.folder import check_replaceable, new_folder
-from rtof_kin.data.types import Camera, PoseSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.reconstruction.pipeline import LifterLike, reconstruct
 from rtof_kin.recording.recording import Recording

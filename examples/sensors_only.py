@@ -11,7 +11,7 @@ from pathlib import Path
 from sensors_only_figure import draw
 
 from rtof_kin import Recording, SkeletonModel, export, reconstruct
-from rtof_kin.data.types import ImuSequence
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial.orientation import OrientationSettings, log_with_orientation
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from rtof_kin.body.metrics import flexion
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import Reconstruction
 
 Array = NDArray[np.float64]

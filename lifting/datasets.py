@@ -19,7 +19,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.errors import FileFormatError, RtofError
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets import human36m, total_capture
 from rtof_kin.simulation.mocap import ANKLE_HEIGHT, MocapClip
 

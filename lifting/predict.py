@@ -30,7 +30,9 @@ from rtof_kin.core import signals
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import ShapeError, ViewError
 from rtof_kin.core.resources import DEFAULT_LIFTER, lifter_path
-from rtof_kin.data.types import BoneImuSequence, Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from lifting.body import Body
 from lifting.windows import Picture, Windows
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
 
 Array = NDArray[np.float64]
 MAX_STEP = 0.15

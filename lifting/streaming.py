@@ -19,7 +19,7 @@ from lifting.single_window import SingleWindowLifter
 from lifting.source import Source
 from rtof_kin.core.checks import checked_names
 from rtof_kin.core.errors import ShapeError, UnknownNameError
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 
 Array = NDArray[np.float64]
 FIRST_CAPACITY = 512

@@ -16,15 +16,11 @@ if TYPE_CHECKING:
     from rtof_kin.calibration.priors import CalibrationPriors
     from rtof_kin.calibration.result import SelfCalibration
     from rtof_kin.core.errors import RtofError
+    from rtof_kin.data.camera import Camera
+    from rtof_kin.data.imu import BoneImuSequence, ImuSequence
     from rtof_kin.data.imu_calibration import ImuCalibration
-    from rtof_kin.data.types import (
-        BoneImuSequence,
-        Camera,
-        ImuSequence,
-        KeypointSequence,
-        PoseSequence,
-        Provenance,
-    )
+    from rtof_kin.data.keypoints import KeypointSequence
+    from rtof_kin.data.poses import PoseSequence, Provenance
     from rtof_kin.reconstruction.pipeline import (
         Reconstruction,
         ReconstructionSettings,
@@ -39,22 +35,22 @@ if TYPE_CHECKING:
     from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 _HOME = {
-    "BoneImuSequence": "data.types",
+    "BoneImuSequence": "data.imu",
     "CalibrationPriors": "calibration.priors",
-    "Camera": "data.types",
+    "Camera": "data.camera",
     "FragmentSettings": "solve.cartesian.settings",
     "FragmentSolution": "solve.fragment_solver",
     "FragmentSolver": "solve.fragment_solver",
     "ImuCalibration": "data.imu_calibration",
-    "ImuSequence": "data.types",
+    "ImuSequence": "data.imu",
     "InertialGuidedIK": "solve.inertial_ik",
     "InertialGuidedIKSettings": "solve.inertial_ik",
     "JointSpaceSettings": "solve.joint_space.settings",
-    "KeypointSequence": "data.types",
+    "KeypointSequence": "data.keypoints",
     "Metrics": "body.metrics",
     "MotionSequence": "body.skeleton",
-    "PoseSequence": "data.types",
-    "Provenance": "data.types",
+    "PoseSequence": "data.poses",
+    "Provenance": "data.poses",
     "Reconstruction": "reconstruction.pipeline",
     "ReconstructionSettings": "reconstruction.pipeline",
     "Recording": "recording.recording",

@@ -8,7 +8,7 @@ import planted
 import pytest
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 
 os.environ.setdefault("RTOF_KIN_COMPILE", "never")
 """Compiling takes longer than what the tests solve; `test_compiled` turns it on."""

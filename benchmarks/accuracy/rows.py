@@ -20,8 +20,10 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.errors import RtofError
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
 from rtof_kin.reconstruction.pipeline import ReconstructionSettings, reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip

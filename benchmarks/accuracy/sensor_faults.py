@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.accuracy.windows import SECOND_AFTER_HALF, bounds
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.data.types import ImuSequence
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.formats.sensors.packets import WRAP_16, in_order
 from rtof_kin.recording.recording import Recording
 

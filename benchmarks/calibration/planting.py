@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import BONE_GROUPS, bone_groups
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.noise import KeypointNoise
 

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import PARENTS, MocapClip
 
 Array = NDArray[np.float64]

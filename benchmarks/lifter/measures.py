@@ -11,7 +11,7 @@ from scipy.special import erf, k1
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 Figures = dict[str, float]

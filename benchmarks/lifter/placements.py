@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.data.types import Camera, PoseSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 FOCAL_PX = 1250.0

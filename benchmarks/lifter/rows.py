@@ -17,7 +17,7 @@ from benchmarks.lifter.placements import Placement
 from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import motionless
 from rtof_kin.core.errors import RtofError
-from rtof_kin.data.types import BoneImuSequence
+from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.simulate import simulate

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.resources import model_path
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 

@@ -28,7 +28,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 BEGUN_TOGETHER = "mode imu knows no place: estimate and truth are moved to begin together"

@@ -26,7 +26,7 @@ from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.core.files.text import read_text
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.confidence import Confidence
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 _LARGEST_URDF = 16 * 2**20

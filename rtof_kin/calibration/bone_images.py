@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 STEP = 0.1

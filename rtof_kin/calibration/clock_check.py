@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.bone_images import STEP, BoneImages, bone_images, exchanged_sides
 from rtof_kin.core.plausibility import Check
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 NAME = "offset between the clocks of video and sensors"

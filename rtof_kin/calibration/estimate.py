@@ -34,8 +34,10 @@ from rtof_kin.calibration.shared_fragments import Shared, SharedFragments, Worth
 from rtof_kin.calibration.unknowns import Bones, Unknown
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError
+from rtof_kin.data.imu import BoneImuSequence, ImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
-from rtof_kin.data.types import BoneImuSequence, ImuSequence, KeypointSequence, PoseSequence
 from rtof_kin.inertial.outlier_rejection import without
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.observations import Observations, low_passed, sensor_data

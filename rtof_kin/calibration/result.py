@@ -18,8 +18,11 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import Camera, ImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]

@@ -36,7 +36,7 @@ from rtof_kin.clinical.trust import trusted_bands, trusted_turns, untrusted_note
 from rtof_kin.core import signals
 from rtof_kin.core.checks import checked_times, indices_of, readonly
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import PoseSequence, Provenance
+from rtof_kin.data.poses import PoseSequence, Provenance
 
 Array = NDArray[np.float64]
 _NEEDS = {"parent": (DIRECTION, WHOLE, WHOLE), "child": (DIRECTION, DIRECTION, WHOLE)}

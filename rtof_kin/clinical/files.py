@@ -32,7 +32,7 @@ from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.repetitions import RepetitionAnalysis
 from rtof_kin.clinical.torques import JointTorques
-from rtof_kin.data.types import Provenance
+from rtof_kin.data.poses import Provenance
 
 Array = NDArray[np.float64]
 MARKER = "angles.csv"

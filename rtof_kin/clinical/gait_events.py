@@ -18,7 +18,7 @@ from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
 from rtof_kin.clinical.range_of_motion import smoothed
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 CUTOFF_HZ = 7.0

@@ -15,7 +15,7 @@ from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.range_of_motion import smoothed
 from rtof_kin.core import signals
 from rtof_kin.core.errors import UnknownNameError
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 Kind = Literal["squat", "sit_to_stand"]

@@ -28,7 +28,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import STANDARD_GRAVITY
+from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.formats.joint_trajectory import joint_velocities
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import CalibrationError
-from rtof_kin.data.types import GRAVITY_WORLD, BoneImuSequence, ImuSequence
+from rtof_kin.data.imu import GRAVITY_WORLD, BoneImuSequence, ImuSequence
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError, UnknownNameError
-from rtof_kin.data.types import GRAVITY_WORLD, STANDARD_GRAVITY
+from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 

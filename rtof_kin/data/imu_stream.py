@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.checks import checked_names, checked_times, indices_of, readonly
 from rtof_kin.core.errors import ShapeError
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.types import ImuSequence
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
-from rtof_kin.data.types import Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.datasets.total_capture_files import only_one, walk
 from rtof_kin.recording import files
 from rtof_kin.vision.keypoint_files import FORMATS, read_detector_file

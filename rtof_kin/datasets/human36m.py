@@ -26,7 +26,9 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import CalibrationError, FileFormatError, RtofError, UnitError
-from rtof_kin.data.types import Camera, KeypointSequence, PoseSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.human36m_body import bone_lengths, measured_offsets
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS
 from rtof_kin.datasets.human36m_files import Archives, by_number

@@ -24,7 +24,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import FileFormatError, ShapeError, UnitError
 from rtof_kin.core.files.text import load_json, measurable, read_text
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 
 Array = NDArray[np.float64]
 CAMERA_IDS = ("54138969", "55011271", "58860488", "60457274")

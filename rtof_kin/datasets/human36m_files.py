@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.text import LARGEST_NUMBER
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS, read_cameras
 from rtof_kin.datasets.object_npz import read_object_npz
 

@@ -26,8 +26,9 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.plausibility import Check
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import Camera, ImuSequence
 from rtof_kin.datasets.total_capture_files import (
     CAMERA_FILE,
     CAMERAS,

@@ -13,8 +13,11 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.errors import UnknownNameError
 from rtof_kin.core.plausibility import Check
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import BoneImuSequence, Camera, ImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.total_capture_files import MISCALIBRATED
 from rtof_kin.datasets.total_capture_truth import RATE_HZ, RIGID_MM
 

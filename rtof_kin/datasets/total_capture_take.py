@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import ShapeError, UnknownNameError
 from rtof_kin.core.plausibility import Check
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import Camera, ImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.total_capture_checks import (
     check_camera,
     check_keypoints,

@@ -18,7 +18,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.formats.total_capture import read_joints
 

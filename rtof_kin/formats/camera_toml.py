@@ -27,7 +27,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, ShapeError, UnitError
 from rtof_kin.core.files.section import Section
 from rtof_kin.core.files.text import write_text
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.formats.world_axes import world_of_file
 
 Array = NDArray[np.float64]

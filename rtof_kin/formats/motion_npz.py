@@ -16,7 +16,7 @@ from rtof_kin.core.errors import FileFormatError, RtofError, ShapeError
 from rtof_kin.core.files.arrays import read_npz_as_saved, write_npz
 from rtof_kin.core.files.text import LARGEST_NUMBER, measurable
 from rtof_kin.data.confidence import Confidence
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 
 SCHEMA_VERSION = 1
 _LARGEST_BYTES = 8 * 2**30

@@ -23,7 +23,7 @@ from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import write_text
-from rtof_kin.data.types import Provenance
+from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, BASE_TURN
 
 CONVENTION = (

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, ShapeError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import checked_distance
 from rtof_kin.formats.world_axes import world_of_file
 

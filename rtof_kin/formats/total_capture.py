@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 
 Array = NDArray[np.float64]
 _AGAIN = "the download is probably incomplete; fetch and unpack the file again"

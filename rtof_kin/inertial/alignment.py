@@ -12,9 +12,9 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import CalibrationError
+from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
-from rtof_kin.data.types import BoneImuSequence, ImuSequence
 from rtof_kin.inertial.segment_motion import RATE_HZ
 from rtof_kin.inertial.stillness import find_still, streams_of
 

@@ -17,7 +17,8 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.checks import checked_names, readonly
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import BoneImuSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

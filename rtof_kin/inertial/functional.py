@@ -21,8 +21,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
-from rtof_kin.data.types import ImuSequence
 from rtof_kin.inertial.alignment import Held, PoseCalibration, hold
 from rtof_kin.inertial.axes import LEAST_RATE, hinge_axis, principal_axis, rms_rate
 from rtof_kin.inertial.poses import flexion_axis, pose_rotations, turned_to

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.plausibility import Check
 from rtof_kin.core.signals import runs
+from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY
 from rtof_kin.data.imu_stream import SensorStream
-from rtof_kin.data.types import GRAVITY_WORLD, STANDARD_GRAVITY
 from rtof_kin.inertial.turning import rates_of_orientation, trimmed_rms
 
 Array = NDArray[np.float64]

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import BoneImuSequence, PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.likelihood import Evidence
 from rtof_kin.inertial.poses import pose_rotations, turned_to
 from rtof_kin.inertial.segment_motion import (

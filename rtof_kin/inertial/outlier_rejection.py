@@ -18,8 +18,9 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.data.imu import STANDARD_GRAVITY, BoneImuSequence, ImuSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.data.types import STANDARD_GRAVITY, BoneImuSequence, ImuSequence, PoseSequence
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

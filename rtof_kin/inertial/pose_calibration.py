@@ -28,8 +28,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_stream import SensorLog
-from rtof_kin.data.types import ImuSequence
 from rtof_kin.inertial.alignment import Held, PoseCalibration, calibrated, hold
 from rtof_kin.inertial.headings import Headings, own_headings, shared_heading, wrapped
 from rtof_kin.inertial.likelihood import Evidence

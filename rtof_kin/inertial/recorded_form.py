@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.plausibility import Check
-from rtof_kin.data.types import GRAVITY_WORLD, STANDARD_GRAVITY, ImuSequence
+from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY, ImuSequence
 
 Array = NDArray[np.float64]
 FROZEN, GRAVITY = "longest time of one repeated sample", "mean specific force in world, off gravity"

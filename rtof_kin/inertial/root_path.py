@@ -21,7 +21,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import BoneImuSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Contacts, detect_contacts
 
 Array = NDArray[np.float64]

@@ -12,7 +12,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import BoneImuSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.stillness import orientation_rate
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from scipy.ndimage import uniform_filter1d
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.errors import CalibrationError, ShapeError
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
-from rtof_kin.data.types import ImuSequence
 
 Array = NDArray[np.float64]
 STILL_RATE = 0.2

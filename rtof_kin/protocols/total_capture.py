@@ -22,7 +22,8 @@ from rtof_kin.core import signals
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, ShapeError
 from rtof_kin.core.resources import lifter_path
-from rtof_kin.data.types import KeypointSequence, PoseSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.total_capture import SUBJECTS, TEST, TRAIN, Take, TotalCapture
 from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take

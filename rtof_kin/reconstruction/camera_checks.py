@@ -12,7 +12,10 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.errors import ViewError
 from rtof_kin.core.plausibility import Check
-from rtof_kin.data.types import BoneImuSequence, Camera, KeypointSequence, PoseSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.image_checks import Picture, look_at_picture, sensed
 from rtof_kin.reconstruction.prepare import Begun, LifterLike, shipped_lifter
 from rtof_kin.reconstruction.scale_checks import (

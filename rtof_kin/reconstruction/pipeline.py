@@ -16,8 +16,10 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.core.plausibility import Check
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
 from rtof_kin.inertial.outlier_rejection import disagreeing, joined
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
 from rtof_kin.reconstruction.choices import Choices

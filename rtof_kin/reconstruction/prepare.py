@@ -17,8 +17,10 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core import signals
 from rtof_kin.core.errors import ShapeError, UnknownNameError, ViewError
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.data.stream_faults import StreamFault
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence, Provenance
 from rtof_kin.inertial.outlier_rejection import guarded_imus, without
 from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings
 from rtof_kin.recording.recording import Recording

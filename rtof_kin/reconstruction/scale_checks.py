@@ -13,7 +13,9 @@ from rtof_kin.body.limbs import LIMBS
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.plausibility import Check
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import FEET, detect_contacts
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.reconstruction.image_checks import Limbs, Picture

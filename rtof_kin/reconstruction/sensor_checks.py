@@ -18,8 +18,9 @@ from rtof_kin.calibration.clock_check import NAME as CLOCKS
 from rtof_kin.calibration.clock_check import check_clocks
 from rtof_kin.core.errors import CalibrationError, ShapeError, SolverError
 from rtof_kin.core.plausibility import Check
+from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import BoneImuSequence, ImuSequence, KeypointSequence
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.inertial.mounting import LEAST_RATIO, find_faults
 from rtof_kin.inertial.recorded_form import check_form
 from rtof_kin.inertial.setup_diagnosis import Fault, FaultKind

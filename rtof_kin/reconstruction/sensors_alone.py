@@ -18,7 +18,8 @@ from rtof_kin.body.pose_prior import has_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import BoneImuSequence, ImuSequence, PoseSequence, Provenance
+from rtof_kin.data.imu import BoneImuSequence, ImuSequence
+from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.inertial.contacts import Contacts, ContactSettings, detect_contacts, footholds
 from rtof_kin.inertial.initial_poses import poses_from_sensors
 from rtof_kin.inertial.root_path import RootPath, RootPathSettings, root_path

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.plausibility import Check
-from rtof_kin.data.types import Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
 
 Array = NDArray[np.float64]
 RIGID_MM = 1.0

@@ -22,7 +22,9 @@ from rtof_kin.core.errors import (
 from rtof_kin.core.files.arrays import read_csv, read_npz
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.section import Section
-from rtof_kin.data.types import Camera, KeypointSequence, PoseSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import detector_table
 

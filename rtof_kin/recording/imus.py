@@ -14,8 +14,8 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.section import Section
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import ImuSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_of, calibration_table
 from rtof_kin.recording.files import (
     csv_names,

@@ -83,8 +83,10 @@ from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.files.section import Section
+from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import BoneImuSequence, ImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording import files
 from rtof_kin.recording import imus as recording_imus
 from rtof_kin.recording.session import Session, read_session

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.metrics import hinges
 from rtof_kin.calibration.result import SelfCalibration, Verdict
-from rtof_kin.data.types import Provenance
+from rtof_kin.data.poses import Provenance
 from rtof_kin.inertial.outlier_rejection import DISAGREES
 from rtof_kin.report.audit_results import FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS, Finding
 from rtof_kin.report.residuals import (

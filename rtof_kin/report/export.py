@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtof_kin.core.files.folder import new_folder
-from rtof_kin.data.types import PoseSequence, Provenance
+from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
 from rtof_kin.formats.motion_npz import write_motion_npz
 from rtof_kin.formats.motion_views import dofs_from_prior

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.metrics import BEGUN_TOGETHER, comparable, flexion, hinges
 from rtof_kin.core import signals
 from rtof_kin.core.files.folder import new_file
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 
 if TYPE_CHECKING:
     from rtof_kin.reconstruction.pipeline import Reconstruction

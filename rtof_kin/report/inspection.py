@@ -18,9 +18,10 @@ from rtof_kin.core.errors import FileFormatError, ShapeError
 from rtof_kin.core.files.arrays import npz_names
 from rtof_kin.core.plausibility import Check
 from rtof_kin.core.signals import interpolate
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
-from rtof_kin.data.types import Camera, ImuSequence
 from rtof_kin.datasets.total_capture_files import CAMERA_FILE
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.formats.asf_amc import read_asf_amc

@@ -21,7 +21,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.text import read_text
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.asf_amc import read_asf_amc
 from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.simulation.mocap_families import (

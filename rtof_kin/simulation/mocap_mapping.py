@@ -20,7 +20,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.checks import readonly
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.simulation.mocap_families import NAMES, PARENTS, Between, Family, restored_offsets
 

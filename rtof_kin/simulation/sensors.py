@@ -23,8 +23,9 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import ShapeError, UnitError
+from rtof_kin.data.imu import GRAVITY_WORLD, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import GRAVITY_WORLD, ImuSequence, PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation import noise as noises
 from rtof_kin.simulation.noise import ImuNoise
 

@@ -22,7 +22,9 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import Camera, KeypointSequence, PoseSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation import noise as noises
 from rtof_kin.simulation.mocap import PARENTS, MocapClip, read_mocap, resample_clip

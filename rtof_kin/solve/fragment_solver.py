@@ -16,7 +16,9 @@ from rtof_kin.body.pose_prior import has_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import ShapeError, SolverError, UnknownNameError, ViewError
 from rtof_kin.data.confidence import joined
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Footholds
 from rtof_kin.solve.cartesian.settings import SPACES, FragmentSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver

@@ -16,7 +16,8 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import BoneImuSequence, PoseSequence, Provenance
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.poses import PoseSequence, Provenance
 
 Array = NDArray[np.float64]
 

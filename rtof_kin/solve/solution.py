@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtof_kin.core import signals
 from rtof_kin.core.numerics.levenberg_marquardt import Solved
 from rtof_kin.data.confidence import Confidence
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 _MISFIT, _LEAST_MISFIT_PX = 3.0, 3.0

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from rtof_kin.core import signals
 from rtof_kin.core.errors import FileFormatError, ShapeError
-from rtof_kin.data.types import Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.landmark_regression import AdaptedPoints, Adapter

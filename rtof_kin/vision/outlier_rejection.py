@@ -15,8 +15,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.data.types import KeypointSequence
 
 Array = NDArray[np.float64]
 LONGEST = 2.0

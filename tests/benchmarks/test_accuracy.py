@@ -27,8 +27,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.errors import RtofError, ShapeError
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.types import ImuSequence
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip

@@ -23,7 +23,7 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.confidence import Confidence
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve.joint_space.covariance import segment_pairs
 from rtof_kin.solve.uncertainty.covariance_inflation import (
     OTHER,

@@ -24,7 +24,7 @@ from rtof_kin.body import metrics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, RtofError
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import MocapClip
 
 Array = NDArray[np.float64]

@@ -17,7 +17,8 @@ from benchmarks import total_capture_motion as source
 from benchmarks import total_capture_standin as standin
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import OutputExistsError, ShapeError
-from rtof_kin.data.types import GRAVITY_WORLD, Camera
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.simulation.mocap import MocapClip
 
 SEGMENT = {

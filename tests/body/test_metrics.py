@@ -18,7 +18,7 @@ from rtof_kin.body import metrics
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError, UnknownNameError
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

@@ -23,7 +23,9 @@ from rtof_kin.body.observability import (
     segment_levels,
 )
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.data.types import Camera, KeypointSequence, Provenance
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import Provenance
 
 BODY = SkeletonModel.default()
 T = 12

@@ -19,7 +19,7 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, RtofError, ShapeError, UnknownNameError
 from rtof_kin.core.resources import model_path
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 DEFAULT = SkeletonModel.default()

@@ -13,7 +13,7 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.calibration.bone_images import best_exchange, bone_images, exchanged_sides
 from rtof_kin.calibration.clock_check import check_clocks, scan_clocks
 from rtof_kin.core.plausibility import Verdict
-from rtof_kin.data.types import BoneImuSequence
+from rtof_kin.data.imu import BoneImuSequence
 
 BODY = SkeletonModel.default()
 LEGS = ("LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg")

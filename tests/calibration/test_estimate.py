@@ -16,7 +16,7 @@ from rtof_kin.calibration.estimate import calibrate
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.core.errors import CalibrationError, ShapeError
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.consistency_checks import contradictions
 from rtof_kin.recording.recording import Recording
 

@@ -18,7 +18,7 @@ from rtof_kin.calibration.estimate import calibrate
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
 from rtof_kin.core.errors import CalibrationError, FileFormatError, ShapeError
-from rtof_kin.data.types import ImuSequence
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.reconstruction.consistency_checks import check_height, contradictions
 from rtof_kin.recording.recording import Recording
 

@@ -20,7 +20,7 @@ from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError, UnknownNameError
-from rtof_kin.data.types import PoseSequence, Provenance
+from rtof_kin.data.poses import PoseSequence, Provenance
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

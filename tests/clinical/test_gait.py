@@ -15,7 +15,7 @@ from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis, analyse_gait, cycle_curves
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.types import PoseSequence, Provenance
+from rtof_kin.data.poses import PoseSequence, Provenance
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

@@ -17,7 +17,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical import joint_coordinate_systems as jcs
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import all_observed, clinical_angles
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

@@ -16,7 +16,7 @@ from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.clinical.repetitions import RepetitionAnalysis, find_repetitions
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import UnknownNameError
-from rtof_kin.data.types import PoseSequence, Provenance
+from rtof_kin.data.poses import PoseSequence, Provenance
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

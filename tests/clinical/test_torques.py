@@ -16,7 +16,8 @@ from rtof_kin.clinical.gait import analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.torques import UNKNOWN, JointTorques, joint_torques, single_support
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import STANDARD_GRAVITY, PoseSequence, Provenance
+from rtof_kin.data.imu import STANDARD_GRAVITY
+from rtof_kin.data.poses import PoseSequence, Provenance
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

@@ -13,7 +13,8 @@ from detector_support import flat, points_px, walking, watching
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
-from rtof_kin.data.types import Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.datasets.detections import read_detections
 
 NAMES = SkeletonModel.default().names

@@ -20,7 +20,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, FileFormatError, UnitError, UnknownNameError
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.human36m import (
     RATE_HZ,
     SUBJECTS_TEST,

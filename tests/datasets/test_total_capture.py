@@ -20,7 +20,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.core.plausibility import Check
-from rtof_kin.data.types import KeypointSequence, PoseSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.total_capture import SUBJECTS, TEST, TRAIN, Take, TotalCapture
 from rtof_kin.datasets.total_capture_checks import check_keypoints, check_take

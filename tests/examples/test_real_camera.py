@@ -18,7 +18,8 @@ from lifting.predict import LiftedPoses
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import RtofError
-from rtof_kin.data.types import Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
 
 ROOT = Path(__file__).parents[2]

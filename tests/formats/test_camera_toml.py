@@ -15,7 +15,7 @@ from rtof_kin.core.errors import (
     ShapeError,
     UnitError,
 )
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
 from rtof_kin.formats.world_axes import UP
 

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.errors import RtofError, ShapeError, UnknownNameError
 from rtof_kin.core.rotations import angle_between
-from rtof_kin.data.types import Provenance
+from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.formats.c3d import read_c3d
 from rtof_kin.formats.motion_files import DEFAULT, FORMATS, write_motion_files

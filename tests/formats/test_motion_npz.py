@@ -18,7 +18,7 @@ from rtof_kin.body.observability import observed_dofs
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.data.confidence import WORLD, Confidence
-from rtof_kin.data.types import Provenance
+from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.motion_npz import SCHEMA_VERSION, read_motion_npz, write_motion_npz
 
 BODY = SkeletonModel.default().with_height(1.82)

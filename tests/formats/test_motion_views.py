@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import Provenance
+from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.motion_views import (
     check_known,
     even_times,

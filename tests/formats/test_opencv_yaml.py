@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.errors import FileFormatError, ShapeError, UnitError
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
 
 K = np.array([[1250.5, 0.0, 960.25], [0.0, 1240.125, 540.0], [0.0, 0.0, 1.0]])

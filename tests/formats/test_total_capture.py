@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from benchmarks import total_capture_files as files
 from benchmarks.total_capture_motion import cameras
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.formats.total_capture import (
     read_cameras,
     read_imu_calibration,

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import BoneImuSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import (
     Contacts,
     ContactSettings,

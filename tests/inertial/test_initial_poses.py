@@ -11,7 +11,7 @@ import pytest
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError, UnknownNameError
-from rtof_kin.data.types import Provenance
+from rtof_kin.data.poses import Provenance
 from rtof_kin.inertial.initial_poses import poses_from_sensors
 
 BODY = SkeletonModel.default()

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError
+from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.data.types import BoneImuSequence, ImuSequence
 from rtof_kin.inertial.outlier_rejection import disagreeing, guarded_imus, without
 
 Array = NDArray[np.float64]

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.data.types import Camera, PoseSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_position import refit_root
 
 Array = NDArray[np.float64]

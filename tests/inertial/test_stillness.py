@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, ShapeError
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_stream import SensorStream
-from rtof_kin.data.types import ImuSequence
 from rtof_kin.inertial.stillness import (
     angular_velocity,
     find_still,

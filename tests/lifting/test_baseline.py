@@ -25,7 +25,7 @@ from lifting.train import train
 from lifting.videopose3d import PoseAndRootNetwork, bridged, decode, encode
 from lifting.windows import Picture, Windows, answer
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 
 CPU = torch.device("cpu")
 BODY = replace(support.tiny_corpus(frames=8).body(), sensors=())

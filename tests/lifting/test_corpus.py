@@ -10,7 +10,7 @@ import pytest
 from lifting.corpus import Corpus, join_clips, make_corpus, read_corpus
 from rtof_kin.body import kinematics
 from rtof_kin.core.errors import FileFormatError, ShapeError
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import MocapClip, read_mocap
 
 EXCERPT = Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh"

@@ -20,7 +20,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, ShapeError
 from rtof_kin.core.resources import LIFTERS, model_path
-from rtof_kin.data.types import Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.pipeline import ReconstructionSettings, reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import read_mocap

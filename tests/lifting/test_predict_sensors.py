@@ -18,7 +18,9 @@ from lifting.predict import LiftedPoses, Lifter
 from lifting.windows import SIGMA_ACROSS, SIGMA_ALONG, SIGMA_TURN, EncodedWindows
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import BoneImuSequence, Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
 
 Array = NDArray[np.float64]
 T = 40

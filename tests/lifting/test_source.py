@@ -13,7 +13,8 @@ from lifting.body import Body
 from lifting.source import Source
 from lifting.windows import Windows
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
 
 Array = NDArray[np.float64]
 T, W = 60, 27

@@ -13,7 +13,9 @@ from lifting import streaming as module
 from lifting.predict import LiftedPoses, Lifter
 from lifting.streaming import StreamedPose, StreamingLifter
 from rtof_kin.core.errors import RtofError, ShapeError, UnknownNameError
-from rtof_kin.data.types import BoneImuSequence, Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
 
 Array = NDArray[np.float64]
 T = 70

@@ -17,7 +17,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import ViewError
 from rtof_kin.core.plausibility import Check, Verdict
 from rtof_kin.core.resources import model_path
-from rtof_kin.data.types import Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.camera_checks import UNVERIFIED, check_camera_alone, explained
 from rtof_kin.reconstruction.image_checks import (
     exchanged_axes,

@@ -23,7 +23,8 @@ from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.core.resources import model_path
-from rtof_kin.data.types import KeypointSequence, Provenance
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import Provenance
 from rtof_kin.reconstruction.pipeline import (
     CAMERA_MODES,
     Reconstruction,

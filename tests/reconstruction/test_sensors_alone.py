@@ -17,7 +17,8 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, ShapeError, SolverError
 from rtof_kin.core.files.arrays import read_npz
-from rtof_kin.data.types import ImuSequence, Provenance
+from rtof_kin.data.imu import ImuSequence
+from rtof_kin.data.poses import Provenance
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 from rtof_kin.reconstruction.pipeline import (
     CAMERA_MODES,

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.plausibility import Verdict
-from rtof_kin.data.types import Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.recording import body_checks as bodies
 
 NAMES = ("RHip", "right_knee", "R.Ankle", "LShoulder", "Left Elbow", "l_wrist", "Nose")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.metrics import flexion
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.reconstruction.pipeline import Reconstruction, ReconstructionSettings, reconstruct
 from rtof_kin.report import figures
 

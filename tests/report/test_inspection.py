@@ -16,7 +16,7 @@ from rtof_kin.cli import main
 from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.core.plausibility import Verdict
 from rtof_kin.core.resources import model_path
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.formats.c3d import write_c3d
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.formats.markers import MarkerSequence

@@ -21,7 +21,7 @@ from report_support import BROWSER, Page, certain_to, drawn_data, folder_of, ren
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.core.errors import FileFormatError, ShapeError
-from rtof_kin.data.types import Provenance
+from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import Finding
 from rtof_kin.report.isb import isb_items

@@ -10,7 +10,7 @@ import pytest
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.asf_amc import read_asf_amc
 from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.simulation import mocap

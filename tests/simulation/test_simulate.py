@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError, UnknownNameError
-from rtof_kin.data.types import Camera, PoseSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation import noise as noises
 from rtof_kin.simulation.mocap import MocapClip

@@ -20,7 +20,8 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.numerics import c_compiler as compiled
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.solve.cartesian.banded import BandedProblem
 from rtof_kin.solve.cartesian.problem import TERMS, FragmentProblem, rigid_pairs
 from rtof_kin.solve.cartesian.settings import FragmentSettings

@@ -18,7 +18,9 @@ from scipy.optimize import least_squares
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import SolverError
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence, Provenance
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.solve.cartesian.problem import TERMS, rigid_pairs
 from rtof_kin.solve.cartesian.settings import FragmentSettings
 from rtof_kin.solve.fragment_solver import (

@@ -12,7 +12,7 @@ import pytest
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.errors import ShapeError, SolverError, UnknownNameError
-from rtof_kin.data.types import BoneImuSequence
+from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.solve.cartesian.settings import SPACES, FragmentSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus

@@ -15,7 +15,8 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError, UnknownNameError
-from rtof_kin.data.types import BoneImuSequence, PoseSequence, Provenance
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 
 Array = NDArray[np.float64]

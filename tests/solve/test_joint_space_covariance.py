@@ -15,7 +15,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.confidence import WORLD, Confidence
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve.cartesian.settings import FragmentSettings
 from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve.joint_space.gaps import through_gaps
 
 Array = NDArray[np.float64]

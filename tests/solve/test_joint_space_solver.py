@@ -20,7 +20,8 @@ from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
-from rtof_kin.data.types import KeypointSequence, PoseSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve.energy.problem import TERMS
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
 from rtof_kin.solve.inertial_ik import InertialGuidedIK

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.numerics.levenberg_marquardt import Solved
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve.solution import FragmentReport, FragmentSolution, SolverStatus, misfits
 
 POSES = PoseSequence(np.zeros(1), np.zeros((1, 1, 3)), np.eye(3)[None, None], ("Hips",))

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.data.types import Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA
 from rtof_kin.solve.uncertainty.residual_statistics import circumstances, correlation
 

@@ -13,7 +13,7 @@ from rtof_kin.calibration.estimate import shared_fragments
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.shared_fragments import SharedFragments
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 

@@ -14,7 +14,7 @@ from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.clinical.joint_coordinate_systems import anatomical_posture
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import read_mocap
 
 Array = NDArray[np.float64]

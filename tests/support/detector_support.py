@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.simulation.mocap import read_mocap
 from rtof_kin.vision.layouts import detector_table, own
 

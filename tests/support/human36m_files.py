@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.human36m import SUBJECTS_TEST, SUBJECTS_TRAIN
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS
 

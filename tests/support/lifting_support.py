@@ -18,7 +18,9 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton_table import SkeletonTable, read_skeleton_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
-from rtof_kin.data.types import BoneImuSequence, Camera, KeypointSequence
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
 
 Array = NDArray[np.float64]
 torch.set_num_threads(1)

@@ -12,7 +12,7 @@ from benchmarks import total_capture_files as files
 from benchmarks.total_capture_motion import body, cameras, from_t_pose
 from benchmarks.total_capture_standin import StandInTake, make_take, write_take
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.noise import ImuNoise
 
 

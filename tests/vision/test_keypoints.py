@@ -12,7 +12,7 @@ from detector_support import LAYOUTS, flat, landmarks_px, points_px, walking, wa
 
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
-from rtof_kin.data.types import Camera
+from rtof_kin.data.camera import Camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoints import adapt, read_detector_keypoints

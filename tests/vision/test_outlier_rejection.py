@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.stream_faults import FaultKind
-from rtof_kin.data.types import KeypointSequence
 from rtof_kin.vision.outlier_rejection import guarded_keypoints
 
 Array = NDArray[np.float64]

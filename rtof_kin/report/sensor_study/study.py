@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.core import signals
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
 from rtof_kin.reconstruction.prepare import LifterLike, ReconstructionSettings
 from rtof_kin.recording.recording import Recording

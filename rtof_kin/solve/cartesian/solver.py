@@ -19,7 +19,9 @@ from rtof_kin.core import signals
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.c_compiler import BUILDING, Buffered
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Footholds
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.solve.cartesian.banded import BandedProblem

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
-from rtof_kin.data.types import BoneImuSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.initial_poses import poses_from_sensors
 from rtof_kin.inertial.root_path import path_through_gaps
 

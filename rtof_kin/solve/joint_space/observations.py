@@ -15,7 +15,9 @@ from rtof_kin.body.pose_prior import shipped_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import FEET, Footholds, standing_feet
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.solve.compiled.building import built_problem

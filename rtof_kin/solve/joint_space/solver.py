@@ -14,7 +14,9 @@ from rtof_kin.body.observability import DIRECTION, WHOLE, levels_by_points
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
-from rtof_kin.data.types import BoneImuSequence, KeypointSequence, PoseSequence
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Footholds
 from rtof_kin.solve.energy.problem import TERMS
 from rtof_kin.solve.joint_space.annealing import Annealing

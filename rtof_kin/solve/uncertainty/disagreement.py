@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import readonly
 from rtof_kin.data.confidence import WORLD
-from rtof_kin.data.types import PoseSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 WINDOW = 0.15

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence
-from rtof_kin.data.types import KeypointSequence, PoseSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA, Circumstances
 
 Array = NDArray[np.float64]

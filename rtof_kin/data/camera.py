@@ -1,0 +1,121 @@
+"""A calibrated camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.checks import (
+    readonly,
+)
+from rtof_kin.core.errors import ShapeError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated pinhole camera, fixed in the world."""
+
+    K: Array
+    """(3, 3) intrinsic matrix, px."""
+    R_camera_world: Array
+    """(3, 3) rotation from world to camera axes."""
+    t_camera_world: Array
+    """(3,) world origin in camera coordinates, m: p_camera = R_camera_world p_world + t."""
+    width_px: int
+    """Image width, px."""
+    height_px: int
+    """Image height, px."""
+    distortion: Array = None  # type: ignore[assignment]
+    """(5,) OpenCV's k1, k2, p1, p2, k3; zeros where not given."""
+    assumed: tuple[str, ...] = ()
+    """What nobody measured of it, in words: 'focal length', 'pose'."""
+
+    def __post_init__(self) -> None:
+        distortion = np.zeros(5) if self.distortion is None else self.distortion
+        set_ = object.__setattr__
+        set_(self, "K", readonly("camera K", self.K, (3, 3)))
+        set_(self, "R_camera_world", readonly("camera R_camera_world", self.R_camera_world, (3, 3)))
+        set_(self, "t_camera_world", readonly("camera t_camera_world", self.t_camera_world, (3,)))
+        set_(self, "distortion", readonly("camera distortion", distortion, (5,)))
+        if not so3.is_rotation(self.R_camera_world, tolerance=1e-4):
+            raise ShapeError("camera R_camera_world: not a rotation matrix")
+        regular = self.K[0, 0] * self.K[1, 1] - self.K[0, 1] * self.K[1, 0] > 0
+        if not (self.K[0, 0] > 0 and self.K[1, 1] > 0 and regular and np.allclose(self.K[2], [0, 0, 1])):
+            raise ShapeError(
+                "camera K: singular; it needs positive focal lengths on the diagonal and "
+                "0, 0, 1 as its last row"
+            )
+        for field in ("K", "t_camera_world", "distortion"):
+            if not np.all(np.isfinite(getattr(self, field))):
+                raise ShapeError(f"camera {field}: not finite")
+        if self.width_px <= 0 or self.height_px <= 0:
+            raise ShapeError("camera: width_px and height_px must be positive")
+
+    @classmethod
+    def looking_at(
+        cls,
+        position: ArrayLike,
+        target: ArrayLike,
+        focal_px: float,
+        width_px: int = 1920,
+        height_px: int = 1080,
+    ) -> Camera:
+        """An upright camera at `position` whose optical axis passes through `target` (world, m)."""
+        position = np.asarray(position, dtype=float)
+        forward = so3.unit(np.asarray(target, dtype=float) - position)
+        right = so3.unit(np.cross(forward, [0.0, 0.0, 1.0]))
+        R = np.stack([right, np.cross(forward, right), forward])
+        K = np.array([[focal_px, 0, width_px / 2], [0, focal_px, height_px / 2], [0, 0, 1.0]])
+        return cls(K, R, -R @ position, width_px, height_px)
+
+    @property
+    def center_world(self) -> Array:
+        """(3,) optical centre in world, m."""
+        return np.asarray(-self.R_camera_world.T @ self.t_camera_world)
+
+    def to_camera(self, p_world: ArrayLike) -> Array:
+        """World points (..., 3) in camera coordinates, m."""
+        return np.asarray(np.asarray(p_world) @ self.R_camera_world.T + self.t_camera_world)
+
+    def project(self, p_world: ArrayLike) -> Array:
+        """Pixels (..., 2) of world points (..., 3); NaN for points not in front of the camera."""
+        p = self.to_camera(p_world)
+        depth = p[..., 2:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            xy = np.where(depth > 1e-6, p[..., :2] / depth, np.nan)
+        return self._distort(xy) @ self.K[:2, :2].T + self.K[:2, 2]
+
+    def normalise(self, uv_px: ArrayLike) -> Array:
+        """Undistorted image-plane coordinates x/z, y/z (..., 2) of pixels (..., 2)."""
+        xy_distorted = (np.asarray(uv_px) - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
+        xy = xy_distorted
+        if np.any(self.distortion):
+            for _ in range(20):  # fixed point, as OpenCV does
+                xy = xy - (self._distort(xy) - xy_distorted)
+        return np.asarray(xy)
+
+    def rays_world(self, uv_px: ArrayLike) -> Array:
+        """Unit directions (..., 3) in world from the optical centre through pixels (..., 2)."""
+        xy = self.normalise(uv_px)
+        rays = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
+        return so3.unit(rays @ self.R_camera_world)
+
+    def undistorted(self) -> Camera:
+        """The same camera without distortion."""
+        return replace(self, distortion=np.zeros(5))
+
+    def _distort(self, xy: Array) -> Array:
+        if not np.any(self.distortion):
+            return xy
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = xy[..., 0], xy[..., 1]
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        x_d = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        y_d = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        return np.stack([x_d, y_d], axis=-1)

@@ -1,0 +1,82 @@
+"""Detected landmarks of one person in a video.
+
+Axes are time, then element, then component: (T, J, 3). Missing is NaN in the value and 0 in the
+confidence, both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.checks import (
+    checked_names,
+    checked_times,
+    readonly,
+)
+from rtof_kin.core.errors import ShapeError
+from rtof_kin.data.camera import Camera
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class KeypointSequence:
+    """2D landmarks of one person seen by one camera."""
+
+    camera: Camera
+    """The camera that saw them."""
+    times: Array
+    """(T,) seconds, strictly increasing."""
+    uv_px: Array
+    """(T, L, 2) pixels; NaN where unseen."""
+    confidence: Array
+    """(T, L) in [0, 1]; 0 where unseen."""
+    names: tuple[str, ...]
+    """L landmark names."""
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "names", checked_names("keypoint names", self.names))
+        set_(self, "times", checked_times("keypoint times", self.times))
+        T, L = len(self.times), len(self.names)
+        uv = np.array(readonly("keypoints uv_px", self.uv_px, (T, L, 2)))
+        confidence = np.array(readonly("keypoint confidence", self.confidence, (T, L)))
+        if np.any((confidence < 0) | (confidence > 1)):
+            raise ShapeError("keypoint confidence: outside [0, 1]; divide by the detector's maximum")
+        if np.any(np.isinf(uv)):
+            raise ShapeError("keypoints uv_px: infinite; write NaN where a landmark was not seen")
+        missing = np.isnan(uv).any(axis=-1) | ~(confidence > 0)
+        uv[missing], confidence[missing] = np.nan, 0.0
+        set_(self, "uv_px", readonly("keypoints uv_px", uv, (T, L, 2)))
+        set_(self, "confidence", readonly("keypoint confidence", confidence, (T, L)))
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __getitem__(self, frames: slice) -> Self:
+        return replace(
+            self,
+            times=self.times[frames],
+            uv_px=self.uv_px[frames],
+            confidence=self.confidence[frames],
+        )
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(T, L) whether a landmark was seen."""
+        return np.asarray(self.confidence > 0)
+
+    def select(self, names: Sequence[str]) -> Self:
+        """The landmarks named, in that order; those not present are NaN with confidence 0."""
+        uv = np.full((len(self), len(names), 2), np.nan)
+        confidence = np.zeros((len(self), len(names)))
+        for i, name in enumerate(names):
+            if name in self.names:
+                j = self.names.index(name)
+                uv[:, i], confidence[:, i] = self.uv_px[:, j], self.confidence[:, j]
+        return replace(self, uv_px=uv, confidence=confidence, names=tuple(names))
