@@ -62,9 +62,7 @@ def _row(
         adapted = adapter.apply(layout, uv, confidence)
         scale = (depth / DISTANCE)[:, None]
         errors["adapter"].append(_distance(adapted, truth, names) * scale)
-        errors["naive"].append(
-            _distance(adapter.naive(layout, uv, confidence), truth, names) * scale
-        )
+        errors["naive"].append(_distance(adapter.naive(layout, uv, confidence), truth, names) * scale)
         errors["sigma"].append(adapted.sigma_px[:, : len(names)] * scale)
         recognised.append(_recognised(uv, confidence, layout))
     all_errors = {key: np.concatenate(value) for key, value in errors.items()}
@@ -81,9 +79,7 @@ def _row(
         "rms_px": float(np.sqrt(np.nanmean(all_errors["adapter"] ** 2))),
         "recognised": float(np.mean(recognised)),
         "per_joint_px": {
-            key: dict(
-                zip(names, np.nanmean(all_errors[key], axis=0).round(2).tolist(), strict=True)
-            )
+            key: dict(zip(names, np.nanmean(all_errors[key], axis=0).round(2).tolist(), strict=True))
             for key in ("naive", "adapter")
         },
     }

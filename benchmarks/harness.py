@@ -106,9 +106,7 @@ def middle(clip: MocapClip, seconds: float) -> MocapClip:
     return replace(clip, poses=replace(poses, times=poses.times - poses.times[0]))
 
 
-def recorded(
-    clip: MocapClip, camera: int, kind: str, sensors: tuple[str, ...], seed: int
-) -> Recording:
+def recorded(clip: MocapClip, camera: int, kind: str, sensors: tuple[str, ...], seed: int) -> Recording:
     """What one of a motion's four cameras and the sensors record."""
     # A motion's cameras and noise depend on its name, not on its place in the list.
     own = seed * 1_000_003 + zlib.crc32(clip.name.encode())

@@ -82,8 +82,7 @@ def exercise(
     rate, J = 60.0, len(skeleton.names)
     R_pose = pose_rotations("N", skeleton)
     axes = {
-        joint: R_pose[j].T @ flexion_axis(joint, skeleton, R_pose)
-        for j, joint in enumerate(skeleton.names)
+        joint: R_pose[j].T @ flexion_axis(joint, skeleton, R_pose) for j, joint in enumerate(skeleton.names)
     }
     count, still = round(seconds * rate), round(HELD * rate)
     T = still + count * len(EXERCISES)
@@ -95,8 +94,10 @@ def exercise(
             j = skeleton.names.index(joint)
             slow = np.sin(np.pi * phase) ** 0.5
             rotvec[own, j] += (angle * slow * np.sin(3 * np.pi * phase) ** 2)[:, None] * axes[joint]
-            rotvec[own, j] += 0.05 * slow[:, None] * np.sin(
-                2 * np.pi * (np.outer(phase, rng.uniform(2, 5, 3)) + rng.uniform(size=3))
+            rotvec[own, j] += (
+                0.05
+                * slow[:, None]
+                * np.sin(2 * np.pi * (np.outer(phase, rng.uniform(2, 5, 3)) + rng.uniform(size=3)))
             )
     rotvec += 0.01 * np.sin(np.arange(T)[:, None, None] / rate * rng.uniform(1, 3, (J, 3)))
     R_held = R_pose if R_held is None else R_held

@@ -111,9 +111,7 @@ def cells(rows: Sequence[dict[str, Any]]) -> list[Any]:
     frames = np.array([row["frames"] for row in rows], dtype=float)
     means = [float(np.average([row[name] for row in rows], weights=frames)) for name in FIGURES]
     far = [row for row in rows if row["walked_m"] > _WALKED]
-    drift, walked, sigma = (
-        np.array([row[n] for row in far]) for n in ("drift_m", "walked_m", "sigma_m")
-    )
+    drift, walked, sigma = (np.array([row[n] for row in far]) for n in ("drift_m", "walked_m", "sigma_m"))
     walking = np.array([row["category"] == "walking" for row in far])
     low, high = np.sqrt(bootstrap([r["motion"] for r in far], (drift / walked) ** 2, walked**2))
     by_time = 60 * np.array([row["drift_m"] / row["seconds"] for row in rows])

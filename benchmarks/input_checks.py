@@ -28,12 +28,7 @@ from lifting.predict import Lifter
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.camera_checks import UNVERIFIED, check_camera_alone
-from rtof_kin.reconstruction.image_checks import (
-    exchanged_axes,
-    exchanged_sides,
-    mirrored,
-    upside_down,
-)
+from rtof_kin.reconstruction.image_checks import exchanged_axes, exchanged_sides, mirrored, upside_down
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
@@ -116,9 +111,7 @@ FAULTS: dict[str, Fault] = {
     "camera's translation in mm": Fault(camera(t_camera_world=lambda t: 1000 * t), "millimetres"),
     "focal length x 0.5": Fault(focal(0.5), "focal length"),
     "focal length x 1.2": Fault(focal(1.2), "focal length", whole=True),
-    "bones x 1.2": Fault(
-        lambda r: replace(r, joint_offsets=1.2 * r.joint_offsets), "bones", whole=True
-    ),
+    "bones x 1.2": Fault(lambda r: replace(r, joint_offsets=1.2 * r.joint_offsets), "bones", whole=True),
     "floor 1 m too high": Fault(floor(1.0), "floor"),
     "floor 1 m too low": Fault(floor(-1.0), "floor"),
     "keypoints of a half-size picture": Fault(
@@ -146,9 +139,7 @@ def planted(fault: Fault, recording: Recording) -> Recording | None:
     return None if wrong is recording and fault.named else wrong
 
 
-def recordings(
-    corpus: Path, subjects: list[str], detector: Path | None, seed: int
-) -> Iterator[Recording]:
+def recordings(corpus: Path, subjects: list[str], detector: Path | None, seed: int) -> Iterator[Recording]:
     """Clips of subjects, each watched by some cameras; kinds of 2D and sensors take turns."""
     sample = None if detector is None else _sampler(detector)
     kinds = KINDS if sample else KINDS[:-1]
@@ -182,9 +173,7 @@ def _recorded(
     p, R = clip.poses.p_world_joint, clip.poses.R_world_bone
     uv, visibility = sample(p, R, view.K, view.R_camera_world, view.t_camera_world, seed)
     confidence = np.where(np.isfinite(uv).all(axis=-1), visibility, 0.0)
-    found = adapt(
-        Detections(uv[:, None], confidence[:, None]), clip.poses.times, view, "mediapipe33"
-    )
+    found = adapt(Detections(uv[:, None], confidence[:, None]), clip.poses.times, view, "mediapipe33")
     return replace(r, keypoints=found.keypoints, truth=None)
 
 
@@ -258,9 +247,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=RESULTS / "input_checks.json")
     o = parser.parse_args(arguments)
     lifter = Lifter.load()
-    chosen = [r for r in recordings(o.corpus, SUBJECTS[o.subset], o.detector, o.seed)][
-        : o.recordings
-    ]
+    chosen = [r for r in recordings(o.corpus, SUBJECTS[o.subset], o.detector, o.seed)][: o.recordings]
     names = o.faults.split(",") if o.faults else list(FAULTS)
     found = (row_of(r, name, lifter) for r in track(chosen, "recordings") for name in names)
     rows = [row for row in found if row is not None]

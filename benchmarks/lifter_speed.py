@@ -34,9 +34,7 @@ from rtof_kin.recording.recording import Recording
 
 RESULTS = Path(__file__).parent / "results"
 RATE_HZ = 60.0
-LIMBS = tuple(
-    f"{side}{part}" for side in ("Left", "Right") for part in ("Arm", "ForeArm", "UpLeg", "Leg")
-)
+LIMBS = tuple(f"{side}{part}" for side in ("Left", "Right") for part in ("Arm", "ForeArm", "UpLeg", "Leg"))
 
 
 def scene(frames: int) -> tuple[KeypointSequence, BoneImuSequence, Any]:
@@ -47,9 +45,7 @@ def scene(frames: int) -> tuple[KeypointSequence, BoneImuSequence, Any]:
     turns = np.resize(np.arange(len(truth.times)), frames)
     times = np.arange(frames) / RATE_HZ
     uv = demo.keypoints.camera.project(truth.p_world_joint[turns])
-    keypoints = KeypointSequence(
-        demo.keypoints.camera, times, uv, np.ones((frames, len(names))), names
-    )
+    keypoints = KeypointSequence(demo.keypoints.camera, times, uv, np.ones((frames, len(names))), names)
     R = truth.R_world_bone[turns][:, [names.index(joint) for joint in LIMBS]]
     n = len(LIMBS)
     imus = BoneImuSequence(times, R, np.zeros((frames, n, 3)), np.zeros((n, 3)), LIMBS)
@@ -110,9 +106,7 @@ def causal_of(lifter: Lifter) -> Lifter:
         return lifter
     config = replace(lifter.description.network, causal=True)
     torch.manual_seed(0)
-    return Lifter(
-        TemporalNetwork(config).eval(), LifterDescription(lifter.description.body, config)
-    )
+    return Lifter(TemporalNetwork(config).eval(), LifterDescription(lifter.description.body, config))
 
 
 def product_speed() -> float:

@@ -30,7 +30,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.inertial.alignment import usual_lever
-from rtof_kin.inertial.mounting import LEAST_RATIO, find_faults
+from rtof_kin.inertial.mounting import LEAST_RATIO, diagnose_setup
 from rtof_kin.inertial.poses import pose_rotations
 from rtof_kin.inertial.setup_diagnosis import Fault, FaultKind
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
@@ -169,7 +169,7 @@ def judge(clip: MocapClip) -> list[dict[str, Any]]:
             planted = make(rng, good, skeleton)
             if planted is None:
                 continue
-            found = find_faults(planted.calibration.apply(imus), skeleton, pose=POSE, most=1)
+            found = diagnose_setup(planted.calibration.apply(imus), skeleton, pose=POSE, most=1)
             rows.append({
                 "motion": clip.name, "subject": clip.subject, "sensors": sensors, "plant": plant,
                 "seconds": len(clip.poses) / 60, "found": bool(found),
@@ -215,9 +215,7 @@ def table(summary: list[dict[str, Any]]) -> str:
         ratio = "" if row["ratio"] is None else f"{row['ratio']:.0f}"
         found, named = (f"{100 * row[key]:.0f} %" for key in ("found", "named"))
         named = "" if row["plant"] == "nothing" else named
-        lines.append(
-            f"| {row['plant']} | {row['sensors']} | {row['pieces']} | {found} | {named} | {ratio} |"
-        )
+        lines.append(f"| {row['plant']} | {row['sensors']} | {row['pieces']} | {found} | {named} | {ratio} |")
     return "\n".join(lines)
 
 

@@ -148,8 +148,7 @@ def _segments_swapped(left: str, right: str) -> Plant:
         joints = tuple(recording.calibration.joints[s] for s in order)
         levers = recording.calibration.p_bone_sensor[order]
         return replace(
-            recording,
-            calibration=replace(recording.calibration, joints=joints, p_bone_sensor=levers),
+            recording, calibration=replace(recording.calibration, joints=joints, p_bone_sensor=levers)
         )
 
     return plant

@@ -136,9 +136,7 @@ def _bvh_joint(
 ) -> None:
     """Append a joint and all below it: lines, and its index and offset in the order of the channels."""
     order.append((joint, offsets[joint]))
-    _open(
-        lines, f"JOINT {NAMES[joint]}" if depth else f"ROOT {NAMES[joint]}", offsets[joint], depth
-    )
+    _open(lines, f"JOINT {NAMES[joint]}" if depth else f"ROOT {NAMES[joint]}", offsets[joint], depth)
     for child in kinematics.children_of(PARENTS, joint):
         _bvh_joint(lines, order, child, offsets, depth + 1)
     _bvh_ends(lines, order, NAMES[joint], depth + 1)

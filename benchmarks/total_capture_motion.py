@@ -19,14 +19,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.simulation.mocap import (
-    ANKLE_HEIGHT,
-    NAMES,
-    PARENTS,
-    MocapClip,
-    read_corpus,
-    resample_clip,
-)
+from rtof_kin.simulation.mocap import ANKLE_HEIGHT, NAMES, PARENTS, MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import low_passed
 
 Array = NDArray[np.float64]
@@ -135,9 +128,7 @@ def from_t_pose(poses: PoseSequence, joint_offsets: Array, seed: int = 0) -> Pos
         poses: the motion. joint_offsets: (21, 3) m, its own. seed: of what is wrong with the T-pose.
     """
     if len(poses) < SHORTEST_CLIP:
-        raise ShapeError(
-            f"stand-in: {len(poses)} frames are too few; give {SHORTEST_CLIP} at least"
-        )
+        raise ShapeError(f"stand-in: {len(poses)} frames are too few; give {SHORTEST_CLIP} at least")
     turn = so3.about_axis("z", np.pi / 2 - so3.heading(poses.R_world_bone[0, 0]))
     p_root, R = poses.p_world_joint[:, 0] @ turn.T, turn @ poses.R_world_bone
     count = STILL_FRAMES + BLEND_FRAMES // 2 + len(poses)
@@ -207,9 +198,7 @@ def choose_clips(
             )
         piece = pool.pop(0)
         poses = piece.clip.poses[piece.frames]
-        chosen[subject, take] = replace(
-            piece.clip, poses=replace(poses, times=poses.times - poses.times[0])
-        )
+        chosen[subject, take] = replace(piece.clip, poses=replace(poses, times=poses.times - poses.times[0]))
     return chosen
 
 

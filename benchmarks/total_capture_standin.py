@@ -109,12 +109,7 @@ def make_take(
     """
     rng = np.random.default_rng([seed, zlib.crc32(f"{subject} {name}".encode())])
     imus, calibration = simulate_imus(
-        rng,
-        poses,
-        _skeleton(),
-        tuple(_skeleton().sensors),
-        poses.times,
-        noise or ImuNoise.realistic(),
+        rng, poses, _skeleton(), tuple(_skeleton().sensors), poses.times, noise or ImuNoise.realistic()
     )
     tilt = so3.exp(np.radians(0.7) * np.array([*rng.standard_normal(2), 0.0]))
     R_world_inertial = tilt @ so3.about_axis("z", np.radians(rng.uniform(-6, 6)))
@@ -177,9 +172,7 @@ def write_take(
     return paths
 
 
-def write_detections(
-    folder: Path, take: StandInTake, number: int, camera: Camera, seed: int
-) -> Path:
+def write_detections(folder: Path, take: StandInTake, number: int, camera: Camera, seed: int) -> Path:
     """A detector's 2D of a take: `rtof_kin.simulation.noise`, a few frames late, camera 2 off.
 
     Video of some takes ends before the motion does, as the real one.
@@ -198,9 +191,7 @@ def write_detections(
         np.concatenate([*(one.R_world_bone for one in before), poses.R_world_bone]),
         poses.names,
     )
-    settings = replace(
-        SimulationSettings.realistic(), sensors=(), video_lag_frames=(float(lag), float(lag))
-    )
+    settings = replace(SimulationSettings.realistic(), sensors=(), video_lag_frames=(float(lag), float(lag)))
     random = int(np.random.default_rng([seed, about_take, number]).integers(2**31))
     recording = simulate(padded, take.joint_offsets, camera=camera, settings=settings, seed=random)
     shorter = _SHORTER_VIDEO.get((take.subject, take.name), 0)

@@ -96,22 +96,14 @@ def adjust_cameras(
 
 
 def _bundle_step(
-    cameras: Sequence[Camera],
-    xy: Array,
-    weight: Array,
-    p: Array,
-    prior: Array,
-    x: Array,
-    sigma: float,
+    cameras: Sequence[Camera], xy: Array, weight: Array, p: Array, prior: Array, x: Array, sigma: float
 ) -> tuple[Array, Array]:
     """One Gauss-Newton step of cameras (6 C,) and points (N, 3)."""
     C = len(cameras)
     error, J_point = _residuals(cameras, xy, p)
     J_camera = np.empty((*error.shape, 6))
     for c, camera in enumerate(cameras):
-        J_camera[c, ..., :3] = np.einsum(
-            "nkj,njl->nkl", J_point[c], so3.skew(p - camera.center_world)
-        )
+        J_camera[c, ..., :3] = np.einsum("nkj,njl->nkl", J_point[c], so3.skew(p - camera.center_world))
         J_camera[c, ..., 3:] = -J_point[c]
     w = weight * _robust(error, 2 * sigma) / sigma**2
     H_cc, g_c = np.diag(prior), prior * x

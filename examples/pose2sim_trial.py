@@ -74,9 +74,7 @@ def find_trial(root: Path, name: str) -> Path:
     return (exact or trials)[0]
 
 
-def read_trial(
-    root: Path, name: str, height: float | None = None, participant: int | None = None
-) -> Trial:
+def read_trial(root: Path, name: str, height: float | None = None, participant: int | None = None) -> Trial:
     """One person of a trial, the same one in every camera.
 
     People are matched across the cameras by triangulation; where the configuration has several heights,
@@ -126,9 +124,8 @@ def read_trial(
         _view(n, camera, found, times, who, frame)
         for (n, camera), found, who in zip(cameras.items(), seen, people, strict=True)
     ]
-    person = (
-        f"participant {participant} of {len(heights)} ({heights[participant - 1]:.2f} m): number "
-        + (", ".join(f"{who} in {n}" for n, who in zip(cameras, people, strict=True)))
+    person = f"participant {participant} of {len(heights)} ({heights[participant - 1]:.2f} m): number " + (
+        ", ".join(f"{who} in {n}" for n, who in zip(cameras, people, strict=True))
     )
     return Trial(
         folder.name, tuple(views), heights[participant - 1], f"{person}, in frame {frame}",
@@ -136,9 +133,7 @@ def read_trial(
     )  # fmt: skip
 
 
-def _view(
-    name: str, camera: Camera, seen: Detections, times: Array, person: int, frame: int
-) -> View:
+def _view(name: str, camera: Camera, seen: Detections, times: Array, person: int, frame: int) -> View:
     part = Detections(seen.uv_px[: len(times)], seen.confidence[: len(times)])
     found = adapt(part, times, camera, person=person, frame=frame)
     uv, confidence = found.track.of(part)
@@ -217,9 +212,7 @@ def _calibration(folder: Path, root: Path) -> Path:
                 if len(files) == 1:
                     return files[0]
                 if files:
-                    raise FileFormatError(
-                        inner, f"{len(files)} files .toml; keep the one that holds"
-                    )
+                    raise FileFormatError(inner, f"{len(files)} files .toml; keep the one that holds")
     raise FileFormatError(root, "no folder *calib* with a .toml in it; give the session's folder")
 
 

@@ -90,10 +90,7 @@ def estimate(
     """
     keypoints = replace(view.found.keypoints, camera=camera)
     stages: dict[str, PoseSequence] = {}
-    bodies = {
-        "rto": skeleton,
-        MEASURED: skeleton.with_bone_lengths(measured_bones(truth, skeleton)),
-    }
+    bodies = {"rto": skeleton, MEASURED: skeleton.with_bone_lengths(measured_bones(truth, skeleton))}
     for mode, body in bodies.items():
         recording = Recording(view.name, keypoints, joint_offsets=body.joint_offsets)
         result = reconstruct(recording, body, "rto", lifter=lifter, progress=progress)
@@ -143,8 +140,7 @@ def said_of_truth(trial: Trial, truth: Truth, adjusted: bool) -> list[str]:
         "and no benchmark",
         f"followed {trial.person}",
         *(f"{view.name}: {view.found.summary}" for view in trial.views),
-        "distance of the detector's points from where the other cameras have them, median px: "
-        f"{misfit}",
+        f"distance of the detector's points from where the other cameras have them, median px: {misfit}",
     ]
     if max(after for _, after in truth.misfit_px.values()) < DRAWN_PX:
         said.append("no detector is as consistent as that: these points were drawn, not detected")
@@ -159,9 +155,7 @@ def said_of_truth(trial: Trial, truth: Truth, adjusted: bool) -> list[str]:
     return said
 
 
-def said_of_scores(
-    estimates: Sequence[Estimate], truth: Truth, skeleton: SkeletonModel
-) -> list[str]:
+def said_of_scores(estimates: Sequence[Estimate], truth: Truth, skeleton: SkeletonModel) -> list[str]:
     """Sentences about what limits which figure."""
     rto = {key: _mean(estimates, "rto", key) for key in COLUMNS}
     bones = measured_bones(truth, skeleton)
@@ -214,17 +208,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument(
-        "folder", type=Path, metavar="FOLDER", help="session of Pose2Sim's demo data"
-    )
-    parser.add_argument(
-        "--trial", default="S00_P00_T01_BalancingTrial", metavar="NAME", help="whose folder"
-    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="session of Pose2Sim's demo data")
+    parser.add_argument("--trial", default="S00_P00_T01_BalancingTrial", metavar="NAME", help="whose folder")
     parser.add_argument("--participant", type=int, metavar="N", help="of several heights in Config.toml, "
                         "the one to follow, from 1; the tallest where not given")  # fmt: skip
-    parser.add_argument(
-        "--height", type=float, metavar="M", help="m; Config.toml's where not given"
-    )
+    parser.add_argument("--height", type=float, metavar="M", help="m; Config.toml's where not given")
     parser.add_argument("--cameras", choices=("adjusted", "file"), default="adjusted",
                         help="put right by the detections, or as the file has them")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, default=Path("out/real_camera"), metavar="OUT")
@@ -260,10 +248,7 @@ def run(options: argparse.Namespace, lifter: LifterLike | None = None) -> None:
             "cameras": options.cameras,
             "said": said + limits,
             "scores": {e.view.name: e.scores for e in estimates},
-            "mean": {
-                mode: {k: _mean(estimates, mode, k) for k in COLUMNS}
-                for mode in estimates[0].scores
-            },
+            "mean": {mode: {k: _mean(estimates, mode, k) for k in COLUMNS} for mode in estimates[0].scores},
             "misfit_px": truth.misfit_px,
             "moved_deg_mm": truth.moved,
         }

@@ -44,9 +44,7 @@ def draw(
         cell = slice(2 * c, 2 * c + 2)
         _image(figure.add_subplot(grid[0, cell]), e, trial.videos[c], frame, skeleton)
         _from_the_side(figure.add_subplot(grid[1, cell]), e, truth, middle, skeleton, first=c == 0)
-    _in_space(
-        figure.add_subplot(grid[2, :count], projection="3d"), estimates, truth, middle, skeleton
-    )
+    _in_space(figure.add_subplot(grid[2, :count], projection="3d"), estimates, truth, middle, skeleton)
     _over_time(figure.add_subplot(grid[2, count:]), estimates, truth)
     T, rate_hz = len(truth.poses), truth.poses.rate_hz
     figure.suptitle(
@@ -105,9 +103,7 @@ def _from_the_side(
     ax.set_xlabel(f"{label} [m]")
     if first:
         ax.set_ylabel(f"up [m]; from its right, {truth.poses.times[frame]:.2f} s")
-        lines = [
-            Line2D([], [], color=color, lw=lw, label=name) for name, (color, lw) in styles.items()
-        ]
+        lines = [Line2D([], [], color=color, lw=lw, label=name) for name, (color, lw) in styles.items()]
         ax.legend(handles=lines, loc="best", fontsize=8)
 
 

@@ -57,9 +57,7 @@ def triangulated(trial: Trial, skeleton: SkeletonModel, adjust: bool) -> Truth:
         RtofError: a joint is never seen by two cameras.
     """
     before = [view.camera for view in trial.views]
-    uv, weight = (
-        np.stack([getattr(v, field) for v in trial.views]) for field in ("uv_px", "weight")
-    )
+    uv, weight = (np.stack([getattr(v, field) for v in trial.views]) for field in ("uv_px", "weight"))
     after = before
     if adjust:
         after = adjust_cameras(before, uv[:, ::ADJUST_EVERY], weight[:, ::ADJUST_EVERY])
@@ -68,9 +66,7 @@ def triangulated(trial: Trial, skeleton: SkeletonModel, adjust: bool) -> Truth:
     p, valid = _smooth(after, joints_uv, joints_weight, times)
     if not valid.any(axis=0).all():
         unseen = skeleton.names[int(np.argmin(valid.any(axis=0)))]
-        raise RtofError(
-            f"{trial.name}: two cameras never see the joint {unseen}, so it has no truth"
-        )
+        raise RtofError(f"{trial.name}: two cameras never see the joint {unseen}, so it has no truth")
     R = kinematics.rotations_from_positions(skeleton.parents, skeleton.joint_offsets, p)
     bones = np.linalg.norm(p[:, 1:] - p[:, list(skeleton.parents[1:])], axis=-1)
     limbs = [j for j, name in enumerate(skeleton.names[1:]) if name.endswith(_LIMBS)]
@@ -132,14 +128,10 @@ def _misfit_px(cameras: Sequence[Camera], uv: Array, weight: Array) -> list[floa
 
 def _moved(before: Camera, after: Camera) -> tuple[float, float]:
     turn = so3.angle_between(before.R_camera_world, after.R_camera_world)
-    return float(np.degrees(turn)), float(
-        1000 * np.linalg.norm(after.center_world - before.center_world)
-    )
+    return float(np.degrees(turn)), float(1000 * np.linalg.norm(after.center_world - before.center_world))
 
 
-def _without_one_mm(
-    cameras: Sequence[Camera], uv: Array, weight: Array, times: Array, p: Array
-) -> float:
+def _without_one_mm(cameras: Sequence[Camera], uv: Array, weight: Array, times: Array, p: Array) -> float:
     if len(cameras) < 3:
         return float("nan")
     changes = []

@@ -1,6 +1,7 @@
 """``python -m lifting --corpus DIR_OR_NPZ --out FILE``: training with every setting at hand, and torch's
 launcher in front of it for several processes: ``torchrun --nproc-per-node 2 -m lifting ...``. What most
-people need of it is ``rtof-kin train``."""
+people need of it is ``rtof-kin train``.
+"""
 
 from __future__ import annotations
 

@@ -109,9 +109,7 @@ def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescriptio
     try:
         network.load_state_dict(weights)
     except RuntimeError as error:
-        raise FileFormatError(
-            path, f"the weights do not fit the network described: {error}"
-        ) from error
+        raise FileFormatError(path, f"the weights do not fit the network described: {error}") from error
     if not all(bool(v.isfinite().all()) for v in weights.values()):
         raise FileFormatError(path, "the weights are not finite: its training failed; train again")
     return network.eval(), description

@@ -77,9 +77,7 @@ class Corpus:
             if have != want:
                 raise ShapeError(f"corpus {name}: expected shape {want}, got {have}")
         if C == 0 or self.start[0] != 0 or self.start[-1] != N or np.any(np.diff(self.start) < 1):
-            raise ShapeError(
-                "corpus start: does not cut the frames into clips of one or more frames"
-            )
+            raise ShapeError("corpus start: does not cut the frames into clips of one or more frames")
         for name in arrays:
             if not np.all(np.isfinite(getattr(self, name))):
                 raise ShapeError(f"corpus {name}: not finite; leave gaps out of the clips")
@@ -174,7 +172,8 @@ class Corpus:
 
 def _sensed(names: tuple[str, ...], parents: tuple[int, ...]) -> tuple[str, ...]:
     """Joints whose segments carry the usual sensors, if these are the package's 21 joints: others' motion
-    has no orientations of its own."""
+    has no orientations of its own.
+    """
     table = read_skeleton_table(model_path("skeleton.toml"))
     if (table.names, table.parents) != (names, parents):
         return ()
@@ -251,9 +250,7 @@ def join_clips(
     )
 
 
-def _at_rate(
-    clip: mocap.MocapClip, parents: tuple[int, ...], rate_hz: float
-) -> tuple[Array, Array, Array]:
+def _at_rate(clip: mocap.MocapClip, parents: tuple[int, ...], rate_hz: float) -> tuple[Array, Array, Array]:
     """Root (T, 3), orientations (T, J, 3, 3) and joints less forward kinematics (T, J, 3), resampled.
 
     A whole ratio of rates takes every n-th frame; otherwise the segments' orientations in their
@@ -274,9 +271,6 @@ def _at_rate(
         R = kinematics.world_rotations(parents, local)
         p_root, beyond = (signals.interpolate(poses.times, x, times) for x in (p_root, beyond))
     return p_root.astype(np.float32), R.astype(np.float32), beyond.astype(np.float32)
-
-
-
 
 
 def read_corpus(path: str | Path, split: str | Path | None = None) -> Corpus:

@@ -19,15 +19,7 @@ from torch import Tensor
 from lifting.body import Body, bone_groups
 from lifting.corpus import Corpus
 from lifting.draws import Draw, about_x, about_y, about_z
-from lifting.noise import (
-    HALF_HEIGHT,
-    HALF_WIDTH,
-    NoiseConfig,
-    add_noise,
-    perfect,
-    runs,
-    training_noise,
-)
+from lifting.noise import HALF_HEIGHT, HALF_WIDTH, NoiseConfig, add_noise, perfect, runs, training_noise
 from lifting.sensors import SensorConfig, with_errors, worn
 from lifting.windows import Picture, Windows
 from rtof_kin.body import kinematics
@@ -130,6 +122,7 @@ class _Moving:
 
     def turned(self, R: Tensor) -> _Moving:
         """Everything turned by rotations (B, 3, 3)."""
+
         def turn(x: Tensor) -> Tensor:
             return torch.bmm(R, x.flatten(2)).reshape(x.shape)
 
@@ -137,10 +130,9 @@ class _Moving:
         bones, root, axes, carried = map(turn, parts)
         return _Moving(bones, root, self.offsets, axes, carried)
 
-    def put_on(
-        self, count: int, upper: _Moving, joints: Tensor, segments: Tensor, sensors: Tensor
-    ) -> None:
+    def put_on(self, count: int, upper: _Moving, joints: Tensor, segments: Tensor, sensors: Tensor) -> None:
         """Give the first bodies other upper bodies: masks (J,), (J,) and (S,) tell what is upper."""
+
         def exchange(mine: Tensor, other: Tensor, mask: Tensor) -> None:
             mine[:count] = torch.where(mask, other, mine[:count])
 
@@ -247,8 +239,7 @@ class MotionBank:
         root_height = self.lowest[frames] - now[:, 2].min(dim=1).values
         height = draw.between(config.camera_height, batch)
         towards_root = torch.stack(
-            [draw.between(config.distance, batch), torch.zeros_like(height), root_height - height],
-            1,
+            [draw.between(config.distance, batch), torch.zeros_like(height), root_height - height], 1
         )
         p = pose.add_((moving.root + towards_root[:, :, None])[..., None])
         rays, seen, picture = self._observe(p, towards_root, config, draw)
@@ -282,9 +273,7 @@ class MotionBank:
             return torch.zeros(draw.batch, dtype=torch.long, device=self.device)
         return (1 + draw.integers(others)) * (draw.uniform(draw.batch) >= config.own_skeleton)
 
-    def _at(
-        self, frames: Tensor, offset: Tensor, lag: Tensor, body: Tensor
-    ) -> tuple[_Moving, Tensor]:
+    def _at(self, frames: Tensor, offset: Tensor, lag: Tensor, body: Tensor) -> tuple[_Moving, Tensor]:
         """Motion at offsets (B, W) from frames, inside their clip, and the heading (B,) in the frames.
 
         The segments that may carry sensors are looked up another `lag` (B, 1) of frames later, in the
@@ -345,7 +334,8 @@ class MotionBank:
         self, p: Tensor, towards_root: Tensor, config: AugmentConfig, draw: Draw
     ) -> tuple[Tensor, Tensor, Picture]:
         """Rays (B, 3, W, J) in world, what is seen, by a camera that has the root in its image, and
-        that image."""
+        that image.
+        """
         right = (2 * draw.uniform(draw.batch) - 1) * config.off_axis * HALF_WIDTH
         down = (2 * draw.uniform(draw.batch) - 1) * config.off_axis * HALF_HEIGHT
         azimuth = torch.atan2(towards_root[:, 1], towards_root[:, 0]) + right.atan()

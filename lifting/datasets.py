@@ -117,15 +117,11 @@ def human36m_corpus(
     takes = [take for take in data.sequences if take[0] in human36m.SUBJECTS_TRAIN]
     source = _Source(Path(root), takes, read, parents, human36m.RATE_HZ, human36m.ACKNOWLEDGEMENT)
     return _corpus(
-        source,
-        lambda subject, action: (subject, action.rstrip(" 0123456789")) in validation,
-        progress,
+        source, lambda subject, action: (subject, action.rstrip(" 0123456789")) in validation, progress
     )
 
 
-def _corpus(
-    source: _Source, validates: Callable[[str, str], bool], progress: Progress | None
-) -> Corpus:
+def _corpus(source: _Source, validates: Callable[[str, str], bool], progress: Progress | None) -> Corpus:
     """All takes that can be read; an error if none of those that train can."""
 
     def clips() -> Iterator[tuple[MocapClip, str]]:
@@ -162,14 +158,8 @@ def _pieces(source: _Source, subject: str, name: str) -> list[MocapClip]:
     good = poses.valid.all(axis=1) & np.isfinite(poses.R_world_bone).all(axis=(1, 2, 3))
     runs = [(i, k) for i, k in signals.runs(good) if k - i >= MIN_SECONDS * poses.rate_hz]
     if not runs:
-        raise FileFormatError(
-            source.root, f"{subject} {name}: nowhere {MIN_SECONDS:g} s without a gap"
-        )
+        raise FileFormatError(source.root, f"{subject} {name}: nowhere {MIN_SECONDS:g} s without a gap")
     feet = Body(poses.names, source.parents, ()).feet
     floor = np.percentile(p[good][:, feet, 2].min(axis=1), 5) - ANKLE_HEIGHT
-    on_floor = PoseSequence(
-        poses.times, p - np.array([0.0, 0.0, floor]), poses.R_world_bone, poses.names
-    )
-    return [
-        MocapClip(f"{subject} {name}[{i}:{k}]", on_floor[i:k], offsets, subject) for i, k in runs
-    ]
+    on_floor = PoseSequence(poses.times, p - np.array([0.0, 0.0, floor]), poses.R_world_bone, poses.names)
+    return [MocapClip(f"{subject} {name}[{i}:{k}]", on_floor[i:k], offsets, subject) for i, k in runs]

@@ -43,9 +43,7 @@ class FoldedNetwork:
         firsts = self._parity.split_weight(weight) if self._parity else (weight,)
         self._firsts = [_transposed(first) for first in firsts]
         kept = [width - 1 if config.causal else width // 2 for width in widths]
-        self._blocks = list(
-            zip(_maps(network.temporal), _maps(network.pointwise), widths, kept, strict=True)
-        )
+        self._blocks = list(zip(_maps(network.temporal), _maps(network.pointwise), widths, kept, strict=True))
         out = torch.cat([shrink.weight, shrink.bias[:, None]], dim=1).detach()
         if flip:
             mirrored = mirror_output(body, out.T).T
@@ -86,7 +84,6 @@ class _Map(NamedTuple):
     weight: Tensor
     """(inputs, outputs): the way it lies is faster for the few rows of a single window."""
     bias: Tensor
-
 
     def __call__(self, x: Tensor) -> Tensor:
         return torch.addmm(self.bias, x, self.weight)

@@ -46,15 +46,11 @@ class TemporalNetwork(nn.Module):
         self.config = config
         widths, channels = config.filter_widths, config.channels
         self.expand = _Layer(widths[0] * config.inputs, channels, config.dropout)
-        self.constant = (
-            nn.Linear(config.constants, channels, bias=False) if config.constants else None
-        )
+        self.constant = nn.Linear(config.constants, channels, bias=False) if config.constants else None
         self.temporal = nn.ModuleList(
             _Layer(width * channels, channels, config.dropout) for width in widths[1:]
         )
-        self.pointwise = nn.ModuleList(
-            _Layer(channels, channels, config.dropout) for _ in widths[1:]
-        )
+        self.pointwise = nn.ModuleList(_Layer(channels, channels, config.dropout) for _ in widths[1:])
         self.shrink = nn.Linear(channels, config.outputs)
 
     def receptive_field(self) -> int:

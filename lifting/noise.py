@@ -135,12 +135,7 @@ def add_noise(
 
 
 def _realistic(
-    body: Body,
-    config: NoiseConfig,
-    xy: Tensor,
-    seen: Tensor,
-    generator: torch.Generator,
-    rate_hz: float,
+    body: Body, config: NoiseConfig, xy: Tensor, seen: Tensor, generator: torch.Generator, rate_hz: float
 ) -> tuple[Tensor, Tensor]:
     B, _, W, J = xy.shape
 
@@ -167,12 +162,7 @@ def _realistic(
 
 
 def _drift(
-    body: Body,
-    config: NoiseConfig,
-    W: int,
-    normal: Callable[..., Tensor],
-    like: Tensor,
-    rate_hz: float,
+    body: Body, config: NoiseConfig, W: int, normal: Callable[..., Tensor], like: Tensor, rate_hz: float
 ) -> Tensor:
     """Unit-variance Ornstein-Uhlenbeck paths (B, 2, W, J), from their leading eigenvectors."""
     B, J = len(like), len(body.names)
@@ -225,9 +215,7 @@ def runs(
     return there & (frame >= start) & (frame < start + length)
 
 
-def _gaps(
-    config: NoiseConfig, shape: tuple[int, int], like: Tensor, generator: torch.Generator
-) -> Tensor:
+def _gaps(config: NoiseConfig, shape: tuple[int, int], like: Tensor, generator: torch.Generator) -> Tensor:
     """(B, W) bool: frames in which the whole body is unseen; never all of a window."""
     B, W = shape
     ends = torch.rand((B, 2), generator=generator, device=like.device).sort(dim=1).values * W

@@ -31,9 +31,7 @@ OUTPUTS = WindowPoses._fields
 OPSET = 17
 
 
-def export_onnx(
-    lifter: Lifter, path: str | Path, flip: bool = True, overwrite: bool = False
-) -> Path:
+def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True, overwrite: bool = False) -> Path:
     """Write a lifter as ONNX; the file appears whole or not at all.
 
     Args:

@@ -18,14 +18,7 @@ from lifting.model import TemporalNetwork
 from lifting.models import RAYS, model_of
 from lifting.source import Source
 from lifting.threads import torch_threads
-from lifting.windows import (
-    SIGMA_TURN,
-    Encoded,
-    Estimate,
-    answer,
-    orthonormal,
-    rotations,
-)
+from lifting.windows import SIGMA_TURN, Encoded, Estimate, answer, orthonormal, rotations
 from rtof_kin.core import signals
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import ShapeError, ViewError
@@ -182,9 +175,7 @@ class Lifter:
             if progress:
                 progress(first + len(times), len(keypoints))
         p, sigma_m, R, sigma_rad = (np.concatenate(part) for part in zip(*parts, strict=True))
-        p, ok = _bridge(
-            keypoints.times, keypoints.camera.center_world + p, np.concatenate(enough)
-        )
+        p, ok = _bridge(keypoints.times, keypoints.camera.center_world + p, np.concatenate(enough))
         for values in (sigma_m, R, sigma_rad):
             values[~ok] = np.nan
         if smooth:
@@ -261,15 +252,15 @@ def camera_height(camera: Camera, floor_height: float | None) -> float:
     height = float(camera.center_world[2] - floor_height)
     if not height > 0:
         raise ViewError(
-            f"floor_height: the camera is {-height:.2f} m below the floor; give z of the floor in "
-            "world, m"
+            f"floor_height: the camera is {-height:.2f} m below the floor; give z of the floor in world, m"
         )
     return height
 
 
 def _arrays(estimate: Estimate) -> tuple[Array, Array, Array, Array]:
     """Positions (B, J, 3) from the optical centre, their sigma (B, J, 2), orientations (B, J, 3, 3) and
-    their sigma (B, J); NaN where there are none."""
+    their sigma (B, J); NaN where there are none.
+    """
     p = (estimate.pose + estimate.root[:, :, None]).transpose(1, 2)
     R, turn = torch.full((*p.shape, 3), torch.nan), torch.full(p.shape[:2], torch.nan)
     if estimate.axes is not None and estimate.log_turn is not None:

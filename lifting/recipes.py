@@ -70,9 +70,7 @@ class Rays(Recipe):
 
     def optimizer(self, network: TemporalNetwork) -> Optimizer:
         config = self.config
-        return AdamW(
-            network.parameters(), config.learning_rate, weight_decay=config.weight_decay
-        )
+        return AdamW(network.parameters(), config.learning_rate, weight_decay=config.weight_decay)
 
     def set_rates(self, network: TemporalNetwork, optimizer: Optimizer, share: float) -> None:
         for group in optimizer.param_groups:

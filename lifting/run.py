@@ -228,9 +228,7 @@ class Run:
             )
         for own in (self.network, self.averaged):
             own.load_state_dict(network.state_dict())
-        self.started_from = self.workers.from_first(
-            lambda: hashlib.sha256(path.read_bytes()).hexdigest()
-        )
+        self.started_from = self.workers.from_first(lambda: hashlib.sha256(path.read_bytes()).hexdigest())
 
     def restore(self, path: Path) -> None:
         """Go on from a state file, where the first process has one.

@@ -20,7 +20,8 @@ from lifting.draws import Draw, cross, rotation
 @dataclass(frozen=True)
 class SensorConfig:
     """Which sensors there are, and sizes of errors; orientations' are multiplied by a factor drawn for
-    each window."""
+    each window.
+    """
 
     none: float = 0.30
     """Share of windows without any sensor."""
@@ -73,9 +74,7 @@ def worn(body: Body, config: SensorConfig, draw: Draw) -> Tensor:
     return mask
 
 
-def with_errors(
-    bones: Tensor, axes_world: Tensor, config: SensorConfig, draw: Draw
-) -> Tensor:
+def with_errors(bones: Tensor, axes_world: Tensor, config: SensorConfig, draw: Draw) -> Tensor:
     """Axes (B, 3, W, 2, S) as sensors report them.
 
     Args:

@@ -76,9 +76,7 @@ class SingleWindowLifter:
             output = self._network(torch.from_numpy(features[None]), torch.from_numpy(constants[None]))
         return self._decode(output[0].numpy(), view)
 
-    def _encode(
-        self, rays: Array, seen: Mask, axes: Array, sensed: Mask
-    ) -> tuple[Array, Array, _View]:
+    def _encode(self, rays: Array, seen: Mask, axes: Array, sensed: Mask) -> tuple[Array, Array, _View]:
         """Network input (W, inputs) and (constants,)."""
         R_view, R_ray, elevation = _frames(self._centre_ray(rays, seen))
         view = (R_view @ rays.reshape(3, -1)).reshape(rays.shape)

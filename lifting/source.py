@@ -42,9 +42,7 @@ class Source:
     """(3, 3)."""
 
     @classmethod
-    def of(
-        cls, body: Body, keypoints: KeypointSequence, bone_imus: BoneImuSequence | None
-    ) -> Source:
+    def of(cls, body: Body, keypoints: KeypointSequence, bone_imus: BoneImuSequence | None) -> Source:
         """Of a recording; sensors at other times than the keypoints' are resampled to them."""
         keypoints = keypoints.select(body.names)
         rays = keypoints.camera.rays_world(keypoints.uv_px)
@@ -100,11 +98,10 @@ class Source:
             Picture(torch.from_numpy(instants.mixed(self.picture)), R_camera) if picture else None,
         )
 
-    def window(
-        self, time: float, size: int, estimated: int, rate_hz: float
-    ) -> tuple[NDArray[Any], ...]:
+    def window(self, time: float, size: int, estimated: int, rate_hz: float) -> tuple[NDArray[Any], ...]:
         """What `windows` observes in the one around `time`: rays (3, W, J), seen (W, J), axes
-        (3, W, 2, S), sensed (W, S)."""
+        (3, W, 2, S), sensed (W, S).
+        """
         instants = self._instants(np.array([time]), size, estimated, rate_hz)
         return tuple(values[0] for values in self._observed(instants))
 

@@ -147,9 +147,7 @@ class StreamingLifter:
         self._answered = self._history.newest
         return [pose for pose in owed if pose is not None]
 
-    def _rays(
-        self, uv_px: ArrayLike, confidence: ArrayLike
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def _rays(self, uv_px: ArrayLike, confidence: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Directions (J, 3), zero where unseen, and whether seen (J,)."""
         uv, sure, L = np.asarray(uv_px, float), np.asarray(confidence, float), len(self._names)
         if uv.shape != (L, 2) or sure.shape != (L,):
@@ -173,9 +171,7 @@ class StreamingLifter:
         rays = uv @ self._from_pixels[:, :2].T + self._from_pixels[:, 2]
         return np.asarray(rays / np.sqrt((rays * rays).sum(axis=1, keepdims=True)))
 
-    def _axes(
-        self, given: Mapping[str, ArrayLike]
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def _axes(self, given: Mapping[str, ArrayLike]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """X and z axes (2, S, 3), zero where not sensed, and whether sensed (S,)."""
         sensors = self._body.sensors
         axes, sensed = np.zeros((2, len(sensors), 3), np.float32), np.zeros(len(sensors), bool)
@@ -227,6 +223,7 @@ def _pose(
     sigma_rad: ArrayLike | None = None,
 ) -> StreamedPose:
     """A pose of read-only arrays; what is unknown is NaN."""
+
     def full(values: ArrayLike | None, *shape: int) -> Array:
         array = np.empty(shape)
         array[:] = np.nan if values is None else values
@@ -234,9 +231,7 @@ def _pose(
         return array
 
     J = len(p)
-    return StreamedPose(
-        time, full(p, J, 3), seen, full(sigma_m, J, 2), full(R, J, 3, 3), full(sigma_rad, J)
-    )
+    return StreamedPose(time, full(p, J, 3), seen, full(sigma_m, J, 2), full(R, J, 3, 3), full(sigma_rad, J))
 
 
 class _History:

@@ -63,10 +63,7 @@ class Supply:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._pool:
             self._pool.shutdown(cancel_futures=True)
@@ -93,7 +90,8 @@ class Supply:
 
 def step_seed(seed: int, step: int, part: int = 0) -> int:
     """The seed of one step of a training, and of each part where its batch is drawn in parts: a resumed
-    one draws what an uninterrupted one does. On a CPU the lower 32 bits count."""
+    one draws what an uninterrupted one does. On a CPU the lower 32 bits count.
+    """
     return seed * 1_000_003 + step + part * 2_654_435_761
 
 

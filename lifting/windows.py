@@ -171,9 +171,7 @@ def encode(body: Body, windows: Windows) -> EncodedWindows:
     parts = [image[:, 0], image[:, 1], weight, feet]
     if body.sensors:
         parts += _sensed_axes(windows, R_ray)
-    return EncodedWindows(
-        torch.cat(parts, dim=2), torch.cat(constants, dim=1), R_view, R_ray, scale
-    )
+    return EncodedWindows(torch.cat(parts, dim=2), torch.cat(constants, dim=1), R_view, R_ray, scale)
 
 
 def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> Estimate:
@@ -232,9 +230,7 @@ def mirror_features(body: Body, features: Tensor) -> Tensor:
     Constants are the same in both.
     """
     J, F, S = len(body.names), len(body.feet), len(body.sensors)
-    x, y, seen, away, stands, axes, sensed = torch.split(
-        features, [J, J, J, F, F, 6 * S, S], dim=-1
-    )
+    x, y, seen, away, stands, axes, sensed = torch.split(features, [J, J, J, F, F, 6 * S, S], dim=-1)
     order, other = body.mirrored, body.mirrored_sensors
     feet = [body.feet.index(order[j]) for j in body.feet]
     axes = axes.reshape(*axes.shape[:-1], 3, 2, S)[..., other] * _across(axes)
@@ -267,7 +263,8 @@ def _parts(body: Body, output: Tensor) -> tuple[Tensor, ...]:
 
 def _length(v: Tensor) -> Tensor:
     """Lengths (B, 1, ...) of vectors (B, 2 or 3, ...), never less than 1e-12; several times faster than
-    `Tensor.norm` over an axis that is not the last."""
+    `Tensor.norm` over an axis that is not the last.
+    """
     return (v * v).sum(dim=1, keepdim=True).clamp_min(1e-24).sqrt()
 
 
@@ -283,7 +280,8 @@ def _across(like: Tensor) -> Tensor:
 
 def _sensed_axes(windows: Windows, R_ray_world: Tensor) -> list[Tensor]:
     """Three components (B, W, 2 S) of the axes in the ray frame, zero where not sensed, and whether
-    they are sensed (B, W, S)."""
+    they are sensed (B, W, S).
+    """
     axes, weight = windows.axes_world, windows.sensed.to(R_ray_world.dtype)
     turned = torch.bmm(R_ray_world, axes.flatten(2)).reshape(*axes.shape[:3], -1)
     turned = turned * torch.cat([weight, weight], dim=2)[:, None]  # many times faster than `where`

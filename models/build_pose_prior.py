@@ -27,8 +27,7 @@ def main(corpus_path: str) -> None:
     corpus = read_corpus(corpus_path)
     names = corpus.names
     other = [
-        names.index(n.replace("Left", "?").replace("Right", "Left").replace("?", "Right"))
-        for n in names
+        names.index(n.replace("Left", "?").replace("Right", "Left").replace("?", "Right")) for n in names
     ]
     local, jerk, root_jerk = [], [], []
     for clip in corpus.clips("train"):

@@ -31,9 +31,7 @@ def main(arguments: Sequence[str] | None = None, folder: Path = MODELS) -> int:
         FileFormatError: a table cannot be read.
     """
     parser = argparse.ArgumentParser(description="Make the URDF files from the skeleton tables.")
-    parser.add_argument(
-        "--check", action="store_true", help="only say which URDF differs from its table"
-    )
+    parser.add_argument("--check", action="store_true", help="only say which URDF differs from its table")
     check = parser.parse_args(arguments).check
     stale = 0
     for name in NAMES:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     )
     from rtof_kin.recording.recording import Recording
     from rtof_kin.report.export import export
-    from rtof_kin.solve.cartesian.settings import FragmentSettings
+    from rtof_kin.solve.cartesian.settings import CartesianSettings
     from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
     from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
     from rtof_kin.solve.joint_space.settings import JointSpaceSettings
@@ -38,7 +38,7 @@ _HOME = {
     "BoneImuSequence": "data.imu",
     "CalibrationPriors": "calibration.priors",
     "Camera": "data.camera",
-    "FragmentSettings": "solve.cartesian.settings",
+    "CartesianSettings": "solve.cartesian.settings",
     "FragmentSolution": "solve.fragment_solver",
     "FragmentSolver": "solve.fragment_solver",
     "ImuCalibration": "data.imu_calibration",
@@ -67,7 +67,7 @@ __all__ = [
     "BoneImuSequence",
     "CalibrationPriors",
     "Camera",
-    "FragmentSettings",
+    "CartesianSettings",
     "FragmentSolution",
     "FragmentSolver",
     "ImuCalibration",

@@ -78,7 +78,12 @@ def test_a_folder_imports_only_from_those_above_it_and_says_what_it_is_for(folde
 
 
 def test_lifting_knows_data_and_body_and_nothing_above_simulation() -> None:
-    names = {name.split(".")[1] for path in files("lifting") for name, _ in imports(path) if name[:9] == "rtof_kin."}
+    names = {
+        name.split(".")[1]
+        for path in files("lifting")
+        for name, _ in imports(path)
+        if name[:9] == "rtof_kin."
+    }
     assert names == LIFTING_USES
 
 

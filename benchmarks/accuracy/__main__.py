@@ -149,9 +149,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--tables", default=list(TABLES), type=_names, help="separated by commas")
     parser.add_argument("--subset", default="test", choices=("test", "validation"))
-    parser.add_argument(
-        "--motions", default=[], type=_names, help="only these, separated by commas"
-    )
+    parser.add_argument("--motions", default=[], type=_names, help="only these, separated by commas")
     parser.add_argument(
         "--cameras", type=int, default=4, choices=range(1, 5),
         help="a motion, in the table of sensors",

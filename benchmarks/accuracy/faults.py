@@ -17,12 +17,7 @@ from numpy.random import Generator
 from benchmarks.accuracy import sensor_faults as streams
 from benchmarks.accuracy import video_faults as video
 from benchmarks.accuracy.video_faults import LEFT_LIMBS, LEGS, LIMBS
-from benchmarks.accuracy.windows import (
-    MIDDLE_HALF_SECOND,
-    MIDDLE_SECOND,
-    SECOND_AFTER_HALF,
-    Window,
-)
+from benchmarks.accuracy.windows import MIDDLE_HALF_SECOND, MIDDLE_SECOND, SECOND_AFTER_HALF, Window
 from rtof_kin.core import rotations as so3
 from rtof_kin.recording.recording import Recording
 
@@ -100,19 +95,13 @@ FAULTS = {
         partial(video.with_unseen, names=LEFT_LIMBS), MIDDLE_SECOND, LEFT_LIMBS
     ),
     "person out of the picture for 1 s": Fault(video.with_unseen, MIDDLE_SECOND, LIMBS),
-    "left and right exchanged for 0.5 s": Fault(
-        video.with_sides_exchanged, MIDDLE_HALF_SECOND, LIMBS
-    ),
+    "left and right exchanged for 0.5 s": Fault(video.with_sides_exchanged, MIDDLE_HALF_SECOND, LIMBS),
     "left and right leg exchanged for 0.5 s": Fault(
         partial(video.with_sides_exchanged, left=LEGS), MIDDLE_HALF_SECOND, LEGS
     ),
     "somebody else followed for 0.5 s": Fault(video.with_somebody_else, MIDDLE_HALF_SECOND, LIMBS),
-    "0.5 s of frames lost, stamps jitter": Fault(
-        video.with_lost_frames, MIDDLE_HALF_SECOND, LIMBS
-    ),
-    "video's clock jumps by 100 ms halfway": Fault(
-        video.with_jumping_clock, SECOND_AFTER_HALF, LIMBS
-    ),
+    "0.5 s of frames lost, stamps jitter": Fault(video.with_lost_frames, MIDDLE_HALF_SECOND, LIMBS),
+    "video's clock jumps by 100 ms halfway": Fault(video.with_jumping_clock, SECOND_AFTER_HALF, LIMBS),
     "sensors of 40 and 100 Hz, clocks of their own": Fault(streams.with_clocks_of_their_own),
     "10 % of packets lost, one by one": Fault(streams.with_lost_packets),
     "10 % of packets lost, in bursts of 0.5 s": Fault(streams.with_lost_bursts),
@@ -122,9 +111,7 @@ FAULTS = {
     "left forearm's sensor stops halfway": _of_one_sensor(
         partial(streams.with_stopped_sensors, names=(streams.ONE,)), SECOND_AFTER_HALF
     ),
-    "left forearm's sensor sticks halfway": _of_one_sensor(
-        streams.with_stuck_sensor, SECOND_AFTER_HALF
-    ),
+    "left forearm's sensor sticks halfway": _of_one_sensor(streams.with_stuck_sensor, SECOND_AFTER_HALF),
     "left forearm's sensor slips by 30 deg halfway": _of_one_sensor(
         streams.with_slipped_sensor, SECOND_AFTER_HALF
     ),

@@ -20,7 +20,7 @@ class RowFile:
         """Go on with a file, or begin it.
 
         Raises:
-            RtofError: it was begun by another version, and is not to be thrown away.
+            RtofError: it was prepared by another version, and is not to be thrown away.
         """
         self.path, self.rows = path, dict[str, list[Row]]()
         if path.is_file() and not restart:
@@ -34,7 +34,7 @@ class RowFile:
         lines = [json.loads(line) for line in whole]  # an interrupted last line is no line
         if lines and lines[0].get("version") != version:
             raise RtofError(
-                f"{self.path}: begun with other code, models or options; --restart throws it away"
+                f"{self.path}: prepared with other code, models or options; --restart throws it away"
             )
         self.rows = {line["job"]: line["rows"] for line in lines[1:]}
 

@@ -187,11 +187,7 @@ def at(truth: PoseSequence, times: Array) -> PoseSequence:
 
 def stages(prepared: Prepared) -> dict[str, PoseSequence]:
     """What the solver is compared with."""
-    return {
-        "zero motion": motionless(prepared.truth),
-        "lift": prepared.lifted,
-        "sf2": prepared.sf2,
-    }
+    return {"zero motion": motionless(prepared.truth), "lift": prepared.lifted, "sf2": prepared.sf2}
 
 
 def solved(prepared: Prepared, settings: JointSpaceSettings) -> tuple[PoseSequence, Row]:

@@ -94,9 +94,7 @@ def with_slipped_sensor(recording: Recording, rng: Generator) -> Recording:
     return _with_imus(recording, R, f)
 
 
-def with_turned_heading(
-    recording: Recording, rng: Generator, degrees: Callable[[Array], Array]
-) -> Recording:
+def with_turned_heading(recording: Recording, rng: Generator, degrees: Callable[[Array], Array]) -> Recording:
     """The left forearm's sensor, whose heading is off by `degrees` of the time in s after the middle."""
     imus, s = sensors(recording), _column(recording)
     after = imus.times - bounds(recording.video.times, SECOND_AFTER_HALF)[0]

@@ -75,9 +75,7 @@ def _figures(rows: Sequence[Row]) -> list[Cell]:
 
 _HEADINGS = (*(heading for heading, _ in FIGURES.values()), "rr 95 %")
 _DIGITS = (*(digits for _, digits in FIGURES.values()), 0)
-_POOLED = (
-    "Means over frames pooled over motions and cameras; intervals are 95 % bootstraps over motions."
-)
+_POOLED = "Means over frames pooled over motions and cameras; intervals are 95 % bootstraps over motions."
 
 
 def sensors_tables(rows: Sequence[Row]) -> list[Table]:

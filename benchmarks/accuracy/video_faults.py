@@ -10,13 +10,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from benchmarks.accuracy.windows import (
-    MIDDLE_HALF_SECOND,
-    MIDDLE_SECOND,
-    SECOND_AFTER_HALF,
-    bounds,
-    inside,
-)
+from benchmarks.accuracy.windows import MIDDLE_HALF_SECOND, MIDDLE_SECOND, SECOND_AFTER_HALF, bounds, inside
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
@@ -39,9 +33,7 @@ def with_outliers(recording: Recording, rng: Generator) -> Recording:
     return _with_keypoints(recording, uv_px=keypoints.uv_px + shift)
 
 
-def with_unseen(
-    recording: Recording, rng: Generator, names: Sequence[str] | None = None
-) -> Recording:
+def with_unseen(recording: Recording, rng: Generator, names: Sequence[str] | None = None) -> Recording:
     """Some landmarks, or the whole person, unseen for the middle second."""
     keypoints = recording.video
     hidden = np.isin(keypoints.names, keypoints.names if names is None else names)

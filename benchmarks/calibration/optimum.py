@@ -23,7 +23,7 @@ from lifting.predict import Lifter
 from rtof_kin.calibration.estimate import shared_fragments
 from rtof_kin.calibration.shared_fragments import SharedFragments
 from rtof_kin.reconstruction.pipeline import ReconstructionSettings
-from rtof_kin.reconstruction.prepare import begin
+from rtof_kin.reconstruction.prepare import prepare
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
@@ -33,10 +33,11 @@ Array = NDArray[np.float64]
 def row(told: Recording, known: Mapping[tuple[str, str], Array], job: Job, lifter: Lifter) -> Row:
     """Energies, and distances in standard deviations of the priors, root mean square by kind."""
     settings, priors = ReconstructionSettings(), job.priors
-    begun = begin(told, told.skeleton, "sf2", lifter, settings, lambda *_: None)
+    prepared = prepare(told, told.skeleton, "sf2", lifter, settings, lambda *_: None)
     solver = JointSpaceSettings(floor_height=told.floor_height)
     own, again = (  # each with a prior of its own to learn
-        shared_fragments(begun.recording, begun.start, priors, solver, settings.frames) for _ in range(2)
+        shared_fragments(prepared.recording, prepared.start, priors, solver, settings.frames)
+        for _ in range(2)
     )
     sigma, truth = np.sqrt(np.diag(np.linalg.inv(own.prior))), values(own, known)
     found = own.estimate(priors.rounds, overcount=priors.overcount)

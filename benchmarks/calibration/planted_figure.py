@@ -11,14 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.calibration.planted_rows import ALL, LENGTHS, Row
-from benchmarks.calibration.planted_tables import (
-    STAGES,
-    UNITS,
-    chosen_lengths,
-    mean,
-    numbers,
-    with_known,
-)
+from benchmarks.calibration.planted_tables import STAGES, UNITS, chosen_lengths, mean, numbers, with_known
 from benchmarks.calibration.planting import ERRORS
 
 CASES = {
@@ -40,9 +33,7 @@ def write_figure(path: Path, rows: Sequence[Row]) -> None:
         _recovered(ax, rows, error)
     found = [dict(zip(*ax.get_legend_handles_labels()[::-1], strict=True)) for ax in axes.flat]
     handles = {label: own[label] for label in CASES for own in found if label in own}
-    recovered.legend(
-        list(handles.values()), list(handles), loc="outside upper center", ncols=len(CASES)
-    )
+    recovered.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=len(CASES))
     names = {"mpjpe_rr_mm": "root-relative", "mpjpe_mm": "absolute"}
     for ax, (key, name) in zip(growing.subplots(1, 2), names.items(), strict=True):
         _by_length(ax, rows, key)

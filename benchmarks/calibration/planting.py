@@ -244,9 +244,7 @@ def _with_turned_sensors(recording: Recording, y: Mapping[tuple[str, str], Array
         R_sensor_bone=own.R_sensor_bone @ so3.exp(-mounting),
         p_bone_sensor=own.p_bone_sensor - levers,
     )
-    return replace(
-        recording, imus=replace(imus, R_inertial_sensor=R), calibration=calibration
-    )
+    return replace(recording, imus=replace(imus, R_inertial_sensor=R), calibration=calibration)
 
 
 def slips(recording: Recording) -> Values:

@@ -26,7 +26,7 @@ from benchmarks.confidence.study import Row, rows
 from benchmarks.confidence.tables import report
 from rtof_kin.core.resources import CHECKOUT
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.solve.uncertainty.covariance_inflation import Inflation
+from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
 
 HEAD = """\
 # What errors that last add to the Hessian's covariances; see rtof_kin/solve/uncertainty/covariance_inflation.py.
@@ -61,7 +61,7 @@ def fit(options: argparse.Namespace) -> None:
 def study(options: argparse.Namespace) -> None:
     """Write the tables, their numbers and the figure."""
     cases = collected(options, harness.test_clips(options.corpus), KINDS)
-    found = rows(cases, Inflation.shipped())
+    found = rows(cases, CovarianceInflation.shipped())
     how = f"The benchmark's motions, {options.cameras} cameras each, `calibrate={options.calibrate}`."
     write(found, options.out, report(found, how))
 
@@ -88,9 +88,7 @@ def held_out(cases: Sequence[Case], person: Callable[[str], str]) -> list[Row]:
         who: fitted([case for case in cases if own[case.motion_name] != who])
         for who in track(dict.fromkeys(own.values()), "people held out")
     }
-    return rows(
-        cases, lambda case: inflations[own[case.motion_name]], lambda case: own[case.motion_name]
-    )
+    return rows(cases, lambda case: inflations[own[case.motion_name]], lambda case: own[case.motion_name])
 
 
 def write(found: list[Row], out: Path, text: str) -> None:

@@ -20,9 +20,9 @@ from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.solve.uncertainty.covariance_inflation import Circumstances
+from rtof_kin.solve.uncertainty.covariance_inflation import ResidualStatistics
 from rtof_kin.solve.uncertainty.disagreement import Disagreement, disagreement
-from rtof_kin.solve.uncertainty.residual_statistics import circumstances
+from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
 
 Array = NDArray[np.float64]
 EVERY = 4
@@ -41,7 +41,7 @@ class Case:
     """Of the motion, and the camera's number."""
     keypoints: str
     sensors: str
-    circumstances: Circumstances
+    circumstances: ResidualStatistics
     """What the recording tells of its own errors, its sensors' segments among it."""
     motion: MotionSequence
     """With the confidence of the Hessian alone."""
@@ -91,7 +91,7 @@ def case_of(result: Reconstruction, name: str, keypoints: str, sensors: str) -> 
     assert solution.confidence is not None
     motion = replace(result.motion, confidence=solution.confidence)[::EVERY]
     carriers = () if result.bone_imus is None else result.bone_imus.joints
-    told = circumstances(result.keypoints, result.motion, lifted, carriers)
+    told = residual_statistics(result.keypoints, result.motion, lifted, carriers)
     start = result.stages.get("sf2", lifted)
     apart = disagreement(result.motion.poses, start, solution.confidence.pairs)[::EVERY]
     return Case(name, keypoints, sensors, told, motion, at_times(truth, motion.times), apart)

@@ -15,7 +15,7 @@ from benchmarks.confidence.cases import Case, Errors, errors
 from rtof_kin.solve.uncertainty.covariance_inflation import (
     OTHER,
     SEEN,
-    Inflation,
+    CovarianceInflation,
     Widening,
     factor_rate,
     factor_where,
@@ -41,14 +41,14 @@ class _Sample:
     variance: Array
     """(n, 3) of the Hessian."""
     lasting: Array
-    """(n, 3) `Circumstances.lasting`."""
+    """(n, 3) `ResidualStatistics.lasting`."""
     doubt: Array
-    """(n, 3) `Circumstances.doubt`."""
+    """(n, 3) `ResidualStatistics.doubt`."""
     apart: Array
     """(n, 3) mean square of the solution's difference from its start."""
 
 
-def fitted(cases: Sequence[Case]) -> Inflation:
+def fitted(cases: Sequence[Case]) -> CovarianceInflation:
     """One widening for every joint and every pair by who saw it, right and left together."""
     found: dict[tuple[str, str], dict[str, list[_Sample]]] = defaultdict(lambda: defaultdict(list))
     for case in cases:
@@ -67,7 +67,7 @@ def fitted(cases: Sequence[Case]) -> Inflation:
             share = shares[who][kind] = _share(kind, everything)
             widenings[who][kind] = {name: _fitted(kind, parts, share) for name, parts in own.items()}
             widenings[who][kind][OTHER] = _fitted(kind, everything, share)
-    return Inflation(widenings, shares)
+    return CovarianceInflation(widenings, shares)
 
 
 def _sample(kind: str, both: Errors, lasting: float, doubt: float) -> _Sample:
@@ -80,9 +80,7 @@ def _sample(kind: str, both: Errors, lasting: float, doubt: float) -> _Sample:
         error = np.einsum("nij,ni->nj", axes, both.error)
         apart = np.einsum("nij,nik,nkj->nj", axes, both.apart, axes)
     shape = error.shape
-    return _Sample(
-        error, np.maximum(variance, 0.0), np.full(shape, lasting), np.full(shape, doubt), apart
-    )
+    return _Sample(error, np.maximum(variance, 0.0), np.full(shape, lasting), np.full(shape, doubt), apart)
 
 
 def _joined(own: Sequence[_Sample]) -> list[Array]:

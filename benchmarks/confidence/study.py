@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from benchmarks.confidence.cases import Case, angle_errors, errors
 from benchmarks.harness import bootstrap
-from rtof_kin.solve.uncertainty.covariance_inflation import Inflation, unsided
+from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation, unsided
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -42,7 +42,7 @@ class _Collected:
 
 
 def rows(
-    cases: Sequence[Case], inflation: Inflation | Callable[[Case], Inflation],
+    cases: Sequence[Case], inflation: CovarianceInflation | Callable[[Case], CovarianceInflation],
     group: Callable[[Case], str] = lambda case: case.motion_name,
 ) -> list[Row]:  # fmt: skip
     """A row for every kind of 2D, number of sensors, joint and clinical angle; both sides together.
@@ -53,7 +53,7 @@ def rows(
     """
     found: dict[tuple[str, str, str, str], _Collected] = defaultdict(_Collected)
     for case in cases:
-        own = inflation if isinstance(inflation, Inflation) else inflation(case)
+        own = inflation if isinstance(inflation, CovarianceInflation) else inflation(case)
         for kind, name, error, sigma in _told(case, own):
             found[case.keypoints, case.sensors, kind, name].add(group(case), error, sigma)
     return [
@@ -67,7 +67,7 @@ def honest(row: Row) -> bool:
     return bool(COVERED[0] <= row["coverage"]["0.95"] <= COVERED[1] and row["ratio"] <= WIDEST)
 
 
-def _told(case: Case, inflation: Inflation) -> Iterator[tuple[str, str, Array, Array]]:
+def _told(case: Case, inflation: CovarianceInflation) -> Iterator[tuple[str, str, Array, Array]]:
     """Kind, name, errors and standard deviations of everything there is a row of."""
     assert case.motion.confidence is not None
     confidence = inflation.apply(case.motion.confidence, case.circumstances, case.apart)

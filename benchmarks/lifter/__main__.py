@@ -156,9 +156,7 @@ def _parser() -> argparse.ArgumentParser:
         "--motions", default=[], type=lambda text: text.split(","), help="only these, by commas"
     )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--workers", type=int, default=min(2, os.cpu_count() or 1), choices=(1, 2)
-    )
+    parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1), choices=(1, 2))
     parser.add_argument("--restart", action="store_true", help="throw away rows of a run cut short")
     parser.add_argument("--out", type=Path, default=HERE / "results", help="folder of the results")
     return parser

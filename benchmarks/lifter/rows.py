@@ -107,9 +107,7 @@ def run(job: Job) -> list[Row]:
             for count, worn in _sensors(recording, bool(load(path).description.body.sensors)):
                 own = about | {"sensors": count, "lifter": name}
                 try:
-                    lifted = load(path).predict(
-                        recording.keypoints, recording.joint_offsets, bone_imus=worn
-                    )
+                    lifted = load(path).predict(recording.keypoints, recording.joint_offsets, bone_imus=worn)
                     rows.append(own | scored(lifted, recording))
                 except RtofError as error:  # told in the tables, instead of losing the others
                     rows.append(own | {"error": str(error)})

@@ -12,14 +12,7 @@ from collections.abc import Callable, Sequence
 from statistics import mean, stdev
 
 from benchmarks import harness
-from benchmarks.lifter.measures import (
-    DIRECTIONS,
-    PARTS,
-    SIGMAS,
-    TORSO,
-    expected_share,
-    gaussian_share,
-)
+from benchmarks.lifter.measures import DIRECTIONS, PARTS, SIGMAS, TORSO, expected_share, gaussian_share
 from benchmarks.lifter.rows import STILL, Row
 from rtof_kin.protocols.tables import Cell, Table, pooled
 
@@ -120,6 +113,7 @@ def torso(rows: Sequence[Row]) -> Table:
 
 def by(field: str, title: str) -> Callable[[Sequence[Row]], Table]:
     """Errors by what a field of the rows says."""
+
     def table(rows: Sequence[Row]) -> Table:
         found = values(rows, field)
         lines = [
@@ -140,9 +134,7 @@ def joints(rows: Sequence[Row]) -> Table:
     """Root-relative error of every joint."""
     ways = [way for way in _ways(rows) if way[1] != STILL]
     names = [key.removesuffix(" mm") for key in rows[0] if key.endswith(" mm")]
-    lines = [
-        (name, *(pooled(_of(rows, way), f"{name} mm") for way in ways)) for name in names
-    ]
+    lines = [(name, *(pooled(_of(rows, way), f"{name} mm") for way in ways)) for name in names]
     columns = ("joint", *(f"{kind}, {name}, {WORN[count]}" for kind, name, count in ways))
     return Table("joints", "By joint, rr mm", columns, (0, *[1] * len(ways)), tuple(lines))
 
@@ -167,9 +159,7 @@ def calibration(rows: Sequence[Row]) -> Table:
         "Per axis: across the ray to the root, along it, and about each axis of a segment. More within "
         "than expected: the lifter is better than it says. Laplace: the density it is trained with.",
     )
-    return Table(
-        "calibration", "Calibration", tuple(columns), (0, 0, 0, 0, *[1] * 6), tuple(lines), notes
-    )
+    return Table("calibration", "Calibration", tuple(columns), (0, 0, 0, 0, *[1] * 6), tuple(lines), notes)
 
 
 TABLES: tuple[Callable[[Sequence[Row]], Table], ...] = (

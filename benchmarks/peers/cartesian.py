@@ -15,7 +15,7 @@ from benchmarks.peers.residuals import Residuals, Window, built, column, symbols
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.solve import residuals as energies
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 class CartesianScene:
     """Fragments of the printed energy; a state is (N, 3J), its variables are the state itself."""
 
-    def __init__(self, material: Material, frames: int, settings: FragmentSettings) -> None:
+    def __init__(self, material: Material, frames: int, settings: CartesianSettings) -> None:
         """Take a recording.
 
         Raises:
@@ -33,7 +33,7 @@ class CartesianScene:
         s = settings
         printed = s.bone_lengths == "free" and s.prior == "positions" and s.jerk_target == "sensor"
         if not printed or s.huber_reprojection is not None or s.sigma_reprojection is None:
-            raise ShapeError("peers know the energy as printed alone: use FragmentSettings.paper()")
+            raise ShapeError("peers know the energy as printed alone: use CartesianSettings.paper()")
         m, self.settings, self.frames = material, settings, frames
         self.start = refit_root(m.start, m.keypoints) if s.refit_root else m.start
         self.solver = CartesianSolver(m.skeleton, frames, settings, m.imus.joints)
@@ -141,9 +141,7 @@ class CartesianScene:
     def _acceleration(self) -> Window:
         s, J, bones = self.settings, len(self.problem.parents), self.problem.sensor_bones
         z = ca.SX.sym("z", 3 * J, 3)
-        P = symbols(
-            w=(len(bones), 1), shares=(len(bones), 1), rate_hz=(1, 1), a_world=(3, len(bones))
-        )
+        P = symbols(w=(len(bones), 1), shares=(len(bones), 1), rate_hz=(1, 1), a_world=(3, len(bones)))
         rows = []
         for i, (a, b) in enumerate(bones):
             share = P["shares"][i]

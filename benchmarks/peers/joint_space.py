@@ -14,16 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.peers.fragments import Fragment, Material, Score
-from benchmarks.peers.residuals import (
-    Residuals,
-    Window,
-    built,
-    cauchy,
-    column,
-    huber,
-    rows_of,
-    symbols,
-)
+from benchmarks.peers.residuals import Residuals, Window, built, cauchy, column, huber, rows_of, symbols
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.solve import residuals as energies
@@ -152,8 +143,7 @@ class JointScene:
             rows.append(cauchy(r, O["w_bone"][i]))
         rows.append(cauchy(energies.position(p[0], O["p_root"]), O["w_root"]))
         vectors = [
-            energies.rotation_vector(quats[a + 1], C["quat_mean"][:, a])
-            for a in range(len(quats) - 1)
+            energies.rotation_vector(quats[a + 1], C["quat_mean"][:, a]) for a in range(len(quats) - 1)
         ]
         # C["precision"] is given as its Cholesky factor, transposed (`parameters`).
         rows.append(ca.sqrt(O["w_prior"]) * (C["precision"] @ ca.vertcat(*vectors)))
@@ -180,9 +170,7 @@ class JointScene:
         frames = [self._posed(*self._moved(x[:, t], z[:, t]), P["offsets"]) for t in range(3)]
         rows = []
         for s, j in enumerate(shape.sensors):
-            path = ca.horzcat(
-                *(p[j] + energies.quat_matrix(q[j]) @ P["levers"][:, s] for p, q in frames)
-            )
+            path = ca.horzcat(*(p[j] + energies.quat_matrix(q[j]) @ P["levers"][:, s] for p, q in frames))
             r = energies.acceleration(path, P["a_world"][:, s], P["rate_hz"])
             rows.append(huber(r, P["w"][s], robust))
 

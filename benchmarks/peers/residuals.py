@@ -55,13 +55,9 @@ def built(windows: Sequence[Window]) -> list[Residuals]:
         inputs, option = [w.z, ca.vertcat(*(ca.vec(p) for p in w.parameters))], {"cse": True}
         r = ca.densify(ca.vec(w.residual))
         functions.append(ca.Function(f"{w.name}_value", inputs, [r], option))
-        functions.append(
-            ca.Function(f"{w.name}_jacobian", inputs, [r, ca.jacobian(r, w.z)], option)
-        )
+        functions.append(ca.Function(f"{w.name}_jacobian", inputs, [r, ca.jacobian(r, w.z)], option))
     built = compiled(functions)
-    return [
-        Residuals(w.width, w.values, built[2 * i], built[2 * i + 1]) for i, w in enumerate(windows)
-    ]
+    return [Residuals(w.width, w.values, built[2 * i], built[2 * i + 1]) for i, w in enumerate(windows)]
 
 
 def symbols(**shapes: tuple[int, int]) -> dict[str, Any]:

@@ -214,9 +214,7 @@ class _Cost(pyceres.CostFunction):  # type: ignore[misc]
         self._value.inputs[1][:] = parameters
         self._jacobian.inputs[1][:] = parameters
 
-    def Evaluate(
-        self, parameters: list[Array], residuals: Array, jacobians: list[Array] | None
-    ) -> bool:
+    def Evaluate(self, parameters: list[Array], residuals: Array, jacobians: list[Array] | None) -> bool:
         z = np.concatenate(parameters)
         if jacobians is None:
             residuals[:] = self._value(z)[0]

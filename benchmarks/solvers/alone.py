@@ -18,22 +18,22 @@ from benchmarks.peers.fragments import Material
 from benchmarks.peers.joint_space import JointScene
 from benchmarks.solvers.measuring import PAPER_FPS, Effort, Told, spread
 from benchmarks.solvers.side_by_side import CARTESIAN_BACKENDS, IPOPT_CAP, JOINT_SETTINGS, Joint, N
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.joint_space.ipopt import Ipopt
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
 
-SETTINGS: dict[str, FragmentSettings | JointSpaceSettings] = {
+SETTINGS: dict[str, CartesianSettings | JointSpaceSettings] = {
     "joint space": JointSpaceSettings(),
     "joint space, interpreted": JointSpaceSettings(compile="never"),
     "joint space, knees and elbows as ball joints": JointSpaceSettings(hinges=False),
     "joint space, sigma given": JOINT_SETTINGS,
     "joint space, without limits": JointSpaceSettings(limits=False),
     **{f"cartesian, energy as printed, {name}": s for name, s in CARTESIAN_BACKENDS.items()},
-    "cartesian, IPOPT": FragmentSettings(backend="ipopt"),
-    "cartesian, real time": FragmentSettings(backend="realtime"),
-    "cartesian, bone lengths as constraints, IPOPT": FragmentSettings(
+    "cartesian, IPOPT": CartesianSettings(backend="ipopt"),
+    "cartesian, real time": CartesianSettings(backend="realtime"),
+    "cartesian, bone lengths as constraints, IPOPT": CartesianSettings(
         bone_lengths="constraint", backend="ipopt"
     ),
 }
@@ -75,7 +75,7 @@ def by_length(material: Material, effort: Effort, told: Told) -> list[dict[str, 
         row: dict[str, Any] = {"N": frames, "paper": PAPER_FPS[frames]}
         length = max(effort.frames, 2 * frames)
         m = material[:length]
-        solvers: dict[str, FragmentSettings | JointSpaceSettings] = {
+        solvers: dict[str, CartesianSettings | JointSpaceSettings] = {
             f"cartesian, {name}": settings for name, settings in CARTESIAN_BACKENDS.items()
         }
         solvers["joint, real time"] = JointSpaceSettings()

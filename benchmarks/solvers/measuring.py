@@ -126,9 +126,7 @@ def compared(
     return rows, traces
 
 
-def rising(
-    make: Callable[[int], Solver], fragment: Fragment, caps: Sequence[int], runs: int
-) -> Trace:
+def rising(make: Callable[[int], Solver], fragment: Fragment, caps: Sequence[int], runs: int) -> Trace:
     """A trace of a solver without callbacks: run afresh with rising iteration caps.
 
     Fewer iterations took at most the time that more did, whatever else the machine was doing.

@@ -28,7 +28,7 @@ from benchmarks.solvers.measuring import (
     summaries,
 )
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
 from rtof_kin.solve.joint_space.ipopt import Ipopt
 from rtof_kin.solve.joint_space.limits import Limits
@@ -44,8 +44,8 @@ TIGHT, IPOPT_TIGHT = 1e-9, 1e-8
 BASIN_MM = 1.0
 """Largest distance of a joint beyond which two answers count as different minima."""
 CARTESIAN_BACKENDS = {
-    "IPOPT": replace(FragmentSettings.paper(), backend="ipopt"),
-    "real time": replace(FragmentSettings.paper(), backend="realtime"),
+    "IPOPT": replace(CartesianSettings.paper(), backend="ipopt"),
+    "real time": replace(CartesianSettings.paper(), backend="realtime"),
 }
 """The printed energy's settings for every backend."""
 JOINT_SETTINGS = JointSpaceSettings(sigma_reprojection=8.0)
@@ -55,7 +55,7 @@ JOINT_SETTINGS = JointSpaceSettings(sigma_reprojection=8.0)
 class Cartesian:
     """The package's Cartesian solver with one of its backends."""
 
-    def __init__(self, scene: CartesianScene, settings: FragmentSettings) -> None:
+    def __init__(self, scene: CartesianScene, settings: CartesianSettings) -> None:
         """Build the same problem with other settings of the solver alone."""
         self.scene = scene
         own = scene.solver
@@ -104,7 +104,7 @@ def peers(scene: Scene, effort: Effort, scipy_is_slow: bool) -> list[Entry]:
 
 def cartesian(material: Material, effort: Effort, told: Told) -> dict[str, Any]:
     """The printed energy: rows and curves."""
-    scene = CartesianScene(material, N, FragmentSettings.paper())
+    scene = CartesianScene(material, N, CartesianSettings.paper())
     choice = Choice.of(scene, effort, len(material.start))
     entries = peers(scene, effort, scipy_is_slow=False)
     entries += [Entry(name, Cartesian(scene, s)) for name, s in CARTESIAN_BACKENDS.items()]
@@ -113,7 +113,7 @@ def cartesian(material: Material, effort: Effort, told: Told) -> dict[str, Any]:
     for name, settings in CARTESIAN_BACKENDS.items():
         told(f"{name}: energy against time")
 
-        def capped(iterations: int, settings: FragmentSettings = settings) -> Cartesian:
+        def capped(iterations: int, settings: CartesianSettings = settings) -> Cartesian:
             return Cartesian(scene, replace(settings, max_iterations=iterations))
 
         traces[name] = rising(capped, fragment, range(1, 9), effort.runs)

@@ -161,10 +161,7 @@ def verdict(result: Reconstruction) -> dict[str, float]:
         for finding in findings
         if finding.grade in _COST and finding.warn > 0
     ]
-    return {
-        "grades": float(sum(_COST.get(grade, 0) for grade in grades)),
-        "excess": float(sum(above)),
-    }
+    return {"grades": float(sum(_COST.get(grade, 0) for grade in grades)), "excess": float(sum(above))}
 
 
 def _short(column: Array) -> list[float | None]:

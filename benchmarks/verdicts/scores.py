@@ -98,9 +98,7 @@ def interval_error(error: Array, sigma: Array, freedom: Array) -> float:
     return float(np.mean(np.abs(covered)))
 
 
-def bootstrap(
-    units: Ints, figure: Callable[[Ints], float], draws: int = 60
-) -> tuple[float, float]:
+def bootstrap(units: Ints, figure: Callable[[Ints], float], draws: int = 60) -> tuple[float, float]:
     """95 % interval of a figure when units are drawn anew.
 
     Args:
@@ -118,9 +116,7 @@ def bootstrap(
     return float(low), float(high)
 
 
-def roc(
-    score: Array, bad: NDArray[np.bool_], points: int = 101
-) -> tuple[Sequence[float], Sequence[float]]:
+def roc(score: Array, bad: NDArray[np.bool_], points: int = 101) -> tuple[Sequence[float], Sequence[float]]:
     """False and true positive rates of the ROC curve at that many thresholds."""
     false = np.linspace(0, 1, points)
     cut = np.quantile(score[~bad], 1 - false)

@@ -28,8 +28,7 @@ def tables(rows: Sequence[Row]) -> tuple[list[Table], Row]:
     """All tables, and their figures for the JSON."""
     parts = study.parts(rows)
     pools = {
-        quantity: {name: study.samples(own, quantity) for name, own in parts.items()}
-        for quantity in LABELS
+        quantity: {name: study.samples(own, quantity) for name, own in parts.items()} for quantity in LABELS
     }
     found = {
         label(quantity, threshold): {

@@ -62,9 +62,7 @@ def local_rotations(parents: Sequence[int], R_world_bone: Array) -> Array:
     return R
 
 
-def segment_rotation(
-    parents: Sequence[int], offsets: Array, joint: int, p: Array, R_parent: Array
-) -> Array:
+def segment_rotation(parents: Sequence[int], offsets: Array, joint: int, p: Array, R_parent: Array) -> Array:
     """Orientation of one segment from joint positions: SolveRotation of the paper's Algorithm 1.
 
     Several children fix it (Kabsch). One child fixes the bone's direction; the twist follows the

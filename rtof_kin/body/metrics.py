@@ -101,8 +101,7 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
     }
     names = estimate.names
     return Metrics(
-        pooled={n: _mean(v) for n, v in figures.items()}
-        | {"coverage": float(estimate.valid[both].mean())},
+        pooled={n: _mean(v) for n, v in figures.items()} | {"coverage": float(estimate.valid[both].mean())},
         per_joint={
             joint: {n: _mean(v[:, j]) for n, v in figures.items() if np.isfinite(v[:, j]).any()}
             for j, joint in enumerate(names)
@@ -120,7 +119,8 @@ def stage_metrics(
     stages: Mapping[str, PoseSequence], truth: PoseSequence | None, skeleton: SkeletonModel, mode: str
 ) -> dict[str, Metrics]:
     """All figures of every stage of a mode, whose poses have the same times; none without truth, or with
-    fewer than four frames of it."""
+    fewer than four frames of it.
+    """
     if truth is None:
         return {}
     first, last = truth.times[[0, -1]]
@@ -128,13 +128,11 @@ def stage_metrics(
     if np.count_nonzero((times >= first) & (times <= last)) < 4:
         _log.warning("the truth covers fewer than four frames: nothing is scored")
         return {}
-    return {
-        name: evaluate(comparable(poses, truth, mode), truth, skeleton) for name, poses in stages.items()
-    }
+    return {name: evaluate(comparable(poses, truth, mode), truth, skeleton) for name, poses in stages.items()}
 
 
 def comparable(estimate: PoseSequence, truth: PoseSequence, mode: str) -> PoseSequence:
-    """An estimate as it is scored and drawn against a truth: as it is, but in mode imu begun with it.
+    """An estimate as it is scored and drawn against a truth: as it is, but in mode imu prepared with it.
 
     Args:
         estimate: poses of the same joints as the truth's, at any times. mode: how they were made.
@@ -150,7 +148,7 @@ def comparable(estimate: PoseSequence, truth: PoseSequence, mode: str) -> PoseSe
     known = np.flatnonzero(np.isfinite(shift).all(axis=1) & true.valid[:, 0])
     if len(known) == 0:
         return estimate
-    return estimate.posed(slice(None), estimate.p_world_joint + shift[known[0]])
+    return estimate.with_poses(slice(None), estimate.p_world_joint + shift[known[0]])
 
 
 def motionless(truth: PoseSequence) -> PoseSequence:
@@ -167,7 +165,7 @@ def motionless(truth: PoseSequence) -> PoseSequence:
 
 
 def procrustes(p: Array, p_true: Array) -> Array:
-    """p (T, J, 3) after each frame's best rotation, scale and translation onto p_true (Umeyama 1991)."""
+    """P (T, J, 3) after each frame's best rotation, scale and translation onto p_true (Umeyama 1991)."""
     mean, mean_true = p.mean(axis=1, keepdims=True), p_true.mean(axis=1, keepdims=True)
     a, b = p - mean, p_true - mean_true
     R = so3.nearest_rotation(np.einsum("tji,tjk->tik", b, a))

@@ -36,7 +36,7 @@ other."""
 
 def segment_levels(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[np.int_]:
     """(T, J) how much of each segment's orientation was seen: nothing, its bone's direction, or all."""
-    at = poses.located
+    at = poses.position_observed
     levels: NDArray[np.int_] = np.where(poses.direction_observed, DIRECTION, NOTHING)
     for j in range(len(skeleton.names)):
         children = kinematics.children_of(skeleton.parents, j)
@@ -136,12 +136,13 @@ def never_observed(motion: MotionSequence) -> tuple[str, ...]:
 
 def observed_landmarks(motion: MotionSequence) -> Mask:
     """(T, L) whether somebody saw where each landmark is: its joint, and of other points the segment's
-    orientation, of which the bone's direction is enough for a point on the bone."""
+    orientation, of which the bone's direction is enough for a point on the bone.
+    """
     skeleton, poses = motion.skeleton, motion.poses
     levels = segment_levels(poses, skeleton)
     if not _says_who_saw(poses):
         levels[:] = WHOLE
-    located = poses.located
+    located = poses.position_observed
     columns = []
     for joint, offset in skeleton.landmarks.values():
         j = skeleton.names.index(joint)
@@ -154,9 +155,10 @@ def observed_landmarks(motion: MotionSequence) -> Mask:
 
 def observed_bones(motion: MotionSequence) -> Mask:
     """(T, J) whether the line from each joint's parent to it was seen: both ends, or the segment's turn
-    where the joint is valid. Of the root, whether it was seen itself."""
+    where the joint is valid. Of the root, whether it was seen itself.
+    """
     poses, skeleton = motion.poses, motion.skeleton
-    located, levels = poses.located, segment_levels(poses, skeleton)
+    located, levels = poses.position_observed, segment_levels(poses, skeleton)
     out: Mask = np.array(located)
     for j, parent in enumerate(skeleton.parents):
         if parent >= 0:

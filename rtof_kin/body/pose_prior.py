@@ -70,9 +70,7 @@ class PosePrior:
                 float(readonly("prior sigma_root_jerk", arrays["sigma_root_jerk"], ())),
             )
         except (KeyError, ShapeError) as error:
-            raise FileFormatError(
-                path, f"no pose prior of {len(joints)} joints ({error})"
-            ) from error
+            raise FileFormatError(path, f"no pose prior of {len(joints)} joints ({error})") from error
         return prior
 
     def precision(self, joints: Sequence[str], inflation: float, least: float) -> Array:

@@ -75,14 +75,10 @@ class MotionSequence:
 
     def __getitem__(self, frames: slice) -> MotionSequence:
         report = replace(
-            self.report,
-            singular=self.report.singular[frames],
-            limit_excess=self.report.limit_excess[frames],
+            self.report, singular=self.report.singular[frames], limit_excess=self.report.limit_excess[frames]
         )
         confidence = None if self.confidence is None else self.confidence[frames]
-        return replace(
-            self, q=self.q[frames], poses=self.poses[frames], report=report, confidence=confidence
-        )
+        return replace(self, q=self.q[frames], poses=self.poses[frames], report=report, confidence=confidence)
 
     @property
     def times(self) -> Array:
@@ -284,7 +280,8 @@ class SkeletonModel:
 
     def with_mass(self, mass_kg: float, sex: str | None = None) -> SkeletonModel:
         """The same skeleton with another body mass, kg; de Leva's column ('male', 'female') as it was
-        where not given."""
+        where not given.
+        """
         if not 2 < mass_kg < 500:
             raise ShapeError(f"mass: {mass_kg:g} kg is no person's; give kilograms")
         if sex not in (None, "male", "female"):

@@ -123,9 +123,7 @@ class SkeletonTable:
         def moved(points: tuple[Landmark, ...]) -> tuple[Landmark, ...]:
             return tuple(replace(p, offset=p.offset * scale[p.joint]) for p in points)
 
-        return replace(
-            self, joints=joints, landmarks=moved(self.landmarks), sensors=moved(self.sensors)
-        )
+        return replace(self, joints=joints, landmarks=moved(self.landmarks), sensors=moved(self.sensors))
 
 
 def read_skeleton_table(path: str | Path) -> SkeletonTable:
@@ -199,9 +197,7 @@ def _check_joint(path: Path, table: SkeletonTable, i: int) -> None:
     joint = table.joints[i]
     before, where = table.names[:i], f"joint {joint.name}"
     if (joint.parent is None) != (i == 0) or (i > 0 and joint.parent not in before):
-        raise FileFormatError(
-            path, f"{where}: its parent must stand before it; only the first has none"
-        )
+        raise FileFormatError(path, f"{where}: its parent must stand before it; only the first has none")
     if joint.name in before:
         raise FileFormatError(path, f"{where} stands there twice")
     if i > 0 and not (len(joint.limits) == 3 and np.all(joint.limits[:, 0] < joint.limits[:, 1])):
@@ -210,9 +206,7 @@ def _check_joint(path: Path, table: SkeletonTable, i: int) -> None:
         raise FileFormatError(path, f"{where}: end_mm or offset_mm is a bone of no length")
     for segment, share in joint.mass_shares:
         if segment not in SEGMENTS:
-            raise FileFormatError(
-                path, f"{where}: no segment '{segment}'; known: {', '.join(SEGMENTS)}"
-            )
+            raise FileFormatError(path, f"{where}: no segment '{segment}'; known: {', '.join(SEGMENTS)}")
         if not share > 0:
             raise FileFormatError(path, f"{where}: its share of the {segment} is not positive")
     if not joint.mass_shares:

@@ -44,9 +44,7 @@ def to_urdf(table: SkeletonTable) -> str:
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
 
-def _revolute(
-    robot: ET.Element, joint: Joint, i: int, parent: str, child: str, origin: Array
-) -> None:
+def _revolute(robot: ET.Element, joint: Joint, i: int, parent: str, child: str, origin: Array) -> None:
     element = ET.SubElement(robot, "joint", name=joint.dofs[i].urdf, type="revolute")
     ET.SubElement(element, "parent", link=parent)
     ET.SubElement(element, "child", link=child)
@@ -70,8 +68,7 @@ def segment_inertia(joint: Joint, table: SkeletonTable) -> tuple[float, Array, A
         Mass, kg, centre of mass (3,), m, and inertia about it (3, 3), kg m^2, both in the link frame.
     """
     masses = [
-        (name, share * mass_fraction(name, table.sex) * table.mass_kg)
-        for name, share in joint.mass_shares
+        (name, share * mass_fraction(name, table.sex) * table.mass_kg) for name, share in joint.mass_shares
     ]
     total = sum(mass for _, mass in masses)
     parts = [inertia(name, mass, joint.end, table.sex) for name, mass in masses]
@@ -113,9 +110,7 @@ def _inertial(
     ET.SubElement(element, "origin", xyz=_text(center), rpy="0 0 0")
     ET.SubElement(element, "mass", value=_number(mass_kg))
     upper = [(a, b) for a in range(3) for b in range(a, 3)]
-    ET.SubElement(
-        element, "inertia", {f"i{'xyz'[a]}{'xyz'[b]}": _number(matrix[a, b]) for a, b in upper}
-    )
+    ET.SubElement(element, "inertia", {f"i{'xyz'[a]}{'xyz'[b]}": _number(matrix[a, b]) for a, b in upper})
 
 
 def _number(value: float) -> str:

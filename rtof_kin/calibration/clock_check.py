@@ -117,7 +117,8 @@ def check_clocks(
     keypoints: KeypointSequence, bone_imus: BoneImuSequence, poses: PoseSequence, skeleton: SkeletonModel
 ) -> Check:
     """Whether the clocks of video and sensors agree within `LIMIT`; what says otherwise is named.
-    Arguments are those of `calibration.bone_images`."""
+    Arguments are those of `calibration.bone_images`.
+    """
     what = "video and sensors"
     images = bone_images(keypoints, bone_imus, poses, skeleton)
     scan = None if images is None else scan_clocks(images)

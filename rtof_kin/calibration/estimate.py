@@ -104,9 +104,7 @@ def shared_fragments(
     _check_long_enough(seen, imus, priors)
     native = without(recording.calibration.apply(imus), left_out)
     bone_imus = native.resample(start.times)
-    data = Observations(
-        recording.skeleton, frames, settings, start, seen, bone_imus, places=native.joints
-    )
+    data = Observations(recording.skeleton, frames, settings, start, seen, bone_imus, places=native.joints)
     slow = low_passed(_with_even_noise(native), settings)
 
     def sampled(times: Array) -> tuple[Array, Array, Array, Array]:
@@ -136,9 +134,7 @@ def _with_even_noise(imus: BoneImuSequence) -> BoneImuSequence:
     return replace(imus, a_world=a_world)
 
 
-def _check_long_enough(
-    keypoints: KeypointSequence, imus: ImuSequence, priors: CalibrationPriors
-) -> None:
+def _check_long_enough(keypoints: KeypointSequence, imus: ImuSequence, priors: CalibrationPriors) -> None:
     common = min(keypoints.times[-1], imus.times[-1]) - max(keypoints.times[0], imus.times[0])
     searched = 0.0 if priors.sigma_delay is None else 4 * priors.sigma_delay
     if common <= searched:
@@ -203,9 +199,7 @@ def _height_px(keypoints: KeypointSequence) -> float:
     return float(np.median(np.linalg.norm(extent, axis=1)))
 
 
-def _quantities(
-    fragments: SharedFragments, shared: Shared, overcount: float
-) -> tuple[Quantity, ...]:
+def _quantities(fragments: SharedFragments, shared: Shared, overcount: float) -> tuple[Quantity, ...]:
     """Every item with its standard deviations. What the recording did not observe is held at zero, but
     for a nuisance, and what it did observe is what it is given that.
 
@@ -240,7 +234,8 @@ def _quantities(
 
 def _doubted(quantity: Quantity, recording: Recording, start: PoseSequence, shared: Shared) -> Quantity:
     """A delay that the search may have missed, or that is another one by how the limbs turn, is no better
-    known than before."""
+    known than before.
+    """
     imus, calibration = recording.imus, recording.calibration
     known = quantity.verdict is not Verdict.PRIOR
     if quantity.kind != "delay" or not known or imus is None or calibration is None:

@@ -1,17 +1,17 @@
 """What a recording said about itself, as TOML that people read and the next recording uses.
 
-    schema_version = 1
-    middle_s = 10.0                     # stamp at which what drifts has its value
-    converged = 1
-    [quantities.mounting.LeftArm]       # kind, then whose
-    value = [0.01, -0.02, 0.0]          # SI units or px
-    sigma = [0.01, 0.01, 0.03]
-    sigma_prior = [0.035, 0.035, 0.07]
-    known = 0.4                         # share of the prior's variance that the recording took away
-    doubt = "..."                       # - why the value may be wrong all the same
-    [detector.LeftArm]                  # what is left of a landmark's reprojection errors
-    sigma_px = 5.1
-    memory_s = 0.4
+schema_version = 1
+middle_s = 10.0                     # stamp at which what drifts has its value
+converged = 1
+[quantities.mounting.LeftArm]       # kind, then whose
+value = [0.01, -0.02, 0.0]          # SI units or px
+sigma = [0.01, 0.01, 0.03]
+sigma_prior = [0.035, 0.035, 0.07]
+known = 0.4                         # share of the prior's variance that the recording took away
+doubt = "..."                       # - why the value may be wrong all the same
+[detector.LeftArm]                  # what is left of a landmark's reprojection errors
+sigma_px = 5.1
+memory_s = 0.4
 """
 
 from __future__ import annotations

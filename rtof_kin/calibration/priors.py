@@ -15,7 +15,8 @@ from rtof_kin.recording.recording import Recording
 @dataclass(frozen=True)
 class CalibrationPriors:
     """How well things are known before: a standard deviation each; None for what is known exactly, and
-    so is not estimated."""
+    so is not estimated.
+    """
 
     sigma_delay: float | None = 0.05
     """[s] of the video behind the sensors."""

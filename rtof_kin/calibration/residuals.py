@@ -130,9 +130,7 @@ class Situation:
         times: (N,) stamps, s.
     """
 
-    def __init__(
-        self, space: StateSpace, joints: Attached, evidence: Evidence, first: int, x: Array
-    ) -> None:
+    def __init__(self, space: StateSpace, joints: Attached, evidence: Evidence, first: int, x: Array) -> None:
         """Pose the bodies of states x (N, 3 + 4A)."""
         index = np.clip(np.arange(first, first + len(x)), 0, len(evidence.times) - 1)
         self.space, self.evidence, self.joints, self.index = space, evidence, joints, index
@@ -213,7 +211,8 @@ class Situation:
 
     def turns(self, weight: Array, robust: float) -> tuple[Residuals, Array]:
         """Of the sensors' orientations, whitened; and by a small turn of what was measured
-        (N, S, 3, 3)."""
+        (N, S, 3, 3).
+        """
         own = list(self.joints.sensors)
         whitening = self.evidence.constant["whitening"].T.reshape(-1, 3, 3)
         W = np.swapaxes(whitening, 1, 2)  # stored by columns
@@ -230,14 +229,16 @@ class Situation:
 
     def accelerations(self, weight: Array, robust: float) -> Residuals:
         """Of the sensors' accelerations (N - 2, S, 3), m/s^2; `by_state` is that of the sensors' places
-        (N, S, 3, D), m."""
+        (N, S, 3, D), m.
+        """
         r = self.a_sensors - self.a_world
         by_state = self.points_by_state(self.joints.sensors, self.sensors)
         return Residuals(r, by_state, _robust(weight, r, robust))
 
     def jerk(self, weight: Array, sigma: Array) -> Residuals:
         """Of the root's place (N - 3, 1, 3), m/s^3, with weights (N - 3,) and sigma (3,); `by_state` is
-        that of the root (N, 1, 3, D), m."""
+        that of the root (N, 1, 3, D), m.
+        """
         by_state = np.zeros((len(self.p), 1, 3, self.space.size))
         by_state[..., :3] = np.eye(3)
         return Residuals(self.root_jerk[:, None], by_state, (weight / sigma[0] ** 2)[:, None])

@@ -144,12 +144,14 @@ class SelfCalibration:
     @property
     def ankle_height(self) -> float:
         """[m] by which ankles stand higher over the floor than they are held to, observed or not: the
-        bones were found with it."""
+        bones were found with it.
+        """
         return float(sum(q.value[0] for q in self.quantities if q.kind == "ankle height"))
 
     def for_another_recording(self) -> Self:
         """What is true of the person and the detector in other recordings too: bones, ankles and places
-        of landmarks, and the detector's errors. Sensors are mounted anew, clocks are started anew."""
+        of landmarks, and the detector's errors. Sensors are mounted anew, clocks are started anew.
+        """
         kept = tuple(q for q in self.quantities if q.kind in ("bones", "ankle height", "place"))
         return replace(self, quantities=kept)
 
@@ -192,7 +194,8 @@ class SelfCalibration:
 
     def table(self) -> list[tuple[str, str, str, str, str, str]]:
         """Kind, item, size of the value, its standard deviation, that of the prior (each per axis, root
-        mean square), with units that people read, and the verdict."""
+        mean square), with units that people read, and the verdict.
+        """
         rows = []
         for q in self.quantities:
             factor, unit = _UNITS[q.kind]
@@ -266,9 +269,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def image_slopes(
-    camera: Camera, skeleton: SkeletonModel, poses: PoseSequence, names: Sequence[str]
-) -> Array:
+def image_slopes(camera: Camera, skeleton: SkeletonModel, poses: PoseSequence, names: Sequence[str]) -> Array:
     """(T, L, 2, 3) px per m by which landmarks move in the image as they move in their segments."""
     camera = camera.undistorted()
     on = [skeleton.landmarks[name] for name in names]
@@ -282,9 +283,7 @@ def image_slopes(
     return np.asarray(J @ R)
 
 
-def bone_groups(
-    skeleton: SkeletonModel, names: Sequence[str]
-) -> tuple[tuple[str, tuple[int, ...]], ...]:
+def bone_groups(skeleton: SkeletonModel, names: Sequence[str]) -> tuple[tuple[str, tuple[int, ...]], ...]:
     """Name, and joints at the ends of the bones, of groups of `BONE_GROUPS`; 'all' are all bones."""
     known = {n: tuple(j for j in joints if j in skeleton.names) for n, joints in BONE_GROUPS.items()}
     known["all"] = tuple(skeleton.names[1:])

@@ -20,9 +20,7 @@ class Border:
         gradient: (G,) by the unknowns at fixed states.
     """
 
-    def __init__(
-        self, frames: int, size: int, parts: Sequence[slice], changes: Sequence[Changes]
-    ) -> None:
+    def __init__(self, frames: int, size: int, parts: Sequence[slice], changes: Sequence[Changes]) -> None:
         """Nothing yet.
 
         Args:
@@ -52,11 +50,10 @@ class Border:
         self._count(residuals.value, weighted, by_unknowns)
         self._spread(residuals.by_state, weighted)
 
-    def add_differences(
-        self, residuals: Residuals, by_unknowns: Array, order: int, rate_hz: float
-    ) -> None:
+    def add_differences(self, residuals: Residuals, by_unknowns: Array, order: int, rate_hz: float) -> None:
         """Residuals (N - order, R, i) of differences over time: `by_state` (N, R, i, D) is that of what
-        they are taken of."""
+        they are taken of.
+        """
         weighted = residuals.weight[..., None, None] * by_unknowns
         self._count(residuals.value, weighted, by_unknowns)
         spread = np.zeros((len(weighted) + order, *weighted.shape[1:]))

@@ -34,7 +34,8 @@ class ImageBias:
 
     def limited(self, lasting_px: float) -> Self:
         """With biases of at most the errors that last: white errors leave no room for any, nor do those
-        that a body model leaves of a perfect detector."""
+        that a body model leaves of a perfect detector.
+        """
         lasts = lasting_px > _LEAST_SHARE * self.sigma_px
         return replace(self, sigma_px=np.where(lasts, np.minimum(self.sigma_px, lasting_px), _CLOSED_PX))
 
@@ -142,7 +143,8 @@ class Tilt(Unlimited):
 @dataclass(frozen=True)
 class Ankles(Unlimited):
     """How much higher than they are held to be ankles are over a floor that they stand on: people and
-    shoes differ, and heels leave the floor before the foot does."""
+    shoes differ, and heels leave the floor before the foot does.
+    """
 
     sigma: float
     """[m]"""

@@ -43,11 +43,7 @@ def _analyse(options: argparse.Namespace) -> None:
     motion = read_motion_npz(path).motion()
     weight_kg, sex = _weight_and_sex(options, path.parent)
     analysis = analyse_motion(
-        motion,
-        weight_kg=weight_kg,
-        height=options.height,
-        sex=sex,
-        repetitions=options.repetitions,
+        motion, weight_kg=weight_kg, height=options.height, sex=sex, repetitions=options.repetitions
     )
     with new_folder(options.output, MARKER, options.overwrite) as folder:
         write_analysis(analysis, folder)

@@ -20,9 +20,7 @@ def add_commands(commands: Any) -> None:
         "lifter", nargs="?", type=Path, metavar="LIFTER",
         help="checkpoint, or the name of a shipped one: detections (the default), perfect, causal",
     )  # fmt: skip
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="FILE.onnx", help="file to write"
-    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.onnx", help="file to write")
     parser.add_argument(
         "--no-flip", action="store_true", help="without the mirrored scene: faster and less exact"
     )

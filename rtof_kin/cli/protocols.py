@@ -33,12 +33,7 @@ def _total_capture(options: argparse.Namespace) -> None:
     from rtof_kin.protocols.measures import rows_of
     from rtof_kin.protocols.pictures import write_pictures
     from rtof_kin.protocols.tables import write_tables
-    from rtof_kin.protocols.total_capture import (
-        SENSOR_SETS,
-        TEST_TAKES,
-        TotalCaptureProtocol,
-        run,
-    )
+    from rtof_kin.protocols.total_capture import SENSOR_SETS, TEST_TAKES, TotalCaptureProtocol, run
     from rtof_kin.protocols.total_capture_tables import all_tables
 
     folder = Path(options.output)
@@ -67,18 +62,10 @@ def _total_capture(options: argparse.Namespace) -> None:
         )
         with _job_progress() as tell:
             outcome = run(
-                protocol,
-                folder / name,
-                overwrite=options.overwrite,
-                workers=options.workers,
-                progress=tell,
+                protocol, folder / name, overwrite=options.overwrite, workers=options.workers, progress=tell
             )
         tables = all_tables(protocol, outcome)
-        facts = {
-            "settings": protocol.settings(),
-            "rows": list(rows_of(outcome)),
-            "failed": outcome.failed,
-        }
+        facts = {"settings": protocol.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
         written = write_tables(folder / name, tables, facts, json_files[name], options.overwrite)
         table = SkeletonModel.default().table
         written += write_pictures(outcome, folder / name / "figures", table, 60.0)
@@ -114,11 +101,7 @@ def _human36m(options: argparse.Namespace) -> None:
             protocol, folder, overwrite=options.overwrite, workers=options.workers, progress=tell
         )
     tables = human36m.all_tables(protocol, outcome)
-    facts = {
-        "settings": protocol.settings(),
-        "rows": list(rows_of(outcome)),
-        "failed": outcome.failed,
-    }
+    facts = {"settings": protocol.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
     written = write_tables(folder, tables, facts, json_file, options.overwrite)
     table = SkeletonModel.human36m().table
     written += write_pictures(outcome, folder / "figures", table, RATE_HZ)
@@ -129,7 +112,8 @@ def _human36m(options: argparse.Namespace) -> None:
 
 def _json_file(options: argparse.Namespace, name: str = "") -> Path | None:
     """The file for all figures, with a name in its own; one that may not be written is refused before the
-    work."""
+    work.
+    """
     from rtof_kin.protocols.tables import check_json_file
 
     file: Path | None = options.json
@@ -215,9 +199,7 @@ def _add_run(parser: argparse.ArgumentParser, default: str, save_example: str) -
     """Arguments of every protocol."""
     parser.add_argument("--save", type=Path, metavar="DIR", help=f"write {save_example} and so on")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there as well")
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="processes; one per core if not given"
-    )
+    parser.add_argument("--workers", type=int, metavar="N", help="processes; one per core if not given")
     add_output(parser, default, "folder for tables, figures and what is done so far: the same "
                "command goes on there after an interruption")  # fmt: skip
 
@@ -229,16 +211,10 @@ def _add_total_capture(commands: Any) -> None:
         "each camera by itself; tables stand beside the paper's, with the rows that calibrate its "
         "acceleration and jerk errors.",
     )  # fmt: skip
-    parser.add_argument(
-        "--root", type=Path, required=True, metavar="DIR", help="folder of the dataset"
-    )
+    parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="folder of the dataset")
     parser.add_argument("--subjects", default="S1,S2,S3,S4,S5", help="separated by commas")
-    parser.add_argument(
-        "--takes", metavar="TAKES", help="the paper's three test takes if not given"
-    )
-    parser.add_argument(
-        "--cameras", default="1,3,4,5,6,7,8", help="numbers; camera 2 is miscalibrated"
-    )
+    parser.add_argument("--takes", metavar="TAKES", help="the paper's three test takes if not given")
+    parser.add_argument("--cameras", default="1,3,4,5,6,7,8", help="numbers; camera 2 is miscalibrated")
     parser.add_argument(
         "--keypoints", default="ground-truth", metavar="DIR",
         help="'ground-truth', or a folder with a detector's 2D (TC_S5_acting3_cam1.npz or .csv)",
@@ -270,7 +246,9 @@ def _add_total_capture(commands: Any) -> None:
         "--no-studies", action="store_true", help="leave out the tables of fragment length and k_V"
     )
     parser.add_argument(
-        "--lifter", type=Path, metavar="CHECKPOINT",
+        "--lifter",
+        type=Path,
+        metavar="CHECKPOINT",
         help="a file, or a shipped one: detections (the default), perfect, causal",
     )
     parser.add_argument("--seed", type=int, default=0, help="of all noise; same seed, same table")
@@ -283,9 +261,7 @@ def _add_human36m(commands: Any) -> None:
         "DIR holds the archives that VideoPose3D makes of the dataset (data_3d_h36m.npz and "
         "data_2d_h36m_gt.npz or a detector's). Vision alone: lift and rto, 17 joints, S9 and S11.",
     )  # fmt: skip
-    parser.add_argument(
-        "--root", type=Path, required=True, metavar="DIR", help="folder of the archives"
-    )
+    parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="folder of the archives")
     parser.add_argument(
         "--lifter", type=Path, required=True, metavar="CHECKPOINT",
         help="a 17-joint lifter: rtof-kin train --human36m DIR; those that are shipped have 21",
@@ -298,9 +274,7 @@ def _add_human36m(commands: Any) -> None:
         "--keypoints", default="gt", metavar="KIND", help="gt, cpn_ft_h36m_dbb, detectron_ft_h36m"
     )
     parser.add_argument("--subjects", default="S9,S11", help="separated by commas")
-    parser.add_argument(
-        "--actions", metavar="NAMES", help="such as Walking,Eating; all if not given"
-    )
+    parser.add_argument("--actions", metavar="NAMES", help="such as Walking,Eating; all if not given")
     parser.add_argument("--cameras", default="0,1,2,3", help="numbers")
     parser.add_argument("--modes", default="lift,rto", help="stages to measure")
     _add_run(parser, "out/human36m", "DIR/S9/Walking/cam0/rto/motion.npz")

@@ -77,7 +77,7 @@ def _calibrate(options: argparse.Namespace) -> None:
     use_threads(options)
     from rtof_kin.calibration.file import write_self_calibration_toml
     from rtof_kin.core.files.folder import check_new_file, check_replaceable
-    from rtof_kin.reconstruction.consistency_checks import contradictions
+    from rtof_kin.reconstruction.consistency_checks import consistency_warnings
     from rtof_kin.reconstruction.pipeline import calibrate_recording
     from rtof_kin.recording.recording import INDEX, Recording
     from rtof_kin.report.audit import calibration_findings
@@ -90,10 +90,8 @@ def _calibrate(options: argparse.Namespace) -> None:
     check_new_file(options.output, options.overwrite)
     recording = Recording.load(options.recording)
     with progress() as tell:
-        found = calibrate_recording(
-            recording, lifter=_lifter(options), settings=settings, progress=tell
-        )
-    doubts = (Finding.doubt("calibration", "recording", s) for s in contradictions(recording, found))
+        found = calibrate_recording(recording, lifter=_lifter(options), settings=settings, progress=tell)
+    doubts = (Finding.doubt("calibration", "recording", s) for s in consistency_warnings(recording, found))
     print_headline(headline((*doubts, *calibration_findings(found))))
     print_calibration(found)
     write_self_calibration_toml(options.output, found, options.overwrite)
@@ -319,7 +317,9 @@ def _add_simulate(commands: Any) -> None:
         "given, '' for none",
     )
     parser.add_argument(
-        "--camera", type=int, choices=range(4),
+        "--camera",
+        type=int,
+        choices=range(4),
         help="which of four around the motion; the one that sees most of it where not given",
     )
     parser.add_argument("--rate", type=float, metavar="HZ", help="true frame rate of the file")

@@ -14,14 +14,7 @@ from typing import Any
 from rich.table import Table
 
 from rtof_kin.cli.solver_options import add_solver_options, settings_of, use_threads
-from rtof_kin.cli.terminal import (
-    add_output,
-    command,
-    out,
-    print_files,
-    print_headline,
-    progress,
-)
+from rtof_kin.cli.terminal import add_output, command, out, print_files, print_headline, progress
 
 
 def add_commands(commands: Any) -> None:
@@ -67,9 +60,7 @@ def _study(options: argparse.Namespace) -> None:
         out.print(f"{len(recording.imus.names)} sensors: {runs} reconstructions, one after the other")
     lifter = Lifter.load(options.lifter) if camera else None
     with progress() as tell, _quiet():
-        study = study_sensors(
-            recording, greedy=greedy, lifter=lifter, settings=settings, progress=tell
-        )
+        study = study_sensors(recording, greedy=greedy, lifter=lifter, settings=settings, progress=tell)
     verdict = headline(audit(study.reconstruction))
     print_headline(verdict, "all sensors: ")
     with new_folder(options.output, MARKER, options.overwrite) as folder:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.threads import USUAL, limit_threads
-from rtof_kin.solve.cartesian.settings import SPACES, FragmentSettings
+from rtof_kin.solve.cartesian.settings import SPACES, CartesianSettings
 
 if TYPE_CHECKING:
     from rtof_kin.reconstruction.prepare import ReconstructionSettings
@@ -80,4 +80,4 @@ def settings_of(options: argparse.Namespace, mode: str = "rtof") -> Reconstructi
     )  # fmt: skip
     if not options.paper:
         return settings
-    return settings.with_fragment(FragmentSettings.paper(options.backend or "ipopt"))
+    return settings.with_fragment(CartesianSettings.paper(options.backend or "ipopt"))

@@ -47,15 +47,11 @@ def command(
     return parser
 
 
-def add_output(
-    parser: argparse.ArgumentParser, default: str | None, what: str, **how: Any
-) -> None:
+def add_output(parser: argparse.ArgumentParser, default: str | None, what: str, **how: Any) -> None:
     parser.add_argument(
         "-o", "--output", default=default, required=default is None, metavar="OUT", help=what, **how
     )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace what an earlier run wrote there"
-    )
+    parser.add_argument("--overwrite", action="store_true", help="replace what an earlier run wrote there")
 
 
 @contextmanager

@@ -50,7 +50,8 @@ def angle_sigmas(
 
 def angle_rates(sequence: str, R: Array) -> Array:
     """Derivatives (T, 3, 3) of the three angles of rotations (T, 3, 3) by a small rotation vector e of
-    ``R @ exp(e)``; by central differences."""
+    ``R @ exp(e)``; by central differences.
+    """
     columns = []
     for axis in np.eye(3):
         later, earlier = (jcs.decompose(sequence, R @ so3.exp(s * _STEP * axis)) for s in (1, -1))

@@ -113,9 +113,7 @@ def angle_table(skeleton: SkeletonTable) -> AngleTable:
             "skeleton in the table of clinical angles", [skeleton.name], list(data["segments"])
         )
     segments = _segments(data["segments"][skeleton.name])
-    entries = [
-        (entry, side) for entry in data["joint"] for side in (SIDES if entry.get("sides") else ("",))
-    ]
+    entries = [(entry, side) for entry in data["joint"] for side in (SIDES if entry.get("sides") else ("",))]
     return AngleTable(tuple(_joint(entry, side, segments, skeleton) for entry, side in entries), segments)
 
 

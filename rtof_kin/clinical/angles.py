@@ -153,9 +153,7 @@ def clinical_angles(
     R = jcs.relative_rotations(poses.R_world_bone, skeleton, table)
     levels = segment_levels(poses, skeleton)
     seen_by = _seen_by(poses, skeleton, levels)
-    parts = [
-        _joint_angles(joint, R[joint.name], poses.names, seen_by, levels) for joint in table.joints
-    ]
+    parts = [_joint_angles(joint, R[joint.name], poses.names, seen_by, levels) for joint in table.joints]
     values, provenance, singular = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
     sigma = None
     if isinstance(motion, MotionSequence) and motion.confidence is not None:
@@ -165,9 +163,7 @@ def clinical_angles(
     notes = _notes(table, values, provenance)
     if note := untrusted_note(poses.times, table.rows, np.isfinite(values), trusted):
         notes += (note,)
-    return ClinicalAngles(
-        poses.times, values, provenance, singular, table.rows, notes, sigma, trusted
-    )
+    return ClinicalAngles(poses.times, values, provenance, singular, table.rows, notes, sigma, trusted)
 
 
 def all_observed(poses: PoseSequence) -> PoseSequence:
@@ -175,11 +171,10 @@ def all_observed(poses: PoseSequence) -> PoseSequence:
     return replace(poses, orientation_observed=np.ones(len(poses.names), dtype=np.bool_))
 
 
-def _seen_by(
-    poses: PoseSequence, skeleton: SkeletonModel, levels: NDArray[np.int_]
-) -> NDArray[np.uint8]:
+def _seen_by(poses: PoseSequence, skeleton: SkeletonModel, levels: NDArray[np.int_]) -> NDArray[np.uint8]:
     """(T, J) `Provenance` of each segment: its joint's; where nobody saw that but all of its turn, who
-    saw its far ends, or the sensor of one that has none."""
+    saw its far ends, or the sensor of one that has none.
+    """
     out = np.array(poses.provenance)
     for j in range(len(skeleton.names) if out.any() else 0):
         ends = poses.provenance[:, kinematics.children_of(skeleton.parents, j)]
@@ -234,7 +229,8 @@ def _bend(raw: Array) -> Array:
 
 def _fixed(raw: Array) -> NDArray[np.bool_]:
     """(3,) which angles stand still to a thousandth of a degree while the first one moves: no joint of a
-    person does that, so the model that made the motion has a hinge there."""
+    person does that, so the model that made the motion has a hinge there.
+    """
     known = raw[np.isfinite(raw).all(axis=1)]
     if len(known) == 0:
         return np.zeros(3, dtype=np.bool_)

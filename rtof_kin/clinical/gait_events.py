@@ -123,9 +123,10 @@ def _heel_and_toe(
     poses: PoseSequence, skeleton: SkeletonModel, table: AngleTable, side: str, notes: list[str]
 ) -> tuple[Array, Array]:
     """Paths (T, 3) of heel and toe, NaN while the foot's place or turn was not seen; both the ankle's,
-    NaN while that was not seen, where the turn was for less than half of that time."""
+    NaN while that was not seen, where the turn was for less than half of that time.
+    """
     (foot,) = skeleton.index(table.segments[f"{side} foot"])
-    seen = poses.located[:, foot]
+    seen = poses.position_observed[:, foot]
     turned = seen & poses.orientation_observed[:, foot]
     unseen = int(seen.sum() - turned.sum())
     if unseen > turned.sum():

@@ -83,7 +83,8 @@ def compose(sequence: str, angles: Array) -> Array:
 
 def near_singular(sequence: str, angles: Array) -> NDArray[np.bool_]:
     """(...) whether angles (..., 3) are within 5 degrees of a posture where only the sum of the outer
-    two is defined."""
+    two is defined.
+    """
     middle = angles[..., 1]
     distance = np.abs(np.sin(middle) if sequence == "yxy" else np.cos(middle))
     return np.asarray(distance < np.sin(SINGULAR_MARGIN))
@@ -121,9 +122,7 @@ def _whole_turns(angle: Array) -> Array:
     return np.asarray(2 * np.pi * np.round(angle / (2 * np.pi)))
 
 
-def relative_rotations(
-    R_world_bone: Array, skeleton: SkeletonModel, table: AngleTable
-) -> dict[str, Array]:
+def relative_rotations(R_world_bone: Array, skeleton: SkeletonModel, table: AngleTable) -> dict[str, Array]:
     """R_parent_child (T, 3, 3) in ISB frames of every joint coordinate system, mirrored if left."""
     R_world_isb = R_world_bone @ isb_frames(skeleton, table)
     out = {}

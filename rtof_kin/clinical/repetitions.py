@@ -71,7 +71,8 @@ class RepetitionAnalysis:
     @property
     def total_time(self) -> float:
         """Seconds from the start of the first to the end of the last (of five times sit-to-stand, the
-        figure of that test); NaN without any."""
+        figure of that test); NaN without any.
+        """
         starts = [r.descent if self.kind == "squat" else r.ascent for r in self.repetitions]
         stops = [r.ascent for r in self.repetitions]
         if not starts or starts[0] is None or stops[-1] is None:
@@ -125,7 +126,7 @@ def _pelvis_height(
     poses: PoseSequence, skeleton: SkeletonModel, table: AngleTable, notes: list[str]
 ) -> Array:
     """(T,) m over the mean of the ankles that were seen all the time; NaN where not known."""
-    height = np.where(poses.located, poses.p_world_joint[..., 2], np.nan)
+    height = np.where(poses.position_observed, poses.p_world_joint[..., 2], np.nan)
     words = ("pelvis", *(f"{side} foot" for side in SIDES))
     pelvis, *ankles = height[:, skeleton.index(*(table.segments[word] for word in words))].T
     seen = [ankle for ankle in ankles if np.isfinite(ankle).any()]

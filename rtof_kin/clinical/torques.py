@@ -62,7 +62,8 @@ class JointTorques:
     @property
     def body_weights(self) -> Array:
         """(T,) vertical force from outside in body weights; 1 on average over any cycle that ends as it
-        began."""
+        began.
+        """
         return np.asarray(self.root_wrench[:, 2] / (self.weight_kg * STANDARD_GRAVITY))
 
 
@@ -175,7 +176,7 @@ def _size_notes(skeleton: SkeletonModel, height: float | None) -> list[str]:
 def _inverse_dynamics(
     skeleton: SkeletonModel, q: Array, times: Array, carries: NDArray[np.int_]
 ) -> tuple[Array, Array, Array]:
-    """tau (T, nv), outer wrench (T, 6) and its unattributed part (T, 6), about the root in world axes."""
+    """Tau (T, nv), outer wrench (T, 6) and its unattributed part (T, 6), about the root in world axes."""
     q = _smooth_configurations(q, float(1 / np.median(np.diff(times))))
     v = joint_velocities(skeleton, q, times)
     a = np.gradient(v, times, axis=0)

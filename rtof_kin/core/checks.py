@@ -79,6 +79,4 @@ def checked_rotations(field: str, R: Array) -> None:
         known = np.argwhere(~missing)
         first = next(i for i in known if not so3.is_rotation(R[tuple(i)], tolerance=1e-5))
         at = ", ".join(map(str, first))
-        raise ShapeError(
-            f"{field}: not a rotation matrix at index ({at}); normalise quaternions before use"
-        )
+        raise ShapeError(f"{field}: not a rotation matrix at index ({at}); normalise quaternions before use")

@@ -34,9 +34,7 @@ class UnknownNameError(RtofError, KeyError):
         unknown = list(unknown)
         hints = [match for name in unknown for match in get_close_matches(name, known, n=1)]
         hint = f" Did you mean {', '.join(map(repr, hints))}?" if hints else ""
-        super().__init__(
-            f"unknown {kind} {', '.join(map(repr, unknown))}.{hint} Known: {', '.join(known)}"
-        )
+        super().__init__(f"unknown {kind} {', '.join(map(repr, unknown))}.{hint} Known: {', '.join(known)}")
 
     def __str__(self) -> str:
         return str(self.args[0])

@@ -46,9 +46,7 @@ def right_jacobian_inverse(rotvec: Array) -> Array:
     """(..., 3, 3): by how much log(exp(v) exp(d)) changes with a small d (Sola et al. 2018, eq. 144)."""
     angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
     safe = np.maximum(angle, 1e-3)
-    factor = np.where(
-        angle > 1e-3, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe)), 1 / 12
-    )
+    factor = np.where(angle > 1e-3, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe)), 1 / 12)
     K = so3.skew(rotvec)
     return np.asarray(np.eye(3) + K / 2 + factor * (K @ K))
 

@@ -10,11 +10,7 @@ PACKAGED = Path(__file__).parents[1] / "models"
 """Where an installed package carries its models."""
 CHECKOUT = Path(__file__).parents[2] / "models"
 """Where a checkout of the source keeps the same files."""
-LIFTERS = {
-    "detections": "lifter.pt",
-    "perfect": "lifter_perfect.pt",
-    "causal": "lifter_causal.pt",
-}
+LIFTERS = {"detections": "lifter.pt", "perfect": "lifter_perfect.pt", "causal": "lifter_causal.pt"}
 """Lifters that ship with the package, by name. detections: the default, for real detectors. perfect: for
 projected ground truth. causal: without delay, for streaming."""
 DEFAULT_LIFTER = "detections"

@@ -44,9 +44,7 @@ def _in_gap(t: Array, at: Array, max_gap: float) -> NDArray[np.bool_]:
     return np.asarray(between & (t[right] - t[left] > max_gap * (1 + 1e-9)))
 
 
-def interpolate_rotations(
-    times: Array, R: Array, at: ArrayLike, max_gap: float = np.inf
-) -> Array:
+def interpolate_rotations(times: Array, R: Array, at: ArrayLike, max_gap: float = np.inf) -> Array:
     """Rotations (T, S, 3, 3) on the geodesic at other instants; gaps stay open as in `interpolate`.
 
     Returns:
@@ -92,9 +90,7 @@ def hat_average(
     count = int(np.max(high - low, initial=0))
     # Knots: the kernel's corners and every sample under it, padded to one common number.
     inner = np.minimum(low[:, None] + np.arange(count), high[:, None] - 1)
-    samples = np.where(
-        np.arange(count) < (high - low)[:, None], times[np.clip(inner, 0, None)], at[:, None]
-    )
+    samples = np.where(np.arange(count) < (high - low)[:, None], times[np.clip(inner, 0, None)], at[:, None])
     corners = at[:, None] + half_width * np.array([-1.0, 0.0, 1.0])
     knots = np.sort(np.concatenate([corners, samples], axis=1), axis=1)
     knots = np.clip(knots, times[0], times[-1])

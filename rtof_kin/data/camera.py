@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.checks import (
-    readonly,
-)
+from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import ShapeError
 
 Array = NDArray[np.float64]

@@ -90,7 +90,8 @@ class Confidence:
     @property
     def orientation_sigma(self) -> Array:
         """(T, J) standard deviation per axis of segments' orientations in world, rad; NaN where that is
-        not among the pairs."""
+        not among the pairs.
+        """
         return np.stack([per_axis(self.turn(WORLD, name)) for name in self.names], axis=1)
 
     def turn(self, parent: str, child: str) -> Array:
@@ -132,7 +133,8 @@ def _check_covariance(field: str, covariance: Array) -> None:
 
 def _least_minors(matrices: Array) -> Array:
     """(n,) smallest principal minor of symmetric matrices (n, 3, 3), negative where one is not positive
-    semidefinite (Sylvester)."""
+    semidefinite (Sylvester).
+    """
     a, b, c = (matrices[:, i, i] for i in range(3))
     d, e, f = matrices[:, 1, 2], matrices[:, 0, 2], matrices[:, 0, 1]
     pairs = b * c - d * d, a * c - e * e, a * b - f * f

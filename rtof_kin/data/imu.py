@@ -15,20 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.core import signals
-from rtof_kin.core.checks import (
-    checked_names,
-    checked_rotations,
-    checked_times,
-    indices_of,
-    readonly,
-)
+from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, indices_of, readonly
 from rtof_kin.core.errors import ShapeError, UnitError
 
 Array = NDArray[np.float64]
 
 
-STANDARD_GRAVITY = 9.81
-GRAVITY_WORLD = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+STANDARD_GRAVITY = 9.80665
+"""[m/s^2]"""
+GRAVITY_WORLD = readonly("gravity", [0.0, 0.0, -STANDARD_GRAVITY], (3,))
 """Gravity in world, m/s^2. An accelerometer at rest reads its opposite."""
 _ABSURD_ACCELERATION = 1e4  # [m/s^2] hundreds of times what IMUs measure
 
@@ -92,7 +87,8 @@ class ImuSequence:
 
     def _feels_gravity(self, s: int, norm: Array) -> bool:
         """Whether a sensor's specific force (T,) in some unit has gravity in it: it is hardly ever small,
-        or its mean in the reference is most of it."""
+        or its mean in the reference is most of it.
+        """
         if np.nanquantile(norm, 0.1) > 0.7 * np.nanmedian(norm):
             return True
         f = np.einsum("tij,tj->ti", self.R_inertial_sensor[:, s], self.f_sensor[:, s])
@@ -222,7 +218,8 @@ class BoneImuSequence:
 
     def low_passed(self, cutoff_hz: float) -> Self:
         """The same sensors, their accelerations without what is faster than a frequency. What no sensor
-        measures stays as it is, and is kept out of the others."""
+        measures stays as it is, and is kept out of the others.
+        """
         absurd = (np.abs(self.a_world) > _ABSURD_ACCELERATION).any(axis=-1, keepdims=True)
         out = np.where(absurd, np.nan, self.a_world)
         for s in range(len(self.joints)):
@@ -245,8 +242,6 @@ class BoneImuSequence:
         return replace(
             self,
             times=times,
-            R_world_bone=signals.interpolate_rotations(
-                self.times, self.R_world_bone, times, max_gap
-            ),
+            R_world_bone=signals.interpolate_rotations(self.times, self.R_world_bone, times, max_gap),
             a_world=signals.hat_average(self.times, self.a_world, times, step, max_gap),
         )

@@ -78,7 +78,8 @@ class Declaration:
 
     def rotations(self, quaternions: Array) -> Array:
         """R_inertial_sensor (T, 3, 3), reference with z up, of quaternions (T, 4); NaN where not finite
-        or of no length. Their norm is not looked at: a check does that."""
+        or of no length. Their norm is not looked at: a check does that.
+        """
         order = [0, 1, 2, 3] if self.quaternion_order == "wxyz" else [3, 0, 1, 2]
         quat_wxyz = np.asarray(quaternions, dtype=np.float64)[..., order]
         with np.errstate(over="ignore"):

@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class SensorStream:
     """What one sensor measured, at times of its own. What it does not measure is None; a sample or a
-    component that is missing is NaN; a packet that was lost is not there, which its times show."""
+    component that is missing is NaN; a packet that was lost is not there, which its times show.
+    """
 
     name: str
     times: Array

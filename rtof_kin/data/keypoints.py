@@ -13,11 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.checks import (
-    checked_names,
-    checked_times,
-    readonly,
-)
+from rtof_kin.core.checks import checked_names, checked_times, readonly
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.data.camera import Camera
 
@@ -60,10 +56,7 @@ class KeypointSequence:
 
     def __getitem__(self, frames: slice) -> Self:
         return replace(
-            self,
-            times=self.times[frames],
-            uv_px=self.uv_px[frames],
-            confidence=self.confidence[frames],
+            self, times=self.times[frames], uv_px=self.uv_px[frames], confidence=self.confidence[frames]
         )
 
     @property

@@ -13,12 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.checks import (
-    checked_names,
-    checked_rotations,
-    checked_times,
-    readonly,
-)
+from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, readonly
 from rtof_kin.core.errors import ShapeError
 
 Array = NDArray[np.float64]
@@ -56,7 +51,7 @@ class PoseSequence:
     parent. One row (J,) stands for all frames; all False where not given."""
     direction_observed: NDArray[np.bool_] = None  # type: ignore[assignment]
     """(T, J) whether points of the segment beside joints showed the direction of its bone, as the far end
-    of a hand does; what joints show of it follows from `located`. Given like `orientation_observed`."""
+    of a hand does; what joints show of it follows from `position_observed`. Given like `orientation_observed`."""
     sigma_rad: Array = None  # type: ignore[assignment]
     """(T, J) standard deviation per axis of the orientations, rad; NaN where it is not known, as it is
     everywhere where not given."""
@@ -94,11 +89,12 @@ class PoseSequence:
         return len(self.times)
 
     def __getitem__(self, frames: slice) -> Self:
-        return self.posed(frames, self.p_world_joint[frames])
+        return self.with_poses(frames, self.p_world_joint[frames])
 
-    def posed(self, frames: slice, p_world_joint: Array, R_world_bone: Array | None = None) -> Self:
+    def with_poses(self, frames: slice, p_world_joint: Array, R_world_bone: Array | None = None) -> Self:
         """Some of the frames in other poses; with the same orientations where none are given, else their
-        spread is not known any more."""
+        spread is not known any more.
+        """
         sigma_rad = self.sigma_rad[frames]
         return replace(
             self,
@@ -113,7 +109,7 @@ class PoseSequence:
         )
 
     @property
-    def located(self) -> NDArray[np.bool_]:
+    def position_observed(self) -> NDArray[np.bool_]:
         """(T, J) whether somebody saw where a joint is; without any provenance, whether it is valid."""
         given = bool(self.provenance.any())
         return np.asarray(self.valid & ((self.provenance >= Provenance.IMU) | (not given)))

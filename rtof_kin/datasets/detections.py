@@ -109,9 +109,7 @@ def _landmarks(folder: Path, skeleton: SkeletonModel) -> tuple[str, ...]:
         raise FileFormatError(path, f"not readable ({error})") from error
 
 
-def _find(
-    folder: Path, subject: str, take: str, number: int, formats: Sequence[str]
-) -> Path:
+def _find(folder: Path, subject: str, take: str, number: int, formats: Sequence[str]) -> Path:
     """The file of a take and camera, or its folder of .json; copies of a file do not matter."""
     if not folder.is_dir():
         raise FileFormatError(folder, "there is no such folder of detections")
@@ -126,9 +124,7 @@ def _find(
     found = [p for p in every if is_wanted(p.with_suffix(""))]
     found += {p.parent for p in every if p.suffix.lower() == ".json" and is_wanted(p.parent)}
     if len(found) > 1 and any(p.is_dir() for p in found):
-        raise FileFormatError(
-            found[0], f"{found[-1]} claims to be the same detections; remove the wrong one"
-        )
+        raise FileFormatError(found[0], f"{found[-1]} claims to be the same detections; remove the wrong one")
     path = only_one(sorted(found))
     if path is None:
         raise FileFormatError(

@@ -81,9 +81,7 @@ class Human36M:
         root: the folder. skeleton: the 17-joint skeleton as it is shipped.
     """
 
-    def __init__(
-        self, root: str | Path, cameras: str | Path | None = None, keypoints: str = "gt"
-    ) -> None:
+    def __init__(self, root: str | Path, cameras: str | Path | None = None, keypoints: str = "gt") -> None:
         """Name the files.
 
         Args:
@@ -101,9 +99,7 @@ class Human36M:
     def sequences(self) -> tuple[tuple[str, str], ...]:
         """(subject, action) of every motion there is, subjects by number, actions by name."""
         motions = self._archives.all_positions
-        return tuple(
-            (subject, a) for subject in by_number(motions) for a in sorted(motions[subject])
-        )
+        return tuple((subject, a) for subject in by_number(motions) for a in sorted(motions[subject]))
 
     @property
     def cameras(self) -> Mapping[str, Mapping[int, Camera]]:
@@ -192,9 +188,7 @@ class Human36M:
             joint_offsets=motion.joint_offsets,
             truth=truth,
             acknowledgement=ACKNOWLEDGEMENT,
-            notes=self._remark(
-                subject, action, camera, _reprojection(cam, truth.p_world_joint, uv)
-            ),
+            notes=self._remark(subject, action, camera, _reprojection(cam, truth.p_world_joint, uv)),
         )
 
     def _poses(self, motion: Motion, frames: int) -> PoseSequence:

@@ -69,9 +69,7 @@ def _read_json(path: Path) -> dict[str, dict[int, Camera]]:
     for subject, entries in _table(path, "extrinsics", top.get("extrinsics")).items():
         placed = _table(path, f"extrinsics of {subject}", entries)
         found = {
-            i: _json_camera(
-                path, i, f"{subject}, camera {name}", intrinsics.get(name), placed[name]
-            )
+            i: _json_camera(path, i, f"{subject}, camera {name}", intrinsics.get(name), placed[name])
             for i, name in enumerate(CAMERA_IDS)
             if placed.get(name)
         }
@@ -133,16 +131,12 @@ def _literal(path: Path, text: str, name: str) -> Any:
         raise FileFormatError(
             path, f"{name} is not written out in numbers ({error}); it is read, never run"
         ) from error
-    raise FileFormatError(
-        path, f"there is no {name} in it; name VideoPose3D's common/h36m_dataset.py"
-    )
+    raise FileFormatError(path, f"there is no {name} in it; name VideoPose3D's common/h36m_dataset.py")
 
 
 def _source_camera(path: Path, where: str, intrinsic: Mapping[str, Any], extrinsic: Any) -> Camera:
     extrinsic = _table(path, where, extrinsic)
-    (fx, fy), (cx, cy) = (
-        _array(path, where, intrinsic, field, (2,)) for field in ("focal_length", "center")
-    )
+    (fx, fy), (cx, cy) = (_array(path, where, intrinsic, field, (2,)) for field in ("focal_length", "center"))
     quat_wxyz = _array(path, where, extrinsic, "orientation", (4,))
     if abs(np.linalg.norm(quat_wxyz) - 1) > 1e-3:
         raise FileFormatError(path, f"{where}: orientation is not a unit quaternion")
@@ -171,11 +165,7 @@ def _table(path: Path, where: str, value: Any) -> Mapping[str, Any]:
 
 
 def _array(
-    path: Path,
-    where: str,
-    table: Mapping[str, Any],
-    field: str,
-    shape: tuple[int, ...] | None = None,
+    path: Path, where: str, table: Mapping[str, Any], field: str, shape: tuple[int, ...] | None = None
 ) -> Array:
     """A field's finite numbers, of that shape if one is given."""
     try:
@@ -186,9 +176,7 @@ def _array(
         raise FileFormatError(path, f"{where}: {field} is not made of numbers ({error})") from error
     finite = np.all(np.isfinite(array)) and measurable(array)
     if (shape is not None and array.shape != shape) or not finite:
-        raise FileFormatError(
-            path, f"{where}: {field} is not finite, or not of shape {shape}: {array.shape}"
-        )
+        raise FileFormatError(path, f"{where}: {field} is not finite, or not of shape {shape}: {array.shape}")
     return array
 
 

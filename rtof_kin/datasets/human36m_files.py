@@ -142,9 +142,7 @@ def _numbers(path: Path, where: str, value: Any, shape: tuple[int, int]) -> Arra
     """An array of T rows of that shape as float64, with NaN for what is not finite."""
     if not isinstance(value, np.ndarray) or value.ndim != 3 or value.shape[1:] != shape:
         have = getattr(value, "shape", type(value).__name__)
-        raise FileFormatError(
-            path, f"{where}: expected shape (T, {shape[0]}, {shape[1]}), got {have}"
-        )
+        raise FileFormatError(path, f"{where}: expected shape (T, {shape[0]}, {shape[1]}), got {have}")
     with np.errstate(invalid="ignore"):  # some NaNs are said to be invalid when they are cast
         numbers = value.astype(np.float64)
     return np.where(np.abs(numbers) <= LARGEST_NUMBER, numbers, np.nan)

@@ -23,9 +23,7 @@ LARGEST_RATIO = 1000
 """A member that grows more than this when it is unpacked is refused."""
 
 
-def read_object_npz(
-    path: str | Path, wanted: Sequence[str], limit: int = LARGEST_BYTES
-) -> dict[str, Any]:
+def read_object_npz(path: str | Path, wanted: Sequence[str], limit: int = LARGEST_BYTES) -> dict[str, Any]:
     """Members of an .npz file whose objects are data; nothing in the file is ever executed.
 
     Args:
@@ -51,9 +49,7 @@ def read_object_npz(
                     found[name] = _read_member(path, name, stream, member.file_size)
             return found
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, MemoryError) as error:
-        raise FileFormatError(
-            path, f"damaged, or no NPZ archive ({error}); get it again"
-        ) from error
+        raise FileFormatError(path, f"damaged, or no NPZ archive ({error}); get it again") from error
 
 
 def _members(
@@ -63,9 +59,7 @@ def _members(
     there = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
     for name in wanted:
         if name not in there:
-            raise FileFormatError(
-                path, f"no member {name!r}; there is {', '.join(there) or 'none'}"
-            )
+            raise FileFormatError(path, f"no member {name!r}; there is {', '.join(there) or 'none'}")
         member = there[name]
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise FileFormatError(path, f"{name}: packed in a way that NumPy never uses")
@@ -92,15 +86,6 @@ def _read_member(path: Path, name: str, stream: IO[bytes], size: int) -> Any:
         return value
     except RefusedError as error:
         raise FileFormatError(path, f"{name}: not opened: {error}") from error
-    except (
-        ValueError,
-        LookupError,
-        TypeError,
-        OverflowError,
-        SyntaxError,
-        RecursionError,
-    ) as error:
+    except (ValueError, LookupError, TypeError, OverflowError, SyntaxError, RecursionError) as error:
         why = f"{type(error).__name__}: {str(error)[:200]}"
-        raise FileFormatError(
-            path, f"{name}: damaged, or no array ({why}); get it again"
-        ) from error
+        raise FileFormatError(path, f"{name}: damaged, or no array ({why}); get it again") from error

@@ -40,18 +40,8 @@ from rtof_kin.datasets.total_capture_files import (
     only_one,
 )
 from rtof_kin.datasets.total_capture_take import ACKNOWLEDGEMENT, Take
-from rtof_kin.datasets.total_capture_truth import (
-    RATE_HZ,
-    SEGMENT_OF_BONE,
-    WORLD_OF_VICON,
-    read_truth,
-)
-from rtof_kin.formats.total_capture import (
-    SensorTable,
-    read_cameras,
-    read_imu_calibration,
-    read_sensors,
-)
+from rtof_kin.datasets.total_capture_truth import RATE_HZ, SEGMENT_OF_BONE, WORLD_OF_VICON, read_truth
+from rtof_kin.formats.total_capture import SensorTable, read_cameras, read_imu_calibration, read_sensors
 from rtof_kin.recording import files
 
 __all__ = [
@@ -140,8 +130,7 @@ class TotalCapture:
         truth = read_truth(key, partial(self.index.one, key), partial(self._others, key))
         if truth is None:
             raise FileFormatError(
-                self.root,
-                f"{' '.join(key)} has no gt_skel_gbl_pos.txt and no BVH file: no ground truth",
+                self.root, f"{' '.join(key)} has no gt_skel_gbl_pos.txt and no BVH file: no ground truth"
             )
         notes = list(truth.notes)
         imus, calibration = self._imus(key, len(truth.poses), notes)
@@ -209,9 +198,7 @@ class TotalCapture:
         )
 
 
-def _sequence(
-    path: Path, table: SensorTable, names: list[str], frames: int, notes: list[str]
-) -> ImuSequence:
+def _sequence(path: Path, table: SensorTable, names: list[str], frames: int, notes: list[str]) -> ImuSequence:
     """The sensors named, at times of their own."""
     count = len(table.quat_wxyz)
     if count != frames:
@@ -225,9 +212,7 @@ def _sequence(
         notes.append(f"{names[sensor]}: no acceleration in {lost} frames, left open")
     f[dead] = np.nan
     f[:_STAMP_FRAMES] = np.nan
-    notes.append(
-        f"accelerations of the first {_STAMP_FRAMES} frames left open: a foot may be stamped"
-    )
+    notes.append(f"accelerations of the first {_STAMP_FRAMES} frames left open: a foot may be stamped")
     with files.naming(path):
         return ImuSequence(np.arange(count) / RATE_HZ, R, f, tuple(names))
 

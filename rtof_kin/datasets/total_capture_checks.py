@@ -58,7 +58,8 @@ class Checkable(Protocol):
 
 def check_take(take: Checkable) -> list[Check]:
     """T-pose and facing at frame 0, a body's size, a rigid skeleton, and every sensor against the
-    reference."""
+    reference.
+    """
     checks = [*_check_start(take), _check_size(take), _check_bones(take)]
     if take.imus is not None and take.calibration is not None:
         bone_imus = take.calibration.apply(take.imus)
@@ -140,9 +141,7 @@ def _check_bones(take: Checkable) -> Check:
                  "The reference's bones are rigid: are the positions damaged?")  # fmt: skip
 
 
-def _check_orientations(
-    take: Checkable, imus: BoneImuSequence, sensors: tuple[str, ...]
-) -> list[Check]:
+def _check_orientations(take: Checkable, imus: BoneImuSequence, sensors: tuple[str, ...]) -> list[Check]:
     """Median angle between the segment as a sensor and as the reference has it, where that is known."""
     truth = take.truth
     count = min(len(truth), len(imus))
@@ -164,9 +163,7 @@ def _check_orientations(
     ]  # fmt: skip
 
 
-def _check_accelerations(
-    take: Checkable, imus: BoneImuSequence, sensors: tuple[str, ...]
-) -> Iterator[Check]:
+def _check_accelerations(take: Checkable, imus: BoneImuSequence, sensors: tuple[str, ...]) -> Iterator[Check]:
     """Mean of a sensor's acceleration less gravity, and less what the reference has at its place.
 
     Over a long take the reference's is nothing; over a short one it is the change of velocity.

@@ -28,9 +28,7 @@ TRAIN = tuple(
                  "acting1", "acting2")
 )  # fmt: skip
 """Takes of the paper's training set. (It lists a running take too; none was ever handed out.)"""
-TEST = tuple(
-    (subject, take) for subject in SUBJECTS for take in ("walking2", "acting3", "freestyle3")
-)
+TEST = tuple((subject, take) for subject in SUBJECTS for take in ("walking2", "acting3", "freestyle3"))
 """Takes of the paper's test set."""
 KINDS = {
     "positions": "gt_skel_gbl_pos.txt",
@@ -131,10 +129,7 @@ def find_files(root: str | Path) -> FileIndex:
 def _forget_second_names(index: FileIndex) -> None:
     """What a link shows under a name that says nothing needs no word if another path says it."""
     known = {
-        os.path.realpath(path)
-        for kinds in index.files.values()
-        for paths in kinds.values()
-        for path in paths
+        os.path.realpath(path) for kinds in index.files.values() for paths in kinds.values() for path in paths
     }
     index.unassigned[:] = [p for p in index.unassigned if os.path.realpath(p) not in known]
 

@@ -18,11 +18,7 @@ from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.datasets.total_capture_checks import (
-    check_camera,
-    check_keypoints,
-    check_take,
-)
+from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take
 from rtof_kin.datasets.total_capture_files import MISCALIBRATED
 from rtof_kin.datasets.total_capture_truth import RATE_HZ
 from rtof_kin.recording.recording import Recording
@@ -161,9 +157,7 @@ class Take:
             )
         return self.truth[:count]
 
-    def _sensors(
-        self, names: Sequence[str] | None
-    ) -> tuple[ImuSequence | None, ImuCalibration | None]:
+    def _sensors(self, names: Sequence[str] | None) -> tuple[ImuSequence | None, ImuCalibration | None]:
         if names is not None and not names:
             return None, None
         if self.imus is None or self.calibration is None or names is None:

@@ -183,21 +183,15 @@ def _offsets(parents: tuple[int, ...], p: Array, R: Array) -> tuple[Array, float
 def _why_not_rigid(p: Array, R: Array, skeleton: SkeletonModel, spread_mm: float) -> str:
     """The likely reason why joints do not keep their place in their parents' frames."""
     if np.isinf(spread_mm):
-        return (
-            "there is no frame in which a joint's position and its parent's orientation are known"
-        )
-    text = (
-        f"the skeleton is not rigid: joints move by {spread_mm:.3g} mm in their parents' frames. "
-    )
+        return "there is no frame in which a joint's position and its parent's orientation are known"
+    text = f"the skeleton is not rigid: joints move by {spread_mm:.3g} mm in their parents' frames. "
     known: NDArray[np.bool_] = np.asarray(np.isfinite(R).all(axis=(2, 3)))
     segment = WORLD_OF_VICON.T @ np.where(known[..., None, None], R, np.eye(3)) @ SEGMENT_OF_BONE
     quat_read = so3.to_quat_wxyz(segment)  # what stands in the file was read as x y z w
     as_wxyz = bone_rotations(so3.from_quat_wxyz(np.roll(quat_read, -1, axis=-1)))
     as_wxyz[~known] = np.nan
     if _offsets(skeleton.parents, p, as_wxyz)[1] < RIGID_MM:
-        return text + (
-            "This looks like quaternions w x y z, with which it is rigid; this file has x y z w"
-        )
+        return text + ("This looks like quaternions w x y z, with which it is rigid; this file has x y z w")
     return text + "Are positions and orientations of different takes?"
 
 
@@ -252,15 +246,10 @@ def _from_bvh(
 
 
 def _offsets_by_length(
-    p: Array,
-    skeleton: SkeletonModel,
-    others: Callable[[], Iterable[tuple[str, Array]]],
-    notes: list[str],
+    p: Array, skeleton: SkeletonModel, others: Callable[[], Iterable[tuple[str, Array]]], notes: list[str]
 ) -> Array:
     """Offsets for a take that has positions alone: another take's of equal bones, else scaled ones."""
-    lengths = np.median(
-        np.linalg.norm(p[:, 1:] - p[:, list(skeleton.parents[1:])], axis=-1), axis=0
-    )
+    lengths = np.median(np.linalg.norm(p[:, 1:] - p[:, list(skeleton.parents[1:])], axis=-1), axis=0)
     text = "no orientations: derived from the positions, twist unknown, with "
     for name, offsets in others():
         apart_mm = 1000 * np.abs(np.linalg.norm(offsets[1:], axis=-1) - lengths)

@@ -116,9 +116,7 @@ class ArticulatedMotion:
             moving = self.p_parent_joint
             offset = self.offsets[j] if moving is None else moving[:, j, :, None]
             arm = R_world_joint[:, parent] @ offset
-            p_world_joint[:, j] = p_world_joint[:, parent] + (
-                arm if moving is None else arm[..., 0]
-            )
+            p_world_joint[:, j] = p_world_joint[:, parent] + (arm if moving is None else arm[..., 0])
             R_world_joint[:, j] = R_world_joint[:, parent] @ self.R_parent_joint[:, j]
         return p_world_joint, R_world_joint
 

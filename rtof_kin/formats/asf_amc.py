@@ -56,9 +56,7 @@ class _Skeleton:
     parents: dict[str, str] = field(default_factory=dict)
 
 
-def read_asf_amc(
-    path_asf: str | Path, path_amc: str | Path, rate_hz: float = 120.0
-) -> ArticulatedMotion:
+def read_asf_amc(path_asf: str | Path, path_amc: str | Path, rate_hz: float = 120.0) -> ArticulatedMotion:
     """Read an Acclaim skeleton and a motion of it, in the file's axes and units.
 
     Args:
@@ -175,9 +173,7 @@ def _read_dofs(path: Path, line: int, words: Sequence[str]) -> tuple[str, ...]:
     dofs = tuple(word.lower() for word in words)
     if not set(dofs) <= {"tx", "ty", "tz", "rx", "ry", "rz"} or len(set(dofs)) < len(dofs):
         found = " ".join(words)[:40]
-        raise FileFormatError(
-            path, f"degrees of freedom {found!r}; known: TX ... RZ, once each", line
-        )
+        raise FileFormatError(path, f"degrees of freedom {found!r}; known: TX ... RZ, once each", line)
     return dofs
 
 
@@ -187,9 +183,7 @@ def _read_bones(path: Path, lines: list[tuple[int, str]], skeleton: _Skeleton) -
         key, *words = text.split()
         if key == "begin":
             if bone is not None:
-                raise FileFormatError(
-                    path, f"'begin' inside bone {bone.name!r}; 'end' is missing", line
-                )
+                raise FileFormatError(path, f"'begin' inside bone {bone.name!r}; 'end' is missing", line)
             bone = _Bone("", line)
         elif bone is None:
             raise FileFormatError(path, f"expected 'begin', found {text[:40]!r}", line)
@@ -287,9 +281,7 @@ def _read_frames(path: Path, bones: list[_Bone], angle_unit: float) -> tuple[lis
     if frames == 0:
         raise FileFormatError(path, "no frames", lines[-1][0])
     empty = np.zeros((frames, 0))
-    return [
-        _column(path, lines, bone, columns) if bone.dofs else empty for bone in bones
-    ], angle_unit
+    return [_column(path, lines, bone, columns) if bone.dofs else empty for bone in bones], angle_unit
 
 
 def _check_frame(path: Path, line: int, columns: dict[str, list[list[str]]], frames: int) -> None:

@@ -220,9 +220,7 @@ def _numbers(path: Path, rows: list[tuple[int, str]], width: int) -> Array:
     if bad.any():
         t, column = np.argwhere(bad)[0]
         raise FileFormatError(
-            path,
-            f"value {column + 1} is {cells[t][column][:40]!r}, not a finite number",
-            rows[t][0],
+            path, f"value {column + 1} is {cells[t][column][:40]!r}, not a finite number", rows[t][0]
         )
     return values
 

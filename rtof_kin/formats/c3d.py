@@ -154,11 +154,7 @@ def _read_parameters(path: Path, data: bytes) -> tuple[_Words, Parameters]:
 
 
 def _read_entry(
-    section: bytes,
-    at: int,
-    words: _Words,
-    groups: dict[int, str],
-    found: dict[tuple[int, str], _Parameter],
+    section: bytes, at: int, words: _Words, groups: dict[int, str], found: dict[tuple[int, str], _Parameter]
 ) -> int:
     """Read a group or a parameter; returns where the next one begins, 0 after the last one."""
     length, group = struct.unpack_from("<bb", section, at)
@@ -269,9 +265,7 @@ def _frames(parameters: Parameters, by_header: int, fitting: int) -> int:
 # --- writing -------------------------------------------------------------------------------------
 
 
-def write_c3d(
-    path: str | Path, markers: MarkerSequence, *, up: str = "z", overwrite: bool = False
-) -> None:
+def write_c3d(path: str | Path, markers: MarkerSequence, *, up: str = "z", overwrite: bool = False) -> None:
     """Write points in mm, which `read_c3d` reads back to the format's 32 bits.
 
     Args:

@@ -36,9 +36,7 @@ FURTHEST = 100.0
 _NOT_CAMERAS = ("metadata",)
 
 
-def read_camera_toml(
-    path: str | Path, *, up: str = "z", metres_per_unit: float = 1.0
-) -> dict[str, Camera]:
+def read_camera_toml(path: str | Path, *, up: str = "z", metres_per_unit: float = 1.0) -> dict[str, Camera]:
     """The cameras of a file by name, in its order, in a world with z up.
 
     Args:
@@ -67,8 +65,7 @@ def read_camera_toml(
         cameras[name] = _camera(section, R_world_file, metres_per_unit)
     if not cameras:
         raise FileFormatError(
-            path,
-            "no camera in it: no table has both size and matrix; give a file of camera calibrations",
+            path, "no camera in it: no table has both size and matrix; give a file of camera calibrations"
         )
     return cameras
 
@@ -144,9 +141,7 @@ def _distortion(section: Section) -> Array:
     )  # fmt: skip
 
 
-def write_camera_toml(
-    path: str | Path, cameras: Mapping[str, Camera], overwrite: bool = False
-) -> None:
+def write_camera_toml(path: str | Path, cameras: Mapping[str, Camera], overwrite: bool = False) -> None:
     """Write what `read_camera_toml` reads back to rounding, and Pose2Sim too: z up, metres.
 
     Raises:

@@ -21,12 +21,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import (
-    CalibrationError,
-    FileFormatError,
-    ShapeError,
-    UnknownNameError,
-)
+from rtof_kin.core.errors import CalibrationError, FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.core.files.section import Section
 from rtof_kin.core.files.text import write_text
 from rtof_kin.data.imu_calibration import ImuCalibration
@@ -77,9 +72,7 @@ def calibration_of(sensors: Section, skeleton: SkeletonModel) -> ImuCalibration 
         usual_joint, usual_lever = skeleton.sensors.get(name, (None, None))
         joint = own.text("joint", usual_joint)
         if joint not in skeleton.names:
-            raise UnknownNameError(
-                f"joint in {own.path}, {own.where('joint')}", [joint], skeleton.names
-            )
+            raise UnknownNameError(f"joint in {own.path}, {own.where('joint')}", [joint], skeleton.names)
         lever = own.optional_array("lever_arm_m", (3,))
         if lever is None and usual_lever is not None and joint == usual_joint:
             lever = usual_lever

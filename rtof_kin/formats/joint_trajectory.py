@@ -71,7 +71,8 @@ def _sidecar(path: Path, skeleton: SkeletonModel) -> dict[str, Any]:
         "file": path.name,
         "urdf": "skeleton.urdf",
         "frame": "world: z up, metres; base: pose of the root link in world, quaternion x y z w",
-        "units": units | dict.fromkeys(skeleton.dof_names, "rad")
+        "units": units
+        | dict.fromkeys(skeleton.dof_names, "rad")
         | dict.fromkeys(_valid_columns(skeleton), "1"),
         "valid": "NAME_valid: 1 where somebody observed NAME, 0 where it is a prior's or the model's",
         "names": {

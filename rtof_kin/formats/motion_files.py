@@ -75,9 +75,7 @@ class Format:
     """Whether it has a rate in place of times, or programs that read it count on even ones."""
 
 
-def write_motion_files(
-    folder: str | Path, motion: MotionSequence, formats: Sequence[str] = DEFAULT
-) -> Path:
+def write_motion_files(folder: str | Path, motion: MotionSequence, formats: Sequence[str] = DEFAULT) -> Path:
     """Write a motion, its URDF and an index of the files into a folder that exists.
 
     Args:

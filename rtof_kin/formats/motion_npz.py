@@ -50,9 +50,7 @@ class MotionFile:
     def motion(self) -> MotionSequence:
         """The motion of the subject's skeleton that the file describes."""
         skeleton = SkeletonModel.named(self.skeleton).with_offsets(self.joint_offsets)
-        return MotionSequence(
-            skeleton, self.q, self.poses, skeleton.check(self.q), self.confidence
-        )
+        return MotionSequence(skeleton, self.q, self.poses, skeleton.check(self.q), self.confidence)
 
 
 def write_motion_npz(

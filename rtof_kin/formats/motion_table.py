@@ -97,9 +97,7 @@ def _cell(value: float | bool | str) -> str:
     return value if isinstance(value, str) else "" if np.isnan(value) else repr(value)
 
 
-def write_motion_parquet(
-    path: str | Path, motion: MotionSequence, *, overwrite: bool = False
-) -> None:
+def write_motion_parquet(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
     """Write the table with units, clinical and OpenSim names in the metadata of its columns, and the
     convention, the skeleton and its joint offsets in that of the table.
 

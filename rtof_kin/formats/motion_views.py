@@ -35,7 +35,7 @@ def from_prior(motion: MotionSequence) -> dict[str, float]:
 
     Where they are a prior or their neighbours say, though a sensor may have felt their segments turn.
     """
-    return _shares(motion, motion.poses.names, motion.poses.located)
+    return _shares(motion, motion.poses.names, motion.poses.position_observed)
 
 
 def dofs_from_prior(motion: MotionSequence) -> dict[str, float]:
@@ -50,9 +50,7 @@ def landmarks_from_prior(motion: MotionSequence) -> dict[str, float]:
     return {name: share for name, share in shares.items() if name not in motion.poses.names}
 
 
-def _shares(
-    motion: MotionSequence, names: tuple[str, ...], observed: NDArray[np.bool_]
-) -> dict[str, float]:
+def _shares(motion: MotionSequence, names: tuple[str, ...], observed: NDArray[np.bool_]) -> dict[str, float]:
     """Which were not observed in some frames that are in no gap, and in what share of those."""
     inside = [~observed[start:stop] for start, stop in pieces(motion)]
     shares = np.concatenate(inside).mean(axis=0) if inside else np.zeros(len(names))

@@ -71,9 +71,7 @@ def coordinates(table: SkeletonTable) -> tuple[Coordinate, ...]:
     return tuple(out)
 
 
-def _rotation(
-    joint: str, axis: str, opensim: str, urdf: str, limits: tuple[float, float]
-) -> Coordinate:
+def _rotation(joint: str, axis: str, opensim: str, urdf: str, limits: tuple[float, float]) -> Coordinate:
     low, high = map(float, limits)
     unit = np.eye(3)["xyz".index(axis)]
     if opensim.startswith("-"):

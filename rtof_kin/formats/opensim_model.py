@@ -114,9 +114,7 @@ def _transform_axis(transform: ET.Element, place: str, coordinate: str, axis: Ar
         _leaf(function, "value", "0")
 
 
-def _frame(
-    into: ET.Element, name: str, parent: str, p: Array, R_parent_frame: Array
-) -> ET.Element:
+def _frame(into: ET.Element, name: str, parent: str, p: Array, R_parent_frame: Array) -> ET.Element:
     """A frame fixed in another; OpenSim's orientation is rotations about its own x, y and z, rad."""
     frame = ET.SubElement(into, "PhysicalOffsetFrame", name=name)
     _leaf(frame, "socket_parent", parent)

@@ -50,19 +50,12 @@ def write_sto(path: str | Path, motion: MotionSequence, *, overwrite: bool = Fal
     speeds = np.zeros_like(values)
     if len(values) > 1:
         speeds = np.gradient(values, even_times(motion.times), axis=0)
-    names = [
-        f"/jointset/{c.joint}/{c.name}/{kind}" for kind in ("value", "speed") for c in all_of_them
-    ]
+    names = [f"/jointset/{c.joint}/{c.name}/{kind}" for kind in ("value", "speed") for c in all_of_them]
     _write_table(Path(path), motion, names, np.hstack([values, speeds]), False, overwrite)
 
 
 def _write_table(
-    path: Path,
-    motion: MotionSequence,
-    names: list[str],
-    values: Array,
-    in_degrees: bool,
-    overwrite: bool,
+    path: Path, motion: MotionSequence, names: list[str], values: Array, in_degrees: bool, overwrite: bool
 ) -> None:
     table = np.column_stack([even_times(motion.times), values])
     header = [

@@ -87,9 +87,7 @@ def read_sensors(path: str | Path) -> SensorTable:
     readings = [row[1:8] for i, row in enumerate(rows) if i % (S + 1)]
     values = _numbers(readings, 7)
     if values is None:
-        at = next(
-            i for i, row in enumerate(rows) if i % (S + 1) and _numbers([row[1:8]], 7) is None
-        )
+        at = next(i for i, row in enumerate(rows) if i % (S + 1) and _numbers([row[1:8]], 7) is None)
         problem = f"expected a sensor's name and at least 7 numbers{_odd(rows[at][1:8])}"
         raise FileFormatError(path, problem, at + 2)
     values = values.reshape(T, S, 7)
@@ -147,9 +145,7 @@ def read_imu_calibration(path: str | Path) -> dict[str, Array]:
         if name in quaternions:
             raise FileFormatError(path, f"a second line for {name}; remove one", number)
         if not abs(norm - 1) < 0.01:
-            raise FileFormatError(
-                path, f"the quaternion of {name} has norm {norm:.3g}, not 1", number
-            )
+            raise FileFormatError(path, f"the quaternion of {name} has norm {norm:.3g}, not 1", number)
         quaternions[name] = values[0] / norm
     if len(quaternions) != int(first):
         problem = f"announces {int(first)} sensors and holds {len(quaternions)}"
@@ -191,9 +187,7 @@ def _camera(path: Path, number: int, row: Array, order: int) -> Camera:
     R, t = row[8 + order : 17 + order].reshape(3, 3), row[17 + order :]
     size = int(row[3] - row[2] + 1), int(row[1] - row[0] + 1)
     try:
-        return Camera(
-            np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), R, t, *size, distortion=distortion
-        )
+        return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), R, t, *size, distortion=distortion)
     except ValueError as error:
         raise FileFormatError(path, f"camera {number}: {error}") from error
 

@@ -119,12 +119,7 @@ def _read_row(path: Path, line: int, text: str, names: Sequence[str]) -> list[fl
 
 
 def write_trc(
-    path: str | Path,
-    markers: MarkerSequence,
-    *,
-    up: str = "y",
-    unit: str = "m",
-    overwrite: bool = False,
+    path: str | Path, markers: MarkerSequence, *, up: str = "y", unit: str = "m", overwrite: bool = False
 ) -> None:
     """Write what `read_trc` reads back to 1e-9 units, and OpenSim too.
 

@@ -90,7 +90,8 @@ class Held:
 
     def aligned(self, headings: Array, R_pose: Array) -> ImuCalibration:
         """The calibration under which references with headings (S,), rad, give segments orientated as
-        R_pose (S, 3, 3) while the pose is held."""
+        R_pose (S, 3, 3) while the pose is held.
+        """
         R_world_inertial = so3.about_axis("z", headings)
         R_world_sensor = R_world_inertial @ self.R_inertial_sensor
         return ImuCalibration(

@@ -52,9 +52,7 @@ def redeclared(stream: SensorStream, declared: Declaration, other: Declaration) 
     return replace(stream, f_sensor=f, R_inertial_sensor=new_R, w_sensor=w)
 
 
-def likely_changes(
-    streams: Sequence[SensorStream], declared: Declaration
-) -> list[Mapping[str, str]]:
+def likely_changes(streams: Sequence[SensorStream], declared: Declaration) -> list[Mapping[str, str]]:
     """The changes of a declaration that make the laws hold for most of the streams together.
 
     Args:
@@ -81,9 +79,7 @@ def likely_changes(
     return [changes for _, changes in best]
 
 
-def _changes(
-    streams: Sequence[SensorStream], declared: Declaration
-) -> Iterator[Mapping[str, str]]:
+def _changes(streams: Sequence[SensorStream], declared: Declaration) -> Iterator[Mapping[str, str]]:
     """All changes of the fields that matter to what the streams hold, the fewest first."""
     held = {name for stream in streams for name in stream.holds}
     fields = []
@@ -209,7 +205,8 @@ def fixed_axes(stream: SensorStream) -> FixedAxes | None:
 
 def likely_rate(stream: SensorStream) -> float | None:
     """Samples per second under which the orientation turns as fast as the gyroscope says; None where it
-    does not turn so under any."""
+    does not turn so under any.
+    """
     pair = turning.both_rates(stream)
     if pair is None:
         return None

@@ -55,8 +55,7 @@ def hinge_axis(w_1: ArrayLike, w_2: ArrayLike, planar: float = 0.1) -> HingeAxis
         )
     if max(rms_rate(a), rms_rate(b)) < LEAST_RATE:
         raise CalibrationError(
-            f"hinge: the sensors turn by {max(rms_rate(a), rms_rate(b)):.2g} rad/s only; bend the joint "
-            "more"
+            f"hinge: the sensors turn by {max(rms_rate(a), rms_rate(b)):.2g} rad/s only; bend the joint more"
         )
 
     def disagreement(axes: Array) -> Array:
@@ -75,7 +74,8 @@ def hinge_axis(w_1: ArrayLike, w_2: ArrayLike, planar: float = 0.1) -> HingeAxis
 
 def principal_axis(w: ArrayLike) -> tuple[Array, float]:
     """The axis (3,) about which a sensor turns most, of angular velocities (T, 3), and its share of all
-    turning in squares; its sign is arbitrary."""
+    turning in squares; its sign is arbitrary.
+    """
     rates = np.asarray(w, dtype=float)
     rates = rates[np.isfinite(rates).all(axis=1)]
     values, vectors = np.linalg.eigh(rates.T @ rates)

@@ -57,9 +57,7 @@ class FreeMotion:
                 "it; use the one with 21 joints, or give the headings"
             )
         self.skeleton, self.settings = skeleton, settings or FreeMotionSettings()
-        self._samples = _sampled_poses(
-            skeleton.names, tuple(skeleton.parents), self.settings.tilt_deg
-        )
+        self._samples = _sampled_poses(skeleton.names, tuple(skeleton.parents), self.settings.tilt_deg)
         self._pairs: dict[tuple[str, str], Pair] = {}
         self._ups: dict[str, tuple[Array, Array]] = {}
 

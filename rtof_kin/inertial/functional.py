@@ -204,7 +204,8 @@ class _Standing:
 
     def _unlikely(self, movement: Movement, parent: str, axis_1: Array, axis_2: Array) -> float:
         """How little, rad^2, two sensors with signs chosen look like a hinge that only flexes, on a
-        segment that is only raised forwards."""
+        segment that is only raised forwards.
+        """
         child = movement.joint
         times, R_parent = self._read(movement, parent, axis_1)
         child_times, R_child = self._read(movement, child, axis_2)

@@ -75,7 +75,8 @@ def at_rest(stream: SensorStream) -> Mask:
 
 def specific_force(stream: SensorStream, rest: Mask) -> Check:
     """Its size at rest, less 9.81 m/s^2; where there is no rest, how many times its median in motion is
-    larger or smaller."""
+    larger or smaller.
+    """
     if stream.f_sensor is None:
         return Check.unknown(FORCE, stream.name, "m/s2", "there are no accelerations")
     size = np.linalg.norm(stream.f_sensor, axis=-1)
@@ -134,7 +135,8 @@ def mean_acceleration(stream: SensorStream, rest: Mask) -> Check:
 
 def turning_acceleration(stream: SensorStream) -> float:
     """Acceleration that the turning makes per metre of lever arm, ``|w|^2 + |dw/dt|`` (its 90th
-    percentile), 1/s^2; NaN of a sensor that hardly turns or is too short."""
+    percentile), 1/s^2; NaN of a sensor that hardly turns or is too short.
+    """
     if stream.R_inertial_sensor is None or len(stream) < 20:
         return float("nan")
     w = rates_of_orientation(stream)[1]

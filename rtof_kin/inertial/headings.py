@@ -123,9 +123,7 @@ class _Turned:
 
     def along(self, angles: Array, s: int) -> Callable[[float], float]:
         """Nats of what concerns sensor s, by its heading, the others as they are."""
-        others = {
-            i: self.motion(i, float(angles[i])) for pair in self.pairs if s in pair for i in pair
-        }
+        others = {i: self.motion(i, float(angles[i])) for pair in self.pairs if s in pair for i in pair}
 
         def score(angle: float) -> float:
             own = {**others, s: self.motion(s, angle)}

@@ -89,9 +89,7 @@ class Evidence:
         mean, precision = self.free_motion.up(motion.joint)
         values = self._student(motion.R_world_bone[:, 2, :] - mean, precision)
         if motion.joint in self.seen:
-            own = kinematics.children_of(
-                self.skeleton.parents, self.skeleton.names.index(motion.joint)
-            )
+            own = kinematics.children_of(self.skeleton.parents, self.skeleton.names.index(motion.joint))
             rest = so3.unit(self.skeleton.joint_offsets[own])
             expected = np.einsum("tij,cj->tci", motion.R_world_bone, rest)
             square = np.sum((expected - self.seen[motion.joint]) ** 2, axis=-1).mean(axis=1)
@@ -193,7 +191,8 @@ class Evidence:
 
     def _apart(self, a: str, b: str) -> int:
         """Number of joints between two segments. So many times longer do they keep a posture: what
-        happens between limbs is habit, and what no sensor sees has to be guessed."""
+        happens between limbs is habit, and what no sensor sees has to be guessed.
+        """
         parents = self.skeleton.parents
         lines = (kinematics.line_to_root(parents, j) for j in self.skeleton.index(a, b))
         return len(set.symmetric_difference(*map(set, lines)))

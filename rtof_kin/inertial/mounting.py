@@ -23,12 +23,7 @@ from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.likelihood import Evidence
 from rtof_kin.inertial.poses import pose_rotations, turned_to
-from rtof_kin.inertial.segment_motion import (
-    SegmentMotion,
-    even_times,
-    seen_bones,
-    segment_motions,
-)
+from rtof_kin.inertial.segment_motion import SegmentMotion, even_times, seen_bones, segment_motions
 from rtof_kin.inertial.setup_diagnosis import Fault, FaultKind, Setup
 
 Array = NDArray[np.float64]
@@ -44,7 +39,7 @@ SAME_RATIO = 3.0
 MOST_ALTERNATIVES = 3
 
 
-def find_faults(
+def diagnose_setup(
     bone_imus: BoneImuSequence,
     skeleton: SkeletonModel,
     *,
@@ -89,7 +84,10 @@ def find_faults(
 
 
 def _likeliest(
-    scores: _Scores, motions: Sequence[SegmentMotion], setup: Setup, faults: Sequence[Fault],
+    scores: _Scores,
+    motions: Sequence[SegmentMotion],
+    setup: Setup,
+    faults: Sequence[Fault],
     least_ratio: float,
 ) -> Fault | None:
     """The fault that explains the motions best, and what does nearly as well; None where none does."""
@@ -119,9 +117,7 @@ class _Scores:
         """Nats."""
         by_joint = {motion.joint: motion for motion in motions}
         out = sum(self._of(motion) for motion in motions)
-        out += sum(
-            self._of(by_joint[a], by_joint[b]) for a, b in self.evidence.tree(sorted(by_joint))
-        )
+        out += sum(self._of(by_joint[a], by_joint[b]) for a, b in self.evidence.tree(sorted(by_joint)))
         return out * self.weight
 
     def _of(self, *motions: SegmentMotion) -> float:

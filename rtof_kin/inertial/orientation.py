@@ -50,9 +50,7 @@ class OrientationSettings:
 DEFAULT = OrientationSettings()
 
 
-def with_orientation(
-    stream: SensorStream, settings: OrientationSettings = DEFAULT
-) -> SensorStream:
+def with_orientation(stream: SensorStream, settings: OrientationSettings = DEFAULT) -> SensorStream:
     """A stream with orientation by VQF, instead of its own where it has one.
 
     Returns:
@@ -87,9 +85,7 @@ def with_orientation(
     if not used:
         raise ShapeError(f"{where} has nowhere {SHORTEST_PIECE:g} s of samples; record for longer")
     notes = _notes(stream.times, known, used, step, settings, m is not None)
-    return replace(
-        stream, R_inertial_sensor=R, quaternion_norm=None, notes=(*stream.notes, *notes)
-    )
+    return replace(stream, R_inertial_sensor=R, quaternion_norm=None, notes=(*stream.notes, *notes))
 
 
 def log_with_orientation(
@@ -121,12 +117,7 @@ def _pieces(times: Array, known: NDArray[np.bool_], longest: float) -> list[tupl
 
 
 def _estimated(
-    stream: SensorStream,
-    m: Array | None,
-    rows: slice,
-    known: NDArray[np.bool_],
-    step: float,
-    causal: bool,
+    stream: SensorStream, m: Array | None, rows: slice, known: NDArray[np.bool_], step: float, causal: bool
 ) -> Array:
     """Orientation (T, 3, 3) of the samples of one piece; the filter wants equal steps."""
     assert stream.f_sensor is not None
@@ -134,9 +125,7 @@ def _estimated(
     times = stream.times[rows]
     count = int((times[-1] - times[0]) / step) + 2
     if count > _MOST_STEPS * len(times):
-        raise ShapeError(
-            f"sensor {stream.name}: {1 / step:g} Hz is far above its samples' rate; set rate_hz"
-        )
+        raise ShapeError(f"sensor {stream.name}: {1 / step:g} Hz is far above its samples' rate; set rate_hz")
     even = times[0] + step * np.arange(count)
     f, w = (_held(times[known], one[rows][known], even) for one in (stream.f_sensor, stream.w_sensor))
     if m is not None:
@@ -170,9 +159,7 @@ def _notes(
     steps = np.concatenate([np.diff(times[a : b + 1][known[a : b + 1]]) for a, b in pieces])
     gaps = steps[steps > 1.5 * step]
     if len(gaps):
-        notes.append(
-            f"{len(gaps)} gaps of up to {gaps.max():.3f} s were bridged by linear interpolation"
-        )
+        notes.append(f"{len(gaps)} gaps of up to {gaps.max():.3f} s were bridged by linear interpolation")
     if len(pieces) > 1:
         starts = ", ".join(f"{times[a]:.2f}" for a, _ in pieces[1:6])
         relation = "" if has_field else "; headings before and after are not related"

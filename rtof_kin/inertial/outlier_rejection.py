@@ -77,7 +77,8 @@ def _stuck(imus: ImuSequence) -> Mask:
 
 def _saturated(f_sensor: Array, times: Array) -> Mask:
     """(T, S) samples at the end of an accelerometer's range or next to one: where an axis stays at its
-    largest value, which a signal that is not cut off hardly reaches twice."""
+    largest value, which a signal that is not cut off hardly reaches twice.
+    """
     size = np.abs(np.nan_to_num(f_sensor))
     largest = size.max(axis=0)
     at_end = (size >= largest * (1 - _SAME)) & (largest > LEAST_RANGE)

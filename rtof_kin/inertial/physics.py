@@ -42,7 +42,8 @@ def check_stream(stream: SensorStream, declaration: Declaration) -> tuple[Check,
 
 def check_log(log: SensorLog) -> tuple[Check, ...]:
     """All checks of all sensors of a file, which share one declaration: what is likely is what makes
-    the laws hold for all that miss them."""
+    the laws hold for all that miss them.
+    """
     return _check(log.streams, log.declaration)
 
 
@@ -58,8 +59,7 @@ def _check(streams: Sequence[SensorStream], declared: Declaration) -> tuple[Chec
         if broken:
             why, likely = _explanation(stream, declared, broken, changes)
             checks = tuple(
-                replace(c, advice=f"{c.advice}. {why}", likely=likely) if c in broken else c
-                for c in checks
+                replace(c, advice=f"{c.advice}. {why}", likely=likely) if c in broken else c for c in checks
             )
         out += [*checks, *check_sampling(stream, declared)]
     return tuple(out)
@@ -89,10 +89,7 @@ def _broken(checks: Sequence[Check]) -> list[Check]:
 
 
 def _explanation(
-    stream: SensorStream,
-    declared: Declaration,
-    broken: Sequence[Check],
-    changes: Sequence[Mapping[str, str]],
+    stream: SensorStream, declared: Declaration, broken: Sequence[Check], changes: Sequence[Mapping[str, str]]
 ) -> tuple[str, Mapping[str, Any]]:
     """Why laws do not hold, as a sentence and, where it is one thing to declare, as a change."""
     if changes:

@@ -105,9 +105,7 @@ def calibrate_by_pose(
         pose=str(pose) if named else "measured",
         still=held.still,
         facing=float(wrapped(faces)),
-        sensors=held.reports(
-            np.degrees(found.sigmas), NAMED_POSE_DEG if named else MEASURED_POSE_DEG
-        ),
+        sensors=held.reports(np.degrees(found.sigmas), NAMED_POSE_DEG if named else MEASURED_POSE_DEG),
         heading_margin=found.margin if facing is None else None,
     )
 

@@ -107,7 +107,8 @@ def _repeats(imus: ImuSequence) -> NDArray[np.bool_]:
 
 def _check_frozen(imus: ImuSequence, repeats: NDArray[np.bool_]) -> Check:
     """A sensor that never measures anything but gravity, without any noise, is made up of a body that is
-    still there."""
+    still there.
+    """
     times, still = imus.times, repeats[1:].all(axis=0)
     made_up = still & (np.abs(np.linalg.norm(imus.f_sensor[0], axis=-1) - STANDARD_GRAVITY) < 1e-6)
     longest = np.array([
@@ -130,9 +131,7 @@ def _check_frozen(imus: ImuSequence, repeats: NDArray[np.bool_]) -> Check:
 # --- gravity -------------------------------------------------------------------------------------
 
 
-def _check_gravity(
-    imus: ImuSequence, R_world_inertial: Array, repeats: NDArray[np.bool_]
-) -> list[Check]:
+def _check_gravity(imus: ImuSequence, R_world_inertial: Array, repeats: NDArray[np.bool_]) -> list[Check]:
     every = max(1, len(imus.times) // _MOST_SAMPLES)
     f = np.where(repeats[..., None], np.nan, imus.f_sensor)[::every]
     R = imus.R_inertial_sensor[::every]

@@ -208,7 +208,8 @@ def _add_feet(
     system: _System, feet: Array, contacts: Contacts, ankle_height: float, settings: RootPathSettings
 ) -> None:
     """Standing ankles (T, C, 3), relative to the root, do not move and are at a height; weakly, so is the
-    lower one always."""
+    lower one always.
+    """
     heights = np.where([False, False, True], ankle_height - feet, np.nan)
     every = np.arange(system.frames)
     lower = heights[every, feet[..., 2].argmin(axis=1)]
@@ -220,11 +221,10 @@ def _add_feet(
         system.add(0, np.flatnonzero(stands), heights[stands, i], settings.sigma_floor**-2)
 
 
-def _add_sensors(
-    system: _System, sensors: Array, a_world: Array, settings: RootPathSettings
-) -> None:
+def _add_sensors(system: _System, sensors: Array, a_world: Array, settings: RootPathSettings) -> None:
     """Sensors (T, S, 3), relative to the root, accelerate as measured; those that move much about it tell
-    less, for they do so by orientations that are off."""
+    less, for they do so by orientations that are off.
+    """
     own = signals.derivative(sensors, system.rate_hz, 2)
     wrong = settings.share_of_motion * np.linalg.norm(own, axis=2)
     weight = 1 / (settings.sigma_acceleration**2 + wrong**2)

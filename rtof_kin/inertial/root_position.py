@@ -60,6 +60,4 @@ def refit_root(
         right = -(weighed @ r.reshape(len(poses), -1, 1))[..., 0] - shift / sigma_depth**2
         shift = shift + np.linalg.solve(normal, right[..., None])[..., 0]
     shift = np.where(np.isfinite(shift), shift, 0.0)
-    return replace(
-        poses, p_world_joint=poses.p_world_joint + (shift @ camera.R_camera_world)[:, None]
-    )
+    return replace(poses, p_world_joint=poses.p_world_joint + (shift @ camera.R_camera_world)[:, None])

@@ -96,7 +96,8 @@ def _rate(name: str, stream: SensorStream, rate_hz: float, declared_hz: float | 
 
 def _period(steps: Array) -> float:
     """The step between samples none of which was lost: the median one, or where many were lost, that
-    half or third of it that does occur."""
+    half or third of it that does occur.
+    """
     median = float(np.median(steps))
     for parts in (3, 2):
         if np.mean(np.abs(steps * parts / median - 1) < 0.25) > 0.02:
@@ -113,7 +114,8 @@ def _missing(stream: SensorStream, name: str, values: Array) -> Check:
 
 def _stuck(stream: SensorStream, name: str, values: Array) -> Check:
     """The longest time in which a quantity stays the same to the last digit; of one with a component
-    that never changes, all the time."""
+    that never changes, all the time.
+    """
     times = stream.times
     same = values[1:] == values[:-1]
     together = [(times[stop] - times[start], start) for start, stop in runs(same.all(axis=-1))]

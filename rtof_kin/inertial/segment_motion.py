@@ -38,9 +38,7 @@ class SegmentMotion:
 
     def moved(self, joint: str, R_bone_new: Array, p_bone_sensor: Array) -> SegmentMotion:
         """The same sensor on another segment, or mounted otherwise: bone axes turned by R_bone_new."""
-        return SegmentMotion(
-            joint, self.R_world_bone @ R_bone_new, self.w_world, self.a_world, p_bone_sensor
-        )
+        return SegmentMotion(joint, self.R_world_bone @ R_bone_new, self.w_world, self.a_world, p_bone_sensor)
 
     def turned(self, R_world_new: Array) -> SegmentMotion:
         """The same with its reference turned in world, by R (3, 3) from the left."""

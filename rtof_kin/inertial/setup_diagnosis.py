@@ -152,9 +152,7 @@ class Setup:
         parents = self.skeleton.parents
         own = {self._index(joint) for joint in self.levers}
         concerned = {self._index(change.declared) for change in fault.changes}
-        return not any(
-            parents[j] in own or any(parents[k] == j for k in own) for j in concerned
-        )
+        return not any(parents[j] in own or any(parents[k] == j for k in own) for j in concerned)
 
     # --- kinds -----------------------------------------------------------------------------------
 

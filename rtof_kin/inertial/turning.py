@@ -1,5 +1,6 @@
 """What turning says of a stream, whatever its file says: the gyroscope reads the derivative of the
-orientation. Neither has to be where it was meant to be, nor to know a heading."""
+orientation. Neither has to be where it was meant to be, nor to know a heading.
+"""
 
 from __future__ import annotations
 
@@ -101,7 +102,8 @@ def turning_limit(expected: Array) -> float:
 
 def trimmed_rms(vectors: Array) -> float:
     """Root mean square of the size of vectors (N, 3), the largest hundredth left out: a filter that is
-    still settling, a packet that came damaged."""
+    still settling, a packet that came damaged.
+    """
     squares = np.sort(np.sum(vectors**2, axis=-1))
     return float(np.sqrt(np.mean(squares[: max(1, int(0.99 * len(squares)))])))
 
@@ -113,9 +115,7 @@ def both_rates(stream: SensorStream, shift: float | None = None) -> tuple[Array,
     shift = delay(stream) if shift is None else shift
     times, expected = rates_of_orientation(stream)
     at = times + (0.0 if np.isnan(shift) else shift) / stream.rate_hz
-    measured = np.stack(
-        [np.interp(at, stream.times, w, np.nan, np.nan) for w in stream.w_sensor.T], axis=-1
-    )
+    measured = np.stack([np.interp(at, stream.times, w, np.nan, np.nan) for w in stream.w_sensor.T], axis=-1)
     known = np.isfinite(measured + expected).all(axis=-1)
     return (measured[known], expected[known]) if known.sum() >= 10 else None
 

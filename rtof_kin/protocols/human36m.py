@@ -123,8 +123,7 @@ def run(
     """Measure what has not been measured yet; see `rtof_kin.protocols.total_capture.run`."""
     jobs, settings = protocol.jobs(), protocol.settings()
     files = {
-        key: {mode: protocol.motion_file(job, mode) for mode in protocol.modes}
-        for key, job in jobs.items()
+        key: {mode: protocol.motion_file(job, mode) for mode in protocol.modes} for key, job in jobs.items()
     }
     runs = open_runs(folder, settings, overwrite, protocol.save, files)
     return run_jobs(measure, jobs, runs, workers, progress)
@@ -157,8 +156,7 @@ def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
     """The paper's table beside ours, and what is missing or remarkable."""
     rows = list(rows_of(outcome))
     printed: list[tuple[Cell, ...]] = [
-        (name, mpjpe, mpjae, mpjje, None, None)
-        for name, (mpjpe, mpjae, mpjje) in published.HUMAN36M.items()
+        (name, mpjpe, mpjae, mpjje, None, None) for name, (mpjpe, mpjae, mpjje) in published.HUMAN36M.items()
     ]
     figures = ("mpjpe_rr_mm", "mpjae_frame_mm", "mpjje_frame_mm", "mpjpe_pa_mm", "mpjpe_mm")
     for name in (*[mode for mode in CAMERA_MODES if mode in protocol.modes], STILL):
@@ -186,8 +184,7 @@ def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
         (0, 1, 2, 2, 1, 1), tuple(printed), tuple(notes),
     )  # fmt: skip
     state: list[tuple[Cell, ...]] = [
-        (subject, "not measured", "the archive of positions has no such subject")
-        for subject in absent
+        (subject, "not measured", "the archive of positions has no such subject") for subject in absent
     ]
     state += [(key, "not measured", problem) for key, problem in outcome.failed.items()]
     for key, facts in outcome.done.items():

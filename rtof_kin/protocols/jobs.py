@@ -213,10 +213,7 @@ def _in_processes(
 ) -> Generator[tuple[str, str | None]]:
     """`_results` of a pool of processes; `_KILLED` of what was not done when one of them ended."""
     with _one_thread_each(), _pool(min(workers, len(jobs))) as pool:
-        futures = {
-            pool.submit(_work, function, key, argument, folder): key
-            for key, argument in jobs.items()
-        }
+        futures = {pool.submit(_work, function, key, argument, folder): key for key, argument in jobs.items()}
         for future in as_completed(futures):
             try:
                 yield futures[future], future.result()
@@ -224,9 +221,7 @@ def _in_processes(
                 yield futures[future], _KILLED
 
 
-def _work(
-    function: Callable[[Any], JobResult], key: str, argument: Any, folder: Path
-) -> str | None:
+def _work(function: Callable[[Any], JobResult], key: str, argument: Any, folder: Path) -> str | None:
     """Run one job and write its files; why it failed, or None."""
     try:
         result = function(argument)

@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.formats.motion_npz import write_motion_npz
 from rtof_kin.protocols.jobs import Outcome
-from rtof_kin.reconstruction.pipeline import (
-    CAMERA_MODES,
-    Reconstruction,
-    ReconstructionSettings,
-    reconstruct,
-)
+from rtof_kin.reconstruction.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettings, reconstruct
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
@@ -50,17 +45,13 @@ def reconstructions(
     runs: dict[str, Reconstruction] = {}
     for mode in ("rtof", "sf2", "rto", "lift"):
         if mode in asked and mode not in runs:
-            result = reconstruct(
-                recording, mode=mode, lifter=network, settings=settings, calibrate=calibrate
-            )
+            result = reconstruct(recording, mode=mode, lifter=network, settings=settings, calibrate=calibrate)
             own = [stage for stage in result.stages if stage != "lift" or result.bone_imus is None]
             runs |= {stage: result for stage in own if stage not in runs}
     return {mode: runs[mode] for mode in CAMERA_MODES if mode in asked}
 
 
-def curves(
-    recording: Recording, results: Mapping[str, Reconstruction], knee: str
-) -> dict[str, Array]:
+def curves(recording: Recording, results: Mapping[str, Reconstruction], knee: str) -> dict[str, Array]:
     """What `rtof_kin.protocols.pictures` draws: errors over time, and poses at a few instants.
 
     Args:
@@ -86,9 +77,7 @@ def save_motion(result: Reconstruction, mode: str, path: Path | None) -> None:
     """Write one stage's motion to a file; nothing without a path."""
     if path is None:
         return
-    motion = (
-        result.motion if mode == result.mode else result.motion.skeleton.motion(result.stages[mode])
-    )
+    motion = result.motion if mode == result.mode else result.motion.skeleton.motion(result.stages[mode])
     write_motion_npz(path, motion, first_frame=result.recording.first_frame, mode=mode)
 
 

@@ -15,9 +15,7 @@ from rtof_kin.report.figures import STAGE_COLORS, TRUTH, save_figures, views
 NAMES = {"lift": "baseline (lift)", "sf2": "sf2", "rto": "rto", "rtof": "rtof"}
 
 
-def write_pictures(
-    outcome: Outcome, folder: Path, table: SkeletonTable, rate_hz: float
-) -> list[Path]:
+def write_pictures(outcome: Outcome, folder: Path, table: SkeletonTable, rate_hz: float) -> list[Path]:
     """Draw what there is data for.
 
     Returns:
@@ -59,10 +57,7 @@ def error_curves(outcome: Outcome, keys: Sequence[str], rate_hz: float) -> Figur
     """
     figure = Figure(figsize=(13, 3.4 * len(keys)), layout="constrained")
     axes = figure.subplots(len(keys), 2, squeeze=False)
-    columns = {
-        "rr_mm": "joint error, root-relative [mm]",
-        "knee_deg": "right knee flexion error [deg]",
-    }
+    columns = {"rr_mm": "joint error, root-relative [mm]", "knee_deg": "right knee flexion error [deg]"}
     for row, key in zip(axes, keys, strict=True):
         arrays, facts = outcome.arrays(key), outcome.done[key]
         where = f"{facts['subject']} {facts['take']}, camera {facts['camera']}"
@@ -102,9 +97,7 @@ def skeletons(outcome: Outcome, key: str, parents: Sequence[int], rate_hz: float
                 x, z = view @ (points - points[0]).T
                 for child, parent in enumerate(parents):
                     if parent >= 0:
-                        ax.plot(
-                            x[[parent, child]], z[[parent, child]], color=color, lw=2, alpha=0.85
-                        )
+                        ax.plot(x[[parent, child]], z[[parent, child]], color=color, lw=2, alpha=0.85)
             ax.set_aspect("equal")
             ax.set_xlim(-1.1, 1.1)
             ax.set_ylim(-1.2, 1.0)

@@ -61,8 +61,7 @@ class Table:
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; figures unrounded."""
         rows = [
-            [None if isinstance(c, float) and not np.isfinite(c) else c for c in row]
-            for row in self.rows
+            [None if isinstance(c, float) and not np.isfinite(c) else c for c in row] for row in self.rows
         ]
         return {"title": self.title, "columns": self.columns, "rows": rows, "notes": self.notes}
 

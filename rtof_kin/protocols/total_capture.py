@@ -33,7 +33,7 @@ from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
 from rtof_kin.reconstruction.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettings
 from rtof_kin.recording.files import RECOGNISE
 from rtof_kin.simulation.simulate import LIMB_SENSORS
-from rtof_kin.solve.cartesian.settings import SPACES, FragmentSettings
+from rtof_kin.solve.cartesian.settings import SPACES, CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.vision.layouts import detector_table
 
@@ -130,9 +130,7 @@ class TotalCaptureProtocol:
     def jobs(self) -> dict[str, Job]:
         """All measurements by key, take by take."""
         return {
-            f"{subject}_{take}" + (f"_cam{camera}" if camera else ""): Job(
-                self, subject, take, camera
-            )
+            f"{subject}_{take}" + (f"_cam{camera}" if camera else ""): Job(self, subject, take, camera)
             for subject, take in self.pairs()
             for camera in (None, *self.cameras)
         }
@@ -237,10 +235,8 @@ def _seen_by(take: Take, job: Job, number: int) -> JobResult:
     )
     truth, skeleton = recording.truth, recording.skeleton
     assert truth is not None
-    settings = ReconstructionSettings(fragment=None if protocol.space == "joint" else FragmentSettings())
-    results = reconstructions(
-        recording, protocol.modes, protocol.lifter, settings, protocol.calibrate
-    )
+    settings = ReconstructionSettings(fragment=None if protocol.space == "joint" else CartesianSettings())
+    results = reconstructions(recording, protocol.modes, protocol.lifter, settings, protocol.calibrate)
     notes += sorted({warning for result in results.values() for warning in result.warnings})
     methods: dict[str, Any] = {}
     for mode, result in results.items():
@@ -269,7 +265,7 @@ def _detected(take: Take, job: Job, number: int) -> KeypointSequence | None:
 
 def _studies(result: Reconstruction, truth: PoseSequence) -> dict[str, dict[str, Any]]:
     """The energy as printed, from SF2's poses, at other fragment lengths and weights k_V."""
-    printed = FragmentSettings.paper()
+    printed = CartesianSettings.paper()
     variants = {length_name(N): (N, printed) for N in FRAGMENT_LENGTH}
     for k_V in VISUAL_WEIGHT:
         if k_V != printed.k_V:
@@ -291,7 +287,7 @@ def length_name(N: int) -> str:
 
 def weight_name(k_V: float) -> str:
     """Name of the method that weighs the visual term with k_V in the energy as printed."""
-    return length_name(50) if k_V == FragmentSettings.paper().k_V else f"as printed, k_V = {k_V:g}"
+    return length_name(50) if k_V == CartesianSettings.paper().k_V else f"as printed, k_V = {k_V:g}"
 
 
 def _scores(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> dict[str, Any]:

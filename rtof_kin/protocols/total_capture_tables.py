@@ -26,7 +26,7 @@ SEEN = ("S1", "S2", "S3")
 """Subjects of whom the paper's lifter saw other takes in training."""
 _FIGURES = {"mpjpe_rr_mm": "root-relative", "mpjpe_mm": "absolute"}
 _AS_PRINTED = (
-    "Ours here: the energy as printed with a weak prior on positions (FragmentSettings.paper()), from "
+    "Ours here: the energy as printed with a weak prior on positions (CartesianSettings.paper()), from "
     "the poses of sf2; the other tables have the default settings."
 )
 
@@ -84,9 +84,7 @@ def inertial_only(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
         (name, mpjpe, None, mpjje) for name, (mpjpe, mpjje) in published.INERTIAL_ONLY.items()
     ]
     figures = ("mpjpe_mm", "mpjpe_rr_mm", "mpjje")
-    ours = [
-        (f"{m}, ours", *_means(rows, m, figures)) for m in ("sf2", "rtof") if m in protocol.modes
-    ]
+    ours = [(f"{m}, ours", *_means(rows, m, figures)) for m in ("sf2", "rtof") if m in protocol.modes]
     return Table(
         "inertial_only",
         "Total Capture: methods of IMUs alone",
@@ -99,15 +97,7 @@ def inertial_only(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
 
 def ablation(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
     """Every mode, with the paper's ablation beside it and the calibration rows under it."""
-    figures = (
-        "mpjpe_rr_mm",
-        "mpjpe_mm",
-        "mpjpe_pa_mm",
-        "mpjae",
-        "mpjje",
-        "angle_deg",
-        "flexion_deg",
-    )
+    figures = ("mpjpe_rr_mm", "mpjpe_mm", "mpjpe_pa_mm", "mpjae", "mpjje", "angle_deg", "flexion_deg")
     ours = [
         (mode, *published.ABLATION[mode], *_means(rows, mode, figures), _share(rows, mode))
         for mode in CAMERA_MODES

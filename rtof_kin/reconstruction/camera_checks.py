@@ -17,7 +17,7 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.image_checks import Picture, look_at_picture, sensed
-from rtof_kin.reconstruction.prepare import Begun, LifterLike, shipped_lifter
+from rtof_kin.reconstruction.prepare import LifterLike, Prepared, shipped_lifter
 from rtof_kin.reconstruction.scale_checks import (
     ANKLE_HEIGHT,
     Standing,
@@ -51,14 +51,14 @@ _DISTANCE, _FEET = "distance from the camera", "height of the standing ankle"
 
 
 def check_camera_evidence(
-    recording: Recording, begun: Begun, poses: PoseSequence, skeleton: SkeletonModel,
+    recording: Recording, prepared: Prepared, poses: PoseSequence, skeleton: SkeletonModel,
     lifter: LifterLike | None = None,
 ) -> tuple[Check, ...]:  # fmt: skip
     """Checks of what the recording declares about camera, picture and body.
 
     Args:
         recording: as declared, before calibration and outlier rejection.
-        begun: the prepared streams and the poses of each stage before the solver.
+        prepared: the prepared streams and the poses of each stage before the solver.
         poses: the final poses. skeleton: the subject's.
         lifter: the shipped one where not given.
 
@@ -66,10 +66,10 @@ def check_camera_evidence(
         Every check that the recording allows; failed ones name their likely `cause`, the likeliest first.
     """
     picture = look_at_picture(recording, skeleton, lifter or shipped_lifter())
-    video = begun.recording.video
-    walk = check_walk(poses, begun.bone_imus, video, skeleton)
+    video = prepared.recording.video
+    walk = check_walk(poses, prepared.bone_imus, video, skeleton)
     some = slice(None, None, max(1, len(video) // _FRAMES))
-    stands = standing(begun.start[some], video[some], begun.bone_imus is not None)
+    stands = standing(prepared.start[some], video[some], prepared.bone_imus is not None)
     return _ordered(recording, picture, skeleton, stands, (walk,))
 
 
@@ -87,9 +87,7 @@ def check_camera_alone(
 
 
 @contextmanager
-def explained(
-    recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None
-) -> Iterator[None]:
+def explained(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> Iterator[None]:
     """An error about what the camera sees leaves with the cause in front, where a check finds one."""
     try:
         yield
@@ -208,7 +206,8 @@ def _check_distance(stands: Standing | None) -> Check:
 
 def _focal_is_open(camera: Camera, stands: Standing | None) -> tuple[Check, ...]:
     """Says how wrong the focal length may be where the standing feet alone tell of it: a longer one moves
-    the person away along the camera's axis, which a level camera does not see."""
+    the person away along the camera's axis, which a level camera does not see.
+    """
     if stands is None:
         return ()
     share = 100 * stands.tolerance / max(abs(stands.distance * camera.R_camera_world[2, 2]), 1e-9)

@@ -9,7 +9,7 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.threads import threads
 from rtof_kin.reconstruction.prepare import LifterLike, ReconstructionSettings
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 _BESIDE_THE_ENERGY = ("backend", "compile", "floor_height", "ankle_height", "tolerance", "max_iterations")
@@ -48,7 +48,7 @@ class Choices:
         """As JSON has them; null is what was not used."""
         s = self.settings or ReconstructionSettings()
         fragment = s.fragment
-        space = {JointSpaceSettings: "joint", FragmentSettings: "cartesian"}.get(type(fragment))
+        space = {JointSpaceSettings: "joint", CartesianSettings: "cartesian"}.get(type(fragment))
         return {
             "space": space,
             "backend": None if fragment is None else fragment.backend,
@@ -64,12 +64,12 @@ class Choices:
         }
 
 
-def energy_name(settings: JointSpaceSettings | FragmentSettings) -> str:
+def energy_name(settings: JointSpaceSettings | CartesianSettings) -> str:
     """'default', 'default, calibrated', 'as printed' or 'own', by the settings that make an energy."""
-    usual: dict[str, JointSpaceSettings | FragmentSettings] = {
+    usual: dict[str, JointSpaceSettings | CartesianSettings] = {
         "default": type(settings)(),
         "default, calibrated": JointSpaceSettings.calibrated(),
-        "as printed": FragmentSettings.paper(),
+        "as printed": CartesianSettings.paper(),
     }
     for name, other in usual.items():
         if _energy(other) == _energy(settings):
@@ -77,5 +77,5 @@ def energy_name(settings: JointSpaceSettings | FragmentSettings) -> str:
     return "own"
 
 
-def _energy(settings: JointSpaceSettings | FragmentSettings) -> dict[str, Any]:
+def _energy(settings: JointSpaceSettings | CartesianSettings) -> dict[str, Any]:
     return {name: v for name, v in vars(settings).items() if name not in _BESIDE_THE_ENERGY}

@@ -30,7 +30,7 @@ def check_height(recording: Recording) -> None:
         )
 
 
-def contradictions(recording: Recording, calibration: SelfCalibration) -> tuple[str, ...]:
+def consistency_warnings(recording: Recording, calibration: SelfCalibration) -> tuple[str, ...]:
     """Sentences about what the recording says against what was told or held of it.
 
     Args:

@@ -133,9 +133,7 @@ def sensed(recording: Recording, times: Array) -> BoneImuSequence | None:
     return found if found is not None and np.isfinite(found.R_world_bone).any() else None
 
 
-def _sensed_bones(
-    bone_imus: BoneImuSequence, skeleton: SkeletonModel
-) -> list[tuple[int, int, int]]:
+def _sensed_bones(bone_imus: BoneImuSequence, skeleton: SkeletonModel) -> list[tuple[int, int, int]]:
     """Sensor, joint and child of every bone whose segment carries a sensor; none of head and feet."""
     index = skeleton.names.index
     return [
@@ -211,9 +209,7 @@ def halved(keypoints: KeypointSequence) -> KeypointSequence:
 # --- what is compared ----------------------------------------------------------------------------
 
 
-def certainty(
-    keypoints: KeypointSequence, skeleton: SkeletonModel, lifter: LifterLike
-) -> Lifted | None:
+def certainty(keypoints: KeypointSequence, skeleton: SkeletonModel, lifter: LifterLike) -> Lifted | None:
     """What a lifter makes of keypoints alone, without sensors and floor; None where it sees nobody."""
     try:
         result = lifter.predict(keypoints, skeleton.joint_offsets)
@@ -226,9 +222,7 @@ def certainty(
         return Lifted(p, np.nan)
     reprojection = float(np.nanmedian(off)) / _extent(seen)
     logs = [float(np.log(s).mean()) for s in spreads]
-    return Lifted(
-        p, -sum(logs) - _REPROJECTION * float(np.log(max(reprojection, _LEAST_REPROJECTION)))
-    )
+    return Lifted(p, -sum(logs) - _REPROJECTION * float(np.log(max(reprojection, _LEAST_REPROJECTION))))
 
 
 def _extent(seen: KeypointSequence) -> float:
@@ -249,9 +243,7 @@ class Limbs:
     """(T, n, 3) as the sensors have them, in camera axes, m; likewise."""
 
     @classmethod
-    def of(
-        cls, keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel
-    ) -> Limbs:
+    def of(cls, keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel) -> Limbs:
         """Of keypoints, and of sensors at the same times."""
         sensor, joint, child = np.array(_sensed_bones(bone_imus, skeleton)).T
         xy = keypoints.camera.normalise(keypoints.select(skeleton.names).uv_px)

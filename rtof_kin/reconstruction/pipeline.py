@@ -23,16 +23,16 @@ from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.inertial.outlier_rejection import disagreeing, joined
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
 from rtof_kin.reconstruction.choices import Choices
-from rtof_kin.reconstruction.consistency_checks import check_height, contradictions
+from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
 from rtof_kin.reconstruction.prepare import (
-    Begun,
     LifterLike,
+    Prepared,
     Progress,
     ReconstructionSettings,
-    begin,
     evenly_spaced,
     guarded,
     on_floor,
+    prepare,
     sensor_places,
 )
 from rtof_kin.reconstruction.sensor_checks import (
@@ -42,13 +42,13 @@ from rtof_kin.reconstruction.sensor_checks import (
 )
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import misfits
-from rtof_kin.solve.uncertainty.covariance_inflation import Inflation
+from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
 from rtof_kin.solve.uncertainty.disagreement import disagreement
-from rtof_kin.solve.uncertainty.residual_statistics import circumstances
+from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
 
 __all__ = [
     "CAMERA_MODES", "MODES", "LifterLike", "Progress", "Reconstruction", "ReconstructionSettings",
@@ -102,7 +102,6 @@ class Reconstruction:
     """What the recording declares, checked against what its streams show; failed ones name a cause."""
     choices: Choices = field(default_factory=Choices)
     """How it was made: space, backend, lifter and the like."""
-
 
 
 def reconstruct(
@@ -168,31 +167,32 @@ def _with_camera(
         skeleton = skeleton or recording.skeleton
         fragment = on_floor(settings.solver(skeleton, found is not None), recording.floor_height, found)
         settings = settings.with_fragment(fragment)
-        begun = begin(recording, skeleton, mode, lifter, settings, tell, slipped)
-        keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
+        prepared = prepare(recording, skeleton, mode, lifter, settings, tell, slipped)
+        keypoints, poses, solution = _solved(prepared, skeleton, mode, settings, tell, found)
         if (
-            mode == "rtof" and settings.guard_streams and begun.bone_imus is not None
-            and (wrong := disagreeing(poses, begun.bone_imus, skeleton))
+            mode == "rtof" and settings.guard_streams and prepared.bone_imus is not None
+            and (wrong := disagreeing(poses, prepared.bone_imus, skeleton))
         ):  # fmt: skip
             wrong = joined((*slipped, *wrong))
-            begun = begin(recording, skeleton, mode, lifter, settings, tell, wrong)
-            keypoints, poses, solution = _solved(begun, skeleton, mode, settings, tell, found)
-    warnings += _doubts(begun, solution, settings)
-    disagree = any(fault.kind is FaultKind.DISAGREES for fault in begun.faults)
+            prepared = prepare(recording, skeleton, mode, lifter, settings, tell, wrong)
+            keypoints, poses, solution = _solved(prepared, skeleton, mode, settings, tell, found)
+    warnings += _doubts(prepared, solution, settings)
+    disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
     doubted = mode == "rtof" and settings.guard_streams and bool(warnings or disagree)
-    of_camera = check_camera_evidence(told, begun, poses, skeleton, lifter)
+    of_camera = check_camera_evidence(told, prepared, poses, skeleton, lifter)
     view_doubted = any(check.failed for check in of_camera)
     checks = (
-        *check_sensor_evidence(told, begun, skeleton, lifter, settings, doubted, view_doubted), *of_camera
+        *check_sensor_evidence(told, prepared, skeleton, lifter, settings, doubted, view_doubted),
+        *of_camera,
     )
     failed = (check.message for check in checks if check.failed)
-    _warn(recording, (*failed, *begun.faults, *warnings))
-    motion = _told(skeleton.motion(poses), keypoints, begun, solution)
-    stages = begun.stages | {mode: motion.poses if mode != "lift" else poses}
+    _warn(recording, (*failed, *prepared.faults, *warnings))
+    motion = _told(skeleton.motion(poses), keypoints, prepared, solution)
+    stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = stage_metrics(stages, recording.truth, skeleton, mode)
     return Reconstruction(
-        recording, mode, motion, stages, keypoints, begun.bone_imus, solution, scores.get(mode), scores,
-        faults=begun.faults, warnings=warnings, calibration=found, checks=checks,
+        recording, mode, motion, stages, keypoints, prepared.bone_imus, solution, scores.get(mode), scores,
+        faults=prepared.faults, warnings=warnings, calibration=found, checks=checks,
         choices=choices.with_settings(settings, mode),
     )  # fmt: skip
 
@@ -208,7 +208,8 @@ def _as_told(
     settings: ReconstructionSettings, tell: Progress,
 ) -> tuple[SelfCalibration | None, tuple[StreamFault, ...], tuple[str, ...]]:  # fmt: skip
     """What is known of a recording with what it says of itself, what was not listened to for that, and
-    warnings."""
+    warnings.
+    """
     if calibrate is False:
         return known, (), ()
     if isinstance(calibrate, SelfCalibration):
@@ -221,15 +222,15 @@ def _as_told(
             raise
         reason = f"not calibrated from the recording, which is taken as it is given: {error}"
         return known, (), (reason,)
-    return found, slipped, contradictions(recording, found)
+    return found, slipped, consistency_warnings(recording, found)
 
 
 def _doubts(
-    begun: Begun, solution: FragmentSolution | None, settings: ReconstructionSettings
+    prepared: Prepared, solution: FragmentSolution | None, settings: ReconstructionSettings
 ) -> tuple[str, ...]:
     """What makes one doubt a motion: silent sensors, and joints far from where they were seen."""
     found: tuple[str, ...] = ()
-    if begun.bone_imus is not None and not np.isfinite(begun.bone_imus.R_world_bone).any():
+    if prepared.bone_imus is not None and not np.isfinite(prepared.bone_imus.R_world_bone).any():
         found += (
             "no sensor says anything at the times of the video: what comes out is of the image alone; "
             "look at the sensors' values and clock",
@@ -237,25 +238,25 @@ def _doubts(
     s = settings.fragment
     if solution is not None and isinstance(s, JointSpaceSettings) and s.sigma_reprojection is None:
         limit = s.sigma_reprojection_range[1]
-        found += misfits(solution.fragments, begun.start.times, settings.frames, limit)
+        found += misfits(solution.fragments, prepared.start.times, settings.frames, limit)
     return found
 
 
 def _told(
-    motion: MotionSequence, keypoints: KeypointSequence, begun: Begun, solution: FragmentSolution | None
+    motion: MotionSequence, keypoints: KeypointSequence, prepared: Prepared, solution: FragmentSolution | None
 ) -> MotionSequence:
     """A motion with how well it is known, where the solver says so: what lasts is added."""
     if solution is None or solution.confidence is None:
         return motion
-    sensors = () if begun.bone_imus is None else begun.bone_imus.joints
-    told = circumstances(keypoints, motion, begun.stages["lift"], sensors)
-    start = begun.stages.get("sf2", begun.stages["lift"])
+    sensors = () if prepared.bone_imus is None else prepared.bone_imus.joints
+    told = residual_statistics(keypoints, motion, prepared.stages["lift"], sensors)
+    start = prepared.stages.get("sf2", prepared.stages["lift"])
     apart = disagreement(motion.poses, start, solution.confidence.pairs)
-    return replace(motion, confidence=Inflation.shipped().apply(solution.confidence, told, apart))
+    return replace(motion, confidence=CovarianceInflation.shipped().apply(solution.confidence, told, apart))
 
 
 def _solved(
-    begun: Begun, skeleton: SkeletonModel, mode: str, settings: ReconstructionSettings, tell: Progress,
+    prepared: Prepared, skeleton: SkeletonModel, mode: str, settings: ReconstructionSettings, tell: Progress,
     found: SelfCalibration | None,
 ) -> tuple[KeypointSequence, PoseSequence, FragmentSolution | None]:  # fmt: skip
     """The keypoints as used, the mode's poses, and what the fragment solver reports where it is used.
@@ -263,16 +264,16 @@ def _solved(
     Args:
         settings: with those of the fragment solver.
     """
-    keypoints = begun.recording.video
+    keypoints = prepared.recording.video
     if found is not None:
-        keypoints = found.moved(keypoints, begun.start)
+        keypoints = found.moved(keypoints, prepared.start)
     if mode not in ("rto", "rtof"):
-        return keypoints, begun.stages[mode], None
+        return keypoints, prepared.stages[mode], None
     places = None  # in Cartesian space all that usually carry one
     if isinstance(settings.fragment, JointSpaceSettings):
-        places = sensor_places(begun.recording, skeleton, settings)
+        places = sensor_places(prepared.recording, skeleton, settings)
     solution = FragmentSolver(skeleton, settings.frames, settings.fragment, places).solve(
-        begun.start, keypoints, begun.bone_imus, lambda i, n: tell(mode, i, n),
+        prepared.start, keypoints, prepared.bone_imus, lambda i, n: tell(mode, i, n),
         confidence=settings.confidence,
     )  # fmt: skip
     return keypoints, solution.poses, solution
@@ -317,38 +318,37 @@ def _calibrated(
     """What is known of a recording with what it says of itself, and what was not listened to for that."""
     check_height(recording)
     if skeleton is not None:
-        recording = replace(
-            recording, joint_offsets=skeleton.joint_offsets, height=None, bone_lengths=None
-        )
+        recording = replace(recording, joint_offsets=skeleton.joint_offsets, height=None, bone_lengths=None)
     recording = recording if known is None else known.apply(recording)
     priors = priors or CalibrationPriors.of(recording)
-    begun = begin(recording, recording.skeleton, "sf2", lifter, settings, tell)
+    prepared = prepare(recording, recording.skeleton, "sf2", lifter, settings, tell)
     fragment = on_floor(settings.solver(recording.skeleton), recording.floor_height, known)
     solver = fragment if isinstance(fragment, JointSpaceSettings) else None
     if known is not None:
-        keypoints = known.moved(begun.recording.video, begun.start)
-        begun = replace(begun, recording=replace(begun.recording, keypoints=keypoints))
+        keypoints = known.moved(prepared.recording.video, prepared.start)
+        prepared = replace(prepared, recording=replace(prepared.recording, keypoints=keypoints))
         if known.ankle_height:
             priors = replace(priors, sigma_ankle_height=None)
-    slipped = _slipped(begun, recording.skeleton, settings.with_fragment(fragment))
+    slipped = _slipped(prepared, recording.skeleton, settings.with_fragment(fragment))
     found = calibrate_from(
-        begun.recording, begun.start, priors, solver, settings.frames,
+        prepared.recording, prepared.start, priors, solver, settings.frames,
         lambda done, total: tell("calibrate", done, total), slipped,
     )  # fmt: skip
     return (found if known is None else known.followed_by(found)), slipped
 
 
 def _slipped(
-    begun: Begun, skeleton: SkeletonModel, settings: ReconstructionSettings
+    prepared: Prepared, skeleton: SkeletonModel, settings: ReconstructionSettings
 ) -> tuple[StreamFault, ...]:
     """Sensors that differ from the motion solved with all of them, but not all the time: what they say of
-    their mounting is no constant."""
-    if not settings.guard_streams or begun.bone_imus is None:
+    their mounting is no constant.
+    """
+    if not settings.guard_streams or prepared.bone_imus is None:
         return ()
     plain = replace(settings, confidence=False)
-    _, poses, _ = _solved(begun, skeleton, "rtof", plain, lambda *_: None, None)
+    _, poses, _ = _solved(prepared, skeleton, "rtof", plain, lambda *_: None, None)
     most = _LASTING_SHARE * (poses.times[-1] - poses.times[0])
-    wrong = disagreeing(poses, begun.bone_imus, skeleton)
+    wrong = disagreeing(poses, prepared.bone_imus, skeleton)
     return tuple(fault for fault in wrong if fault.stop - fault.start < most)
 
 
@@ -356,7 +356,7 @@ def _without_camera(
     recording: Recording, skeleton: SkeletonModel, settings: ReconstructionSettings, tell: Progress
 ) -> Reconstruction:
     """Mode imu."""
-    if settings.space == "cartesian" or isinstance(settings.fragment, FragmentSettings):
+    if settings.space == "cartesian" or isinstance(settings.fragment, CartesianSettings):
         raise ShapeError("mode imu is solved in joint space; leave out the other space and its settings")
     solver = settings.fragment or replace(settings, space="joint").solver(skeleton)
     assert isinstance(solver, JointSpaceSettings)

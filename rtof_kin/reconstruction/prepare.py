@@ -24,7 +24,7 @@ from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.inertial.outlier_rejection import guarded_imus, without
 from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import SPACES, FragmentSettings
+from rtof_kin.solve.cartesian.settings import SPACES, CartesianSettings
 from rtof_kin.solve.fragment_solver import usual_space
 from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
@@ -65,7 +65,7 @@ class ReconstructionSettings:
     """Whether the lifter is told the sensors' orientations too, in the modes that use sensors; a lifter
     that knows none ignores them."""
     inertial_ik: InertialGuidedIKSettings = field(default_factory=InertialGuidedIKSettings)
-    fragment: JointSpaceSettings | FragmentSettings | None = None
+    fragment: JointSpaceSettings | CartesianSettings | None = None
     """Of the fragment solver, and by their type its space; the defaults of `space` where not given."""
     space: str | None = None
     """One of `SPACES`, where `fragment` does not tell; where not given, that of `FragmentSolver`."""
@@ -93,7 +93,7 @@ class ReconstructionSettings:
 
     def solver(
         self, skeleton: SkeletonModel, calibrated: bool = False
-    ) -> JointSpaceSettings | FragmentSettings:
+    ) -> JointSpaceSettings | CartesianSettings:
         """Settings of the fragment solver: those given, else the defaults.
 
         Args:
@@ -104,18 +104,18 @@ class ReconstructionSettings:
         """
         if self.fragment is not None:
             return self.fragment
-        fragment: JointSpaceSettings | FragmentSettings = FragmentSettings()
+        fragment: JointSpaceSettings | CartesianSettings = CartesianSettings()
         if (self.space or usual_space(skeleton)) == "joint":
             fragment = JointSpaceSettings.calibrated() if calibrated else JointSpaceSettings()
         return fragment if self.backend is None else replace(fragment, backend=self.backend)
 
-    def with_fragment(self, fragment: JointSpaceSettings | FragmentSettings | None) -> Self:
+    def with_fragment(self, fragment: JointSpaceSettings | CartesianSettings | None) -> Self:
         """The same with settings of the fragment solver."""
         return replace(self, fragment=fragment, space=None, backend=None)
 
 
 @dataclass(frozen=True)
-class Begun:
+class Prepared:
     """A recording up to the fragment solver's start."""
 
     recording: Recording
@@ -128,10 +128,9 @@ class Begun:
     """What was found wrong with the streams, and what was left out besides."""
 
 
-def begin(
-    recording: Recording, skeleton: SkeletonModel, mode: str, lifter: LifterLike | None,
+def prepare(    recording: Recording, skeleton: SkeletonModel, mode: str, lifter: LifterLike | None,
     settings: ReconstructionSettings, tell: Progress, left_out: tuple[StreamFault, ...] = (),
-) -> Begun:  # fmt: skip
+) -> Prepared:  # fmt: skip
     """Look the streams through, lift, and with sensors correct what was lifted.
 
     Args:
@@ -163,7 +162,7 @@ def begin(
         start = stages["sf2"] = ik.refine(lifted, bone_imus, R_lifted)
     elif mode == "rto":
         start = InertialGuidedIK(skeleton).refine(lifted, None, R_lifted)
-    return Begun(recording, bone_imus, stages, start, (*faults, *left_out))
+    return Prepared(recording, bone_imus, stages, start, (*faults, *left_out))
 
 
 def _check_video(keypoints: KeypointSequence) -> None:
@@ -238,7 +237,8 @@ def sensor_places(
     recording: Recording, skeleton: SkeletonModel, settings: ReconstructionSettings
 ) -> tuple[str, ...]:
     """Segments that usually carry a sensor and of which the recording or the settings name one, whether
-    the mode uses it, and whether it says anything, or not: one compiled problem fits all these cases."""
+    the mode uses it, and whether it says anything, or not: one compiled problem fits all these cases.
+    """
     places, calibration, imus = {*settings.sensor_joints}, recording.calibration, recording.imus
     if calibration is not None and imus is not None:
         told = zip(calibration.sensors, calibration.joints, strict=True)
@@ -247,10 +247,10 @@ def sensor_places(
 
 
 def on_floor(
-    settings: JointSpaceSettings | FragmentSettings,
+    settings: JointSpaceSettings | CartesianSettings,
     floor_height: float | None,
     calibration: SelfCalibration | None,
-) -> JointSpaceSettings | FragmentSettings:
+) -> JointSpaceSettings | CartesianSettings:
     """The fragment solver's settings with the recording's floor, where they know floors and have none.
 
     Args:
@@ -271,12 +271,11 @@ def _lift(
     floor_height: float | None,
 ) -> tuple[PoseSequence, Array]:
     """The lifter's poses, orientations from positions where it gives none, and who saw what; and the
-    orientations (T, J, 3, 3) that it gives, NaN where not."""
+    orientations (T, J, 3, 3) that it gives, NaN where not.
+    """
     if lifter is None:
         lifter = shipped_lifter()
-    result = lifter.predict(
-        keypoints, skeleton.joint_offsets, bone_imus=bone_imus, floor_height=floor_height
-    )
+    result = lifter.predict(keypoints, skeleton.joint_offsets, bone_imus=bone_imus, floor_height=floor_height)
     p = np.asarray(result.p_world_joint)
     depth = keypoints.camera.to_camera(p)[..., 2]
     if np.any(depth <= 0):

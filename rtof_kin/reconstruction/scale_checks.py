@@ -1,5 +1,6 @@
 """How large and how far away a person is, by what does not ask the picture: the floor, standing feet, the
-accelerations of two segments at a joint, and the perspective in which the sensors' bones are seen."""
+accelerations of two segments at a joint, and the perspective in which the sensors' bones are seen.
+"""
 
 from __future__ import annotations
 
@@ -81,9 +82,7 @@ def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> C
     """
     found = None if bone_imus is None else _length_ratio(bone_imus, skeleton)
     if found is None:
-        return Check.unknown(
-            _SCALE, "bones", "times", "no two sensors at one joint that turns fast enough"
-        )
+        return Check.unknown(_SCALE, "bones", "times", "no two sensors at one joint that turns fast enough")
     longer = 1 / found
     word = "long" if longer > 1 else "short"
     return Check(

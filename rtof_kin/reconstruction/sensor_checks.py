@@ -21,10 +21,10 @@ from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.inertial.mounting import LEAST_RATIO, find_faults
+from rtof_kin.inertial.mounting import LEAST_RATIO, diagnose_setup
 from rtof_kin.inertial.recorded_form import check_form
 from rtof_kin.inertial.setup_diagnosis import Fault, FaultKind
-from rtof_kin.reconstruction.prepare import Begun, LifterLike, ReconstructionSettings, begin
+from rtof_kin.reconstruction.prepare import LifterLike, Prepared, ReconstructionSettings, prepare
 from rtof_kin.recording.recording import Recording
 
 SETUP = "evidence for another setup"
@@ -52,14 +52,14 @@ def check_sensor_form(recording: Recording) -> tuple[Check, ...]:
 
 
 def check_sensor_evidence(
-    recording: Recording, begun: Begun, skeleton: SkeletonModel, lifter: LifterLike | None,
+    recording: Recording, prepared: Prepared, skeleton: SkeletonModel, lifter: LifterLike | None,
     settings: ReconstructionSettings, doubted: bool = False, view_doubted: bool = False,
 ) -> tuple[Check, ...]:  # fmt: skip
     """Checks of what the recording declares about sensors and clocks.
 
     Args:
         recording: as declared, before calibration and outlier rejection.
-        begun: the prepared streams and the poses of each stage before the solver.
+        prepared: the prepared streams and the poses of each stage before the solver.
         skeleton: the subject's. lifter, settings: as for `reconstruct`.
         doubted: whether something else that was found may be explained by how sensors are set up.
         view_doubted: whether a check of the camera failed: a picture that is turned or mirrored makes
@@ -75,7 +75,7 @@ def check_sensor_evidence(
         why = f"samples are not what they are declared to be: {wrong.cause}"
         unknown = ((CLOCKS, "video and sensors", "s"), (SETUP, "sensors", "nats"))
         return (*form, *(Check.unknown(*what, why) for what in unknown))
-    seen, lifted = _as_seen(recording, begun), begun.stages["lift"]
+    seen, lifted = _as_seen(recording, prepared), prepared.stages["lift"]
     native = recording.calibration.apply(recording.imus)
     clocks = check_clocks(seen, native, lifted, skeleton)
     if clocks.failed:
@@ -107,9 +107,9 @@ def naming_wrong_samples(recording: Recording) -> Iterator[None]:
         raise type(error)("; ".join([*causes, f"therefore {error}"])) from error
 
 
-def _as_seen(recording: Recording, begun: Begun) -> KeypointSequence:
+def _as_seen(recording: Recording, prepared: Prepared) -> KeypointSequence:
     """The keypoints that were lifted, on the clock that was declared."""
-    lifted, declared = begun.recording.video, recording.video
+    lifted, declared = prepared.recording.video, recording.video
     return replace(lifted, times=lifted.times + declared.times[0] - lifted.times[0])
 
 
@@ -139,14 +139,15 @@ def _check_setup(
     settings: ReconstructionSettings, view_doubted: bool,
 ) -> Check:  # fmt: skip
     """Whether each sensor is where it is declared, and its world the camera's, by all that movement
-    tells."""
-    seen = begin(recording, skeleton, "lift", lifter, settings, lambda *_: None)
+    tells.
+    """
+    seen = prepare(recording, skeleton, "lift", lifter, settings, lambda *_: None)
     bone_imus = seen.recording.bone_imus()
     if bone_imus is None or not _long_enough(bone_imus):
         why = f"there are less than {_LEAST_SECONDS:g} s of video and sensors together"
         return Check.unknown(SETUP, "sensors", "nats", why)
     found = [
-        fault for pose, kinds in (("T", tuple(FaultKind)), ("N", _ELSEWHERE)) for fault in find_faults(
+        fault for pose, kinds in (("T", tuple(FaultKind)), ("N", _ELSEWHERE)) for fault in diagnose_setup(
             bone_imus, skeleton, pose=pose, visual=seen.start, calibration=recording.calibration,
             kinds=kinds, most=1)
     ]  # fmt: skip

@@ -120,9 +120,7 @@ def _on_path(
     """Poses with their root on a path, which sensors on the legs saw."""
     provenance = start.provenance.copy()
     provenance[:, 0] = Provenance.IMU if contacts.joints else Provenance.PRIOR
-    p = kinematics.positions(
-        skeleton.parents, skeleton.joint_offsets, path.p_world, start.R_world_bone
-    )
+    p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, path.p_world, start.R_world_bone)
     return replace(start, p_world_joint=p, provenance=provenance)
 
 

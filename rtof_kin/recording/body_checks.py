@@ -1,5 +1,6 @@
 """Checks of bodies and cameras that need no estimate: bones of constant length, a person's size, focal
-lengths, reprojection."""
+lengths, reprojection.
+"""
 
 from __future__ import annotations
 

@@ -12,13 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import (
-    CalibrationError,
-    FileFormatError,
-    ShapeError,
-    UnitError,
-    UnknownNameError,
-)
+from rtof_kin.core.errors import CalibrationError, FileFormatError, ShapeError, UnitError, UnknownNameError
 from rtof_kin.core.files.arrays import read_csv, read_npz
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.section import Section
@@ -196,9 +190,7 @@ def _keypoint_npz(
             raise section.error("layout", "stands beside landmarks; give only one of the two")
         names = skeleton.names
     if names is None:
-        raise section.error(
-            "landmarks", "missing; list the names of the points in the file's order"
-        )
+        raise section.error("landmarks", "missing; list the names of the points in the file's order")
     if len(names) != uv.shape[1]:
         raise section.error(
             "landmarks", f"{len(names)} names, but {path} has {uv.shape[1]} points; name each one, "
@@ -207,9 +199,7 @@ def _keypoint_npz(
     return names, arrays
 
 
-def _read_detected(
-    section: Section, camera: Camera, skeleton: SkeletonModel
-) -> KeypointSequence:
+def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) -> KeypointSequence:
     """Keypoints from a detector's own file or folder, in its own layout; see `rtof_kin.vision`."""
     layout: str | None = section.text("layout")
     layouts = detector_table().layouts
@@ -253,9 +243,7 @@ def read_keypoint_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:
     return names, arrays
 
 
-def csv_names(
-    path: Path, columns: list[str], endings: Sequence[str], optional: int = 0
-) -> tuple[str, ...]:
+def csv_names(path: Path, columns: list[str], endings: Sequence[str], optional: int = 0) -> tuple[str, ...]:
     """Names in the order of their first column; all columns but the last `optional` are needed."""
     names: dict[str, None] = {}
     for column in columns:

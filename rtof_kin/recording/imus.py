@@ -17,23 +17,14 @@ from rtof_kin.core.files.section import Section
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.formats.imu_calibration_toml import calibration_of, calibration_table
-from rtof_kin.recording.files import (
-    csv_names,
-    data_path,
-    naming,
-    needed,
-    read_arrays,
-    read_times,
-)
+from rtof_kin.recording.files import csv_names, data_path, naming, needed, read_arrays, read_times
 
 Array = NDArray[np.float64]
 _COLUMNS = ("_qw", "_qx", "_qy", "_qz", "_fx", "_fy", "_fz")
 _QUATERNION_TOLERANCE = 1e-3
 
 
-def read_imus(
-    section: Section, skeleton: SkeletonModel
-) -> tuple[ImuSequence | None, ImuCalibration | None]:
+def read_imus(section: Section, skeleton: SkeletonModel) -> tuple[ImuSequence | None, ImuCalibration | None]:
     """The sensors' data, where the section names a file, and their calibration, where it has one."""
     calibration = calibration_of(section.table("sensors"), skeleton)
     imus = _imu_sequence(section, calibration) if section.has("file") else None

@@ -194,9 +194,7 @@ class Recording:
 
     def _check_clocks(self) -> None:
         parts = {"keypoints": self.keypoints, "IMU": self.imus, "truth": self.truth}
-        (first, times), *others = (
-            (what, part.times) for what, part in parts.items() if part is not None
-        )
+        (first, times), *others = ((what, part.times) for what, part in parts.items() if part is not None)
         for what, other in others:
             if not (other[0] <= times[-1] and times[0] <= other[-1]):
                 raise ShapeError(
@@ -220,9 +218,7 @@ class Recording:
             raise ShapeError(f"recording {self.name}: has no keypoints, as nobody filmed it")
         return self.keypoints
 
-    def bone_imus(
-        self, max_gap: float = 0.1, times: ArrayLike | None = None
-    ) -> BoneImuSequence | None:
+    def bone_imus(self, max_gap: float = 0.1, times: ArrayLike | None = None) -> BoneImuSequence | None:
         """The IMUs in terms of the body; None where there are none.
 
         Args:
@@ -265,9 +261,7 @@ class Recording:
 
     @classmethod
     def _from_index(cls, index: Section) -> Self:
-        subject, skeleton, scene, notes = (
-            index.table(n) for n in ("subject", "skeleton", "scene", "notes")
-        )
+        subject, skeleton, scene, notes = (index.table(n) for n in ("subject", "skeleton", "scene", "notes"))
         fields: dict[str, Any] = {
             "name": index.text("name", index.path.absolute().parent.name),
             "first_frame": index.integer("first_frame", 0),
@@ -287,9 +281,7 @@ class Recording:
         facts = ("skeleton_table", "joint_offsets", "bone_lengths", "height", "mass_kg", "sex")
         body = _body(**{name: fields[name] for name in facts if name in fields})
         if index.has("imus"):
-            fields["imus"], fields["calibration"] = recording_imus.read_imus(
-                index.table("imus"), body
-            )
+            fields["imus"], fields["calibration"] = recording_imus.read_imus(index.table("imus"), body)
         if index.has("truth"):
             fields["truth"] = files.read_truth(index.table("truth"), body)
         for section in (index, subject, skeleton, scene, notes):

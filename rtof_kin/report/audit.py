@@ -20,11 +20,7 @@ from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.data.poses import Provenance
 from rtof_kin.inertial.outlier_rejection import DISAGREES
 from rtof_kin.report.audit_results import FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS, Finding
-from rtof_kin.report.residuals import (
-    acceleration_residuals,
-    orientation_residuals,
-    reprojection_errors,
-)
+from rtof_kin.report.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
 

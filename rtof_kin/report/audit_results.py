@@ -196,7 +196,8 @@ def section_verdict(section: str, findings: Sequence[Finding], most: int = 6) ->
 
 def finding_lines(findings: Sequence[Finding], grade: Grade) -> Iterator[str]:
     """Findings of one grade; of several of one figure the worst stands for all, and of figures that are
-    weakly observed what is said of them in words."""
+    weakly observed what is said of them in words.
+    """
     chosen = [finding for finding in findings if finding.grade is grade]
     if grade is Grade.WEAK:
         chosen = [finding for finding in chosen if not finding.name] or chosen

@@ -65,10 +65,7 @@ def export(
     folder = Path(folder)
     with new_folder(folder, MARKER, overwrite) as temporary:
         write_motion_npz(
-            temporary / MARKER,
-            result.motion,
-            first_frame=result.recording.first_frame,
-            mode=result.mode,
+            temporary / MARKER, result.motion, first_frame=result.recording.first_frame, mode=result.mode
         )
         write_motion_files(temporary, result.motion, formats)
         text = json.dumps(summary(result), indent=2)

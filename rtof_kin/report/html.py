@@ -135,7 +135,7 @@ def _ranges(rows: Iterable[Data]) -> str:
         if found is None:
             return ("", "", "")
         low, high, extent = (_whole(found[name]) for name in ("low", "high", "range"))
-        missing = f' <small>seen {100 * found["known"]:.0f} %</small>' if found["known"] < 0.995 else ""
+        missing = f" <small>seen {100 * found['known']:.0f} %</small>" if found["known"] < 0.995 else ""
         return (f"{low} to {high}" if low else "", f"<b>{extent}</b>{missing}", _whole(found["speed"]))
 
     out = []

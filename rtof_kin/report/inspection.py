@@ -121,9 +121,7 @@ def _log(path: Path, log: SensorLog) -> Inspection:
         if getattr(log.declaration, f.name) is not None
     ]
     contents = ((f"sensor {s.name}", _stream(s)) for s in log.streams)
-    return Inspection(
-        path, log.format, (*contents, *declared), check_log(log), log.notes, log=log
-    )
+    return Inspection(path, log.format, (*contents, *declared), check_log(log), log.notes, log=log)
 
 
 def _stream(stream: SensorStream) -> str:
@@ -178,28 +176,21 @@ def _recording(path: Path) -> Inspection:
             checks.append(bodies.check_reprojection(keypoints, at, truth.names))
         checks += [bodies.check_size(truth.p_world_joint)]
         checks += bodies.check_bone_lengths(lengths, bodies.RIGID_MM)
-    return Inspection(
-        path, "recording", tuple(contents), tuple(checks), log=log, bone_lengths=lengths
-    )
+    return Inspection(path, "recording", tuple(contents), tuple(checks), log=log, bone_lengths=lengths)
 
 
 def _motion(path: Path) -> Inspection:
     file = read_motion_npz(path)
     poses = file.poses
     skeleton = file.motion().skeleton
-    lengths = bodies.bone_lengths(
-        poses.p_world_joint, bodies.skeleton_bones(poses.names, skeleton.parents)
-    )
+    lengths = bodies.bone_lengths(poses.p_world_joint, bodies.skeleton_bones(poses.names, skeleton.parents))
     contents = (
         ("frames", _span(poses.times)),
         ("skeleton", f"{file.skeleton}, {len(poses.names)} joints, {len(file.dof_names)} angles"),
         ("mode", file.mode or "not told"),
         ("valid", f"{100 * float(poses.valid.mean()):.0f} % of the joints"),
     )
-    checks = (
-        bodies.check_size(poses.p_world_joint),
-        *bodies.check_bone_lengths(lengths, bodies.RIGID_MM),
-    )
+    checks = (bodies.check_size(poses.p_world_joint), *bodies.check_bone_lengths(lengths, bodies.RIGID_MM))
     return Inspection(path, "reconstructed motion", contents, checks, bone_lengths=lengths)
 
 
@@ -252,10 +243,7 @@ def _markers(path: Path, title: str, markers: MarkerSequence) -> Inspection:
         ("markers", f"{len(markers.names)}: {_listed(markers.names)}"),
         ("seen", f"{100 * float(seen.mean()):.0f} % of them"),
     )
-    checks = (
-        bodies.check_size(markers.p_world),
-        *bodies.check_bone_lengths(lengths, bodies.TRIANGULATED_MM),
-    )
+    checks = (bodies.check_size(markers.p_world), *bodies.check_bone_lengths(lengths, bodies.TRIANGULATED_MM))
     notes = () if lengths else ("No two names tell a joint and a side, so no bone can be checked",)
     return Inspection(path, title, contents, checks, notes, bone_lengths=lengths)
 

@@ -1,5 +1,6 @@
 """Pictures of what an inspection found: where a sensor rests and what it reads, two speeds, steps of the
-clock, lengths of bones."""
+clock, lengths of bones.
+"""
 
 from __future__ import annotations
 

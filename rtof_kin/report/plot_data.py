@@ -79,7 +79,8 @@ def cycle_drawings(analysis: MotionAnalysis) -> Data:
 
 def player_data(motion: MotionSequence, shown: slice, floor: Any) -> Data:
     """The skeleton's positions, from the middle of its way; of each joint, frames [first, stop) in which
-    nobody saw the bone that leads to it."""
+    nobody saw the bone that leads to it.
+    """
     poses, skeleton = motion.poses, motion.skeleton
     p = poses.p_world_joint[shown]
     known = np.isfinite(p).all(axis=(1, 2))

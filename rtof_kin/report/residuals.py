@@ -37,7 +37,8 @@ def reprojection_errors(result: Reconstruction) -> tuple[Array, float]:
 
 def orientation_residuals(result: Reconstruction) -> tuple[Array, Array]:
     """(T, S) rad between each sensor's segment and the motion's: across its bone, and about it; of a
-    segment with several children or none, all of it is across."""
+    segment with several children or none, all of it is across.
+    """
     skeleton, imus = result.motion.skeleton, result.bone_imus
     assert imus is not None
     index = skeleton.index(*imus.joints)
@@ -57,7 +58,8 @@ def orientation_residuals(result: Reconstruction) -> tuple[Array, Array]:
 
 def acceleration_residuals(result: Reconstruction) -> Array:
     """(T, S) m/s^2 between each sensor's acceleration and the second difference of the motion at its
-    lever arm; NaN at the ends and where either is not known."""
+    lever arm; NaN at the ends and where either is not known.
+    """
     imus, poses = result.bone_imus, result.motion.poses
     assert imus is not None
     index = result.motion.skeleton.index(*imus.joints)

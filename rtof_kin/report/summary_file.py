@@ -96,7 +96,8 @@ def _check_list(name: str, given: Any) -> None:
 
 def _check_table(name: str, table: Any, parts: Collection[str] = ()) -> None:
     """Raise where this is no table of numbers (by the ends of their names) and texts; `parts` of it are
-    looked at elsewhere."""
+    looked at elsewhere.
+    """
     if not isinstance(table, dict):
         raise ShapeError(f"{name}: no table")
     for field, value in table.items():

@@ -112,9 +112,7 @@ def recognise_family(path: str | Path, motion: ArticulatedMotion) -> Family:
     need = {joint for entry in (*family.at, *family.turns) for joint in entry[:2]}
     lacking = sorted(need - set(motion.names))
     if lacking:
-        raise FileFormatError(
-            path, f"a skeleton of family {family.name} without {', '.join(lacking)}"
-        )
+        raise FileFormatError(path, f"a skeleton of family {family.name} without {', '.join(lacking)}")
     return family
 
 
@@ -124,7 +122,8 @@ def _candidate(motion: ArticulatedMotion) -> Family | None:
 
 def without_character(motion: ArticulatedMotion) -> ArticulatedMotion:
     """The motion without the character's name that software puts before the joints', up to a ':', '_' or
-    '|', where a family is recognised without it only."""
+    '|', where a family is recognised without it only.
+    """
     root = motion.names[0]
     ends = (i + 1 for i, letter in enumerate(root) if letter in ":_|")
     shared = (end for end in ends if all(name.startswith(root[:end]) for name in motion.names))

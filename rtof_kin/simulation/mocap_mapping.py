@@ -144,9 +144,7 @@ def _canonical_rotations(family: Family, p_rest: Array) -> Array:
         m = NAMES.index(joint)
         (child,) = kinematics.children_of(PARENTS, m)
         R[m] = so3.minimal_rotation(p_rest[child] - p_rest[m], direction)
-        if NAMES[child].endswith("Hand") or (
-            NAMES[child].endswith("Foot") and family.feet_go_with_shanks
-        ):
+        if NAMES[child].endswith("Hand") or (NAMES[child].endswith("Foot") and family.feet_go_with_shanks):
             R[child] = R[m]
     return R
 
@@ -189,9 +187,7 @@ def resample_clip(clip: MocapClip, rate_hz: float) -> MocapClip:
         return replace(clip, poses=poses[:: round(ratio)])
     times = np.arange(int(poses.times[-1] * rate_hz * (1 + 1e-12)) + 1) / rate_hz
     local = kinematics.local_rotations(PARENTS, poses.R_world_bone)
-    R = kinematics.world_rotations(
-        PARENTS, signals.interpolate_rotations(poses.times, local, times)
-    )
+    R = kinematics.world_rotations(PARENTS, signals.interpolate_rotations(poses.times, local, times))
     p_root = signals.interpolate(poses.times, poses.p_world_joint[:, 0], times)
     p = kinematics.positions(PARENTS, clip.joint_offsets, p_root, R)
     return replace(clip, poses=PoseSequence(times, p, R, NAMES))

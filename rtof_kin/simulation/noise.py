@@ -161,9 +161,7 @@ def smooth_noise(
 # --- keypoints -----------------------------------------------------------------------------------
 
 
-def keypoint_errors(
-    rng: Generator, times: Array, joints: Sequence[str], noise: KeypointNoise
-) -> Array:
+def keypoint_errors(rng: Generator, times: Array, joints: Sequence[str], noise: KeypointNoise) -> Array:
     """Errors in px (T, L, 2) of landmarks that sit on the joints named; `noise` as drawn."""
     T, L = len(times), len(joints)
     memory = [noise.wrist_memory if j in _WRISTS else noise.drift_memory for j in joints]

@@ -57,9 +57,7 @@ def simulate_imus(
     wanted = indices_of("sensor", sensors, known)
     streams = rng.spawn(len(known))
     all_local = kinematics.local_rotations(skeleton.parents, poses.R_world_bone)
-    measured = [
-        _measure(streams[i], poses, skeleton, known[i], all_local, times, noise) for i in wanted
-    ]
+    measured = [_measure(streams[i], poses, skeleton, known[i], all_local, times, noise) for i in wanted]
     places = [skeleton.sensors[name] for name in sensors]
     calibration = ImuCalibration(
         sensors=tuple(sensors),

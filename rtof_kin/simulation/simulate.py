@@ -217,9 +217,7 @@ def standard_cameras(poses: PoseSequence, seed: int) -> list[Camera]:
     return cameras
 
 
-def _far_enough(
-    p: Array, centre: Array, direction: Array, height: float, distance: float
-) -> Camera:
+def _far_enough(p: Array, centre: Array, direction: Array, height: float, distance: float) -> Camera:
     while True:
         position = np.array([*(centre[:2] + distance * direction), height])
         camera = Camera.looking_at(position, centre, _FOCAL_PX)

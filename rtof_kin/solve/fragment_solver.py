@@ -20,7 +20,7 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Footholds
-from rtof_kin.solve.cartesian.settings import SPACES, FragmentSettings
+from rtof_kin.solve.cartesian.settings import SPACES, CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.joint_space.solver import JointSpaceSolver
@@ -44,7 +44,7 @@ class FragmentSolver:
         self,
         skeleton: SkeletonModel,
         frames: int = 50,
-        settings: FragmentSettings | JointSpaceSettings | None = None,
+        settings: CartesianSettings | JointSpaceSettings | None = None,
         sensor_joints: tuple[str, ...] | None = None,
         space: str | None = None,
     ) -> None:
@@ -54,7 +54,7 @@ class FragmentSolver:
             skeleton: gives the joints, the bone lengths and the limits.
             frames: N, even, at least 8.
             settings: what the observations are worth; `JointSpaceSettings` or, for Cartesian space,
-                `FragmentSettings`.
+                `CartesianSettings`.
             sensor_joints: segments whose sensors the problem has a place for, of which a recording may
                 have any subset: in joint space all subsets take the same compiled code. Where not given,
                 every segment that usually carries one, in joint space those that say anything.
@@ -67,7 +67,7 @@ class FragmentSolver:
         """
         if frames < 8 or frames % 2:
             raise ShapeError(f"frames: N = {frames} must be even and at least 8")
-        kinds = {"joint": JointSpaceSettings, "cartesian": FragmentSettings}
+        kinds = {"joint": JointSpaceSettings, "cartesian": CartesianSettings}
         if space is None:
             usual = usual_space(skeleton)
             space = next((s for s in SPACES if isinstance(settings, kinds[s])), usual)
@@ -85,7 +85,7 @@ class FragmentSolver:
         self._solver: CartesianSolver | JointSpaceSolver
         if space == "joint" and isinstance(settings, JointSpaceSettings):
             self._solver = JointSpaceSolver(skeleton, frames, settings, tuple(sensor_joints or ()))
-        elif space == "cartesian" and isinstance(settings, FragmentSettings):
+        elif space == "cartesian" and isinstance(settings, CartesianSettings):
             self._solver = CartesianSolver(skeleton, frames, settings, self.sensor_joints)
         else:
             raise ShapeError(f"settings: {type(settings).__name__} are not those of space {space!r}")

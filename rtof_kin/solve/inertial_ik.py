@@ -43,17 +43,12 @@ class InertialGuidedIKSettings:
 class InertialGuidedIK:
     """Corrects poses frame by frame with the orientations of IMUs; bone lengths become the model's."""
 
-    def __init__(
-        self, skeleton: SkeletonModel, settings: InertialGuidedIKSettings | None = None
-    ) -> None:
+    def __init__(self, skeleton: SkeletonModel, settings: InertialGuidedIKSettings | None = None) -> None:
         self.skeleton = skeleton
         self.settings = settings or InertialGuidedIKSettings()
 
     def refine(
-        self,
-        poses: PoseSequence,
-        bone_imus: BoneImuSequence | None = None,
-        R_observed: Array | None = None,
+        self, poses: PoseSequence, bone_imus: BoneImuSequence | None = None, R_observed: Array | None = None
     ) -> PoseSequence:
         """Poses with the skeleton's bone lengths, limb directions corrected by the sensors there are.
 
@@ -94,17 +89,13 @@ class InertialGuidedIK:
         R_imu = self._sensor_rotations(poses, bone_imus)
         R = np.full((*p.shape[:2], 3, 3), np.nan)
         R_seen = np.full_like(R, np.nan) if R_observed is None else R_observed
-        R[known] = self._solve(
-            p[known], R_seen[known], {j: matrices[known] for j, matrices in R_imu.items()}
-        )
+        R[known] = self._solve(p[known], R_seen[known], {j: matrices[known] for j, matrices in R_imu.items()})
         sensed = np.zeros(p.shape[:2], dtype=bool)
         for j, matrices in R_imu.items():
             sensed[:, j] = np.isfinite(matrices[:, 0, 0])
         return R, sensed
 
-    def _posed(
-        self, poses: PoseSequence, p: Array, R: Array, sensed: NDArray[np.bool_]
-    ) -> PoseSequence:
+    def _posed(self, poses: PoseSequence, p: Array, R: Array, sensed: NDArray[np.bool_]) -> PoseSequence:
         """The poses at positions and orientations that sensors told of where `sensed`."""
         return replace(
             poses,
@@ -115,9 +106,7 @@ class InertialGuidedIK:
             orientation_observed=sensed | poses.orientation_observed,
         )
 
-    def _sensor_rotations(
-        self, poses: PoseSequence, bone_imus: BoneImuSequence | None
-    ) -> dict[int, Array]:
+    def _sensor_rotations(self, poses: PoseSequence, bone_imus: BoneImuSequence | None) -> dict[int, Array]:
         """Joint index -> R_world_bone (T, 3, 3) of its sensor at the poses' times, NaN where missing."""
         if bone_imus is None:
             return {}
@@ -144,7 +133,8 @@ class InertialGuidedIK:
 
     def _observed(self, joint: int, p: Array, R_seen: Array, R_positions: Array) -> Array:
         """One segment's orientation as it was seen, (T, 3, 3); of several bones half way to what their
-        joints' positions say: of a body unlike those that the lifter knows they tell more."""
+        joints' positions say: of a body unlike those that the lifter knows they tell more.
+        """
         if len(kinematics.children_of(self.skeleton.parents, joint)) > 1:
             return so3.nearest_rotation(R_seen + R_positions)
         return self._swung(joint, p, R_seen)

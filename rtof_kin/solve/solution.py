@@ -75,7 +75,8 @@ class FragmentReport:
     @property
     def sees_enough(self) -> bool:
         """Whether landmarks count for something in it: where hardly one was seen, the size that they are
-        taken to be off by is a default."""
+        taken to be off by is a default.
+        """
         return self.energy["visual"] > _LEAST_VISUAL
 
 

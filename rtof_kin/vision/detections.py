@@ -102,8 +102,7 @@ class Detections:
         T, P = max(numbered) + 1, max(map(len, numbered.values()))
         if P > _MOST_PEOPLE or T * P * K > _MOST_NUMBERS:
             raise ShapeError(
-                f"{T} frames of up to {P} people with {K} points are too much; cut the recording "
-                "into parts"
+                f"{T} frames of up to {P} people with {K} points are too much; cut the recording into parts"
             )
         points, identity = np.zeros((T, P, K, 3)), np.full((T, P), NO_IDENTITY)
         for number, people in numbered.items():
@@ -125,10 +124,7 @@ class Detections:
         index = list(order)
         names = None if self.names is None else tuple(self.names[i] for i in index)
         return replace(
-            self,
-            uv_px=self.uv_px[:, :, index],
-            confidence=self.confidence[:, :, index],
-            names=names,
+            self, uv_px=self.uv_px[:, :, index], confidence=self.confidence[:, :, index], names=names
         )
 
     def in_pixels(self, width_px: int | None, height_px: int | None) -> Self:

@@ -77,9 +77,7 @@ def find_models(folder: str | Path) -> tuple[ModelFile, ModelFile | None]:
     for what, some in (("poses", poses), ("people", people)):
         if len(some) > 1:
             names = ", ".join(model.path.name for model in some)
-            raise FileFormatError(
-                folder, f"several models of {what}: {names}; leave one of them there"
-            )
+            raise FileFormatError(folder, f"several models of {what}: {names}; leave one of them there")
     return poses[0], people[0] if people and poses[0].kind == "pose" else None
 
 
@@ -90,9 +88,7 @@ def describe(path: Path) -> ModelFile:
         FileFormatError: not an ONNX model, or none of those known.
     """
     try:
-        session = library("onnxruntime").InferenceSession(
-            str(path), providers=["CPUExecutionProvider"]
-        )
+        session = library("onnxruntime").InferenceSession(str(path), providers=["CPUExecutionProvider"])
     except RtofError:
         raise
     except Exception as error:  # onnxruntime's errors have no common base
@@ -131,9 +127,7 @@ class PersonDetector:
         makers = {"pose": rtmlib.RTMPose, "pose and people": rtmlib.RTMO}
         size = (self.pose.width, self.pose.height)
         self._one_stage = self.pose.kind != "pose"
-        self._pose = _quietly(
-            makers[self.pose.kind], self.pose, size[::-1] if self._one_stage else size
-        )
+        self._pose = _quietly(makers[self.pose.kind], self.pose, size[::-1] if self._one_stage else size)
         self._people: Any = None
         if self.people is not None:
             boxes = rtmlib.RTMDet if "rtmdet" in self.people.path.stem.lower() else rtmlib.YOLOX

@@ -24,14 +24,7 @@ LARGEST_JSON = 256 * 2**20
 """A JSON file larger than this many bytes is refused."""
 _WHAT = "JSON of moderate size; write one file a frame, or .npz"
 _PEOPLE = ("people", "bodies", "instances")
-_POINTS = (
-    "pose_keypoints_2d",
-    "pose_keypoints",
-    "joints",
-    "keypoints",
-    "pose_landmarks",
-    "landmarks",
-)
+_POINTS = ("pose_keypoints_2d", "pose_keypoints", "joints", "keypoints", "pose_landmarks", "landmarks")
 _SCORES = ("keypoint_scores", "visibility", "confidence", "score", "presence")
 _IDENTITY = ("idx", "track_id", "person_id", "instance_id")
 _MOST_FRAMES_EACH = 100
@@ -62,11 +55,7 @@ def read_json_folder(folder: Path) -> Detections:
 def read_json(path: Path) -> Detections:
     """One file with one or many frames."""
     data = load_json(path, LARGEST_JSON, _WHAT)
-    if (
-        isinstance(data, list)
-        and data
-        and all(isinstance(e, dict) and "image_id" in e for e in data)
-    ):
+    if isinstance(data, list) and data and all(isinstance(e, dict) and "image_id" in e for e in data):
         return _by_image(path, data, None)
     if isinstance(data, list):
         return _of_list(path, data)
@@ -228,17 +217,13 @@ def _person(path: Path, entry: Any, where: str) -> Person:
     values = next((entry[key] for key in _POINTS if key in entry), None)
     if not isinstance(values, list) or not values:
         known = ", ".join(_POINTS)
-        raise FileFormatError(
-            path, f"{where}: has none of the fields {known} with a list of points"
-        )
+        raise FileFormatError(path, f"{where}: has none of the fields {known} with a list of points")
     try:
         points = _points(values, entry)
     except (TypeError, ValueError, KeyError, OverflowError) as error:
         raise FileFormatError(path, f"{where}: its points are not numbers ({error})") from error
     if points is None:
-        raise FileFormatError(
-            path, f"{where}: {len(values)} numbers are not x, y, confidence for each point"
-        )
+        raise FileFormatError(path, f"{where}: {len(values)} numbers are not x, y, confidence for each point")
     return Person(points, _identity(entry))
 
 
@@ -283,11 +268,5 @@ def _identity(entry: Mapping[str, Any]) -> int:
 
 
 def _kind(value: Any) -> str:
-    names = {
-        dict: "a table",
-        list: "a list",
-        str: "text",
-        type(None): "nothing",
-        bool: "true or false",
-    }
+    names = {dict: "a table", list: "a list", str: "text", type(None): "nothing", bool: "true or false"}
     return names.get(type(value), "a number")

@@ -85,9 +85,7 @@ def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:
     points = _one_of(path, arrays, ("uv_px", "keypoints", "keypoints_2d"))
     if points is None:
         have = ", ".join(arrays) or "nothing"
-        raise FileFormatError(
-            path, f"no array uv_px or keypoints of shape (T, K, 3); there is {have}"
-        )
+        raise FileFormatError(path, f"no array uv_px or keypoints of shape (T, K, 3); there is {have}")
     if points.ndim not in (3, 4) or points.shape[-1] not in (2, 3):
         raise FileFormatError(
             path, f"keypoints: shape {points.shape} is neither (T, K, 2 or 3) nor (T, P, K, 2 or 3)"
@@ -97,9 +95,7 @@ def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:
     given = _one_of(path, arrays, ("confidence", "scores", "keypoint_scores"))
     confidence = given if given is not None else points[..., 2] if points.shape[-1] == 3 else seen
     if confidence.shape != uv.shape[:-1]:
-        raise FileFormatError(
-            path, f"confidence: expected shape {uv.shape[:-1]}, got {confidence.shape}"
-        )
+        raise FileFormatError(path, f"confidence: expected shape {uv.shape[:-1]}, got {confidence.shape}")
     if points.ndim == 3:
         uv, confidence = uv[:, None], confidence[:, None]
     return Detections(uv, confidence, _one_of(path, arrays, ("times", "timestamps")))
@@ -150,15 +146,10 @@ def _meaning(path: Path, header: str) -> tuple[str, str]:
     numbered = _NUMBERED.fullmatch(header.strip().lower())
     if numbered:
         part = numbered[1]
-        return str(int(numbered[2])), part if part in "xy" else "" if part in (
-            "z",
-            "presence",
-        ) else "c"
+        return str(int(numbered[2])), part if part in "xy" else "" if part in ("z", "presence") else "c"
     for ending, part in _ENDINGS.items():
         if header.strip().lower().endswith(ending):
             return header.strip()[: -len(ending)], part
     raise FileFormatError(
-        path,
-        f"column {header!r}: expected time, or a point's name and one of {', '.join(_ENDINGS)}",
-        1,
+        path, f"column {header!r}: expected time, or a point's name and one of {', '.join(_ENDINGS)}", 1
     )

@@ -43,7 +43,8 @@ class Layout:
 
     def order(self, names: Sequence[str]) -> list[int] | None:
         """Where this layout's K points stand among names in any order and spelling (``LBigToe``,
-        ``left_big_toe``); None where one of them is not among those."""
+        ``left_big_toe``); None where one of them is not among those.
+        """
         given = [canonical(name).lower() for name in names]
         wanted = [canonical(name).lower() for name in self.names]
         return [given.index(name) for name in wanted] if set(wanted) <= set(given) else None
@@ -165,9 +166,7 @@ def _seen_by(of_right: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]
     return both
 
 
-def _naive(
-    of_right: Mapping[str, Sequence[Sequence[str]]],
-) -> dict[str, tuple[tuple[str, ...], ...]]:
+def _naive(of_right: Mapping[str, Sequence[Sequence[str]]]) -> dict[str, tuple[tuple[str, ...], ...]]:
     both: dict[str, tuple[tuple[str, ...], ...]] = {}
     for joint, lists in of_right.items():
         both[joint] = tuple(tuple(map(str, points)) for points in lists)
@@ -189,10 +188,7 @@ def _check(table: DetectorTable) -> None:
     skeleton = SkeletonModel.default()
     points = [point.name for point in table.points]
     known = [*points, *map(own, skeleton.landmarks)]
-    for where, names in {
-        "points": points,
-        **{n: la.points for n, la in table.layouts.items()},
-    }.items():
+    for where, names in {"points": points, **{n: la.points for n, la in table.layouts.items()}}.items():
         double = [name for name in names if list(names).count(name) > 1]
         if double:
             raise FileFormatError(table.path, f"{where}: {double[0]} stands there twice")
@@ -207,9 +203,7 @@ def _check(table: DetectorTable) -> None:
     _check_known(table, "point", used, known)
 
 
-def _check_known(
-    table: DetectorTable, kind: str, used: Iterable[str], known: Sequence[str]
-) -> None:
+def _check_known(table: DetectorTable, kind: str, used: Iterable[str], known: Sequence[str]) -> None:
     unknown = sorted(set(used) - set(known))
     if unknown:
         raise UnknownNameError(f"{kind} in {table.path}", unknown, known)

@@ -36,9 +36,7 @@ _FEWEST_PAIRS = 2
 _LOWER = ("Leg", "Foot", "Toe", "Heel", "Hip", "Knee")
 
 
-def guarded_keypoints(
-    keypoints: KeypointSequence,
-) -> tuple[KeypointSequence, tuple[StreamFault, ...]]:
+def guarded_keypoints(keypoints: KeypointSequence) -> tuple[KeypointSequence, tuple[StreamFault, ...]]:
     """Keypoints with sides exchanged back and without somebody else's, and what was found.
 
     What nothing is wrong with comes back as it is.
@@ -84,7 +82,8 @@ class _Past:
 
     def expected(self, time: float) -> Array | None:
         """The points at a time by straight lines through the past, NaN of those that were seldom seen;
-        None where there is too little of it."""
+        None where there is too little of it.
+        """
         if len(self.times) < _FEWEST_FRAMES or time - self.times[-1] > _PAST:
             return None
         past = np.stack(self.points)
@@ -117,37 +116,36 @@ def _with_sides_mended(
     return replace(keypoints, uv_px=uv, confidence=confidence), faults
 
 
-def _exchanged(
-    keypoints: KeypointSequence, pairs: NDArray[np.intp]
-) -> Iterator[tuple[int, int, bool]]:
+def _exchanged(keypoints: KeypointSequence, pairs: NDArray[np.intp]) -> Iterator[tuple[int, int, bool]]:
     """First and last frame of each stretch with sides exchanged, and whether its end was seen too."""
     sides, size = keypoints.uv_px[:, pairs], _size(keypoints)
-    past, begun, last = _Past(), None, 0
+    past, prepared, last = _Past(), None, 0
     whole = np.isfinite(sides).all(axis=(2, 3)).sum(axis=1)
     for t in np.flatnonzero(whole >= _FEWEST_PAIRS):
         time = keypoints.times[t]
-        if begun is not None and (
-            time - keypoints.times[begun] > LONGEST or time - keypoints.times[last] > _PAST
+        if prepared is not None and (
+            time - keypoints.times[prepared] > LONGEST or time - keypoints.times[last] > _PAST
         ):
-            yield begun, last, False
-            begun, past = None, _Past()
-        now = sides[t] if begun is None else sides[t][:, ::-1]
+            yield prepared, last, False
+            prepared, past = None, _Past()
+        now = sides[t] if prepared is None else sides[t][:, ::-1]
         if _crossed(now, past.expected(time), size):
             now = now[:, ::-1]
-            if begun is None:
-                begun = int(t)
+            if prepared is None:
+                prepared = int(t)
             else:
-                yield begun, last, True
-                begun = None
+                yield prepared, last, True
+                prepared = None
         past.add(time, now)
         last = int(t)
-    if begun is not None:
-        yield begun, last, False
+    if prepared is not None:
+        yield prepared, last, False
 
 
 def _crossed(now: Array, expected: Array | None, size: float) -> bool:
     """Whether pairs of points (n, 2, 2) are where their other sides were expected; those that were not
-    seen, NaN, have no say."""
+    seen, NaN, have no say.
+    """
     if expected is None:
         return False
     off = np.linalg.norm(now - expected, axis=-1).mean(axis=1) / size
@@ -160,9 +158,7 @@ def _crossed(now: Array, expected: Array | None, size: float) -> bool:
 # --- people --------------------------------------------------------------------------------------
 
 
-def _without_somebody_else(
-    keypoints: KeypointSequence,
-) -> tuple[KeypointSequence, list[StreamFault]]:
+def _without_somebody_else(keypoints: KeypointSequence) -> tuple[KeypointSequence, list[StreamFault]]:
     times, frames = keypoints.times, np.flatnonzero(keypoints.seen.sum(axis=1) >= _FEWEST)
     size = _size(keypoints)
     jumps = [ab for ab in pairwise(frames.tolist()) if _step(keypoints, *ab, size) > 1.0]
@@ -200,7 +196,8 @@ def _step(keypoints: KeypointSequence, a: int, b: int, size: float) -> float:
 
 def _size(keypoints: KeypointSequence) -> float:
     """The person's size in px: twice the RMS radius of the points in a usual frame, half as tall as
-    somebody who stands; 1 where nobody is seen."""
+    somebody who stands; 1 where nobody is seen.
+    """
     uv = keypoints.uv_px[keypoints.seen.sum(axis=1) >= _FEWEST]
     if len(uv) == 0:
         return 1.0

@@ -88,9 +88,7 @@ def recognise(
         )
     if not same:
         known = ", ".join(f"{form.name} ({len(form)})" for form in table.layouts.values())
-        raise ShapeError(
-            f"no layout has {K} points; known: {known}; or name each point in landmarks"
-        )
+        raise ShapeError(f"no layout has {K} points; known: {known}; or name each point in landmarks")
     fits = _fits(adapter, same, uv_px, confidence)
     return _decided(fits, {form.name: form for form in same}, layout)
 
@@ -169,12 +167,8 @@ def _decided(fits: Sequence[_Fit], forms: dict[str, Layout], layout: str | None)
             f"{best.misfit:.1f} instead of {asked.misfit:.1f}); name that layout"
         )
     if layout is None and margin < CLEARLY:
-        raise ShapeError(
-            f"the points may be in layout {best.layout} or {fits[1].layout}; name the layout"
-        )
+        raise ShapeError(f"the points may be in layout {best.layout} or {fits[1].layout}; name the layout")
     form = forms[asked.layout]
     others = ", ".join(f"{fit.misfit:.1f} as {fit.layout}" for fit in fits if fit is not asked)
     how = f"misfit {asked.misfit:.1f}" + (f" against {others}" if others else "")
-    return Recognition(
-        form, f"{form.title}: confirmed by geometry ({how})", tuple(range(len(form)))
-    )
+    return Recognition(form, f"{form.title}: confirmed by geometry ({how})", tuple(range(len(form))))

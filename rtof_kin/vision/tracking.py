@@ -152,9 +152,7 @@ def _trails(measures: _Measures, times: Array) -> list[_Trail]:
     return finished + open_trails
 
 
-def _link(
-    trails: list[_Trail], measures: _Measures, t: int, people: list[int], now: float
-) -> set[int]:
+def _link(trails: list[_Trail], measures: _Measures, t: int, people: list[int], now: float) -> set[int]:
     """Give each person of a frame to at most one trail, the nearest in sum; returns who was given."""
     if not trails or not people:
         return set()
@@ -222,9 +220,7 @@ def _prominence(trail: _Trail, measures: _Measures, image_px: tuple[float, float
     return float((measures.size[at] * measures.confidence[at] / (1 + off)).sum())
 
 
-def _asked(
-    trails: Iterable[_Trail], present: Mask, person: int, frame: int | None
-) -> tuple[_Trail, int]:
+def _asked(trails: Iterable[_Trail], present: Mask, person: int, frame: int | None) -> tuple[_Trail, int]:
     where = int(np.argmax(present.any(axis=1))) if frame is None else frame
     for trail in trails:
         if (where, person) in zip(trail.frames, trail.people, strict=True):
@@ -238,12 +234,7 @@ def _asked(
 
 
 def _joined(
-    chosen: _Trail,
-    trails: list[_Trail],
-    measures: _Measures,
-    times: Array,
-    people: int,
-    reason: str,
+    chosen: _Trail, trails: list[_Trail], measures: _Measures, times: Array, people: int, reason: str
 ) -> PersonTrack:
     """The trail chosen, and those before and after it that are most likely the same person's."""
     parts = [chosen]
@@ -267,7 +258,8 @@ def _joined(
 
 def _ends(edge: _Trail, other: _Trail, forward: bool) -> tuple[int, int, int, int]:
     """Frame and person at the end of one trail and at the start of the one that goes on, in time's order
-    or against it."""
+    or against it.
+    """
     i, j = (-1, 0) if forward else (0, -1)
     return edge.frames[i], edge.people[i], other.frames[j], other.people[j]
 

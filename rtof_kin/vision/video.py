@@ -60,9 +60,7 @@ def detect_video(
     """
     detector = PersonDetector(models)
     if isinstance(source, int) and seconds is None:
-        raise ShapeError(
-            f"webcam {source}: give seconds, how long to look; it never ends by itself"
-        )
+        raise ShapeError(f"webcam {source}: give seconds, how long to look; it never ends by itself")
     times: list[float] = []
     frames: list[list[Person]] = []
     try:
@@ -140,26 +138,19 @@ class _FileClock:
         stamp = float(self._capture.get(self._stamp)) / 1000
         if not (np.isfinite(stamp) and stamp > self._last):
             if self._step is None:
-                raise FileFormatError(
-                    self._path, "has neither times nor a frame rate; convert it first"
-                )
+                raise FileFormatError(self._path, "has neither times nor a frame rate; convert it first")
             stamp = self._last + self._step if index else 0.0
         self._last = stamp
         return stamp
 
 
-def write_detections(
-    path: str | Path, detections: Detections, overwrite: bool = False
-) -> None:
+def write_detections(path: str | Path, detections: Detections, overwrite: bool = False) -> None:
     """Write what `rtof_kin.vision.keypoint_files` reads back: uv_px, confidence and times.
 
     Raises:
         OutputExistsError: it exists and overwriting was not asked for. RtofError: it cannot be written.
     """
-    arrays: dict[str, NDArray[Any]] = {
-        "uv_px": detections.uv_px,
-        "confidence": detections.confidence,
-    }
+    arrays: dict[str, NDArray[Any]] = {"uv_px": detections.uv_px, "confidence": detections.confidence}
     if detections.times is not None:
         arrays["times"] = detections.times
     write_npz(Path(path), arrays, overwrite)

@@ -30,9 +30,7 @@ class ViewSettings:
     roll: float = np.radians(2.0)  # [rad] of the camera about its axis, standard deviation
     tilt: float = 0.7  # [rad] of the whole body about a horizontal axis, largest
     tilt_share: float = 1 / 3  # [-] of the frames that are tilted
-    bone_scale: float = (
-        0.05  # [-] of each bone's length, the same on both sides, standard deviation
-    )
+    bone_scale: float = 0.05  # [-] of each bone's length, the same on both sides, standard deviation
     place: float = 0.010  # [m] of each detector's point in its segment per axis, standard deviation
     mirror: bool = True  # whether half of the views are of the mirrored motion
 
@@ -74,9 +72,7 @@ class Views:
         azimuth = rng.uniform(-np.pi, np.pi, len(points))
         away = rng.uniform(*s.distance, len(points))
         eye = np.stack([away * np.cos(azimuth), away * np.sin(azimuth), 0 * away], axis=-1)
-        eye += root[:, 0] * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0] * rng.uniform(
-            *s.height, (len(points), 1)
-        )
+        eye += root[:, 0] * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0] * rng.uniform(*s.height, (len(points), 1))
         towards = root[:, 0] + rng.uniform(-0.3, 0.3, (len(points), 3)) - eye
         camera = np.einsum("tij,tnj->tni", self._axes(towards, rng), points - eye[:, None])
         return camera[..., :2] / camera[..., 2:], camera[:, 0, 2]
@@ -91,9 +87,7 @@ class Views:
         p = kinematics.positions(self.skeleton.parents, offsets, p_root, R)
         joints = [names.index(point.joint) for point in body]
         place = np.array([point.offset for point in body])
-        place[self._still :] += self.settings.place * rng.standard_normal(
-            (len(place) - self._still, 3)
-        )
+        place[self._still :] += self.settings.place * rng.standard_normal((len(place) - self._still, 3))
         points = p[:, joints] + np.einsum("tnij,nj->tni", R[:, joints], place)
         return np.concatenate([p, points], axis=1)
 

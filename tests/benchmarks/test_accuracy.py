@@ -145,12 +145,9 @@ def test_a_missing_sensor_is_not_there_and_the_others_are_as_they_were() -> None
 
 
 @pytest.mark.parametrize(
-    "name, stopped",
-    [("all sensors stop", LIMB_SENSORS), ("left forearm's sensor stops", ("L_LowArm",))],
+    "name, stopped", [("all sensors stop", LIMB_SENSORS), ("left forearm's sensor stops", ("L_LowArm",))]
 )
-def test_sensors_that_stop_say_nothing_after_half_of_the_video(
-    name: str, stopped: tuple[str, ...]
-) -> None:
+def test_sensors_that_stop_say_nothing_after_half_of_the_video(name: str, stopped: tuple[str, ...]) -> None:
     imus, whole = sensors(faulty(f"{name} halfway")), sensors(RECORDING)
     late = imus.times >= RECORDING.keypoints.times[[0, -1]].mean()
     gone = late[:, None] & np.isin(imus.names, stopped)
@@ -300,9 +297,7 @@ def test_a_wrong_focal_length_scales_the_image_about_the_principal_point() -> No
     wrong, camera = faulty("focal length + 2 %").keypoints.camera, RECORDING.keypoints.camera
     p = MOTION.poses.p_world_joint
     centre = camera.K[:2, 2]
-    np.testing.assert_allclose(
-        wrong.project(p) - centre, 1.02 * (camera.project(p) - centre), atol=1e-9
-    )
+    np.testing.assert_allclose(wrong.project(p) - centre, 1.02 * (camera.project(p) - centre), atol=1e-9)
 
 
 def test_a_tilted_camera_stands_where_it_stood_and_looks_one_degree_lower_or_higher() -> None:
@@ -385,16 +380,12 @@ def test_twelve_validation_motions_of_which_half_neither_walk_nor_run() -> None:
     assert not set(command.VALIDATION) & set(harness.split()["benchmark"]["motions"])
 
 
-def test_validation_motions_are_cut_into_parts_that_share_no_frame(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_validation_motions_are_cut_into_parts_that_share_no_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Any] = []
 
     def whole(corpus: Path, subjects: list[str], wanted: list[str]) -> list[MocapClip]:
         asked.append(subjects)
-        return [
-            replace(CLIP, name=name, poses=planted.moving(SKELETON, 400).poses) for name in wanted
-        ]
+        return [replace(CLIP, name=name, poses=planted.moving(SKELETON, 400).poses) for name in wanted]
 
     monkeypatch.setattr(harness, "whole_clips", whole)
     clips = {clip.name: clip for clip in command.clips(Path(), "validation")}
@@ -426,9 +417,7 @@ def prepared(lifter: planted.PlantedLifter) -> Prepared:
     return Scene(job()).prepared(Case("", "white", "8"))
 
 
-def test_the_lifter_is_asked_once_for_each_recording_that_it_sees(
-    lifter: planted.PlantedLifter,
-) -> None:
+def test_the_lifter_is_asked_once_for_each_recording_that_it_sees(lifter: planted.PlantedLifter) -> None:
     scene = Scene(job())
     faults = NOMINAL, "left forearm's sensor missing", "10 % outliers of 80 px", "all bones 3 % too long"
     for asked, name in enumerate(faults, start=1):
@@ -441,13 +430,9 @@ def test_the_lifter_is_asked_once_for_each_recording_that_it_sees(
     np.testing.assert_allclose(offsets, 1.03 * SKELETON.joint_offsets)
 
 
-def test_sensors_are_a_subset_of_one_recording_and_keypoints_the_same(
-    lifter: planted.PlantedLifter,
-) -> None:
+def test_sensors_are_a_subset_of_one_recording_and_keypoints_the_same(lifter: planted.PlantedLifter) -> None:
     scene = Scene(job())
-    four, eight, none = (
-        scene.prepared(Case("", "white", n, as_given=True)) for n in ("4", "8", "0")
-    )
+    four, eight, none = (scene.prepared(Case("", "white", n, as_given=True)) for n in ("4", "8", "0"))
     assert none.bone_imus is None
     assert four.bone_imus is not None
     assert eight.bone_imus is not None
@@ -459,9 +444,7 @@ def test_sensors_are_a_subset_of_one_recording_and_keypoints_the_same(
     np.testing.assert_array_equal(sensors(eight.recording).f_sensor, sensors(RECORDING).f_sensor)
 
 
-def test_a_late_video_is_scored_against_the_truth_at_its_time_stamps(
-    lifter: planted.PlantedLifter,
-) -> None:
+def test_a_late_video_is_scored_against_the_truth_at_its_time_stamps(lifter: planted.PlantedLifter) -> None:
     late = Case("", "white", "8", "video late by 100 ms", as_given=True)
     prepared = Scene(job()).prepared(late)
     np.testing.assert_array_equal(prepared.truth.times, prepared.lifted.times)
@@ -692,15 +675,13 @@ def test_a_run_that_was_cut_short_goes_on_after_its_last_whole_line(tmp_path: Pa
 def test_rows_of_another_version_are_not_mixed_in(tmp_path: Path) -> None:
     path = tmp_path / "rows.jsonl"
     RowFile(path, "v1").add("a 0", [])
-    with pytest.raises(RtofError, match="begun with other code.*--restart"):
+    with pytest.raises(RtofError, match="prepared with other code.*--restart"):
         RowFile(path, "v2")
     assert RowFile(path, "v2", restart=True).rows == {}
     assert RowFile(path, "v2").rows == {}
 
 
-def test_jobs_that_are_done_are_not_run_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_jobs_that_are_done_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def never(job: Job) -> None:
         raise AssertionError("run again")
 
@@ -744,9 +725,7 @@ def test_of_the_first_table_all_cameras_are_taken_and_of_the_others_one_in_turn(
     assert [j.key for j in command.jobs("ablation", motions, options)] == ["b 1", "f 1"]
 
 
-def test_an_unknown_motion_or_table_is_named_with_those_that_exist(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_unknown_motion_or_table_is_named_with_those_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(command, "clips", lambda corpus, subset: [CLIP])
     with pytest.raises(SystemExit, match="no motion walk; there are moving"):
         command.main(["--corpus", "x", "--motions", "walk"])

@@ -28,8 +28,8 @@ from rtof_kin.solve.joint_space.covariance import segment_pairs
 from rtof_kin.solve.uncertainty.covariance_inflation import (
     OTHER,
     SEEN,
-    Circumstances,
-    Inflation,
+    CovarianceInflation,
+    ResidualStatistics,
     Widening,
     factor_where,
 )
@@ -60,12 +60,12 @@ def case(number: int, sensors: str = "8", sigma: float = 1.0) -> Case:
     q = np.tile(BODY.t_pose(), (T, 1))
     motion = MotionSequence(BODY, q, poses, BODY.check(q), told)
     apart = disagreement(poses, poses, PAIRS)
-    told_of = Circumstances(CARRIERS[sensors])
+    told_of = ResidualStatistics(CARRIERS[sensors])
     return Case(f"m{number}/0", "realistic", sensors, told_of, motion, truth, apart)
 
 
-def as_told() -> Inflation:
-    return Inflation({
+def as_told() -> CovarianceInflation:
+    return CovarianceInflation({
         who: {kind: {OTHER: Widening(1.0, 0.0)} for kind in kinds} for who, kinds in SEEN.items()
     })  # fmt: skip
 
@@ -90,7 +90,7 @@ def test_bands_that_are_too_narrow_or_too_wide_are_not_honest(sigma: float) -> N
 
 def test_errors_of_a_truth_against_itself_are_nothing() -> None:
     given = case(0)
-    exact = replace(given, circumstances=Circumstances(), truth=given.motion.poses)
+    exact = replace(given, circumstances=ResidualStatistics(), truth=given.motion.poses)
     for kind, name, both in errors(exact):
         assert np.abs(both.error).max(initial=0.0) < 1e-6, (kind, name)
     assert given.motion.confidence is not None
@@ -177,9 +177,9 @@ def test_results_are_written_side_by_side(tmp_path: Path, capsys: pytest.Capture
 
 
 def test_who_is_held_out_is_told_by_what_the_others_taught(monkeypatch: pytest.MonkeyPatch) -> None:
-    fits: dict[tuple[int, ...], Inflation] = {}
+    fits: dict[tuple[int, ...], CovarianceInflation] = {}
 
-    def once(cases: Sequence[Case]) -> Inflation:
+    def once(cases: Sequence[Case]) -> CovarianceInflation:
         key = tuple(map(id, cases))
         if key not in fits:
             fits[key] = fitted(cases)

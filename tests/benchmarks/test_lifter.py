@@ -55,9 +55,7 @@ def lifter(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.mark.parametrize("walk", [0.0, 8.0])
 @pytest.mark.parametrize("placement", PLACEMENTS, ids=lambda placement: placement.name)
-def test_the_nearest_point_of_the_path_is_as_far_away_as_said(
-    placement: Placement, walk: float
-) -> None:
+def test_the_nearest_point_of_the_path_is_as_far_away_as_said(placement: Placement, walk: float) -> None:
     """Also of somebody who would otherwise walk past the camera."""
     poses = motion(walk)
     camera = placement.camera(poses)
@@ -157,6 +155,7 @@ def test_errors_as_large_as_stated_fill_the_shares_and_each_has_its_own_sigma() 
     centre = np.array([4.0, 0.5, 1.5])
     ray = so3.unit(truth.p_world_joint[:, 0] - centre)
     spread = {"across": 0.01, "along": 0.05, "root across": 0.02, "root along": 0.2}
+
     def error(across: float, along: float) -> Array:
         e = rng.normal(0, across, (FRAMES, 21, 3))
         e -= np.sum(e * ray[:, None], axis=-1, keepdims=True) * ray[:, None]
@@ -336,9 +335,7 @@ def test_failures_are_told_and_do_not_stop_the_others(
     monkeypatch.setattr(rows_module, "load", lambda path: Failing())
     rows = run(Job(CLIP, PLACEMENTS[0], 0, (lifter,)))
     lines = tables.failures(rows)
-    assert lines == [
-        f"FAILED: waving, eye height, 4 m, {kind}, mine, 8: it went wrong" for kind in KINDS
-    ]
+    assert lines == [f"FAILED: waving, eye height, 4 m, {kind}, mine, 8: it went wrong" for kind in KINDS]
     assert {row["sensors"] for row in tables.measured(rows)} == {"0", "10"}
 
 

@@ -23,14 +23,14 @@ from benchmarks.solvers import alone, measuring, report, side_by_side
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.inertial_ik import InertialGuidedIK
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 N, T = 8, 24
 BODY = SkeletonModel.default()
-PAPER = FragmentSettings.paper()
+PAPER = CartesianSettings.paper()
 JOINT = JointSpaceSettings(sigma_reprojection=5.0)
 PEERS: dict[str, Callable[[Scene], Solver]] = {
     "L-BFGS": lambda scene: Lbfgs(scene, 20),
@@ -111,9 +111,7 @@ def test_autograd_and_half_the_squares_of_the_residuals_have_the_packages_energy
     np.testing.assert_allclose(gradient, slope, atol=1e-8 * np.abs(slope).max())
 
 
-def test_residuals_have_finite_derivatives_at_the_start_and_where_nothing_is_seen(
-    scene: Scene,
-) -> None:
+def test_residuals_have_finite_derivatives_at_the_start_and_where_nothing_is_seen(scene: Scene) -> None:
     fragment = scene.fragment(-4)
     energy, gradient = least_squares_value(scene, fragment, scene.variables(fragment))
     assert np.isfinite(gradient).all()
@@ -157,9 +155,7 @@ def test_each_peer_lowers_the_energy_and_tells_how(scene: Scene, peer: str) -> N
 
 
 @pytest.mark.parametrize("peer", PEERS)
-def test_a_peer_gives_the_same_answer_twice_whatever_it_solved_between(
-    scene: Scene, peer: str
-) -> None:
+def test_a_peer_gives_the_same_answer_twice_whatever_it_solved_between(scene: Scene, peer: str) -> None:
     solver = PEERS[peer](scene)
     one = solver.solve(scene.fragment(8)).x
     solver.solve(scene.fragment(-4))
@@ -193,16 +189,16 @@ def test_l_bfgs_says_whether_it_stopped_by_itself(cartesian: CartesianScene) -> 
 @pytest.mark.parametrize(
     "settings",
     [
-        FragmentSettings(),
+        CartesianSettings(),
         replace(PAPER, huber_reprojection=2.0),
         replace(PAPER, sigma_reprojection=None),
         replace(PAPER, prior="bones"),
     ],
 )
 def test_an_energy_that_is_not_the_printed_one_is_refused(
-    material: Material, settings: FragmentSettings
+    material: Material, settings: CartesianSettings
 ) -> None:
-    with pytest.raises(ShapeError, match="printed alone: use FragmentSettings.paper"):
+    with pytest.raises(ShapeError, match="printed alone: use CartesianSettings.paper"):
         CartesianScene(material, N, settings)
 
 
@@ -268,9 +264,7 @@ def row(name: str, energies: dict[int, float], seconds: float = 0.05) -> measuri
     out = measuring.Row(name)
     for first, energy in energies.items():
         x = np.zeros(1)
-        out.add(
-            Fragment(first, x, None), Answer(x, seconds, 4, True), Score(energy, energy / 10, 0.0)
-        )
+        out.add(Fragment(first, x, None), Answer(x, seconds, 4, True), Score(energy, energy / 10, 0.0))
     return out
 
 
@@ -295,9 +289,7 @@ def test_what_took_no_time_has_no_rate() -> None:
 
 def test_a_table_has_a_line_for_each_row_and_dashes_for_what_is_missing() -> None:
     columns: report.Columns = {"name": ("solver", ""), "ms": ("time [ms]", ".1f")}
-    lines = report.table(
-        [{"name": "a", "ms": 1.25}, {"name": "b", "ms": None}, {"name": "c"}], columns
-    )
+    lines = report.table([{"name": "a", "ms": 1.25}, {"name": "b", "ms": None}, {"name": "c"}], columns)
     assert lines.splitlines() == [
         "| solver | time [ms] |", "|---|---|", "| a | 1.2 |", "| b | - |", "| c | - |",
     ]  # fmt: skip
@@ -308,9 +300,7 @@ def test_fragments_are_spread_from_the_first_to_the_last() -> None:
     assert measuring.spread(99, 50, 100) == [-25, 0, 25, 50, 75]
 
 
-def test_slow_solvers_get_some_of_the_fragments_the_typical_one_among_them(
-    joint: JointScene,
-) -> None:
+def test_slow_solvers_get_some_of_the_fragments_the_typical_one_among_them(joint: JointScene) -> None:
     effort = replace(measuring.Effort.quick(), fragments=5, slow_fragments=2)
     choice = measuring.Choice.of(joint, effort, T)
     assert len(choice.firsts) == 5

@@ -40,9 +40,7 @@ def table(path: Path) -> tuple[list[str], np.ndarray]:
     """Names and (T, J, width) of a gt_skel file."""
     head, *rows = path.read_text().splitlines()
     names = head.split()
-    return names, np.array([row.split() for row in rows], dtype=float).reshape(
-        len(rows), len(names), -1
-    )
+    return names, np.array([row.split() for row in rows], dtype=float).reshape(len(rows), len(names), -1)
 
 
 def sensors(path: Path) -> dict[str, np.ndarray]:
@@ -94,9 +92,7 @@ def test_the_skeleton_is_rigid_with_the_documented_offsets(paths: dict[str, Path
         np.testing.assert_allclose(offset, np.tile(offset_mm, (len(p), 1)), atol=0.01)
 
 
-def test_text_has_trailing_tabs_single_spaces_and_numbers_in_scientific_notation(
-    tmp_path: Path,
-) -> None:
+def test_text_has_trailing_tabs_single_spaces_and_numbers_in_scientific_notation(tmp_path: Path) -> None:
     values = np.full((2, 21, 3), 12.34567891)
     values[1, 3] = [-9.1e-5, 0, 1e-12]
     files.write_joints(tmp_path / "p.txt", values)
@@ -111,9 +107,7 @@ def test_text_has_trailing_tabs_single_spaces_and_numbers_in_scientific_notation
     assert "\t-9.1e-05 0 1e-12\t" in second
 
 
-def test_the_bvh_file_has_27_joints_with_six_channels_and_says_the_same(
-    paths: dict[str, Path],
-) -> None:
+def test_the_bvh_file_has_27_joints_with_six_channels_and_says_the_same(paths: dict[str, Path]) -> None:
     from rtof_kin.formats.bvh import read_bvh
 
     text = paths["bvh"].read_text()
@@ -129,9 +123,7 @@ def test_the_bvh_file_has_27_joints_with_six_channels_and_says_the_same(
     R_expected = Rotation.from_quat(quat.reshape(-1, 4)).as_matrix().reshape(*quat.shape[:2], 3, 3)
     np.testing.assert_allclose(R[:, index], R_expected, atol=2e-5)
     assert {"RightHandEnd", "LeftHandThumb1", "RightToeBase"} <= set(motion.names)
-    left, right = (
-        motion.offsets[motion.names.index(f"{side}HandEnd")] for side in ("Left", "Right")
-    )
+    left, right = (motion.offsets[motion.names.index(f"{side}HandEnd")] for side in ("Left", "Right"))
     np.testing.assert_allclose(left, right * [-1, 1, 1])
 
 
@@ -176,9 +168,7 @@ def test_a_reference_is_a_small_heading_and_tilt_away_from_minus_90_degrees_abou
     assert list(calibration(paths["ref"])) == list(reversed(calibration(paths["bone"])))
 
 
-def test_the_second_kind_of_sensors_file_adds_six_columns_and_is_capitalised(
-    paths: dict[str, Path],
-) -> None:
+def test_the_second_kind_of_sensors_file_adds_six_columns_and_is_capitalised(paths: dict[str, Path]) -> None:
     assert paths["aux"].name == "Acting3_Xsens_AuxFields.sensors"
     plain, aux = sensors(paths["sensors"]), sensors(paths["aux"])
     for name, values in plain.items():
@@ -221,9 +211,7 @@ def test_realistic_sensors_miss_by_degrees_and_equal_seeds_give_equal_takes() ->
 # --- cameras -------------------------------------------------------------------------------------
 
 
-def test_the_cameras_stand_where_the_document_says_and_see_the_middle(
-    paths: dict[str, Path],
-) -> None:
+def test_the_cameras_stand_where_the_document_says_and_see_the_middle(paths: dict[str, Path]) -> None:
     raw = paths["cameras"].read_bytes()
     rows = raw.decode().split("\r\n")
     assert raw.count(b"\n") == raw.count(b" \r\n") == 1 + 8 * 7
@@ -243,9 +231,7 @@ def test_the_cameras_stand_where_the_document_says_and_see_the_middle(
         for p_tc in ([0.0, 1.0, 0.0], [0.4, 1.6, -0.3]):
             x, y, z = R @ p_tc + t
             np.testing.assert_allclose(
-                camera.project(files.C_WORLD_TC @ p_tc),
-                [fx * x / z + cx, fy * y / z + cy],
-                atol=1e-2,
+                camera.project(files.C_WORLD_TC @ p_tc), [fx * x / z + cx, fy * y / z + cy], atol=1e-2
             )
         x, y, z = R @ [0, 1, 0] + t
         assert abs(x) < 1e-6
@@ -267,9 +253,7 @@ def test_every_layout_names_seven_different_files(layout: str, tmp_path: Path) -
     assert all(path.is_file() for path in [*one.values(), *two.values()])
 
 
-def test_the_vendor_layout_has_big_and_small_folders_and_the_split_one_a_folder_for_each_kind() -> (
-    None
-):
+def test_the_vendor_layout_has_big_and_small_folders_and_the_split_one_a_folder_for_each_kind() -> None:
     vendor = files.take_paths("vendor", "S1", "acting3")
     assert vendor["positions"] == Path("S1/acting3/gt_skel_gbl_pos.txt")
     assert vendor["sensors"] == Path("s1/s1_acting3_Xsens.sensors")
@@ -351,9 +335,7 @@ def test_the_video_of_a_take_that_is_known_for_it_ends_early(tmp_path: Path) -> 
 
 def clip(name: str, category: str, frames: int) -> MocapClip:
     skeleton = SkeletonModel.default()
-    return MocapClip(
-        name, planted.moving(skeleton, frames).poses, skeleton.joint_offsets, category=category
-    )
+    return MocapClip(name, planted.moving(skeleton, frames).poses, skeleton.joint_offsets, category=category)
 
 
 def test_pieces_of_motion_are_used_once_long_ones_and_other_clips_first() -> None:
@@ -397,21 +379,13 @@ def test_a_dataset_of_a_small_corpus_has_its_readme_and_all_files(
     corpus = tmp_path / "corpus"
     corpus.mkdir()
     rows = ["file,subject,tc_like,fps,quality"]
-    for name, fps, subject in (
-        ("02_01_excerpt.bvh", 30, "CMU002"),
-        ("02_01_excerpt.bvh", 30, "CMU007"),
-    ):
+    for name, fps, subject in (("02_01_excerpt.bvh", 30, "CMU002"), ("02_01_excerpt.bvh", 30, "CMU007")):
         (corpus / f"{subject}.bvh").write_bytes((MOCAP / name).read_bytes())
         rows.append(f"{subject}.bvh,{subject},walking,{fps},")
     (corpus / "index.csv").write_text("\n".join(rows))
     monkeypatch.setattr(source, "TAKES", {"S1": ("walking1", "walking2")})
-    seen = list(
-        standin.write_dataset(corpus, tmp_path / "out", "vendor", detections=tmp_path / "detected")
-    )
-    assert [line.split(" frames from ")[1] for line in seen] == [
-        "CMU007 (walking)",
-        "CMU002 (walking)",
-    ]
+    seen = list(standin.write_dataset(corpus, tmp_path / "out", "vendor", detections=tmp_path / "detected"))
+    assert [line.split(" frames from ")[1] for line in seen] == ["CMU007 (walking)", "CMU002 (walking)"]
     text = (tmp_path / "out" / "README.txt").read_text()
     assert "not Total Capture" in text
     assert "mocap.cs.cmu.edu" in text

@@ -16,9 +16,7 @@ from rtof_kin.core import rotations as so3
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(2)
 PARENTS = (-1, 0, 1, 1, 0, 4)
-OFFSETS = np.array(
-    [[0, 0, 0], [0, 0, 0.3], [0, 0.4, 0], [0.1, -0.4, 0], [0, 0.1, -0.4], [0.2, 0, -0.3]]
-)
+OFFSETS = np.array([[0, 0, 0], [0, 0, 0.3], [0, 0.4, 0], [0.1, -0.4, 0], [0, 0.1, -0.4], [0.2, 0, -0.3]])
 DOWN = np.array([0.0, 0.0, -0.4])
 
 
@@ -146,9 +144,7 @@ def test_a_bone_that_swings_past_its_opposite_does_not_flip(miss_deg: float) -> 
     assert_close((R @ so3.unit(DOWN)[:, None])[..., 0], observed)
     # The bone turns by one degree a frame. Five more come from the returning twist, or, outside ten
     # degrees, tan(170 / 2) of them from the smallest turn itself, which has no jump there.
-    assert steps_deg(R).max() < (
-        6.1 if miss_deg <= 5 else np.hypot(1, np.tan(np.radians(85))) + 0.1
-    )
+    assert steps_deg(R).max() < (6.1 if miss_deg <= 5 else np.hypot(1, np.tan(np.radians(85))) + 0.1)
 
 
 def test_the_smallest_turn_alone_would_have_flipped() -> None:

@@ -45,8 +45,8 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence) -> metrics.Metrics:
 
 def test_an_estimate_of_mode_imu_begins_where_the_truth_does(truth: PoseSequence) -> None:
     far = shifted(truth, [5.0, -3.0, 1.0])
-    begun = metrics.comparable(far, truth, "imu")
-    np.testing.assert_allclose(begun.p_world_joint, truth.p_world_joint, atol=1e-12)
+    prepared = metrics.comparable(far, truth, "imu")
+    np.testing.assert_allclose(prepared.p_world_joint, truth.p_world_joint, atol=1e-12)
     drifting = shifted(truth, [5.0, -3.0, 1.0] + 0.1 * TIME * DIRECTION)
     error = metrics.comparable(drifting, truth, "imu").p_world_joint - truth.p_world_joint
     np.testing.assert_allclose(error, np.broadcast_to(0.1 * TIME * DIRECTION, error.shape), atol=1e-12)
@@ -61,8 +61,8 @@ def test_they_begin_together_in_the_first_frame_in_which_both_are_known(truth: P
     p[:3], valid[3:5] = np.nan, False
     glitch = replace(truth, p_world_joint=p, valid=valid)
     drifting = shifted(truth, 0.1 * TIME * DIRECTION)
-    begun = metrics.comparable(drifting, glitch, "imu")
-    np.testing.assert_allclose(begun.p_world_joint[5], truth.p_world_joint[5], atol=1e-12)
+    prepared = metrics.comparable(drifting, glitch, "imu")
+    np.testing.assert_allclose(prepared.p_world_joint[5], truth.p_world_joint[5], atol=1e-12)
     nowhere = replace(truth, valid=np.zeros_like(valid))
     assert metrics.comparable(drifting, nowhere, "imu") is drifting
 
@@ -143,9 +143,7 @@ def test_flexion_is_the_angle_between_the_bones_that_meet() -> None:
     hip, knee, foot = BODY.index("LeftUpLeg", "LeftLeg", "LeftFoot")
     p[:, hip], p[:, knee] = [0, 0, 1.0], [0, 0, 0.6]
     p[:, foot] = [[0, 0, 0.2], [-0.4, 0, 0.6], [0, 0.4, 1.0], [0, 0, 1.0]]
-    np.testing.assert_allclose(
-        np.degrees(metrics.flexion(p, BODY)[:, knee]), [0, 90, 135, 180], atol=1e-9
-    )
+    np.testing.assert_allclose(np.degrees(metrics.flexion(p, BODY)[:, knee]), [0, 90, 135, 180], atol=1e-9)
     elsewhere = [j for j in range(J) if j not in metrics.hinges(BODY)]
     assert np.isnan(metrics.flexion(p, BODY)[:, elsewhere]).all()
 
@@ -171,9 +169,7 @@ def test_an_error_of_one_knee_is_a_quarter_of_the_mean_flexion_error(truth: Pose
     assert "flexion_deg" not in figures.per_joint["Head"]
 
 
-def test_standing_still_where_the_truth_was_on_average_is_the_zero_motion_row(
-    truth: PoseSequence,
-) -> None:
+def test_standing_still_where_the_truth_was_on_average_is_the_zero_motion_row(truth: PoseSequence) -> None:
     still = metrics.motionless(truth)
     figures = evaluate(still, truth)
     p = truth.p_world_joint
@@ -183,9 +179,7 @@ def test_standing_still_where_the_truth_was_on_average_is_the_zero_motion_row(
     assert figures["mpjpe_mm"] > 5
 
 
-def test_zero_motion_stands_in_the_mean_orientation_and_not_in_the_truths_own(
-    truth: PoseSequence,
-) -> None:
+def test_zero_motion_stands_in_the_mean_orientation_and_not_in_the_truths_own(truth: PoseSequence) -> None:
     still = metrics.motionless(truth).R_world_bone
     assert np.ptp(still, axis=0).max() == 0.0
     mean = Rotation.from_matrix(truth.R_world_bone[:, 5]).mean().as_matrix()
@@ -302,9 +296,7 @@ def test_a_frame_with_one_unknown_joint_is_left_out_as_a_whole(truth: PoseSequen
 
 
 @pytest.mark.parametrize("kept", [[0, 2, 4, 6, 8], [0, 1, 3, 4, 6, 7]])
-def test_scattered_frames_have_no_jerk_and_raise_no_warning(
-    truth: PoseSequence, kept: list[int]
-) -> None:
+def test_scattered_frames_have_no_jerk_and_raise_no_warning(truth: PoseSequence, kept: list[int]) -> None:
     p = np.full((T, J, 3), np.nan)
     p[kept] = truth.p_world_joint[kept]
     figures = evaluate(replace(truth, p_world_joint=p), truth)
@@ -313,9 +305,7 @@ def test_scattered_frames_have_no_jerk_and_raise_no_warning(
     assert "mpjje" not in figures.per_joint["Head"]
 
 
-def test_a_truth_without_orientations_has_no_angles_and_raises_no_warning(
-    truth: PoseSequence,
-) -> None:
+def test_a_truth_without_orientations_has_no_angles_and_raises_no_warning(truth: PoseSequence) -> None:
     blind = replace(truth, R_world_bone=np.full_like(truth.R_world_bone, np.nan))
     figures = evaluate(truth, blind)
     assert np.isnan(figures["angle_deg"])

@@ -79,9 +79,7 @@ def test_the_shipped_skeletons_have_a_free_base_and_three_angles_per_joint() -> 
         assert not skeleton.joint_offsets.flags.writeable
     assert DEFAULT.root == "Hips"
     assert DEFAULT.index("Head", "Hips") == [6, 0]
-    with pytest.raises(
-        UnknownNameError, match=r"unknown joint 'LeftLegg'\. Did you mean 'LeftLeg'"
-    ):
+    with pytest.raises(UnknownNameError, match=r"unknown joint 'LeftLegg'\. Did you mean 'LeftLeg'"):
         DEFAULT.index("LeftLegg")
 
 
@@ -99,18 +97,12 @@ def test_limits_are_in_the_order_of_the_dof_names(any_skeleton: SkeletonModel) -
             assert_close(by_name[dof.urdf], limits, 1e-11)
 
 
-def test_the_t_pose_faces_x_with_all_frames_parallel_and_arms_sideways(
-    any_skeleton: SkeletonModel,
-) -> None:
+def test_the_t_pose_faces_x_with_all_frames_parallel_and_arms_sideways(any_skeleton: SkeletonModel) -> None:
     p, R = any_skeleton.forward_kinematics(any_skeleton.t_pose()[None])
     assert_close(R, np.broadcast_to(np.eye(3), R.shape), 0)
     assert_close(p[0, 0], 0, 0)
-    by_name = dict(
-        zip(any_skeleton.landmarks, any_skeleton.landmark_positions(p, R)[0], strict=True)
-    )
-    left, right = (
-        ("LeftHand", "RightHand") if any_skeleton.name == "total_capture" else ("LWrist", "RWrist")
-    )
+    by_name = dict(zip(any_skeleton.landmarks, any_skeleton.landmark_positions(p, R)[0], strict=True))
+    left, right = ("LeftHand", "RightHand") if any_skeleton.name == "total_capture" else ("LWrist", "RWrist")
     assert by_name[left][1] > 0.6
     assert by_name[right][1] < -0.6
     toe, heel = (by_name[n] for n in by_name if n in ("LeftToe", "LToe", "LeftHeel", "LHeel"))
@@ -119,9 +111,7 @@ def test_the_t_pose_faces_x_with_all_frames_parallel_and_arms_sideways(
     assert by_name["HeadTop"][2] > 0.6
 
 
-def test_in_the_n_pose_the_arms_hang_straight_down_inside_the_limits(
-    any_skeleton: SkeletonModel,
-) -> None:
+def test_in_the_n_pose_the_arms_hang_straight_down_inside_the_limits(any_skeleton: SkeletonModel) -> None:
     q = any_skeleton.n_pose()
     assert not any_skeleton.check(q[None]).violations
     p, R = any_skeleton.forward_kinematics(q[None])
@@ -137,9 +127,7 @@ def test_in_the_n_pose_the_arms_hang_straight_down_inside_the_limits(
 
 def test_every_joint_is_a_landmark_and_heads_and_feet_have_more() -> None:
     assert DEFAULT.landmarks["LeftArm"][0] == "LeftArm"
-    assert {"HeadTop", "Nose", "LeftEar", "RightHeel", "LeftToe", "LeftHandEnd"} <= set(
-        DEFAULT.landmarks
-    )
+    assert {"HeadTop", "Nose", "LeftEar", "RightHeel", "LeftToe", "LeftHandEnd"} <= set(DEFAULT.landmarks)
     q = random_q(DEFAULT, 4)
     p, R = DEFAULT.forward_kinematics(q)
     points = DEFAULT.landmark_positions(p, R)
@@ -268,9 +256,7 @@ def test_some_offsets_can_be_given_by_name() -> None:
     new = DEFAULT.with_offsets({"LeftUpLeg": [0.01, 0.1, -0.02]})
     assert_close(new.joint_offsets[DEFAULT.index("LeftUpLeg")[0]], [0.01, 0.1, -0.02])
     assert_close(np.delete(new.joint_offsets, 18, axis=0), np.delete(DEFAULT.joint_offsets, 18, axis=0))
-    rooted = DEFAULT.with_offsets(
-        DEFAULT.joint_offsets + [[0.1, 0, 0]] * (np.arange(21) == 0)[:, None]
-    )
+    rooted = DEFAULT.with_offsets(DEFAULT.joint_offsets + [[0.1, 0, 0]] * (np.arange(21) == 0)[:, None])
     assert_close(rooted.joint_offsets, DEFAULT.joint_offsets, 0)  # the root's row is nobody's offset
 
 
@@ -358,26 +344,16 @@ def test_human36m_goes_through_the_same_code(tmp_path: Path) -> None:
     [
         ("<robot", "<robit", "not a readable URDF"),
         ("Spine_y", "Rumpf_y", "there is no joint Spine_y in it"),
-        (
-            "Head_x",
-            "Kopf_x",
-            "the joint Kopf_x has another parent, place or axis than in the skeleton table",
-        ),
+        ("Head_x", "Kopf_x", "the joint Kopf_x has another parent, place or axis than in the skeleton table"),
         (
             '<axis xyz="0 1 0" />',
             '<axis xyz="0 -1 0" />',
             "another parent, place or axis than in the skeleton table; give the table that",
         ),
-        (
-            'rpy="0 0 0" />\n    <axis',
-            'rpy="0 0 0.1" />\n    <axis',
-            "has another parent, place or axis",
-        ),
+        ('rpy="0 0 0" />\n    <axis', 'rpy="0 0 0.1" />\n    <axis', "has another parent, place or axis"),
     ],
 )
-def test_a_urdf_of_something_else_is_refused(
-    tmp_path: Path, old: str, new: str, message: str
-) -> None:
+def test_a_urdf_of_something_else_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = tmp_path / "other.urdf"
     text = DEFAULT.to_urdf()
     assert old in text
@@ -497,9 +473,7 @@ def test_without_orientations_positions_are_reproduced_and_twist_follows_the_par
     q = skeleton.inverse_kinematics(p)
     p_again, R = skeleton.forward_kinematics(q)
     # Positions fix the trunk by two children each; its neck and clavicles are not one rigid triple.
-    one_child = [
-        j for j in range(21) if skeleton.parents.count(j) == 1 and skeleton.parents[j] >= 0
-    ]
+    one_child = [j for j in range(21) if skeleton.parents.count(j) == 1 and skeleton.parents[j] >= 0]
     for j in one_child:
         child = skeleton.parents.index(j)
         assert_close(so3.unit(p_again[:, child] - p_again[:, j]), so3.unit(p[:, child] - p[:, j]), 1e-9)
@@ -530,9 +504,7 @@ def test_what_positions_cannot_tell_is_marked_unobserved() -> None:
 
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("turns", [0, 1, -2])
-def test_frames_within_five_degrees_of_a_singular_posture_are_flagged(
-    side: int, turns: int
-) -> None:
+def test_frames_within_five_degrees_of_a_singular_posture_are_flagged(side: int, turns: int) -> None:
     q = np.tile(DEFAULT.t_pose(), (5, 1))
     degrees = np.array([84.9, 85.1, 90.0, 94.9, 95.1])
     q[:, 7 + DEFAULT.dof_names.index("LeftArm_y")] = side * np.radians(degrees) + 2 * np.pi * turns
@@ -598,9 +570,7 @@ def test_a_motion_of_other_joints_or_in_another_order_is_refused(motion: MotionS
     with pytest.raises(UnknownNameError, match="unknown joint 'Hips'"):
         human36m.motion(motion.poses)
     names = (*motion.poses.names[1:], motion.poses.names[0])
-    with pytest.raises(
-        ShapeError, match="poses: need all joints, in this order: Hips, Spine, Spine1"
-    ):
+    with pytest.raises(ShapeError, match="poses: need all joints, in this order: Hips, Spine, Spine1"):
         motion.skeleton.motion(replace(motion.poses, names=names))
     few = PoseSequence(motion.times[:1], np.zeros((1, 1, 3)), np.eye(3)[None, None], ("Hips",))
     with pytest.raises(ShapeError, match="poses: need all joints"):

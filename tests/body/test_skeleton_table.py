@@ -18,9 +18,7 @@ from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.resources import model_path
 
 Array = NDArray[np.float64]
-TABLES = {
-    name: read_skeleton_table(model_path(f"{name}.toml")) for name in ("skeleton", "human36m")
-}
+TABLES = {name: read_skeleton_table(model_path(f"{name}.toml")) for name in ("skeleton", "human36m")}
 TOTAL_CAPTURE = (
     "Hips", "Spine", "Spine1", "Spine2", "Spine3", "Neck", "Head",
     "RightShoulder", "RightArm", "RightForeArm", "RightHand",
@@ -143,9 +141,7 @@ def test_a_second_root_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_not_there_or_not_text_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(
-        FileFormatError, match=r"no\.toml: there is no such file"
-    ):
+    with pytest.raises(FileFormatError, match=r"no\.toml: there is no such file"):
         read_skeleton_table(tmp_path / "no.toml")
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FileFormatError, match="not a text file in UTF-8, so not TOML"):
@@ -254,9 +250,7 @@ def test_left_and_right_are_mirror_images(table: SkeletonTable) -> None:
         )
 
 
-FORWARD, BACK, LEFT, UP, DOWN = np.array(
-    [[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, 0, -1.0]]
-)
+FORWARD, BACK, LEFT, UP, DOWN = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, 0, -1.0]])
 OUT = "out"
 """Away from the body's midline: left on the left side."""
 IN = "in"
@@ -423,9 +417,7 @@ def test_a_shipped_file_is_found_in_the_package_first_and_else_beside_it(
     monkeypatch.setattr(resources, "CHECKOUT", checkout)
     assert model_path("both.toml") == package / "both.toml"
     assert model_path("one.toml") == checkout / "one.toml"
-    with pytest.raises(
-        FileFormatError, match=r"none.toml: no such file ships .*one.toml.*reinstall"
-    ):
+    with pytest.raises(FileFormatError, match=r"none.toml: no such file ships .*one.toml.*reinstall"):
         model_path("none.toml")
     monkeypatch.setattr(resources, "PACKAGED", tmp_path / "gone")
     monkeypatch.setattr(resources, "CHECKOUT", tmp_path / "gone")

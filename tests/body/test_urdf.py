@@ -138,10 +138,7 @@ def test_the_root_link_has_no_parent_so_that_the_base_is_free(table: SkeletonTab
 
 @every_table
 def test_limits_are_the_table_s(table: SkeletonTable) -> None:
-    limits = {
-        j.attrib["name"]: part(j, "limit").attrib
-        for j in ET.fromstring(to_urdf(table)).iter("joint")
-    }
+    limits = {j.attrib["name"]: part(j, "limit").attrib for j in ET.fromstring(to_urdf(table)).iter("joint")}
     for joint in table.joints[1:]:
         for dof, (low, high) in zip(joint.dofs, joint.limits, strict=True):
             assert float(limits[dof.urdf]["lower"]) == pytest.approx(low, abs=1e-11)
@@ -166,9 +163,7 @@ def test_numbers_do_not_depend_on_the_machine_s_last_bits(table: SkeletonTable) 
 
 @pytest.mark.parametrize("sex", ["male", "female", None])
 @every_table
-def test_every_link_has_an_inertia_that_matter_can_have(
-    table: SkeletonTable, sex: str | None
-) -> None:
+def test_every_link_has_an_inertia_that_matter_can_have(table: SkeletonTable, sex: str | None) -> None:
     for name, link in links(to_urdf(replace(table, sex=sex))).items():
         inertial = part(link, "inertial")
         matrix = matrix_of(inertial)
@@ -185,9 +180,7 @@ def test_every_link_has_an_inertia_that_matter_can_have(
 def test_the_masses_sum_to_the_body_and_the_light_links_are_light(
     table: SkeletonTable, sex: str | None, total: float
 ) -> None:
-    model = pin.buildModelFromXML(
-        to_urdf(replace(table, sex=sex, mass_kg=80.0)), pin.JointModelFreeFlyer()
-    )
+    model = pin.buildModelFromXML(to_urdf(replace(table, sex=sex, mass_kg=80.0)), pin.JointModelFreeFlyer())
     light = LIGHT_MASS_KG * 2 * (len(table.joints) - 1)
     assert pin.computeTotalMass(model) == pytest.approx(80 * total + light, abs=1e-9)
     assert light < 0.001 * 80
@@ -212,9 +205,7 @@ def test_a_link_that_carries_two_segments_has_their_common_inertia() -> None:
     table = TABLES["human36m"]
     i = table.names.index("RFoot")
     shares = (("foot", 1.0), ("head", 0.5))
-    joints = tuple(
-        replace(j, mass_shares=shares) if k == i else j for k, j in enumerate(table.joints)
-    )
+    joints = tuple(replace(j, mass_shares=shares) if k == i else j for k, j in enumerate(table.joints))
     foot = links(to_urdf(replace(table, joints=joints, sex="male")))["RFoot"]
     link = part(foot, "inertial")
     whole = pin.Inertia.Zero()
@@ -258,9 +249,7 @@ def viewed(request: pytest.FixtureRequest) -> tuple[Any, SkeletonModel]:
     return robot, SkeletonModel.named(table)
 
 
-def test_yourdfpy_shows_a_person_of_the_right_height_and_span(
-    viewed: tuple[Any, SkeletonModel],
-) -> None:
+def test_yourdfpy_shows_a_person_of_the_right_height_and_span(viewed: tuple[Any, SkeletonModel]) -> None:
     robot, skeleton = viewed
     low, high = robot.scene.bounds
     assert high[2] - low[2] == pytest.approx(skeleton.height, abs=0.12)  # half a head's sphere more

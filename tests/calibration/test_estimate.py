@@ -17,7 +17,7 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.core.errors import CalibrationError, ShapeError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.consistency_checks import contradictions
+from rtof_kin.reconstruction.consistency_checks import consistency_warnings
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ def test_a_delay_at_the_end_of_the_search_is_in_doubt_and_not_observed() -> None
     assert delay.verdict is Verdict.DOUBTFUL
     assert "border of 0.15 s" in delay.doubt
     assert delay.sigma[0] == delay.sigma_prior[0]
-    assert any("is in doubt" in line for line in contradictions(recorded(), result))
+    assert any("is in doubt" in line for line in consistency_warnings(recorded(), result))
 
 
 def test_planted_headings_are_found() -> None:

@@ -19,7 +19,7 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
 from rtof_kin.core.errors import CalibrationError, FileFormatError, ShapeError
 from rtof_kin.data.imu import ImuSequence
-from rtof_kin.reconstruction.consistency_checks import check_height, contradictions
+from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
@@ -111,7 +111,7 @@ def test_bones_found_against_the_height_told_are_told_with_both_heights() -> Non
     tall = replace(recorded(), height=recorded().skeleton.height)
     ones = np.ones(1)
     small = Quantity("bones", "all", -0.2 * ones, 0.01 * ones, 0.02 * ones, 0.9)
-    said = contradictions(tall, SelfCalibration((small,)))
+    said = consistency_warnings(tall, SelfCalibration((small,)))
     assert len(said) == 2
     assert said[0].startswith("bones of all: -20 % is 10 times the 2 that it was held to be known to")
     told, made = recorded().skeleton.height, 0.8 * recorded().skeleton.height
@@ -123,7 +123,7 @@ def test_bones_found_against_the_height_told_are_told_with_both_heights() -> Non
 def test_what_agrees_or_was_not_observed_contradicts_nothing(value: float, known: float) -> None:
     ones = np.ones(1)
     quantity = Quantity("bones", "all", value * ones, 0.01 * ones, 0.02 * ones, known)
-    assert contradictions(recorded(), SelfCalibration((quantity,))) == ()
+    assert consistency_warnings(recorded(), SelfCalibration((quantity,))) == ()
 
 
 def test_a_body_told_much_too_small_is_found_out() -> None:
@@ -131,7 +131,7 @@ def test_a_body_told_much_too_small_is_found_out() -> None:
     small = replace(recorded(), joint_offsets=recorded().joint_offsets / 1.25)
     priors = cs.only("bones", sigma_size=0.02, sigma_proportion=None)
     result = calibrate(small, moving().poses, priors, cs.SETTINGS, frames=24)
-    assert any(line.startswith("bones of all") for line in contradictions(small, result))
+    assert any(line.startswith("bones of all") for line in consistency_warnings(small, result))
 
 
 # --- too short, and nothing in common ------------------------------------------------------------
@@ -140,9 +140,7 @@ def test_a_body_told_much_too_small_is_found_out() -> None:
 def test_a_recording_shorter_than_the_delay_searched_is_refused_with_both_lengths() -> None:
     short = replace(recorded(), keypoints=recorded().video[:20])
     with pytest.raises(CalibrationError, match=r"0\.32 s in common, too little .* delay of 2\.00 s"):
-        calibrate(
-            short, moving().poses[:20], cs.only("delay", sigma_delay=0.5), cs.SETTINGS, frames=24
-        )
+        calibrate(short, moving().poses[:20], cs.only("delay", sigma_delay=0.5), cs.SETTINGS, frames=24)
 
 
 def test_a_video_that_hardly_overlaps_the_sensors_is_refused() -> None:

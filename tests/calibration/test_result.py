@@ -11,10 +11,7 @@ import numpy as np
 import planted
 import pytest
 
-from rtof_kin.calibration.file import (
-    read_self_calibration_toml,
-    write_self_calibration_toml,
-)
+from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
 from rtof_kin.calibration.result import (
     Detector,
     Quantity,
@@ -86,9 +83,7 @@ def test_a_bias_is_taken_off_its_landmark_alone() -> None:
 def test_a_mounting_and_a_heading_turn_the_segment() -> None:
     turn = np.array([0.1, -0.05, 0.02])
     before = recording().bone_imus()
-    after = applied(
-        quantity("mounting", "LeftArm", *turn), quantity("heading", "RightLeg", 0.2)
-    ).bone_imus()
+    after = applied(quantity("mounting", "LeftArm", *turn), quantity("heading", "RightLeg", 0.2)).bone_imus()
     assert before is not None
     assert after is not None
     arm, leg = before.joints.index("LeftArm"), before.joints.index("RightLeg")
@@ -105,9 +100,7 @@ def test_a_drifting_heading_turns_more_and_more() -> None:
     assert after is not None
     arm = before.joints.index("LeftArm")
     turn = so3.about_axis("z", 0.1 + 0.5 * (before.times - 0.1))
-    np.testing.assert_allclose(
-        after.R_world_bone[:, arm], turn @ before.R_world_bone[:, arm], atol=1e-6
-    )
+    np.testing.assert_allclose(after.R_world_bone[:, arm], turn @ before.R_world_bone[:, arm], atol=1e-6)
 
 
 def test_bones_lever_arms_and_camera_are_changed() -> None:

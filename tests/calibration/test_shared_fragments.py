@@ -55,7 +55,7 @@ def without_growth(shared: SharedFragments) -> SharedFragments:
 
 @pytest.mark.parametrize("kinds", [("heading", "image bias"), ("bones",)])
 def test_the_profiles_gradient_is_that_of_the_energy_with_states_at_their_optimum(
-    kinds: tuple[str, ...]
+    kinds: tuple[str, ...],
 ) -> None:
     shared = fragments(*kinds, frames=24)
     y = np.full(len(shared.prior), 0.01)

@@ -224,11 +224,7 @@ def test_export_writes_for_every_tool(
     ],
 )
 def test_export_says_what_it_cannot_do_and_writes_nothing(
-    reconstructed: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    says: str,
+    reconstructed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
 ) -> None:
     place = [str(tmp_path / "out") if word == "OUT" else word for word in arguments]
     assert main(["export", str(reconstructed), *place]) == 2
@@ -254,9 +250,7 @@ def test_simulate_makes_a_recording_that_loads(tmp_path: Path) -> None:
     assert recording.truth is not None
 
 
-def test_a_missing_recording_is_one_clear_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_recording_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["reconstruct", str(tmp_path / "none"), "-o", str(tmp_path / "out")]) == 2
     message = capsys.readouterr().err
     assert message.startswith("error: ")
@@ -264,9 +258,7 @@ def test_a_missing_recording_is_one_clear_line(
     assert not (tmp_path / "out").exists()
 
 
-def test_an_unknown_sensor_is_named_with_a_hint(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_sensor_is_named_with_a_hint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     motion = sorted(MOCAP.rglob("*.bvh"))[0]
     out = tmp_path / "out"
     assert main(["simulate", str(motion), "-o", str(out), "--sensors", "L_LowrArm"]) == 2

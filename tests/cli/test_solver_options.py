@@ -21,7 +21,7 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.core.threads import limit_threads, threads
 from rtof_kin.reconstruction.choices import energy_name
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 
@@ -100,10 +100,10 @@ def test_a_recording_that_is_calibrated_keeps_its_energy_with_another_solver(
     [
         ([], JointSpaceSettings()),
         (["--space", "joint", "--backend", "ipopt"], JointSpaceSettings(backend="ipopt")),
-        (["--space", "cartesian"], FragmentSettings()),
-        (["--space", "cartesian", "--backend", "realtime"], FragmentSettings(backend="realtime")),
-        (["--paper"], FragmentSettings.paper()),
-        (["--paper", "--backend", "realtime"], FragmentSettings.paper("realtime")),
+        (["--space", "cartesian"], CartesianSettings()),
+        (["--space", "cartesian", "--backend", "realtime"], CartesianSettings(backend="realtime")),
+        (["--paper"], CartesianSettings.paper()),
+        (["--paper", "--backend", "realtime"], CartesianSettings.paper("realtime")),
     ],
 )
 def test_space_and_backend_are_chosen(options: list[str], expected: object) -> None:
@@ -117,8 +117,8 @@ def test_the_energy_that_is_written_is_the_one_that_was_solved() -> None:
     assert energy_name(JointSpaceSettings.calibrated()) == "default, calibrated"
     assert energy_name(JointSpaceSettings(backend="ipopt", floor_height=0.1)) == "default"
     assert energy_name(JointSpaceSettings(jerk=7.0)) == "own"
-    assert energy_name(FragmentSettings()) == "default"
-    assert energy_name(FragmentSettings.paper("realtime")) == "as printed"
+    assert energy_name(CartesianSettings()) == "default"
+    assert energy_name(CartesianSettings.paper("realtime")) == "as printed"
 
 
 @pytest.mark.parametrize(

@@ -169,7 +169,7 @@ def test_opensim_names_agree_with_the_skeletons_wherever_both_name_a_coordinate(
 def mirror(poses: PoseSequence) -> PoseSequence:
     """The same person in a mirror: left and right change places."""
     swap = {"Left": "Right", "Right": "Left"}
-    other = [next((swap[s] + n[len(s):] for s in swap if n.startswith(s)), n) for n in poses.names]
+    other = [next((swap[s] + n[len(s) :] for s in swap if n.startswith(s)), n) for n in poses.names]
     index = [poses.names.index(n) for n in other]
     M = np.diag([1.0, -1.0, 1.0])
     return replace(
@@ -194,9 +194,7 @@ def test_in_a_mirror_left_and_right_change_places_and_keep_their_angles() -> Non
 
 @given(st.tuples(ANY_ANGLE, ANY_ANGLE, ANY_ANGLE), st.sampled_from(["zxy", "yxz", "xzy", "yxy"]))
 @settings(max_examples=60, deadline=None)
-def test_any_rotation_is_the_product_of_its_angles(
-    angles: tuple[float, float, float], sequence: str
-) -> None:
+def test_any_rotation_is_the_product_of_its_angles(angles: tuple[float, float, float], sequence: str) -> None:
     R = so3.exp(np.array(angles))
     np.testing.assert_allclose(jcs.compose(sequence, jcs.decompose(sequence, R)), R, atol=1e-9)
 

@@ -34,7 +34,7 @@ def swinging_legs(frames: int = 360, speed: float = 0.0, heading: float = 0.0) -
         **limb("left", legs, so3.about_axis("y", -swing)),
     )  # fmt: skip
     path = speed * times[:, None] * R[:, 0]
-    return poses.posed(slice(None), poses.p_world_joint + path[:, None])
+    return poses.with_poses(slice(None), poses.p_world_joint + path[:, None])
 
 
 def analysed(poses: PoseSequence, skeleton: SkeletonModel = BODY) -> GaitAnalysis:

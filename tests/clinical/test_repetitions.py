@@ -40,7 +40,7 @@ def knees(*phases: tuple[float, float]) -> PoseSequence:
         turns |= limb(side, ("shank",), so3.about_axis("y", half))
     poses = posture(BODY, len(half), **turns)
     rise = -poses.p_world_joint[:, BODY.index("RightFoot")[0], 2] + 0.09
-    return poses.posed(slice(None), poses.p_world_joint + rise[:, None, None] * [0, 0, 1])
+    return poses.with_poses(slice(None), poses.p_world_joint + rise[:, None, None] * [0, 0, 1])
 
 
 _half = np.radians(55) * (1 - np.cos(np.linspace(0, np.pi, 1001))) / 2
@@ -74,9 +74,7 @@ def test_squats_are_counted_with_their_depth_and_tempo() -> None:
 
 
 def test_a_deeper_squat_is_deeper() -> None:
-    shallow, deep = (
-        found(knees((0, 1), (angle, 1), (0, 1), (0, 1))).repetitions[0] for angle in (75, 130)
-    )
+    shallow, deep = (found(knees((0, 1), (angle, 1), (0, 1), (0, 1))).repetitions[0] for angle in (75, 130))
     assert deep.depth > 2 * shallow.depth
 
 
@@ -109,7 +107,7 @@ def test_noise_and_sway_add_no_repetition() -> None:
     poses = knees((0, 1), *SQUAT, *SQUAT)
     noise = planted.smooth_noise(1, (len(poses), 1, 3), 10, 0.01)
     rough = np.random.default_rng(0).normal(0, 0.004, poses.p_world_joint.shape)
-    noisy = poses.posed(slice(None), poses.p_world_joint + noise + rough)
+    noisy = poses.with_poses(slice(None), poses.p_world_joint + noise + rough)
     assert len(found(noisy).repetitions) == 2
 
 

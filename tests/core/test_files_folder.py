@@ -46,9 +46,7 @@ def test_others_may_read_the_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError("oops"), KeyboardInterrupt(), RtofError("known")])
-def test_a_failure_inside_leaves_nothing_and_passes_on(
-    tmp_path: Path, error: BaseException
-) -> None:
+def test_a_failure_inside_leaves_nothing_and_passes_on(tmp_path: Path, error: BaseException) -> None:
     with pytest.raises(type(error)):
         fail(tmp_path / "out", error)
     assert list(tmp_path.iterdir()) == []
@@ -349,9 +347,7 @@ with new_folder(sys.argv[1] + "/out", "index.toml") as folder, new_file(sys.argv
 """
 
 
-def test_the_next_run_removes_what_a_killed_one_left_and_nothing_of_a_living_one(
-    tmp_path: Path,
-) -> None:
+def test_the_next_run_removes_what_a_killed_one_left_and_nothing_of_a_living_one(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
     assert len(list(tmp_path.iterdir())) == 2
     (mine := tmp_path / ".rtof_kin-notes").mkdir()

@@ -75,9 +75,7 @@ WRITERS: dict[str, Callable[[Path, MotionSequence], object]] = {
 }
 
 
-def test_a_picture_of_inspect_is_whole_or_absent(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_picture_of_inspect_is_whole_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rtof_kin.report.inspection_figures.picture", lambda found: Figure())
     with full_disk(), pytest.raises(RtofError, match=r"wrong\.png: cannot be written"):
         inspection._draw(None, tmp_path / "wrong.png", False)
@@ -85,9 +83,7 @@ def test_a_picture_of_inspect_is_whole_or_absent(
 
 
 @pytest.mark.parametrize("share", [0.2, 0.9])
-def test_a_c3d_file_that_was_cut_off_is_noticed(
-    share: float, motion: MotionSequence, tmp_path: Path
-) -> None:
+def test_a_c3d_file_that_was_cut_off_is_noticed(share: float, motion: MotionSequence, tmp_path: Path) -> None:
     path, markers = tmp_path / "motion.c3d", landmark_markers(motion)
     write_c3d(path, markers)
     room = int(share * path.stat().st_size)

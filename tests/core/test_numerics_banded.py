@@ -118,9 +118,7 @@ def test_a_pivot_that_is_not_positive_is_refused(width: int, at: int, value: flo
 
 
 @pytest.mark.parametrize("size, width", SIZES[2:])
-def test_a_matrix_is_refused_from_where_its_least_eigenvalue_is_negative(
-    size: int, width: int
-) -> None:
+def test_a_matrix_is_refused_from_where_its_least_eigenvalue_is_negative(size: int, width: int) -> None:
     H = system(size, width)
     least = np.linalg.eigvalsh(H)[0]
     factorise(band_of(H - 0.999 * least * np.eye(size), width))
@@ -158,9 +156,7 @@ def diagonal_of_inverse(H: Array, size: int) -> Array:
 @pytest.mark.parametrize(
     "size, lags, frames", [(1, 1, 4), (3, 1, 5), (1, 4, 9), (4, 3, 7), (5, 4, 12), (6, 4, 2)]
 )
-def test_the_diagonal_of_the_inverse_is_that_of_the_dense_one(
-    size: int, lags: int, frames: int
-) -> None:
+def test_the_diagonal_of_the_inverse_is_that_of_the_dense_one(size: int, lags: int, frames: int) -> None:
     width = min((lags - 1) * size + 1, size * frames)
     H = system(size * frames, width)
     factor = factorise(band_of(H, width))

@@ -21,9 +21,7 @@ from rtof_kin.core.numerics.c_compiler import cache_folder, compiled
 from rtof_kin.solve.energy.frame_energy import FrameEnergy, Shape
 from rtof_kin.solve.energy.state import StateSpace
 
-pytestmark = pytest.mark.skipif(
-    not any(map(shutil.which, module.COMPILERS)), reason="there is no C compiler"
-)
+pytestmark = pytest.mark.skipif(not any(map(shutil.which, module.COMPILERS)), reason="there is no C compiler")
 POINT = np.array([0.3, -1.2, 2.5])
 
 
@@ -231,9 +229,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(cache: Path) -> None:
     assert compiled(given) == given
 
 
-def test_a_cache_that_is_a_file_is_done_without(
-    cache: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_cache_that_is_a_file_is_done_without(cache: Path, caplog: pytest.LogCaptureFixture) -> None:
     cache.write_text("not a folder")
     given = functions()
     assert compiled(given) == given

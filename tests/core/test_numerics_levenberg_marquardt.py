@@ -175,8 +175,7 @@ def test_a_state_within_its_limits_is_not_disturbed_by_them(start: Start) -> Non
     wide = Limits(start.built.space)
     wide.lower, wide.upper = wide.lower - 3.0, wide.upper + 3.0
     one, two = (
-        LevenbergMarquardt(start.problem, limits).solve(start.x, 300, FINE)
-        for limits in (wide, None)
+        LevenbergMarquardt(start.problem, limits).solve(start.x, 300, FINE) for limits in (wide, None)
     )
     assert np.all(one.multipliers == 0)
     np.testing.assert_array_equal(one.x, two.x)

@@ -21,9 +21,7 @@ from rtof_kin.core.numerics.simd import Columns, Mapped, Over, in_lanes, whole
 from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction
 
 Array = NDArray[np.float64]
-pytestmark = pytest.mark.skipif(
-    not any(map(shutil.which, module.COMPILERS)), reason="there is no C compiler"
-)
+pytestmark = pytest.mark.skipif(not any(map(shutil.which, module.COMPILERS)), reason="there is no C compiler")
 VECTORS = [(), ("-mno-avx512f",), ("-mno-avx",)] if platform.machine() == "x86_64" else [()]
 """Compiler options for all lengths of vectors that this machine has."""
 
@@ -88,9 +86,7 @@ def test_every_operation_gives_what_the_interpreter_does() -> None:
         x = inputs(frames, 4, frames)
         mapped = Mapped(code, given, frames)
         for _ in range(2):
-            for own, expected in zip(
-                mapped(x, shared), one_by_one(given.function, x, shared), strict=True
-            ):
+            for own, expected in zip(mapped(x, shared), one_by_one(given.function, x, shared), strict=True):
                 np.testing.assert_allclose(own, expected, rtol=1e-13, atol=1e-13)
 
 
@@ -172,9 +168,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
     out = [columns.zeros(29), columns.zeros(4)]
     right = columns.at(columns.zeros(4)), np.zeros(2)
 
-    def bind(
-        x: Array = right[0], s: Array = right[1], out: list[Array] = out, frames: int = 9
-    ) -> None:
+    def bind(x: Array = right[0], s: Array = right[1], out: list[Array] = out, frames: int = 9) -> None:
         Over(code, given, frames, [x, s], [columns.at(array) for array in out])
 
     bind()
@@ -209,9 +203,7 @@ def test_places_that_do_not_fit_are_refused() -> None:
 # --- the library ---------------------------------------------------------------------------------
 
 
-def test_the_library_is_kept_and_told_from_others(
-    cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_library_is_kept_and_told_from_others(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given = everything()
     code_of(given)
     assert len(list(cache.glob("*.so"))) == 1

@@ -98,9 +98,7 @@ def log_of_product(v: Array, d: Array) -> Array:
 
 
 @given(seed=seeds, angle=st.sampled_from(ANGLES[:-2]) | st.floats(0.0, 3.1))
-def test_the_inverse_right_jacobian_is_how_log_of_a_product_changes(
-    seed: int, angle: float
-) -> None:
+def test_the_inverse_right_jacobian_is_how_log_of_a_product_changes(seed: int, angle: float) -> None:
     v, h = vector(seed, angle), 1e-6
     columns = [(log_of_product(v, h * e) - log_of_product(v, -h * e)) / (2 * h) for e in np.eye(3)]
     np.testing.assert_allclose(quat.right_jacobian_inverse(v), np.array(columns).T, atol=1e-7)

@@ -26,9 +26,7 @@ def test_a_file_that_does_not_ship_is_named_with_those_that_do() -> None:
         model_path("lifter9.pt")
 
 
-def test_without_any_models_the_message_still_helps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_any_models_the_message_still_helps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resources, "PACKAGED", tmp_path / "a")
     monkeypatch.setattr(resources, "CHECKOUT", tmp_path / "b")
     with pytest.raises(FileFormatError, match="there is: nothing.*reinstall the package"):

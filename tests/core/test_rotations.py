@@ -157,9 +157,7 @@ def test_a_reflection_becomes_a_rotation_not_a_reflection() -> None:
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-1.2, 1.2), st.floats(-1.2, 1.2))
-def test_the_heading_is_the_turn_about_z_that_is_nearest(
-    yaw: float, pitch: float, roll: float
-) -> None:
+def test_the_heading_is_the_turn_about_z_that_is_nearest(yaw: float, pitch: float, roll: float) -> None:
     R = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     best = so3.heading(R)
     own = so3.angle_between(so3.about_axis("z", best), R)
@@ -220,9 +218,7 @@ def test_euler_angles_agree_with_scipy_away_from_the_singular_postures(order: st
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("gap", [0.0, 1e-14, 1e-12, 1e-10, 1e-7, 1e-4])
-def test_the_product_of_the_angles_is_exact_at_and_near_a_singular_posture(
-    order: str, gap: float
-) -> None:
+def test_the_product_of_the_angles_is_exact_at_and_near_a_singular_posture(order: str, gap: float) -> None:
     outer = RNG.uniform(-3, 3, (20, 2))
     for side in (1, -1):
         angles = np.stack([outer[:, 0], np.full(20, side * (np.pi / 2 - gap)), outer[:, 1]], -1)
@@ -240,9 +236,7 @@ def test_a_singular_posture_gives_the_whole_turn_to_the_third_angle() -> None:
 
 
 @given(VECTORS, st.tuples(*[st.floats(-20, 20)] * 3).map(np.array))
-def test_the_nearest_angles_beat_every_other_name_of_the_rotation(
-    angles: Array, near: Array
-) -> None:
+def test_the_nearest_angles_beat_every_other_name_of_the_rotation(angles: Array, near: Array) -> None:
     best = so3.euler_near(angles, near)
     assert_close(so3.euler_to_matrix("zyx", best), so3.euler_to_matrix("zyx", angles), 1e-12)
     turns = 2 * np.pi * np.array(list(product(range(-5, 6), repeat=3)))

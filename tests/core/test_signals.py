@@ -66,8 +66,7 @@ def test_a_signal_without_any_valid_sample_gives_nothing() -> None:
 
 def test_one_sample_is_known_at_its_own_instant_only() -> None:
     np.testing.assert_array_equal(
-        signals.interpolate(np.array([1.0]), np.array([7.0]), [0.9, 1.0, 1.1]),
-        [np.nan, 7.0, np.nan],
+        signals.interpolate(np.array([1.0]), np.array([7.0]), [0.9, 1.0, 1.1]), [np.nan, 7.0, np.nan]
     )
 
 
@@ -154,8 +153,7 @@ def test_a_cubic_acceleration_at_irregular_instants_is_integrated_piece_by_piece
         fine = np.linspace(-h, h, 200_001)
         hat = 1 - np.abs(fine) / h
         brute = [
-            np.trapezoid(np.interp(t + fine, times, x) * hat, fine) / np.trapezoid(hat, fine)
-            for t in at
+            np.trapezoid(np.interp(t + fine, times, x) * hat, fine) / np.trapezoid(hat, fine) for t in at
         ]
         assert_close(signals.hat_average(times, x, at, h), np.array(brute), 1e-7)
 
@@ -166,9 +164,7 @@ def test_the_kernel_never_reaches_across_a_gap_and_stops_exactly_at_its_ends() -
         x = np.ones((80, 2))
         x[first, 0] = np.nan
         out = signals.hat_average(times, x, times, 1 / rate, max_gap=1.5 / rate)
-        np.testing.assert_array_equal(
-            np.flatnonzero(np.isnan(out[:, 0])), [first - 1, first, first + 1]
-        )
+        np.testing.assert_array_equal(np.flatnonzero(np.isnan(out[:, 0])), [first - 1, first, first + 1])
         np.testing.assert_allclose(out[np.isfinite(out)], 1, rtol=1e-8)
         assert np.isfinite(out[:, 1]).all()
 
@@ -192,9 +188,7 @@ def test_outside_the_recording_there_is_nothing() -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_differences_of_a_polynomial_are_its_derivative_and_shorten_by_the_order(
-    order: int,
-) -> None:
+def test_differences_of_a_polynomial_are_its_derivative_and_shorten_by_the_order(order: int) -> None:
     rate = 50.0
     t = np.arange(20) / rate
     p = np.polynomial.Polynomial(RNG.normal(size=order + 1))
@@ -244,9 +238,7 @@ def test_what_is_known_is_low_passed_run_by_run_and_gaps_stay_open() -> None:
     assert_close(out[20, [0, 2]], x[20, [0, 2]])
 
 
-@pytest.mark.parametrize(
-    ("frames", "cutoff_hz"), [(60, 30.0), (60, 50.0), (3, 12.0), (1, 12.0), (0, 12.0)]
-)
+@pytest.mark.parametrize(("frames", "cutoff_hz"), [(60, 30.0), (60, 50.0), (3, 12.0), (1, 12.0), (0, 12.0)])
 def test_what_is_too_slow_or_too_short_is_not_filtered(frames: int, cutoff_hz: float) -> None:
     x = RNG.normal(size=(frames, 3))
     assert_close(signals.low_pass_known(np.arange(frames) / 60, x, cutoff_hz), x)
@@ -263,7 +255,5 @@ def test_what_is_too_slow_or_too_short_is_not_filtered(frames: int, cutoff_hz: f
         ("10110", [(0, 1), (2, 4)]),
     ],
 )
-def test_runs_are_the_stretches_where_a_mask_is_true(
-    mask: str, expected: list[tuple[int, int]]
-) -> None:
+def test_runs_are_the_stretches_where_a_mask_is_true(mask: str, expected: list[tuple[int, int]]) -> None:
     assert signals.runs([c == "1" for c in mask]) == expected

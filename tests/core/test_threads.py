@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
@@ -21,8 +21,8 @@ BODY = SkeletonModel.default()
 BODIES = (BODY, BODY.with_height(1.6), BODY.with_height(1.9), BODY)
 N, FRAMES = 8, 12
 SETTINGS = {
-    "joint": JointSpaceSettings(), "cartesian": FragmentSettings(),
-    "cartesian by IPOPT": FragmentSettings(backend="ipopt"),
+    "joint": JointSpaceSettings(), "cartesian": CartesianSettings(),
+    "cartesian by IPOPT": CartesianSettings(backend="ipopt"),
 }  # fmt: skip
 
 

@@ -84,9 +84,7 @@ def test_times_of_its_own_are_kept(tmp_path: Path, read: Any) -> None:
     write(tmp_path / "S5_acting3_cam1.npz", times=times)
     np.testing.assert_array_equal(read().times, times)
     write(tmp_path / "S5_acting3_cam1.npz", times=times[:-1])
-    with pytest.raises(
-        FileFormatError, match=r"S5_acting3_cam1.npz: .*times \(6,\).*uv_px \(7, 21, 2\)"
-    ):
+    with pytest.raises(FileFormatError, match=r"S5_acting3_cam1.npz: .*times \(6,\).*uv_px \(7, 21, 2\)"):
         read()
 
 
@@ -132,9 +130,7 @@ def test_what_was_not_seen_is_missing_in_value_and_confidence(tmp_path: Path, re
     assert set(np.unique(found.confidence)) == {0.0, 1.0}
 
 
-def test_a_copy_does_not_matter_but_two_different_files_are_named(
-    tmp_path: Path, read: Any
-) -> None:
+def test_a_copy_does_not_matter_but_two_different_files_are_named(tmp_path: Path, read: Any) -> None:
     one = write(tmp_path / "S5_acting3_cam1.npz")
     two = tmp_path / "backup" / "TC_S5_acting3_cam1.npz"
     two.parent.mkdir()
@@ -162,9 +158,7 @@ def test_a_loop_of_links_ends_and_a_linked_folder_is_looked_into(
 # --- what is wrong -------------------------------------------------------------------------------
 
 
-def test_what_is_not_there_is_named_as_it_could_be_called(
-    tmp_path: Path, camera: Camera, read: Any
-) -> None:
+def test_what_is_not_there_is_named_as_it_could_be_called(tmp_path: Path, camera: Camera, read: Any) -> None:
     write(tmp_path / "S5_acting3_cam2.npz")
     with pytest.raises(FileFormatError, match=r"S5 acting3 camera 1: .*TC_S5_acting3_cam1\.npz"):
         read()

@@ -21,12 +21,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, FileFormatError, UnitError, UnknownNameError
 from rtof_kin.data.camera import Camera
-from rtof_kin.datasets.human36m import (
-    RATE_HZ,
-    SUBJECTS_TEST,
-    SUBJECTS_TRAIN,
-    Human36M,
-)
+from rtof_kin.datasets.human36m import RATE_HZ, SUBJECTS_TEST, SUBJECTS_TRAIN, Human36M
 from rtof_kin.datasets.human36m_body import bone_lengths, measured_offsets
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS, read_cameras
 from rtof_kin.datasets.human36m_files import JOINTS_OF_32
@@ -141,18 +136,14 @@ def test_keypoints_lie_where_the_camera_sees_the_truth(root: Path, camera: int) 
     assert np.median(error_px) < 0.1
 
 
-def test_the_truths_orientations_and_the_subjects_bones_make_the_truths_positions(
-    root: Path,
-) -> None:
+def test_the_truths_orientations_and_the_subjects_bones_make_the_truths_positions(root: Path) -> None:
     """The planted people are rigid, with hips and shoulders in no table."""
     data = Human36M(root)
     for subject, action in data.sequences:
         recording = data.recording(subject, action, 0)
         poses, offsets = recording.truth, recording.joint_offsets
         assert poses is not None
-        p = kinematics.positions(
-            SKELETON.parents, offsets, poses.p_world_joint[:, 0], poses.R_world_bone
-        )
+        p = kinematics.positions(SKELETON.parents, offsets, poses.p_world_joint[:, 0], poses.R_world_bone)
         np.testing.assert_allclose(p, poses.p_world_joint, atol=2e-6)
 
 
@@ -256,9 +247,7 @@ def test_a_spine_that_turns_about_the_pelvis_is_measured_at_its_mean() -> None:
     children = SKELETON.index("RHip", "LHip", "Spine")
     p[:, children] = p[:, [0]] + np.einsum("tij,tcj->tci", R_world_bone, shown)
     offsets = measured_offsets(SKELETON, p)[children]
-    np.testing.assert_allclose(
-        np.linalg.norm(offsets, axis=1), np.linalg.norm(hips, axis=1), atol=1e-9
-    )
+    np.testing.assert_allclose(np.linalg.norm(offsets, axis=1), np.linalg.norm(hips, axis=1), atol=1e-9)
     R = so3.nearest_rotation(offsets.T @ hips)
     np.testing.assert_allclose(offsets, hips @ R.T, atol=0.006)
 
@@ -296,15 +285,13 @@ def test_the_sources_tangential_coefficients_are_opencvs_the_other_way_round(roo
             camera.project(p_world)[:, 0], files.projected(p_world, "S9", i)[:, 0], atol=1e-9
         )
         swapped = camera.distortion[[0, 1, 3, 2, 4]]
-        other = Camera(
-            camera.K, camera.R_camera_world, camera.t_camera_world, 1000, 1000, swapped
-        ).project(p_world)
+        other = Camera(camera.K, camera.R_camera_world, camera.t_camera_world, 1000, 1000, swapped).project(
+            p_world
+        )
         assert np.abs(other[:, 0] - files.projected(p_world, "S9", i)[:, 0]).max() > 0.05
 
 
-def test_the_source_is_never_run(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_source_is_never_run(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert list(read_cameras(root / "h36m_dataset.py")) == list(TWO)
     assert not list(tmp_path.iterdir())
@@ -391,10 +378,7 @@ def test_a_camera_that_a_json_file_lacks_is_left_out(tmp_path: Path) -> None:
 
 def changed_source(old: str, new: str) -> str:
     intrinsics, extrinsics = files.camera_source(("S9",))
-    text = (
-        f"h36m_cameras_intrinsic_params = {intrinsics!r}\n"
-        f"h36m_cameras_extrinsic_params = {extrinsics!r}\n"
-    )
+    text = f"h36m_cameras_intrinsic_params = {intrinsics!r}\nh36m_cameras_extrinsic_params = {extrinsics!r}\n"
     assert old in text
     return text.replace(old, new, 1)
 
@@ -435,9 +419,7 @@ def test_a_quaternion_that_is_none_is_refused(tmp_path: Path) -> None:
     intrinsics, extrinsics = files.camera_source(("S9",))
     extrinsics["S9"][2]["orientation"] = [1.0, 1.0, 0.0, 0.0]
     path = tmp_path / "c.py"
-    path.write_text(
-        f"h36m_cameras_intrinsic_params={intrinsics}\nh36m_cameras_extrinsic_params={extrinsics}"
-    )
+    path.write_text(f"h36m_cameras_intrinsic_params={intrinsics}\nh36m_cameras_extrinsic_params={extrinsics}")
     with pytest.raises(FileFormatError, match="S9, camera 2: orientation is not a unit quaternion"):
         read_cameras(path)
 
@@ -448,9 +430,7 @@ def test_cameras_in_another_unit_are_named(tmp_path: Path, scale: float, stands:
     for entry in extrinsics["S9"]:
         entry["translation"] = [scale * x for x in entry["translation"]]
     path = tmp_path / "c.py"
-    path.write_text(
-        f"h36m_cameras_intrinsic_params={intrinsics}\nh36m_cameras_extrinsic_params={extrinsics}"
-    )
+    path.write_text(f"h36m_cameras_intrinsic_params={intrinsics}\nh36m_cameras_extrinsic_params={extrinsics}")
     message = f"S9, camera 0 would stand {stands} m from .* must be in millimetres"
     with pytest.raises(UnitError, match=message):
         read_cameras(path)
@@ -624,9 +604,7 @@ def test_positions_in_millimetres_are_refused(own: tuple[Path, files.Positions])
     ([np.full((12, 17, 2), np.nan)] * 4, "camera 0: there is no finite number"),
     ([np.zeros((0, 17, 2))] * 4, "camera 0: there is no finite number"),
 ])  # fmt: skip
-def test_corrupt_keypoints_are_named(
-    own: tuple[Path, files.Positions], entry: Any, message: str
-) -> None:
+def test_corrupt_keypoints_are_named(own: tuple[Path, files.Positions], entry: Any, message: str) -> None:
     root, positions = own
     entries = files.keypoints(positions)
     entries["S9"]["Action 2"] = entry
@@ -656,9 +634,7 @@ def test_17_points_that_are_not_human36ms_are_refused(
         Human36M(root, keypoints="detectron_pt_coco").recording("S9", "Action 0", 0)
 
 
-def test_metadata_as_the_projected_archive_has_it_are_accepted(
-    own: tuple[Path, files.Positions],
-) -> None:
+def test_metadata_as_the_projected_archive_has_it_are_accepted(own: tuple[Path, files.Positions]) -> None:
     root, positions = own
     sides = (list(files.METADATA["keypoints_symmetry"][0]), files.METADATA["keypoints_symmetry"][1])  # type: ignore[index]
     files.write_keypoints(

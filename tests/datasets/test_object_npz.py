@@ -427,9 +427,7 @@ EIGHT = b"C\x08" + bytes(8)
     (b"\x8d" + struct.pack("<Q", 2**64 - 1) + b"abc", "damaged"),
     (b"\x8a\xff\x01", "damaged"),
 ])  # fmt: skip
-def test_a_program_that_does_anything_else_is_refused(
-    path: Path, content: bytes, message: str
-) -> None:
+def test_a_program_that_does_anything_else_is_refused(path: Path, content: bytes, message: str) -> None:
     with pytest.raises(FileFormatError, match=rf"data\.npz: a: .*{message}"):
         read(path, a=npy(holding(content)))
 
@@ -483,9 +481,7 @@ def test_text_that_is_encoded_over_and_over_is_refused(path: Path) -> None:
         read_object_npz(write(path, zipfile.ZIP_STORED, a=npy(program)), ["a"])
 
 
-def test_a_pickle_of_too_many_operations_is_refused(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_pickle_of_too_many_operations_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pickled, "LARGEST_STEPS", 1000)
     assert read(path, a=pickled_array([None] * 900))["a"] == [None] * 900
     with pytest.raises(FileFormatError, match="a pickle of more than 1000 operations"):
@@ -549,9 +545,7 @@ def test_a_packing_that_numpy_does_not_use_is_refused(path: Path, packing: int) 
     lambda data: data[: len(data) // 2], lambda data: b"", lambda data: b"PK\x03\x04" + bytes(100),
     lambda data: data.replace(b"Walking 1", b"Walking 2"),
 ])  # fmt: skip
-def test_a_damaged_archive_is_refused_with_its_name(
-    path: Path, damage: Callable[[bytes], bytes]
-) -> None:
+def test_a_damaged_archive_is_refused_with_its_name(path: Path, damage: Callable[[bytes], bytes]) -> None:
     write(path, zipfile.ZIP_STORED, a=pickled_array(DATA))
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(FileFormatError, match=r"data\.npz: damaged, or no NPZ archive"):

@@ -101,9 +101,7 @@ def test_a_t_pose_written_by_hand_is_a_quarter_turn_about_z(tmp_path: Path) -> N
     np.testing.assert_allclose(found.truth.R_world_bone, quarter, atol=1e-5)
     np.testing.assert_allclose(found.truth.p_world_joint[0, 0], [1.27, 0.635, 2.54], atol=1e-6)
     # One inch right, two up, three forward of its parent.
-    np.testing.assert_allclose(
-        found.joint_offsets[1:], np.tile([3, -1, 2], (20, 1)) * 0.0254, atol=1e-6
-    )
+    np.testing.assert_allclose(found.joint_offsets[1:], np.tile([3, -1, 2], (20, 1)) * 0.0254, atol=1e-6)
 
 
 def offset_row(root_cell: str) -> str:
@@ -189,9 +187,7 @@ def test_cameras_are_those_of_the_file_in_the_z_up_world(root: Path) -> None:
 def test_a_recording_has_the_true_joints_as_the_camera_sees_them(take: Take) -> None:
     recording = take.recording(3)
     np.testing.assert_allclose(
-        recording.keypoints.uv_px,
-        source.cameras()[3].project(support.motion().p_world_joint),
-        atol=0.01,
+        recording.keypoints.uv_px, source.cameras()[3].project(support.motion().p_world_joint), atol=0.01
     )
     assert recording.keypoints.names == NAMES
     assert "S5" in recording.name
@@ -252,9 +248,7 @@ def test_a_recording_has_the_sensors_asked_for(take: Take) -> None:
     assert recording.calibration.joints == ("LeftForeArm", "Hips")
 
 
-def test_an_unknown_camera_sensor_or_take_is_named_with_those_there_are(
-    take: Take, root: Path
-) -> None:
+def test_an_unknown_camera_sensor_or_take_is_named_with_those_there_are(take: Take, root: Path) -> None:
     with pytest.raises(UnknownNameError, match=r"camera.*'9'.*1, 2, 3"):
         take.recording(9)
     with pytest.raises(UnknownNameError, match=r"sensor.*'L_Hand'.*Head"):
@@ -275,9 +269,7 @@ def detected(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_detections_make_a_recording_and_only_camera_2_fails_its_check(
-    take: Take, detected: Path
-) -> None:
+def test_detections_make_a_recording_and_only_camera_2_fails_its_check(take: Take, detected: Path) -> None:
     found = {n: read_detections(detected, *ONE, n, take.cameras[n]) for n in (1, 2)}
     recording = take.recording(1, found[1])
     np.testing.assert_array_equal(recording.keypoints.uv_px, found[1].uv_px)
@@ -289,9 +281,7 @@ def test_detections_make_a_recording_and_only_camera_2_fails_its_check(
     assert bad.value > bad.limit == 20
 
 
-def test_a_video_that_ends_early_cuts_the_recording_from_frame_0(
-    take: Take, detected: Path
-) -> None:
+def test_a_video_that_ends_early_cuts_the_recording_from_frame_0(take: Take, detected: Path) -> None:
     short = read_detections(detected, *ONE, 1, take.cameras[1])[:50]
     recording = take.recording(1, short)
     assert len(recording.keypoints) == 50
@@ -328,9 +318,7 @@ def test_a_perfect_take_passes_every_check(take: Take) -> None:
     assert all(check.message for check in checks)
 
 
-def test_the_calibration_of_another_take_fails_and_says_so(
-    tmp_path: Path, paths: dict[str, Path]
-) -> None:
+def test_the_calibration_of_another_take_fails_and_says_so(tmp_path: Path, paths: dict[str, Path]) -> None:
     other = support.take("S5", "freestyle1", seed=4)
     files.write_imu_calibration(paths["ref"], paths["bone"], other.calibration)
     bad = failed(check_take(TotalCapture(tmp_path).take(*ONE)))
@@ -461,9 +449,7 @@ def test_what_mac_and_others_leave_behind_is_no_file_of_the_dataset(
     same(dataset.take(*ONE), take)
 
 
-def test_a_loop_of_links_ends_after_one_round(
-    tmp_path: Path, paths: dict[str, Path], take: Take
-) -> None:
+def test_a_loop_of_links_ends_after_one_round(tmp_path: Path, paths: dict[str, Path], take: Take) -> None:
     os.symlink(tmp_path, tmp_path / "S5" / "again", target_is_directory=True)
     dataset = TotalCapture(tmp_path)
     assert len(dataset.index.files[ONE]["positions"]) == 1
@@ -636,9 +622,7 @@ def test_a_bvh_file_of_another_take_does_not_stand_in_silently(
         TotalCapture(tmp_path).take(*ONE)
 
 
-def test_without_either_they_come_from_positions_and_another_take_of_the_same_body(
-    tmp_path: Path,
-) -> None:
+def test_without_either_they_come_from_positions_and_another_take_of_the_same_body(tmp_path: Path) -> None:
     support.dataset(tmp_path, support.take("S5", "freestyle1"))
     support.dataset(tmp_path, support.take(), orientations=False, bvh=False)
     found = TotalCapture(tmp_path).take(*ONE)
@@ -745,9 +729,7 @@ def test_joints_in_another_order_are_found_by_name(
 
 
 @pytest.mark.parametrize(("old", "new"), [("LeftFoot", "LeftToe"), ("LeftFoot\t", "")])
-def test_a_joint_that_is_missing_is_named(
-    old: str, new: str, tmp_path: Path, paths: dict[str, Path]
-) -> None:
+def test_a_joint_that_is_missing_is_named(old: str, new: str, tmp_path: Path, paths: dict[str, Path]) -> None:
     support.edit(paths["positions"], old, new)
     if not new:
         rows = support.lines(paths["positions"])
@@ -794,9 +776,7 @@ def test_a_body_in_another_unit_fails_the_check_of_its_height(take: Take, unit: 
     assert "are the file's positions in inches" in bad.message
 
 
-def test_a_sensor_without_calibration_is_left_out_and_named(
-    tmp_path: Path, paths: dict[str, Path]
-) -> None:
+def test_a_sensor_without_calibration_is_left_out_and_named(tmp_path: Path, paths: dict[str, Path]) -> None:
     rows = [row for row in support.lines(paths["ref"]) if not row.startswith("L_Foot")]
     rows[0] = "12\n"
     paths["ref"].write_text("".join(rows))
@@ -807,9 +787,7 @@ def test_a_sensor_without_calibration_is_left_out_and_named(
     assert "L_Foot" in said(found)
 
 
-def test_a_sensor_whose_acceleration_is_all_zero_has_none(
-    tmp_path: Path, paths: dict[str, Path]
-) -> None:
+def test_a_sensor_whose_acceleration_is_all_zero_has_none(tmp_path: Path, paths: dict[str, Path]) -> None:
     imus = support.take().imus
     f = np.array(imus.f_sensor)
     s = imus.names.index("R_UpLeg")
@@ -833,9 +811,7 @@ def imus_without_check(imus, f_sensor):  # type: ignore[no-untyped-def]
     return out
 
 
-def test_acceleration_without_gravity_is_refused_by_its_unit(
-    tmp_path: Path, paths: dict[str, Path]
-) -> None:
+def test_acceleration_without_gravity_is_refused_by_its_unit(tmp_path: Path, paths: dict[str, Path]) -> None:
     imus = support.take().imus
     files.write_sensors(paths["sensors"], imus_without_check(imus, imus.f_sensor / 9.81))
     with pytest.raises(ValueError, match=r"gravity|9.81"):
@@ -854,21 +830,14 @@ def long_take(frames: int) -> standin.StandInTake:
     poses, imus = planted.poses, planted.imus
     return replace(
         planted,
-        poses=PoseSequence(
-            times, poses.p_world_joint[index], poses.R_world_bone[index], poses.names
-        ),
+        poses=PoseSequence(times, poses.p_world_joint[index], poses.R_world_bone[index], poses.names),
         imus=replace(
-            imus,
-            times=times,
-            R_inertial_sensor=imus.R_inertial_sensor[index],
-            f_sensor=imus.f_sensor[index],
+            imus, times=times, R_inertial_sensor=imus.R_inertial_sensor[index], f_sensor=imus.f_sensor[index]
         ),
     )
 
 
-def test_a_take_of_4000_frames_is_read_in_four_seconds_and_its_glitches_are_invalid(
-    tmp_path: Path,
-) -> None:
+def test_a_take_of_4000_frames_is_read_in_four_seconds_and_its_glitches_are_invalid(tmp_path: Path) -> None:
     """S4's acting3 has two known glitches; two seconds are aimed at, on a busy machine it may be four."""
     support.dataset(tmp_path, long_take(4000), bvh=False, aux=False)
     began = time.perf_counter()

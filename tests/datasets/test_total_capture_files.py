@@ -105,9 +105,7 @@ def test_a_broken_link_is_said_to_be_unreadable_and_the_true_file_is_found(tmp_p
     assert index.one(("S5", "acting3"), "positions") == tmp_path / "S5" / "acting3" / POSITIONS
 
 
-def test_the_first_of_equal_files_is_taken_and_different_ones_are_both_named(
-    tmp_path: Path,
-) -> None:
+def test_the_first_of_equal_files_is_taken_and_different_ones_are_both_named(tmp_path: Path) -> None:
     put(tmp_path, f"b/S5/acting3/{POSITIONS}")
     shutil.copytree(tmp_path / "b", tmp_path / "a")
     one, two = (tmp_path / x / "S5" / "acting3" / POSITIONS for x in "ab")

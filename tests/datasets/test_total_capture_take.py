@@ -59,9 +59,7 @@ def test_a_sensor_written_by_hand_gives_its_bone_and_no_acceleration(tmp_path: P
     (folder / "s1_walking1_calib_imu_bone.txt").write_text(f"1\nPelvis 0 0 {half} {half}\n")
     found = TotalCapture(tmp_path).take("S1", "walking1")
     quarter = so3.about_axis("z", np.pi / 2)
-    np.testing.assert_allclose(
-        found.truth.R_world_bone[:, 0], np.tile(quarter, (T, 1, 1)), atol=1e-5
-    )
+    np.testing.assert_allclose(found.truth.R_world_bone[:, 0], np.tile(quarter, (T, 1, 1)), atol=1e-5)
     assert found.imus is not None
     assert found.calibration is not None
     bones = found.calibration.apply(found.imus)
@@ -116,10 +114,7 @@ def test_one_sensor_that_slipped_is_told_from_the_calibration_of_another_take(ta
     R[:9] = R[:9] @ turn
     bads = failed(replace(take, calibration=replace(take.calibration, R_sensor_bone=R)).check())
     assert len(bads) == 9
-    assert all(
-        "9 of 13 sensors fail this: is it the calibration of another take?" in b.message
-        for b in bads
-    )
+    assert all("9 of 13 sensors fail this: is it the calibration of another take?" in b.message for b in bads)
 
 
 def test_the_limb_that_is_in_no_t_pose_is_named(take: Take) -> None:
@@ -142,9 +137,7 @@ def test_bones_of_a_take_without_orientations_are_checked_by_their_length(tmp_pa
     p = files.tc_positions(support.motion().p_world_joint)
     p[::2, NAMES.index("Head")] += 1.0
     files.write_joints(paths["positions"], p)
-    assert any(
-        "bone lengths" in check.name for check in failed(TotalCapture(tmp_path).take(*ONE).check())
-    )
+    assert any("bone lengths" in check.name for check in failed(TotalCapture(tmp_path).take(*ONE).check()))
 
 
 def test_what_is_not_known_does_not_pass() -> None:

@@ -45,10 +45,7 @@ class NoisyTruth:
         self.p = motion.poses.p_world_joint[:FRAMES]
 
     def predict(
-        self,
-        keypoints: KeypointSequence,
-        joint_offsets: Array | None = None,
-        **others: object,
+        self, keypoints: KeypointSequence, joint_offsets: Array | None = None, **others: object
     ) -> LiftedPoses:
         shake = np.random.default_rng(0).normal(0, 0.01, self.p.shape)
         seen = np.ones(FRAMES, dtype=np.bool_)
@@ -77,9 +74,7 @@ def off(cameras: list[Camera], seed: int = 3) -> list[Camera]:
     return out
 
 
-def session(
-    path: Path, motion: MotionSequence, cameras: list[Camera], calibrated: list[Camera]
-) -> Path:
+def session(path: Path, motion: MotionSequence, cameras: list[Camera], calibrated: list[Camera]) -> Path:
     """A folder as Pose2Sim has it: seen by `cameras`, calibrated as `calibrated`; a bystander in one."""
     rng = np.random.default_rng(1)
     trial = path / "session" / "P00" / "T01_Walk"
@@ -110,9 +105,7 @@ def folder(motion: MotionSequence, tmp_path_factory: pytest.TempPathFactory) -> 
 # --- several views -------------------------------------------------------------------------------
 
 
-def test_points_are_triangulated_where_they_are_though_one_camera_is_wrong(
-    motion: MotionSequence,
-) -> None:
+def test_points_are_triangulated_where_they_are_though_one_camera_is_wrong(motion: MotionSequence) -> None:
     cameras = [replace(c, distortion=np.array([-0.05, 0.1, 1e-3, 0, 0])) for c in around(motion)]
     p = motion.poses.p_world_joint[:4]
     uv = np.stack([camera.project(p) for camera in cameras])
@@ -169,9 +162,7 @@ def test_two_people_are_told_apart_by_their_size(motion: MotionSequence, tmp_pat
     (root / "P00" / "Config.toml").write_text("[project]\nparticipant_height = [1.72, 1.2]\n")
     small = points_small(motion, cameras)
     for i, points in enumerate(small):
-        for t, path in enumerate(
-            sorted((root / "P00" / "T01_Walk" / "pose" / f"cam{i + 1}_json").iterdir())
-        ):
+        for t, path in enumerate(sorted((root / "P00" / "T01_Walk" / "pose" / f"cam{i + 1}_json").iterdir())):
             people = json.loads(path.read_text())["people"]
             people.insert(i % 2, {"pose_keypoints_2d": flat(points[t])})
             path.write_text(json.dumps({"people": people}))
@@ -193,9 +184,7 @@ def points_small(motion: MotionSequence, cameras: list[Camera]) -> list[Array]:
     for camera in cameras:  # 0.7 p + shift seen from c is p seen from (c - shift) / 0.7
         centre = (camera.center_world - shift) / 0.7
         R = camera.R_camera_world
-        out.append(
-            points_px("body25b", motion, replace(camera, t_camera_world=-R @ centre))[:FRAMES]
-        )
+        out.append(points_px("body25b", motion, replace(camera, t_camera_world=-R @ centre))[:FRAMES])
     return out
 
 
@@ -218,9 +207,7 @@ def test_a_session_that_is_not_complete_is_refused(folder: Path, tmp_path: Path)
         t = cameras[name].t_camera_world + np.array([right, 0.3, 0.0])
         cameras[name] = replace(cameras[name], t_camera_world=t)
     write_camera_toml(calibration, cameras, overwrite=True)
-    with pytest.raises(
-        RtofError, match="nobody was seen by all cameras at once.*in the same order"
-    ):
+    with pytest.raises(RtofError, match="nobody was seen by all cameras at once.*in the same order"):
         read(root, "T01_Walk")
     shutil.rmtree(pose / "cam1_json")
     with pytest.raises(RtofError, match="2 folders of detections for 3 cameras"):

@@ -187,9 +187,7 @@ def test_a_broken_motion_is_named_with_its_line(read, tmp_path, old, new, line, 
     assert says in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"\n# only a comment\n", b"\xff\xfe\x00\x01", b"\x00" * 9]
-)
+@pytest.mark.parametrize("content", [b"", b"\n# only a comment\n", b"\xff\xfe\x00\x01", b"\x00" * 9])
 def test_what_is_no_such_file_at_all_is_refused(read, content):
     with pytest.raises(FileFormatError):
         read(asf=content)

@@ -8,13 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.core.errors import (
-    FileFormatError,
-    OutputExistsError,
-    RtofError,
-    ShapeError,
-    UnknownNameError,
-)
+from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, ShapeError, UnknownNameError
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.formats.bvh import read_bvh, write_bvh
 

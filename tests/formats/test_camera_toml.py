@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.core.errors import (
-    FileFormatError,
-    OutputExistsError,
-    RtofError,
-    ShapeError,
-    UnitError,
-)
+from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, ShapeError, UnitError
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
 from rtof_kin.formats.world_axes import UP
@@ -50,9 +44,7 @@ def test_a_camera_is_read_as_opencv_means_it(tmp_path: Path) -> None:
     R = Rotation.from_rotvec([1.688, 1.048, -0.42]).as_matrix()
     p = np.array([0.2, -0.3, 1.1])
     x, y, z = R @ p + [0.32, 0.96, 2.9]
-    np.testing.assert_allclose(
-        camera.undistorted().project(p), [1681 * x / z + 533, 1680 * y / z + 948]
-    )
+    np.testing.assert_allclose(camera.undistorted().project(p), [1681 * x / z + 533, 1680 * y / z + 948])
 
 
 @pytest.mark.parametrize(
@@ -68,9 +60,7 @@ def test_a_camera_is_read_as_opencv_means_it(tmp_path: Path) -> None:
         ("fisheye = false", "rotation_count = 0\nexposure = -7\nignore = false"),
     ],
 )
-def test_other_ways_to_write_the_same_camera_are_read_alike(
-    old: str, new: str, tmp_path: Path
-) -> None:
+def test_other_ways_to_write_the_same_camera_are_read_alike(old: str, new: str, tmp_path: Path) -> None:
     plain = read_camera_toml(written(tmp_path, POSE2SIM))["left"]
     assert old in POSE2SIM
     other = read_camera_toml(written(tmp_path, POSE2SIM.replace(old, new)))["left"]
@@ -85,9 +75,7 @@ def test_what_points_up_in_the_file_points_up_in_world(up: str, tmp_path: Path) 
     above = np.zeros(3)
     above["xyz".index(up[-1])] = -1.0 if up.startswith("-") else 1.0
     np.testing.assert_allclose(turned.project([0, 0, 1]), plain.project(above), atol=1e-9)
-    np.testing.assert_allclose(
-        np.linalg.norm(turned.center_world), np.linalg.norm(plain.center_world)
-    )
+    np.testing.assert_allclose(np.linalg.norm(turned.center_world), np.linalg.norm(plain.center_world))
 
 
 def test_millimetres_are_noticed_and_can_be_declared(tmp_path: Path) -> None:
@@ -107,9 +95,7 @@ def test_what_is_written_is_read_back(tmp_path: Path, camera: Camera) -> None:
     assert list(again) == ["a", "b"]
     for name, given in {"a": camera, "b": other}.items():
         for field in ("K", "R_camera_world", "t_camera_world", "distortion"):
-            np.testing.assert_allclose(
-                getattr(again[name], field), getattr(given, field), atol=1e-12
-            )
+            np.testing.assert_allclose(getattr(again[name], field), getattr(given, field), atol=1e-12)
     with pytest.raises(OutputExistsError, match="out.toml: is there already"):
         write_camera_toml(path, again)
     write_camera_toml(path, {"a": again["a"]}, overwrite=True)
@@ -129,17 +115,11 @@ def test_what_is_written_is_read_back(tmp_path: Path, camera: Camera) -> None:
         ("1.688, 1.048, -0.42", "1.688, nan, -0.42", r"rotation: .*not finite"),
         ("[[1681.0", "[[-1681.0", r"\[cam_01\]: camera K: singular"),
         ("size = [1088.0, 1920.0]", "size = [0, 0]", r"\[cam_01\]: .*must be positive"),
-        (
-            "[metadata]",
-            '[other]\nname = "left"\nsize = [1, 1]',
-            r"\[other\] name: 'left' is another",
-        ),
+        ("[metadata]", '[other]\nname = "left"\nsize = [1, 1]', r"\[other\] name: 'left' is another"),
         ("[cam_01]", "cam_01", "not readable as TOML"),
     ],
 )
-def test_what_is_no_complete_camera_is_refused(
-    old: str, new: str, message: str, tmp_path: Path
-) -> None:
+def test_what_is_no_complete_camera_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
     assert old in POSE2SIM
     with pytest.raises(FileFormatError, match=message):
         read_camera_toml(written(tmp_path, POSE2SIM.replace(old, new)))

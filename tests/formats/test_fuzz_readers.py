@@ -216,9 +216,7 @@ def packed_array() -> bytes:
 
 
 @pytest.mark.parametrize("reader, name", readers_of(".npz", ".pt"))
-def test_zip_bombs_are_not_unpacked(
-    reader: Reader, name: str, tmp_path: Path, packed_array: bytes
-) -> None:
+def test_zip_bombs_are_not_unpacked(reader: Reader, name: str, tmp_path: Path, packed_array: bytes) -> None:
     files = reader.files
     write_files(tmp_path, files)
     bomb = zip_bomb(members(files[name])[0].encode(), packed_array)
@@ -281,9 +279,7 @@ def test_a_corpus_of_motion_reads_nothing_outside_its_folder(file: str, tmp_path
 
 
 @pytest.mark.parametrize("reader", [r for r in READERS if len(r.files) == 1], ids=str)
-def test_a_folder_a_device_and_a_file_that_is_not_there_are_refused(
-    reader: Reader, tmp_path: Path
-) -> None:
+def test_a_folder_a_device_and_a_file_that_is_not_there_are_refused(reader: Reader, tmp_path: Path) -> None:
     (name,) = reader.files
     path = tmp_path / name
     if not reader.name.startswith(("sensors", "OpenPose")):  # those look for files in a folder

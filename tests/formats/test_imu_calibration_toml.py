@@ -11,10 +11,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, UnknownNameError
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.formats.imu_calibration_toml import (
-    read_imu_calibration_toml,
-    write_imu_calibration_toml,
-)
+from rtof_kin.formats.imu_calibration_toml import read_imu_calibration_toml, write_imu_calibration_toml
 
 ONE = """
 [sensors.L_UpArm]
@@ -34,9 +31,7 @@ def calibration() -> ImuCalibration:
     )
 
 
-def test_what_is_written_is_read_back_to_the_same_bits(
-    tmp_path: Path, skeleton: SkeletonModel
-) -> None:
+def test_what_is_written_is_read_back_to_the_same_bits(tmp_path: Path, skeleton: SkeletonModel) -> None:
     path = tmp_path / "calibration.toml"
     write_imu_calibration_toml(path, calibration())
     back = read_imu_calibration_toml(path, skeleton)
@@ -56,9 +51,7 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
         write_imu_calibration_toml(path / "such.toml", calibration())
 
 
-def test_a_usual_sensor_needs_no_segment_and_no_place(
-    tmp_path: Path, skeleton: SkeletonModel
-) -> None:
+def test_a_usual_sensor_needs_no_segment_and_no_place(tmp_path: Path, skeleton: SkeletonModel) -> None:
     path = tmp_path / "calibration.toml"
     path.write_text(ONE)
     read = read_imu_calibration_toml(path, skeleton)

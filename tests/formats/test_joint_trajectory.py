@@ -57,17 +57,14 @@ def test_velocities_carry_one_configuration_to_the_next(motion: MotionSequence) 
     for t in range(1, T - 1):
         # A central difference is the mean of the two steps beside it.
         both = [
-            pin.difference(BODY.model, a, b) / step
-            for a, b in (motion.q[t - 1 : t + 1], motion.q[t : t + 2])
+            pin.difference(BODY.model, a, b) / step for a, b in (motion.q[t - 1 : t + 1], motion.q[t : t + 2])
         ]
         np.testing.assert_allclose(v[t], np.mean(both, axis=0), atol=1e-9)
 
 
 def test_joint_velocities_are_numpys_gradient_of_the_angles(motion: MotionSequence) -> None:
     v = joint_velocities(BODY, motion.q, motion.times)
-    np.testing.assert_allclose(
-        v[:, 6:], np.gradient(motion.q[:, 7:], motion.times, axis=0), atol=1e-9
-    )
+    np.testing.assert_allclose(v[:, 6:], np.gradient(motion.q[:, 7:], motion.times, axis=0), atol=1e-9)
 
 
 def test_the_base_velocity_is_in_the_roots_own_axes(motion: MotionSequence) -> None:
@@ -193,9 +190,7 @@ def test_the_joint_message_has_the_angles_and_their_velocities(
     np.testing.assert_allclose(velocities[1:-1], central, atol=1e-8)
 
 
-def test_the_base_message_has_the_pose_of_the_root_link(
-    tmp_path: Path, motion: MotionSequence
-) -> None:
+def test_the_base_message_has_the_pose_of_the_root_link(tmp_path: Path, motion: MotionSequence) -> None:
     _, base = messages(tmp_path, motion)
     assert base["joint_names"] == ["Hips"]
     assert base["header"]["frame_id"] == "world"
@@ -239,12 +234,8 @@ def test_a_robot_that_plays_the_messages_on_the_urdf_stands_where_the_motion_doe
         pin.framesForwardKinematics(model, data, q)
         for j, name in enumerate(BODY.names):
             placement = data.oMf[model.getFrameId(name, pin.FrameType.BODY)]
-            np.testing.assert_allclose(
-                placement.translation, motion.poses.p_world_joint[t, j], atol=1e-9
-            )
-            np.testing.assert_allclose(
-                placement.rotation, motion.poses.R_world_bone[t, j], atol=1e-9
-            )
+            np.testing.assert_allclose(placement.translation, motion.poses.p_world_joint[t, j], atol=1e-9)
+            np.testing.assert_allclose(placement.rotation, motion.poses.R_world_bone[t, j], atol=1e-9)
 
 
 def test_a_trajectory_ends_where_nothing_is_known_and_another_begins_after_it(

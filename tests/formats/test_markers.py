@@ -92,9 +92,7 @@ def test_what_is_written_to_trc_is_read_back(
         write_trc(path, markers)
 
 
-def test_a_gap_is_written_as_empty_cells_with_all_their_tabs(
-    markers: MarkerSequence, tmp_path: Path
-) -> None:
+def test_a_gap_is_written_as_empty_cells_with_all_their_tabs(markers: MarkerSequence, tmp_path: Path) -> None:
     path = tmp_path / "out.trc"
     write_trc(path, markers)
     lines = path.read_text().splitlines()
@@ -102,9 +100,7 @@ def test_a_gap_is_written_as_empty_cells_with_all_their_tabs(
     assert lines[5 + 4].split("\t")[5:8] == ["", "", ""]
 
 
-def test_opensims_ground_keeps_x_and_has_z_on_the_right(
-    markers: MarkerSequence, tmp_path: Path
-) -> None:
+def test_opensims_ground_keeps_x_and_has_z_on_the_right(markers: MarkerSequence, tmp_path: Path) -> None:
     path = tmp_path / "out.trc"
     write_trc(path, markers, up="opensim")
     x, y, z = np.moveaxis(markers.p_world, -1, 0)
@@ -209,16 +205,12 @@ def test_what_is_written_to_c3d_is_read_back_by_what_the_file_says_is_up(
 
 
 def test_more_markers_than_one_parameter_can_name_are_written_and_read(tmp_path: Path) -> None:
-    many = MarkerSequence(
-        np.arange(2) / 100, tuple(f"m{i}" for i in range(300)), np.ones((2, 300, 3))
-    )
+    many = MarkerSequence(np.arange(2) / 100, tuple(f"m{i}" for i in range(300)), np.ones((2, 300, 3)))
     write_c3d(tmp_path / "many.c3d", many)
     same(read_c3d(tmp_path / "many.c3d"), many, 1e-6)
 
 
-def test_two_other_readers_agree_about_what_is_written(
-    markers: MarkerSequence, tmp_path: Path
-) -> None:
+def test_two_other_readers_agree_about_what_is_written(markers: MarkerSequence, tmp_path: Path) -> None:
     path = tmp_path / "out.c3d"
     write_c3d(path, markers)
     file = ezc3d.c3d(str(path))
@@ -299,9 +291,7 @@ def test_every_way_to_store_numbers_is_read_as_another_reader_does(
     np.testing.assert_allclose(frames[:, 0, :3] / 1000, markers.p_world[:, 0], rtol=1e-6)
 
 
-def test_what_a_model_derived_is_no_marker_and_a_point_without_a_label_gets_one(
-    tmp_path: Path,
-) -> None:
+def test_what_a_model_derived_is_no_marker_and_a_point_without_a_label_gets_one(tmp_path: Path) -> None:
     path = tmp_path / "made.c3d"
     path.write_bytes(c3d_bytes(84, False, {"ANGLES": ["Sum"]}))
     assert read_c3d(path).names == ("A",)

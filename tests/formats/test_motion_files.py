@@ -163,9 +163,7 @@ def test_coordinates_say_above_them_which_joints_nobody_saw(folder: Path) -> Non
 # --- C3D and BVH ---------------------------------------------------------------------------------
 
 
-def test_ezc3d_reads_the_points_with_residual_minus_one_in_gaps(
-    folder: Path, motion: MotionSequence
-) -> None:
+def test_ezc3d_reads_the_points_with_residual_minus_one_in_gaps(folder: Path, motion: MotionSequence) -> None:
     file = ezc3d.c3d(str(folder / "motion.c3d"))
     point = file["parameters"]["POINT"]
     assert point["UNITS"]["value"] == ["mm"]
@@ -336,9 +334,7 @@ def test_the_index_says_of_every_file_what_it_is(folder: Path, motion: MotionSeq
     assert index["landmarks"]["RightHeel"] == "RightFoot"
 
 
-def test_a_motion_without_gaps_is_one_file_of_each_format(
-    motion: MotionSequence, tmp_path: Path
-) -> None:
+def test_a_motion_without_gaps_is_one_file_of_each_format(motion: MotionSequence, tmp_path: Path) -> None:
     write_motion_files(tmp_path, motion[:20], ("mot", "sto", "bvh", "ros"))
     assert {path.name for path in tmp_path.iterdir()} == {
         "files.json", "skeleton.urdf", "motion.mot", "motion.sto", "motion.bvh",
@@ -361,9 +357,7 @@ def test_a_c3d_that_begins_between_frames_or_before_zero_says_by_how_much(
 # --- what cannot be written ----------------------------------------------------------------------
 
 
-def test_an_unknown_format_is_named_with_those_that_exist(
-    motion: MotionSequence, tmp_path: Path
-) -> None:
+def test_an_unknown_format_is_named_with_those_that_exist(motion: MotionSequence, tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="unknown format 'mott'. Did you mean 'mot'.*parquet"):
         write_motion_files(tmp_path, motion, ["csv", "mott"])
     assert not list(tmp_path.iterdir())
@@ -380,9 +374,7 @@ def test_uneven_times_are_refused_where_a_format_has_none_of_its_own(
         write_motion_files(tmp_path, uneven, ["trc"])
 
 
-def test_a_motion_that_nobody_saw_is_no_motion_for_opensim(
-    motion: MotionSequence, tmp_path: Path
-) -> None:
+def test_a_motion_that_nobody_saw_is_no_motion_for_opensim(motion: MotionSequence, tmp_path: Path) -> None:
     with pytest.raises(ShapeError, match="nobody saw where the person was in any .* nothing for .mot"):
         write_motion_files(tmp_path, motion[BRIDGED], ["mot"])
 

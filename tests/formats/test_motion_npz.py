@@ -267,9 +267,7 @@ def encrypted(data: bytes) -> bytes:
     cut, scrambled, one_array, text_instead_of_arrays, claims_too_much, encrypted,
     lambda data: b"", lambda data: b"PK\x03\x04", lambda data: b"\x00" * 4096,
 ])  # fmt: skip
-def test_a_damaged_file_is_refused_with_its_name(
-    path: Path, damage: Callable[[bytes], bytes]
-) -> None:
+def test_a_damaged_file_is_refused_with_its_name(path: Path, damage: Callable[[bytes], bytes]) -> None:
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(FileFormatError, match=r"motion\.npz"):
         read_motion_npz(path)

@@ -14,9 +14,7 @@ from rtof_kin.core.errors import OutputExistsError, RtofError
 from rtof_kin.formats.motion_table import motion_columns, write_motion_csv, write_motion_parquet
 
 
-def test_no_two_columns_have_one_name_and_all_have_a_row_for_each_frame(
-    motion: MotionSequence,
-) -> None:
+def test_no_two_columns_have_one_name_and_all_have_a_row_for_each_frame(motion: MotionSequence) -> None:
     columns = motion_columns(motion)
     names = [column.name for column in columns]
     # A revolute LeftLeg_y and the y of the landmark LeftLeg are two things.

@@ -124,9 +124,7 @@ def test_a_tree_stands_where_the_motion_does_in_any_axes_and_unit(
     np.testing.assert_allclose(UP[up] @ tree.end_offsets[0] * metres, [0, 0, 0.15], atol=1e-12)
 
 
-def test_a_tree_of_a_single_frame_has_a_rate_and_an_unknown_unit_is_refused(
-    motion: MotionSequence,
-) -> None:
+def test_a_tree_of_a_single_frame_has_a_rate_and_an_unknown_unit_is_refused(motion: MotionSequence) -> None:
     assert joint_tree(motion[:1]).rate_hz == 60
     with pytest.raises(ShapeError, match="unit: 'inch'; give one of m, mm, cm"):
         joint_tree(motion, unit="inch")

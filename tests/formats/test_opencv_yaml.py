@@ -98,9 +98,7 @@ ROS_MATRIX = "{{rows: {}, cols: {}, data: {}}}"
         ("\nimage_width", "\nflags: !!opencv-matrix {rows: 1, cols: 1, dt: d, data: [1]}\nimage_width"),
     ],
 )
-def test_other_ways_to_write_the_same_camera_are_read_alike(
-    old: str, new: str, tmp_path: Path
-) -> None:
+def test_other_ways_to_write_the_same_camera_are_read_alike(old: str, new: str, tmp_path: Path) -> None:
     plain = read_opencv_yaml(written(tmp_path, PLAIN))["camera"]
     assert old in PLAIN
     assert_same(read_opencv_yaml(written(tmp_path, PLAIN.replace(old, new)))["camera"], plain)
@@ -119,13 +117,10 @@ def test_a_file_can_hold_several_cameras_under_their_names(tmp_path: Path) -> No
         assert_same(cameras["right"], plain)
 
 
-def test_of_a_stereo_pair_the_first_camera_is_the_world_and_rectification_is_no_pose(
-    tmp_path: Path,
-) -> None:
+def test_of_a_stereo_pair_the_first_camera_is_the_world_and_rectification_is_no_pose(tmp_path: Path) -> None:
     size = {"image_width": 640, "image_height": 480}
     inner = stored(
-        tmp_path / "intrinsics.yml",
-        {**size, "M1": K, "D1": np.zeros((1, 5)), "M2": K, "D2": DISTORTION},
+        tmp_path / "intrinsics.yml", {**size, "M1": K, "D1": np.zeros((1, 5)), "M2": K, "D2": DISTORTION}
     )
     other = cv2.Rodrigues(np.array([0.1, 0.2, 0.3]))[0]
     outer = stored(
@@ -193,9 +188,7 @@ def test_up_unit_and_size_are_declared(tmp_path: Path) -> None:
         ("dist:", "distortion_model: equidistant\ndist:", "'equidistant'; undistort the images first"),
     ],
 )
-def test_what_is_no_complete_camera_is_refused(
-    old: str, new: str, message: str, tmp_path: Path
-) -> None:
+def test_what_is_no_complete_camera_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
     assert old in PLAIN
     with pytest.raises(FileFormatError, match=message):
         read_opencv_yaml(written(tmp_path, PLAIN.replace(old, new)))

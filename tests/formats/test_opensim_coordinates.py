@@ -29,9 +29,7 @@ def posed(skeleton: SkeletonModel, q: np.ndarray) -> dict[str, float]:
     return {c.name: v for c, v in zip(found, values[0].tolist(), strict=True)}
 
 
-def test_there_is_one_for_every_degree_of_freedom_and_each_has_a_name(
-    any_skeleton: SkeletonModel,
-) -> None:
+def test_there_is_one_for_every_degree_of_freedom_and_each_has_a_name(any_skeleton: SkeletonModel) -> None:
     found = coordinates(any_skeleton.table)
     assert len({c.name for c in found}) == len(found) == any_skeleton.nv
     assert [c.name for c in found[:6]] == [

@@ -76,9 +76,7 @@ def test_the_file_says_what_its_axes_and_its_zero_are(skeleton: SkeletonModel) -
     assert "nan" not in text.lower()
 
 
-def test_a_model_that_exists_is_replaced_only_when_asked(
-    skeleton: SkeletonModel, tmp_path: Path
-) -> None:
+def test_a_model_that_exists_is_replaced_only_when_asked(skeleton: SkeletonModel, tmp_path: Path) -> None:
     path = tmp_path / "skeleton.osim"
     write_osim(path, skeleton)
     with pytest.raises(OutputExistsError, match=r"skeleton\.osim: is there already"):

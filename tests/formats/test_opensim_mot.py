@@ -22,9 +22,7 @@ def read(path: Path) -> tuple[list[str], list[str], np.ndarray]:
     return lines[:end], lines[end + 1].split("\t"), np.array(rows)
 
 
-def test_a_mot_has_degrees_metres_and_the_counts_it_announces(
-    motion: MotionSequence, tmp_path: Path
-) -> None:
+def test_a_mot_has_degrees_metres_and_the_counts_it_announces(motion: MotionSequence, tmp_path: Path) -> None:
     write_mot(tmp_path / "walk.mot", motion)
     header, names, table = read(tmp_path / "walk.mot")
     assert header[:5] == ["walk", "version=1", "nRows=60", "nColumns=67", "inDegrees=yes"]
@@ -36,9 +34,7 @@ def test_a_mot_has_degrees_metres_and_the_counts_it_announces(
     np.testing.assert_array_equal(table[:, names.index("pelvis_ty")], motion.q[:, 2])
 
 
-def test_a_sto_has_radians_speeds_and_the_paths_of_states(
-    motion: MotionSequence, tmp_path: Path
-) -> None:
+def test_a_sto_has_radians_speeds_and_the_paths_of_states(motion: MotionSequence, tmp_path: Path) -> None:
     write_sto(tmp_path / "walk.sto", motion)
     header, names, table = read(tmp_path / "walk.sto")
     assert header[2:5] == ["nRows=60", "nColumns=133", "inDegrees=no"]

@@ -130,9 +130,7 @@ def test_what_cannot_be_dropped_does_not_grow_without_bound(
         read_mvnx(path)
 
 
-def test_a_file_that_is_too_large_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_is_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mvnx, "LARGEST_BYTES", 100)
     with pytest.raises(FileFormatError, match="larger than 0 GiB; split it"):
         read_mvnx(written(tmp_path, ONE_FRAME))

@@ -52,9 +52,7 @@ def test_of_packets_sent_again_the_first_is_taken() -> None:
     steps=st.lists(st.sampled_from([1, 1, 1, 2, 5]), min_size=1, max_size=60),
     seed=st.integers(0, 2**16),
 )
-def test_whatever_the_radio_did_what_was_sent_comes_back(
-    first: int, steps: list[int], seed: int
-) -> None:
+def test_whatever_the_radio_did_what_was_sent_comes_back(first: int, steps: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
     sent = first + np.cumsum([0, *steps])
     again = rng.choice(sent, size=len(sent) // 5)

@@ -9,10 +9,7 @@ import pytest
 from sensor_files import truth, write_total_capture
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.formats.sensors.total_capture_sensors import (
-    is_total_capture,
-    read_total_capture_sensors,
-)
+from rtof_kin.formats.sensors.total_capture_sensors import is_total_capture, read_total_capture_sensors
 
 
 def test_the_dataset_has_60_frames_a_second_unless_declared_otherwise(tmp_path: Path) -> None:

@@ -15,12 +15,7 @@ from benchmarks import total_capture_files as files
 from benchmarks.total_capture_motion import cameras
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.camera import Camera
-from rtof_kin.formats.total_capture import (
-    read_cameras,
-    read_imu_calibration,
-    read_joints,
-    read_sensors,
-)
+from rtof_kin.formats.total_capture import read_cameras, read_imu_calibration, read_joints, read_sensors
 from rtof_kin.simulation.mocap import NAMES
 
 READERS = {
@@ -59,17 +54,11 @@ def test_positions_and_orientations_come_back_as_written(paths: dict[str, Path])
     np.testing.assert_allclose(orientations.values, expected, rtol=6e-6, atol=1e-9)
 
 
-def test_a_table_by_hand_with_tabs_at_the_ends_and_numbers_in_scientific_notation(
-    tmp_path: Path,
-) -> None:
-    path = write(
-        tmp_path / "p.txt", "Hips\tSpine\t\n1 -9.1e-05 3\t4 5.5E+1 -6\t\n7 8 9\t0 0 1e-12\t\n"
-    )
+def test_a_table_by_hand_with_tabs_at_the_ends_and_numbers_in_scientific_notation(tmp_path: Path) -> None:
+    path = write(tmp_path / "p.txt", "Hips\tSpine\t\n1 -9.1e-05 3\t4 5.5E+1 -6\t\n7 8 9\t0 0 1e-12\t\n")
     table = read_joints(path, 3)
     assert table.names == ("Hips", "Spine")
-    np.testing.assert_array_equal(
-        table.values, [[[1, -9.1e-05, 3], [4, 55, -6]], [[7, 8, 9], [0, 0, 1e-12]]]
-    )
+    np.testing.assert_array_equal(table.values, [[[1, -9.1e-05, 3], [4, 55, -6]], [[7, 8, 9], [0, 0, 1e-12]]])
 
 
 @pytest.mark.parametrize(
@@ -105,9 +94,7 @@ def test_a_table_of_another_width_is_refused_with_its_line(paths: dict[str, Path
     assert caught.value.line == 2
 
 
-def test_a_table_cut_in_a_line_says_how_many_frames_are_whole_and_what_to_do(
-    paths: dict[str, Path],
-) -> None:
+def test_a_table_cut_in_a_line_says_how_many_frames_are_whole_and_what_to_do(paths: dict[str, Path]) -> None:
     rows = support.lines(paths["positions"])
     write(paths["positions"], "".join(rows[:6]) + rows[6][:200])
     with pytest.raises(FileFormatError, match=r"line 7: .*\b5\b.*(again|download)") as caught:
@@ -127,9 +114,7 @@ def test_what_is_no_number_is_quoted_with_its_line(paths: dict[str, Path]) -> No
 
 
 @pytest.mark.parametrize("kind", ["sensors", "aux"])
-def test_sensors_come_back_as_written_from_both_kinds_of_file(
-    kind: str, paths: dict[str, Path]
-) -> None:
+def test_sensors_come_back_as_written_from_both_kinds_of_file(kind: str, paths: dict[str, Path]) -> None:
     imus = support.take().imus
     table = read_sensors(paths[kind])
     assert table.names == imus.names
@@ -147,18 +132,14 @@ def test_sensors_by_hand_with_spaces_in_the_head(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.f_sensor[:, 1], [[1, 2, 3], [7, 8, 9]])
 
 
-def test_a_sensors_file_cut_in_a_frame_says_how_many_are_whole_and_what_to_do(
-    paths: dict[str, Path],
-) -> None:
+def test_a_sensors_file_cut_in_a_frame_says_how_many_are_whole_and_what_to_do(paths: dict[str, Path]) -> None:
     rows = support.lines(paths["sensors"])
     write(paths["sensors"], "".join(rows[: 1 + 14 * 20 + 5]) + rows[1 + 14 * 20 + 5][:9])
     with pytest.raises(FileFormatError, match=r"\b20\b.*(again|download)"):
         read_sensors(paths["sensors"])
 
 
-def test_a_sensors_file_that_ends_between_two_frames_is_short_of_its_head(
-    paths: dict[str, Path],
-) -> None:
+def test_a_sensors_file_that_ends_between_two_frames_is_short_of_its_head(paths: dict[str, Path]) -> None:
     rows = support.lines(paths["sensors"])
     announced = int(rows[0].split()[1])
     write(paths["sensors"], "".join(rows[: 1 + 14 * 20]))
@@ -191,9 +172,7 @@ def test_a_sensor_that_stands_twice_in_every_frame_is_refused(paths: dict[str, P
         read_sensors(paths["sensors"])
 
 
-def test_a_sensors_file_with_more_than_it_announces_is_not_called_incomplete(
-    paths: dict[str, Path],
-) -> None:
+def test_a_sensors_file_with_more_than_it_announces_is_not_called_incomplete(paths: dict[str, Path]) -> None:
     support.edit(paths["sensors"], "13\t90", "13\t80")
     with pytest.raises(FileFormatError, match="announces 80 frames of 13 .* holds 90") as caught:
         read_sensors(paths["sensors"])
@@ -203,9 +182,7 @@ def test_a_sensors_file_with_more_than_it_announces_is_not_called_incomplete(
         read_sensors(paths["sensors"])
 
 
-def test_columns_that_are_missing_from_a_line_are_an_error_with_the_line(
-    paths: dict[str, Path],
-) -> None:
+def test_columns_that_are_missing_from_a_line_are_an_error_with_the_line(paths: dict[str, Path]) -> None:
     rows = support.lines(paths["sensors"])
     rows[20] = "\t".join(rows[20].split("\t")[:6]) + "\n"
     write(paths["sensors"], "".join(rows))
@@ -232,9 +209,7 @@ def test_a_calibration_by_hand_is_x_y_z_w(tmp_path: Path) -> None:
     text = "2\r\nHead -0.698693 -0.000693276 0.030256 0.714781 \r\n\r\nPelvis\t0 0 0 1\r\n"
     found = read_imu_calibration(write(tmp_path / "ref.txt", text))
     assert list(found) == ["Head", "Pelvis"]
-    np.testing.assert_allclose(
-        found["Head"], [-0.698693, -0.000693276, 0.030256, 0.714781], atol=1e-5
-    )
+    np.testing.assert_allclose(found["Head"], [-0.698693, -0.000693276, 0.030256, 0.714781], atol=1e-5)
     np.testing.assert_array_equal(found["Pelvis"], [0, 0, 0, 1])
 
 
@@ -293,11 +268,7 @@ def test_a_camera_by_hand(tmp_path: Path) -> None:
 def test_line_ends_and_breaks_between_numbers_do_not_matter(tmp_path: Path) -> None:
     text = one_camera()
     one = read_cameras(write(tmp_path / "a.cal", text))
-    for other in (
-        text.replace("\r\n", "\n"),
-        " ".join(text.split()),
-        text.replace(" ", "\t") + "\r\n",
-    ):
+    for other in (text.replace("\r\n", "\n"), " ".join(text.split()), text.replace(" ", "\t") + "\r\n"):
         two = read_cameras(write(tmp_path / "b.cal", other))
         np.testing.assert_array_equal(one[1].R_camera_world, two[1].R_camera_world)
         np.testing.assert_array_equal(one[1].t_camera_world, two[1].t_camera_world)
@@ -338,18 +309,10 @@ def test_a_camera_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", READERS)
 @pytest.mark.parametrize(
     "content",
-    [
-        b"",
-        b" \r\n\r\n",
-        b"\x00\xff\xfe\x80" * 50,
-        b"<!DOCTYPE html>\n<html>login</html>\n",
-        b"13\n",
-    ],
+    [b"", b" \r\n\r\n", b"\x00\xff\xfe\x80" * 50, b"<!DOCTYPE html>\n<html>login</html>\n", b"13\n"],
     ids=["empty", "blank", "bytes", "a web page", "a number"],
 )
-def test_what_is_no_such_file_at_all_is_refused_by_name(
-    kind: str, content: bytes, tmp_path: Path
-) -> None:
+def test_what_is_no_such_file_at_all_is_refused_by_name(kind: str, content: bytes, tmp_path: Path) -> None:
     path = tmp_path / f"{kind}.txt"
     path.write_bytes(content)
     with pytest.raises(FileFormatError, match=rf"{kind}\.txt"):
@@ -357,9 +320,7 @@ def test_what_is_no_such_file_at_all_is_refused_by_name(
 
 
 @pytest.mark.parametrize("kind", READERS)
-def test_a_file_that_is_not_there_or_a_folder_is_an_error_with_its_name(
-    kind: str, tmp_path: Path
-) -> None:
+def test_a_file_that_is_not_there_or_a_folder_is_an_error_with_its_name(kind: str, tmp_path: Path) -> None:
     (tmp_path / "folder.txt").mkdir()
     for name in ("folder.txt", "gone.txt"):
         with pytest.raises((FileFormatError, OSError), match=name.replace(".", r"\.")):
@@ -368,9 +329,7 @@ def test_a_file_that_is_not_there_or_a_folder_is_an_error_with_its_name(
 
 @pytest.mark.parametrize("kind", ["positions", "orientations", "sensors", "aux", "cameras"])
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.77, 0.97])
-def test_a_download_that_was_cut_anywhere_is_noticed(
-    kind: str, share: float, paths: dict[str, Path]
-) -> None:
+def test_a_download_that_was_cut_anywhere_is_noticed(kind: str, share: float, paths: dict[str, Path]) -> None:
     data = paths[kind].read_bytes()
     paths[kind].write_bytes(data[: int(share * len(data)) - 3])
     with pytest.raises(FileFormatError, match=paths[kind].name):
@@ -379,9 +338,7 @@ def test_a_download_that_was_cut_anywhere_is_noticed(
 
 @pytest.mark.parametrize("kind", ["positions", "orientations", "sensors"])
 @pytest.mark.parametrize("word", ["inf", "nan", "1e999"])
-def test_numbers_that_are_not_finite_are_refused(
-    kind: str, word: str, paths: dict[str, Path]
-) -> None:
+def test_numbers_that_are_not_finite_are_refused(kind: str, word: str, paths: dict[str, Path]) -> None:
     rows = support.lines(paths[kind])
     old = rows[3].split()[2]
     rows[3] = rows[3].replace(old, word, 1)

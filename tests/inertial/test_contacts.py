@@ -13,13 +13,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import (
-    Contacts,
-    ContactSettings,
-    Footholds,
-    detect_contacts,
-    footholds,
-)
+from rtof_kin.inertial.contacts import Contacts, ContactSettings, Footholds, detect_contacts, footholds
 
 BODY = SkeletonModel.default()
 WALK, STANDS = planted.walking(BODY, 4.0)

@@ -12,12 +12,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, ShapeError
 from rtof_kin.inertial.likelihood import Evidence
-from rtof_kin.inertial.segment_motion import (
-    SegmentMotion,
-    even_times,
-    seen_bones,
-    segment_motions,
-)
+from rtof_kin.inertial.segment_motion import SegmentMotion, even_times, seen_bones, segment_motions
 
 SENSORS = ("L_UpLeg", "L_LowLeg", "Pelvis", "L_LowArm")
 

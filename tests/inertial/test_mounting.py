@@ -18,7 +18,7 @@ from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.inertial.alignment import calibrated
-from rtof_kin.inertial.mounting import find_faults
+from rtof_kin.inertial.mounting import diagnose_setup
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 from rtof_kin.inertial.setup_diagnosis import FaultKind
 from rtof_kin.simulation.noise import ImuNoise
@@ -55,18 +55,16 @@ def exchanged(good: ImuCalibration, *pairs: tuple[str, str]) -> ImuCalibration:
 @pytest.mark.parametrize("kind", ["walk", "exercise", "free"])
 def test_nothing_is_said_of_a_good_setup(kind: str) -> None:
     worn = moving(kind)
-    assert find_faults(worn.truth.apply(worn.imus), worn.skeleton) == ()
+    assert diagnose_setup(worn.truth.apply(worn.imus), worn.skeleton) == ()
 
 
-@pytest.mark.parametrize(
-    ("kind", "angle"), [("walk", 90), ("walk", -90), ("walk", 180), ("exercise", 180)]
-)
+@pytest.mark.parametrize(("kind", "angle"), [("walk", 90), ("walk", -90), ("walk", 180), ("exercise", 180)])
 def test_a_person_who_faced_elsewhere_in_the_pose_is_found(kind: str, angle: int) -> None:
     worn = moving(kind)
     wrong = replace(
         worn.truth, R_sensor_bone=worn.truth.R_sensor_bone @ so3.about_axis("z", np.radians(-angle))
     )
-    found = find_faults(wrong.apply(worn.imus), worn.skeleton)
+    found = diagnose_setup(wrong.apply(worn.imus), worn.skeleton)
     assert [fault.kind for fault in found] == [FaultKind.FACING]
     off = so3.angle_between(found[0].corrected(wrong).R_sensor_bone, worn.truth.R_sensor_bone)
     assert off.max() < 1e-6
@@ -82,7 +80,7 @@ def test_a_person_who_faced_elsewhere_in_the_pose_is_found(kind: str, angle: int
 def test_a_sensor_that_sits_turned_is_found(joint: str, axis: str, angle: int) -> None:
     worn = moving("free")
     wrong = turned(worn.truth, joint, so3.about_axis(axis, np.radians(-angle)))
-    found = find_faults(wrong.apply(worn.imus), worn.skeleton)
+    found = diagnose_setup(wrong.apply(worn.imus), worn.skeleton)
     assert [fault.kind for fault in found] == [FaultKind.MOUNTING]
     said = f"the sensor on {joint} sits turned by {angle} degrees about the segment's {axis} axis"
     assert said in str(found[0])
@@ -102,7 +100,7 @@ def test_a_sensor_that_sits_turned_is_found(joint: str, axis: str, angle: int) -
 def test_two_swapped_sensors_are_found(pair: tuple[str, str], kind: FaultKind) -> None:
     worn = moving("free")
     wrong = exchanged(worn.truth, pair)
-    found = find_faults(wrong.apply(worn.imus), worn.skeleton)
+    found = diagnose_setup(wrong.apply(worn.imus), worn.skeleton)
     assert [fault.kind for fault in found] == [kind]
     assert f"the sensors of {pair[0]} and {pair[1]} are swapped" in str(found[0])
     assert found[0].corrected(wrong).joints == worn.truth.joints
@@ -113,7 +111,7 @@ def test_a_sensor_on_another_segment_is_found() -> None:
     three = worn.truth.select(tuple(s for s in SENSORS if s != "L_UpLeg"))
     wrong = replace(three, joints=tuple("LeftUpLeg" if j == "LeftLeg" else j for j in three.joints))
     imus = worn.imus.select(three.sensors)
-    found = find_faults(wrong.apply(imus), worn.skeleton)
+    found = diagnose_setup(wrong.apply(imus), worn.skeleton)
     assert [fault.kind for fault in found] == [FaultKind.SEGMENT]
     assert "the sensor declared on LeftUpLeg sits on LeftLeg" in str(found[0])
     np.testing.assert_array_equal(found[0].corrected(wrong).p_bone_sensor, three.p_bone_sensor)
@@ -123,7 +121,7 @@ def test_two_faults_are_found_one_after_the_other() -> None:
     worn = moving("free")
     wrong = turned(worn.truth, "LeftForeArm", so3.about_axis("y", np.pi))
     wrong = exchanged(wrong, ("LeftLeg", "RightLeg"))
-    found = find_faults(wrong.apply(worn.imus), worn.skeleton)
+    found = diagnose_setup(wrong.apply(worn.imus), worn.skeleton)
     assert {fault.kind for fault in found} == {FaultKind.MOUNTING, FaultKind.SIDES}
     for fault in found:
         wrong = fault.corrected(wrong)
@@ -137,7 +135,7 @@ def test_a_mapping_that_swapped_arm_and_forearm_before_an_n_pose_is_found() -> N
     swap = {"L_UpArm": "LeftForeArm", "L_LowArm": "LeftArm"}
     imus = worn.with_one_reference(0.0).imus
     found = calibrate_by_pose(imus, {**worn.joints, **swap}, "N", worn.skeleton, facing=0.0)
-    faults = find_faults(found.calibration.apply(imus), worn.skeleton, pose="N", most=1)
+    faults = diagnose_setup(found.calibration.apply(imus), worn.skeleton, pose="N", most=1)
     assert [fault.kind for fault in faults] == [FaultKind.NEIGHBOURS]
     repaired = faults[0].corrected(found.calibration)
     assert dict(zip(repaired.sensors, repaired.joints, strict=True)) == worn.joints
@@ -148,12 +146,12 @@ def test_what_a_camera_saw_tells_how_the_world_is_turned() -> None:
     turn = so3.about_axis("z", np.radians(-90))
     wrong = replace(worn.truth, R_world_inertial=turn @ worn.truth.R_world_inertial)
     bone_imus = wrong.apply(worn.imus)
-    assert find_faults(bone_imus, worn.skeleton) == ()
-    found = find_faults(bone_imus, worn.skeleton, visual=worn.poses)
+    assert diagnose_setup(bone_imus, worn.skeleton) == ()
+    found = diagnose_setup(bone_imus, worn.skeleton, visual=worn.poses)
     assert [fault.kind for fault in found] == [FaultKind.WORLD]
     off = so3.angle_between(found[0].corrected(wrong).R_world_inertial, worn.truth.R_world_inertial)
     assert off.max() < 1e-6
-    assert find_faults(worn.truth.apply(worn.imus), worn.skeleton, visual=worn.poses) == ()
+    assert diagnose_setup(worn.truth.apply(worn.imus), worn.skeleton, visual=worn.poses) == ()
 
 
 def test_nothing_is_repaired_unasked_and_the_ratio_is_stated() -> None:
@@ -161,7 +159,7 @@ def test_nothing_is_repaired_unasked_and_the_ratio_is_stated() -> None:
     wrong = exchanged(worn.truth, ("LeftLeg", "RightLeg"))
     bone_imus = wrong.apply(worn.imus)
     before = bone_imus.R_world_bone.copy()
-    fault = find_faults(bone_imus, worn.skeleton)[0]
+    fault = diagnose_setup(bone_imus, worn.skeleton)[0]
     np.testing.assert_array_equal(bone_imus.R_world_bone, before)
     assert fault.log_likelihood_ratio > 10
     assert f"(log-likelihood ratio {fault.log_likelihood_ratio:.0f}" in str(fault)
@@ -171,13 +169,13 @@ def test_nothing_is_repaired_unasked_and_the_ratio_is_stated() -> None:
 def test_a_likelier_bar_silences_a_fault() -> None:
     worn = moving("free")
     wrong = exchanged(worn.truth, ("LeftLeg", "RightLeg"))
-    assert find_faults(wrong.apply(worn.imus), worn.skeleton, least_ratio=1e6) == ()
+    assert diagnose_setup(wrong.apply(worn.imus), worn.skeleton, least_ratio=1e6) == ()
 
 
 def test_a_fault_of_other_sensors_cannot_be_corrected() -> None:
     worn = moving("free")
     wrong = exchanged(worn.truth, ("LeftLeg", "RightLeg"))
-    fault = find_faults(wrong.apply(worn.imus), worn.skeleton)[0]
+    fault = diagnose_setup(wrong.apply(worn.imus), worn.skeleton)[0]
     with pytest.raises(CalibrationError, match="has no sensor on LeftLeg, RightLeg"):
         fault.corrected(worn.truth.select(("Pelvis",)))
 
@@ -187,13 +185,13 @@ def test_gaps_in_the_data_are_no_fault() -> None:
     R, f = worn.imus.R_inertial_sensor.copy(), worn.imus.f_sensor.copy()
     R[200:260, 1], f[400:500] = np.nan, np.nan
     imus = type(worn.imus)(worn.imus.times, R, f, worn.imus.names)
-    assert find_faults(worn.truth.apply(imus), worn.skeleton) == ()
+    assert diagnose_setup(worn.truth.apply(imus), worn.skeleton) == ()
 
 
 def test_half_a_second_is_too_short_to_judge() -> None:
     worn = moving("walk")
     with pytest.raises(ShapeError, match="too short to judge a movement by"):
-        find_faults(worn.truth.apply(worn.imus)[:20], worn.skeleton)
+        diagnose_setup(worn.truth.apply(worn.imus)[:20], worn.skeleton)
 
 
 def real_squats() -> SensorLog:
@@ -215,8 +213,8 @@ def test_the_swapped_names_of_a_real_recording_are_found_and_its_right_leg_is_le
         "RTibia": "RightLeg",
     }  # fmt: skip
     found = calibrate_by_pose(log, named, "N", skeleton)
-    faults = find_faults(calibrated(log, found.calibration), skeleton, pose="N")
+    faults = diagnose_setup(calibrated(log, found.calibration), skeleton, pose="N")
     assert [fault.what for fault in faults] == ["the sensors of LeftUpLeg and LeftLeg are swapped"]
     right = {**named, "LFemur": "LeftLeg", "LTibia": "LeftUpLeg"}
     found = calibrate_by_pose(log, right, "N", skeleton)
-    assert find_faults(calibrated(log, found.calibration), skeleton, pose="N") == ()
+    assert diagnose_setup(calibrated(log, found.calibration), skeleton, pose="N") == ()

@@ -15,11 +15,7 @@ from rtof_kin.core.errors import ShapeError, UnknownNameError
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.formats.sensors.files import read_sensor_log
-from rtof_kin.inertial.orientation import (
-    OrientationSettings,
-    log_with_orientation,
-    with_orientation,
-)
+from rtof_kin.inertial.orientation import OrientationSettings, log_with_orientation, with_orientation
 
 Array = NDArray[np.float64]
 REAL = Path(__file__).parents[1] / "fixtures" / "inertial"
@@ -85,8 +81,7 @@ def test_notes_say_how_it_was_made() -> None:
     )
     note = with_orientation(stream, OrientationSettings(magnetometer=False, causal=True)).notes[-1]
     assert note == (
-        "orientation by VQF (causal) from gyroscope and accelerometer: its heading is arbitrary and "
-        "drifts"
+        "orientation by VQF (causal) from gyroscope and accelerometer: its heading is arbitrary and drifts"
     )
 
 

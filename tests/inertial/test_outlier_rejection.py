@@ -120,9 +120,7 @@ def test_sensors_with_usual_errors_agree() -> None:
 
 def test_a_sensor_that_differs_for_a_second_is_found_with_beginning_and_end() -> None:
     turn = across("LeftForeArm", "LeftHand", 25.0)
-    (fault,) = disagreeing(
-        MOTION.poses, turned(sensors(), "LeftForeArm", slice(60, 120), turn), BODY
-    )
+    (fault,) = disagreeing(MOTION.poses, turned(sensors(), "LeftForeArm", slice(60, 120), turn), BODY)
     assert (fault.kind, fault.what) == (FaultKind.DISAGREES, "LeftForeArm")
     assert fault.start == pytest.approx(1.0, abs=0.1)
     assert fault.stop == pytest.approx(2.0, abs=0.1)

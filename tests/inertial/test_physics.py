@@ -54,9 +54,7 @@ def truths(seed: int, count: int) -> list[Declaration]:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("rests", [True, False])
 @pytest.mark.parametrize("rate_hz", [30.0, 60.0, 200.0])
-def test_what_obeys_physics_passes_at_rest_and_in_motion(
-    seed: int, rests: bool, rate_hz: float
-) -> None:
+def test_what_obeys_physics_passes_at_rest_and_in_motion(seed: int, rests: bool, rate_hz: float) -> None:
     checks = check_stream(moved(12.0, rate_hz, seed, rests), PLAIN)
     assert not failed(checks)
     assert {c.name for c in checks if c.passed} >= {*LAWS, "jump of the orientation"}
@@ -201,9 +199,7 @@ def test_all_sensors_of_a_log_are_judged_together() -> None:
     """One that hardly turns cannot tell the order of its quaternions, the others can."""
     declared = Declaration(quaternion_order="xyzw")
     streams = [moved(seed=seed, name=f"s{seed}") for seed in range(3)]
-    log = SensorLog(
-        Path("log"), "planted", tuple(read_as(s, PLAIN, declared) for s in streams), declared
-    )
+    log = SensorLog(Path("log"), "planted", tuple(read_as(s, PLAIN, declared) for s in streams), declared)
     checks = [check for check in check_log(log) if check.failed]
     assert {check.subject for check in checks} == {"s0", "s1", "s2"}
     assert all(dict(check.likely) == {"quaternion_order": "wxyz"} for check in checks)

@@ -34,9 +34,7 @@ def test_limbs_point_where_the_pose_says(
     assert bone @ np.array(direction) > 0.95
 
 
-def test_palms_face_the_thighs_in_an_n_pose_and_feet_are_flat_when_seated(
-    skeleton: SkeletonModel,
-) -> None:
+def test_palms_face_the_thighs_in_an_n_pose_and_feet_are_flat_when_seated(skeleton: SkeletonModel) -> None:
     R = pose_rotations("N", skeleton)
     for hand, inward in (("LeftHand", -1.0), ("RightHand", 1.0)):
         palm = R[skeleton.index(hand)[0]] @ np.array(DOWN)  # palms are down in the T-pose
@@ -75,8 +73,7 @@ def test_poses_that_are_none_are_refused(skeleton: SkeletonModel) -> None:
 
 
 @pytest.mark.parametrize(
-    ("joint", "goes"),
-    [("LeftLeg", BACK), ("LeftUpLeg", AHEAD), ("RightForeArm", AHEAD), ("LeftArm", AHEAD)],
+    ("joint", "goes"), [("LeftLeg", BACK), ("LeftUpLeg", AHEAD), ("RightForeArm", AHEAD), ("LeftArm", AHEAD)]
 )
 def test_flexion_moves_a_hanging_limb_where_it_does_in_people(
     joint: str, goes: list[float], skeleton: SkeletonModel

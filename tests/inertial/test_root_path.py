@@ -97,9 +97,7 @@ def test_missing_accelerations_are_left_out() -> None:
     imus = planted.bone_imus(BODY, WALK.poses, LEGS)
     a = np.array(imus.a_world)
     a[50:80, 1] = np.nan
-    path = root_path(
-        WALK.poses, replace(imus, a_world=a), Contacts(FEET, STANDS), BODY, 0.08
-    )
+    path = root_path(WALK.poses, replace(imus, a_world=a), Contacts(FEET, STANDS), BODY, 0.08)
     assert np.abs(errors(path, WALK.poses.p_world_joint[:, 0])).max() < 0.01
 
 

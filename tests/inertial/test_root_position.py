@@ -128,9 +128,7 @@ def test_a_lens_with_distortion_leads_to_the_same_place(truth: MotionSequence) -
     bent = replace(straight, camera=lens, uv_px=lens.project(truth.poses.p_world_joint))
     start = moved(truth.poses, offsets())
     out = refit_root(start, bent)
-    np.testing.assert_allclose(
-        out.p_world_joint, refit_root(start, straight).p_world_joint, atol=1e-5
-    )
+    np.testing.assert_allclose(out.p_world_joint, refit_root(start, straight).p_world_joint, atol=1e-5)
 
 
 def test_a_tight_prior_keeps_the_given_root(truth: MotionSequence) -> None:

@@ -10,19 +10,12 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, ShapeError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_stream import SensorStream
-from rtof_kin.inertial.stillness import (
-    angular_velocity,
-    find_still,
-    orientation_rate,
-    streams_of,
-)
+from rtof_kin.inertial.stillness import angular_velocity, find_still, orientation_rate, streams_of
 
 Array = NDArray[np.float64]
 
 
-def stream(
-    name: str, still: tuple[float, float], seconds: float = 10.0, rate: float = 100.0
-) -> SensorStream:
+def stream(name: str, still: tuple[float, float], seconds: float = 10.0, rate: float = 100.0) -> SensorStream:
     """A sensor that turns by 1 rad/s about its z axis but for one period."""
     times = np.arange(0, seconds, 1 / rate)
     speed = np.where((times >= still[0]) & (times < still[1]), 0.0, 1.0)

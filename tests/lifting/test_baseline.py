@@ -53,9 +53,7 @@ def windows_of(camera: Camera = CAMERA, frames: int = 27) -> tuple[Windows, Tens
 def network_of(seed: int = 0, causal: bool = False, channels: int = 16) -> PoseAndRootNetwork:
     torch.manual_seed(seed)
     inputs, constants, outputs = videopose3d.sizes(BODY)
-    shape = NetworkConfig(
-        inputs, constants, outputs, channels=channels, causal=causal, model="videopose3d"
-    )
+    shape = NetworkConfig(inputs, constants, outputs, channels=channels, causal=causal, model="videopose3d")
     return PoseAndRootNetwork(shape).eval()
 
 

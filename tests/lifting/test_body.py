@@ -80,9 +80,7 @@ def test_bones_do_not_change_when_left_and_right_are_exchanged(body: Body) -> No
     torch.testing.assert_close(body.bones_of(mirrored), body.bones_of(offsets))
 
 
-def test_the_usual_sensors_of_the_21_joints_are_known_and_the_17_have_none(
-    body: Body, body_17: Body
-) -> None:
+def test_the_usual_sensors_of_the_21_joints_are_known_and_the_17_have_none(body: Body, body_17: Body) -> None:
     assert set(body.sensors) == {
         "Head", "Spine3", "Hips", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm",
         "LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg", "LeftFoot", "RightFoot",

@@ -47,9 +47,7 @@ def redescribe(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
 
 
 def test_a_lifter_survives_its_file(lifter: Lifter, saved: Path) -> None:
-    described = replace(
-        lifter.description, recipe={"batch": 512}, validation={"perfect": {"rr_mm": 30.0}}
-    )
+    described = replace(lifter.description, recipe={"batch": 512}, validation={"perfect": {"rr_mm": 30.0}})
     save_checkpoint(saved, lifter._network, described, overwrite=True)
     network, description = load_checkpoint(saved)
     assert description == described
@@ -60,9 +58,7 @@ def test_a_lifter_survives_its_file(lifter: Lifter, saved: Path) -> None:
 
 
 def test_a_causal_lifter_and_one_without_sensors_survive_their_files(tmp_path: Path) -> None:
-    for given in (
-        support.untrained_lifter(causal=True), support.untrained_lifter(table=support.TABLE_17)
-    ):
+    for given in (support.untrained_lifter(causal=True), support.untrained_lifter(table=support.TABLE_17)):
         path = tmp_path / "lifter.pt"
         save_checkpoint(path, given._network, given.description, overwrite=True)
         network, description = load_checkpoint(path)
@@ -154,9 +150,7 @@ class Harmful:
         return (Path("harm").write_text, ("done",))
 
 
-def test_a_file_that_carries_code_does_not_run_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_carries_code_does_not_run_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     torch.save({"format": checkpoint.FORMAT, "version": 2, "weights": Harmful()}, "lifter.pt")
     with pytest.raises(FileFormatError, match="not a readable lifter"):

@@ -48,9 +48,7 @@ def test_clips_at_another_rate_are_resampled() -> None:
     assert clip.poses.rate_hz == pytest.approx(30)
     corpus = make_corpus([clip, read_mocap(EXCERPT)], {})
     assert corpus.rate_hz == 60
-    np.testing.assert_array_equal(
-        corpus.positions(0)[::2], make_corpus([clip], {}, 30).positions(0)
-    )
+    np.testing.assert_array_equal(corpus.positions(0)[::2], make_corpus([clip], {}, 30).positions(0))
     lengths = np.linalg.norm(corpus.positions(0)[:, 1:] - corpus.positions(0)[:, corpus.parents[1:]],
                              axis=-1)  # fmt: skip
     np.testing.assert_allclose(lengths, np.broadcast_to(lengths[:1], lengths.shape), atol=1e-5)
@@ -96,9 +94,7 @@ def test_joints_that_no_rigid_body_has_stay_where_they_were_recorded(rate_hz: fl
 
 
 def test_what_is_not_rigid_moves_another_body_alike() -> None:
-    bent, rigid = (
-        join_clips([(seventeen(b), "train")], support.TABLE_17.parents, 50.0) for b in (0.03, 0.0)
-    )
+    bent, rigid = (join_clips([(seventeen(b), "train")], support.TABLE_17.parents, 50.0) for b in (0.03, 0.0))
     other = (1.1 * support.TABLE_17.offsets).astype(np.float32)
     shift = bent.positions(0, other) - rigid.positions(0, other)
     np.testing.assert_allclose(shift, bent.positions(0) - rigid.positions(0), atol=1e-5)

@@ -27,9 +27,7 @@ def bank(corpus: Corpus) -> MotionBank:
     return MotionBank(corpus, [0, 1], CPU)
 
 
-def draw(
-    bank: MotionBank, config: AugmentConfig, seed: int = 0, frames: Tensor | None = None
-) -> Batch:
+def draw(bank: MotionBank, config: AugmentConfig, seed: int = 0, frames: Tensor | None = None) -> Batch:
     return bank.draw(B, W, config, torch.Generator().manual_seed(seed), frames)
 
 

@@ -30,9 +30,7 @@ EXACT = SensorConfig(
 )  # fmt: skip
 """Everything is worn and nothing wrong."""
 PLAIN = replace(plain(), sensors=EXACT)
-EVERYTHING = replace(
-    AugmentConfig(), sensors=EXACT, noise=perfect(), warp=(1.0, 1.0), recombine=0.0
-)
+EVERYTHING = replace(AugmentConfig(), sensors=EXACT, noise=perfect(), warp=(1.0, 1.0), recombine=0.0)
 HALF_A_FRAME = 0.05
 """More than anybody turns in the time to the nearest frame, which sensors are looked up in."""
 
@@ -69,8 +67,7 @@ def recorded(corpus: Corpus, at: Array) -> Array:
 
 
 def sensed_truth(
-    corpus: Corpus, batch: Batch, frames: Tensor, speed: float = 1.0, lag: float = 0.0,
-    mirrored: bool = False,
+    corpus: Corpus, batch: Batch, frames: Tensor, speed: float = 1.0, lag: float = 0.0, mirrored: bool = False
 ) -> Array:
     """What sensors must say (B, W, S, 3, 3), from the recording and the heading of the estimated pose."""
     body, at = corpus.body(), frames.numpy().astype(float)
@@ -111,16 +108,12 @@ def test_the_axes_to_be_answered_are_those_of_the_motion(
 
 
 @pytest.mark.parametrize("causal", [False, True])
-def test_sensors_show_the_true_axes_at_every_frame(
-    corpus: Corpus, bank: MotionBank, causal: bool
-) -> None:
+def test_sensors_show_the_true_axes_at_every_frame(corpus: Corpus, bank: MotionBank, causal: bool) -> None:
     assert_sensed(corpus, draw(bank, PLAIN, FRAMES, causal))
 
 
 @pytest.mark.parametrize("causal", [False, True])
-def test_also_of_motion_that_was_re_timed(
-    corpus: Corpus, bank: MotionBank, causal: bool
-) -> None:
+def test_also_of_motion_that_was_re_timed(corpus: Corpus, bank: MotionBank, causal: bool) -> None:
     batch = draw(bank, replace(PLAIN, warp=(0.63, 0.63)), FRAMES, causal)
     assert_sensed(corpus, batch, HALF_A_FRAME, speed=0.63)
     with pytest.raises(AssertionError):
@@ -245,9 +238,7 @@ def test_sensors_ahead_of_the_camera_show_what_it_is_going_to_see(
         assert_sensed(corpus, batch, HALF_A_FRAME, lag=-lag)
 
 
-def test_every_window_has_its_own_lag_and_all_its_sensors_the_same(
-    corpus: Corpus, bank: MotionBank
-) -> None:
+def test_every_window_has_its_own_lag_and_all_its_sensors_the_same(corpus: Corpus, bank: MotionBank) -> None:
     config = replace(PLAIN, sensors=replace(EXACT, lag=(-3.0, 6.0)))
     batch = draw(bank, config, FRAMES)
     R = matrices(batch.windows.axes_world)
@@ -282,9 +273,7 @@ def test_errors_do_not_change_the_truth(bank: MotionBank) -> None:
     wrong = replace(PLAIN, sensors=replace(EXACT, misalignment=0.2, roll=0.3, heading=0.3))
     one, two = draw(bank, PLAIN, FRAMES), draw(bank, wrong, FRAMES)
     assert torch.equal(one.axes, two.axes)
-    angle = so3.angle_between(
-        matrices(one.windows.axes_world), matrices(two.windows.axes_world)
-    )
+    angle = so3.angle_between(matrices(one.windows.axes_world), matrices(two.windows.axes_world))
     assert 0.2 < angle.mean() < 0.7
 
 
@@ -313,9 +302,7 @@ def test_the_17_joints_have_no_sensors_to_draw() -> None:
 
 
 @pytest.mark.parametrize("config", [plain(), replace(EVERYTHING, warp=(1.0, 1.0))])
-def test_a_causal_window_ends_where_the_other_has_its_middle(
-    bank: MotionBank, config: AugmentConfig
-) -> None:
+def test_a_causal_window_ends_where_the_other_has_its_middle(bank: MotionBank, config: AugmentConfig) -> None:
     """Of the same frames, and nothing else is drawn differently."""
     config = replace(config, sensors=EXACT)
     middle, last = draw(bank, config, FRAMES), draw(bank, config, FRAMES, causal=True)

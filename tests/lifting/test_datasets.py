@@ -69,9 +69,7 @@ def test_every_missing_take_is_told_and_test_takes_are_not_asked_for(takes: Path
     total_capture_corpus(takes, lambda *report: told.append(report))
     assert [done for done, _, _ in told] == list(range(1, 28))
     assert {total for _, total, _ in told} == {27}
-    assert [note for _, _, note in told if "skipped" not in note] == [
-        f"{s} {n}" for s, n in sorted(FEW)
-    ]
+    assert [note for _, _, note in told if "skipped" not in note] == [f"{s} {n}" for s, n in sorted(FEW)]
     (walking,) = (note for _, _, note in told if note.startswith("S1 walking3"))
     assert "S1 walking3 skipped: unknown take" in walking
     assert not [note for _, _, note in told if note.split(" skipped")[0].split() in map(list, TEST)]
@@ -159,9 +157,7 @@ def test_subjects_who_test_are_not_read_and_some_actions_validate(archive: Path)
     assert "Academic use only" in corpus.acknowledgement
 
 
-def test_joints_are_those_of_the_archive_on_the_floor(
-    archive: Path, positions: h36m.Positions
-) -> None:
+def test_joints_are_those_of_the_archive_on_the_floor(archive: Path, positions: h36m.Positions) -> None:
     corpus = human36m_corpus(archive)
     for clip, (subject, action) in enumerate([("S1", "WalkTogether"), ("S1", "Walking 1")]):
         assert lowest(corpus, clip) == pytest.approx(0.07, abs=1e-5)
@@ -177,9 +173,7 @@ def test_shoulders_that_move_about_the_thorax_are_learnt_where_they_are(
     thorax, shoulder = 8, 11
     bone = p[:, shoulder] - p[:, thorax]
     turned = np.roll(bone, 1, axis=1) * 0.3 + bone * 0.9
-    turned *= np.linalg.norm(bone, axis=1, keepdims=True) / np.linalg.norm(
-        turned, axis=1, keepdims=True
-    )
+    turned *= np.linalg.norm(bone, axis=1, keepdims=True) / np.linalg.norm(turned, axis=1, keepdims=True)
     wave = (np.arange(len(p)) % 20 < 10)[:, None]
     p[:, shoulder : shoulder + 3] += np.where(wave, turned - bone, 0.0)[:, None]
     h36m.write_positions(tmp_path, {"S1": {"Walking 1": p}})
@@ -189,9 +183,7 @@ def test_shoulders_that_move_about_the_thorax_are_learnt_where_they_are(
     np.testing.assert_allclose(shift, np.broadcast_to(shift[:1, :1], shift.shape), atol=1e-5)
 
 
-def test_gaps_are_cut_out_and_damaged_actions_skipped(
-    positions: h36m.Positions, tmp_path: Path
-) -> None:
+def test_gaps_are_cut_out_and_damaged_actions_skipped(positions: h36m.Positions, tmp_path: Path) -> None:
     p = np.concatenate([positions["S1"]["Walking 1"]] * 2)
     p[38:42, 5] = np.nan
     entries = {"S1": {"Walking 1": p, "Sitting": np.zeros((5, 3))}}
@@ -202,9 +194,7 @@ def test_gaps_are_cut_out_and_damaged_actions_skipped(
     assert "S1 Sitting skipped: " in told[0]
 
 
-def test_an_archive_without_training_subjects_is_refused(
-    positions: h36m.Positions, tmp_path: Path
-) -> None:
+def test_an_archive_without_training_subjects_is_refused(positions: h36m.Positions, tmp_path: Path) -> None:
     h36m.write_positions(tmp_path, {"S9": positions["S9"]})
     with pytest.raises(FileFormatError, match="no take to train on could be read"):
         human36m_corpus(tmp_path)

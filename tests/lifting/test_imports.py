@@ -13,7 +13,9 @@ def modules_after(statement: str) -> set[str]:
     return set(done.stdout.split())
 
 
-@pytest.mark.parametrize("module", ["rtof_kin", "rtof_kin.reconstruction.pipeline", "rtof_kin.core.resources"])
+@pytest.mark.parametrize(
+    "module", ["rtof_kin", "rtof_kin.reconstruction.pipeline", "rtof_kin.core.resources"]
+)
 def test_the_package_does_not_load_torch(module: str) -> None:
     assert "torch" not in modules_after(f"import {module}")
 

@@ -71,9 +71,7 @@ def test_losses_are_distances_in_metres() -> None:
     pose[:, 0, 1:], pose[:, 2, 1:] = 3.0, 4.0
     torch.testing.assert_close(losses.mean_joint_distance(pose, truth), torch.full((2,), 5.0))
     root = torch.tensor([[0.0, 2.0, 0.0], [0.0, 0.0, 4.0]])
-    torch.testing.assert_close(
-        losses.root_distance(root, torch.zeros(2, 3)), torch.tensor([2.0, 4.0])
-    )
+    torch.testing.assert_close(losses.root_distance(root, torch.zeros(2, 3)), torch.tensor([2.0, 4.0]))
     made = replace(batch(), pose=truth, root=torch.zeros(2, 3))
     total = losses.position_loss(Estimate(pose, root, torch.zeros(2, 2, 5), None, None), made)
     assert float(total) == pytest.approx(5.0 + 0.3 * 3.0)
@@ -135,8 +133,7 @@ def test_the_likelihood_is_that_of_the_density(dimensions: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("dimensions", "sigma"),
-    [(1, windows.SIGMA_ALONG), (2, windows.SIGMA_ACROSS), (3, windows.SIGMA_TURN)],
+    ("dimensions", "sigma"), [(1, windows.SIGMA_ALONG), (2, windows.SIGMA_ACROSS), (3, windows.SIGMA_TURN)]
 )
 def test_sigmas_are_standard_deviations_per_axis(dimensions: int, sigma: float) -> None:
     assert sample(dimensions, 5000, 1.0).std() == pytest.approx(sigma, rel=0.04)
@@ -176,9 +173,7 @@ def test_without_orientations_positions_alone_are_learnt() -> None:
     angle = losses.turn_angles(with_.axes, truth.axes)
     turn = losses.TURN_WEIGHT * angle.mean()
     turn = turn + losses.SPREAD_WEIGHT * losses.likelihood(angle, with_.log_turn, 3).mean()
-    torch.testing.assert_close(
-        losses.lifting_loss(with_, truth), losses.lifting_loss(without, truth) + turn
-    )
+    torch.testing.assert_close(losses.lifting_loss(with_, truth), losses.lifting_loss(without, truth) + turn)
 
 
 def test_a_perfect_answer_has_finite_gradients() -> None:

@@ -37,9 +37,7 @@ def test_strided_and_dilated_forms_agree(widths: tuple[int, ...], causal: bool) 
     sequence, constants = torch.randn(2, field + 20, 7), torch.randn(2, 4)
     windows = sequence.unfold(1, field, 1).transpose(2, 3)
     strided = net.forward_windows(windows.flatten(0, 1), constants.repeat_interleave(21, dim=0))
-    torch.testing.assert_close(
-        net(sequence, constants), strided.reshape(2, 21, 5), atol=1e-5, rtol=0
-    )
+    torch.testing.assert_close(net(sequence, constants), strided.reshape(2, 21, 5), atol=1e-5, rtol=0)
 
 
 @WHICH
@@ -64,9 +62,7 @@ def test_of_a_causal_network_the_last_frame_of_the_window_goes_straight_through(
         touched = (gradient[0].abs().sum(dim=1) > 0).nonzero().flatten().tolist()
         assert touched == [3 + net.estimated()]
         windows = sequence[:, 3:12]
-        (gradient,) = torch.autograd.grad(
-            net.forward_windows(windows, torch.zeros(1, 4)).sum(), sequence
-        )
+        (gradient,) = torch.autograd.grad(net.forward_windows(windows, torch.zeros(1, 4)).sum(), sequence)
         assert (gradient[0].abs().sum(dim=1) > 0).nonzero().flatten().tolist() == touched
 
 
@@ -83,8 +79,7 @@ def test_later_frames_do_not_change_what_was_answered(causal: bool) -> None:
     assert at[same].max() == (40 if causal else 40 - 13)
     window = slice(40 - 26, 41)
     assert torch.equal(
-        net.forward_windows(sequence[:, window], constants),
-        net.forward_windows(later[:, window], constants),
+        net.forward_windows(sequence[:, window], constants), net.forward_windows(later[:, window], constants)
     )
 
 

@@ -73,9 +73,7 @@ def test_the_bias_is_constant_in_a_window_and_scaled_by_joint(body: Body) -> Non
 @pytest.mark.parametrize(
     ("joint", "memory", "rate_hz"), [("Head", 0.5, 60.0), ("LeftHand", 0.3, 60.0), ("Head", 0.5, 50.0)]
 )
-def test_the_drift_forgets_exponentially(
-    body: Body, joint: str, memory: float, rate_hz: float
-) -> None:
+def test_the_drift_forgets_exponentially(body: Body, joint: str, memory: float, rate_hz: float) -> None:
     error, _ = noise_of(body, replace(QUIET, drift_px=5.0), rows=4000, rate_hz=rate_hz)
     path = error[..., body.names.index(joint)].reshape(-1, W)
     factor = 1.3 if joint.endswith("Hand") else 1.0

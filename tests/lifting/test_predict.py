@@ -90,9 +90,7 @@ def test_the_focal_length_does_not_matter(
 ) -> None:
     K = camera.K * np.array([[factor], [factor], [1.0]])
     zoomed = replace(camera, K=K)
-    assert_close(
-        lifter.predict(support.seen_by(zoomed, p_world_joint), OFFSETS), lifted.p_world_joint
-    )
+    assert_close(lifter.predict(support.seen_by(zoomed, p_world_joint), OFFSETS), lifted.p_world_joint)
 
 
 def test_where_the_camera_looks_does_not_matter(
@@ -100,18 +98,14 @@ def test_where_the_camera_looks_does_not_matter(
 ) -> None:
     R = so3.exp([0.1, -0.25, 0.6]) @ camera.R_camera_world  # pan, tilt and roll on the spot
     turned = Camera(camera.K, R, -R @ camera.center_world, camera.width_px, camera.height_px)
-    assert_close(
-        lifter.predict(support.seen_by(turned, p_world_joint), OFFSETS), lifted.p_world_joint
-    )
+    assert_close(lifter.predict(support.seen_by(turned, p_world_joint), OFFSETS), lifted.p_world_joint)
 
 
 def test_distortion_is_taken_out(
     lifter: Lifter, camera: Camera, p_world_joint: Array, lifted: LiftedPoses
 ) -> None:
     bent = replace(camera, distortion=np.array([-0.2, 0.05, 0.001, -0.002, 0.0]))
-    assert_close(
-        lifter.predict(support.seen_by(bent, p_world_joint), OFFSETS), lifted.p_world_joint, 1e-3
-    )
+    assert_close(lifter.predict(support.seen_by(bent, p_world_joint), OFFSETS), lifted.p_world_joint, 1e-3)
 
 
 def test_a_lean_of_the_camera_that_is_not_told_does_matter(
@@ -191,9 +185,7 @@ def test_other_rates_give_the_same_motion(lifter: Lifter, camera: Camera, rate_h
         )
 
 
-def test_uneven_times_and_single_frames_are_lifted(
-    lifter: Lifter, keypoints: KeypointSequence
-) -> None:
+def test_uneven_times_and_single_frames_are_lifted(lifter: Lifter, keypoints: KeypointSequence) -> None:
     jitter = np.random.default_rng(0).uniform(-0.005, 0.005, T)
     uneven = lifter.predict(replace(keypoints, times=keypoints.times + jitter), OFFSETS)
     assert np.isfinite(uneven.p_world_joint).all()
@@ -244,9 +236,7 @@ def test_ends_that_are_not_seen_are_held(lifter: Lifter, camera: Camera) -> None
     )
 
 
-def test_pauses_of_the_video_are_not_interpolated_across(
-    lifter: Lifter, keypoints: KeypointSequence
-) -> None:
+def test_pauses_of_the_video_are_not_interpolated_across(lifter: Lifter, keypoints: KeypointSequence) -> None:
     times = keypoints.times + np.where(np.arange(T) >= 20, 30.0, 0.0)
     paused = lifter.predict(replace(keypoints, times=times), OFFSETS)
     before = lifter.predict(hidden(keypoints, slice(20, T)), OFFSETS)
@@ -273,9 +263,7 @@ def test_too_few_joints_are_refused_by_name(lifter: Lifter, keypoints: KeypointS
         lifter.predict(nothing)
 
 
-def test_joints_that_are_never_seen_together_are_refused(
-    lifter: Lifter, keypoints: KeypointSequence
-) -> None:
+def test_joints_that_are_never_seen_together_are_refused(lifter: Lifter, keypoints: KeypointSequence) -> None:
     confidence = np.zeros((300, 21))
     for j in range(7):
         confidence[40 * j, j] = 1.0
@@ -301,9 +289,7 @@ def test_hostile_landmarks_never_give_nan(lifter: Lifter, camera: Camera, seed: 
     assert not np.isnan(result.seen).any()
 
 
-def test_a_camera_that_looks_straight_down_is_no_obstacle(
-    lifter: Lifter, p_world_joint: Array
-) -> None:
+def test_a_camera_that_looks_straight_down_is_no_obstacle(lifter: Lifter, p_world_joint: Array) -> None:
     R = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
     above = Camera(np.diag([1250.0, 1250.0, 1.0]), R, -R @ np.array([0.0, 0.0, 6.0]), 1920, 1080)
     assert np.isfinite(lifter.predict(support.seen_by(above, p_world_joint)).p_world_joint).all()
@@ -352,9 +338,7 @@ def test_results_are_read_only_and_float64(lifted: LiftedPoses) -> None:
         lifted.p_world_joint[0, 0, 0] = 1.0
 
 
-def test_the_shipped_lifter_lifts_a_scene_it_has_not_seen(
-    camera: Camera,
-) -> None:
+def test_the_shipped_lifter_lifts_a_scene_it_has_not_seen(camera: Camera) -> None:
     clip = read_mocap(EXCERPT)
     p = clip.poses.p_world_joint - clip.poses.p_world_joint[:1, :1] * np.array([1.0, 1.0, 0.0])
     lifted = Lifter.load().predict(support.seen_by(camera, p), clip.joint_offsets)

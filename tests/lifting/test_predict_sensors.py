@@ -51,9 +51,7 @@ def imus() -> BoneImuSequence:
 
 
 @pytest.fixture(scope="module")
-def lifted(
-    lifter: Lifter, keypoints: KeypointSequence, imus: BoneImuSequence
-) -> LiftedPoses:
+def lifted(lifter: Lifter, keypoints: KeypointSequence, imus: BoneImuSequence) -> LiftedPoses:
     return lifter.predict(keypoints, OFFSETS, bone_imus=imus)
 
 
@@ -171,9 +169,7 @@ def test_mirrored_scenes_have_mirrored_answers(lifter: Lifter, joints: tuple[str
     right = Camera.looking_at([4.0, -1.0, 1.5], [0.0, 0.0, 0.9], 1250.0)
     order = BODY.mirrored
     here = lifter.predict(support.seen_by(left, p), OFFSETS, bone_imus=imus)
-    there = lifter.predict(
-        support.seen_by(right, (p @ FLIP)[:, order]), OFFSETS, bone_imus=mirrored(imus)
-    )
+    there = lifter.predict(support.seen_by(right, (p @ FLIP)[:, order]), OFFSETS, bone_imus=mirrored(imus))
     np.testing.assert_allclose(there.p_world_joint, (here.p_world_joint @ FLIP)[:, order], atol=1e-4)
     R = FLIP @ here.R_world_bone[:, order] @ FLIP
     np.testing.assert_allclose(there.R_world_bone, R, atol=1e-4)
@@ -274,9 +270,7 @@ def test_sensors_of_another_time_are_as_if_they_were_not_there(
     )
 
 
-def test_a_lifter_of_17_joints_has_no_orientations_and_ignores_sensors(
-    imus: BoneImuSequence,
-) -> None:
+def test_a_lifter_of_17_joints_has_no_orientations_and_ignores_sensors(imus: BoneImuSequence) -> None:
     lifter = support.untrained_lifter(table=support.TABLE_17)
     p_root, _ = support.moving(0, T)
     uv = support.side_camera().project(p_root[:, None] + support.TABLE_17.offsets)
@@ -343,9 +337,7 @@ def test_a_causal_lifter_does_not_wait_for_later_frames(
     uv, R = np.array(keypoints.uv_px), np.array(imus.R_world_bone)
     uv[21:] += 40.0
     R[21:] = R[21:] @ so3.about_axis("y", 1.0)
-    other = lifter.predict(
-        replace(keypoints, uv_px=uv), OFFSETS, bone_imus=replace(imus, R_world_bone=R)
-    )
+    other = lifter.predict(replace(keypoints, uv_px=uv), OFFSETS, bone_imus=replace(imus, R_world_bone=R))
     cut = lifter.predict(keypoints[:21], OFFSETS, bone_imus=imus[:21])
     for changed in (other, cut):
         for a, b in zip(arrays(changed), arrays(whole), strict=True):

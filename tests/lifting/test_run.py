@@ -189,10 +189,7 @@ def test_a_deterministic_training_is_not_ended_by_the_clock() -> None:
 
 
 def test_the_command_trains_with_every_option_and_says_where_the_curves_are(
-    corpus: Corpus,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    corpus: Corpus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def small(corpus: Corpus, size: int, device: torch.device, count: int, *rest: Any) -> Validation:
         return Validation(corpus, size, device, 8, *rest)

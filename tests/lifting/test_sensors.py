@@ -68,9 +68,7 @@ def in_segment(config: SensorConfig, truth: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("amplitude", [1.0, 2.0])
-def test_misalignment_is_alike_about_every_axis_of_the_segment(
-    truth: np.ndarray, amplitude: float
-) -> None:
+def test_misalignment_is_alike_about_every_axis_of_the_segment(truth: np.ndarray, amplitude: float) -> None:
     config = replace(NO_ERROR, misalignment=0.06, amplitude=(amplitude, amplitude))
     error = in_segment(config, truth)[:, 0].reshape(-1, 3)
     covariance = error.T @ error / len(error) / (0.06 * amplitude) ** 2
@@ -114,14 +112,10 @@ def test_heading_is_about_the_vertical_of_the_world_whatever_the_amplitude(
     assert np.abs(correlation).max() < 0.1, "every sensor has its own"
 
 
-def test_errors_hold_for_a_whole_window_and_differ_between_windows_and_sensors(
-    truth: np.ndarray,
-) -> None:
+def test_errors_hold_for_a_whole_window_and_differ_between_windows_and_sensors(truth: np.ndarray) -> None:
     error = in_segment(replace(DEFAULT, heading=0.0), truth)
     np.testing.assert_allclose(error, np.broadcast_to(error[:, :1], error.shape), atol=2e-5)
-    heading = so3.log(
-        reported(replace(NO_ERROR, heading=0.1), truth, BONES) @ np.swapaxes(truth, -1, -2)
-    )
+    heading = so3.log(reported(replace(NO_ERROR, heading=0.1), truth, BONES) @ np.swapaxes(truth, -1, -2))
     np.testing.assert_allclose(heading, np.broadcast_to(heading[:, :1], heading.shape), atol=2e-5)
     assert np.abs(error[1] - error[0]).max() > 1e-3
     assert np.abs(error[0, 0, 1] - error[0, 0, 0]).max() > 1e-3

@@ -36,9 +36,7 @@ def imus() -> BoneImuSequence:
     return support.worn_by(0, T, ARMS)
 
 
-def windows(
-    source: Source, times: Array, estimated: int = W // 2, rate_hz: float = 60.0
-) -> Windows:
+def windows(source: Source, times: Array, estimated: int = W // 2, rate_hz: float = 60.0) -> Windows:
     return source.windows(times, W, estimated, rate_hz, np.full(39, 0.1), 1.5)
 
 
@@ -90,10 +88,9 @@ def test_before_the_first_and_after_the_last_frame_the_nearest_one_stands(
         assert shown.sensed[b, :, body.sensors.index("Hips")].all()
 
 
-def test_sensors_at_other_times_are_brought_to_the_frames(
-    body: Body, keypoints: KeypointSequence
-) -> None:
+def test_sensors_at_other_times_are_brought_to_the_frames(body: Body, keypoints: KeypointSequence) -> None:
     """A segment that turns evenly is the same whenever it is sampled."""
+
     def turning(times: Array) -> BoneImuSequence:
         R = so3.about_axis("z", 2.0 * times)[:, None]
         return BoneImuSequence(times, R, np.zeros((len(times), 1, 3)), np.zeros((1, 3)), ("Head",))

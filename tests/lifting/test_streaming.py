@@ -205,9 +205,7 @@ def test_where_too_little_is_seen_the_last_pose_stands_and_says_so(
     assert np.isnan(held.sigma_rad).all()
 
 
-def test_names_may_be_a_detectors(
-    causal: Lifter, camera: Camera, keypoints: KeypointSequence
-) -> None:
+def test_names_may_be_a_detectors(causal: Lifter, camera: Camera, keypoints: KeypointSequence) -> None:
     names = ("Nose", *reversed(keypoints.names[3:]), "Tail")
     other = keypoints.select(names)
     poses = streamed(StreamingLifter(causal, camera, names=names), other)

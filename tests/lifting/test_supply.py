@@ -51,9 +51,7 @@ def test_steps_and_seeds_draw_different_windows(bank: MotionBank) -> None:
         assert not torch.equal(first, other.batch(0)[0].pose)
 
 
-def test_an_error_of_the_other_thread_reaches_the_caller_and_the_thread_ends(
-    bank: MotionBank,
-) -> None:
+def test_an_error_of_the_other_thread_reaches_the_caller_and_the_thread_ends(bank: MotionBank) -> None:
     with pytest.raises(IndexError), supply(bank, ahead=True) as source:
         source.bank = MotionBank(support.tiny_corpus(frames=40), [0], torch.device("cpu"))
         source.bank.bones = source.bank.bones[:, :3]

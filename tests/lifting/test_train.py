@@ -60,8 +60,15 @@ def test_training_learns_a_small_motion_by_heart(tmp_path: Path) -> None:
         joint_offsets=np.tile(corpus.joint_offsets[:1], (2, 1, 1)),
     )
     config = replace(
-        QUICK, windows=38_400, batch=128, channels=64, learning_rate=1e-2, ema=0.9, skeletons=0,
-        report_every=50, augment=replace(plain(), mirror=0.5),
+        QUICK,
+        windows=38_400,
+        batch=128,
+        channels=64,
+        learning_rate=1e-2,
+        ema=0.9,
+        skeletons=0,
+        report_every=50,
+        augment=replace(plain(), mirror=0.5),
     )
     errors: list[dict[str, Any]] = []
 
@@ -185,9 +192,7 @@ def test_a_resumed_training_ends_as_an_uninterrupted_one(corpus: Corpus, tmp_pat
     assert measured[0] == measured[1]
 
 
-def test_a_causal_training_is_another_and_is_resumed_like_any(
-    corpus: Corpus, tmp_path: Path
-) -> None:
+def test_a_causal_training_is_another_and_is_resumed_like_any(corpus: Corpus, tmp_path: Path) -> None:
     config = replace(QUICK, windows=320, causal=True)
     whole = train(config, corpus, tmp_path / "whole.pt")
     network, description = load_checkpoint(whole)
@@ -239,9 +244,7 @@ def test_without_resume_the_state_is_not_read(corpus: Corpus, tmp_path: Path) ->
     assert all(torch.equal(before[name], tensor) for name, tensor in weights(path).items())
 
 
-def test_states_of_other_settings_and_broken_states_are_refused(
-    corpus: Corpus, tmp_path: Path
-) -> None:
+def test_states_of_other_settings_and_broken_states_are_refused(corpus: Corpus, tmp_path: Path) -> None:
     config = replace(QUICK, windows=64)
     path = train(config, corpus, tmp_path / "lifter.pt")
     with pytest.raises(FileFormatError, match="other settings; delete it or do not resume"):
@@ -313,9 +316,7 @@ def test_a_corpus_without_training_clips_is_refused(corpus: Corpus, tmp_path: Pa
         train(QUICK, replace(corpus, split=("test",) * 4), tmp_path / "lifter.pt")
 
 
-def test_the_module_runs_alone(
-    corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_module_runs_alone(corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = corpus.save(tmp_path / "corpus.npz")
     out = tmp_path / "lifter.pt"
     options = ["--windows", "64", "--batch", "32", "--channels", "8"]

@@ -28,6 +28,7 @@ def measured(
     validation: Validation, monkeypatch: pytest.MonkeyPatch, mm: float, degrees: float
 ) -> dict[str, dict[str, float]]:
     """Of answers that are wrong by so much: sideways in every joint, and about a bone's own y axis."""
+
     def estimate(self: Validation, network: object, batch: Batch, flip: bool) -> Estimate:
         pose, root = batch.pose.clone(), batch.root.clone()
         pose[:, 2, 1:] += mm / 1000
@@ -47,9 +48,7 @@ def test_the_truth_has_no_error(validation: Validation, monkeypatch: pytest.Monk
         assert max(errors.values()) < 0.1, kind  # degrees of float32
 
 
-def test_errors_are_millimetres_and_degrees(
-    validation: Validation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_errors_are_millimetres_and_degrees(validation: Validation, monkeypatch: pytest.MonkeyPatch) -> None:
     for errors in measured(validation, monkeypatch, 21.0, 10.0).values():
         assert errors["rr_mm"] == pytest.approx(20.0, abs=0.05)
         assert errors["abs_mm"] == pytest.approx((21 + 20 * 42) / 21, abs=0.05)

@@ -72,9 +72,7 @@ def spreads(body: Body, B: int) -> tuple[Tensor, Tensor]:
     return make[0], make[1]
 
 
-def true_output(
-    body: Body, scene: Tensor, axes: Tensor, encoded: EncodedWindows, at: int = W // 2
-) -> Tensor:
+def true_output(body: Body, scene: Tensor, axes: Tensor, encoded: EncodedWindows, at: int = W // 2) -> Tensor:
     """What a perfect network would answer."""
     now = scene[:, :, at]
     pose = torch.bmm(encoded.R_ray_world, now - now[:, :, :1])[:, :, 1:]
@@ -112,9 +110,7 @@ def test_mirrored_scenes_of_17_joints_have_mirrored_features(body_17: Body) -> N
 
 
 @pytest.mark.parametrize("at", [W // 2, W - 1, 0])
-def test_the_answer_read_back_is_the_scene(
-    body: Body, scene: Tensor, axes: Tensor, at: int
-) -> None:
+def test_the_answer_read_back_is_the_scene(body: Body, scene: Tensor, axes: Tensor, at: int) -> None:
     encoded = encode(body, windows_of(body, scene, axes, estimated=at))
     estimate = decode(body, true_output(body, scene, axes, encoded, at), encoded)
     now = scene[:, :, at]
@@ -180,9 +176,7 @@ def test_turning_the_world_about_the_vertical_leaves_the_input_unchanged(
     torch.testing.assert_close(estimate.axes, turned(R, axes[:, :, W // 2]))
 
 
-def test_a_lean_of_the_world_does_change_the_input(
-    body: Body, scene: Tensor, axes: Tensor
-) -> None:
+def test_a_lean_of_the_world_does_change_the_input(body: Body, scene: Tensor, axes: Tensor) -> None:
     R = so3.about_axis("y", 0.2)
     straight = encode(body, windows_of(body, scene, axes))
     leaned = encode(body, windows_of(body, turned(R, scene), turned(R, axes)))
@@ -309,9 +303,7 @@ def test_what_is_unseen_is_not_read(body: Body, scene: Tensor) -> None:
     assert_same_input(encode(body, windows_of(body, changed, seen=seen)), expected)
 
 
-def test_axes_that_are_not_sensed_are_never_read(
-    body: Body, scene: Tensor, axes: Tensor
-) -> None:
+def test_axes_that_are_not_sensed_are_never_read(body: Body, scene: Tensor, axes: Tensor) -> None:
     sensed = torch.rand((3, W, 13), generator=torch.Generator().manual_seed(2)) > 0.4
     windows = windows_of(body, scene, axes, sensed=sensed)
     expected = encode(body, windows)
@@ -336,9 +328,7 @@ def test_axes_reach_the_network_in_the_ray_frame_and_as_zeros_where_not_sensed(
     torch.testing.assert_close(read, expected)
 
 
-def test_what_is_sensed_does_not_change_what_is_seen(
-    body: Body, scene: Tensor, axes: Tensor
-) -> None:
+def test_what_is_sensed_does_not_change_what_is_seen(body: Body, scene: Tensor, axes: Tensor) -> None:
     with_, without = (encode(body, windows_of(body, scene, a)) for a in (axes, None))
     torch.testing.assert_close(with_.features[..., :67], without.features[..., :67])
     torch.testing.assert_close(with_.constants, without.constants)
@@ -371,9 +361,7 @@ def test_constants_are_elevation_scale_height_and_bones(body: Body, scene: Tenso
     torch.testing.assert_close(encoded.constants[:, 8], torch.full((3,), 0.15).double())
 
 
-def test_nothing_seen_and_degenerate_scenes_stay_finite(
-    body: Body, scene: Tensor, axes: Tensor
-) -> None:
+def test_nothing_seen_and_degenerate_scenes_stay_finite(body: Body, scene: Tensor, axes: Tensor) -> None:
     nothing = windows_of(body, scene, seen=~everything(scene))
     behind = windows_of(body, -scene + 2 * scene[..., :1], axes)
     point = windows_of(body, scene[..., :1].expand(scene.shape), axes)

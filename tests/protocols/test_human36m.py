@@ -137,9 +137,7 @@ def test_the_table_has_the_papers_rows_then_ours_then_no_motion(measured: Path) 
         assert len(np.unique(pixels[::4, ::4].reshape(-1, pixels.shape[-1]), axis=0)) > 50
 
 
-def test_a_mean_is_one_over_the_frames_of_all_actions(
-    root: Path, lifter: Path, tmp_path: Path
-) -> None:
+def test_a_mean_is_one_over_the_frames_of_all_actions(root: Path, lifter: Path, tmp_path: Path) -> None:
     about = protocol(root, lifter)
     outcome = run(about, tmp_path, workers=1)
     assert (len(outcome.done), outcome.failed) == (4, {})
@@ -154,9 +152,7 @@ def test_a_mean_is_one_over_the_frames_of_all_actions(
 # --- jobs ----------------------------------------------------------------------------------------
 
 
-def test_the_protocol_is_the_papers_where_nothing_else_is_asked_for(
-    root: Path, lifter: Path
-) -> None:
+def test_the_protocol_is_the_papers_where_nothing_else_is_asked_for(root: Path, lifter: Path) -> None:
     usual = Human36MProtocol(root, lifter)
     assert (usual.subjects, usual.cameras, usual.modes) == (SUBJECTS, (0, 1, 2, 3), ("lift", "rto"))
     assert len(usual.jobs()) == 2 * 2 * 4
@@ -186,9 +182,7 @@ def test_two_processes_give_the_same_as_one_and_nothing_is_measured_again(
     assert run(about, tmp_path / "two", workers=1).done == two.done
 
 
-def test_detected_keypoints_are_used_where_they_are_named(
-    root: Path, lifter: Path, tmp_path: Path
-) -> None:
+def test_detected_keypoints_are_used_where_they_are_named(root: Path, lifter: Path, tmp_path: Path) -> None:
     about = protocol(root, lifter, actions=("Action 1",), subjects=("S9",))
     exact = run(about, tmp_path / "exact", workers=1)
     detected = replace(about, keypoints="cpn_ft_h36m_dbb")
@@ -234,9 +228,7 @@ def test_a_subject_that_the_archive_does_not_have_is_told(lifter: Path, tmp_path
 def test_a_truth_in_the_wrong_place_is_measured_and_told(lifter: Path, tmp_path: Path) -> None:
     """As a few actions of S9 are: detected keypoints fit all but one of them."""
     positions = archive(tmp_path)
-    h36m.write_positions(
-        tmp_path, {"S9": positions["S9"] | {"Action 1": positions["S9"]["Action 1"] + 0.4}}
-    )
+    h36m.write_positions(tmp_path, {"S9": positions["S9"] | {"Action 1": positions["S9"]["Action 1"] + 0.4}})
     about = protocol(tmp_path, lifter, subjects=("S9",), keypoints="cpn_ft_h36m_dbb")
     outcome = run(about, tmp_path / "out", workers=1)
     assert len(outcome.done) == 2

@@ -84,9 +84,7 @@ def test_arrays_without_facts_are_no_result(log: Path, runs: Path) -> None:
     assert outcome.arrays("a")["squares"][3] == 9 + 1 / 3
 
 
-def test_an_interruption_leaves_what_is_done_and_the_next_run_goes_on(
-    log: Path, runs: Path
-) -> None:
+def test_an_interruption_leaves_what_is_done_and_the_next_run_goes_on(log: Path, runs: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_jobs(obey, orders(log, a="work", b="interrupt", c="work"), runs, workers=1)
     assert sorted(path.name for path in runs.iterdir()) == ["a.json", "a.npz"]
@@ -104,18 +102,13 @@ def test_neither_a_refusal_nor_a_crash_stops_the_others(
     jobs = orders(log, a="refuse", b="work", c="crash", d="work")
     outcome = run_jobs(obey, jobs, runs, workers=1)
     assert list(outcome.done) == ["b", "d"]
-    assert outcome.failed == {
-        "a": "a: the take is too short",
-        "c": "ZeroDivisionError: c divided by nothing",
-    }
+    assert outcome.failed == {"a": "a: the take is too short", "c": "ZeroDivisionError: c divided by nothing"}
     assert "Traceback" in caplog.text  # of the crash, for whoever must mend it
     assert "a: a: the take is too short" in caplog.text
     assert not list(runs.glob("[ac].*"))
 
 
-def test_what_cannot_be_written_fails_alone(
-    log: Path, runs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_written_fails_alone(log: Path, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = np.savez_compressed
 
     def full(path: Path, **arrays: Any) -> None:
@@ -138,12 +131,7 @@ def test_progress_hears_of_every_job_and_then_nothing_is_logged(
     jobs = orders(log, a="work", b="refuse", c="work")
     told: list[tuple[int, int, str]] = []
     run_jobs(obey, jobs, runs, 1, lambda *report: told.append(report))
-    assert told == [
-        (0, 3, ""),
-        (1, 3, "a"),
-        (2, 3, "b failed: b: the take is too short"),
-        (3, 3, "c"),
-    ]
+    assert told == [(0, 3, ""), (1, 3, "a"), (2, 3, "b failed: b: the take is too short"), (3, 3, "c")]
     assert not [r for r in caplog.records if r.levelno >= logging.WARNING]
     told.clear()
     run_jobs(obey, jobs, runs, 1, lambda *report: told.append(report))
@@ -176,9 +164,7 @@ def test_two_workers_are_new_processes_with_one_thread_each_and_change_no_result
 
     alone = tmp_path / "alone"
     alone.mkdir()
-    again = run_jobs(
-        obey, orders(tmp_path / "log 2", **dict.fromkeys("abcd", "work")), alone, workers=1
-    )
+    again = run_jobs(obey, orders(tmp_path / "log 2", **dict.fromkeys("abcd", "work")), alone, workers=1)
     kept = {key: facts["fact"] for key, facts in again.done.items() if key in outcome.done}
     assert list(values(outcome.done).items()) == list(kept.items())
     assert outcome.failed["b"] == "ZeroDivisionError: b divided by nothing"

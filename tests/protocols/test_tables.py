@@ -137,13 +137,10 @@ def test_no_method_can_have_the_papers_pairs_on_human36m_in_one_unit() -> None:
 
 @given(
     st.lists(
-        st.tuples(st.one_of(st.none(), st.floats(0, 1e3), st.just(np.nan)), st.integers(0, 50)),
-        max_size=8,
+        st.tuples(st.one_of(st.none(), st.floats(0, 1e3), st.just(np.nan)), st.integers(0, 50)), max_size=8
     )
 )
-def test_the_pooled_figure_is_the_mean_over_all_frames(
-    parts: list[tuple[float | None, int]],
-) -> None:
+def test_the_pooled_figure_is_the_mean_over_all_frames(parts: list[tuple[float | None, int]]) -> None:
     rows = [{"error": value, "frames": frames} for value, frames in parts]
     values = [[v] * frames for v, frames in parts if v is not None and np.isfinite(v)]
     frames = np.concatenate([[], *values])
@@ -202,9 +199,7 @@ def test_a_table_that_cannot_be_written_is_an_error_of_the_package(tmp_path: Pat
 # --- Total Capture -------------------------------------------------------------------------------
 
 
-def complete(
-    cameras: Iterable[int] = (1, 3), modes: Sequence[str] = MODES, **figures: Any
-) -> dict[str, Any]:
+def complete(cameras: Iterable[int] = (1, 3), modes: Sequence[str] = MODES, **figures: Any) -> dict[str, Any]:
     """What the jobs of `protocol` found when nothing failed."""
     done = calibration("S1", "walking2")
     for camera in cameras:
@@ -370,9 +365,7 @@ def test_a_camera_that_is_missing_is_named_with_its_take() -> None:
     tables = tables_of(protocol(), done, {"S1_walking2_cam3": "no detections"})
     expected = "INCOMPLETE, without: S1 walking2 (camera 3). The last table says why."
     assert incomplete(tables) == {expected}
-    assert tables["state_of_data"].rows == (
-        ("S1 walking2 camera 3", "not measured", "no detections"),
-    )
+    assert tables["state_of_data"].rows == (("S1 walking2 camera 3", "not measured", "no detections"),)
 
 
 def test_modes_that_are_missing_are_named_with_their_take() -> None:

@@ -45,7 +45,7 @@ from rtof_kin.protocols.total_capture import (
     weight_name,
 )
 from rtof_kin.protocols.total_capture_tables import all_tables
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.vision.layouts import detector_table
 
 NAMES = SkeletonModel.default().names
@@ -114,11 +114,7 @@ def tables_of(about: TotalCaptureProtocol, outcome: Outcome) -> dict[str, Table]
 
 def figures(outcome: Outcome) -> dict[str, dict[str, Any]]:
     """What was measured of every mode, by job."""
-    return {
-        key: facts["methods"]
-        for key, facts in facts_of(outcome).items()
-        if facts["camera"] is not None
-    }
+    return {key: facts["methods"] for key, facts in facts_of(outcome).items() if facts["camera"] is not None}
 
 
 # --- by hand -------------------------------------------------------------------------------------
@@ -165,9 +161,7 @@ def rows_of(measured: Measured) -> dict[tuple[str, int | None, str], dict[str, A
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_the_figures_are_those_of_the_saved_motions(
-    mode: str, root: Path, measured: Measured
-) -> None:
+def test_the_figures_are_those_of_the_saved_motions(mode: str, root: Path, measured: Measured) -> None:
     rows = rows_of(measured)
     for take in (WALKING, ACTING):
         expected = by_hand(position(measured, take, mode), truth(root, take))
@@ -322,8 +316,7 @@ def test_a_take_that_is_not_there_is_named_under_every_affected_table(measured: 
     tables = read_json(measured.json)["tables"]
     for name in ("by_take", "inertial_only", "ablation", "sixteen_joints"):
         assert any(
-            note.startswith("INCOMPLETE, without: S1 acting3; S5 walking2.")
-            for note in tables[name]["notes"]
+            note.startswith("INCOMPLETE, without: S1 acting3; S5 walking2.") for note in tables[name]["notes"]
         )
     state = {tuple(cells[:2]) for cells in tables["state_of_data"]["rows"]}
     assert {("S1 acting3", "not measured"), ("S5 walking2", "not measured")} <= state
@@ -394,9 +387,7 @@ def read_json_of(outcome: Outcome) -> list[dict[str, Any]]:
     return json.loads(json.dumps(list(rows_of(outcome))))
 
 
-def test_motions_can_be_asked_for_later(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_motions_can_be_asked_for_later(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     about = protocol(root, cameras=(1,))
     first = run(about, tmp_path / "out", workers=1)
     saving = replace(about, save=tmp_path / "motions")
@@ -459,9 +450,7 @@ def test_two_processes_and_a_resumed_run_give_the_same_as_one(
     assert ours == [table.markdown() for table in all_tables(about, noisy)]
 
 
-def test_another_seed_and_no_noise_are_something_else(
-    root: Path, tmp_path: Path, noisy: Outcome
-) -> None:
+def test_another_seed_and_no_noise_are_something_else(root: Path, tmp_path: Path, noisy: Outcome) -> None:
     about = protocol(root, subjects=("S1",), takes=("walking2",), cameras=(1,))
     key, errors = "S1_walking2_cam1", set()
     for k, changed in enumerate(({"noise_px": 4.0, "seed": 4}, {"seed": 3}, {"seed": 4})):
@@ -534,9 +523,7 @@ def test_one_sensor_that_is_missing_costs_only_the_modes_that_need_it(tmp_path: 
         (line,) = [text for text in tc.lines(paths[kind]) if text.startswith("R_LowLeg")]
         tc.edit(paths[kind], line, "")
         tc.edit(paths[kind], "13", "12")
-    about = protocol(
-        data, subjects=("S5",), takes=("acting3",), modes=("lift", "sf2"), cameras=(1,)
-    )
+    about = protocol(data, subjects=("S5",), takes=("acting3",), modes=("lift", "sf2"), cameras=(1,))
     outcome = run(about, tmp_path / "out", workers=1)
     assert set(figures(outcome)["S5_acting3_cam1"]) == {"lift"}
     (note,) = outcome.done["S5_acting3_cam1"]["notes"]
@@ -575,9 +562,7 @@ def test_a_glitch_of_the_reference_does_not_reach_the_low_passed_row(tmp_path: P
             p[655:660] += [0.8, 0.0, 0.3]
         poses = replace(take.poses, p_world_joint=p)
         tc.dataset(tmp_path / name, replace(take, poses=poses), bvh=False)
-        facts = total_capture.measure(
-            replace(job, protocol=replace(about, root=tmp_path / name))
-        ).facts
+        facts = total_capture.measure(replace(job, protocol=replace(about, root=tmp_path / name))).facts
         rows[name] = facts["methods"][LOW_PASSED]
     assert rows["jumping"]["frames"] == len(take.poses) - 9  # with two frames on either side
     for figure in ("mpjpe_mm", "mpjae", "mpjje"):
@@ -666,9 +651,7 @@ def test_a_detectors_own_files_are_measured_with_their_layout_and_a_lifter_by_it
 def test_camera_2_is_measured_and_said_to_be_miscalibrated(
     root: Path, detections: Path, tmp_path: Path
 ) -> None:
-    about = protocol(
-        root, subjects=("S1",), takes=("walking2",), cameras=(2,), keypoints=detections
-    )
+    about = protocol(root, subjects=("S1",), takes=("walking2",), cameras=(2,), keypoints=detections)
     outcome = run(about, tmp_path / "out", workers=1)
     (facts,) = [facts for facts in outcome.done.values() if facts["camera"] == 2]
     assert facts["methods"]["lift"]["mpjpe_rr_mm"] > 0
@@ -716,7 +699,7 @@ def test_the_space_asked_for_is_the_solvers(
 
     monkeypatch.setattr(total_capture, "reconstructions", reconstructions)
     about = protocol(root, subjects=("S1",), takes=("walking2",), cameras=(1,))
-    spaces = {"joint": type(None), "cartesian": FragmentSettings}  # none: those of joint space
+    spaces = {"joint": type(None), "cartesian": CartesianSettings}  # none: those of joint space
     for space in spaces:
         chosen = replace(about, space=space)
         outcome = run(chosen, tmp_path / space, workers=1)
@@ -757,18 +740,16 @@ def test_the_studies_are_of_the_energy_as_printed_from_the_poses_of_sf2(
     tables = tables_of(about, outcome)
     twenty = row(tables["fragment_length"], "20")
     assert twenty["MPJJE [m/s3]"] == methods["as printed, N = 20"]["mpjje"]
-    assert twenty["frames/s"] == pytest.approx(
-        len(ACTING.poses) / methods["as printed, N = 20"]["seconds"]
-    )
+    assert twenty["frames/s"] == pytest.approx(len(ACTING.poses) / methods["as printed, N = 20"]["seconds"])
     one = row(tables["visual_weight"], "1")
     assert one["root-relative [mm]"] == methods["as printed, k_V = 1"]["mpjpe_rr_mm"]
 
 
 def test_the_studies_vary_n_and_k_v_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    problems: list[tuple[int, FragmentSettings]] = []
+    problems: list[tuple[int, CartesianSettings]] = []
 
     class Recorder:
-        def __init__(self, skeleton: Any, frames: int, settings: FragmentSettings) -> None:
+        def __init__(self, skeleton: Any, frames: int, settings: CartesianSettings) -> None:
             problems.append((frames, settings))
 
         def solve(self, start: Any, *about: Any) -> Any:
@@ -782,7 +763,7 @@ def test_the_studies_vary_n_and_k_v_alone(monkeypatch: pytest.MonkeyPatch) -> No
     })  # fmt: skip
     monkeypatch.setattr(total_capture, "FragmentSolver", Recorder)
     rows = total_capture._studies(result, sf2)
-    printed = FragmentSettings.paper()
+    printed = CartesianSettings.paper()
     for N in published.FRAGMENT_LENGTH:
         assert (N, printed) in problems
         assert rows[length_name(N)]["mpjpe_mm"] == 0

@@ -20,12 +20,7 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.camera_checks import UNVERIFIED, check_camera_alone, explained
-from rtof_kin.reconstruction.image_checks import (
-    exchanged_axes,
-    exchanged_sides,
-    mirrored,
-    upside_down,
-)
+from rtof_kin.reconstruction.image_checks import exchanged_axes, exchanged_sides, mirrored, upside_down
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.prepare import shipped_lifter
 from rtof_kin.reconstruction.scale_checks import check_walk
@@ -57,9 +52,7 @@ def focal(factor: float) -> Plant:
 
 
 def turned(k: KeypointSequence) -> KeypointSequence:
-    return replace(
-        k, uv_px=np.stack([k.camera.height_px - k.uv_px[..., 1], k.uv_px[..., 0]], axis=-1)
-    )
+    return replace(k, uv_px=np.stack([k.camera.height_px - k.uv_px[..., 1], k.uv_px[..., 0]], axis=-1))
 
 
 def frozen(k: KeypointSequence) -> KeypointSequence:
@@ -70,9 +63,7 @@ def frozen(k: KeypointSequence) -> KeypointSequence:
 
 def first_cause(recording: Recording) -> str:
     mode = "lift" if recording.imus is None else "sf2"
-    failed = [
-        check for check in reconstruct(recording, mode=mode, calibrate=False).checks if check.failed
-    ]
+    failed = [check for check in reconstruct(recording, mode=mode, calibrate=False).checks if check.failed]
     return failed[0].cause if failed else ""
 
 
@@ -123,14 +114,10 @@ def test_the_picture_alone_names(mistake: str) -> None:
     assert named in first_cause(plant(replace(demo(), imus=None)))
 
 
-def test_a_failed_check_is_a_warning_with_its_cause_and_what_to_do(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_failed_check_is_a_warning_with_its_cause_and_what_to_do(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "rtof_kin"):
         reconstruct(replace(demo(), floor_height=1.0, imus=None), mode="lift")
-    (message,) = [
-        record.getMessage() for record in caplog.records if "floor" in record.getMessage()
-    ]
+    (message,) = [record.getMessage() for record in caplog.records if "floor" in record.getMessage()]
     assert "ankle" in message
     assert "floor is probably wrong" in message
 
@@ -190,8 +177,6 @@ def test_who_walks_towards_a_camera_tells_its_focal_length() -> None:
 
 
 @pytest.mark.parametrize("assumed", [(), ("focal length", "pose")])
-def test_what_is_assumed_of_a_camera_is_kept_in_its_file(
-    tmp_path: Path, assumed: tuple[str, ...]
-) -> None:
+def test_what_is_assumed_of_a_camera_is_kept_in_its_file(tmp_path: Path, assumed: tuple[str, ...]) -> None:
     camera(assumed=lambda _: assumed)(demo()).save(tmp_path / "demo")
     assert Recording.load(tmp_path / "demo").video.camera.assumed == assumed

@@ -34,11 +34,11 @@ from rtof_kin.reconstruction.pipeline import (
     reconstruct,
 )
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import SolverStatus
 from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-from rtof_kin.solve.uncertainty.covariance_inflation import Inflation
+from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
 from rtof_kin.solve.uncertainty.disagreement import disagreement
 
 Array = NDArray[np.float64]
@@ -60,9 +60,7 @@ def recording(truth: MotionSequence) -> Recording:
 
 @pytest.fixture(scope="module")
 def results(truth: MotionSequence, recording: Recording) -> dict[str, Reconstruction]:
-    return {
-        mode: run(recording, truth, mode) for mode in CAMERA_MODES
-    }
+    return {mode: run(recording, truth, mode) for mode in CAMERA_MODES}
 
 
 def run(recording: Recording, truth: MotionSequence, mode: str = "rtof", **how: Any) -> Reconstruction:
@@ -110,7 +108,7 @@ def test_what_is_far_from_its_start_is_stated_as_uncertain(
     told = motion.confidence
     assert told is not None
     apart = disagreement(motion.poses, results[mode].stages[start], told.pairs).relative[:, 1:]
-    added = Inflation.shipped().shares[seen]["relative"] ** 2 * np.trace(apart, axis1=2, axis2=3)
+    added = CovarianceInflation.shipped().shares[seen]["relative"] ** 2 * np.trace(apart, axis1=2, axis2=3)
     stated = np.trace(told.relative_covariance[:, 1:], axis1=2, axis2=3)
     assert (stated > added).all()
 
@@ -207,12 +205,8 @@ def test_ankles_stand_as_high_as_the_calibration_found_them(
     recording: Recording, truth: MotionSequence
 ) -> None:
     """Three centimetres higher is what a floor three centimetres higher would be."""
-    higher = Quantity(
-        "ankle height", "feet", np.array([0.03]), np.array([0.02]), np.array([0.02]), known=0.1
-    )
-    found = run(
-        replace(recording, floor_height=-0.4), truth, calibrate=SelfCalibration((higher,))
-    )
+    higher = Quantity("ankle height", "feet", np.array([0.03]), np.array([0.02]), np.array([0.02]), known=0.1)
+    found = run(replace(recording, floor_height=-0.4), truth, calibrate=SelfCalibration((higher,)))
     other = run(replace(recording, floor_height=-0.37), truth, calibrate=SelfCalibration(()))
     plain = run(replace(recording, floor_height=-0.4), truth, calibrate=SelfCalibration(()))
     energies = [result.solution.energy["floor"] for result in (found, other, plain)]
@@ -291,15 +285,13 @@ def test_the_recordings_own_skeleton_is_used_where_none_is_given(truth: MotionSe
     tall = BODY.with_height(1.9)
     recording = replace(planted.recording(truth), joint_offsets=tall.joint_offsets)
     result = run(recording, truth, "sf2")
-    np.testing.assert_allclose(
-        result.motion.skeleton.joint_offsets, tall.joint_offsets, atol=1e-12
-    )
+    np.testing.assert_allclose(result.motion.skeleton.joint_offsets, tall.joint_offsets, atol=1e-12)
 
 
 def test_settings_reach_the_stages(recording: Recording, truth: MotionSequence) -> None:
     never = InertialGuidedIKSettings(threshold=np.pi)
     careful = ReconstructionSettings(
-        inertial_ik=never, fragment=FragmentSettings(max_iterations=1), frames=8
+        inertial_ik=never, fragment=CartesianSettings(max_iterations=1), frames=8
     )
     result = run(recording, truth, settings=careful)
     assert result.solution is not None
@@ -317,7 +309,7 @@ def test_settings_reach_the_stages(recording: Recording, truth: MotionSequence) 
 def test_the_optimiser_starts_from_sf2_with_sensors_and_from_rigid_poses_without(
     recording: Recording, truth: MotionSequence
 ) -> None:
-    idle = FragmentSettings(max_iterations=0, refit_root=False)
+    idle = CartesianSettings(max_iterations=0, refit_root=False)
     settings_ = ReconstructionSettings(fragment=idle, frames=16)
     start = {
         "rtof": run(recording, truth, "sf2").stages["sf2"],
@@ -326,16 +318,12 @@ def test_the_optimiser_starts_from_sf2_with_sensors_and_from_rigid_poses_without
     for mode, poses in start.items():
         result = run(recording, truth, mode, settings=settings_)
         assert result.solution is not None
-        np.testing.assert_allclose(
-            result.solution.poses.p_world_joint, poses.p_world_joint, atol=1e-9
-        )
+        np.testing.assert_allclose(result.solution.poses.p_world_joint, poses.p_world_joint, atol=1e-9)
     assert np.abs(start["rto"].p_world_joint - start["rtof"].p_world_joint).max() > 0.05
 
 
 @pytest.mark.parametrize("mode", CAMERA_MODES)
-def test_progress_tells_of_every_stage(
-    recording: Recording, truth: MotionSequence, mode: str
-) -> None:
+def test_progress_tells_of_every_stage(recording: Recording, truth: MotionSequence, mode: str) -> None:
     told: list[tuple[str, int, int]] = []
     run(recording, truth, mode, progress=lambda *at: told.append(at))
     assert told[:2] == [("lift", 0, 1), ("lift", 1, 1)]
@@ -374,7 +362,7 @@ def test_the_lifter_is_told_the_sensors_where_the_mode_uses_them(
 ) -> None:
     lifter = planted.PlantedLifter(truth)
     quick = ReconstructionSettings(
-        lift_with_sensors=with_sensors, frames=16, fragment=FragmentSettings(max_iterations=1)
+        lift_with_sensors=with_sensors, frames=16, fragment=CartesianSettings(max_iterations=1)
     )
     result = run(recording, truth, mode, lifter=lifter, settings=quick)
     sensors = lifter.sensors[0]
@@ -390,13 +378,9 @@ def test_the_lifters_orientations_and_uncertainties_are_those_of_its_stage(
     np.testing.assert_allclose(lift.R_world_bone, truth.poses.R_world_bone @ TURN, atol=1e-9)
     assert np.all(lift.sigma_rad == 0.2)
     refined = InertialGuidedIK(BODY).refine(lift, result.bone_imus, lift.R_world_bone)
-    np.testing.assert_allclose(
-        result.stages["sf2"].R_world_bone, refined.R_world_bone, atol=1e-9
-    )
+    np.testing.assert_allclose(result.stages["sf2"].R_world_bone, refined.R_world_bone, atol=1e-9)
     (head,) = BODY.index("Head")  # no sensor and no bone
-    np.testing.assert_allclose(
-        refined.R_world_bone[:, head], lift.R_world_bone[:, head], atol=1e-9
-    )
+    np.testing.assert_allclose(refined.R_world_bone[:, head], lift.R_world_bone[:, head], atol=1e-9)
 
 
 def test_frames_that_were_bridged_are_oriented_by_their_positions(
@@ -405,15 +389,11 @@ def test_frames_that_were_bridged_are_oriented_by_their_positions(
     gap = slice(15, 24)
     blind = replace(recording, keypoints=planted.unseen(recording.keypoints, gap))
     lift = run(blind, truth, "lift", lifter=oriented(truth, blind=gap)).stages["lift"]
-    by_position = kinematics.rotations_from_positions(
-        BODY.parents, BODY.joint_offsets, lift.p_world_joint
-    )
+    by_position = kinematics.rotations_from_positions(BODY.parents, BODY.joint_offsets, lift.p_world_joint)
     np.testing.assert_allclose(lift.R_world_bone[gap], by_position[gap], atol=1e-12)
     assert np.isnan(lift.sigma_rad[gap]).all()
     seen = np.r_[0:15, 24:T]
-    np.testing.assert_allclose(
-        lift.R_world_bone[seen], (truth.poses.R_world_bone @ TURN)[seen], atol=1e-9
-    )
+    np.testing.assert_allclose(lift.R_world_bone[seen], (truth.poses.R_world_bone @ TURN)[seen], atol=1e-9)
     assert np.isfinite(lift.sigma_rad[seen]).all()
     result = run(blind, truth, lifter=oriented(truth, blind=gap))
     assert np.isfinite(result.motion.poses.R_world_bone).all()
@@ -426,24 +406,16 @@ def test_without_orientations_stages_start_from_positions_alone(
     recording: Recording, truth: MotionSequence, mode: str
 ) -> None:
     """As for lifters of old, and of other skeletons: a hand turns with its forearm's sensor."""
-    idle = FragmentSettings(max_iterations=0, refit_root=False)
-    result = run(
-        recording, truth, mode, settings=ReconstructionSettings(fragment=idle, frames=16)
-    )
+    idle = CartesianSettings(max_iterations=0, refit_root=False)
+    result = run(recording, truth, mode, settings=ReconstructionSettings(fragment=idle, frames=16))
     assert np.isnan(result.stages["lift"].sigma_rad).all()
     refined = InertialGuidedIK(BODY).refine(result.stages["lift"], result.bone_imus)
-    np.testing.assert_allclose(
-        result.stages[mode].p_world_joint, refined.p_world_joint, atol=1e-9
-    )
+    np.testing.assert_allclose(result.stages[mode].p_world_joint, refined.p_world_joint, atol=1e-9)
     if mode == "sf2":
-        np.testing.assert_allclose(
-            result.stages[mode].R_world_bone, refined.R_world_bone, atol=1e-9
-        )
+        np.testing.assert_allclose(result.stages[mode].R_world_bone, refined.R_world_bone, atol=1e-9)
 
 
-def test_a_torso_that_the_lifter_knows_well_is_held_to(
-    recording: Recording, truth: MotionSequence
-) -> None:
+def test_a_torso_that_the_lifter_knows_well_is_held_to(recording: Recording, truth: MotionSequence) -> None:
     """The surer it is, the nearer to its (wrong) orientations the pelvis stays."""
     away = []
     for sigma in (0.02, 0.5):
@@ -601,9 +573,7 @@ def test_a_video_with_jitter_and_dropped_frames_is_reconstructed(truth: MotionSe
 # --- what is refused -----------------------------------------------------------------------------
 
 
-def test_an_unknown_mode_is_refused_before_anything_runs(
-    recording: Recording, truth: MotionSequence
-) -> None:
+def test_an_unknown_mode_is_refused_before_anything_runs(recording: Recording, truth: MotionSequence) -> None:
     lifter = planted.PlantedLifter(truth)
     with pytest.raises(UnknownNameError, match=r"unknown mode 'rtoff'\. Did you mean 'rtof'\?"):
         reconstruct(recording, mode="rtoff", lifter=lifter)

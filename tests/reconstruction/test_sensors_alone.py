@@ -20,17 +20,12 @@ from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import Provenance
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
-from rtof_kin.reconstruction.pipeline import (
-    CAMERA_MODES,
-    Reconstruction,
-    ReconstructionSettings,
-    reconstruct,
-)
+from rtof_kin.reconstruction.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettings, reconstruct
 from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings, frame_times
 from rtof_kin.recording.recording import Recording
 from rtof_kin.report.export import export
 from rtof_kin.report.figures import TRUTH, skeletons
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver, SolverStatus
 
 Array = NDArray[np.float64]
@@ -183,9 +178,7 @@ def test_a_sensor_that_pauses_leaves_a_gap_in_what_is_observed(walk: MotionSeque
     broken = replace(recording, imus=replace(recording.imus, R_inertial_sensor=R, f_sensor=f))
     poses = reconstruct(broken, mode="imu", settings=SETTINGS).motion.poses
     (j,) = BODY.index("LeftLeg")
-    np.testing.assert_array_equal(
-        poses.orientation_observed[:, j], np.isfinite(R[:, s, 0, 0])
-    )
+    np.testing.assert_array_equal(poses.orientation_observed[:, j], np.isfinite(R[:, s, 0, 0]))
     assert np.isfinite(poses.p_world_joint).all()
 
 
@@ -205,9 +198,7 @@ def test_scores_do_not_count_where_the_first_frame_is(walk: MotionSequence) -> N
     assert np.abs([line.get_xydata() for line in lines]).max() < 1.0
 
 
-def test_it_is_exported_with_figures_warnings_and_drift(
-    walked: Reconstruction, tmp_path: Path
-) -> None:
+def test_it_is_exported_with_figures_warnings_and_drift(walked: Reconstruction, tmp_path: Path) -> None:
     import json
 
     folder = export(walked, tmp_path / "out")
@@ -248,7 +239,7 @@ def test_a_mode_that_lacks_what_it_needs_says_so(walk: MotionSequence) -> None:
     with pytest.raises(CalibrationError, match="have no calibration"):
         reconstruct(replace(recording, calibration=None), mode="imu")
     with pytest.raises(ShapeError, match="mode imu is solved in joint space"):
-        reconstruct(recording, mode="imu", settings=ReconstructionSettings(fragment=FragmentSettings()))
+        reconstruct(recording, mode="imu", settings=ReconstructionSettings(fragment=CartesianSettings()))
     with pytest.raises(ShapeError, match="rate_hz must be positive"):
         SensorsAloneSettings(rate_hz=0.0)
 

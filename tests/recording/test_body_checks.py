@@ -62,9 +62,7 @@ def test_a_bone_that_is_never_seen_cannot_be_told() -> None:
     assert check.advice == "it is seen in 1 frames"
 
 
-@pytest.mark.parametrize(
-    "unit, metres", [("mm", 1000.0), ("cm", 100.0), ("inches", 1 / 0.0254)]
-)
+@pytest.mark.parametrize("unit, metres", [("mm", 1000.0), ("cm", 100.0), ("inches", 1 / 0.0254)])
 def test_lengths_in_another_unit_are_no_person_and_the_unit_is_named(unit: str, metres: float) -> None:
     assert bodies.check_size(walking()).passed
     check = bodies.check_size(metres * walking())

@@ -200,9 +200,7 @@ def test_imus_without_calibration_and_calibration_without_imus_come_back(tmp_pat
 def test_a_human36m_recording_comes_back_with_its_17_joints(tmp_path: Path) -> None:
     skeleton = SkeletonModel.human36m()
     moving = planted.moving(skeleton, T)
-    recording = Recording(
-        "h", planted.keypoints(moving.poses), skeleton_table="human36m", truth=moving.poses
-    )
+    recording = Recording("h", planted.keypoints(moving.poses), skeleton_table="human36m", truth=moving.poses)
     recording.save(tmp_path / "take")
     loaded = Recording.load(tmp_path / "take")
     assert_same(loaded, recording)
@@ -319,10 +317,7 @@ def test_csv_files_give_the_same_recording_as_arrays(tmp_path: Path) -> None:
     wanted = Recording.load(write(tmp_path, keypoints=arrays))
     columns = {"time": np.arange(T) / 60}
     for j, name in enumerate(SKELETON.names):
-        columns |= {
-            f"{name}_u_px": arrays["uv_px"][:, j, 0],
-            f"{name}_v_px": arrays["uv_px"][:, j, 1],
-        }
+        columns |= {f"{name}_u_px": arrays["uv_px"][:, j, 0], f"{name}_v_px": arrays["uv_px"][:, j, 1]}
         columns[f"{name}_confidence"] = arrays["confidence"][:, j]
     (tmp_path / "keypoints.csv").write_text(csv_text(columns))
     columns = {}
@@ -404,9 +399,7 @@ def test_imus_on_another_clock_are_refused() -> None:
     recording = full_recording()
     assert recording.imus is not None
     late = replace(recording.imus, times=recording.imus.times + 1.7e9)
-    with pytest.raises(
-        ShapeError, match=r"IMU times run from 1\.7e\+09 .* shift them to one clock"
-    ):
+    with pytest.raises(ShapeError, match=r"IMU times run from 1\.7e\+09 .* shift them to one clock"):
         replace(recording, imus=late)
 
 
@@ -496,9 +489,7 @@ def test_a_wrong_line_is_answered_with_file_field_and_remedy(
 def test_an_unknown_landmark_is_answered_with_the_nearest_one(tmp_path: Path) -> None:
     names = [*SKELETON.names[:-1], "LeftFot"]
     write(tmp_path, 'layout = "joints"', f"landmarks = {names}")
-    with pytest.raises(
-        UnknownNameError, match=r"\[keypoints\] landmarks 'LeftFot'\. Did .*'LeftFoot'"
-    ):
+    with pytest.raises(UnknownNameError, match=r"\[keypoints\] landmarks 'LeftFot'\. Did .*'LeftFoot'"):
         Recording.load(tmp_path)
 
 
@@ -564,9 +555,7 @@ def test_wrong_keypoint_arrays_are_answered_with_file_and_field(
         (np.ones((T, 2)), "keypoint times: expected shape"),
     ],
 )
-def test_wrong_times_are_answered_with_the_sample(
-    tmp_path: Path, times: np.ndarray, message: str
-) -> None:
+def test_wrong_times_are_answered_with_the_sample(tmp_path: Path, times: np.ndarray, message: str) -> None:
     write(tmp_path, "rate_hz = 60.0\n", keypoints={**keypoint_arrays(), "times": times})
     with pytest.raises(FileFormatError, match=rf"keypoints\.npz: .*{message}"):
         Recording.load(tmp_path)
@@ -670,10 +659,7 @@ def test_a_flipped_byte_in_an_archive_is_said_to_be_damaged(tmp_path: Path) -> N
         (b"time,Hips_u_px\n0,1\n", "damaged, or no NPZ archive"),
         (npz_bytes(uv_px=b"hello"), "uv_px: not a NumPy array"),
         (npz_bytes(uv_px=npy_bytes(UV)[:-8]), "uv_px: damaged, 4024 of 4032"),
-        (
-            npz_bytes(uv_px=npy_bytes(UV).replace(b"(12, 21, 2)", b"(92, 21, 2)")),
-            "needs 30912 bytes",
-        ),
+        (npz_bytes(uv_px=npy_bytes(UV).replace(b"(12, 21, 2)", b"(92, 21, 2)")), "needs 30912 bytes"),
         (npz_bytes(uv_px=npy_bytes(UV) + bytes(8)), "uv_px: damaged, 4040 of 4032"),
         (npz_bytes(uv_px=npy_bytes(np.array(["a", "b"]))), "uv_px: holds <U1, not numbers"),
     ],
@@ -709,9 +695,7 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> Non
         ("time,Hips_u_px,Hips_v_px\n", "times: empty"),
     ],
 )
-def test_a_wrong_csv_file_is_answered_with_line_and_column(
-    tmp_path: Path, text: str, message: str
-) -> None:
+def test_a_wrong_csv_file_is_answered_with_line_and_column(tmp_path: Path, text: str, message: str) -> None:
     write(tmp_path, 'file = "keypoints.npz"\nrate_hz = 60.0', 'file = "keypoints.csv"')
     (tmp_path / "keypoints.csv").write_text(text)
     toml = (tmp_path / INDEX).read_text().replace('layout = "joints"\n', "")

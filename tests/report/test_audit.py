@@ -19,11 +19,7 @@ from rtof_kin.reconstruction.pipeline import Reconstruction, ReconstructionSetti
 from rtof_kin.report.audit import audit
 from rtof_kin.report.audit_results import Finding, Grade, SectionVerdict, section_verdict
 from rtof_kin.report.headline import headline
-from rtof_kin.report.residuals import (
-    acceleration_residuals,
-    orientation_residuals,
-    reprojection_errors,
-)
+from rtof_kin.report.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
 from rtof_kin.solve.solution import SolverStatus
 
 BODY = SkeletonModel.default()
@@ -36,9 +32,7 @@ def good() -> Reconstruction:
     truth = planted.moving(BODY, T)
     recording = replace(planted.recording(truth), joint_offsets=BODY.joint_offsets)
     settings = ReconstructionSettings(frames=16)
-    result = reconstruct(
-        recording, lifter=planted.PlantedLifter(truth), settings=settings, calibrate=False
-    )
+    result = reconstruct(recording, lifter=planted.PlantedLifter(truth), settings=settings, calibrate=False)
     motion = replace(result.motion, poses=replace(
         result.motion.poses, p_world_joint=truth.poses.p_world_joint,
         R_world_bone=truth.poses.R_world_bone,
@@ -48,9 +42,7 @@ def good() -> Reconstruction:
 
 def of(result: Reconstruction, section: str, subject: str, name: str = "") -> Finding:
     """The one finding about something."""
-    (found,) = [
-        f for f in audit(result) if (f.section, f.subject) == (section, subject) and name in f.name
-    ]
+    (found,) = [f for f in audit(result) if (f.section, f.subject) == (section, subject) and name in f.name]
     return found
 
 
@@ -80,12 +72,8 @@ def test_a_landmark_that_is_off_fails_and_the_others_do_not(good: Reconstruction
     assert of(off, "image", "all landmarks").value < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("axis", "name"), [("x", "across the bone"), ("z", "about the bone")]
-)
-def test_a_turned_sensor_shows_across_or_about_its_bone(
-    good: Reconstruction, axis: str, name: str
-) -> None:
+@pytest.mark.parametrize(("axis", "name"), [("x", "across the bone"), ("z", "about the bone")])
+def test_a_turned_sensor_shows_across_or_about_its_bone(good: Reconstruction, axis: str, name: str) -> None:
     imus = good.bone_imus
     assert imus is not None
     R = imus.R_world_bone.copy()

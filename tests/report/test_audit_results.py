@@ -23,13 +23,7 @@ def finding(value: float, section: str = "image", **more: object) -> Finding:
 
 @pytest.mark.parametrize(
     ("value", "grade"),
-    [
-        (2.0, Grade.PASS),
-        (2.1, Grade.WARN),
-        (5.0, Grade.WARN),
-        (5.1, Grade.FAIL),
-        (math.nan, Grade.UNTOLD),
-    ],
+    [(2.0, Grade.PASS), (2.1, Grade.WARN), (5.0, Grade.WARN), (5.1, Grade.FAIL), (math.nan, Grade.UNTOLD)],
 )
 def test_a_figure_is_graded_by_its_limits(value: float, grade: Grade) -> None:
     assert finding(value).grade is grade
@@ -62,9 +56,7 @@ def test_unknown_sections_and_limits_the_wrong_way_round_are_refused() -> None:
 
 
 @given(NUMBERS, LIMITS, LIMITS, NUMBERS, st.booleans())
-def test_plain_data_come_back_through_json(
-    value: float, a: float, b: float, at: float, weak: bool
-) -> None:
+def test_plain_data_come_back_through_json(value: float, a: float, b: float, at: float, weak: bool) -> None:
     limits = min(a, b), max(a, b)
     made = Finding("image", "error", "<Head>", value, "px", *limits, "source", "note", at, weak)
     plain = json.loads(json.dumps(made.plain(), allow_nan=False))

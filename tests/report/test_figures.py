@@ -103,9 +103,7 @@ def test_without_truth_there_is_no_error_to_draw(untrue: Reconstruction, tmp_pat
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in paths}
 
 
-def test_the_estimate_is_red_and_the_truth_green(
-    result: Reconstruction, untrue: Reconstruction
-) -> None:
+def test_the_estimate_is_red_and_the_truth_green(result: Reconstruction, untrue: Reconstruction) -> None:
     for draw in (figures.skeletons, figures.joint_angles):
         assert colors(draw(result)) == {figures.ESTIMATE, figures.TRUTH}
         assert colors(draw(untrue)) == {figures.ESTIMATE}
@@ -130,9 +128,7 @@ def test_one_frame_is_enough_for_a_picture(result: Reconstruction) -> None:
     assert len(figures.joint_angles(single).axes) == 4
 
 
-def test_a_camera_that_looks_straight_down_still_shows_the_skeleton(
-    result: Reconstruction,
-) -> None:
+def test_a_camera_that_looks_straight_down_still_shows_the_skeleton(result: Reconstruction) -> None:
     down = Camera(
         K=result.recording.keypoints.camera.K,
         R_camera_world=np.diag([1.0, -1.0, -1.0]),
@@ -140,9 +136,7 @@ def test_a_camera_that_looks_straight_down_still_shows_the_skeleton(
         width_px=1920,
         height_px=1080,
     )
-    recording = replace(
-        result.recording, keypoints=replace(result.recording.keypoints, camera=down)
-    )
+    recording = replace(result.recording, keypoints=replace(result.recording.keypoints, camera=down))
     figure = figures.skeletons(replace(result, recording=recording), instants=1)
     assert has_color(pixels(figure), figures.ESTIMATE)
 
@@ -178,9 +172,7 @@ def test_the_joint_angles_are_knees_and_elbows_in_degrees(result: Reconstruction
     columns = [j for j in range(21) if np.isfinite(expected[:, j]).all()]
     np.testing.assert_allclose(np.array(drawn), expected[:, columns].T)
     assert result.recording.truth is not None
-    error = np.abs(
-        flexion(result.recording.truth.p_world_joint, BODY) - np.radians(expected)
-    )[:, columns[0]]
+    error = np.abs(flexion(result.recording.truth.p_world_joint, BODY) - np.radians(expected))[:, columns[0]]
     assert f"(error {np.degrees(error).mean():.1f} deg)" in figure.axes[0].get_title()
 
 

@@ -210,9 +210,7 @@ def test_a_folder_without_an_audit_says_so(tmp_path: Path) -> None:
         ({"audit": {}}, "audit: no list"),
     ],
 )
-def test_a_summary_that_is_none_is_refused(
-    tmp_path: Path, change: dict[str, Any], message: str
-) -> None:
+def test_a_summary_that_is_none_is_refused(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     folder = folder_of(walk(), tmp_path / "out", **change)
     with pytest.raises(FileFormatError, match=re.escape(message)):
         report(folder)
@@ -308,9 +306,7 @@ def test_sides_are_told_from_names() -> None:
 
 @pytest.mark.skipif(BROWSER is None, reason="no headless browser here")
 @pytest.mark.parametrize("case", ["walk", "single frame", "nothing known"])
-def test_a_browser_draws_everything_without_an_error(
-    case: str, html: str, tmp_path: Path
-) -> None:
+def test_a_browser_draws_everything_without_an_error(case: str, html: str, tmp_path: Path) -> None:
     if case != "walk":
         motion: MotionSequence = walk()[:1] if case == "single frame" else walk()[:20]
         if case == "nothing known":

@@ -205,8 +205,7 @@ def test_a_side_that_is_never_within_the_tolerance_is_named(study: SensorStudy) 
     path = tuple(replace(found, error=error) for found in study.path)
     off = replace(study, has_truth=True, full=path[0], path=path)
     assert sentences(off)[1] == (
-        "knee: flexion on the right is not within it even with all 3 (11.5 deg), on the left needs no "
-        "sensor."
+        "knee: flexion on the right is not within it even with all 3 (11.5 deg), on the left needs no sensor."
     )
 
 

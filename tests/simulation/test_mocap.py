@@ -71,16 +71,12 @@ def planted(tmp_path):
         ("root", [0, 0, 0, 0, 0, 10], "Hips", "x", 10),
     ],
 )
-def test_a_planted_angle_arrives_about_the_axis_of_its_joint(
-    planted, bone, angles, joint, axis, degrees
-):
+def test_a_planted_angle_arrives_about_the_axis_of_its_joint(planted, bone, angles, joint, axis, degrees):
     R = local(planted(**{bone: angles}))[0, index(joint)]
     np.testing.assert_allclose(R, so3.about_axis(axis, np.radians(degrees)), atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("bone", "joint", "spread"), [("lfemur", "Left", 20), ("rfemur", "Right", -20)]
-)
+@pytest.mark.parametrize(("bone", "joint", "spread"), [("lfemur", "Left", 20), ("rfemur", "Right", -20)])
 def test_the_legs_that_cmu_spreads_at_rest_are_spread_here_too(planted, bone, joint, spread):
     R = local(planted(**{bone: [-40, 0, 0]}))[0, index(joint + "UpLeg")]
     expected = so3.euler_to_matrix("xyz", np.radians([spread, -40, 0]))
@@ -141,9 +137,7 @@ def test_positions_are_exactly_rigid_and_limbs_lie_on_their_axes(path):
     np.testing.assert_allclose(p, poses.p_world_joint, atol=1e-9)
     for side, sign in (("Left", 1), ("Right", -1)):
         for joint in ("Leg", "Foot"):
-            np.testing.assert_allclose(
-                so3.unit(offsets[index(side + joint)]), [0, 0, -1], atol=1e-9
-            )
+            np.testing.assert_allclose(so3.unit(offsets[index(side + joint)]), [0, 0, -1], atol=1e-9)
         for joint in ("ForeArm", "Hand"):
             outward = so3.unit(offsets[index(side + joint)])
             np.testing.assert_allclose(outward, [0, sign, 0], atol=1e-9)
@@ -241,9 +235,7 @@ def test_other_ratios_interpolate_between_the_frames_and_stay_rigid():
     np.testing.assert_allclose(p, clip.poses.p_world_joint, atol=1e-9)
     between = R[1, index("LeftLeg")] @ R[0, index("LeftLeg")].T
     whole = source.poses.R_world_bone[1] @ np.swapaxes(source.poses.R_world_bone[0], -1, -2)
-    share = so3.angle_between(between, np.eye(3)) / so3.angle_between(
-        whole[index("LeftLeg")], np.eye(3)
-    )
+    share = so3.angle_between(between, np.eye(3)) / so3.angle_between(whole[index("LeftLeg")], np.eye(3))
     assert share == pytest.approx(0.4, abs=0.05)
 
 
@@ -275,9 +267,7 @@ def test_a_characters_name_before_the_joints_does_not_matter(before, tmp_path):
     text = WALK.read_text()
     path.write_text(text.replace("ROOT ", f"ROOT {before}").replace("JOINT ", f"JOINT {before}"))
     same = mocap.read_mocap(WALK)
-    np.testing.assert_array_equal(
-        mocap.read_mocap(path).poses.p_world_joint, same.poses.p_world_joint
-    )
+    np.testing.assert_array_equal(mocap.read_mocap(path).poses.p_world_joint, same.poses.p_world_joint)
 
 
 def test_another_vendors_names_are_read_by_a_map_to_a_familys(tmp_path):
@@ -286,9 +276,7 @@ def test_another_vendors_names_are_read_by_a_map_to_a_familys(tmp_path):
     with pytest.raises(FileFormatError, match=r"unknown skeleton.*names of one of them \(names=...\)"):
         mocap.read_mocap(path)
     clip = mocap.read_mocap(path, names={"thigh.L": "LeftUpLeg"})
-    np.testing.assert_array_equal(
-        clip.poses.p_world_joint, mocap.read_mocap(WALK).poses.p_world_joint
-    )
+    np.testing.assert_array_equal(clip.poses.p_world_joint, mocap.read_mocap(WALK).poses.p_world_joint)
     with pytest.raises(UnknownNameError, match="unknown joint 'thigh.R'"):
         mocap.read_mocap(path, names={"thigh.R": "RightUpLeg"})
 
@@ -323,11 +311,7 @@ def corpus(tmp_path):
 def test_a_corpus_tells_subject_category_and_quality_of_each_clip(corpus):
     walk, flip = mocap.read_corpus(corpus, min_seconds=0)
     assert (walk.name, walk.subject, walk.category) == ("walk", "CMU002", "walking")
-    assert (flip.subject, flip.category, flip.quality) == (
-        "unknown",
-        "freestyle",
-        "GLITCH, perhaps",
-    )
+    assert (flip.subject, flip.category, flip.quality) == ("unknown", "freestyle", "GLITCH, perhaps")
     assert [clip.name for clip in mocap.read_corpus(corpus, {"CMU002"})] == ["walk"]
 
 

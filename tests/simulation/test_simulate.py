@@ -37,10 +37,7 @@ ALL_SENSORS = tuple(SKELETON.sensors)
 
 
 def simulated(
-    settings: SimulationSettings,
-    poses: PoseSequence = POSES,
-    camera: Camera = CAMERA,
-    seed: int = 1,
+    settings: SimulationSettings, poses: PoseSequence = POSES, camera: Camera = CAMERA, seed: int = 1
 ) -> Recording:
     return simulate(poses, SKELETON.joint_offsets, camera=camera, settings=settings, seed=seed)
 
@@ -49,9 +46,7 @@ def sensor_accelerations(poses: PoseSequence, sensors: tuple[str, ...]) -> Array
     """Central second differences (T - 2, S, 3) of the sensors' positions."""
     joints = SKELETON.index(*(SKELETON.sensors[name][0] for name in sensors))
     levers = np.array([SKELETON.sensors[name][1] for name in sensors])
-    p = poses.p_world_joint[:, joints] + np.einsum(
-        "tsij,sj->tsi", poses.R_world_bone[:, joints], levers
-    )
+    p = poses.p_world_joint[:, joints] + np.einsum("tsij,sj->tsi", poses.R_world_bone[:, joints], levers)
     return np.asarray((p[2:] - 2 * p[1:-1] + p[:-2]) * poses.rate_hz**2)
 
 
@@ -73,9 +68,7 @@ def test_a_sensor_at_rest_reads_one_gravity_upwards_whatever_its_mounting() -> N
     assert imus is not None
     assert calibration is not None
     f_inertial = np.einsum("tsij,tsj->tsi", imus.R_inertial_sensor, imus.f_sensor)
-    np.testing.assert_allclose(
-        f_inertial, np.broadcast_to([0, 0, 9.81], f_inertial.shape), atol=1e-9
-    )
+    np.testing.assert_allclose(f_inertial, np.broadcast_to([0, 0, 9.81], f_inertial.shape), atol=1e-9)
     assert np.ptp(imus.f_sensor[0], axis=0).max() > 1, "every sensor is mounted in another way"
     headings = so3.heading(calibration.R_world_inertial)
     assert len(np.unique(headings.round(3))) == len(LIMB_SENSORS)
@@ -224,9 +217,7 @@ def test_without_sensors_there_are_no_imus() -> None:
 def test_a_simulated_recording_comes_back_from_its_folder(tmp_path: Path) -> None:
     recording = simulated(SimulationSettings.realistic())
     recording.save(tmp_path / "take")
-    np.testing.assert_array_equal(
-        everything(Recording.load(tmp_path / "take")), everything(recording)
-    )
+    np.testing.assert_array_equal(everything(Recording.load(tmp_path / "take")), everything(recording))
 
 
 # --- noise of the keypoints ----------------------------------------------------------------------
@@ -376,9 +367,7 @@ def test_the_slip_drifts_over_tens_of_seconds() -> None:
     ])[..., 2]  # fmt: skip
 
     def correlation(seconds: int) -> float:
-        return float(
-            (twist[:, 10 * seconds :] * twist[:, : -10 * seconds]).mean() / (twist**2).mean()
-        )
+        return float((twist[:, 10 * seconds :] * twist[:, : -10 * seconds]).mean() / (twist**2).mean())
 
     assert correlation(2) > 0.85
     assert 0.2 < correlation(20) < 0.55
@@ -391,9 +380,7 @@ def test_smooth_noise_has_unit_variance_whatever_its_smoothing() -> None:
 
 
 def test_slip_turns_the_sensor_about_the_bone_and_leaves_the_acceleration_true() -> None:
-    imu = replace(
-        FIXED_IMU, misalignment_deg=0, white=0, white_per_acceleration=0, coloured=0, bias=0
-    )
+    imu = replace(FIXED_IMU, misalignment_deg=0, white=0, white_per_acceleration=0, coloured=0, bias=0)
     settings = replace(NOISELESS, imu=imu, sensors=("R_LowArm",))
     along = []
     for seed in range(8):
@@ -421,8 +408,7 @@ def test_the_wobble_follows_the_motion_and_is_small_in_somebody_at_rest() -> Non
     R = local_motion(0.5)
     again = R[np.argsort(np.random.default_rng(0).random(len(R)))]
     first, second = (
-        noises.mounting_errors(np.random.default_rng(0), SLOW, "LeftLeg", axis, M, noise)
-        for M in (R, again)
+        noises.mounting_errors(np.random.default_rng(0), SLOW, "LeftLeg", axis, M, noise) for M in (R, again)
     )
     assert not np.allclose(first, second)
 
@@ -478,9 +464,7 @@ def test_the_standard_cameras_stand_around_the_motion_and_see_it(seed: int) -> N
         uv = camera.project(POSES.p_world_joint)
         assert ((uv >= 0) & (uv <= [1920, 1080])).all(axis=-1).mean() >= 0.9
     assert np.array_equal(cameras[2].K, standard_cameras(POSES, seed)[2].K)
-    np.testing.assert_array_equal(
-        cameras[2].center_world, standard_cameras(POSES, seed)[2].center_world
-    )
+    np.testing.assert_array_equal(cameras[2].center_world, standard_cameras(POSES, seed)[2].center_world)
 
 
 def test_a_camera_steps_back_from_somebody_who_crosses_the_room() -> None:
@@ -548,9 +532,7 @@ def test_a_camera_that_does_not_exist_is_refused() -> None:
 
 
 def test_unknown_sensors_and_landmarks_are_named() -> None:
-    with pytest.raises(
-        UnknownNameError, match=r"unknown sensor 'L_LowArn'\. Did you mean 'L_LowArm'"
-    ):
+    with pytest.raises(UnknownNameError, match=r"unknown sensor 'L_LowArn'\. Did you mean 'L_LowArm'"):
         simulated(replace(NOISELESS, sensors=("L_LowArn",)))
     with pytest.raises(UnknownNameError, match=r"unknown landmark 'Noze'\. Did you mean 'Nose'"):
         simulated(replace(NOISELESS, landmarks=("Noze",)))

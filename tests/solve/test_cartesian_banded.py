@@ -24,13 +24,8 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.solve.cartesian.banded import BandedProblem
 from rtof_kin.solve.cartesian.problem import TERMS, FragmentProblem, rigid_pairs
-from rtof_kin.solve.cartesian.settings import FragmentSettings
-from rtof_kin.solve.fragment_solver import (
-    FragmentReport,
-    FragmentSolution,
-    FragmentSolver,
-    SolverStatus,
-)
+from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve.fragment_solver import FragmentReport, FragmentSolution, FragmentSolver, SolverStatus
 from rtof_kin.solve.inertial_ik import InertialGuidedIK
 
 Array = NDArray[np.float64]
@@ -41,11 +36,11 @@ TREE = (-1, 0, 1, 1, 3, 0, 5)
 """A small body: two siblings on the root, two on joint 1."""
 J = len(TREE)
 BONES = ((1, 2), (1, 3), (5, 6))
-PRINTED = FragmentSettings.paper()
-GIVEN = FragmentSettings(sigma_reprojection=8.0, refit_root=False, max_iterations=200)
+PRINTED = CartesianSettings.paper()
+GIVEN = CartesianSettings(sigma_reprojection=8.0, refit_root=False, max_iterations=200)
 """One solver call a fragment, from the start as it is given."""
 COMBINATIONS = {
-    f"{jerk} jerk, prior on {prior}, {lengths} lengths, {huber or 'no'} huber": FragmentSettings(
+    f"{jerk} jerk, prior on {prior}, {lengths} lengths, {huber or 'no'} huber": CartesianSettings(
         jerk_target=jerk, prior=prior, bone_lengths=lengths, huber_reprojection=huber
     )
     for jerk, prior, lengths, huber in product(
@@ -58,9 +53,7 @@ COMBINATIONS = {
 
 
 @cache
-def problem_of(
-    set_: FragmentSettings, bones: tuple[tuple[int, int], ...] = BONES
-) -> FragmentProblem:
+def problem_of(set_: CartesianSettings, bones: tuple[tuple[int, int], ...] = BONES) -> FragmentProblem:
     return FragmentProblem(TREE, N, bones, set_)
 
 
@@ -107,9 +100,7 @@ def fragment(problem: FragmentProblem, seed: int = 0) -> tuple[Array, dict[str, 
     }
 
 
-def bound(
-    problem: FragmentProblem, values: dict[str, Array], compile: str = "never"
-) -> BandedProblem:
+def bound(problem: FragmentProblem, values: dict[str, Array], compile: str = "never") -> BandedProblem:
     banded = BandedProblem(problem, compile)
     banded.bind(values, problem.pack(values))
     return banded
@@ -160,7 +151,7 @@ def test_also_without_any_sensor(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["w_visual", "w_acceleration", "w_bone", "w_smooth", "w_length"])
 def test_also_where_a_whole_term_was_not_observed(name: str) -> None:
-    problem = problem_of(FragmentSettings())
+    problem = problem_of(CartesianSettings())
     x, values = fragment(problem)
     check_numbers(problem, x, values | {name: np.zeros_like(values[name])})
 
@@ -168,13 +159,13 @@ def test_also_where_a_whole_term_was_not_observed(name: str) -> None:
 @pytest.mark.parametrize("term", range(len(TERMS)))
 def test_also_with_a_weight_of_zero(term: int) -> None:
     # One problem serves all weights k: they come with the data, not with the settings.
-    problem = problem_of(FragmentSettings())
+    problem = problem_of(CartesianSettings())
     x, values = fragment(problem)
     check_numbers(problem, x, values | {"k": values["k"] * (np.arange(len(TERMS)) != term)})
 
 
 def test_the_numbers_are_those_of_the_fragment_bound_last() -> None:
-    problem = problem_of(FragmentSettings())
+    problem = problem_of(CartesianSettings())
     (x, one), (_, two) = fragment(problem, 0), fragment(problem, 1)
     banded = bound(problem, one)
     unknowns = banded.ordered(x)
@@ -190,7 +181,7 @@ def test_the_numbers_are_those_of_the_fragment_bound_last() -> None:
 
 
 def test_two_problems_of_the_same_programme_do_not_disturb_each_other() -> None:
-    problem = problem_of(FragmentSettings())
+    problem = problem_of(CartesianSettings())
     (x, one), (y, two) = fragment(problem, 0), fragment(problem, 1)
     a, b = bound(problem, one), BandedProblem(problem, "never")
     a.linearise(a.ordered(x))
@@ -202,7 +193,7 @@ def test_two_problems_of_the_same_programme_do_not_disturb_each_other() -> None:
 
 
 def test_at_one_point_nothing_is_remembered_of_another() -> None:
-    problem = problem_of(FragmentSettings())
+    problem = problem_of(CartesianSettings())
     x, values = fragment(problem)
     banded = bound(problem, values)
     one = banded.ordered(x)
@@ -220,9 +211,9 @@ def test_at_one_point_nothing_is_remembered_of_another() -> None:
     np.testing.assert_array_equal(dense(banded), kept)
 
 
-@pytest.mark.parametrize("set_", [PRINTED, FragmentSettings()], ids=["printed", "default"])
+@pytest.mark.parametrize("set_", [PRINTED, CartesianSettings()], ids=["printed", "default"])
 @pytest.mark.parametrize("damping", [1e-3, 1e3])
-def test_a_factor_solves_the_damped_hessian(set_: FragmentSettings, damping: float) -> None:
+def test_a_factor_solves_the_damped_hessian(set_: CartesianSettings, damping: float) -> None:
     problem = problem_of(set_)
     x, values = fragment(problem)
     banded = bound(problem, values)
@@ -272,10 +263,8 @@ def bones_of(skeleton: SkeletonModel, joints: tuple[str, ...]) -> tuple[tuple[in
     )
 
 
-def body_problem(joints: tuple[str, ...], set_: FragmentSettings, frames: int = N) -> BandedProblem:
-    return BandedProblem(
-        FragmentProblem(BODY.parents, frames, bones_of(BODY, joints), set_), "never"
-    )
+def body_problem(joints: tuple[str, ...], set_: CartesianSettings, frames: int = N) -> BandedProblem:
+    return BandedProblem(FragmentProblem(BODY.parents, frames, bones_of(BODY, joints), set_), "never")
 
 
 @pytest.mark.parametrize("joints, change, frames, group", [
@@ -345,7 +334,7 @@ def cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_compiled_elements_give_the_interpreted_numbers(cache_folder: Path) -> None:
     # Several at once: their functions have the same names.
-    settings_ = [FragmentSettings(), FragmentSettings(huber_reprojection=1.0), PRINTED]
+    settings_ = [CartesianSettings(), CartesianSettings(huber_reprojection=1.0), PRINTED]
     machine = []
     for set_ in settings_:
         x, values = fragment(problem_of(set_))
@@ -370,7 +359,7 @@ def test_compiled_elements_give_the_interpreted_numbers(cache_folder: Path) -> N
 
 
 def test_never_compiles_nothing(cache_folder: Path) -> None:
-    BandedProblem(problem_of(FragmentSettings()), "never")
+    BandedProblem(problem_of(CartesianSettings()), "never")
     assert not cache_folder.exists()
 
 
@@ -393,7 +382,7 @@ def test_a_whole_recording_is_the_same_compiled_and_interpreted(
 class Inspected(FragmentSolver):
     """A solver that keeps the answer of each fragment before they are blended, and what it is of."""
 
-    def __init__(self, backend: str, set_: FragmentSettings = GIVEN, **given: Any) -> None:
+    def __init__(self, backend: str, set_: CartesianSettings = GIVEN, **given: Any) -> None:
         arguments = {"skeleton": SMALL, "sensor_joints": SMALL_SENSORS, **given}
         super().__init__(frames=N, settings=replace(set_, backend=backend), **arguments)
         self.answers: list[Array] = []
@@ -511,7 +500,7 @@ def test_also_with_an_estimated_sigma() -> None:
         assert off < 2e-4
         return 2.01 * off * a.energy["visual"]
 
-    estimated = FragmentSettings(max_iterations=200)
+    estimated = CartesianSettings(max_iterations=200)
     solvers = [Inspected(backend, estimated) for backend in ("ipopt", "realtime")]
     for seed in range(2):
         check_agreement(solvers, Scene(seed), {}, slack)
@@ -598,9 +587,7 @@ def test_the_iteration_limit_is_kept_and_said(most: int) -> None:
 
 def test_a_looser_tolerance_ends_earlier() -> None:
     scene = Scene(0)
-    tight, loose = (
-        scene.solve(Inspected("realtime", replace(GIVEN, tolerance=t))) for t in (1e-6, 1.0)
-    )
+    tight, loose = (scene.solve(Inspected("realtime", replace(GIVEN, tolerance=t))) for t in (1e-6, 1.0))
     assert tight.status is loose.status is SolverStatus.CONVERGED
     assert loose.iterations < tight.iterations
     assert tight.optimality < loose.optimality
@@ -619,7 +606,7 @@ def acceleration_of(scene: Scene, a: float) -> BoneImuSequence:
     return replace(scene.imus, a_world=measured)
 
 
-def check_failed(scene: Scene, change: dict[str, Any], set_: FragmentSettings = GIVEN) -> None:
+def check_failed(scene: Scene, change: dict[str, Any], set_: CartesianSettings = GIVEN) -> None:
     """Frame 10 of 12 is hopeless: two fragments say so and give back their start."""
     solver = Inspected("realtime", set_)
     solution = scene.solve(solver, **change)

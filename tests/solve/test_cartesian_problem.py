@@ -16,7 +16,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.solve.cartesian.problem import TERMS, FragmentProblem, fragment_problem, rigid_pairs
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 
 Array = NDArray[np.float64]
 SKELETON = SkeletonModel.human36m()
@@ -27,15 +27,15 @@ BONES = tuple(
 )
 RATE, SIGMA_PX = 60.0, 7.0
 SETTINGS = {
-    "default": FragmentSettings(),
-    "plain squares, no visual": FragmentSettings(k_V=0.0, huber_reprojection=None),
-    "printed": FragmentSettings.paper(),
-    "constraint": FragmentSettings(bone_lengths="constraint"),
-    "prior on positions": FragmentSettings(prior="positions"),
+    "default": CartesianSettings(),
+    "plain squares, no visual": CartesianSettings(k_V=0.0, huber_reprojection=None),
+    "printed": CartesianSettings.paper(),
+    "constraint": CartesianSettings(bone_lengths="constraint"),
+    "prior on positions": CartesianSettings(prior="positions"),
 }
 
 
-def problem_of(settings: FragmentSettings) -> FragmentProblem:
+def problem_of(settings: CartesianSettings) -> FragmentProblem:
     return fragment_problem(SKELETON.parents, N, BONES, settings)
 
 
@@ -171,7 +171,7 @@ def test_the_hessian_is_exact_where_the_residuals_are_linear() -> None:
 
 
 def test_the_visual_hessian_is_exact_where_the_residual_vanishes_and_never_indefinite() -> None:
-    problem = problem_of(FragmentSettings(k_I=0.0, bone_lengths="free"))
+    problem = problem_of(CartesianSettings(k_I=0.0, bone_lengths="free"))
     X, values = fragment(problem, seed=3)
     p = problem.pack(values)
     assert np.linalg.eigvalsh(hessian(problem, flat(X), p)).min() > 0
@@ -201,9 +201,7 @@ def test_constraints_are_squared_distances_and_enter_hessian_and_lagrangian() ->
     def work(x: Array) -> Array:
         return np.asarray(lam @ np.array(problem.constraints(x, p)).ravel())
 
-    np.testing.assert_allclose(
-        force(flat(X)), central_differences(work, flat(X), 1e-5), rtol=1e-6, atol=1e-4
-    )
+    np.testing.assert_allclose(force(flat(X)), central_differences(work, flat(X), 1e-5), rtol=1e-6, atol=1e-4)
     added = hessian(problem, flat(X), p, lam) - hessian(problem, flat(X), p, 0 * lam)
     peer = central_differences(force, flat(X), 1e-4)
     np.testing.assert_allclose(added, peer, atol=1e-5 * np.abs(peer).max())
@@ -228,24 +226,22 @@ def test_a_weight_scales_its_own_term_alone(term: str) -> None:
 
 
 def test_a_problem_without_sensors_has_no_inertial_terms() -> None:
-    problem = fragment_problem(SKELETON.parents, N, (), FragmentSettings())
+    problem = fragment_problem(SKELETON.parents, N, (), CartesianSettings())
     assert problem.parameters["a_world"].shape == (0, N - 2)
     X, values = fragment(problem)
     values |= {name: np.zeros(0) for name in ("shares", "a_world", "w_acceleration")}
     values |= {name: np.zeros(0) for name in ("b_world", "w_bone")}
-    energy = dict(
-        zip(TERMS, np.array(problem.energy(flat(X), problem.pack(values))).ravel(), strict=True)
-    )
+    energy = dict(zip(TERMS, np.array(problem.energy(flat(X), problem.pack(values))).ravel(), strict=True))
     assert energy["acceleration"] == energy["bone"] == 0
     assert energy["visual"] > 0
 
 
 def test_a_problem_is_built_once_for_all_bodies_and_weights_of_one_tree() -> None:
     taller = SKELETON.with_height(1.9)
-    same = fragment_problem(taller.parents, N, BONES, FragmentSettings())
-    assert same is problem_of(FragmentSettings())
-    assert same is problem_of(FragmentSettings(k_V=0.5, k_S=0.0))
-    assert same is not problem_of(FragmentSettings(sigma_jerk=100.0))
+    same = fragment_problem(taller.parents, N, BONES, CartesianSettings())
+    assert same is problem_of(CartesianSettings())
+    assert same is problem_of(CartesianSettings(k_V=0.5, k_S=0.0))
+    assert same is not problem_of(CartesianSettings(sigma_jerk=100.0))
 
 
 def test_rigid_pairs_keep_their_distance_in_any_motion_and_all_others_do_not() -> None:
@@ -274,21 +270,21 @@ def test_rigid_pairs_keep_their_distance_in_any_motion_and_all_others_do_not() -
 ])  # fmt: skip
 def test_settings_that_mean_nothing_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ShapeError, match=message):
-        replace(FragmentSettings(), **change)
+        replace(CartesianSettings(), **change)
 
 
 @pytest.mark.parametrize(
-    "field", [f.name for f in fields(FragmentSettings) if "sigma" in f.name and "range" not in f.name]
+    "field", [f.name for f in fields(CartesianSettings) if "sigma" in f.name and "range" not in f.name]
 )
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
 def test_a_sigma_that_is_not_positive_is_refused(field: str, value: float) -> None:
     change: dict[str, Any] = {field: value}
     with pytest.raises(ShapeError, match=f"{field} must be positive"):
-        replace(FragmentSettings(), **change)
+        replace(CartesianSettings(), **change)
 
 
 def test_the_papers_settings_are_the_printed_energy() -> None:
-    s = FragmentSettings.paper()
+    s = CartesianSettings.paper()
     assert (s.k_V, s.k_I, s.k_A, s.k_B, s.k_S) == (0.9, 0.1, 0.5, 0.2, 0.3)
     assert s.huber_reprojection is None
     assert (s.jerk_target, s.bone_lengths, s.blend, s.padding) == (

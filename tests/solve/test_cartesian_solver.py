@@ -22,21 +22,16 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.solve.cartesian.problem import TERMS, rigid_pairs
-from rtof_kin.solve.cartesian.settings import FragmentSettings
-from rtof_kin.solve.fragment_solver import (
-    FragmentReport,
-    FragmentSolution,
-    FragmentSolver,
-    SolverStatus,
-)
+from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve.fragment_solver import FragmentReport, FragmentSolution, FragmentSolver, SolverStatus
 from rtof_kin.solve.inertial_ik import InertialGuidedIK
 
 Array = NDArray[np.float64]
 BODY, SMALL = SkeletonModel.default(), SkeletonModel.human36m()
 SMALL_SENSORS = ("LElbow", "RKnee", "LHip", "Hip")
 N = 16
-DEFAULT = FragmentSettings()
-PLAIN = FragmentSettings(sigma_reprojection=8.0, refit_root=False)
+DEFAULT = CartesianSettings()
+PLAIN = CartesianSettings(sigma_reprojection=8.0, refit_root=False)
 """One solver call a fragment, from the start as it is given."""
 
 
@@ -58,16 +53,14 @@ class Inspected(FragmentSolver):
 
 
 @cache
-def body(set_: FragmentSettings = DEFAULT, frames: int = N) -> FragmentSolver:
+def body(set_: CartesianSettings = DEFAULT, frames: int = N) -> FragmentSolver:
     return FragmentSolver(BODY, frames, set_)
 
 
 class Scene:
     """A motion, what was observed of it, and poses to start from."""
 
-    def __init__(
-        self, skeleton: SkeletonModel, frames: int, sigma_px: float = 4.0, seed: int = 0
-    ) -> None:
+    def __init__(self, skeleton: SkeletonModel, frames: int, sigma_px: float = 4.0, seed: int = 0) -> None:
         joints = planted.LIMBS if skeleton is BODY else SMALL_SENSORS
         self.truth: MotionSequence = planted.moving(skeleton, frames, seed)
         self.seen = planted.keypoints(self.truth.poses, sigma_px)
@@ -121,7 +114,7 @@ def numeric_gradient(residuals: Callable[[Array], dict[str, Array]], x: Array) -
 
 
 def documented(
-    scene: Scene, set_: FragmentSettings, frames: int, part: slice = slice(None)
+    scene: Scene, set_: CartesianSettings, frames: int, part: slice = slice(None)
 ) -> Callable[[Array], dict[str, Array]]:
     """x -> residuals of the frames of one fragment that lie inside the recording."""
     start, seen, imus = scene.part(part)
@@ -204,9 +197,7 @@ def test_somebody_who_stands_still_is_found_exactly() -> None:
     assert np.abs(np.diff(out, axis=0)).max() < 2e-3
 
 
-def test_the_optimum_beats_sf2_and_sf2_beats_the_lifter(
-    scene: Scene, solution: FragmentSolution
-) -> None:
+def test_the_optimum_beats_sf2_and_sf2_beats_the_lifter(scene: Scene, solution: FragmentSolution) -> None:
     out = solution.poses.p_world_joint
     errors = [
         planted.root_relative_mm(p, scene.p)
@@ -251,26 +242,18 @@ def test_turning_and_moving_the_whole_scene_turns_and_moves_the_answer(
     R, t = so3.exp([0.2, -0.4, 1.3]), np.array([3.0, -1.0, 0.4])
     cam = scene.seen.camera
     R_camera = cam.R_camera_world @ R.T
-    moved_camera = replace(
-        cam, R_camera_world=R_camera, t_camera_world=cam.t_camera_world - R_camera @ t
-    )
+    moved_camera = replace(cam, R_camera_world=R_camera, t_camera_world=cam.t_camera_world - R_camera @ t)
     start = replace(
         scene.start,
         p_world_joint=scene.start.p_world_joint @ R.T + t,
         R_world_bone=R @ scene.start.R_world_bone,
     )
-    imus = replace(
-        scene.imus, R_world_bone=R @ scene.imus.R_world_bone, a_world=scene.imus.a_world @ R.T
-    )
+    imus = replace(scene.imus, R_world_bone=R @ scene.imus.R_world_bone, a_world=scene.imus.a_world @ R.T)
     out = body().solve(start, replace(scene.seen, camera=moved_camera), imus)
-    np.testing.assert_allclose(
-        out.poses.p_world_joint, solution.poses.p_world_joint @ R.T + t, atol=1e-5
-    )
+    np.testing.assert_allclose(out.poses.p_world_joint, solution.poses.p_world_joint @ R.T + t, atol=1e-5)
 
 
-def test_a_lens_with_distortion_gives_the_same_answer(
-    scene: Scene, solution: FragmentSolution
-) -> None:
+def test_a_lens_with_distortion_gives_the_same_answer(scene: Scene, solution: FragmentSolution) -> None:
     seen = scene.seen
     lens = replace(seen.camera, distortion=np.array([-0.2, 0.05, 0.001, -0.002, 0.0]))
     rays = seen.camera.rays_world(seen.uv_px) + seen.camera.center_world
@@ -503,8 +486,7 @@ def test_joints_and_frames_that_were_not_seen_are_bridged(scene: Scene) -> None:
         before = np.linalg.norm(scene.start.p_world_joint[:, joint] - scene.p[:, joint], axis=-1)
         assert error < 0.6 * before.mean()
     gap, start_gap = (
-        planted.root_relative_mm(p[20:32], scene.p[20:32])
-        for p in (out, scene.start.p_world_joint)
+        planted.root_relative_mm(p[20:32], scene.p[20:32]) for p in (out, scene.start.p_world_joint)
     )
     assert gap < start_gap
 
@@ -613,9 +595,7 @@ def test_orientations_agree_with_the_positions_and_provenance_with_the_sensors(
         np.testing.assert_allclose(rest, bone, atol=1e-9)
         assert np.all(poses.provenance[:, child] == Provenance.CAMERA_AND_IMU)
     limbs = BODY.index(*planted.LIMBS)
-    angles = so3.angle_between(
-        poses.R_world_bone[:, limbs], scene.truth.poses.R_world_bone[:, limbs]
-    )
+    angles = so3.angle_between(poses.R_world_bone[:, limbs], scene.truth.poses.R_world_bone[:, limbs])
     assert np.degrees(angles.mean()) < 8
 
 
@@ -642,9 +622,7 @@ def test_a_fragment_that_fails_gives_back_its_start_and_says_so() -> None:
         SolverStatus.CONVERGED, SolverStatus.FAILED, SolverStatus.FAILED,
     ]  # fmt: skip
     assert solution.status is SolverStatus.FAILED
-    np.testing.assert_allclose(
-        solution.poses.p_world_joint[4:], s.start.p_world_joint[4:], atol=1e-12
-    )
+    np.testing.assert_allclose(solution.poses.p_world_joint[4:], s.start.p_world_joint[4:], atol=1e-12)
     assert "starting poses" in SolverStatus.FAILED.value
 
 
@@ -670,7 +648,7 @@ def test_whatever_a_solver_that_gave_up_returns_is_not_used(monkeypatch: pytest.
 
 
 def test_the_papers_settings_find_a_minimum_too(scene: Scene) -> None:
-    solution = body(FragmentSettings.paper()).solve(scene.start, scene.seen, scene.imus)
+    solution = body(CartesianSettings.paper()).solve(scene.start, scene.seen, scene.imus)
     assert solution.status is SolverStatus.CONVERGED
     assert solution.energy["length"] == 0.0
     before = planted.mpjpe_mm(scene.start.p_world_joint, scene.p)

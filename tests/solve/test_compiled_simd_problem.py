@@ -28,9 +28,7 @@ MOVING = ("Hips", "Spine", "LeftArm", "LeftForeArm", "RightUpLeg", "RightLeg")
 SEEN = ("Hips", "LeftForeArm", "LeftHand", "RightLeg", "RightFoot", "LeftToe", "Nose")
 
 
-def a_body(
-    sensors: tuple[str, ...], hinged: bool, anchored: bool, seen: tuple[str, ...] = SEEN
-) -> js.Built:
+def a_body(sensors: tuple[str, ...], hinged: bool, anchored: bool, seen: tuple[str, ...] = SEEN) -> js.Built:
     """A body whose trunk, arm and leg alone move: little to compile. Unseen, it has a foothold."""
     index, landmarks = js.BODY.index, js.BODY.landmarks
     shape = Shape(
@@ -85,9 +83,7 @@ class Both:
 
 
 @pytest.fixture(scope="module", params=list(KINDS))
-def both(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Both]:
+def both(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Both]:
     if not any(map(shutil.which, compiled.COMPILERS)):
         pytest.skip("there is no C compiler")
     with pytest.MonkeyPatch.context() as patch:

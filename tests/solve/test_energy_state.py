@@ -124,18 +124,14 @@ def test_a_hinge_that_is_turned_half_about_another_axis_is_straight() -> None:
 
 
 @pytest.mark.parametrize("space", [FREE, BENT], ids=["free", "hinged"])
-def test_a_step_moves_the_root_in_world_and_turns_joints_in_their_own_frames(
-    space: StateSpace,
-) -> None:
+def test_a_step_moves_the_root_in_world_and_turns_joints_in_their_own_frames(space: StateSpace) -> None:
     x = random_states(space, 4)
     d = 0.5 * np.random.default_rng(2).normal(size=(4, space.size))
     y = space.retract(x, d)
     np.testing.assert_allclose(y[:, :3], x[:, :3] + d[:, :3], atol=1e-15)
     at = 3
     for a, axis in enumerate(space.hinge_axis):
-        before, after = (
-            Rotation.from_quat(space.rotations(s)[:, a], scalar_first=True) for s in (x, y)
-        )
+        before, after = (Rotation.from_quat(space.rotations(s)[:, a], scalar_first=True) for s in (x, y))
         vector = np.zeros((4, 3))
         columns = [0, 1, 2] if axis < 0 else [int(axis)]
         vector[:, columns] = d[:, at : at + len(columns)]

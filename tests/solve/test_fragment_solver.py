@@ -13,7 +13,7 @@ import pytest
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.errors import ShapeError, SolverError, UnknownNameError
 from rtof_kin.data.imu import BoneImuSequence
-from rtof_kin.solve.cartesian.settings import SPACES, FragmentSettings
+from rtof_kin.solve.cartesian.settings import SPACES, CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
@@ -23,7 +23,7 @@ BODY, SMALL = SkeletonModel.default(), SkeletonModel.human36m()
 T = 40
 QUICK = {
     "joint": JointSpaceSettings(annealing=1, max_iterations=1),
-    "cartesian": FragmentSettings(sigma_reprojection=8.0, max_iterations=1),
+    "cartesian": CartesianSettings(sigma_reprojection=8.0, max_iterations=1),
 }
 
 
@@ -66,7 +66,7 @@ def test_cartesian_space_is_the_default_of_a_skeleton_that_has_none() -> None:
     solver = FragmentSolver(SMALL, 8)
     assert solver.space == "cartesian"
     assert isinstance(solver._solver, CartesianSolver)
-    assert solver.settings == FragmentSettings()
+    assert solver.settings == CartesianSettings()
 
 
 @pytest.mark.parametrize("space", SPACES)
@@ -188,18 +188,14 @@ def test_uneven_frames_are_refused(scene: Scene, solver: FragmentSolver) -> None
         solver.solve(replace(scene.start, times=times), replace(scene.seen, times=times))
 
 
-def test_a_person_behind_the_camera_is_refused_with_the_frame(
-    scene: Scene, solver: FragmentSolver
-) -> None:
+def test_a_person_behind_the_camera_is_refused_with_the_frame(scene: Scene, solver: FragmentSolver) -> None:
     p = np.array(scene.start.p_world_joint)
     p[7] += [8.0, 0.0, 0.0]
     with pytest.raises(ShapeError, match="frame 7 is behind the camera or in it; check R_camera_world"):
         solver.solve(replace(scene.start, p_world_joint=p), scene.seen)
 
 
-def test_keypoints_of_nothing_in_the_skeleton_are_refused(
-    scene: Scene, solver: FragmentSolver
-) -> None:
+def test_keypoints_of_nothing_in_the_skeleton_are_refused(scene: Scene, solver: FragmentSolver) -> None:
     strangers = replace(scene.seen, names=tuple(f"point {i}" for i in range(21)))
     with pytest.raises(SolverError, match="keypoints: none of the landmarks is "):
         solver.solve(scene.start, strangers)
@@ -232,13 +228,9 @@ def test_a_lens_that_cannot_be_gives_no_poses_that_are_not_finite(
 
 
 @pytest.mark.parametrize("frames", [1, 4, 11])
-def test_progress_is_told_after_every_fragment(
-    scene: Scene, solver: FragmentSolver, frames: int
-) -> None:
+def test_progress_is_told_after_every_fragment(scene: Scene, solver: FragmentSolver, frames: int) -> None:
     told: list[tuple[int, int]] = []
-    solution = solver.solve(
-        scene.start[:frames], scene.seen[:frames], None, lambda *at: told.append(at)
-    )
+    solution = solver.solve(scene.start[:frames], scene.seen[:frames], None, lambda *at: told.append(at))
     count = -(-frames // 4) + 1
     assert told == [(i + 1, count) for i in range(count)]
     assert [f.first_frame for f in solution.fragments] == [4 * i - 4 for i in range(count)]
@@ -257,9 +249,7 @@ def test_the_stream_gives_the_poses_of_the_solution(scene: Scene, solver: Fragme
     np.testing.assert_allclose(R, whole.R_world_bone, atol=1e-12)
 
 
-def test_two_streams_that_take_turns_do_not_disturb_each_other(
-    scene: Scene, solver: FragmentSolver
-) -> None:
+def test_two_streams_that_take_turns_do_not_disturb_each_other(scene: Scene, solver: FragmentSolver) -> None:
     parts = [slice(0, 12), slice(20, 32)]
     alone = [list(solver.stream(scene.start[s], scene.seen[s], scene.imus[s])) for s in parts]
     streams = [solver.stream(scene.start[s], scene.seen[s], scene.imus[s]) for s in parts]
@@ -352,9 +342,7 @@ def test_a_report_is_of_the_fragment_that_it_says(scene: Scene, solver: Fragment
         assert 0 <= f.infeasibility < 1
 
 
-def test_the_solution_of_either_space_sums_up_its_fragments(
-    scene: Scene, solver: FragmentSolver
-) -> None:
+def test_the_solution_of_either_space_sums_up_its_fragments(scene: Scene, solver: FragmentSolver) -> None:
     solution: FragmentSolution = solver.solve(scene.start, scene.seen, scene.imus)
     assert solution.iterations == sum(f.iterations for f in solution.fragments)
     assert isinstance(solution.status, SolverStatus)

@@ -23,8 +23,7 @@ Array = NDArray[np.float64]
 SKELETON = SkeletonModel.default()
 EVERYWHERE = ("Hips", "Spine3", "Head", *planted.LIMBS, "LeftFoot", "RightFoot")
 CHILD = {
-    joint: kinematics.children_of(SKELETON.parents, SKELETON.index(joint)[0])[0]
-    for joint in planted.LIMBS
+    joint: kinematics.children_of(SKELETON.parents, SKELETON.index(joint)[0])[0] for joint in planted.LIMBS
 }
 
 
@@ -79,9 +78,7 @@ def test_perfect_sensors_put_the_limbs_where_they_truly_are(
     assert before.mean() > 0.1
 
 
-def test_sensors_on_every_segment_recover_the_whole_body(
-    truth: MotionSequence, lifted: PoseSequence
-) -> None:
+def test_sensors_on_every_segment_recover_the_whole_body(truth: MotionSequence, lifted: PoseSequence) -> None:
     out = refine(lifted, sensors(truth, SKELETON.names))
     assert so3.angle_between(out.R_world_bone, truth.poses.R_world_bone).max() < 1e-7
     shift = lifted.p_world_joint[:, :1] - truth.poses.p_world_joint[:, :1]
@@ -94,9 +91,7 @@ def test_threshold_pi_keeps_every_observed_direction_but_takes_the_sensors_twist
     imus = turned(sensors(truth, planted.LIMBS), 0.4)
     out = refine(lifted, imus, threshold=np.pi)
     for s, joint in enumerate(planted.LIMBS):
-        np.testing.assert_allclose(
-            bone_directions(out, joint), bone_directions(lifted, joint), atol=1e-9
-        )
+        np.testing.assert_allclose(bone_directions(out, joint), bone_directions(lifted, joint), atol=1e-9)
         (j,) = SKELETON.index(joint)
         # No twist is left between the sensor and the answer: their difference is across the bone.
         rest = so3.unit(SKELETON.joint_offsets[CHILD[joint]])
@@ -201,9 +196,7 @@ def test_a_sensor_on_a_leaf_turns_it_whatever_the_threshold(
         np.testing.assert_allclose(out.p_world_joint, refine(lifted).p_world_joint, atol=1e-12)
 
 
-def test_samples_that_are_nan_leave_the_observed_bone(
-    truth: MotionSequence, lifted: PoseSequence
-) -> None:
+def test_samples_that_are_nan_leave_the_observed_bone(truth: MotionSequence, lifted: PoseSequence) -> None:
     imus = sensors(truth, planted.LIMBS)
     R = np.array(imus.R_world_bone)
     R[10:20, 2] = np.nan  # LeftForeArm
@@ -231,9 +224,7 @@ def test_frames_with_nan_stay_nan_and_do_not_touch_the_others(
     assert np.isnan(out.p_world_joint[5, 1:]).all()
     assert not out.valid[5, 1:].any()
     others = np.arange(40) != 5
-    np.testing.assert_allclose(
-        out.p_world_joint[others], whole.p_world_joint[others], atol=1e-12
-    )
+    np.testing.assert_allclose(out.p_world_joint[others], whole.p_world_joint[others], atol=1e-12)
 
 
 def test_sensors_at_other_times_are_brought_to_the_frames() -> None:
@@ -257,9 +248,7 @@ def test_the_blend_lies_between_observation_and_sensor_and_trusts_what_agrees(
     assert shares[1] < shares[0] < 1
 
 
-def test_a_blend_with_a_wide_angle_has_no_jump_where_a_threshold_switches(
-    truth: MotionSequence,
-) -> None:
+def test_a_blend_with_a_wide_angle_has_no_jump_where_a_threshold_switches(truth: MotionSequence) -> None:
     wrong = np.linspace(0.2, 0.4, 41)
     poses = truth.poses[:1]
     imus = sensors(truth, ("LeftLeg",))[:1]
@@ -348,9 +337,7 @@ def test_joints_in_another_order_are_refused(lifted: PoseSequence) -> None:
         refine(replace(lifted, names=names))
 
 
-def test_a_sensor_on_no_joint_of_the_skeleton_is_refused(
-    truth: MotionSequence, lifted: PoseSequence
-) -> None:
+def test_a_sensor_on_no_joint_of_the_skeleton_is_refused(truth: MotionSequence, lifted: PoseSequence) -> None:
     imus = replace(sensors(truth, ("LeftLeg",)), joints=("LeftShank",))
     with pytest.raises(UnknownNameError, match="'LeftShank'"):
         refine(lifted, imus)
@@ -427,23 +414,17 @@ def test_orientations_that_are_nan_come_from_positions(oriented: PoseSequence) -
     R[30, [0, 9]] = np.nan
     out = refine(replace(oriented, R_world_bone=R), oriented=True)
     by_position, whole = refine(oriented), refine(oriented, oriented=True)
-    np.testing.assert_allclose(
-        out.R_world_bone[10:20], by_position.R_world_bone[10:20], atol=1e-9
-    )
+    np.testing.assert_allclose(out.R_world_bone[10:20], by_position.R_world_bone[10:20], atol=1e-9)
     np.testing.assert_allclose(out.R_world_bone[:10], whole.R_world_bone[:10], atol=1e-9)
     np.testing.assert_allclose(out.R_world_bone[30, 0], by_position.R_world_bone[30, 0], atol=1e-9)
     others = [j for j in range(21) if j not in (0, 9)]
-    np.testing.assert_allclose(
-        out.R_world_bone[30, others], whole.R_world_bone[30, others], atol=1e-9
-    )
+    np.testing.assert_allclose(out.R_world_bone[30, others], whole.R_world_bone[30, others], atol=1e-9)
     nothing = refine(replace(oriented, R_world_bone=np.full_like(R, np.nan)), oriented=True)
     np.testing.assert_array_equal(nothing.R_world_bone, by_position.R_world_bone)
     np.testing.assert_array_equal(nothing.p_world_joint, by_position.p_world_joint)
 
 
-def test_sensors_stand_above_what_was_observed(
-    truth: MotionSequence, oriented: PoseSequence
-) -> None:
+def test_sensors_stand_above_what_was_observed(truth: MotionSequence, oriented: PoseSequence) -> None:
     joints = ("Hips", "LeftLeg", "LeftFoot")
     out = refine(oriented, sensors(truth, joints), oriented=True)
     index = SKELETON.index(*joints)
@@ -451,9 +432,7 @@ def test_sensors_stand_above_what_was_observed(
     assert angle.max() < 1e-7
     without = refine(oriented, oriented=True)
     others = [j for j in range(21) if j not in index]
-    np.testing.assert_allclose(
-        out.R_world_bone[:, others], without.R_world_bone[:, others], atol=1e-9
-    )
+    np.testing.assert_allclose(out.R_world_bone[:, others], without.R_world_bone[:, others], atol=1e-9)
 
 
 def test_a_threshold_of_pi_keeps_directions_and_takes_the_sensors_twist_of_oriented_poses_too(

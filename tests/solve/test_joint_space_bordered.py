@@ -42,9 +42,7 @@ def problem(kind: str, unknowns: tuple[str, ...], frames: int) -> JointProblem:
     """A fragment's problem, interpreted."""
     b = built(kind, unknowns)
     sigma = js.sigma_jerk(b.space)
-    return JointProblem(
-        b.space, b.energy.functions(), b.energy, frames, sigma, js.DELTA_ACCELERATION
-    )
+    return JointProblem(b.space, b.energy.functions(), b.energy, frames, sigma, js.DELTA_ACCELERATION)
 
 
 def sigma(b: js.Built) -> Array:
@@ -74,10 +72,7 @@ def named(b: js.Built, y: Array) -> dict[str, Array]:
     S, L = len(b.shape.sensors), len(b.names)
     shapes = {"scale": (), "delay": (), "heading": (S,), "mounting": (S, 3), "landmarks": (L, 3)}
     parts = b.shape.columns
-    return {
-        n: y[parts[n]].reshape(shape) if n in parts else np.zeros(shape)
-        for n, shape in shapes.items()
-    }
+    return {n: y[parts[n]].reshape(shape) if n in parts else np.zeros(shape) for n, shape in shapes.items()}
 
 
 def corrected(b: js.Built, x: Array, data: FragmentData, y: Array) -> FragmentData:
@@ -351,9 +346,7 @@ def exact_data(b: js.Built, x: Array, uv: Array, wrong: Array) -> FragmentData:
     levers = base.constant["levers"]
     with scaled(float(v["scale"])):
         p, R = js.poses(b, x)
-    sensors = [
-        p[:, j] + (1 + v["scale"]) * R[:, j] @ levers[:, s] for s, j in enumerate(b.shape.sensors)
-    ]
+    sensors = [p[:, j] + (1 + v["scale"]) * R[:, j] @ levers[:, s] for s, j in enumerate(b.shape.sensors)]
     back = Rotation.from_rotvec(np.outer(-v["heading"], [0.0, 0.0, 1.0]))
     quat = np.zeros((count, S, 4))
     for s, j in enumerate(b.shape.sensors):
@@ -435,15 +428,12 @@ class Planted:
 
 HEADING = np.where(np.array(js.ALL_SENSORS) == "RightForeArm", np.radians(12.0), 0.0)
 MOUNTING = np.where(np.array(js.ALL_SENSORS)[:, None] == "LeftForeArm", [0.1, -0.08, 0.12], 0.0)
-OFFSETS = np.where(
-    np.isin((*js.BODY.names, *js.EXTRA), LOOSE)[:, None], [0.02, -0.015, 0.01], 0.0
-)
+OFFSETS = np.where(np.isin((*js.BODY.names, *js.EXTRA), LOOSE)[:, None], [0.02, -0.015, 0.01], 0.0)
 WRONG = {"scale": np.array(0.03), "heading": HEADING, "mounting": MOUNTING, "landmarks": OFFSETS}
 
 
 @pytest.mark.parametrize(
-    ("name", "tolerance"),
-    [("scale", 1e-5), ("heading", 1e-5), ("mounting", 5e-4), ("landmarks", 1e-5)],
+    ("name", "tolerance"), [("scale", 1e-5), ("heading", 1e-5), ("mounting", 5e-4), ("landmarks", 1e-5)]
 )
 def test_what_was_wrong_is_found_from_exact_observations(name: str, tolerance: float) -> None:
     case = Planted((name,), {name: WRONG[name]})

@@ -16,15 +16,10 @@ from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
-from rtof_kin.solve.joint_space.covariance import (
-    blended,
-    confidence_of,
-    segment_pairs,
-    state_covariances,
-)
+from rtof_kin.solve.joint_space.covariance import blended, confidence_of, segment_pairs, state_covariances
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
@@ -211,7 +206,7 @@ def test_asking_changes_no_pose_and_not_asking_tells_nothing() -> None:
 
 def test_cartesian_space_tells_nothing() -> None:
     poses = truth(2 * N)
-    solver = FragmentSolver(BODY, N, FragmentSettings(), space="cartesian")
+    solver = FragmentSolver(BODY, N, CartesianSettings(), space="cartesian")
     assert solver.solve(poses, confidence=True, **observed(poses, 0)).confidence is None
 
 

@@ -51,9 +51,7 @@ def test_somebody_who_walks_out_of_the_picture_walks_on(gap: tuple[float, float]
 def test_the_pose_is_rigid_and_goes_on_without_a_jump_where_a_gap_begins_and_ends() -> None:
     seen = hidden((1.0, 1.5), (3.0, 4.5))
     start, _ = through_gaps(stopped(seen), seen, planted.bone_imus(BODY, TRUTH, LIMBS), BODY)
-    p = kinematics.positions(
-        BODY.parents, BODY.joint_offsets, start.p_world_joint[:, 0], start.R_world_bone
-    )
+    p = kinematics.positions(BODY.parents, BODY.joint_offsets, start.p_world_joint[:, 0], start.R_world_bone)
     np.testing.assert_allclose(p, start.p_world_joint, atol=1e-9)
     step = np.linalg.norm(np.diff(start.p_world_joint, axis=0), axis=-1).max()
     assert step < 1.5 * np.linalg.norm(np.diff(TRUTH.p_world_joint, axis=0), axis=-1).max()

@@ -55,9 +55,7 @@ class Start:
         space, h, gradient = self.problem.space, 1e-6, np.array(self.problem.gradient(solved.x))
         for c, step in enumerate(h * np.eye(space.size)):
             steps = np.tile(step, (len(solved.x), 1))
-            after, before = (
-                self.limits.values(space.retract(solved.x, s * steps)) for s in (1, -1)
-            )
+            after, before = (self.limits.values(space.retract(solved.x, s * steps)) for s in (1, -1))
             gradient[:, c] += np.sum(solved.multipliers * (after - before), axis=1) / (2 * h)
         return gradient
 
@@ -99,19 +97,14 @@ def compare(start: Start, limited: bool) -> tuple[Solved, Solved]:
 
 
 @pytest.mark.parametrize("kind, seed", [("bare", 1), ("bare", 3), ("whole", 0), ("balls", 3)])
-def test_ipopt_and_the_real_time_solver_find_one_minimum_without_limits(
-    kind: str, seed: int
-) -> None:
+def test_ipopt_and_the_real_time_solver_find_one_minimum_without_limits(kind: str, seed: int) -> None:
     start = Start(kind, seed)
     ipopt, _ = compare(start, limited=False)
     assert ipopt.multipliers.shape == (N, 0)
     assert start.problem.total(ipopt.x) < 0.5 * start.problem.total(start.x)
     assert np.abs(start.problem.gradient(ipopt.x)).max() < 1e-2
     # They have moved, and limits, had there been any, would not have held.
-    assert (
-        np.abs(start.problem.space.poses(ipopt.x)[0] - start.problem.space.poses(start.x)[0]).max()
-        > 0.03
-    )
+    assert np.abs(start.problem.space.poses(ipopt.x)[0] - start.problem.space.poses(start.x)[0]).max() > 0.03
 
 
 @pytest.mark.parametrize("kind, seed", [("bare", 1), ("bare", 2), ("whole", 3)])

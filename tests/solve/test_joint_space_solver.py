@@ -130,9 +130,7 @@ def test_noisy_observations_are_improved_upon_by_far(seed: int) -> None:
     assert 1.5 < min(sigmas(out)) < max(sigmas(out)) < 4.5, "it is 3 px"
 
 
-def test_vision_alone_beats_its_start_and_sensors_add_to_it(
-    scene: Scene, alone: FragmentSolution
-) -> None:
+def test_vision_alone_beats_its_start_and_sensors_add_to_it(scene: Scene, alone: FragmentSolution) -> None:
     assert alone.energy["orientation"] == alone.energy["acceleration"] == 0.0
     assert min(alone.energy["bone"], alone.energy["root"]) > 0
     sensed = scene.solve(bone_imus=scene.exact_imus)
@@ -165,9 +163,7 @@ def test_turning_and_moving_the_whole_scene_turns_and_moves_the_answer(scene: Sc
     np.testing.assert_allclose(there.poses.p_world_joint, here @ R.T + t, atol=5e-4)
 
 
-def test_a_lens_with_distortion_gives_the_same_answer(
-    scene: Scene, solution: FragmentSolution
-) -> None:
+def test_a_lens_with_distortion_gives_the_same_answer(scene: Scene, solution: FragmentSolution) -> None:
     seen = scene.seen
     lens = replace(seen.camera, distortion=np.array([-0.2, 0.05, 0.001, -0.002, 0.0]))
     uv = lens.project(seen.camera.rays_world(seen.uv_px) + seen.camera.center_world)
@@ -281,9 +277,7 @@ def test_the_limit_is_told_also_where_sigma_is_given_and_nothing_is_annealed(sce
 
 
 @pytest.mark.parametrize("sigma_px", [3.0, 8.0])
-def test_the_sigma_of_white_errors_is_found_from_near_and_far(
-    scene: Scene, sigma_px: float
-) -> None:
+def test_the_sigma_of_white_errors_is_found_from_near_and_far(scene: Scene, sigma_px: float) -> None:
     seen = planted.keypoints(scene.truth.poses, sigma_px)
     for start in (scene.start, scene.truth.poses):
         found = sigmas(scene.solve(start=start, keypoints=seen, bone_imus=scene.exact_imus))
@@ -297,9 +291,7 @@ def test_errors_that_stay_are_counted_as_larger_than_they_are(scene: Scene) -> N
     seen, mean = replace(scene.exact, uv_px=scene.exact.uv_px + drift), {}
     for factor in (2.5, 1.0):
         set_ = replace(DEFAULT, largest_correlation_factor=factor)
-        mean[factor] = np.mean(
-            sigmas(scene.solve(set_, keypoints=seen, bone_imus=scene.exact_imus))
-        )
+        mean[factor] = np.mean(sigmas(scene.solve(set_, keypoints=seen, bone_imus=scene.exact_imus)))
     assert 1.5 * 5.0 < mean[2.5] <= 2.5 * 5.0
     assert mean[1.0] < 1.1 * 5.0
 
@@ -336,9 +328,7 @@ def test_any_subset_of_sensors_is_taken(joints: set[str]) -> None:
 
 
 @pytest.mark.parametrize("silent", [3, 8])
-def test_sensors_that_never_say_anything_are_as_if_they_were_not_there(
-    scene: Scene, silent: int
-) -> None:
+def test_sensors_that_never_say_anything_are_as_if_they_were_not_there(scene: Scene, silent: int) -> None:
     imus, of = scene.imus, np.s_[:, :silent]
     mute = replace(
         imus, R_world_bone=changed(imus.R_world_bone, of, np.nan),
@@ -534,9 +524,7 @@ def test_frames_far_from_the_ends_do_not_know_of_them(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("term", ["torso", "bone", "root"])
-def test_none_leaves_an_anchor_to_the_start_out(
-    scene: Scene, alone: FragmentSolution, term: str
-) -> None:
+def test_none_leaves_an_anchor_to_the_start_out(scene: Scene, alone: FragmentSolution, term: str) -> None:
     off: dict[str, Any] = {f"sigma_{term}": None}
     without = scene.solve(replace(QUICK, **off), 24, bone_imus=None)
     assert alone.energy[term] > 0.0 == without.energy[term]

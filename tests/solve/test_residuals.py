@@ -37,18 +37,9 @@ CASES: dict[str, tuple[Callable[[Any], Any], Callable[[Array], Array]]] = {
         lambda p: energies.acceleration(p, ACCELERATION, RATE),
         lambda p: np.diff(p, n=2, axis=1) * RATE**2 - ACCELERATION,
     ),
-    "bone_vector_of_the_joint": (
-        lambda p: energies.bone_vector(p, Q, P),
-        lambda p: Q - p - P,
-    ),
-    "bone_vector_of_the_child": (
-        lambda p: energies.bone_vector(Q, p, P),
-        lambda p: p - Q - P,
-    ),
-    "jerk": (
-        lambda p: energies.jerk(p, JERK, RATE),
-        lambda p: np.diff(p, n=3, axis=1) * RATE**3 - JERK,
-    ),
+    "bone_vector_of_the_joint": (lambda p: energies.bone_vector(p, Q, P), lambda p: Q - p - P),
+    "bone_vector_of_the_child": (lambda p: energies.bone_vector(Q, p, P), lambda p: p - Q - P),
+    "jerk": (lambda p: energies.jerk(p, JERK, RATE), lambda p: np.diff(p, n=3, axis=1) * RATE**3 - JERK),
     "distance": (
         lambda p: energies.distance(p, Q, LENGTH),
         lambda p: np.linalg.norm(Q - p, axis=0, keepdims=True) - LENGTH,
@@ -83,9 +74,7 @@ def test_a_constant_acceleration_is_matched_in_metres_per_second_squared() -> No
     p = np.array([[1.0], [0.0], [2.0]]) + np.array([[3.0], [0.5], [0.0]]) * t + a * t**2 / 2
     residual = np.array(energies.acceleration(ca.DM(p), np.tile(a, 7), RATE))
     np.testing.assert_allclose(residual, 0, atol=1e-9)
-    np.testing.assert_allclose(
-        np.array(energies.jerk(ca.DM(p), np.zeros((3, 6)), RATE)), 0, atol=1e-6
-    )
+    np.testing.assert_allclose(np.array(energies.jerk(ca.DM(p), np.zeros((3, 6)), RATE)), 0, atol=1e-6)
 
 
 def test_a_constant_jerk_is_matched_in_metres_per_second_cubed() -> None:
@@ -116,9 +105,7 @@ def test_distance_and_bone_vector_vanish_on_a_rigid_segment() -> None:
 
 
 @given(residual=st.floats(0, 1e4), delta=st.floats(0.1, 10))
-def test_pseudo_huber_lies_below_the_square_and_below_its_asymptote(
-    residual: float, delta: float
-) -> None:
+def test_pseudo_huber_lies_below_the_square_and_below_its_asymptote(residual: float, delta: float) -> None:
     value = float(energies.pseudo_huber(ca.DM(residual**2), delta))
     assert value <= residual**2 + 1e-9
     assert value <= 2 * delta * residual + 1e-9

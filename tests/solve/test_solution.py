@@ -31,9 +31,7 @@ def test_a_solution_sums_up_its_fragments() -> None:
 
 
 @pytest.mark.parametrize("better, worse", list(pairwise(SolverStatus)))
-def test_the_status_of_a_solution_is_its_worst_fragments(
-    better: SolverStatus, worse: SolverStatus
-) -> None:
+def test_the_status_of_a_solution_is_its_worst_fragments(better: SolverStatus, worse: SolverStatus) -> None:
     reports = (report(better), report(worse), report(better), report())
     assert FragmentSolution(POSES, reports).status is worse
 

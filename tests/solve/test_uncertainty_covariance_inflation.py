@@ -18,8 +18,8 @@ from rtof_kin.solve.uncertainty.covariance_inflation import (
     OTHER,
     SEEN,
     USUAL_TORSO_SIGMA,
-    Circumstances,
-    Inflation,
+    CovarianceInflation,
+    ResidualStatistics,
     Widening,
     seen_by,
     unsided,
@@ -37,9 +37,9 @@ def confidence(size: float = 1.0) -> Confidence:
     return Confidence(np.arange(2.0), names, unit, unit, PAIRS, unit[:, :2])
 
 
-def inflation(**others: dict[str, Widening]) -> Inflation:
+def inflation(**others: dict[str, Widening]) -> CovarianceInflation:
     """Factors 1, 2 and 3 by who saw it, and no floor; `others` are of turns, by who saw them."""
-    return Inflation({
+    return CovarianceInflation({
         who: {kind: {OTHER: Widening(i, 0.0), **(others.get(who, {}) if kind == "turn" else {})}
               for kind in kinds}
         for i, (who, kinds) in enumerate(SEEN.items(), start=1)
@@ -51,7 +51,7 @@ def test_a_covariance_is_scaled_on_both_sides_and_gets_a_floor() -> None:
     covariance = root @ np.swapaxes(root, -1, -2)
     wide = Widening([1.0, 2.0, 4.0], [0.1, 0.2, 0.3])
     found = inflation(camera={"world Hips": wide}).apply(
-        replace(confidence(), turn_covariance=covariance), Circumstances()
+        replace(confidence(), turn_covariance=covariance), ResidualStatistics()
     )
     K = np.diag([1.0, 2.0, 4.0])
     expected = K @ covariance[:, 0] @ K + np.diag([0.01, 0.04, 0.09])
@@ -73,7 +73,7 @@ def test_a_covariance_is_scaled_on_both_sides_and_gets_a_floor() -> None:
 def test_it_depends_on_the_sensors_of_what_is_told(
     sensors: tuple[str, ...], position: float, relative: float, turns: list[float]
 ) -> None:
-    found = inflation().apply(confidence(), Circumstances(sensors))
+    found = inflation().apply(confidence(), ResidualStatistics(sensors))
     np.testing.assert_allclose(found.position_sigma, position)
     np.testing.assert_allclose(found.relative_sigma[:, 1:], relative)
     np.testing.assert_allclose(found.turn_covariance[0, :, 0, 0], np.square(turns))
@@ -82,11 +82,11 @@ def test_it_depends_on_the_sensors_of_what_is_told(
 
 def test_a_share_of_the_distance_from_the_start_is_added_along_that_distance() -> None:
     given = inflation()
-    found = Inflation(given.widenings, {"fused": {"relative": 0.5, "turn": 0.25}})
+    found = CovarianceInflation(given.widenings, {"fused": {"relative": 0.5, "turn": 0.25}})
     off = np.zeros((2, 3, 3, 3))
     off[1, 1, 0, 0] = 4.0
     apart = Disagreement(off, off, off[:, :2])
-    told = Circumstances(("LeftLeg",))
+    told = ResidualStatistics(("LeftLeg",))
     plain, wide = (found.apply(confidence(), told, of) for of in (None, apart))
     np.testing.assert_allclose(wide.relative_covariance - plain.relative_covariance, 0.25 * off)
     np.testing.assert_allclose(wide.turn_covariance - plain.turn_covariance, off[:, :2] / 16)
@@ -95,15 +95,15 @@ def test_a_share_of_the_distance_from_the_start_is_added_along_that_distance() -
 
 def test_white_residuals_leave_what_the_hessian_says_but_for_the_sensors() -> None:
     wide = {"world Hips": Widening(3.0, 0.5), "Hips UpLeg": Widening(1.1, 0.5)}
-    white = inflation(camera=wide).apply(confidence(), Circumstances(lasting=0.0))
+    white = inflation(camera=wide).apply(confidence(), ResidualStatistics(lasting=0.0))
     np.testing.assert_allclose(white.turn_covariance[0, :, 0, 0], np.square([1.2, 1.1]))
-    half = inflation(camera=wide).apply(confidence(), Circumstances(lasting=0.5))
+    half = inflation(camera=wide).apply(confidence(), ResidualStatistics(lasting=0.5))
     np.testing.assert_allclose(half.turn_covariance[0, 0, 0, 0], 2.1**2 + 0.25**2)
 
 
 def test_a_lifter_in_doubt_raises_floors_where_no_sensor_holds() -> None:
     wide = {"world Hips": Widening(2.0, 0.5)}
-    unsure = Circumstances(torso_sigma=2 * USUAL_TORSO_SIGMA)
+    unsure = ResidualStatistics(torso_sigma=2 * USUAL_TORSO_SIGMA)
     found = inflation(camera=wide, sensed=wide)
     free = found.apply(confidence(), unsure)
     held = found.apply(confidence(), replace(unsure, sensors=("Hips",)))
@@ -122,33 +122,33 @@ def test_a_lifter_in_doubt_raises_floors_where_no_sensor_holds() -> None:
 )
 def test_circumstances_that_cannot_be_are_refused(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ShapeError, match=message):
-        Circumstances(**wrong)
+        ResidualStatistics(**wrong)
 
 
 def test_right_and_left_are_widened_alike() -> None:
     assert unsided("Hips LeftUpLeg") == unsided("Hips RightUpLeg") == "Hips UpLeg"
-    found = Inflation.shipped().apply(confidence(1e-4), Circumstances())
+    found = CovarianceInflation.shipped().apply(confidence(1e-4), ResidualStatistics())
     np.testing.assert_array_equal(found.position_sigma[:, 1], found.position_sigma[:, 2])
 
 
 def test_what_is_unknown_stays_unknown() -> None:
     unknown = replace(confidence(), position_covariance=np.full((2, 3, 3, 3), np.nan))
-    found = Inflation.shipped().apply(unknown, Circumstances(("Hips",)))
+    found = CovarianceInflation.shipped().apply(unknown, ResidualStatistics(("Hips",)))
     assert np.isnan(found.position_covariance).all()
 
 
 def test_a_file_is_what_was_written(tmp_path: Path) -> None:
     plain = inflation(sensed={"Hips UpLeg": Widening([1.0, 2.5, 3.0], [0.0, 0.01, 0.02])})
-    given = Inflation(plain.widenings, {"fused": {"position": 0.0, "turn": 0.25}})
+    given = CovarianceInflation(plain.widenings, {"fused": {"position": 0.0, "turn": 0.25}})
     (tmp_path / "a.toml").write_text(given.text())
-    read = Inflation.read(tmp_path / "a.toml")
+    read = CovarianceInflation.read(tmp_path / "a.toml")
     assert read.text() == given.text()
     assert read.shares == given.shares
     np.testing.assert_array_equal(read.widenings["sensed"]["turn"]["Hips UpLeg"].factor, [1.0, 2.5, 3.0])
 
 
 def test_the_shipped_one_knows_every_joint_and_every_pair_of_eight_sensors() -> None:
-    shipped = Inflation.shipped()
+    shipped = CovarianceInflation.shipped()
     carriers = tuple(joint for name, (joint, _) in BODY.sensors.items() if name.endswith(("Arm", "Leg")))
     assert len(carriers) == 8
     for kind in ("position", "relative"):
@@ -177,7 +177,7 @@ def test_the_shipped_one_knows_every_joint_and_every_pair_of_eight_sensors() -> 
 def test_a_file_that_is_none_is_refused(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "a.toml").write_text(text)
     with pytest.raises(FileFormatError, match=message):
-        Inflation.read(tmp_path / "a.toml")
+        CovarianceInflation.read(tmp_path / "a.toml")
 
 
 @pytest.mark.parametrize(
@@ -185,9 +185,9 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path, text: str, message: str)
 )
 def test_shares_that_cannot_be_are_refused(shares: dict[str, dict[str, float]]) -> None:
     with pytest.raises(ShapeError, match="share"):
-        Inflation(inflation().widenings, shares)
+        CovarianceInflation(inflation().widenings, shares)
 
 
 def test_there_must_be_a_widening_for_what_has_none_of_its_own() -> None:
     with pytest.raises(ShapeError, match=r"no widening 'other' of camera\.position"):
-        Inflation({})
+        CovarianceInflation({})

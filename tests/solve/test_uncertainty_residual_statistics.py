@@ -13,7 +13,7 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA
-from rtof_kin.solve.uncertainty.residual_statistics import circumstances, correlation
+from rtof_kin.solve.uncertainty.residual_statistics import correlation, residual_statistics
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -32,8 +32,8 @@ def errors(number: int, shape: tuple[int, ...] = (240, 21, 2)) -> Array:
 
 
 def test_white_residuals_do_not_last_and_a_bias_does() -> None:
-    white = circumstances(keypoints(errors(0)), MOTION, MOTION.poses)
-    biased = circumstances(keypoints(errors(1, (21, 2)) + 0.2 * errors(2)), MOTION, MOTION.poses)
+    white = residual_statistics(keypoints(errors(0)), MOTION, MOTION.poses)
+    biased = residual_statistics(keypoints(errors(1, (21, 2)) + 0.2 * errors(2)), MOTION, MOTION.poses)
     assert white.lasting < 0.05
     assert biased.lasting == 1.0
 
@@ -67,7 +67,7 @@ def test_unseen_landmarks_are_left_out_and_nothing_is_said_of_too_few() -> None:
 
 
 def test_a_recording_that_tells_nothing_is_taken_for_a_usual_one() -> None:
-    told = circumstances(keypoints(np.full((240, 21, 2), np.nan)), MOTION, MOTION.poses, ("Hips",))
+    told = residual_statistics(keypoints(np.full((240, 21, 2), np.nan)), MOTION, MOTION.poses, ("Hips",))
     assert (told.lasting, told.torso_sigma, told.sensors) == (1.0, USUAL_TORSO_SIGMA, ("Hips",))
 
 
@@ -76,4 +76,4 @@ def test_the_lifter_s_doubt_is_that_of_pelvis_and_upper_trunk() -> None:
     sigma[:, BODY.index("Hips", "Spine3")] = 0.2
     sigma[:30] = np.nan
     lifted = replace(MOTION.poses, sigma_rad=sigma)
-    assert circumstances(keypoints(errors(6)), MOTION, lifted).torso_sigma == pytest.approx(0.2)
+    assert residual_statistics(keypoints(errors(6)), MOTION, lifted).torso_sigma == pytest.approx(0.2)

@@ -50,9 +50,7 @@ def motion(frames: int, seed: int = 0) -> MotionSequence:
     return planted.human(BODY, frames, seed)
 
 
-def fragments(
-    recording: Recording, start: PoseSequence, priors: CalibrationPriors
-) -> SharedFragments:
+def fragments(recording: Recording, start: PoseSequence, priors: CalibrationPriors) -> SharedFragments:
     """Fragments of so few frames that a test is quick."""
     return shared_fragments(recording, start, priors, SETTINGS, FRAMES)
 

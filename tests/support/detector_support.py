@@ -22,9 +22,7 @@ def points_px(layout: str, motion: MotionSequence, camera: Camera) -> Array:
     """(T, K, 2) a layout's points in the image, exactly where the table says that they lie."""
     skeleton, poses = motion.skeleton, motion.poses
     p, R = poses.p_world_joint, poses.R_world_bone
-    body = {
-        point.name: (point.joint, point.offset) for point in detector_table().points_on(skeleton)
-    }
+    body = {point.name: (point.joint, point.offset) for point in detector_table().points_on(skeleton)}
     body |= {own(name): place for name, place in skeleton.landmarks.items()}
     places = [body[name] for name in detector_table().layout(layout).points]
     joints = skeleton.index(*(joint for joint, _ in places))

@@ -179,10 +179,7 @@ def write_camera_source(root: Path, subjects: tuple[str, ...]) -> Path:
 
 
 def write_dataset(
-    root: Path,
-    subjects: tuple[str, ...] = SUBJECTS_TRAIN + SUBJECTS_TEST,
-    actions: int = 2,
-    frames: int = 30,
+    root: Path, subjects: tuple[str, ...] = SUBJECTS_TRAIN + SUBJECTS_TEST, actions: int = 2, frames: int = 30
 ) -> Positions:
     """Positions, projected and detected keypoints and both files of cameras; returns the positions."""
     positions = motions(subjects, actions, frames)

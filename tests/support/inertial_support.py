@@ -67,9 +67,7 @@ class Worn:
             own = slice(s, len(self.imus) - s)
             times, R = self.imus.times, self.imus.R_inertial_sensor[:, s]
             w = orientation_rate(times, R)
-            streams.append(
-                SensorStream(name, times[own], self.imus.f_sensor[own, s], R[own], w[own])
-            )
+            streams.append(SensorStream(name, times[own], self.imus.f_sensor[own, s], R[own], w[own]))
         return SensorLog(Path("worn"), "planted", tuple(streams), Declaration())
 
 
@@ -87,9 +85,7 @@ def worn(
     return Worn(skeleton, poses, imus, truth)
 
 
-def walking(
-    R_pose: Array | None = None, sensors: Sequence[str] = LIMB_SENSORS, **options: object
-) -> Worn:
+def walking(R_pose: Array | None = None, sensors: Sequence[str] = LIMB_SENSORS, **options: object) -> Worn:
     """A walk of CMU's, after a pose held for two seconds where one is given."""
     clip = read_mocap(WALK, rate_hz=30.0, output_rate_hz=60.0)
     skeleton = SkeletonModel.default().with_offsets(clip.joint_offsets)

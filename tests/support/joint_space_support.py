@@ -74,9 +74,7 @@ def value(terms: list[Term]) -> dict[str, float]:
     return out
 
 
-def derivatives(
-    terms: Callable[[Array], list[Term]], size: int, step: float = 1e-6
-) -> tuple[Array, Array]:
+def derivatives(terms: Callable[[Array], list[Term]], size: int, step: float = 1e-6) -> tuple[Array, Array]:
     """Gradient (n) and Gauss-Newton Hessian (n, n) at zero, from central differences of residuals."""
     here = terms(np.zeros(size))
     columns = []
@@ -86,9 +84,7 @@ def derivatives(
         plus, minus = (np.concatenate([t.residuals.ravel() for t in terms(s * d)]) for s in (1, -1))
         columns.append((plus - minus) / (2 * step))
     J, r = np.array(columns).T, np.concatenate([t.residuals.ravel() for t in here])
-    slopes = [
-        np.repeat(t.loss(np.sum(t.residuals**2, axis=-1))[1], t.residuals.shape[1]) for t in here
-    ]
+    slopes = [np.repeat(t.loss(np.sum(t.residuals**2, axis=-1))[1], t.residuals.shape[1]) for t in here]
     slope = np.concatenate(slopes)
     return J.T @ (slope * r), (J.T * slope) @ J
 

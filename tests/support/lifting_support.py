@@ -37,11 +37,7 @@ def moving(
     rotvec = np.zeros((frames, J, 3))
     for frequency in (0.2, 0.6):
         phase = rng.uniform(0, 2 * np.pi, (J, 3))
-        rotvec += (
-            0.2
-            * rng.normal(size=(J, 3))
-            * np.sin(2 * np.pi * frequency * time[:, None, None] + phase)
-        )
+        rotvec += 0.2 * rng.normal(size=(J, 3)) * np.sin(2 * np.pi * frequency * time[:, None, None] + phase)
     R = kinematics.world_rotations(table.parents, so3.exp(rotvec))
     p_root = np.stack([0.3 * np.sin(time), 0.2 * np.cos(time), np.zeros(frames)], axis=1)
     p = kinematics.positions(table.parents, table.offsets, p_root, R)
@@ -50,11 +46,7 @@ def moving(
 
 
 def tiny_corpus(
-    clips: int = 4,
-    frames: int = 90,
-    seed: int = 0,
-    table: SkeletonTable = TABLE,
-    rate_hz: float = 60.0,
+    clips: int = 4, frames: int = 90, seed: int = 0, table: SkeletonTable = TABLE, rate_hz: float = 60.0
 ) -> Corpus:
     """Clips of two subjects that train, one each that validates and tests."""
     splits = ["train", "train", "validation", "test"]
@@ -164,9 +156,7 @@ def assert_same_input(one: EncodedWindows, two: EncodedWindows, atol: float = 1e
     torch.testing.assert_close(one.constants, two.constants, atol=atol, rtol=0)
 
 
-def worn_by(
-    seed: int, frames: int, joints: tuple[str, ...], rate_hz: float = 60.0
-) -> BoneImuSequence:
+def worn_by(seed: int, frames: int, joints: tuple[str, ...], rate_hz: float = 60.0) -> BoneImuSequence:
     """Exact sensors on segments of `moving` (always at its 60 Hz, told to be at this rate)."""
     _, R = moving(seed, frames)
     index = [TABLE.names.index(joint) for joint in joints]

@@ -50,9 +50,7 @@ def posed_by_states(model: osim.Model, path: Path) -> dict[str, np.ndarray]:
         times.append(state.getTime())
         markers.append(marker_places(model, state))
         found = model.getMarkerSet()
-        velocities.append(
-            [vector(found.get(k).getVelocityInGround(state)) for k in range(found.getSize())]
-        )
+        velocities.append([vector(found.get(k).getVelocityInGround(state)) for k in range(found.getSize())])
     return {
         "times": np.array(times), "markers": np.array(markers), "velocities": np.array(velocities)
     }  # fmt: skip
@@ -97,9 +95,7 @@ def main(folder: Path, out: Path) -> None:
     found["center_of_mass"] = np.array(center)
     matrix = osim.Matrix()
     model.getMatterSubsystem().calcM(state, matrix)
-    coordinates = [
-        model.getCoordinateSet().get(i) for i in range(model.getCoordinateSet().getSize())
-    ]
+    coordinates = [model.getCoordinateSet().get(i) for i in range(model.getCoordinateSet().getSize())]
     order = places_in_state(model, coordinates)
     found["mass_matrix"] = np.array([[matrix.get(i, j) for j in order] for i in order])
     found["coordinates"] = np.array([c.getName() for c in coordinates])

@@ -22,7 +22,7 @@ from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 
 Array = NDArray[np.float64]
 LIMBS = (
@@ -33,9 +33,7 @@ LIMBS = (
 RATE_HZ = 60.0
 
 
-def smooth_noise(
-    seed: int, shape: tuple[int, ...], frames_wide: float, amplitude: float
-) -> Array:
+def smooth_noise(seed: int, shape: tuple[int, ...], frames_wide: float, amplitude: float) -> Array:
     """Noise of unit-free shape (T, ...) with a memory of some frames and a given standard deviation."""
     rng = np.random.default_rng(seed)
     noise = rng.normal(size=(shape[0] + 400, *shape[1:]))
@@ -48,9 +46,7 @@ def moving(skeleton: SkeletonModel, frames: int, seed: int = 0, radians: float =
     q = np.tile(skeleton.n_pose(), (frames, 1))
     q[:, 7:] += smooth_noise(seed, (frames, skeleton.nq - 7), 15, radians)
     q[:, :3] += smooth_noise(seed + 1, (frames, 3), 40, 0.05) + np.array([0.0, 0.0, 0.95])
-    turn = so3.about_axis("z", np.full(frames, 0.3)) @ so3.exp(
-        smooth_noise(seed + 2, (frames, 3), 30, 0.1)
-    )
+    turn = so3.about_axis("z", np.full(frames, 0.3)) @ so3.exp(smooth_noise(seed + 2, (frames, 3), 30, 0.1))
     q[:, 3:7] = np.roll(so3.to_quat_wxyz(turn), -1, axis=-1)
     p, R = skeleton.forward_kinematics(q)
     poses = PoseSequence(
@@ -276,9 +272,7 @@ def recording(
     R_sensor_world = np.swapaxes(R_world_inertial @ R, -1, -2)
     f = np.einsum("tsij,tsj->tsi", R_sensor_world, bones.a_world - GRAVITY_WORLD)
     names = tuple(f"imu_{joint}" for joint in bones.joints)
-    calibration = ImuCalibration(
-        names, bones.joints, R_world_inertial, R_sensor_bone, bones.p_bone_sensor
-    )
+    calibration = ImuCalibration(names, bones.joints, R_world_inertial, R_sensor_bone, bones.p_bone_sensor)
     return Recording(
         name="planted",
         keypoints=keypoints(truth.poses, sigma_px),
@@ -305,7 +299,7 @@ def documented_residuals(
     seen: KeypointSequence,
     imus: BoneImuSequence | None,
     skeleton: SkeletonModel,
-    settings: FragmentSettings,
+    settings: CartesianSettings,
     frames: int,
     sigma_px: float,
 ) -> dict[str, Array]:
@@ -346,9 +340,7 @@ def documented_residuals(
     }
 
 
-def _visual_residuals(
-    X: Array, seen: KeypointSequence, sigma_px: float, huber: float | None
-) -> Array:
+def _visual_residuals(X: Array, seen: KeypointSequence, sigma_px: float, huber: float | None) -> Array:
     """(T, J, 2) of undistorted pixels, weighted by confidence and the robust loss; NaN where unseen."""
     pinhole = seen.camera.undistorted()
     uv = pinhole.project(seen.camera.rays_world(seen.uv_px) + pinhole.center_world)

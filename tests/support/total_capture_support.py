@@ -17,9 +17,7 @@ from rtof_kin.simulation.noise import ImuNoise
 
 
 @cache
-def motion(
-    subject: str = "S5", name: str = "acting3", frames: int = 60, seed: int = 0
-) -> PoseSequence:
+def motion(subject: str = "S5", name: str = "acting3", frames: int = 60, seed: int = 0) -> PoseSequence:
     """Somebody of a subject's body who comes out of a T-pose and waves everything a little."""
     offsets = body(subject, name)
     poses = planted.moving(SkeletonModel.default().with_offsets(offsets), frames, seed, 0.15).poses
@@ -48,9 +46,7 @@ def take(
     )
 
 
-def dataset(
-    root: Path, *takes: StandInTake, layout: str = "one", **written: bool
-) -> dict[str, Path]:
+def dataset(root: Path, *takes: StandInTake, layout: str = "one", **written: bool) -> dict[str, Path]:
     """Write cameras and takes; the paths of the last one's files by kind, and of 'cameras'."""
     paths: dict[str, Path] = {}
     for one in takes or (take(),):

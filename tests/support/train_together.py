@@ -31,9 +31,7 @@ QUICK = TrainConfig(
 CONFIGS = {
     "same": QUICK,
     "own": replace(QUICK, same_windows=False),
-    "baseline": replace(
-        QUICK, model="videopose3d", dropout=0.0, learning_rate=1e-3, windows=240,
-    ),
+    "baseline": replace(QUICK, model="videopose3d", dropout=0.0, learning_rate=1e-3, windows=240),
 }
 
 

@@ -57,13 +57,7 @@ def rows(t: int, p: int) -> list[list[float]]:
 
 def entries(image: Callable[[int], Any]) -> list[dict[str, Any]]:
     return [
-        {
-            "image_id": image(t),
-            "category_id": 1,
-            "keypoints": points(t, p),
-            "score": 2.5,
-            "idx": p + 4,
-        }
+        {"image_id": image(t), "category_id": 1, "keypoints": points(t, p), "score": 2.5, "idx": p + 4}
         for t in range(T)
         for p in (0, 1)
     ]
@@ -149,14 +143,8 @@ def landmark(t: int, k: int) -> dict[str, float]:
 
 MEDIAPIPE: dict[str, Callable[[int], Any]] = {
     "bare": lambda t: [landmark(t, k) for k in range(33)],
-    "landmarks": lambda t: {
-        "timestamp_ms": 40 * t,
-        "landmarks": [landmark(t, k) for k in range(33)],
-    },
-    "several": lambda t: {
-        "time": 0.04 * t,
-        "pose_landmarks": [[landmark(t, k) for k in range(33)]],
-    },
+    "landmarks": lambda t: {"timestamp_ms": 40 * t, "landmarks": [landmark(t, k) for k in range(33)]},
+    "several": lambda t: {"time": 0.04 * t, "pose_landmarks": [[landmark(t, k) for k in range(33)]]},
     "one": lambda t: {"time": 0.04 * t, "pose_landmarks": [landmark(t, k) for k in range(33)]},
 }
 
@@ -204,14 +192,10 @@ def test_frames_without_anybody_keep_their_place(tmp_path: Path) -> None:
     empty = {"people": [{"pose_keypoints_2d": []}, {}]}
     (folder / "walk_000000000104_keypoints.json").write_text(json.dumps(empty))
     found = read_detector_file(folder)
-    np.testing.assert_array_equal(
-        found.present.any(axis=1), [True, True, False, False, False, True]
-    )
+    np.testing.assert_array_equal(found.present.any(axis=1), [True, True, False, False, False, True])
     np.testing.assert_allclose(found.uv_px[5], UV[5])
     path = dumped(tmp_path, [e for e in entries(lambda t: f"{t}.jpg") if e["image_id"] != "0.jpg"])
-    np.testing.assert_array_equal(
-        read_detector_file(path).present.any(axis=1), [False] + 5 * [True]
-    )
+    np.testing.assert_array_equal(read_detector_file(path).present.any(axis=1), [False] + 5 * [True])
 
 
 def test_zeros_and_nan_are_unseen_and_odd_confidences_are_cut(tmp_path: Path) -> None:
@@ -277,19 +261,14 @@ def test_what_is_broken_is_refused_by_name(name: str, tmp_path: Path) -> None:
         ({"uv_px": np.ones((3, 17, 4))}, "is neither"),
         ({"uv_px": UV, "keypoints": UV}, "has uv_px and keypoints; leave only one"),
         ({"uv_px": UV, "confidence": np.ones((T, K))}, r"confidence: expected shape \(6, 2, 17\)"),
-        (
-            {"uv_px": UV, "confidence": np.full((T, 2, K), 87.0)},
-            "reaches from 87 to 87; give values from 0",
-        ),
+        ({"uv_px": UV, "confidence": np.full((T, 2, K), 87.0)}, "reaches from 87 to 87; give values from 0"),
         ({"uv_px": UV, "confidence": np.full((T, 2, K), -0.1)}, "give values from 0 to 1"),
         ({"uv_px": UV, "times": np.arange(3)}, "3, but there are 6 frames"),
         ({"uv_px": UV, "times": np.zeros(T)}, "time does not increase"),
         ({"uv_px": UV[:0]}, "nobody in any frame"),
     ],
 )
-def test_arrays_that_do_not_fit_are_refused(
-    arrays: dict[str, Array], message: str, tmp_path: Path
-) -> None:
+def test_arrays_that_do_not_fit_are_refused(arrays: dict[str, Array], message: str, tmp_path: Path) -> None:
     path = tmp_path / "p.npz"
     np.savez(path, **arrays)  # type: ignore[arg-type]
     with pytest.raises(FileFormatError, match=message):
@@ -313,9 +292,7 @@ def test_a_header_cannot_claim_memory_that_the_file_does_not_fill(tmp_path: Path
         read_detector_file(path)
 
 
-def test_files_that_are_too_large_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_that_are_too_large_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(json_files, "LARGEST_JSON", 10)
     with pytest.raises(FileFormatError, match="larger than 0 MiB, .*; write one file a frame"):
         read_detector_file(dumped(tmp_path, frames("people", "keypoints")))

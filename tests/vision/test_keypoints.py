@@ -72,12 +72,7 @@ def test_real_detections_of_two_people_give_one_persons_joints() -> None:
     assert np.median(step) < 10  # px from frame to frame, of somebody about 1000 px tall
     trunk = at["Neck"] - at["Hips"]
     assert np.all(trunk[:, 1] < -150)
-    for lower, upper in (
-        ("Spine", "Hips"),
-        ("Spine2", "Spine"),
-        ("Neck", "Spine3"),
-        ("Head", "Neck"),
-    ):
+    for lower, upper in (("Spine", "Hips"), ("Spine2", "Spine"), ("Neck", "Spine3"), ("Head", "Neck")):
         assert np.all(at[lower][:, 1] < at[upper][:, 1] + 5)
     said = "layout body25b, OpenPose BODY_25B: confirmed by geometry"
     assert found.summary.startswith(said)
@@ -105,7 +100,7 @@ def test_a_recording_names_a_detectors_file(
     camera = Camera.looking_at([4.0, 0.0, 1.5], [0.0, 0.0, 1.0], 1250.0)
     here = motion.skeleton.motion(motion.poses)
     moved = here.poses.p_world_joint - here.poses.p_world_joint[:1, :1] * [1, 1, 0]
-    here = motion.skeleton.motion(motion.poses.posed(slice(None), moved))
+    here = motion.skeleton.motion(motion.poses.with_poses(slice(None), moved))
     written(tmp_path, layout, here, camera)
     said = layout if named else "auto"
     text = f'file = "found.json"\nlayout = "{said}"\nrate_hz = 30.0\nstart_s = 2.0'
@@ -151,12 +146,7 @@ def test_a_folder_of_real_detections_is_a_recording_and_says_whom_it_follows(
     ],
 )  # fmt: skip
 def test_a_wrong_layout_is_a_clear_error(
-    text: str,
-    error: type[Exception],
-    message: str,
-    tmp_path: Path,
-    motion: MotionSequence,
-    camera: Camera,
+    text: str, error: type[Exception], message: str, tmp_path: Path, motion: MotionSequence, camera: Camera
 ) -> None:
     written(tmp_path, "coco17", motion, camera)
     with pytest.raises(error, match=message):
@@ -170,9 +160,7 @@ def test_a_detectors_layout_is_for_the_21_joints(
     folder = recording(tmp_path, 'file = "found.json"\nlayout = "human36m17"\nrate_hz = 30')
     path = folder / "recording.toml"
     path.write_text(path.read_text() + '[skeleton]\ntable = "human36m"\n')
-    with pytest.raises(
-        FileFormatError, match="for the skeleton total_capture, not human36m.*'joints'"
-    ):
+    with pytest.raises(FileFormatError, match="for the skeleton total_capture, not human36m.*'joints'"):
         Recording.load(folder)
 
 
@@ -214,9 +202,7 @@ def test_points_outside_of_the_cameras_image_mean_another_camera(
     motion: MotionSequence, camera: Camera
 ) -> None:
     uv = 3 * points_px("coco17", motion, camera)[:, None]
-    with pytest.raises(
-        ShapeError, match="% of the points lie outside of the camera's image of 1920 x 1080"
-    ):
+    with pytest.raises(ShapeError, match="% of the points lie outside of the camera's image of 1920 x 1080"):
         adapt(Detections(uv, np.ones(uv.shape[:3])), motion.times, camera)
 
 

@@ -111,9 +111,7 @@ def test_frames_with_too_few_points_are_unseen_and_the_others_unharmed(
     np.testing.assert_allclose(found.uv_px[rest], whole.uv_px[rest])
 
 
-def test_guessed_joints_count_less_and_are_known_to_be_worse(
-    motion: MotionSequence, camera: Camera
-) -> None:
+def test_guessed_joints_count_less_and_are_known_to_be_worse(motion: MotionSequence, camera: Camera) -> None:
     uv, confidence = sees("coco17", motion, camera)
     found = ADAPTER.apply("coco17", uv, confidence)
     at = {name: i for i, name in enumerate(found.names)}
@@ -184,9 +182,7 @@ def test_what_is_no_persons_points_is_refused(motion: MotionSequence, camera: Ca
     with pytest.raises(ShapeError, match="no point is seen"):
         ADAPTER.naive("coco17", np.full_like(uv, np.nan), confidence)
     confidence[:, 2:] = 0.0
-    with pytest.raises(
-        ShapeError, match="in no frame are enough points seen.*at least 4 of its 17"
-    ):
+    with pytest.raises(ShapeError, match="in no frame are enough points seen.*at least 4 of its 17"):
         ADAPTER.apply("coco17", uv, confidence)
 
 
@@ -199,9 +195,7 @@ def test_what_is_no_persons_points_is_refused(motion: MotionSequence, camera: Ca
         ({"covariance": np.eye(4)}, "covariance of points: expected shape .*build it again"),
     ],
 )  # fmt: skip
-def test_a_fit_to_other_points_is_refused(
-    changed: dict[str, object], message: str, tmp_path: Path
-) -> None:
+def test_a_fit_to_other_points_is_refused(changed: dict[str, object], message: str, tmp_path: Path) -> None:
     arrays = {**read_npz(model_path("detectors.npz")), **changed}
     kept = {name: np.asarray(value) for name, value in arrays.items() if value is not None}
     path = tmp_path / "detectors.npz"

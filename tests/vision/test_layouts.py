@@ -102,9 +102,7 @@ def test_an_unknown_layout_is_named_with_those_known() -> None:
         ("[naive]", "naive", "not readable as TOML"),
     ],
 )  # fmt: skip
-def test_a_broken_table_is_refused_by_name(
-    before: str, after: str, message: str, tmp_path: Path
-) -> None:
+def test_a_broken_table_is_refused_by_name(before: str, after: str, message: str, tmp_path: Path) -> None:
     assert before in TEXT
     path = tmp_path / "detectors.toml"
     path.write_text(TEXT.replace(before, after, 1), encoding="utf-8")

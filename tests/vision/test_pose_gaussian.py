@@ -46,9 +46,7 @@ def test_the_estimate_is_the_textbook_conditional_mean(gaussian: PointGaussian) 
     m = gaussian.mean.ravel()
     want = m[j] + (x.reshape(3, -1) - m[i]) @ np.linalg.solve(A, C[np.ix_(i, j)])
     got = gaussian.given(SEEN).estimate(gaussian.given(SEEN).regression(WANTED), x, np.ones(3))
-    np.testing.assert_allclose(
-        got.reshape(3, -1), want, atol=2e-5
-    )  # the prior on place is nearly flat
+    np.testing.assert_allclose(got.reshape(3, -1), want, atol=2e-5)  # the prior on place is nearly flat
 
 
 def test_estimates_move_and_scale_with_the_image(gaussian: PointGaussian) -> None:

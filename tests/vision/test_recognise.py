@@ -62,9 +62,7 @@ def test_the_wrong_name_for_as_many_points_is_refused(
 
 
 def test_the_wrong_number_of_points_is_refused(seen: dict[str, tuple[Array, Array]]) -> None:
-    with pytest.raises(
-        ShapeError, match="halpe26 has 26 points, but there are 25.*body25, body25b"
-    ):
+    with pytest.raises(ShapeError, match="halpe26 has 26 points, but there are 25.*body25, body25b"):
         recognise(*seen["body25"], layout="halpe26")
     uv, confidence = seen["halpe26"]
     with pytest.raises(ShapeError, match=r"no layout has 24 points; known: body25 \(25\)"):
@@ -80,9 +78,7 @@ def test_points_in_a_wrong_order_are_no_person(
 ) -> None:
     uv, confidence = seen[layout]
     order = np.random.default_rng(1).permutation(uv.shape[1])
-    with pytest.raises(
-        ShapeError, match="do not lie to each other as a person's.*check their order"
-    ):
+    with pytest.raises(ShapeError, match="do not lie to each other as a person's.*check their order"):
         recognise(uv[:, order], confidence[:, order], layout=layout if named else None)
 
 
@@ -102,9 +98,7 @@ def test_names_decide_and_give_the_order(seen: dict[str, tuple[Array, Array]]) -
     np.testing.assert_array_equal(order[list(found.order)], np.arange(26))
 
 
-def test_of_nested_layouts_that_are_named_the_largest_is_taken(
-    seen: dict[str, tuple[Array, Array]],
-) -> None:
+def test_of_nested_layouts_that_are_named_the_largest_is_taken(seen: dict[str, tuple[Array, Array]]) -> None:
     names = detector_table().layout("halpe26").names  # the first 17 are COCO's
     assert recognise(*seen["halpe26"], names).layout.name == "halpe26"
     found = recognise(*seen["halpe26"], names, layout="coco17")
@@ -114,9 +108,7 @@ def test_of_nested_layouts_that_are_named_the_largest_is_taken(
 
 def test_names_of_another_layout_are_refused(seen: dict[str, tuple[Array, Array]]) -> None:
     names = detector_table().layout("body25").names
-    with pytest.raises(
-        ShapeError, match="layout body25b: the points are named Nose, Neck.*no UpperNeck"
-    ):
+    with pytest.raises(ShapeError, match="layout body25b: the points are named Nose, Neck.*no UpperNeck"):
         recognise(*seen["body25b"], names, layout="body25b")
     with pytest.raises(ShapeError, match="named a, b, c, which is no layout; known: body25,"):
         recognise(np.zeros((1, 3, 2)), np.ones((1, 3)), ["a", "b", "c"])

@@ -24,9 +24,7 @@ def walker(start: float, stop: float, size: float = 1.0, height: float = 540.0) 
     return size * (BODY + swing) + np.stack([u, np.full(T, height)], axis=-1)[:, None]
 
 
-def filmed(
-    people: list[Array], seed: int = 0, hidden: Array | None = None
-) -> tuple[Detections, Array]:
+def filmed(people: list[Array], seed: int = 0, hidden: Array | None = None) -> tuple[Detections, Array]:
     """Detections with everybody in random order, and (T,) where person 0 is among them, -1 where not."""
     rng = np.random.default_rng(seed)
     uv = np.stack(people, axis=1) + rng.normal(size=(T, len(people), 17, 2))

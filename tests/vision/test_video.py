@@ -74,10 +74,7 @@ def people_model(path: Path, boxes: list[list[float]]) -> None:
         node("Mul", ["least", "zero"], ["nothing"]),
         node("Add", ["boxes", "nothing"], ["dets"]),
     ]
-    constants = {
-        "boxes": np.array([boxes], dtype=np.float32),
-        "zero": np.zeros(1, dtype=np.float32),
-    }
+    constants = {"boxes": np.array([boxes], dtype=np.float32), "zero": np.zeros(1, dtype=np.float32)}
     saved(path, nodes, constants, (480, 640), {"dets": [1, len(boxes), 5]})
 
 
@@ -112,9 +109,7 @@ def error_px(found: Array, truth: Array) -> float:
     return float(np.median(np.linalg.norm(found - truth, axis=-1)))
 
 
-def test_a_video_becomes_points_with_the_files_times(
-    film: tuple[Path, Array], folder: Path
-) -> None:
+def test_a_video_becomes_points_with_the_files_times(film: tuple[Path, Array], folder: Path) -> None:
     path, uv = film
     told: list[tuple[str, int, int]] = []
     found = video.detect_video(path, folder, progress=lambda *args: told.append(args))
@@ -141,9 +136,7 @@ def test_seconds_end_a_video_early(film: tuple[Path, Array], folder: Path) -> No
     assert len(video.detect_video(film[0], folder, seconds=0.1)) == 3
 
 
-def test_what_is_written_is_read_back(
-    film: tuple[Path, Array], folder: Path, tmp_path: Path
-) -> None:
+def test_what_is_written_is_read_back(film: tuple[Path, Array], folder: Path, tmp_path: Path) -> None:
     found = video.detect_video(film[0], folder)
     video.write_detections(tmp_path / "k.npz", found)
     again = read_detector_file(tmp_path / "k.npz")
@@ -215,9 +208,7 @@ def test_a_webcam_may_be_stopped_and_has_times_of_the_clock(
         video.detect_video(1, folder)
 
 
-def test_a_camera_that_is_not_there_is_a_clear_error(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_camera_that_is_not_there_is_a_clear_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cv2, "VideoCapture", lambda source: Webcam(source, 0))
     with pytest.raises(FileFormatError, match="webcam 3: not a video or camera"):
         video.detect_video(3, folder, seconds=1.0)
@@ -281,13 +272,8 @@ def test_without_the_extra_the_error_says_what_to_install(
     for name in ("rtmlib", "onnxruntime", "cv2"):
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, name, None)
-            with pytest.raises(
-                RtofError, match=rf"{name} is not installed.*pip install 'rtof_kin\[video\]'"
-            ):
+            with pytest.raises(RtofError, match=rf"{name} is not installed.*pip install 'rtof_kin\[video\]'"):
                 video.detect_video(film[0], folder)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    assert (
-        main(["detect", str(film[0]), "--model-dir", str(folder), "--out", str(folder / "k.npz")])
-        == 2
-    )
+    assert main(["detect", str(film[0]), "--model-dir", str(folder), "--out", str(folder / "k.npz")]) == 2
     assert "model files are yours to provide" in " ".join(capsys.readouterr().err.split())

@@ -42,9 +42,7 @@ def camera_residual(points: Array, image: Array) -> float:
     """How badly any projective camera maps points (N, 3) to (N, 2): the direct linear transform."""
     ones = np.column_stack([points, np.ones(len(points))])
     u, v = image.T[..., None]
-    rows = np.concatenate(
-        [np.hstack([ones, 0 * ones, -u * ones]), np.hstack([0 * ones, ones, -v * ones])]
-    )
+    rows = np.concatenate([np.hstack([ones, 0 * ones, -u * ones]), np.hstack([0 * ones, ones, -v * ones])])
     singular = np.linalg.svd(rows, compute_uv=False)
     return float(singular[-1] / singular[0])
 
@@ -62,10 +60,7 @@ def test_half_of_the_views_are_of_the_mirror_image() -> None:
     flipped = []
     for seed in range(8):
         views, points, _ = seen(replace(STILL, mirror=True), seed)
-        fits = [
-            camera_residual(joints(views, flip)[20], points[20, :21]) < 1e-12
-            for flip in (False, True)
-        ]
+        fits = [camera_residual(joints(views, flip)[20], points[20, :21]) < 1e-12 for flip in (False, True)]
         assert sum(fits) == 1
         flipped.append(fits[1])
     assert 0 < sum(flipped) < 8

@@ -47,9 +47,7 @@ def read_npz(path: Path, limit: int = LARGEST_BYTES) -> dict[str, Array]:
     return {name: _measured(path, name, array) for name, array in saved.items()}
 
 
-def read_npz_as_saved(
-    path: Path, limit: int = LARGEST_BYTES, kinds: str = "fiub"
-) -> dict[str, NDArray[Any]]:
+def read_npz_as_saved(path: Path, limit: int = LARGEST_BYTES, kinds: str = "fiub") -> dict[str, NDArray[Any]]:
     """All arrays of an .npz file, read-only, of the types they were saved with, by name.
 
     Args:
@@ -164,9 +162,7 @@ def _read_npy(path: Path, name: str, stream: IO[bytes], size: int, kinds: str) -
         )  # fmt: skip
     claimed = math.prod(shape) * dtype.itemsize
     if claimed > size or min(shape, default=0) < 0 or dtype.itemsize == 0:
-        raise FileFormatError(
-            path, f"{name}: shape {shape} needs {claimed} bytes, {size} are there"
-        )
+        raise FileFormatError(path, f"{name}: shape {shape} needs {claimed} bytes, {size} are there")
     data = stream.read()
     if len(data) != claimed:
         raise FileFormatError(path, f"{name}: damaged, {len(data)} of {claimed} bytes are there")
@@ -228,9 +224,7 @@ def _read_table(path: Path, stream: IO[str]) -> dict[str, Array]:
 
 def _numbers(path: Path, line: int, header: list[str], cells: list[str]) -> list[float]:
     if len(cells) != len(header):
-        raise FileFormatError(
-            path, f"{len(cells)} cells where the header names {len(header)} columns", line
-        )
+        raise FileFormatError(path, f"{len(cells)} cells where the header names {len(header)} columns", line)
     row = []
     for name, cell in zip(header, cells, strict=True):
         try:

@@ -28,7 +28,8 @@ _log = logging.getLogger(__name__)
 
 def path_inside(folder: Path, name: str) -> Path | None:
     """The path that a file's field names inside a folder, either slash between its parts; None where it
-    leads out of it, as '..', absolute names and links do."""
+    leads out of it, as '..', absolute names and links do.
+    """
     parts = PurePosixPath(name.replace("\\", "/"))
     if parts.is_absolute() or ".." in parts.parts or ":" in name or "\0" in name or not parts.parts:
         return None
@@ -155,7 +156,8 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 def _exchange(new: Path, path: Path) -> None:
     """Exchange two folders, in one step where the system can; else the old one is under a name of its own
-    for a moment, which says what it is should the process be killed then."""
+    for a moment, which says what it is should the process be killed then.
+    """
     try:
         _exchange_at_once(new, path)
     except OSError as error:

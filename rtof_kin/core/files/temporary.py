@@ -72,7 +72,8 @@ def _locked(folder: Path) -> Iterator[bool | None]:
 
 def clear(folder: Path) -> None:
     """Remove a temporary folder. One with a manifest is an earlier output that was replaced: of that only
-    what this package wrote is removed."""
+    what this package wrote is removed.
+    """
     if os.path.lexists(folder / MANIFEST):
         with suppress(OSError):
             remove_written(folder)

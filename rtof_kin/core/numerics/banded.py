@@ -71,7 +71,8 @@ class Factor:
 
 def inverse_diagonal(factor: Array) -> Array:
     """(N, D, D) diagonal blocks of the inverse of a matrix with this factor (N, lags, D, D), as
-    `Factor.blocks` gives it."""
+    `Factor.blocks` gives it.
+    """
     N, lags, D, _ = factor.shape
     out, window = np.empty((N, D, D)), np.zeros(((lags - 1) * D,) * 2)
     for t in range(N - 1, -1, -1):
@@ -152,9 +153,7 @@ class Store:
     def _solve(self, factor: Array, right: Array) -> Array:
         x = np.zeros(self._blocked + self._padding)
         x[: self.size] = right
-        self._code.banded_solve(
-            factor.ctypes.data, x.ctypes.data, self._blocked, self.band, self.step
-        )
+        self._code.banded_solve(factor.ctypes.data, x.ctypes.data, self._blocked, self.band, self.step)
         return x[: self.size]
 
 

@@ -79,9 +79,7 @@ def built(
         with BUILDING:
             return _loaded(_identity(made_of, options), source, loaded, options, name)
     except (OSError, RuntimeError, subprocess.SubprocessError) as error:
-        _log.warning(
-            "the energy could not be compiled (%s): it is interpreted, which is slower", error
-        )
+        _log.warning("the energy could not be compiled (%s): it is interpreted, which is slower", error)
         return None
 
 

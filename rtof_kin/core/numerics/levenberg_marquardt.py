@@ -207,7 +207,8 @@ class LevenbergMarquardt:
 
     def linearise(self, x: Array, m: Array) -> Array:
         """Gradient (N, D) with the limits' force at multipliers (N, M); the Hessian, with that of the
-        limits, is kept by the problem."""
+        limits, is kept by the problem.
+        """
         _, gradient = self.problem.linearise(x)
         if self.limits is None or not (pushed := self._pushed(x, m)).any():
             return gradient

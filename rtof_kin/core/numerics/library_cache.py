@@ -40,7 +40,8 @@ class Origin:
 
 def trusted(folder: Path) -> Path:
     """The folder, made where it is not there; a private one of this process, with a warning, where
-    others could write."""
+    others could write.
+    """
     if not folder.exists():
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -95,7 +96,8 @@ def _locked(library: Path) -> AbstractContextManager[object]:
 
 def _remove_dead_builds(library: Path) -> None:
     """Remove what killed builds left: those of other libraries that nobody holds the lock of, and of this
-    one, which is ours."""
+    one, which is ours.
+    """
     for left in library.parent.glob("*.build"):
         try:
             own = left.stem == library.stem
@@ -142,7 +144,8 @@ def _doubt(folder: Path) -> str | None:
 
 def _of_own_group(status: os.stat_result) -> bool:
     """Whether a folder is this user's, and the group that may write is this user alone, as many systems
-    set home folders up."""
+    set home folders up.
+    """
     import grp
     import pwd
 

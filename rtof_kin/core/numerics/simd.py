@@ -149,7 +149,8 @@ def whole(frames: int) -> int:
 
 def in_lanes(functions: Sequence[FrameFunction]) -> dict[str, Any] | None:
     """The functions compiled together, by name, from the cache where they are there; None where they
-    cannot be (`compiled.built`)."""
+    cannot be (`compiled.built`).
+    """
 
     def loaded(library: Path) -> dict[str, Any]:
         opened = ctypes.CDLL(str(library))

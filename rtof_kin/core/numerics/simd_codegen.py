@@ -137,9 +137,7 @@ class _Writer:
         for piece in range((count + _PIECE - 1) // _PIECE):
             own = range(piece * _PIECE, min(count, (piece + 1) * _PIECE))
             needed = sorted({v for k in own for v in self._used[k] if v < own.start})
-            lines = [
-                self._lines[v] if v in self._again else f"const V v{v} = w[{place[v]}];" for v in needed
-            ]
+            lines = [self._lines[v] if v in self._again else f"const V v{v} = w[{place[v]}];" for v in needed]
             lines += self._lines[own.start : own.stop]
             free += [place[v] for v in ending.get(piece, [])]
             for k in own:
@@ -151,7 +149,5 @@ class _Writer:
                     lines.append(f"w[{place[k]}] = v{k};")
             pieces.append(_PIECE_OF.format(name=f"{name}_{piece}", body="\n".join(lines)))
         calls = "\n    ".join(f"{name}_{piece}(&now, w);" for piece in range(len(pieces)))
-        driver = _DRIVER.format(
-            name=name, slots=max(slots, 1), last=self._function.n_out() - 1, calls=calls
-        )
+        driver = _DRIVER.format(name=name, slots=max(slots, 1), last=self._function.n_out() - 1, calls=calls)
         return "\n".join([*pieces, driver])

@@ -44,13 +44,7 @@ class Format:
 
 
 FORMATS = (
-    Format(
-        mvnx.TITLE,
-        "XML whose root is <mvnx>",
-        mvnx.is_mvnx,
-        mvnx.read_mvnx,
-        file_is_trial=True,
-    ),
+    Format(mvnx.TITLE, "XML whose root is <mvnx>", mvnx.is_mvnx, mvnx.read_mvnx, file_is_trial=True),
     Format(
         imu_mat.TITLE,
         "MATLAB v5 to v7: vector t, and for each sensor a struct of acc, gyr, mag, quat",
@@ -146,7 +140,8 @@ def _read(found: Mapping[Path, Format], declared: Mapping[str, Any]) -> SensorLo
 
 def _recognised(path: Path) -> tuple[dict[Path, Format], list[Path]]:
     """The files of known formats: a file itself, those in a folder, or those in its folders; and files
-    there with the same ending that are none."""
+    there with the same ending that are none.
+    """
     if not path.is_dir():
         kind = _format_of(path)
         if kind is None:

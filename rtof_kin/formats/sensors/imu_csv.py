@@ -63,12 +63,8 @@ def read_imu_csv(path: Path, **declared: Any) -> SensorLog:
     times = _times(table, declaration.rate_hz)
     readings = []
     for name, kinds in groups.items():
-        found = {
-            kind: table.columns(*(f"{name}_{kind}{axis}" for axis in _GROUPS[kind])) for kind in kinds
-        }
-        readings.append(
-            Readings(name, times, found.get("f"), found.get("w"), found.get("m"), found.get("q"))
-        )
+        found = {kind: table.columns(*(f"{name}_{kind}{axis}" for axis in _GROUPS[kind])) for kind in kinds}
+        readings.append(Readings(name, times, found.get("f"), found.get("w"), found.get("m"), found.get("q")))
     return sensor_log([path], TITLE, readings, declaration, (*table.notes, *lost(times)))
 
 

@@ -61,9 +61,7 @@ def read_imu_mat(path: Path, **declared: Any) -> SensorLog:
         raise FileFormatError(path, f"its arrays have different lengths: {sorted(lengths)}")
     times = _times(path, variables, lengths.pop(), declaration.rate_hz)
     sensors = [
-        Readings(
-            name, times, fields.get("acc"), fields.get("gyr"), fields.get("mag"), fields.get("quat")
-        )
+        Readings(name, times, fields.get("acc"), fields.get("gyr"), fields.get("mag"), fields.get("quat"))
         for name, fields in found.items()
     ]
     return sensor_log([path], TITLE, sensors, declaration, lost(times))

@@ -149,7 +149,8 @@ def read_mvnx_file(path: Path) -> Mvnx:
 
 def _elements(path: Path) -> Iterator[Element]:
     """Each element when it ends, a frame whole and anything else without what it held: elements are
-    dropped as soon as they are used."""
+    dropped as soon as they are used.
+    """
     above: list[Element] = []
     tags: list[str] = []
     with path.open("rb") as stream:

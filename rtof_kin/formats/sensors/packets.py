@@ -37,9 +37,7 @@ class Packets:
     """What was met, in sentences without a subject."""
 
 
-def in_order(
-    path: Path, counters: Array, lines: Sequence[int], wrap: int, late: int, what: str
-) -> Packets:
+def in_order(path: Path, counters: Array, lines: Sequence[int], wrap: int, late: int, what: str) -> Packets:
     """Packets by a counter that wraps.
 
     Args:
@@ -109,9 +107,7 @@ def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
         return ()
     share, longest = missing / (missing + len(times)), gaps.max() / rate_hz
     places = _counted(len(gaps), "gap")
-    return (
-        f"{_counted(missing, 'packet')} ({share:.1%}) lost in {places}, the longest of {longest:.2f} s",
-    )
+    return (f"{_counted(missing, 'packet')} ({share:.1%}) lost in {places}, the longest of {longest:.2f} s",)
 
 
 def aligned(first: Sequence[int], wrap: int) -> list[int]:

@@ -1,5 +1,6 @@
 """Tables of numbers in text as loggers of sensors write them: some lines about the device, a line of
-column names, then a line of numbers for each packet, separated by tabs, commas or semicolons."""
+column names, then a line of numbers for each packet, separated by tabs, commas or semicolons.
+"""
 
 from __future__ import annotations
 
@@ -161,9 +162,7 @@ def _read_rows(
     return SensorTable(path, header, tuple(names[i] for i in taken), table, lines, notes)
 
 
-def _no_number(
-    path: Path, names: list[str], taken: list[int], row: list[str], line: int
-) -> FileFormatError:
+def _no_number(path: Path, names: list[str], taken: list[int], row: list[str], line: int) -> FileFormatError:
     for i in taken:
         try:
             float(row[i] or "nan")

@@ -19,10 +19,7 @@ _ACCELERATION = (("Acc_X", "Acc_Y", "Acc_Z"),)
 _FREE = (("FreeAcc_X", "FreeAcc_Y", "FreeAcc_Z"), ("FreeAcc_E", "FreeAcc_N", "FreeAcc_U"))
 _GYROSCOPE = (("Gyr_X", "Gyr_Y", "Gyr_Z"),)
 _MAGNETOMETER = (("Mag_X", "Mag_Y", "Mag_Z"),)
-_QUATERNION = (
-    ("Quat_q0", "Quat_q1", "Quat_q2", "Quat_q3"),
-    ("Quat_W", "Quat_X", "Quat_Y", "Quat_Z"),
-)
+_QUATERNION = (("Quat_q0", "Quat_q1", "Quat_q2", "Quat_q3"), ("Quat_W", "Quat_X", "Quat_Y", "Quat_Z"))
 _MATRIX = (tuple(f"Mat[{row}][{column}]" for row in (1, 2, 3) for column in (1, 2, 3)),)
 _EULER = (("Yaw", "Pitch", "Roll"), ("Euler_Z", "Euler_Y", "Euler_X"))
 _KINDS = (_ACCELERATION, _FREE, _GYROSCOPE, _MAGNETOMETER, _QUATERNION, _MATRIX, _EULER)

@@ -28,7 +28,8 @@ def write_study_figures(study: SensorStudy, folder: str | Path) -> list[Path]:
 
 def worth_of_sensors(study: SensorStudy) -> Figure:
     """Every angle by every sensor left out alone: RMS difference from the full set, deg; where leaving it
-    out makes the angle unseen, that is said instead."""
+    out makes the angle unseen, that is said instead.
+    """
     rows = _shown(study)
     size = (2.5 + 0.85 * len(study.without), 1.8 + 0.28 * len(rows))
     figure = Figure(figsize=size, layout="constrained")

@@ -70,7 +70,8 @@ def study_facts(study: SensorStudy, verdict: Headline | None = None) -> dict[str
 
 def sentences(study: SensorStudy, tolerance: float = TOLERANCE) -> list[str]:
     """For every joint, how many sensors its angles need on the way down; both sides together, unless
-    only one is ever within the tolerance."""
+    only one is ever within the tolerance.
+    """
     joints: dict[str, list[str]] = {}
     for angle in dict.fromkeys(_without_side(name) for name in study.angles):
         if not angle.startswith("pelvis_opensim"):

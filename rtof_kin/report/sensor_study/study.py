@@ -63,7 +63,8 @@ class SensorStudy:
 
     def fewest(self, angle: str, tolerance: float = TOLERANCE) -> SensorSet | None:
         """The last set on the way down up to which an angle was kept all along; None where it is not even
-        with all sensors."""
+        with all sensors.
+        """
         a, last = self.angles.index(angle), None
         for found in self.path:
             if not self.kept(found, tolerance)[a]:
@@ -114,9 +115,7 @@ def study_sensors(
         raise ShapeError(f"recording {recording.name}: has no IMUs, so there is nothing to leave out")
     camera = recording.keypoints is not None
     if not camera and len(imus.names) < 2:
-        raise ShapeError(
-            f"recording {recording.name}: with one sensor and no camera nothing can be left out"
-        )
+        raise ShapeError(f"recording {recording.name}: with one sensor and no camera nothing can be left out")
     total = number_of_runs(len(imus.names), camera, greedy)
     bone_imus = recording.bone_imus()
     assert bone_imus is not None

@@ -6,7 +6,7 @@
 
 The state is X (N, J, 3), joint positions in world. Each term is the mean of its squared whitened
 residuals (a residual divided by its standard deviation), so that the k are what they claim to be however
-many residuals a term has. E_L and E_P are what the printed energy lacks (see `FragmentSettings`).
+many residuals a term has. E_L and E_P are what the printed energy lacks (see `CartesianSettings`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.kinematics import children_of
 from rtof_kin.core.numerics.c_compiler import BUILDING
 from rtof_kin.solve import residuals as energies
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 
 Array = NDArray[np.float64]
 TERMS = ("visual", "acceleration", "bone", "smooth", "length", "prior")
@@ -63,7 +63,7 @@ class FragmentProblem:
         parents: tuple[int, ...],
         frames: int,
         sensor_bones: tuple[tuple[int, int], ...],
-        settings: FragmentSettings,
+        settings: CartesianSettings,
     ) -> None:
         """Build for a tree `parents` (J,), N `frames` and the (joint, child) `sensor_bones`."""
         self.parents, self.frames, self.settings = parents, frames, settings
@@ -111,12 +111,8 @@ class FragmentProblem:
             share = P["shares"][k]
             sensor = (1 - share) * self._joint(joint) + share * self._joint(child)
             rows = slice(3 * k, 3 * k + 3)
-            accelerations.append(
-                energies.acceleration(sensor, P["a_world"][rows, :], P["rate_hz"])
-            )
-            bones.append(
-                energies.bone_vector(self._joint(joint), self._joint(child), P["b_world"][rows, :])
-            )
+            accelerations.append(energies.acceleration(sensor, P["a_world"][rows, :], P["rate_hz"]))
+            bones.append(energies.bone_vector(self._joint(joint), self._joint(child), P["b_world"][rows, :]))
         target = P["j_world"] if s.jerk_target == "sensor" else 0
         smooth = energies.jerk(self.X, target, P["rate_hz"]) / s.sigma_jerk
         lengths = [
@@ -124,9 +120,7 @@ class FragmentProblem:
             for i, (a, b) in enumerate(self.pairs)
         ]
         return {
-            "visual": _Term(
-                ca.vec(visual), ca.vec(ca.repmat(P["w_visual"].T, 2, 1)), s.huber_reprojection
-            ),
+            "visual": _Term(ca.vec(visual), ca.vec(ca.repmat(P["w_visual"].T, 2, 1)), s.huber_reprojection),
             "acceleration": _spread(accelerations, P["w_acceleration"], s.sigma_acceleration),
             "bone": _spread(bones, P["w_bone"], s.sigma_bone),
             "smooth": _Term(ca.vec(smooth), ca.vec(ca.repmat(P["w_smooth"].T, 3 * J, 1))),
@@ -188,10 +182,7 @@ class FragmentProblem:
             ["triu_hess_gamma_x_x"],
         )
         self.solver = ca.nlpsol(
-            "fragment",
-            "ipopt",
-            {"x": x, "p": p, "f": energy, "g": constraints},
-            self._options(hess_lag),
+            "fragment", "ipopt", {"x": x, "p": p, "f": energy, "g": constraints}, self._options(hess_lag)
         )
 
     def _quadratic(self, x: Any, p: Any) -> tuple[Any, Any]:
@@ -236,9 +227,7 @@ class FragmentProblem:
     def _constraint_gradient(x: Any, p: Any, constraints: Any) -> Any:
         """(x, p, lam_g) -> derivative of lam_g . g, what constraints add to the Lagrangian's gradient."""
         lam = ca.SX.sym("lam_g", constraints.numel())
-        return ca.Function(
-            "constraint_gradient", [x, p, lam], [ca.jtimes(constraints, x, lam, True)]
-        )
+        return ca.Function("constraint_gradient", [x, p, lam], [ca.jtimes(constraints, x, lam, True)])
 
     def _constraints(self) -> Any:
         """Squared distances minus squared lengths, m^2, where bone lengths are equalities."""
@@ -276,7 +265,7 @@ def fragment_problem(
     parents: tuple[int, ...],
     frames: int,
     sensor_bones: tuple[tuple[int, int], ...],
-    settings: FragmentSettings,
+    settings: CartesianSettings,
 ) -> FragmentProblem:
     """The problem of a skeleton's tree, built once for all bodies and weights k that share it."""
     with BUILDING:

@@ -13,7 +13,7 @@ positions of its joints (the paper's)."""
 
 
 @dataclass(frozen=True)
-class FragmentSettings:
+class CartesianSettings:
     """Weights and standard deviations of the Cartesian energy, and how fragments are cut.
 
     The printed energy has no minimiser: the depth of unobserved joints is free, and everything shrinks
@@ -89,9 +89,7 @@ class FragmentSettings:
         }
         for field, values in allowed.items():
             if getattr(self, field) not in values:
-                raise ShapeError(
-                    f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}"
-                )
+                raise ShapeError(f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}")
         if not 0 < self.sigma_reprojection_range[0] <= self.sigma_reprojection_range[1]:
             raise ShapeError("sigma_reprojection_range must be positive, the smaller one first")
         low_high = tuple(map(float, self.sigma_reprojection_range))
@@ -110,7 +108,7 @@ class FragmentSettings:
             raise ShapeError("tolerance must be positive and max_iterations not negative")
 
     @classmethod
-    def paper(cls, backend: str = "ipopt") -> FragmentSettings:
+    def paper(cls, backend: str = "ipopt") -> CartesianSettings:
         """The energy as printed, with its weights, and the weak prior that gives it a minimiser.
 
         Plain squares, free bone lengths, the sensor's jerk as target, plain mean of fragments padded

@@ -26,7 +26,7 @@ from rtof_kin.inertial.contacts import Footholds
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.solve.cartesian.banded import BandedProblem
 from rtof_kin.solve.cartesian.problem import TERMS, fragment_problem
-from rtof_kin.solve.cartesian.settings import FragmentSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 
@@ -44,7 +44,7 @@ class CartesianSolver:
         self,
         skeleton: SkeletonModel,
         frames: int,
-        settings: FragmentSettings,
+        settings: CartesianSettings,
         sensor_joints: tuple[str, ...],
     ) -> None:
         """Build the problem, with a place for a sensor on each of the segments named."""
@@ -100,8 +100,7 @@ class CartesianSolver:
                 frames = slice(first, min(first + half, T))
                 weights = taper[half:], taper[:half]
                 blended = (
-                    weights[0][:, None, None] * previous[half:]
-                    + weights[1][:, None, None] * X[:half]
+                    weights[0][:, None, None] * previous[half:] + weights[1][:, None, None] * X[:half]
                 ) / (weights[0] + weights[1])[:, None, None]
                 p = blended[: frames.stop - first]
                 yield Block(frames, p, start.R_world_bone[frames], tuple(reports))
@@ -130,17 +129,13 @@ class CartesianSolver:
             sigma = self._estimated_sigma(x, values, sigma)
             x, again = self._call(x, values | {"sigma_reprojection": np.array([sigma])}, first)
             report = replace(
-                again,
-                iterations=report.iterations + again.iterations,
-                seconds=report.seconds + again.seconds,
+                again, iterations=report.iterations + again.iterations, seconds=report.seconds + again.seconds
             )
         if not (values["w_visual"].any() or values["w_bone"].any() or values["w_acceleration"].any()):
             report = replace(report, status=SolverStatus.UNOBSERVED)
         return x.reshape(self.frames, -1, 3), report
 
-    def _call(
-        self, x0: Array, values: dict[str, Array], first: int
-    ) -> tuple[Array, FragmentReport]:
+    def _call(self, x0: Array, values: dict[str, Array], first: int) -> tuple[Array, FragmentReport]:
         """One solution; everything in the report is measured at the point returned."""
         problem, p = self._problem, self._problem.pack(values)
         began = perf_counter()
@@ -249,11 +244,7 @@ class CartesianSolver:
         }
 
     def _fragment_values(
-        self,
-        index: NDArray[np.intp],
-        inside: NDArray[np.bool_],
-        start: PoseSequence,
-        data: dict[str, Array],
+        self, index: NDArray[np.intp], inside: NDArray[np.bool_], start: PoseSequence, data: dict[str, Array]
     ) -> dict[str, Array]:
         """The problem's parameters for the frames `index`, of which some lie in the padding."""
         present = np.ones_like(inside) if self.settings.padding == "replicate" else inside

@@ -55,9 +55,7 @@ def _built(
 
 
 @cache
-def _energy(
-    name: str, shape: Shape, moving: tuple[str, ...], hinges: bool
-) -> FrameEnergy:
+def _energy(name: str, shape: Shape, moving: tuple[str, ...], hinges: bool) -> FrameEnergy:
     """A frame's energy, built once for all bodies."""
     return FrameEnergy(StateSpace(SkeletonModel.named(name), moving, hinges), shape)
 
@@ -71,9 +69,7 @@ def _lanes(
 
 
 @cache
-def _functions(
-    name: str, shape: Shape, moving: tuple[str, ...], hinges: bool, compile: str
-) -> list[Any]:
+def _functions(name: str, shape: Shape, moving: tuple[str, ...], hinges: bool, compile: str) -> list[Any]:
     """Its functions one frame at a time, compiled where that is asked for."""
     functions = _energy(name, shape, moving, hinges).functions()
     return compiled(functions) if compile == "auto" else functions

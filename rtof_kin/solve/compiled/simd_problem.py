@@ -61,9 +61,7 @@ class LaneFunctions:
 class LaneProblem(JointProblem):
     """A `JointProblem` without unknowns."""
 
-    def __init__(
-        self, functions: LaneFunctions, energy: FrameEnergy, frames: int, sigma_jerk: Array
-    ) -> None:
+    def __init__(self, functions: LaneFunctions, energy: FrameEnergy, frames: int, sigma_jerk: Array) -> None:
         """Bind the compiled functions to arrays for N frames."""
         self.space, self.energy, self.frames, self.sigma_jerk = energy.space, energy, frames, sigma_jerk
         self._jerk = Jerk(energy.space, frames, sigma_jerk)

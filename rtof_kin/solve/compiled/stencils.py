@@ -115,7 +115,8 @@ class Around:
 
     def inputs(self) -> list[Any]:
         """Derivatives by second differences: of positions of t - 2, t - 1, t; of steps of t - 3 to t.
-        Inverse right Jacobians of the steps of t - 1 and t."""
+        Inverse right Jacobians of the steps of t - 1 and t.
+        """
         return [*self._forces, *self._tensions, *self._inverses]
 
     def force(self) -> Any:

@@ -143,17 +143,13 @@ class _Composite:
         """(3, 6) derivative of a point of segment j by the segment's twist."""
         return ca.horzcat(ca.SX.eye(3), -ca.skew(point - self._p[0]))
 
-    def add_point(
-        self, term: str, j: int, point: Any, residual: Residual, weight: Any, loss: Loss
-    ) -> Any:
+    def add_point(self, term: str, j: int, point: Any, residual: Residual, weight: Any, loss: Loss) -> Any:
         """A residual of a point of segment j; gives it back."""
         r, P = _derivative(lambda e: residual(point + e), 3)
         self._add(term, j, r, P @ self.point(j, point), weight, loss)
         return r
 
-    def add_turn(
-        self, term: str, j: int, residual: Residual, weight: Any, loss: Loss
-    ) -> None:
+    def add_turn(self, term: str, j: int, residual: Residual, weight: Any, loss: Loss) -> None:
         """A residual of segment j turned by a small rotation vector in its own axes."""
         r, Q = _derivative(residual, 3)
         self._add(term, j, r, ca.horzcat(ca.SX(r.numel(), 3), Q @ self._R[j].T), weight, loss)
@@ -335,9 +331,7 @@ class FrameEnergy:
             total.add_turn("torso", j, turn, O["w_torso"][i], _cauchy)
         for i, (j, child) in enumerate(shape.bones):
             total.add_turn("bone", j, bone(j, child, i), O["w_bone"][i], _cauchy)
-        total.add_point(
-            "root", 0, p[0], lambda x: energies.position(x, O["p_root"]), O["w_root"], _cauchy
-        )
+        total.add_point("root", 0, p[0], lambda x: energies.position(x, O["p_root"]), O["w_root"], _cauchy)
         for i, j in enumerate(shape.feet):
             weight = O["w_floor"][i]
             total.add_point(

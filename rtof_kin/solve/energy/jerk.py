@@ -37,7 +37,8 @@ class Jerk:
 
     def bind(self, w_jerk: Array, rate_hz: float, length_scale: float = 1.0) -> None:
         """Take the weights (N - 3,) of the fragment that is asked about from now on, and how long its
-        body is."""
+        body is.
+        """
         N = self.frames
         if length_scale != 1 or self.sigma is not self._sigma:
             self.sigma = self._sigma * np.where(np.arange(len(self._sigma)) < 3, length_scale, 1.0)
@@ -57,7 +58,8 @@ class Jerk:
 
     def coefficients(self) -> Array:
         """(N, 12) what blocks of 0 to 3 frames later are made with: of a frame's derivative of the step
-        before it, of the step after it, and of both where steps turn about one axis; 0 beyond the end."""
+        before it, of the step after it, and of both where steps turn about one axis; 0 beyond the end.
+        """
         out = np.zeros((self.frames, 3 * LAGS))
         parts = [*self._later, *self._earlier, *(plain[:, 0] for plain in self._plain)]
         for k, part in enumerate(parts):

@@ -89,9 +89,7 @@ class JointProblem:
         self._data, self._now = data, None
         names, shape = self.energy.observation, (self.frames, -1)
         rows = np.concatenate([data.observation[n].reshape(shape) for n in names], axis=1)
-        fixed = np.concatenate(
-            [np.ravel(data.constant[n], order="F") for n in self.energy.constant]
-        )
+        fixed = np.concatenate([np.ravel(data.constant[n], order="F") for n in self.energy.constant])
         for mapped in (self._full, self._value, self._gradient):
             mapped.inputs[1][:] = rows.ravel()
             mapped.inputs[2].reshape(self.frames, -1)[:] = fixed
@@ -167,7 +165,8 @@ class JointProblem:
 
     def border(self) -> tuple[Array, Array, Array]:
         """What borders the Hessian kept: the gradient (G,) by the unknowns, the Hessian's columns
-        (N, D, G) of the unknowns, and its corner (G, G)."""
+        (N, D, G) of the unknowns, and its corner (G, G).
+        """
         return self._border
 
     def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
@@ -315,12 +314,8 @@ def _temporal(points: int, size: int, frames: int, robust: float) -> Any:
     jerk: Any = energies.step_jerk(steps, rate) / ca.repmat(sigma, 1, frames - 3)
     squares: Any = ca.dot(ca.sum1(jerk**2).T, w_jerk)
     smooth = 0.5 * squares
-    force = (
-        ca.reshape(ca.gradient(value, ca.vec(p)), points, frames) if points else ca.SX(0, frames)
-    )
+    force = ca.reshape(ca.gradient(value, ca.vec(p)), points, frames) if points else ca.SX(0, frames)
     pull = ca.reshape(ca.gradient(smooth, ca.vec(steps)), size, frames - 1)
     slope = ca.vertcat(*slopes) if slopes else ca.SX(0, frames - 2)
     outputs = [value, smooth, force, pull, slope]
-    return ca.Function(
-        "temporal", [p, steps, a, w, w_jerk, rate, sigma], [ca.densify(v) for v in outputs]
-    )
+    return ca.Function("temporal", [p, steps, a, w, w_jerk, rate, sigma], [ca.densify(v) for v in outputs])

@@ -43,14 +43,10 @@ class StateSpace:
         if hinged:
             for j in set(hinges(skeleton)) & set(self.joints):
                 joint = skeleton.table.joints[j]
-                flexion = next(
-                    i for i, d in enumerate(joint.dofs) if d.clinical.endswith("flexion")
-                )
+                flexion = next(i for i, d in enumerate(joint.dofs) if d.clinical.endswith("flexion"))
                 self.hinge_axis[self.joints.index(j)] = XYZ.index(joint.axes[flexion])
         kept = [
-            3 * a + c
-            for a, axis in enumerate(self.hinge_axis)
-            for c in (range(3) if axis < 0 else (axis,))
+            3 * a + c for a, axis in enumerate(self.hinge_axis) for c in (range(3) if axis < 0 else (axis,))
         ]
         self.expand = np.eye(3 * len(self.joints))[:, kept]
         self.size = 3 + len(kept)

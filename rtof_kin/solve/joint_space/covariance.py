@@ -58,7 +58,8 @@ def blended(earlier: Array, later: Array, share: Array) -> Array:
 
 def segment_pairs(skeleton: SkeletonModel) -> tuple[tuple[str, str], ...]:
     """Pairs of segments of a `Confidence`: each against the world, against its parent, and against the
-    nearest segment above that usually carries a sensor (upper arm in trunk, trunk in pelvis)."""
+    nearest segment above that usually carries a sensor (upper arm in trunk, trunk in pelvis).
+    """
     names, parents = skeleton.names, skeleton.parents
     carriers = {joint for joint, _ in skeleton.sensors.values()}
     pairs = [(WORLD, name) for name in names]
@@ -103,7 +104,8 @@ def _covariance(J: Array, covariance: Array) -> Array:
 
 def _rates(space: StateSpace, p: Array, R: Array) -> tuple[Array, Array]:
     """Derivatives (T, J, 3, D) of joints' positions (T, J, 3) and of small turns of their segments
-    (T, J, 3, 3), in world, by a state's tangent."""
+    (T, J, 3, 3), in world, by a state's tangent.
+    """
     parents, joints = space.skeleton.parents, np.array(space.joints)
     widths = np.where(space.hinge_axis < 0, 3, 1)
     of = np.repeat(joints, widths)  # the joint of each coordinate that turns

@@ -51,7 +51,8 @@ def through_gaps(
 
 def _turned(start: PoseSequence, seen: NDArray[np.bool_], sensed: Array) -> Array:
     """(T, J, 3, 3) of the sensors' poses, each segment turned against that as it is seen to be at both
-    ends of a gap, on the geodesic between."""
+    ends of a gap, on the geodesic between.
+    """
     off = np.swapaxes(sensed, -1, -2) @ start.R_world_bone
     off[~seen] = np.nan
     at = np.clip(start.times, *start.times[seen][[0, -1]])

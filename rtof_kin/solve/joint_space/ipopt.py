@@ -42,11 +42,7 @@ class Ipopt:
         self._solvers: dict[tuple[int, float], Any] = {}
 
     def solve(
-        self,
-        x: Array,
-        max_iterations: int,
-        tolerance: float,
-        multipliers: Array | None = None,
+        self, x: Array, max_iterations: int, tolerance: float, multipliers: Array | None = None
     ) -> Solved:
         """Minimise from a state.
 
@@ -161,9 +157,7 @@ class _Point:
     def _jacobian_sparsity(self) -> Any:
         N, mask = self.problem.frames, ca.DM(self._jacobian_mask.astype(float))
         return (
-            ca.diagcat(*[ca.sparsify(mask)] * N).sparsity()
-            if self.constraints
-            else ca.Sparsity(0, self.size)
+            ca.diagcat(*[ca.sparsify(mask)] * N).sparsity() if self.constraints else ca.Sparsity(0, self.size)
         )
 
     def hessian(self, y: Array) -> Array:

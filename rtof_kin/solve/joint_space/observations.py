@@ -118,7 +118,7 @@ class Observations:
         x = self._states(start.p_world_joint[:, 0], start.R_world_bone)
         self.start = self.space.low_passed(x, start.rate_hz, s.smooth_start_hz)
         if s.floor_height is not None:
-            smooth = start.posed(slice(None), *self.space.poses(self.start))
+            smooth = start.with_poses(slice(None), *self.space.poses(self.start))
             at_frames = None if bone_imus is None else bone_imus.resample(start.times)
             contacts = standing_feet(smooth, at_frames, skeleton)
             self.rows["w_floor"] = contacts.standing / s.sigma_floor**2
@@ -145,7 +145,8 @@ class Observations:
         standing: tuple[str, ...], jerk: tuple[float, ...],
     ) -> JointProblem:  # fmt: skip
         """The problem for some moving joints, landmarks, sensors, joints that have footholds, and factors
-        on the jerk."""
+        on the jerk.
+        """
         skeleton, s = self.skeleton, self.settings
         index = skeleton.names.index
         shape = Shape(
@@ -209,7 +210,8 @@ class Observations:
 
     def _prior(self) -> tuple[Array, Array]:
         """Mean rotations (A - 1, 4) of the joints that move and their precision; of those that are held,
-        none and a firm one of their own, so that nothing turns them."""
+        none and a firm one of their own, so that nothing turns them.
+        """
         prior, moving, s = shipped_prior(self.skeleton.names), self.space.names[1:], self.settings
         turning = [name for name in moving if name not in self.held]
         of_turning = np.repeat([name not in self.held for name in moving], 3)
@@ -285,19 +287,14 @@ def fragment_of(
     )  # fmt: skip
 
 
-def _camera_data(
-    seen: KeypointSequence | None, frames: int
-) -> tuple[dict[str, Array], dict[str, Array]]:
+def _camera_data(seen: KeypointSequence | None, frames: int) -> tuple[dict[str, Array], dict[str, Array]]:
     """Landmarks without distortion, by frame, and the camera; nothing of either where there is none."""
     if seen is None:
         none = {"uv_px": np.zeros((frames, 0, 2)), "w_visual": np.zeros((frames, 0))}
         return none, {"K": np.eye(3), "R_camera_world": np.eye(3), "t_camera_world": np.zeros(3)}
     camera = seen.camera
     uv = camera.normalise(seen.uv_px) @ camera.K[:2, :2].T + camera.K[:2, 2]
-    rows = {
-        "uv_px": np.where(seen.seen[..., None], uv, 0.0),
-        "w_visual": seen.seen.astype(float),
-    }
+    rows = {"uv_px": np.where(seen.seen[..., None], uv, 0.0), "w_visual": seen.seen.astype(float)}
     matrices = {name: getattr(camera, name) for name in ("K", "R_camera_world", "t_camera_world")}
     return rows, matrices
 
@@ -311,9 +308,7 @@ def _speaking(bone_imus: BoneImuSequence | None) -> set[str]:
     return {bone_imus.joints[s] for s in np.flatnonzero(turns | moves)}
 
 
-def low_passed(
-    bone_imus: BoneImuSequence | None, settings: JointSpaceSettings
-) -> BoneImuSequence | None:
+def low_passed(bone_imus: BoneImuSequence | None, settings: JointSpaceSettings) -> BoneImuSequence | None:
     """The sensors as the settings want their accelerations."""
     cutoff_hz = settings.acceleration_cutoff_hz
     if bone_imus is None or cutoff_hz is None:

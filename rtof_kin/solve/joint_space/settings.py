@@ -99,20 +99,16 @@ class JointSpaceSettings:
     def calibrated(cls) -> Self:
         """For a recording that was calibrated from itself: of the sensors' errors slip and wobble are
         left, without a mounting that is wrong all through. Orientations then tell quick motion, so
-        accelerations and the jerk of free motion are worth less."""
+        accelerations and the jerk of free motion are worth less.
+        """
         return cls(
             sigma_swing=np.radians(2.0), sigma_twist=np.radians(12.0), sigma_acceleration=2.5, jerk=3.0
         )
 
     def __post_init__(self) -> None:
-        for field, values in {
-            "backend": ("realtime", "ipopt"),
-            "compile": ("auto", "never"),
-        }.items():
+        for field, values in {"backend": ("realtime", "ipopt"), "compile": ("auto", "never")}.items():
             if getattr(self, field) not in values:
-                raise ShapeError(
-                    f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}"
-                )
+                raise ShapeError(f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}")
         low, high = self.sigma_reprojection_range
         if not 0 < low <= high < np.inf:
             raise ShapeError("sigma_reprojection_range must be positive, the smaller one first")

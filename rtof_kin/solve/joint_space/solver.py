@@ -38,11 +38,7 @@ class JointSpaceSolver:
     """Optimises the configuration of a skeleton; see `rtof_kin.solve.fragment_solver.FragmentSolver`."""
 
     def __init__(
-        self,
-        skeleton: SkeletonModel,
-        frames: int,
-        settings: JointSpaceSettings,
-        places: tuple[str, ...] = (),
+        self, skeleton: SkeletonModel, frames: int, settings: JointSpaceSettings, places: tuple[str, ...] = ()
     ) -> None:
         """Keep what the problem will be built for; see `Observations` for `places`."""
         self.skeleton, self.frames, self.settings, self.places = skeleton, frames, settings, places
@@ -85,7 +81,8 @@ class JointSpaceSolver:
         self, poses: PoseSequence, keypoints: KeypointSequence | None, bone_imus: BoneImuSequence | None
     ) -> PoseSequence:
         """The poses as they are: their orientations are part of the solution. Landmarks beside the joints
-        show those of the segments that they lie in."""
+        show those of the segments that they lie in.
+        """
         if keypoints is None:
             return poses
         levels = levels_by_points(self.skeleton, keypoints)
@@ -129,11 +126,10 @@ class _Fragments:
         self._real_time = LevenbergMarquardt(problem, data.limits)
         self._ipopt = Ipopt(problem, data.limits) if settings.backend == "ipopt" else None
 
-    def settled(
-        self, firsts: Sequence[int], progress: Callable[[int, int], None] | None
-    ) -> Iterator[_Piece]:
+    def settled(self, firsts: Sequence[int], progress: Callable[[int, int], None] | None) -> Iterator[_Piece]:
         """Fragments one after the other. Of two that overlap, one whose landmarks are off by much more is
-        solved again from where the other is; so are those before it."""
+        solved again from where the other is; so are those before it.
+        """
         held: list[_Piece] = []
         for done, first in enumerate(firsts, start=1):
             piece = self.solve(first)
@@ -152,7 +148,8 @@ class _Fragments:
 
     def _beside(self, piece: _Piece, other: _Piece) -> _Piece:
         """A fragment that starts where a neighbour's states are, and goes on from there as its own start
-        does; as it was, if that is no better."""
+        does; as it was, if that is no better.
+        """
         index, _, _ = self.data.fragment(piece.first)
         shared = max(piece.first, other.first) + np.arange(self.data.frames // 2)
         own, theirs = shared - piece.first, shared - other.first
@@ -171,9 +168,7 @@ class _Fragments:
         index, inside, values = data.fragment(first)
         began = perf_counter()
         data.problem.bind(values)
-        annealing = Annealing(
-            self.settings, data.problem, data.confidence[index], values.observation
-        )
+        annealing = Annealing(self.settings, data.problem, data.confidence[index], values.observation)
         x, failed = data.start[index] if start is None else start, True
         try:
             solved = self._from(x, annealing, index)
@@ -201,9 +196,9 @@ class _Fragments:
         s, solver = self.settings, self._real_time
         anneals = s.annealing if s.sigma_reprojection is None else 0
         if self._ipopt is not None:
-            begun = solver.solve(x, anneals, s.tolerance, None, annealing)
-            solved = self._ipopt.solve(begun.x, s.max_iterations, s.tolerance)
-            return replace(solved, iterations=begun.iterations + solved.iterations)
+            prepared = solver.solve(x, anneals, s.tolerance, None, annealing)
+            solved = self._ipopt.solve(prepared.x, s.max_iterations, s.tolerance)
+            return replace(solved, iterations=prepared.iterations + solved.iterations)
         solved = solver.solve(x, anneals + s.max_iterations, s.tolerance, None, annealing)
         total, iterations = self.data.problem.total, solved.iterations
         for start in self.data.turned:  # with the weights that were found

@@ -1,1 +1,1 @@
-"""Inflation of pose covariances for correlated errors."""
+"""CovarianceInflation of pose covariances for correlated errors."""

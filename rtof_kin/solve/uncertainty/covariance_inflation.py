@@ -1,4 +1,4 @@
-"""`Inflation`: what errors that last add to what the Hessian knows.
+"""`CovarianceInflation`: what errors that last add to what the Hessian knows.
 
 A Hessian takes residuals for independent draws. A detector's bias, a sensor that sits askew or a
 landmark that is no joint centre stay for seconds: they do not average out, and no weight of a fragment
@@ -12,7 +12,7 @@ with diagonal matrices of a factor k and a floor b for every joint and every pai
 for right and left, which hold for a detector as they are. In what frames something is wrong, *D* says:
 mean squares of the difference between the solution and the start that it was solved from
 (`rtof_kin.solve.uncertainty.disagreement`), with one share a for all joints of a kind. Three things of the recording itself
-(`Circumstances`) say how much of that is in it:
+(`ResidualStatistics`) say how much of that is in it:
 
 - *m*: how far residuals of its keypoints last. Where they are white they average out as the Hessian
   says, and only the sensors' errors are left, which k0 stands for.
@@ -66,7 +66,7 @@ people of the fit; the same of positions and turns."""
 
 
 @dataclass(frozen=True)
-class Circumstances:
+class ResidualStatistics:
     """What a recording tells of its own errors; by default as a usual one without sensors."""
 
     sensors: tuple[str, ...] = ()
@@ -84,7 +84,7 @@ class Circumstances:
             raise ShapeError(f"circumstances torso_sigma: {self.torso_sigma} must be positive and finite")
 
     def doubt(self, kind: str, seen: str) -> float:
-        """d of a covariance of `UNITS` by who saw it."""
+        """D of a covariance of `UNITS` by who saw it."""
         held = kind == "position" or seen == "sensed"
         return 1.0 if held else self.torso_sigma / USUAL_TORSO_SIGMA
 
@@ -110,7 +110,7 @@ class Widening:
 
 
 @dataclass(frozen=True)
-class Inflation:
+class CovarianceInflation:
     """Widenings of all covariances of a skeleton."""
 
     widenings: Mapping[str, Mapping[str, Mapping[str, Widening]]]
@@ -129,7 +129,7 @@ class Inflation:
                     raise ShapeError(f"inflation: no widening {OTHER!r} of {seen}.{kind}")
 
     @classmethod
-    def shipped(cls) -> Inflation:
+    def shipped(cls) -> CovarianceInflation:
         """That of ``models/confidence.toml``, read once."""
         return _shipped()
 
@@ -168,7 +168,7 @@ class Inflation:
         return "\n".join(lines)
 
     def apply(
-        self, confidence: Confidence, circumstances: Circumstances, apart: Disagreement | None = None
+        self, confidence: Confidence, circumstances: ResidualStatistics, apart: Disagreement | None = None
     ) -> Confidence:
         """A confidence of the Hessian alone, widened.
 
@@ -196,7 +196,7 @@ class Inflation:
         )
 
     def _of(
-        self, kind: str, names: Sequence[str], root: str, circumstances: Circumstances
+        self, kind: str, names: Sequence[str], root: str, circumstances: ResidualStatistics
     ) -> tuple[Array, Array]:
         """K and B (n, 3) of some entries of a kind of covariance."""
         factors, floors = [], []
@@ -208,11 +208,8 @@ class Inflation:
             floors.append(widening.floor * circumstances.lasting * circumstances.doubt(kind, seen))
         return np.array(factors), np.array(floors)
 
-
-    def _shares(
-        self, kind: str, names: Sequence[str], root: str, circumstances: Circumstances
-    ) -> Array:
-        """a (n, 1, 1) of some entries of a kind of covariance."""
+    def _shares(self, kind: str, names: Sequence[str], root: str, circumstances: ResidualStatistics) -> Array:
+        """A (n, 1, 1) of some entries of a kind of covariance."""
         seen = [seen_by(kind, name, root, circumstances.sensors) for name in names]
         return np.array([self.shares.get(who, {}).get(kind, 0.0) for who in seen])[:, None, None]
 
@@ -255,5 +252,5 @@ def _text(value: Array) -> str:
 
 
 @cache
-def _shipped() -> Inflation:
-    return Inflation.read(model_path("confidence.toml"))
+def _shipped() -> CovarianceInflation:
+    return CovarianceInflation.read(model_path("confidence.toml"))

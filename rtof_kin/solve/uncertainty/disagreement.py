@@ -2,7 +2,7 @@
 
 The start (SF2; without sensors the lifter) and the solution are two estimates of the same pose. Where
 they are further apart than usual one of them is wrong, and the Hessian, which is of the solution's own
-valley, does not know which. `Inflation` adds a share of this to it.
+valley, does not know which. `CovarianceInflation` adds a share of this to it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ WINDOW = 0.15
 @dataclass(frozen=True)
 class Disagreement:
     """Mean squares of differences between two estimates of a motion, as a `Confidence` has covariances;
-    zero where one of them is not known."""
+    zero where one of them is not known.
+    """
 
     position: Array
     """(T, J, 3, 3) m^2, of joints' positions in world."""

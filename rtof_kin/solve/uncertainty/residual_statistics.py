@@ -1,4 +1,4 @@
-"""What a recording tells of its own errors, for `Inflation.apply`."""
+"""What a recording tells of its own errors, for `CovarianceInflation.apply`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA, Circumstances
+from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA, ResidualStatistics
 
 Array = NDArray[np.float64]
 _TORSO = "Hips", "Spine3"
@@ -27,10 +27,10 @@ _FEWEST = 100
 """Residuals that tell anything."""
 
 
-def circumstances(
+def residual_statistics(
     keypoints: KeypointSequence, motion: MotionSequence, lifted: PoseSequence,
     sensors: Sequence[str] = (),
-) -> Circumstances:  # fmt: skip
+) -> ResidualStatistics:  # fmt: skip
     """Those of a recording that was reconstructed.
 
     Args:
@@ -46,7 +46,7 @@ def circumstances(
     lasting = correlation(keypoints.uv_px - keypoints.camera.project(at), keypoints.times)
     torso = lifted.sigma_rad[:, motion.skeleton.index(*_TORSO)]
     told = torso[np.isfinite(torso)]
-    return Circumstances(
+    return ResidualStatistics(
         tuple(sensors),
         1.0 if lasting is None else float(np.clip(lasting / _DETECTORS_CORRELATION, 0.0, 1.0)),
         float(np.median(told)) if len(told) else USUAL_TORSO_SIGMA,
