@@ -26,8 +26,8 @@ from numpy.typing import ArrayLike
 from rich.progress import Progress
 
 from rtof_kin.body.metrics import evaluate, motionless
+from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.protocols.measures import reconstructions
-from rtof_kin.reconstruction.pipeline import CAMERA_MODES
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import (

@@ -13,7 +13,7 @@ from rich.table import Column
 from rich.table import Table as RichTable
 
 from rtof_kin.cli.terminal import add_output, command, err, out
-from rtof_kin.solve.cartesian.settings import SPACES
+from rtof_kin.core.choices import SPACES
 
 if TYPE_CHECKING:
     from rtof_kin.protocols.tables import Table

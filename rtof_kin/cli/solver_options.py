@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from rtof_kin.core.choices import SPACES
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.threads import USUAL, limit_threads
-from rtof_kin.solve.cartesian.settings import SPACES, CartesianSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 
 if TYPE_CHECKING:
     from rtof_kin.reconstruction.prepare import ReconstructionSettings

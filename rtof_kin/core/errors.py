@@ -15,11 +15,15 @@ class RtofError(Exception):
     """Base of all errors raised on purpose by this package."""
 
 
-class ShapeError(RtofError, ValueError):
-    """An array has the wrong shape, type, or values that its field does not allow."""
+class InvalidInputError(RtofError, ValueError):
+    """An argument, a setting or a field of data has a value that it cannot have."""
 
 
-class ViewError(ShapeError):
+class ShapeError(InvalidInputError):
+    """An array has the wrong shape."""
+
+
+class ViewError(InvalidInputError):
     """A camera as declared cannot have seen what it is said to have seen."""
 
 

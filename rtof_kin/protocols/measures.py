@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.formats.motion_npz import write_motion_npz
 from rtof_kin.protocols.jobs import Outcome
-from rtof_kin.reconstruction.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettings, reconstruct
+from rtof_kin.reconstruction.pipeline import Reconstruction, ReconstructionSettings, reconstruct
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]

@@ -20,6 +20,7 @@ from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.checks import indices_of
+from rtof_kin.core.choices import CAMERA_MODES, SPACES
 from rtof_kin.core.errors import FileFormatError, ShapeError
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.data.keypoints import KeypointSequence
@@ -30,10 +31,10 @@ from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints
 from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.protocols.measures import curves, provenance, reconstructions, save_motion
 from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
-from rtof_kin.reconstruction.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettings
+from rtof_kin.reconstruction.pipeline import Reconstruction, ReconstructionSettings
 from rtof_kin.recording.files import RECOGNISE
 from rtof_kin.simulation.simulate import LIMB_SENSORS
-from rtof_kin.solve.cartesian.settings import SPACES, CartesianSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.vision.layouts import detector_table
 

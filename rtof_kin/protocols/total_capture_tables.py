@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.protocols import published
 from rtof_kin.protocols.jobs import Outcome
 from rtof_kin.protocols.measures import rows_of
@@ -19,7 +20,6 @@ from rtof_kin.protocols.total_capture import (
     length_name,
     weight_name,
 )
-from rtof_kin.reconstruction.pipeline import CAMERA_MODES
 
 Row = dict[str, Any]
 SEEN = ("S1", "S2", "S3")

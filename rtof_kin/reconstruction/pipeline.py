@@ -14,6 +14,7 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.calibration.estimate import calibrate as calibrate_from
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
+from rtof_kin.core.choices import MODES
 from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence
@@ -51,7 +52,7 @@ from rtof_kin.solve.uncertainty.disagreement import disagreement
 from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
 
 __all__ = [
-    "CAMERA_MODES", "MODES", "LifterLike", "Progress", "Reconstruction", "ReconstructionSettings",
+    "LifterLike", "Progress", "Reconstruction", "ReconstructionSettings",
     "calibrate_recording", "evenly_spaced", "reconstruct",
 ]  # fmt: skip
 Array = NDArray[np.float64]

@@ -16,6 +16,7 @@ from rtof_kin.body.observability import WHOLE, levels_by_points
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core import signals
+from rtof_kin.core.choices import SPACES
 from rtof_kin.core.errors import ShapeError, UnknownNameError, ViewError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -24,7 +25,7 @@ from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.inertial.outlier_rejection import guarded_imus, without
 from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import SPACES, CartesianSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import usual_space
 from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings

@@ -14,13 +14,14 @@ import numpy as np
 
 from rtof_kin.body.pose_prior import has_prior
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.choices import SPACES
 from rtof_kin.core.errors import ShapeError, SolverError, UnknownNameError, ViewError
 from rtof_kin.data.confidence import joined
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Footholds
-from rtof_kin.solve.cartesian.settings import SPACES, CartesianSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.joint_space.solver import JointSpaceSolver

@@ -21,12 +21,12 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
 from rtof_kin.reconstruction.pipeline import (
-    CAMERA_MODES,
     Reconstruction,
     ReconstructionSettings,
     calibrate_recording,

@@ -15,12 +15,13 @@ from scipy.signal import find_peaks
 from rtof_kin.body.metrics import flexion
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.errors import CalibrationError, ShapeError, SolverError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import Provenance
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
-from rtof_kin.reconstruction.pipeline import CAMERA_MODES, Reconstruction, ReconstructionSettings, reconstruct
+from rtof_kin.reconstruction.pipeline import Reconstruction, ReconstructionSettings, reconstruct
 from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings, frame_times
 from rtof_kin.recording.recording import Recording
 from rtof_kin.report.export import export

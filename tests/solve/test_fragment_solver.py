@@ -11,9 +11,10 @@ import planted
 import pytest
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.core.choices import SPACES
 from rtof_kin.core.errors import ShapeError, SolverError, UnknownNameError
 from rtof_kin.data.imu import BoneImuSequence
-from rtof_kin.solve.cartesian.settings import SPACES, CartesianSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings

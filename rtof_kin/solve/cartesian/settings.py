@@ -7,10 +7,6 @@ from dataclasses import dataclass
 
 from rtof_kin.core.errors import ShapeError
 
-SPACES = ("joint", "cartesian")
-"""Variables that `FragmentSolver` can optimise, the default first: the skeleton's configuration, or the
-positions of its joints (the paper's)."""
-
 
 @dataclass(frozen=True)
 class CartesianSettings:

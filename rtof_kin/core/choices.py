@@ -1,0 +1,20 @@
+"""The names that settings choose from, as types."""
+
+from __future__ import annotations
+
+from typing import Final, Literal, get_args
+
+Mode = Literal["lift", "sf2", "rto", "rtof", "imu"]
+"""lift: the network alone. sf2: corrected by IMUs frame by frame. rto: optimised, vision only.
+rtof: SF2, then optimised with everything. imu: sensors only, without a camera."""
+Space = Literal["joint", "cartesian"]
+"""Variables of the fragment solver: configurations of the skeleton, or joint positions."""
+Backend = Literal["realtime", "ipopt"]
+"""Numerical solver of a fragment."""
+Compile = Literal["auto", "never"]
+"""Whether the energy is compiled to machine code where a C compiler exists."""
+
+MODES: Final[tuple[Mode, ...]] = get_args(Mode)
+CAMERA_MODES: Final[tuple[Mode, ...]] = MODES[:-1]
+SPACES: Final[tuple[Space, ...]] = get_args(Space)
+BACKENDS: Final[tuple[Backend, ...]] = get_args(Backend)
