@@ -57,10 +57,6 @@ __all__ = [
 ]  # fmt: skip
 Array = NDArray[np.float64]
 CAMERA_MODES = ("lift", "sf2", "rto", "rtof")
-"""lift: the network alone. sf2: corrected by IMUs frame by frame. rto: optimised, vision alone.
-rtof: sf2, then optimised with everything."""
-MODES = (*CAMERA_MODES, "imu")
-"""imu: no camera at all (`reconstruction.sensors_alone`)."""
 _LASTING_SHARE = 0.8
 """Of a recording, for which a sensor must differ from the others for that to be its mounting."""
 DOUBTS = f"{__name__}.doubts"
