@@ -20,7 +20,8 @@ from rich.progress import track
 
 from benchmarks import harness
 from rtof_kin.core import rotations as so3
-from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
 from rtof_kin.report.audit import audit
 from rtof_kin.report.audit_results import Grade, section_verdict

@@ -28,7 +28,8 @@ from benchmarks.harness import HERE, SENSOR_SETS, bootstrap, split, whole_clips
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.protocols.tables import Table
-from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.noise import ImuNoise

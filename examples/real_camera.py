@@ -33,7 +33,8 @@ from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.camera_toml import write_camera_toml
-from rtof_kin.reconstruction.pipeline import LifterLike, reconstruct
+from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.metrics import flexion
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.pipeline import Reconstruction
+from rtof_kin.reconstruction.result import Reconstruction
 
 Array = NDArray[np.float64]
 LEFT, RIGHT, TRUNK = "#0072b2", "#d55e00", "#444444"

@@ -21,12 +21,9 @@ if TYPE_CHECKING:
     from rtof_kin.data.imu_calibration import ImuCalibration
     from rtof_kin.data.keypoints import KeypointSequence
     from rtof_kin.data.poses import PoseSequence, Provenance
-    from rtof_kin.reconstruction.pipeline import (
-        Reconstruction,
-        ReconstructionSettings,
-        calibrate_recording,
-        reconstruct,
-    )
+    from rtof_kin.reconstruction.pipeline import calibrate_recording, reconstruct
+    from rtof_kin.reconstruction.result import Reconstruction
+    from rtof_kin.reconstruction.settings import ReconstructionSettings
     from rtof_kin.recording.recording import Recording
     from rtof_kin.report.export import export
     from rtof_kin.solve.cartesian.settings import CartesianSettings
@@ -51,8 +48,8 @@ _HOME = {
     "MotionSequence": "body.skeleton",
     "PoseSequence": "data.poses",
     "Provenance": "data.poses",
-    "Reconstruction": "reconstruction.pipeline",
-    "ReconstructionSettings": "reconstruction.pipeline",
+    "Reconstruction": "reconstruction.result",
+    "ReconstructionSettings": "reconstruction.settings",
     "Recording": "recording.recording",
     "RtofError": "core.errors",
     "SelfCalibration": "calibration.result",

@@ -24,7 +24,8 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
-from rtof_kin.reconstruction.pipeline import ReconstructionSettings, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.solve.energy.frame_energy import TORSO

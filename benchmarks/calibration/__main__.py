@@ -90,10 +90,9 @@ def rows(clip: MocapClip, camera: int, count: str, lifter: str | None) -> list[R
     for case in ("given", "calibrated", "known"):
         recording = recorded(clip, camera, sensors, case == "known")
         began = process_time()
-        calibrate: bool | SelfCalibration = case == "calibrated"
         if case == "known":
-            calibrate = SelfCalibration(())  # nothing to put right: solved like what was calibrated
-        result = reconstruct(recording, lifter=_lifter(lifter), calibrate=calibrate)
+            given = SelfCalibration(())  # nothing to put right: solved like what was calibrated
+        result = reconstruct(recording, lifter=_lifter(lifter), calibrate=case == "calibrated", calibration=given)
         assert result.metrics is not None
         out.append({
             "motion": clip.name, "camera": camera, "sensors": count, "case": case,

@@ -22,8 +22,8 @@ from benchmarks.calibration.planted_rows import ALL, SESSIONS, Job, Row, recorde
 from lifting.predict import Lifter
 from rtof_kin.calibration.estimate import shared_fragments
 from rtof_kin.calibration.shared_fragments import SharedFragments
-from rtof_kin.reconstruction.pipeline import ReconstructionSettings
 from rtof_kin.reconstruction.prepare import prepare
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 

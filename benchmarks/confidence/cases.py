@@ -18,7 +18,8 @@ from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.solve.uncertainty.covariance_inflation import ResidualStatistics
 from rtof_kin.solve.uncertainty.disagreement import Disagreement, disagreement

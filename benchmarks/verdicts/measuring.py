@@ -17,7 +17,8 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.confidence import WORLD
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.audit import audit
 from rtof_kin.report.audit_results import Grade, section_verdict
 

@@ -24,6 +24,7 @@ from rtof_kin.cli.terminal import (
     progress,
     with_zero_motion,
 )
+from rtof_kin.core.choices import Mode
 
 
 def add_commands(commands: Any) -> None:
@@ -119,7 +120,7 @@ def _known(options: argparse.Namespace) -> Any:
     return read_self_calibration_toml(options.calibration)
 
 
-def _reconstruct_to(recording: Any, mode: str, options: argparse.Namespace) -> Any:
+def _reconstruct_to(recording: Any, mode: Mode, options: argparse.Namespace) -> Any:
     """Reconstruct and export, asking first whether the output may be written."""
     from rtof_kin.core.files.folder import check_replaceable
     from rtof_kin.reconstruction.pipeline import reconstruct

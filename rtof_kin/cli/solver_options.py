@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from rtof_kin.core.choices import SPACES
+from rtof_kin.core.choices import SPACES, Space
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.threads import USUAL, limit_threads
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 
 if TYPE_CHECKING:
-    from rtof_kin.reconstruction.prepare import ReconstructionSettings
+    from rtof_kin.reconstruction.settings import ReconstructionSettings
 
 
 def add_solver_options(parser: argparse.ArgumentParser) -> None:
@@ -62,11 +62,11 @@ def settings_of(options: argparse.Namespace, mode: str = "rtof") -> Reconstructi
     Raises:
         ShapeError: options that do not go together.
     """
-    from rtof_kin.reconstruction.prepare import ReconstructionSettings
+    from rtof_kin.reconstruction.settings import ReconstructionSettings
 
     if options.paper and options.space == "joint":
         raise ShapeError("--paper is an energy in cartesian space; leave out --space joint, or --paper")
-    space = "cartesian" if options.paper else options.space
+    space: Space | None = "cartesian" if options.paper else options.space
     if mode in ("lift", "sf2") and (space or options.backend):
         raise ShapeError(f"mode {mode} optimises nothing; leave out --space, --backend and --paper")
     if space == "cartesian":

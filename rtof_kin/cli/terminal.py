@@ -118,9 +118,9 @@ def print_headline(headline: Headline, what: str = "") -> None:
 @contextmanager
 def doubts_in_headline() -> Iterator[None]:
     """Without the log's warnings of what `print_headline` says."""
-    from rtof_kin.reconstruction.pipeline import DOUBTS
+    from rtof_kin.reconstruction.pipeline import WARNINGS_LOGGER
 
-    logger = logging.getLogger(DOUBTS)
+    logger = logging.getLogger(WARNINGS_LOGGER)
     logger.disabled = True
     try:
         yield

@@ -11,6 +11,8 @@ Space = Literal["joint", "cartesian"]
 """Variables of the fragment solver: configurations of the skeleton, or joint positions."""
 Backend = Literal["realtime", "ipopt"]
 """Numerical solver of a fragment."""
+Calibrate = Literal["yes", "given", "no"]
+"""'yes': from the recording itself. 'given': an earlier calibration of it was applied."""
 Compile = Literal["auto", "never"]
 """Whether the energy is compiled to machine code where a C compiler exists."""
 

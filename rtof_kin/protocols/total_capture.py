@@ -31,7 +31,8 @@ from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints
 from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.protocols.measures import curves, provenance, reconstructions, save_motion
 from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
-from rtof_kin.reconstruction.pipeline import Reconstruction, ReconstructionSettings
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.files import RECOGNISE
 from rtof_kin.simulation.simulate import LIMB_SENSORS
 from rtof_kin.solve.cartesian.settings import CartesianSettings

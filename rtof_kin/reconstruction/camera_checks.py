@@ -17,7 +17,8 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.image_checks import Picture, look_at_picture, sensed
-from rtof_kin.reconstruction.prepare import LifterLike, Prepared, shipped_lifter
+from rtof_kin.reconstruction.lift import LifterLike, shipped_lifter
+from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.reconstruction.scale_checks import (
     ANKLE_HEIGHT,
     Standing,

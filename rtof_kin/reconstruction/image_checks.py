@@ -23,7 +23,7 @@ from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.reconstruction.prepare import LifterLike
+from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.outlier_rejection import side_pairs
 

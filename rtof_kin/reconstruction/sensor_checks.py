@@ -24,7 +24,9 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.inertial.mounting import LEAST_RATIO, diagnose_setup
 from rtof_kin.inertial.recorded_form import check_form
 from rtof_kin.inertial.setup_diagnosis import Fault, FaultKind
-from rtof_kin.reconstruction.prepare import LifterLike, Prepared, ReconstructionSettings, prepare
+from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.reconstruction.prepare import Prepared, prepare
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 
 SETUP = "evidence for another setup"

@@ -25,7 +25,7 @@ from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
 
 if TYPE_CHECKING:
-    from rtof_kin.reconstruction.pipeline import Reconstruction
+    from rtof_kin.reconstruction.result import Reconstruction
 
 Array = NDArray[np.float64]
 _MODEL = JointSpaceSettings()

@@ -35,7 +35,7 @@ from rtof_kin.report.headline import headline
 from rtof_kin.report.provenance import facts
 
 if TYPE_CHECKING:
-    from rtof_kin.reconstruction.pipeline import Reconstruction
+    from rtof_kin.reconstruction.result import Reconstruction
 
 MARKER = "motion.npz"
 

@@ -17,7 +17,7 @@ from rtof_kin.core.files.folder import new_file
 from rtof_kin.data.poses import PoseSequence
 
 if TYPE_CHECKING:
-    from rtof_kin.reconstruction.pipeline import Reconstruction
+    from rtof_kin.reconstruction.result import Reconstruction
 
 Array = NDArray[np.float64]
 ESTIMATE, TRUTH = "#c0392b", "#2e8b57"

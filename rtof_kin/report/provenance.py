@@ -10,7 +10,7 @@ import numpy as np
 from rtof_kin.recording.recording import Recording
 
 if TYPE_CHECKING:
-    from rtof_kin.reconstruction.pipeline import Reconstruction
+    from rtof_kin.reconstruction.result import Reconstruction
 
 Facts = dict[str, Any]
 

@@ -11,7 +11,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 
 if TYPE_CHECKING:
-    from rtof_kin.reconstruction.pipeline import Reconstruction
+    from rtof_kin.reconstruction.result import Reconstruction
 
 Array = NDArray[np.float64]
 

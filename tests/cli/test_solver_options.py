@@ -19,7 +19,7 @@ from rtof_kin.cli import main
 from rtof_kin.cli.solver_options import add_solver_options, settings_of
 from rtof_kin.core.resources import model_path
 from rtof_kin.core.threads import limit_threads, threads
-from rtof_kin.reconstruction.choices import energy_name
+from rtof_kin.reconstruction.result import _energy_name
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
@@ -114,11 +114,11 @@ def test_space_and_backend_are_chosen(options: list[str], expected: object) -> N
 
 
 def test_the_energy_that_is_written_is_the_one_that_was_solved() -> None:
-    assert energy_name(JointSpaceSettings.calibrated()) == "default, calibrated"
-    assert energy_name(JointSpaceSettings(backend="ipopt", floor_height=0.1)) == "default"
-    assert energy_name(JointSpaceSettings(jerk=7.0)) == "own"
-    assert energy_name(CartesianSettings()) == "default"
-    assert energy_name(CartesianSettings.paper("realtime")) == "as printed"
+    assert _energy_name(JointSpaceSettings.calibrated()) == "default, calibrated"
+    assert _energy_name(JointSpaceSettings(backend="ipopt", floor_height=0.1)) == "default"
+    assert _energy_name(JointSpaceSettings(jerk=7.0)) == "own"
+    assert _energy_name(CartesianSettings()) == "default"
+    assert _energy_name(CartesianSettings.paper("realtime")) == "as printed"
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,8 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.camera_checks import UNVERIFIED, check_camera_alone, explained
 from rtof_kin.reconstruction.image_checks import exchanged_axes, exchanged_sides, mirrored, upside_down
+from rtof_kin.reconstruction.lift import shipped_lifter
 from rtof_kin.reconstruction.pipeline import reconstruct
-from rtof_kin.reconstruction.prepare import shipped_lifter
 from rtof_kin.reconstruction.scale_checks import check_walk
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.simulate import SimulationSettings, simulate

@@ -26,13 +26,10 @@ from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
-from rtof_kin.reconstruction.pipeline import (
-    Reconstruction,
-    ReconstructionSettings,
-    calibrate_recording,
-    evenly_spaced,
-    reconstruct,
-)
+from rtof_kin.reconstruction.pipeline import calibrate_recording, reconstruct
+from rtof_kin.reconstruction.prepare import evenly_spaced
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import SolverStatus
@@ -194,7 +191,7 @@ def test_ankles_that_seem_to_be_below_the_floor_stand_on_it(
     lower = Quantity("ankle height", "feet", np.array([-0.3]), np.array([0.02]), np.array([0.02]), 0.9)
     on_it = replace(lower, value=np.array([-0.06]))
     results = [
-        run(replace(recording, floor_height=-0.4), truth, calibrate=SelfCalibration((found,)))
+        run(replace(recording, floor_height=-0.4), truth, calibration=SelfCalibration((found,)))
         for found in (lower, on_it)
     ]
     energies = [r.solution.energy["floor"] for r in results if r.solution is not None]
@@ -206,9 +203,9 @@ def test_ankles_stand_as_high_as_the_calibration_found_them(
 ) -> None:
     """Three centimetres higher is what a floor three centimetres higher would be."""
     higher = Quantity("ankle height", "feet", np.array([0.03]), np.array([0.02]), np.array([0.02]), known=0.1)
-    found = run(replace(recording, floor_height=-0.4), truth, calibrate=SelfCalibration((higher,)))
-    other = run(replace(recording, floor_height=-0.37), truth, calibrate=SelfCalibration(()))
-    plain = run(replace(recording, floor_height=-0.4), truth, calibrate=SelfCalibration(()))
+    found = run(replace(recording, floor_height=-0.4), truth, calibration=SelfCalibration((higher,)))
+    other = run(replace(recording, floor_height=-0.37), truth, calibration=SelfCalibration(()))
+    plain = run(replace(recording, floor_height=-0.4), truth, calibration=SelfCalibration(()))
     energies = [result.solution.energy["floor"] for result in (found, other, plain)]
     assert energies[0] == pytest.approx(energies[1], rel=1e-3)
     assert energies[0] != pytest.approx(energies[2], rel=1e-3)
@@ -270,7 +267,7 @@ def test_of_a_known_person_bones_are_taken_and_the_clock_is_still_looked_at(
 
     earlier = SelfCalibration((told("bones", "thighs", 0.02), told("delay", "video", 0.2)))
     only_delay = replace(CalibrationPriors(), sigma_swing=None, sigma_image_bias=None)
-    found = run(recording, truth, calibrate=only_delay, known=earlier)
+    found = run(recording, truth, priors=only_delay, known=earlier)
     assert found.calibration is not None
     assert found.calibration["bones", "thighs"].value[0] == 0.02
     assert abs(found.calibration["delay", "video"].value[0]) < 0.05
@@ -639,7 +636,7 @@ def test_a_recording_is_calibrated_first_unless_told_not_to(truth: MotionSequenc
     assert delay == pytest.approx(0.05, abs=0.01)
     np.testing.assert_allclose(result.keypoints.times, late.keypoints.times - delay)
     np.testing.assert_allclose(result.motion.poses.times, result.keypoints.times)
-    again = run(late, long, calibrate=result.calibration)
+    again = run(late, long, calibration=result.calibration)
     np.testing.assert_array_equal(again.motion.q, result.motion.q)
     assert run(late, long).calibration is None
 
@@ -659,4 +656,4 @@ def test_what_cannot_be_calibrated_is_taken_as_it_is_given_and_that_is_said(
     assert result.calibration is None
     assert "taken as it is given: video and IMUs have" in result.warnings[0]
     with pytest.raises(CalibrationError, match="in common, too little to look for a delay of 4.00 s"):
-        run(recording, truth, calibrate=CalibrationPriors(sigma_delay=1.0))
+        run(recording, truth, priors=CalibrationPriors(sigma_delay=1.0))

@@ -19,7 +19,8 @@ from rtof_kin.core.plausibility import Verdict as Found
 from rtof_kin.core.resources import model_path
 from rtof_kin.inertial.recorded_form import FROZEN, GRAVITY
 from rtof_kin.reconstruction import pipeline
-from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.sensor_checks import SETUP, naming_wrong_samples
 from rtof_kin.recording.recording import Recording
 

@@ -21,8 +21,10 @@ from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import Provenance
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
-from rtof_kin.reconstruction.pipeline import Reconstruction, ReconstructionSettings, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings, frame_times
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.report.export import export
 from rtof_kin.report.figures import TRUTH, skeletons

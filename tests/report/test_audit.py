@@ -15,7 +15,9 @@ from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.reconstruction.pipeline import Reconstruction, ReconstructionSettings, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.report.audit import audit
 from rtof_kin.report.audit_results import Finding, Grade, SectionVerdict, section_verdict
 from rtof_kin.report.headline import headline

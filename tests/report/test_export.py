@@ -17,7 +17,9 @@ from rtof_kin.core.errors import OutputExistsError, UnknownNameError
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.formats.joint_trajectory import read_joint_trajectory_csv
 from rtof_kin.formats.motion_npz import read_motion_npz
-from rtof_kin.reconstruction.pipeline import Reconstruction, ReconstructionSettings, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.report import figures
 from rtof_kin.report.audit import audit
 from rtof_kin.report.export import export, summary

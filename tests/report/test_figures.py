@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from rtof_kin.body.metrics import flexion
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.camera import Camera
-from rtof_kin.reconstruction.pipeline import Reconstruction, ReconstructionSettings, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.report import figures
 
 BODY = SkeletonModel.default()

@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.core import signals
+from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
-from rtof_kin.reconstruction.prepare import LifterLike, ReconstructionSettings
+from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.report.sensor_study.sensor_sets import SensorSet, measured
 
@@ -184,7 +187,7 @@ class _Runs:
         assert imus is not None
         if sensors:
             recording = replace(self.recording, imus=imus.select(sensors))
-            mode = "rtof" if recording.keypoints is not None else "imu"
+            mode: Mode = "rtof" if recording.keypoints is not None else "imu"
         else:
             recording, mode = replace(self.recording, imus=None, calibration=None), "rto"
         result = reconstruct(

@@ -1,0 +1,110 @@
+"""The result of a reconstruction, and the choices that made it. It knows no file format and no figure."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body.metrics import Metrics
+from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.calibration.result import SelfCalibration
+from rtof_kin.core.choices import Calibrate, Mode
+from rtof_kin.core.plausibility import Check
+from rtof_kin.core.threads import threads
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.data.stream_faults import StreamFault
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.solution import FragmentSolution
+
+Array = NDArray[np.float64]
+_NOT_ENERGY = ("backend", "compile", "floor_height", "ankle_height", "tolerance", "max_iterations")
+"""Fields of the solver's settings that leave the energy the same."""
+
+
+@dataclass(frozen=True)
+class Choices:
+    """How a reconstruction was made."""
+
+    calibrate: Calibrate = "no"
+    known: bool = False
+    """A calibration of another recording of the same person was applied."""
+    lifter: str | None = None
+    """Name or file of the lifter."""
+    settings: ReconstructionSettings | None = None
+    """As used, with those of the fragment solver in the modes that optimise."""
+
+    def plain(self) -> dict[str, Any]:
+        """Return the choices as JSON values; null is what was not used."""
+        s = self.settings or ReconstructionSettings()
+        fragment = s.fragment
+        space = {JointSpaceSettings: "joint", CartesianSettings: "cartesian"}.get(type(fragment))
+        return {
+            "space": space,
+            "backend": None if fragment is None else fragment.backend,
+            "energy": None if fragment is None else _energy_name(fragment),
+            "frames": None if fragment is None else s.frames,
+            "guard_streams": s.guard_streams,
+            "lift_with_sensors": s.lift_with_sensors,
+            "lifter": self.lifter,
+            "calibrate": self.calibrate,
+            "known_of_another_recording": self.known,
+            "threads": threads(),
+            "fragment": None if fragment is None else asdict(fragment),
+        }
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """The result of `reconstruct`."""
+
+    recording: Recording
+    """Input after self-calibration."""
+    mode: Mode
+    motion: MotionSequence
+    """Configurations, poses, flags and, in modes rto and rtof in joint space, pose covariances."""
+    stages: dict[str, PoseSequence]
+    """Poses after each stage by mode name; the first one of mode imu is 'start'."""
+    keypoints: KeypointSequence | None
+    """Keypoints as used, evenly spaced in time; None in mode imu."""
+    bone_imus: BoneImuSequence | None
+    """Calibrated sensors at the motion's times; None in modes without sensors."""
+    solution: FragmentSolution | None
+    """Report of the fragment solver, in the modes that optimise."""
+    metrics: Metrics | None
+    """Errors against the recording's truth; None without one."""
+    stage_metrics: dict[str, Metrics]
+    """The same for every stage; empty without truth."""
+    root_sigma: Array | None = None
+    """(T,) m, standard deviation of each horizontal root coordinate since the first frame, in mode imu,
+    where it drifts; NaN where the root is unobserved."""
+    faults: tuple[StreamFault, ...] = ()
+    """Faults of keypoints and sensors, and how they were handled."""
+    warnings: tuple[str, ...] = ()
+    """Limitations of the motion, in sentences."""
+    calibration: SelfCalibration | None = None
+    """The self-calibration that was applied."""
+    checks: tuple[Check, ...] = ()
+    """Checks of what the recording declares; failed ones name a likely cause."""
+    choices: Choices = field(default_factory=Choices)
+
+
+def _energy_name(settings: JointSpaceSettings | CartesianSettings) -> str:
+    """'default', 'default, calibrated', 'as printed' or 'own'."""
+    usual: dict[str, JointSpaceSettings | CartesianSettings] = {
+        "default": type(settings)(),
+        "default, calibrated": JointSpaceSettings.calibrated(),
+        "as printed": CartesianSettings.paper(),
+    }
+    return next((name for name, other in usual.items() if _energy(other) == _energy(settings)), "own")
+
+
+def _energy(settings: JointSpaceSettings | CartesianSettings) -> dict[str, Any]:
+    return {name: value for name, value in vars(settings).items() if name not in _NOT_ENERGY}

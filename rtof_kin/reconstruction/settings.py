@@ -1,0 +1,71 @@
+"""Settings of a reconstruction: one record for all stages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.choices import SPACES, Backend, Space
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings
+from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve.fragment_solver import usual_space
+from rtof_kin.solve.inertial_ik import InertialGuidedIKSettings
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+
+
+@dataclass(frozen=True)
+class ReconstructionSettings:
+    """Settings of all stages."""
+
+    lift_with_sensors: bool = True
+    """Give the lifter the sensors' orientations in the modes that use sensors, if its network takes them."""
+    inertial_ik: InertialGuidedIKSettings = field(default_factory=InertialGuidedIKSettings)
+    fragment: JointSpaceSettings | CartesianSettings | None = None
+    """Settings of the fragment solver; their type gives the space. Default: those of `space`."""
+    space: Space | None = None
+    """Variables of the fragment solver where `fragment` is not given. Default: see `FragmentSolver`."""
+    backend: Backend | None = None
+    """Solver of a fragment where `fragment` is not given. Default: that of the space."""
+    frames: int = 50
+    """N, frames of a fragment."""
+    guard_streams: bool = True
+    """Repair or reject outliers of keypoints and sensors first (`Reconstruction.faults`)."""
+    confidence: bool = True
+    """Compute pose covariances (`MotionSequence.confidence`) in modes rto and rtof in joint space."""
+    sensor_joints: tuple[str, ...] = ()
+    """Segments for which the compiled problem has room for a sensor, besides those of the recording:
+    recordings with any subset of them share one compilation."""
+    sensors_alone: SensorsAloneSettings = field(default_factory=SensorsAloneSettings)
+    """Frames, contacts and root path of mode imu."""
+
+    def __post_init__(self) -> None:
+        if self.fragment is not None and (self.space is not None or self.backend is not None):
+            raise InvalidInputError(
+                "settings: give space and backend, or the settings of a fragment, not both"
+            )
+        if self.space is not None and self.space not in SPACES:
+            raise UnknownNameError("space", [self.space], SPACES)
+
+    def solver(
+        self, skeleton: SkeletonModel, calibrated: bool = False
+    ) -> JointSpaceSettings | CartesianSettings:
+        """Return the settings of the fragment solver: those given, else the defaults.
+
+        Args:
+            skeleton: the subject's. calibrated: the recording was calibrated from itself.
+
+        Raises:
+            InvalidInputError: there is no such backend.
+        """
+        if self.fragment is not None:
+            return self.fragment
+        fragment: JointSpaceSettings | CartesianSettings = CartesianSettings()
+        if (self.space or usual_space(skeleton)) == "joint":
+            fragment = JointSpaceSettings.calibrated() if calibrated else JointSpaceSettings()
+        return fragment if self.backend is None else replace(fragment, backend=self.backend)
+
+    def with_fragment(self, fragment: JointSpaceSettings | CartesianSettings | None) -> Self:
+        """Return the same settings with others of the fragment solver."""
+        return replace(self, fragment=fragment, space=None, backend=None)
