@@ -18,7 +18,7 @@ from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNam
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.inertial.outlier_rejection import disagreeing
+from rtof_kin.inertial.outlier_rejection import disagreeing, without
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
 from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
 from rtof_kin.reconstruction.lift import LifterLike
@@ -96,7 +96,7 @@ class _Job:
         solver = FragmentSolver(prepared.skeleton, self.settings.frames, self.settings.fragment, places)
         report = (lambda i, n: self.progress(stage, i, n)) if stage else None
         return solver.solve(
-            prepared.start, prepared.keypoints, prepared.bone_imus, report, confidence=confidence
+            prepared.guess, prepared.keypoints, prepared.bone_imus, report, confidence=confidence
         )
 
     def _sensor_places(self, skeleton: SkeletonModel) -> tuple[str, ...]:
@@ -187,7 +187,7 @@ def _optimised(
     if mode == "rtof" and job.settings.guard_streams and prepared.bone_imus is not None:
         wrong = disagreeing(solution.poses, prepared.bone_imus, prepared.skeleton)
         if wrong:
-            prepared = without_sensors(prepared, wrong, job.settings, calibration)
+            prepared = without_sensors(prepared, wrong, calibration)
             solution = job.solve(prepared, job.settings.confidence, mode)
     return prepared, solution.poses, solution
 
@@ -324,11 +324,19 @@ def _calibrate(
     own = replace(job, recording=recording, skeleton=None).with_solver(known, calibrated=False)
     prepared = own.prepare("sf2", calibration=known)
     slipped = _slipped(own, prepared)
-    solver = own.settings.fragment
+    assert prepared.bone_imus is not None  # without IMUs, mode sf2 has raised
+    solver = own.settings.fragment  # calibration is always solved in joint space
+    solver = (
+        solver
+        if isinstance(solver, JointSpaceSettings)
+        else JointSpaceSettings(floor_height=recording.floor_height)
+    )
+    used = replace(
+        prepared, bone_imus=without(prepared.bone_imus, slipped), settings=own.settings.with_fragment(solver)
+    )
     found = estimate_calibration(
-        replace(prepared.recording, keypoints=prepared.keypoints), prepared.start, priors,
-        solver if isinstance(solver, JointSpaceSettings) else None, own.settings.frames,
-        lambda done, total: own.progress("calibrate", done, total), slipped,
+        replace(prepared.recording, keypoints=prepared.keypoints), used.guess, priors, solver,
+        own.settings.frames, lambda done, total: own.progress("calibrate", done, total), slipped,
     )  # fmt: skip
     return (found if known is None else known.followed_by(found)), slipped
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ from rtof_kin.reconstruction.lift import Lifted, LifterLike, lift
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.inertial_ik import InertialGuidedIK
+from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.vision.outlier_rejection import guarded_keypoints
 
 Array = NDArray[np.float64]
@@ -50,6 +53,7 @@ class Prepared:
     keypoints: KeypointSequence
     """Keypoints at the landmarks of the skeleton: calibrated landmark offsets are removed."""
     outliers: tuple[StreamFault, ...]
+    settings: ReconstructionSettings
     rejected: tuple[StreamFault, ...] = ()
     """Intervals of sensors that are not used because they contradict the motion, by segment."""
 
@@ -57,6 +61,13 @@ class Prepared:
     def faults(self) -> tuple[StreamFault, ...]:
         """Outliers and rejected sensors."""
         return (*self.outliers, *self.rejected)
+
+    @cached_property
+    def guess(self) -> InitialGuess:
+        """What the fragment solver and the calibration start from."""
+        solver = self.settings.solver(self.skeleton)
+        sensors = self.bone_imus if isinstance(solver, JointSpaceSettings) else None
+        return initial_guess(self.start, self.keypoints, sensors, self.skeleton, refit_root=solver.refit_root)
 
 
 def prepare(
@@ -93,13 +104,12 @@ def prepare(
     progress("lift", 1, 1)
     stages, start = _refined(lifted, skeleton, mode, bone_imus, settings)
     moved = keypoints if calibration is None else calibration.moved(keypoints, start)
-    return Prepared(recording, skeleton, lifted, bone_imus, stages, start, moved, faults, rejected)
+    return Prepared(recording, skeleton, lifted, bone_imus, stages, start, moved, faults, settings, rejected)
 
 
 def without_sensors(
-    prepared: Prepared, wrong: tuple[StreamFault, ...], settings: ReconstructionSettings,
-    calibration: SelfCalibration | None = None,
-) -> Prepared:  # fmt: skip
+    prepared: Prepared, wrong: tuple[StreamFault, ...], calibration: SelfCalibration | None = None
+) -> Prepared:
     """Return the same with sensors rejected; SF2 runs again on the same lift.
 
     Args:
@@ -107,7 +117,7 @@ def without_sensors(
     """
     assert prepared.bone_imus is not None
     bone_imus = without(prepared.bone_imus, wrong)
-    stages, start = _refined(prepared.lifted, prepared.skeleton, "rtof", bone_imus, settings)
+    stages, start = _refined(prepared.lifted, prepared.skeleton, "rtof", bone_imus, prepared.settings)
     video = prepared.recording.video
     return replace(
         prepared,
