@@ -31,22 +31,22 @@ from rtof_kin.recording.body_checks import check_camera
 from rtof_kin.recording.recording import Recording
 
 FURTHEST = 100.0
-"""m of a camera from the world's origin: what is further is in another unit."""
+"""[m] of a camera from the world's origin; beyond it the unit is wrong."""
 WIDEST_DEG = 100.0
-"""View of a lens that does not distort."""
+"""Horizontal field of view of a lens without distortion."""
 BODY, BODY_FACTOR = 1.62, 1.35
-"""Height of a body, m, and how many times more or less it may be: 1.2 to 2.19 m."""
+"""[m] Usual height of a body, and the factor either way: 1.2 to 2.19 m."""
 HEIGHT_DIFFERENCE = 10.0
-"""% that a height may differ from that of the bones."""
+"""% difference of a declared height from that of the bones."""
 DISTANCE, DISTANCE_FACTOR = 4.5, 9.0
-"""Of a person from the camera, m, and how many times more or less it may be."""
+"""[m] Usual distance of a person from the camera, and the factor either way."""
 MOST_OUTSIDE = 50.0
-"""% of the points seen that may lie outside of the picture."""
+"""% of the detected points that may lie outside the image."""
 LONGEST_FROZEN = 0.5
-"""s for which a detector may repeat its points exactly."""
+"""[s] for which a detector may repeat its points exactly."""
 _FEWEST, _FRAMES = 6, 64
 _LARGE = 0.6
-"""m of an ankle from the floor, from which the floor is more likely wrong than a scale."""
+"""[m] between ankle and floor from which the floor is more likely wrong than a scale."""
 UNVERIFIED = "camera unverified: pelvis angles may be off by 20 deg"
 _DISTANCE, _FEET = "distance from the camera", "height of the standing ankle"
 
@@ -55,7 +55,7 @@ def check_camera_evidence(
     recording: Recording, prepared: Prepared, poses: PoseSequence, skeleton: SkeletonModel,
     lifter: LifterLike | None = None,
 ) -> tuple[Check, ...]:  # fmt: skip
-    """Checks of what the recording declares about camera, picture and body.
+    """Check the declared camera, image and body.
 
     Args:
         recording: as declared, before calibration and outlier rejection.
@@ -64,9 +64,10 @@ def check_camera_evidence(
         lifter: the shipped one where not given.
 
     Returns:
-        Every check that the recording allows; failed ones name their likely `cause`, the likeliest first.
+        Every check that the recording allows; failed ones name a likely cause, the likeliest first.
     """
-    picture = look_at_picture(recording, skeleton, lifter or shipped_lifter())
+    certain = np.isfinite(prepared.lifted.poses.sigma_rad).any()  # the lifter predicts its uncertainty
+    picture = look_at_picture(recording, skeleton, (lifter or shipped_lifter()) if certain else None)
     video = prepared.recording.video
     walk = check_walk(poses, prepared.bone_imus, video, skeleton)
     some = slice(None, None, max(1, len(video) // _FRAMES))
@@ -77,7 +78,11 @@ def check_camera_evidence(
 def check_camera_alone(
     recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None = None
 ) -> tuple[Check, ...]:
-    """The same before anything was reconstructed."""
+    """Check the same before a reconstruction.
+
+    Args:
+        recording: as declared. skeleton: the subject's. lifter: default: the shipped one.
+    """
     picture = look_at_picture(recording, skeleton, lifter or shipped_lifter())
     stands = None
     if picture.lifted is not None:
@@ -89,7 +94,7 @@ def check_camera_alone(
 
 @contextmanager
 def explained(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> Iterator[None]:
-    """An error about what the camera sees leaves with the cause in front, where a check finds one."""
+    """Prepend the cause found by the checks to a `ViewError` raised inside."""
     try:
         yield
     except ViewError as error:
@@ -104,11 +109,7 @@ def _ordered(
     recording: Recording, picture: Picture, skeleton: SkeletonModel, stands: Standing | None,
     of_motion: tuple[Check, ...] = (),
 ) -> tuple[Check, ...]:  # fmt: skip
-    """All checks; of those that one mistake fails together, what names it leads.
-
-    Args:
-        stands: where the person does. of_motion: checks of the reconstructed motion.
-    """
+    """Order the checks by cause: of several that one mistake fails, the one that names it leads."""
     keypoints, camera = recording.video, recording.video.camera
     first = (_check_unit(camera), *picture.checks, _check_frozen(keypoints))
     lens, declared = _check_view(camera), (*_declared(keypoints), *_check_body(recording, skeleton))
@@ -154,7 +155,7 @@ def _check_view(camera: Camera) -> Check:
 
 
 def _declared(keypoints: KeypointSequence) -> Iterator[Check]:
-    """What is declared of the camera, by itself and against where the points are."""
+    """Check the camera's parameters by themselves and against the points."""
     camera = keypoints.camera
     causes = ("the focal length is of another unit or picture", "pixels are not square",
               "the principal point is of another picture")  # fmt: skip
@@ -185,18 +186,18 @@ def _check_body(recording: Recording, skeleton: SkeletonModel) -> Iterator[Check
         f"They make a body {tall:.2f} m tall, usual is {BODY} m",
         cause=f"the bones are probably too {'long' if tall > BODY else 'short'}",
     )  # fmt: skip
-    told = recording.height
-    if told is not None:
+    declared = recording.height
+    if declared is not None:
         yield Check(
-            "height against that of the bones", "body", 100 * abs(tall / told - 1), HEIGHT_DIFFERENCE,
-            "%", f"{told:.2f} m were told, the bones make {tall:.2f} m; give only one of the two",
+            "height against that of the bones", "body", 100 * abs(tall / declared - 1), HEIGHT_DIFFERENCE,
+            "%", f"{declared:.2f} m are declared, the bones make {tall:.2f} m; give only one of the two",
             cause="height and bones are of different people",
         )  # fmt: skip
 
 
 def _check_distance(stands: Standing | None) -> Check:
     if stands is None or not stands.distance > 0:
-        return Check.unknown(_DISTANCE, "the person", "m", "nobody was lifted")
+        return Check.unknown(_DISTANCE, "the person", "m", "no person could be lifted")
     distance = stands.distance
     return Check(
         _DISTANCE, "the person", max(distance / DISTANCE, DISTANCE / distance), DISTANCE_FACTOR, "times",
@@ -206,25 +207,25 @@ def _check_distance(stands: Standing | None) -> Check:
 
 
 def _focal_is_open(camera: Camera, stands: Standing | None) -> tuple[Check, ...]:
-    """Says how wrong the focal length may be where the standing feet alone tell of it: a longer one moves
-    the person away along the camera's axis, which a level camera does not see.
+    """State the uncertainty of the focal length where only standing feet constrain it: a longer one moves
+    the person away along the camera's axis, which a level camera does not observe.
     """
     if stands is None:
         return ()
     share = 100 * stands.tolerance / max(abs(stands.distance * camera.R_camera_world[2, 2]), 1e-9)
     name = f"focal length to better than {share:.0f} %" if share < 50 else "focal length"
-    why = "standing feet tell no more of it, and absolute positions may be off by that share"
+    why = "standing feet constrain it no further, and absolute positions may be off by that share"
     return (Check.unknown(name, "camera", "%", why),)
 
 
 def _check_feet(recording: Recording, stands: Standing | None, cause: str) -> Check:
-    """Whether the person stands on the floor; where none is declared, at z = 0.
+    """Check that the person stands on the floor, at z = 0 where none is declared.
 
     Args:
-        cause: what other checks have found to be wrong with the scale.
+        cause: of a wrong scale, by other checks.
     """
     if stands is None:
-        return Check.unknown(_FEET, "the person", "m", "nobody was lifted")
+        return Check.unknown(_FEET, "the person", "m", "no person could be lifted")
     floor = recording.floor_height
     off = stands.height - (floor or 0.0) - ANKLE_HEIGHT
     advice = f"It is at z = {stands.height:.2f} m, {stands.distance:.1f} m away, by the body's size"

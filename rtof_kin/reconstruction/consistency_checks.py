@@ -1,4 +1,4 @@
-"""Facts told of a recording that cannot all be true, and what the recording itself says against them."""
+"""Declarations of a recording that contradict each other or the self-calibration."""
 
 from __future__ import annotations
 
@@ -9,47 +9,46 @@ from rtof_kin.core.errors import CalibrationError
 from rtof_kin.recording.recording import Recording
 
 _HEIGHT_SHARE = 0.1
-"""By how much a body's height may differ from that of its bones: five times what bodies do of one sum of
-bone lengths, where only some of them were measured."""
+"""Largest relative difference of a declared height from that of the bones: five standard deviations of
+people with the same sum of bone lengths."""
 _SIGMAS = 6.0
-"""Prior standard deviations beyond which a value contradicts what was held before; sensors that slip all
-through a recording of some seconds reach four in one of three."""
+"""Prior standard deviations beyond which an estimate contradicts the prior; sensors that slip all through
+a short recording reach four in one of three."""
 
 
 def check_height(recording: Recording) -> None:
-    """Check that a height and the bones told beside it are of one body.
+    """Raise where a declared height and declared bone lengths are of different bodies.
 
     Raises:
-        CalibrationError: no bone lengths of such a body fit the height; names both heights.
+        CalibrationError: the heights differ by more than 10 %; names both.
     """
-    told, made = recording.height, recording.skeleton.height
-    if told is not None and abs(made / told - 1) > _HEIGHT_SHARE:
+    declared, made = recording.height, recording.skeleton.height
+    if declared is not None and abs(made / declared - 1) > _HEIGHT_SHARE:
         raise CalibrationError(
-            f"recording {recording.name}: its height is told to be {told:.2f} m, but its bone lengths "
+            f"recording {recording.name}: its declared height is {declared:.2f} m, but its bone lengths "
             f"make a body {made:.2f} m tall; measure again, or give only one of the two"
         )
 
 
 def consistency_warnings(recording: Recording, calibration: SelfCalibration) -> tuple[str, ...]:
-    """Sentences about what the recording says against what was told or held of it.
+    """Describe estimates that contradict their priors or the declared height.
 
     Args:
-        recording: as it was told.
-        calibration: what was estimated of it.
+        recording: before calibration. calibration: estimated from it.
     """
     found = []
     for q, row in zip(calibration.quantities, calibration.table(), strict=True):
         if q.doubt:
-            found.append(f"{row[0]} of {row[1]}: {row[2]} is in doubt: {q.doubt}")
+            found.append(f"{row[0]} of {row[1]}: {row[2]} is unreliable: {q.doubt}")
         away = float(np.max(np.abs(q.value) / q.sigma_prior))
         if q.verdict is not Verdict.PRIOR and away > _SIGMAS:
             kind, item, value, _, prior, _ = row
             found.append(
-                f"{kind} of {item}: {value} is {away:.0f} times the {prior} that it was held to be known "
-                "to; what was told of it is wrong, or what else was told"
+                f"{kind} of {item}: {value} is {away:.0f} times its prior standard deviation {prior}; "
+                "its declared value is wrong, or another declaration is"
             )
-    told = recording.height
-    if told is not None and any(line.startswith("bones") for line in found):
+    declared = recording.height
+    if declared is not None and any(line.startswith("bones") for line in found):
         made = calibration.apply(recording).skeleton.height
-        found.append(f"the height is told to be {told:.2f} m; the bones found make {made:.2f} m")
+        found.append(f"the declared height is {declared:.2f} m; the estimated bones make {made:.2f} m")
     return tuple(found)

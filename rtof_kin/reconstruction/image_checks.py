@@ -1,9 +1,9 @@
-"""Whether a picture is upright, of the declared size and not mirrored, and whether left is left.
+"""Checks that the image is upright, of the declared size and not mirrored, and that left is left.
 
-What people confuse can be undone. Keypoints are looked at as given and with each mistake undone: by the
-lifter, which is less certain of people who stand on their heads or whose knees bend backwards, and by
-the sensors, which know without any picture where limbs point. What fits much better than what was given
-is named.
+Each usual mistake is a hypothesis that can be undone. Keypoints as given and with a mistake undone are
+compared by the lifter's predicted uncertainty, which is larger for people upside down or with knees that
+bend backwards, and by the sensors, whose segments point where they do in any image. A hypothesis that
+fits much better than the keypoints as given is reported.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from rtof_kin.vision.outlier_rejection import side_pairs
 Array = NDArray[np.float64]
 Undo = Callable[[KeypointSequence], KeypointSequence]
 STEP, PIECE, PIECES = 0.1, 48, 2
-"""s between the frames that are looked at, how many of them follow each other, and how often."""
+"""[s] between the frames of an excerpt, frames of a piece, and number of pieces."""
 LEAST_GAIN, LEAST_GAIN_SENSED = 0.5, 0.35
-"""What a hypothesis must gain over the keypoints as given to be named, without and with sensors;
-recordings without a mistake stay below (benchmarks/results/input_checks.md)."""
+"""Least gain of a hypothesis to be reported, without and with sensors; correct recordings stay below
+(benchmarks/results/input_checks.md)."""
 LEAST_GAIN_OF_SIZE = 0.1
-"""The same of the lifter's certainty, of pictures of another size."""
+"""The same for the lifter's certainty in another image size."""
 _CERTAINTY = 3.0
-"""What a gain in certainty counts beside one in the logarithm of the sensors' misfit."""
+"""Weight of a gain in certainty relative to one in the logarithm of the sensors' misfit."""
 _CONTRADICTED, _UNSUPPORTED = -0.1, 0.7
-"""Gain in certainty below which a hypothesis is none, whatever sensors say; and the gain that one needs
-of which the lifter can say nothing."""
+"""Gain in certainty below which a hypothesis is excluded whatever the sensors measure; and the gain by
+sensors that a hypothesis needs about which the lifter is neutral."""
 _UNSEEN, _UPRIGHT = 4.4, 6.3
-"""Certainty below which it does not look like a person, and above which like one who stands upright."""
+"""Certainty below which keypoints are no person, and above which they are one standing upright."""
 _AGREED = 0.5
-"""Misfit of sensors below which the picture is upright; of turned ones it is above 0.8."""
+"""Misfit of sensors below which the image is upright; in rotated images it is above 0.8."""
 _CLOSE = 0.5
-"""Hypotheses whose gains differ by less are named together."""
+"""Hypotheses whose gains differ by less are reported together."""
 _REPROJECTION, _LEAST_REPROJECTION, _LEAST_MISFIT = 0.3, 1e-3, 0.02
 _HEADINGS = np.radians(np.arange(0, 360, 15))
 _REACH = 0.55
-"""Share of the picture beyond which points of one half as large cannot lie."""
+"""Fraction of the image beyond which points of an image half as large cannot lie."""
 _SIZE, _TURN, _SIDES = "another size of the picture", "a turned picture or world", "exchanged sides"
 _SWAPPED, _MIRRORED = "left and right of the keypoints are exchanged", "the picture is mirrored"
 _MIRRORED_OR_HEADING = f"{_MIRRORED}, or all sensors head the wrong way"
@@ -60,27 +60,27 @@ _MIRRORED_VIDEO = "the video is mirrored, and its sides were named as they appea
 
 @dataclass(frozen=True)
 class Lifted:
-    """What the lifter makes of keypoints."""
+    """Keypoints as lifted."""
 
     p_world_joint: Array
     """(T, J, 3) m."""
     certainty: float
-    """The larger, the more it looks as people do; NaN of a lifter that does not tell."""
+    """Larger for keypoints as people have them; NaN of a lifter without uncertainties."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """Some frames of a recording, and what was found about the picture they come from."""
+    """Excerpt of a recording and the checks of its image."""
 
     keypoints: KeypointSequence
     lifted: Lifted | None
-    """As given; None where too little is seen."""
+    """As given; None where too little is visible."""
     bone_imus: BoneImuSequence | None
     """The sensors at the same times."""
     checks: tuple[Check, ...]
     """Of its orientation, its size, its sides."""
     small: str
-    """What might be the cause of a wrong scale: that points fill little of the picture; or empty."""
+    """Cause of a wrong scale if points fill little of the image; else empty."""
 
     @property
     def wrong(self) -> str:
@@ -88,11 +88,12 @@ class Picture:
         return next((check.cause for check in self.checks if check.failed), "")
 
 
-def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike) -> Picture:
-    """Compare keypoints with what they would be without each mistake.
+def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> Picture:
+    """Compare the keypoints with each usual mistake undone.
 
     Args:
         recording: as declared, with keypoints. skeleton: the subject's.
+        lifter: None for one that predicts no uncertainties: image orientation remains unchecked.
     """
     keypoints = excerpt(recording.video)
     bone_imus = sensed(recording, keypoints.times)
@@ -100,7 +101,8 @@ def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: Lifte
         bone_imus = None
     look = _Look(skeleton, lifter, keypoints, bone_imus)
     if look.given is None or np.isnan(look.given.certainty):
-        why = "too little is seen" if look.given is None else "the lifter does not tell how certain it is"
+        seen = lifter is not None and look.given is None
+        why = "too little of the person is visible" if seen else "the lifter predicts no uncertainties"
         checks = tuple(_unknown(name, why) for name in (_SIZE, _TURN, _SIDES))
     else:
         checks = tuple[Check, ...]()
@@ -112,7 +114,11 @@ def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: Lifte
 
 
 def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
-    """Pieces of a recording: at most `PIECES` of `PIECE` frames, `STEP` apart."""
+    """Return at most `PIECES` pieces of `PIECE` frames, `STEP` apart.
+
+    Args:
+        keypoints: of the whole recording.
+    """
     every = 1
     if len(keypoints) > 1:
         every = max(1, round(STEP / float(np.median(np.diff(keypoints.times)))))
@@ -125,7 +131,11 @@ def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
 
 
 def sensed(recording: Recording, times: Array) -> BoneImuSequence | None:
-    """The calibrated sensors at some times (T,); None where they say nothing."""
+    """Return the calibrated sensors at times (T,), s; None where they have no samples.
+
+    Args:
+        recording: with or without IMUs. times: (T,) s.
+    """
     try:
         found = recording.bone_imus(times=times)
     except CalibrationError:
@@ -144,7 +154,7 @@ def _sensed_bones(bone_imus: BoneImuSequence, skeleton: SkeletonModel) -> list[t
 
 
 def _agreement(given: float, other: float) -> float:
-    """How much better sensors agree with another picture than with the one given, by their misfits."""
+    """Log ratio of the sensors' misfits in the image given and in another."""
     return float(np.log((given + _LEAST_MISFIT) / (other + _LEAST_MISFIT)))
 
 
@@ -210,7 +220,11 @@ def halved(keypoints: KeypointSequence) -> KeypointSequence:
 
 
 def certainty(keypoints: KeypointSequence, skeleton: SkeletonModel, lifter: LifterLike) -> Lifted | None:
-    """What a lifter makes of keypoints alone, without sensors and floor; None where it sees nobody."""
+    """Lift keypoints without sensors and floor; None where no person is visible.
+
+    Args:
+        keypoints: an excerpt. skeleton: the subject's. lifter: with uncertainties.
+    """
     try:
         result = lifter.predict(keypoints, skeleton.joint_offsets)
     except ShapeError:
@@ -282,17 +296,17 @@ class Limbs:
 
 @dataclass(frozen=True)
 class _Look:
-    """One excerpt, looked at with mistakes undone."""
+    """An excerpt, compared with each mistake undone."""
 
     skeleton: SkeletonModel
-    lifter: LifterLike
+    lifter: LifterLike | None
     keypoints: KeypointSequence
     bone_imus: BoneImuSequence | None
 
     @cached_property
     def given(self) -> Lifted | None:
-        """The keypoints as they are, lifted."""
-        return certainty(self.keypoints, self.skeleton, self.lifter)
+        """The keypoints as given, lifted; None where that is impossible."""
+        return None if self.lifter is None else certainty(self.keypoints, self.skeleton, self.lifter)
 
     @cached_property
     def _given_misfit(self) -> float:
@@ -375,8 +389,9 @@ class _Look:
         )
 
     def _gain(self, undo: Undo) -> float:
-        """In certainty; minus infinity where nobody is to be seen then."""
+        """Gain in certainty; minus infinity where no person is left."""
         assert self.given is not None
+        assert self.lifter is not None
         other = certainty(undo(self.keypoints), self.skeleton, self.lifter)
         if other is None or not other.certainty > _UNSEEN:
             return -np.inf

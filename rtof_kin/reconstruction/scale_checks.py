@@ -1,5 +1,5 @@
-"""How large and how far away a person is, by what does not ask the picture: the floor, standing feet, the
-accelerations of two segments at a joint, and the perspective in which the sensors' bones are seen.
+"""Checks of size and distance of a person by other means than the size in the image: the floor, standing
+feet, the accelerations of two segments at a joint, and the perspective of bones with sensors.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from rtof_kin.reconstruction.image_checks import Limbs, Picture
 
 Array = NDArray[np.float64]
 ANKLE_HEIGHT = 0.08
-"""m over the floor of the ankle that one stands on."""
+"""[m] of a standing ankle over the floor."""
 LEAST_HEIGHT, LEAST_HEIGHT_SENSED, HEIGHT_PER_DISTANCE = 0.16, 0.12, 0.02
-"""How far an ankle may seem to be from there, m, without and with sensors, and per m of distance: a
-camera tilts by one degree."""
+"""[m] Tolerance of that height without and with sensors, and per m of distance (one degree of camera
+tilt)."""
 LARGEST_SCALE = 1.14
-"""Times that bones may seem too long or too short by two sensors' accelerations."""
+"""Tolerated factor of bone lengths by the accelerations of two sensors."""
 WALKED, LONGEST_WALK = 1.045, 1.18
-"""How far a body seems to move over its standing feet, by its distance from the camera and by its legs,
-as feet roll; and how many times more or less it may be."""
+"""Usual ratio of a body's path over its standing feet, seen by the camera and by its legs (feet roll), and
+the tolerated factor."""
 LEAST_WALK = 0.7
-"""m of walking to or from the camera that tell of its focal length."""
+"""[m] Least walking to or from the camera that constrains its focal length."""
 FLATTEST, LEAST_DISTINCT = 0.55, 0.88
-"""Perspective of the sensors' bones, as a share of that of the focal length, below which that is too
-short; and what share of the misfit must be left with it."""
+"""Perspective of the bones relative to that of the focal length, below which the focal length is too
+short; and the fraction of the misfit that must remain with it."""
 _PERSPECTIVES = np.linspace(0.0, 3.0, 31)
 _AS_GIVEN = 10
 _LARGEST_MISFIT = 0.3
@@ -48,7 +48,7 @@ _SCALE, _WALK, _PERSPECTIVE = "length of bones by accelerations", "walk in depth
 
 @dataclass(frozen=True)
 class Standing:
-    """Where a person stands, by nothing but the size of the body."""
+    """Position of a standing person by the size of the body alone."""
 
     height: float
     """z in world of the ankle that stands, m."""
@@ -59,10 +59,11 @@ class Standing:
 
 
 def standing(poses: PoseSequence, k: KeypointSequence, sensed: bool) -> Standing | None:
-    """Of poses (T, J) whose shape is kept, and keypoints of the same frames; None without ankles.
+    """Estimate where the person stands; None without ankles.
 
     Args:
-        sensed: whether sensors had a say in the shape.
+        poses: (T, J), of which the shape is used. k: keypoints of the same frames.
+        sensed: the poses used sensors.
     """
     feet = [poses.names.index(foot) for foot in FEET if foot in poses.names]
     if not feet:
@@ -75,10 +76,10 @@ def standing(poses: PoseSequence, k: KeypointSequence, sensed: bool) -> Standing
 
 
 def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> Check:
-    """Whether two sensors on both sides of a joint accelerate as bones of these lengths do.
+    """Check bone lengths by the accelerations of two sensors at a joint.
 
     Args:
-        bone_imus: at the sensors' own times.
+        bone_imus: at the sensors' own times. skeleton: the subject's.
     """
     found = None if bone_imus is None else _length_ratio(bone_imus, skeleton)
     if found is None:
@@ -94,7 +95,7 @@ def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> C
 
 
 def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> float | None:
-    """How many times longer than declared the bones between sensors are, by regression."""
+    """Ratio of measured to declared bone lengths between sensors, by regression."""
     if len(imus.times) < _LEAST_SAMPLES:
         return None
     rate_hz = (len(imus.times) - 1) / float(np.ptp(imus.times))
@@ -132,12 +133,13 @@ def check_walk(
     poses: PoseSequence, bone_imus: BoneImuSequence | None, keypoints: KeypointSequence,
     skeleton: SkeletonModel,
 ) -> Check:  # fmt: skip
-    """Whether a body moves as far to or from the camera over its standing feet as its legs do.
+    """Check the focal length by walking to or from the camera.
 
-    The legs' bones and sensors make a step; the focal length makes the way that the body goes.
+    Bones and sensors of the legs determine the length of a step; the path of the body over standing feet
+    depends on the focal length.
 
     Args:
-        poses: the final ones. bone_imus: at their times.
+        poses: the final ones. bone_imus, keypoints: at their times. skeleton: the subject's.
     """
     if bone_imus is None or not {*_LEGS} <= {*bone_imus.joints}:
         return Check.unknown(_WALK, "the feet", "times", "needs sensors on thighs and shanks")
@@ -155,19 +157,23 @@ def check_walk(
             legs.append(moved[1])
     x, y = np.array(legs), np.array(body)
     if np.abs(x).sum() < LEAST_WALK or x @ y <= 0:
-        why = f"nobody walks {LEAST_WALK:g} m to or from the camera"
+        why = f"the person walks less than {LEAST_WALK:g} m to or from the camera"
         return Check.unknown(_WALK, "the feet", "times", why)
     ratio = float(x @ y / (x @ x)) / WALKED
     word = "long" if ratio > 1 else "short"
     return Check(
         _WALK, "the feet", max(ratio, 1 / ratio), LONGEST_WALK, "times",
-        f"Over standing feet the body goes {ratio:.2f} times as far as the legs say, along the view",
+        f"Along the view the body moves {ratio:.2f} times as far over standing feet as its legs do",
         cause=f"the focal length is probably too {word}",
     )  # fmt: skip
 
 
 def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
-    """Whether bones far from the picture's middle are seen as obliquely as the focal length has it."""
+    """Check the focal length by the perspective of bones away from the image centre.
+
+    Args:
+        picture: excerpt with sensors. skeleton: the subject's.
+    """
     what = "the picture"
     if picture.bone_imus is None:
         return Check.unknown(_PERSPECTIVE, what, "times", "needs sensors")

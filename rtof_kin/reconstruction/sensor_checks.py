@@ -1,7 +1,7 @@
 """Checks of a recording's sensors and clocks against physics, the image and the reconstructed motion.
 
-What makes other checks fail too comes first: samples in another form than a recording takes, then the
-clocks, then which sensor is where. A check that an earlier failure would mislead is not made.
+Checks run in the order of cause: form of the samples, then clocks, then placement of the sensors. A check
+that an earlier failure would mislead is skipped.
 """
 
 from __future__ import annotations
@@ -31,22 +31,27 @@ from rtof_kin.recording.recording import Recording
 
 SETUP = "evidence for another setup"
 _SURE, _SURE_OF_ONE = 25.0, 40.0
-"""Nats from which sensors are accused where nobody asked; and one alone, as which odd movement looks."""
+"""Log-likelihood ratios [nats] from which a fault is reported: of several sensors, and of a single one,
+which unusual movement resembles."""
 _OF_ALL, _OF_ONE = (FaultKind.WORLD, FaultKind.FACING), (FaultKind.SEGMENT, FaultKind.MOUNTING)
-"""Faults of all sensors together, for which `LEAST_RATIO` is enough, and of one."""
+"""Faults of all sensors together, reported from `LEAST_RATIO`, and of a single one."""
 _THINNED = 0.05
-"""[s] between samples that are looked at for whether they were exchanged."""
+"""[s] between the samples in which exchanged sensors are looked for."""
 _LEAST_SECONDS = 2.0
-"""[s] of movement by which sensors' places and references can be judged."""
+"""[s] Shortest movement by which placement and references of sensors can be checked."""
 _ELSEWHERE = (FaultKind.SIDES, FaultKind.NEIGHBOURS, FaultKind.SWAPPED, FaultKind.SEGMENT)
-"""What looks otherwise where sensors were calibrated in an N-pose, before they were declared wrongly."""
+"""Faults whose evidence differs where the sensors were calibrated in an N-pose."""
 _DISAGREES, _EXCHANGED = 2.8, 0.7
-"""Nats a frame by which a sensor differs from the image, and by which two differ less on each other's
-segments, for the setup to be looked into: one good recording in twenty reaches one of them."""
+"""Nats a frame by which a sensor contradicts the image, and by which an exchange of two reduces that, from
+which the setup is diagnosed: one correct recording in twenty reaches one of them."""
 
 
 def check_sensor_form(recording: Recording) -> tuple[Check, ...]:
-    """Checks by physics alone that samples are in the form that a recording takes."""
+    """Check by physics that the samples have the units, signs and frames of a recording.
+
+    Args:
+        recording: with or without IMUs; without, there are no checks.
+    """
     imus, calibration = recording.imus, recording.calibration
     if imus is None or calibration is None or not set(imus.names) <= set(calibration.sensors):
         return ()
@@ -55,26 +60,26 @@ def check_sensor_form(recording: Recording) -> tuple[Check, ...]:
 
 def check_sensor_evidence(
     recording: Recording, prepared: Prepared, skeleton: SkeletonModel, lifter: LifterLike | None,
-    settings: ReconstructionSettings, doubted: bool = False, view_doubted: bool = False,
+    settings: ReconstructionSettings, suspect: bool = False, view_suspect: bool = False,
 ) -> tuple[Check, ...]:  # fmt: skip
-    """Checks of what the recording declares about sensors and clocks.
+    """Check the declared sensors and clocks.
 
     Args:
         recording: as declared, before calibration and outlier rejection.
         prepared: the prepared streams and the poses of each stage before the solver.
         skeleton: the subject's. lifter, settings: as for `reconstruct`.
-        doubted: whether something else that was found may be explained by how sensors are set up.
-        view_doubted: whether a check of the camera failed: a picture that is turned or mirrored makes
-            sensors look turned all together.
+        suspect: another finding may be explained by a wrong sensor setup.
+        view_suspect: a check of the camera failed; a rotated or mirrored image makes all sensors seem
+            rotated together.
 
     Returns:
-        Every check that the recording allows; failed ones name their likely `cause`.
+        Every check that the recording allows; failed ones name a likely cause.
     """
     form = check_sensor_form(recording)
     if not form or recording.imus is None or recording.calibration is None:
         return form
     if wrong := next((check for check in form if check.failed), None):
-        why = f"samples are not what they are declared to be: {wrong.cause}"
+        why = f"the samples are not as declared: {wrong.cause}"
         unknown = ((CLOCKS, "video and sensors", "s"), (SETUP, "sensors", "nats"))
         return (*form, *(Check.unknown(*what, why) for what in unknown))
     seen, lifted = _as_seen(recording, prepared), prepared.stages["lift"]
@@ -84,22 +89,22 @@ def check_sensor_evidence(
         return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {clocks.cause}"))
     images = bone_images(seen, native, lifted, skeleton)
     off = np.full(1, np.nan) if images is None else images.by_sensor()
-    if np.isnan(off).all() and not doubted:
-        why = "the image shows no bone of theirs"
+    if np.isnan(off).all() and not suspect:
+        why = "no bone with a sensor is visible in the image"
         return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", why))
-    doubted = doubted or bool(np.nanmax(off, initial=0.0) > _DISAGREES)
+    suspect = suspect or bool(np.nanmax(off, initial=0.0) > _DISAGREES)
     readings = (_exchanged_segments(native), _exchanged_samples(recording.imus, recording.calibration))
-    if not doubted and all(
+    if not suspect and all(
         best_exchange(seen, reading, lifted, skeleton) <= _EXCHANGED for reading in readings
     ):
         return (*form, clocks, Check(SETUP, "sensors", 0.0, _SURE, "nats"))
-    setup = _check_setup(recording, skeleton, lifter, settings, view_doubted)
+    setup = _check_setup(recording, skeleton, lifter, settings, view_suspect)
     return (*form, clocks, setup)
 
 
 @contextmanager
 def naming_wrong_samples(recording: Recording) -> Iterator[None]:
-    """Errors of what runs inside begin with what is wrong with the sensors' samples, if anything."""
+    """Prepend failed checks of the samples to errors raised inside."""
     try:
         yield
     except (CalibrationError, ShapeError, SolverError) as error:
@@ -110,19 +115,19 @@ def naming_wrong_samples(recording: Recording) -> Iterator[None]:
 
 
 def _as_seen(recording: Recording, prepared: Prepared) -> KeypointSequence:
-    """The keypoints that were lifted, on the clock that was declared."""
+    """Return the lifted keypoints on the declared clock."""
     lifted, declared = prepared.recording.video, recording.video
     return replace(lifted, times=lifted.times + declared.times[0] - lifted.times[0])
 
 
 def _exchanged_segments(native: BoneImuSequence) -> Iterator[BoneImuSequence]:
-    """The sensors on each other's segments, as `best_exchange` takes them."""
+    """Yield the sensors with their segments exchanged, for `best_exchange`."""
     for joints in _rolled(native.joints):
         yield replace(native, joints=joints)
 
 
 def _exchanged_samples(imus: ImuSequence, calibration: ImuCalibration) -> Iterator[BoneImuSequence]:
-    """The samples read with each other's calibrations, as `best_exchange` takes them."""
+    """Yield the samples with their calibrations exchanged, for `best_exchange`."""
     step = float(np.median(np.diff(imus.times))) if len(imus) > 1 else _THINNED
     few = slice(None, None, max(1, int(_THINNED / step)))
     R, f = imus.R_inertial_sensor[few], imus.f_sensor[few]
@@ -138,15 +143,13 @@ def _rolled(names: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 
 def _check_setup(
     recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None,
-    settings: ReconstructionSettings, view_doubted: bool,
+    settings: ReconstructionSettings, view_suspect: bool,
 ) -> Check:  # fmt: skip
-    """Whether each sensor is where it is declared, and its world the camera's, by all that movement
-    tells.
-    """
+    """Diagnose placement and world frame of the sensors from movement and an image-only lift."""
     seen = prepare(recording, skeleton, "lift", lifter, settings, lambda *_: None)
     bone_imus = seen.recording.bone_imus()
     if bone_imus is None or not _long_enough(bone_imus):
-        why = f"there are less than {_LEAST_SECONDS:g} s of video and sensors together"
+        why = f"video and sensors have less than {_LEAST_SECONDS:g} s in common"
         return Check.unknown(SETUP, "sensors", "nats", why)
     found = [
         fault for pose, kinds in (("T", tuple(FaultKind)), ("N", _ELSEWHERE)) for fault in diagnose_setup(
@@ -156,8 +159,8 @@ def _check_setup(
     if not found:
         return Check(SETUP, "sensors", 0.0, _SURE, "nats")
     fault = max(found, key=lambda fault: fault.log_likelihood_ratio / _least(fault))
-    if view_doubted and fault.kind in _OF_ALL:
-        why = "all sensors seem turned, which the camera may be the cause of"
+    if view_suspect and fault.kind in _OF_ALL:
+        why = "all sensors seem rotated, which the camera may explain"
         return Check.unknown(SETUP, "sensors", "nats", why)
     others = f". Or else: {'; '.join(fault.alternatives)}" if fault.alternatives else ""
     return Check(
@@ -167,7 +170,7 @@ def _check_setup(
 
 
 def _least(fault: Fault) -> float:
-    """Nats from which a fault is named."""
+    """Log-likelihood ratio from which a fault is reported."""
     if fault.kind in _OF_ALL:
         return LEAST_RATIO
     return _SURE_OF_ONE if fault.kind in _OF_ONE else _SURE

@@ -1,8 +1,8 @@
-"""Mode ``imu``: a motion from inertial sensors alone, through the same energy and solver as the others.
+"""Mode ``imu``: a motion from inertial sensors alone, by the same energy and solver as the other modes.
 
-Calibrated sensors -> poses frame by frame (`inertial.initial_poses`) -> which feet stand (`contacts`) -> the
-root's path (`inertial.root_path`) -> footholds -> `FragmentSolver` without keypoints. Heading and place are as
-the calibration and the first frame have them: nothing here knows the room.
+Calibrated sensors -> poses frame by frame (`inertial.initial_poses`) -> foot contacts -> root path
+(`inertial.root_path`) -> footholds -> `FragmentSolver` without keypoints. Heading and position are those of
+the calibration and the first frame; both drift.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.pose_prior import has_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.inertial.contacts import Contacts, ContactSettings, detect_contacts, footholds
@@ -29,38 +29,38 @@ from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 _LOW = 0.75
-"""Share of the root's height at standing below which a person sits, kneels or lies."""
+"""Fraction of the standing root height below which a person sits, kneels or lies."""
 _LONG = 1.0
-"""[s] of that, or of no contact, that is worth a warning."""
+"""[s] of that, or without contact, that causes a warning."""
 
 
 @dataclass(frozen=True)
 class SensorsAloneSettings:
-    """How frames are laid out and contacts are used; the solver's settings are its own."""
+    """Settings of frames, contacts and root path."""
 
     rate_hz: float = 60.0
-    """[Hz] of the frames; the sensors' rate where that is lower."""
+    """[Hz] Frame rate; the sensors' rate where that is lower."""
     contacts: ContactSettings = field(default_factory=ContactSettings)
     path: RootPathSettings = field(default_factory=RootPathSettings)
 
     def __post_init__(self) -> None:
         if not 0 < self.rate_hz < np.inf:
-            raise ShapeError("rate_hz must be positive and finite")
+            raise InvalidInputError("rate_hz must be positive and finite")
 
 
 @dataclass(frozen=True)
 class SensorsAlone:
-    """A motion from sensors alone, and how it came about."""
+    """A motion from sensors alone, with its contacts and root path."""
 
     start: PoseSequence
-    """Frame by frame, on the path."""
+    """Poses frame by frame, on the root path."""
     solution: FragmentSolution
     bone_imus: BoneImuSequence
-    """At the frames' times."""
+    """Sensors at the frames' times."""
     contacts: Contacts
     path: RootPath
     warnings: tuple[str, ...]
-    """What a user must know of the root, in sentences."""
+    """Limitations of the root path, in sentences."""
 
 
 def reconstruct_from_sensors(
@@ -72,22 +72,24 @@ def reconstruct_from_sensors(
     sensor_joints: tuple[str, ...] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> SensorsAlone:
-    """Solve a recording without looking at its keypoints.
+    """Reconstruct a recording without its keypoints.
 
     Args:
-        recording: with IMUs and their calibration; its floor's height, 0 where it has none.
+        recording: with IMUs and their calibration; its floor height counts, 0 where it has none.
+        skeleton: the subject's. settings: of frames, contacts and path.
         solver: settings of the joint-space solver. frames: N of a fragment.
-        sensor_joints: further segments that the compiled problem has a place for a sensor on.
+        sensor_joints: further segments for which the compiled problem has room for a sensor.
+        progress: called with (fragments done, fragments in all).
 
     Raises:
-        ShapeError: there are no IMUs, none of them says anything, or the skeleton has no pose prior.
-        CalibrationError: they are not calibrated.
+        InvalidInputError: there are no IMUs, none has samples, or the skeleton has no pose prior.
+        CalibrationError: the IMUs are not calibrated.
     """
     settings, solver = settings or SensorsAloneSettings(), solver or JointSpaceSettings()
     if recording.imus is None:
-        raise ShapeError("mode imu needs IMUs and the recording has none; use 'lift' or 'rto'")
+        raise InvalidInputError("mode imu needs IMUs and the recording has none; use 'lift' or 'rto'")
     if not has_prior(skeleton.name):
-        raise ShapeError(f"mode imu: no pose prior is shipped for the skeleton {skeleton.name!r}")
+        raise InvalidInputError(f"mode imu: no pose prior is shipped for the skeleton {skeleton.name!r}")
     bone_imus = recording.bone_imus(times=frame_times(recording.imus, settings.rate_hz))
     assert bone_imus is not None
     ankle_height = (recording.floor_height or 0.0) + solver.ankle_height
@@ -97,7 +99,7 @@ def reconstruct_from_sensors(
     start = _on_path(start, path, contacts, skeleton)
     ankles = start.p_world_joint[:, skeleton.index(*contacts.joints)]
     stand = footholds(contacts, ankles, ankle_height)
-    solver = replace(solver, floor_height=None)  # the footholds know it
+    solver = replace(solver, floor_height=None)  # the footholds contain it
     solution = FragmentSolver(skeleton, frames, solver, (*bone_imus.joints, *sensor_joints)).solve(
         start, None, bone_imus, progress, stand
     )
@@ -106,7 +108,11 @@ def reconstruct_from_sensors(
 
 
 def frame_times(imus: ImuSequence, rate_hz: float) -> Array:
-    """Even times over the sensors' span, at this rate or the sensors' own, whichever is lower."""
+    """Return even frame times (T,), s, over the sensors' span.
+
+    Args:
+        imus: the sensors. rate_hz: frame rate, Hz; the sensors' own where that is lower.
+    """
     first, last = imus.times[[0, -1]]
     own = 1 / float(np.median(np.diff(imus.times))) if len(imus) > 1 else rate_hz
     rate_hz = min(rate_hz, own)
@@ -117,7 +123,7 @@ def frame_times(imus: ImuSequence, rate_hz: float) -> Array:
 def _on_path(
     start: PoseSequence, path: RootPath, contacts: Contacts, skeleton: SkeletonModel
 ) -> PoseSequence:
-    """Poses with their root on a path, which sensors on the legs saw."""
+    """Poses with their root on a path, which sensors on the legs observed."""
     provenance = start.provenance.copy()
     provenance[:, 0] = Provenance.IMU if contacts.joints else Provenance.PRIOR
     p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, path.p_world, start.R_world_bone)
@@ -127,16 +133,18 @@ def _on_path(
 def _warnings(
     start: PoseSequence, contacts: Contacts, skeleton: SkeletonModel, ankle_height: float
 ) -> tuple[str, ...]:
-    """What a user must know of the root."""
+    """Describe the limitations of the root path."""
     if not contacts.joints:
-        return ("no sensor on a foot or shank: the root stays where it is, whatever the person does",)
+        return (
+            "no sensor on a foot or shank: the root stays at its first position, whatever the person does",
+        )
     out, rate = [], start.rate_hz
     flights = signals.runs(~contacts.standing.any(axis=1))
     longest = max((stop - start_ for start_, stop in flights), default=0) / rate
     if longest > _LONG:
         out.append(
-            f"no foot stands for {longest:.1f} s at a stretch: there the root follows accelerations and "
-            "the lower foot, and errs by decimetres a second"
+            f"no foot contact for {longest:.1f} s at a stretch: there the root follows accelerations and "
+            "the lower foot, and drifts by decimetres per second"
         )
     upright, _ = skeleton.forward_kinematics(skeleton.t_pose()[None])
     standing = upright[0, 0, 2] - upright[0, skeleton.index(*contacts.joints), 2].min()
@@ -144,7 +152,7 @@ def _warnings(
     seconds = sum(stop - start_ for start_, stop in signals.runs(low)) / rate
     if seconds > _LONG:
         out.append(
-            f"for {seconds:.1f} s the pelvis is low, as of somebody who sits, kneels or lies: only feet "
-            "are known to touch the ground, so where they do not carry the weight the root may be off"
+            f"for {seconds:.1f} s the pelvis is low, as in sitting, kneeling or lying: contacts are "
+            "detected for feet only, so where they do not carry the weight the root may be off"
         )
     return tuple(out)
