@@ -1,4 +1,4 @@
-"""The command that reads joint angles, gait, repetitions and torques from a motion."""
+"""The command analyse: joint angles, gait, repetitions and torques of a motion."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ def add_commands(commands: Any) -> None:
     parser = command(
         commands, "analyse", _analyse, "clinical joint angles, gait and torques of a motion",
         "MOTION is the output of reconstruct. OUT gets the angles as CSV with a table of their names, "
-        "signs and zeros, ranges of motion, gait cycles, torques where a weight is known, figures, and "
-        "notes on what could not be told and why. An angle that nobody saw is an empty cell.",
+        "signs and zeros, ranges of motion, gait cycles, torques where a body mass is known, figures, and "
+        "notes on what could not be computed and why. An unobserved angle is an empty cell.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
     add_output(parser, None, "folder to write")
     parser.add_argument(
-        "--weight", type=float, metavar="KG", help="body mass, for torques; over that of the recording"
+        "--weight", type=float, metavar="KG", help="body mass, for torques; overrides the recording"
     )
     parser.add_argument("--height", type=float, metavar="M", help="to check the skeleton's size")
     parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
@@ -63,7 +63,7 @@ def _analyse(options: argparse.Namespace) -> None:
 
 
 def _weight_and_sex(options: argparse.Namespace, folder: Path) -> tuple[float | None, str | None]:
-    """As told here, else as the recording had them; without a weight its sex is of no use."""
+    """Body mass and sex of the options, else of the recording."""
     from rtof_kin.report.summary_file import SUMMARY, read_summary
 
     summary = folder / SUMMARY

@@ -1,4 +1,4 @@
-"""The command that finds people's points in a video."""
+"""The command detect: keypoints of people in a video."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rtof_kin.cli.terminal import command, out, progress
 def add_commands(commands: Any) -> None:
     """Declare the commands of this module."""
     parser = command(
-        commands, "detect", _detect, "find people's points in a video or in front of a webcam",
+        commands, "detect", _detect, "detect keypoints of people in a video or webcam",
         "Runs model files of yours (.onnx: RTMPose or RTMO, and YOLOX or RTMDet to find people) on this "
         "machine; needs the extra: pip install 'rtof_kin[video]'. OUT can be a recording's keypoints.",
     )  # fmt: skip
@@ -24,7 +24,7 @@ def add_commands(commands: Any) -> None:
 
 
 def _detect(options: argparse.Namespace) -> None:
-    from rtof_kin.core.errors import FileFormatError, ShapeError
+    from rtof_kin.core.errors import FileFormatError, InvalidInputError
     from rtof_kin.core.files.folder import check_new_file
     from rtof_kin.vision.recognise import recognise
     from rtof_kin.vision.video import detect_video, write_detections
@@ -34,18 +34,18 @@ def _detect(options: argparse.Namespace) -> None:
         raise FileFormatError(target, "give the file to write a name that ends in .npz")
     check_new_file(target, options.overwrite)
     source = int(options.video) if options.video.isdigit() else options.video
-    with progress() as tell:
-        found = detect_video(source, options.model_dir, seconds=options.seconds, progress=tell)
+    with progress() as update:
+        found = detect_video(source, options.model_dir, seconds=options.seconds, progress=update)
     write_detections(target, found, options.overwrite)
     present = found.present
     out.print(
-        f"wrote {target}: {len(found)} frames of up to {present.shape[1]} people, somebody in "
-        f"{int(present.any(axis=1).sum())} of them",
+        f"wrote {target}: {len(found)} frames of up to {present.shape[1]} people, "
+        f"{int(present.any(axis=1).sum())} frames with at least one",
         soft_wrap=True,
     )
     try:
         layout = recognise(found.uv_px, found.confidence).layout
-    except ShapeError as error:
+    except InvalidInputError as error:
         out.print(f"their layout is not recognised: {error}", soft_wrap=True)
         return
     text = f'[keypoints]\nfile = "{target.name}"\nlayout = "{layout.name}"'

@@ -1,4 +1,4 @@
-"""The command that says what a file is, and whether what it holds can be true."""
+"""The command inspect: identify files and check their contents by physics."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FAILED = 1
 def add_commands(commands: Any) -> None:
     """Declare the commands of this module."""
     parser = command(
-        commands, "inspect", _inspect, "say what files are, and check what they hold by physics",
+        commands, "inspect", _inspect, "identify files and check their contents by physics",
         "FILE is a sensor log or a folder of one, a recording, a motion, motion capture, markers, "
         "cameras or a detector's keypoints. Every check is printed with its figure and limit; where a "
         "declaration is wrong, the likely right one is named as the option to add. Exit code 1: a "
@@ -29,7 +29,7 @@ def add_commands(commands: Any) -> None:
     parser.add_argument("files", metavar="FILE", nargs="+", help="files or folders")
     parser.add_argument(
         "--declare", metavar="FIELD=VALUE", nargs="+", default=[], type=_declaration,
-        help="what a sensor log means by its numbers, e.g. acceleration_unit=g gravity=removed",
+        help="units and conventions of a sensor log, e.g. acceleration_unit=g gravity=removed",
     )  # fmt: skip
     parser.add_argument("--all", action="store_true", help="figures of every sensor and bone")
     parser.add_argument("--plot", metavar="PNG", type=Path, help="draw what looks wrong; of one FILE")
@@ -44,15 +44,15 @@ def _declaration(text: str) -> tuple[str, str]:
 
 
 def _inspect(options: argparse.Namespace) -> int:
-    from rtof_kin.core.errors import ShapeError
+    from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.core.files.folder import check_new_file
     from rtof_kin.report.inspection import inspect
 
     if options.plot is not None:
         if len(options.files) > 1:
-            raise ShapeError(f"--plot draws one FILE, {len(options.files)} are named")
+            raise InvalidInputError(f"--plot draws one FILE, {len(options.files)} are named")
         if options.plot.suffix.lower() != ".png":
-            raise ShapeError(f"--plot {options.plot}: give the picture a name that ends in .png")
+            raise InvalidInputError(f"--plot {options.plot}: give the picture a name that ends in .png")
         check_new_file(options.plot, options.overwrite)
     declared: dict[str, Any] = dict(options.declare)
     if "rate_hz" in declared:
@@ -68,12 +68,12 @@ def _inspect(options: argparse.Namespace) -> int:
 
 
 def _number(text: str) -> float:
-    from rtof_kin.core.errors import ShapeError
+    from rtof_kin.core.errors import InvalidInputError
 
     try:
         return float(text)
     except ValueError as error:
-        raise ShapeError(f"rate_hz: {text!r} is not a number of samples per second") from error
+        raise InvalidInputError(f"rate_hz: {text!r} is not a number of samples per second") from error
 
 
 def _print(found: Any, every: bool) -> None:

@@ -1,4 +1,4 @@
-"""Commands that run a published protocol on a dataset which the user has."""
+"""Commands that run a published protocol on the user's copy of a dataset."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ def _total_capture(options: argparse.Namespace) -> None:
             seed=options.seed,
             save=options.save and options.save / name,
         )
-        with _job_progress() as tell:
+        with _job_progress() as update:
             outcome = run(
-                protocol, folder / name, overwrite=options.overwrite, workers=options.workers, progress=tell
+                protocol, folder / name, overwrite=options.overwrite, workers=options.workers, progress=update
             )
         tables = all_tables(protocol, outcome)
         facts = {"settings": protocol.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
@@ -96,9 +96,9 @@ def _human36m(options: argparse.Namespace) -> None:
         modes=_names(options.modes),
         save=options.save,
     )
-    with _job_progress() as tell:
+    with _job_progress() as update:
         outcome = human36m.run(
-            protocol, folder, overwrite=options.overwrite, workers=options.workers, progress=tell
+            protocol, folder, overwrite=options.overwrite, workers=options.workers, progress=update
         )
     tables = human36m.all_tables(protocol, outcome)
     facts = {"settings": protocol.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
@@ -111,9 +111,7 @@ def _human36m(options: argparse.Namespace) -> None:
 
 
 def _json_file(options: argparse.Namespace, name: str = "") -> Path | None:
-    """The file for all figures, with a name in its own; one that may not be written is refused before the
-    work.
-    """
+    """JSON file for all figures; one that may not be written is refused before the work."""
     from rtof_kin.protocols.tables import check_json_file
 
     file: Path | None = options.json
@@ -124,7 +122,7 @@ def _json_file(options: argparse.Namespace, name: str = "") -> Path | None:
 
 
 def _refuse_if_nothing(done: dict[str, Any], failed: dict[str, str]) -> None:
-    """An error if every job that has to do with a camera failed."""
+    """Raise where every job with a camera failed."""
     from rtof_kin.core.errors import RtofError
 
     if failed and not any(facts["camera"] is not None for facts in done.values()):
@@ -171,7 +169,7 @@ def _print_tables(tables: Sequence[Table]) -> None:
 
 
 def _column(heading: str, *cells: str) -> Column:
-    """A column that is folded where it has text, but never so narrow that a figure is cut."""
+    """Column that folds text but never cuts a figure."""
     widest = max(map(len, cells), default=0)
     if widest > _WIDEST_FIGURE:
         return Column(heading, min_width=min(widest, 2 * _WIDEST_FIGURE), overflow="fold")
@@ -187,12 +185,12 @@ def _names(text: str, change: Callable[[str], str] = str) -> tuple[str, ...]:
 
 
 def _integers(option: str, text: str) -> list[int]:
-    from rtof_kin.core.errors import ShapeError
+    from rtof_kin.core.errors import InvalidInputError
 
     try:
         return [int(number) for number in _names(text)]
     except ValueError as error:
-        raise ShapeError(f"{option} {text}: give numbers separated by commas") from error
+        raise InvalidInputError(f"{option} {text}: give numbers separated by commas") from error
 
 
 def _add_run(parser: argparse.ArgumentParser, default: str, save_example: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Column, Table
 
@@ -14,17 +14,23 @@ from rtof_kin.cli.terminal import (
     SCORE_COLUMNS,
     add_output,
     command,
-    doubts_in_headline,
     figure_text,
     out,
     print_calibration,
     print_files,
     print_headline,
     print_scores,
+    print_sections,
+    print_summary,
     progress,
+    warnings_in_summary,
     with_zero_motion,
 )
-from rtof_kin.core.choices import Mode
+from rtof_kin.core.choices import MODES, Mode
+
+if TYPE_CHECKING:
+    from rtof_kin.reconstruction.result import Reconstruction
+    from rtof_kin.recording.recording import Recording
 
 
 def add_commands(commands: Any) -> None:
@@ -43,24 +49,18 @@ def add_commands(commands: Any) -> None:
 def _demo(options: argparse.Namespace) -> None:
     use_threads(options)
     from rtof_kin.core.resources import model_path
+    from rtof_kin.reconstruction.pipeline import reconstruct
     from rtof_kin.recording.recording import Recording
 
     recording = Recording.load(model_path("demo"))
-    out.print(f"The demo recording: {recording.notes}", soft_wrap=True)
-    out.print(recording.acknowledgement, style="dim", soft_wrap=True)
     result = _reconstruct_to(recording, "rtof", options)
-    scores = dict(result.stage_metrics)
-    if result.recording.truth is not None:
-        from rtof_kin.reconstruction.pipeline import reconstruct
-
-        with progress() as tell, doubts_in_headline():
-            vision = reconstruct(
-                recording, mode="rto", lifter=_lifter(options), settings=settings_of(options),
-                progress=tell,
-            )  # fmt: skip
-        scores = with_zero_motion(recording) | vision.stage_metrics | scores
-    print_scores(scores)
-    print_files(options.output)
+    with progress() as update, warnings_in_summary():
+        image_only = reconstruct(
+            recording, mode="rto", lifter=_lifter(options), settings=settings_of(options), progress=update
+        )
+    vision = {f"{name} (image)": score for name, score in image_only.stage_metrics.items()}
+    print_scores(with_zero_motion(recording) | vision | result.stage_metrics)
+    out.print(f"The demo: {recording.notes} {recording.acknowledgement}", style="dim", soft_wrap=True)
 
 
 def _reconstruct(options: argparse.Namespace) -> None:
@@ -71,7 +71,6 @@ def _reconstruct(options: argparse.Namespace) -> None:
     result = _reconstruct_to(recording, options.mode, options)
     if result.stage_metrics:
         print_scores(with_zero_motion(recording) | result.stage_metrics)
-    print_files(options.output)
 
 
 def _calibrate(options: argparse.Namespace) -> None:
@@ -90,8 +89,8 @@ def _calibrate(options: argparse.Namespace) -> None:
         check_replaceable(options.recording_output, INDEX, options.overwrite)
     check_new_file(options.output, options.overwrite)
     recording = Recording.load(options.recording)
-    with progress() as tell:
-        found = calibrate_recording(recording, lifter=_lifter(options), settings=settings, progress=tell)
+    with progress() as update:
+        found = calibrate_recording(recording, lifter=_lifter(options), settings=settings, progress=update)
     doubts = (Finding.doubt("calibration", "recording", s) for s in consistency_warnings(recording, found))
     print_headline(headline((*doubts, *calibration_findings(found))))
     print_calibration(found)
@@ -103,7 +102,7 @@ def _calibrate(options: argparse.Namespace) -> None:
 
 
 def _lifter(options: argparse.Namespace) -> Any:
-    """The lifter that was named; None for the shipped one."""
+    """Load the lifter that is named; None for the shipped one."""
     if options.lifter is None:
         return None
     from lifting.predict import Lifter
@@ -112,16 +111,16 @@ def _lifter(options: argparse.Namespace) -> Any:
 
 
 def _known(options: argparse.Namespace) -> Any:
-    """What `reconstruct` is told of another recording of the same person."""
-    if getattr(options, "calibration", None) is None:
+    """Read the calibration of another recording of the same person, if one is named."""
+    if options.calibration is None:
         return None
     from rtof_kin.calibration.file import read_self_calibration_toml
 
     return read_self_calibration_toml(options.calibration)
 
 
-def _reconstruct_to(recording: Any, mode: Mode, options: argparse.Namespace) -> Any:
-    """Reconstruct and export, asking first whether the output may be written."""
+def _reconstruct_to(recording: Recording, mode: Mode, options: argparse.Namespace) -> Reconstruction:
+    """Reconstruct, export and print the summary; a folder that may not be written is refused first."""
     from rtof_kin.core.files.folder import check_replaceable
     from rtof_kin.reconstruction.pipeline import reconstruct
     from rtof_kin.report.audit import audit
@@ -130,23 +129,29 @@ def _reconstruct_to(recording: Any, mode: Mode, options: argparse.Namespace) -> 
 
     settings = settings_of(options, mode)
     check_replaceable(options.output, MARKER, options.overwrite)
-    with progress() as tell, doubts_in_headline():
+    with progress() as update, warnings_in_summary():
         result = reconstruct(
             recording, mode=mode, lifter=_lifter(options), settings=settings,
-            calibrate=options.calibrate, known=_known(options), progress=tell,
+            calibrate=options.calibrate, known=_known(options), progress=update,
         )  # fmt: skip
-    print_headline(headline(audit(result)))
-    if result.calibration is not None:
-        print_calibration(result.calibration)
     export(result, options.output, options.overwrite, figures=not options.no_figures)
+    verdict = headline(audit(result))
+    print_summary(result, verdict, options.output)
+    print_sections(verdict)
     shares = {k: v for k, v in provenance_shares(result.motion.poses).items() if v > 0}
-    out.print("who saw the joints: " + ", ".join(f"{k} {100 * v:.1f} %" for k, v in shares.items()))
+    by = ", ".join(f"{k.replace('_', ' ').replace('imu', 'IMU')} {100 * v:.1f} %" for k, v in shares.items())
+    out.print(f"joints observed by: {by}", soft_wrap=True)
+    if result.calibration is not None and options.verbose:
+        print_calibration(result.calibration)
+    elif result.calibration is not None:
+        count = len(result.calibration.quantities)
+        out.print(f"self-calibration: {count} quantities; --verbose prints them", soft_wrap=True)
     return result
 
 
 def _evaluate(options: argparse.Namespace) -> None:
     from rtof_kin.body.metrics import comparable, evaluate
-    from rtof_kin.core.errors import ShapeError
+    from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.formats.motion_npz import read_motion_npz
     from rtof_kin.recording.recording import Recording
 
@@ -154,7 +159,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     motion = read_motion_npz(path / "motion.npz" if path.is_dir() else path)
     recording = Recording.load(options.truth)
     if recording.truth is None:
-        raise ShapeError(f"{options.truth}: the recording has no truth to compare with")
+        raise InvalidInputError(f"{options.truth}: the recording has no truth to compare with")
     poses = comparable(motion.poses, recording.truth, motion.mode)
     metrics = evaluate(poses, recording.truth, recording.skeleton)
     print_scores(with_zero_motion(recording) | {motion.mode or "motion": metrics})
@@ -189,20 +194,20 @@ def _simulate(options: argparse.Namespace) -> None:
     recording.save(options.output, overwrite=options.overwrite)
     times, seen = recording.video.times, recording.video.seen.any(axis=1).mean()
     out.print(
-        f"wrote {options.output}: {len(times)} frames, {times[-1] - times[0]:.1f} s, somebody in the "
-        f"picture for {100 * seen:.0f} % of them",
+        f"wrote {options.output}: {len(times)} frames, {times[-1] - times[0]:.1f} s, the person is visible "
+        f"in {100 * seen:.0f} % of them",
         soft_wrap=True,
     )
 
 
 def _export(options: argparse.Namespace) -> None:
-    from rtof_kin.core.errors import ShapeError
+    from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.core.files.folder import new_folder
     from rtof_kin.formats.motion_files import DEFAULT, URDF, check_formats, write_motion_files
     from rtof_kin.formats.motion_npz import read_motion_npz
 
     if options.output and options.folder:
-        raise ShapeError("export: name one folder to write, as OUT or with -o OUT")
+        raise InvalidInputError("export: name one folder to write, as OUT or with -o OUT")
     output = options.output or options.folder
     formats = DEFAULT if options.to is None else [name.strip() for name in options.to.split(",")]
     check_formats(formats)
@@ -229,18 +234,18 @@ def _add_demo(commands: Any) -> None:
 def _add_reconstruct(commands: Any) -> None:
     parser = command(
         commands, "reconstruct", _reconstruct, "reconstruct the motion of a recording",
-        "RECORDING is a folder with recording.toml, keypoints and (for sf2, rtof and imu) IMUs; its "
-        "format is described in the README. OUT gets motion.npz, the URDF and its trajectory as "
+        "RECORDING is a folder with recording.toml, keypoints and (for sf2, rtof and imu) IMUs; "
+        "docs/recording.md describes it. OUT gets motion.npz, the URDF and its trajectory as "
         "CSV and for ROS, a summary and figures.",
     )  # fmt: skip
     parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
     add_output(parser, None, "folder to write")
     parser.add_argument(
         "--mode",
-        choices=["lift", "sf2", "rto", "rtof", "imu"],
+        choices=MODES,
         default="rtof",
-        help="lift: network alone; sf2: + IMU orientations, frame by frame; rto: optimised, vision "
-        "alone; rtof: everything; imu: sensors alone, without a camera",
+        help="lift: network only; sf2: + IMU orientations, frame by frame; rto: optimised, vision "
+        "only; rtof: everything; imu: sensors only, without a camera",
     )
     _add_reconstruction(parser)
 
@@ -252,32 +257,33 @@ def _add_reconstruction(parser: argparse.ArgumentParser) -> None:
         help="checkpoint, or the name of a shipped one: detections (the default), perfect, causal",
     )  # fmt: skip
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
+    parser.add_argument("--verbose", action="store_true", help="print every calibrated quantity too")
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
         "--calibrate", action="store_true", default=True,
-        help="estimate from the recording what is not known well about it, first (the default)",
+        help="calibrate the recording from its own motion first (the default)",
     )  # fmt: skip
     how.add_argument(
-        "--no-calibrate", dest="calibrate", action="store_false", help="take everything as it is given"
+        "--no-calibrate", dest="calibrate", action="store_false", help="use the recording as given"
     )
     parser.add_argument(
         "--calibration", metavar="FILE",
-        help="what `calibrate` wrote of another recording of the same person: bones, ankles and where "
-        "the detector sees joints are taken from it; delay, mounting and biases are this one's own",
+        help="calibration of another recording of the same person: bones, ankles and landmark offsets "
+        "are taken from it; delay, mounting and biases are estimated for this one",
     )  # fmt: skip
 
 
 def _add_calibrate(commands: Any) -> None:
     parser = command(
-        commands, "calibrate", _calibrate, "estimate from a recording what is not known well about it",
-        "How late the video is, how the sensors are mounted, how long the bones are and where the "
-        "detector sees its landmarks; no pose is required. Prints what was found and how well it was "
-        "observed, and writes it to OUT.",
+        commands, "calibrate", _calibrate, "calibrate a recording from its own motion",
+        "Estimates the delay of the video, the mounting of the sensors, bone lengths and landmark "
+        "offsets of the detector; no calibration pose is required. Prints each quantity with its "
+        "standard deviation and writes it to OUT.",
     )  # fmt: skip
     parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
     add_output(parser, "calibration.toml", "file to write")
     parser.add_argument(
-        "--recording-output", metavar="FOLDER", help="also write the recording put right, to this folder"
+        "--recording-output", metavar="FOLDER", help="also write the calibrated recording to this folder"
     )
     parser.add_argument(
         "--lifter", type=Path, metavar="FILE", help="as for reconstruct",
@@ -300,8 +306,8 @@ def _add_evaluate(commands: Any) -> None:
 def _add_simulate(commands: Any) -> None:
     parser = command(
         commands, "simulate", _simulate, "make a recording from motion capture",
-        "A virtual camera and virtual IMUs watch a BVH or ASF/AMC file; the motion itself travels "
-        "along as the truth.",
+        "A virtual camera and virtual IMUs observe the motion of a BVH or ASF/AMC file, which is kept "
+        "as the truth.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="MOTION", help=".bvh or .amc file")
     add_output(parser, None, "folder to write")
@@ -309,42 +315,43 @@ def _add_simulate(commands: Any) -> None:
         "--keypoints",
         choices=["perfect", "white", "realistic"],
         default="realistic",
-        help="errors of the 2D: none; white noise of 5 px; as real detectors make them",
+        help="errors of the 2D: none; white noise of 5 px; those of real detectors",
     )
     parser.add_argument(
         "--sensors",
         metavar="NAMES",
-        help="IMUs, separated by commas (e.g. Pelvis,L_LowArm); the eight limb sensors where not "
-        "given, '' for none",
+        help="IMUs, separated by commas (e.g. Pelvis,L_LowArm); default: the eight limb sensors, '' for none",
     )
     parser.add_argument(
         "--camera",
         type=int,
         choices=range(4),
-        help="which of four around the motion; the one that sees most of it where not given",
+        help="one of four around the motion; default: the one that sees most of it",
     )
     parser.add_argument("--rate", type=float, metavar="HZ", help="true frame rate of the file")
-    parser.add_argument("--seed", type=int, default=0, help="of the camera and all errors")
-    parser.add_argument("--acknowledgement", default="", help="what the data's owner asks to print")
+    parser.add_argument("--seed", type=int, default=0, help="random seed of the camera and all errors")
+    parser.add_argument(
+        "--acknowledgement", default="", help="acknowledgement that the data's owner asks for"
+    )
 
 
 def _add_export(commands: Any) -> None:
     parser = command(
         commands, "export", _export, "write a reconstructed motion in other formats",
-        "Always writes the subject's URDF and files.json, which says what axes, units and names every "
-        "file has. Where nobody saw the person, no file says that somebody did.",
+        "Always writes the subject's URDF and files.json, which lists axes, units and names of every "
+        "file. Unobserved frames are marked or missing in every format.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
     folder = parser.add_argument("folder", metavar="OUT", help="folder to write")
 
     class InPlaceOfFolder(argparse.Action):
-        """An optional positional would be passed over where options stand before it."""
+        """Option that replaces the positional OUT; argparse would skip an optional positional."""
 
-        def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
+        def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:  # noqa: ARG002
             folder.required = False
             namespace.output = values
 
-    add_output(parser, "", "the same, as other commands have it", action=InPlaceOfFolder)
+    add_output(parser, "", "the same, as for other commands", action=InPlaceOfFolder)
     parser.add_argument(
         "--to", metavar="FORMATS",
         help="separated by commas: csv,ros (the default), parquet; osim,mot,sto,trc (OpenSim); c3d; bvh",

@@ -1,4 +1,4 @@
-"""The commands that tell how far to trust a recording: report and study."""
+"""The commands report and study: how reliable a motion is, and what each sensor contributes."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ def _study(options: argparse.Namespace) -> None:
         runs = number_of_runs(len(recording.imus.names), camera, greedy)
         out.print(f"{len(recording.imus.names)} sensors: {runs} reconstructions, one after the other")
     lifter = Lifter.load(options.lifter) if camera else None
-    with progress() as tell, _quiet():
-        study = study_sensors(recording, greedy=greedy, lifter=lifter, settings=settings, progress=tell)
+    with progress() as update, _quiet():
+        study = study_sensors(recording, greedy=greedy, lifter=lifter, settings=settings, progress=update)
     verdict = headline(audit(study.reconstruction))
     print_headline(verdict, "all sensors: ")
     with new_folder(options.output, MARKER, options.overwrite) as folder:
@@ -77,7 +77,7 @@ def _study(options: argparse.Namespace) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without warnings: the same ones at every run would be noise."""
+    """Silence warnings, which are the same at every run."""
     logger = logging.getLogger("rtof_kin")
     before = logger.level
     logger.setLevel(logging.ERROR)
@@ -107,38 +107,38 @@ def _print_way_down(study: Any) -> None:
 def _add_report(commands: Any) -> None:
     parser = command(
         commands, "report", _report, "one page of a reconstructed motion that opens in any browser",
-        "MOTION is the output of reconstruct. The page has a verdict on every part and its reason, "
-        "curves of angles, ranges of motion left against right, gait cycles where there are some, a "
-        "skeleton that plays, and what to report of a study with inertial sensors. It needs no network.",
+        "MOTION is the output of reconstruct. The page has a verdict on every part with its reasons, "
+        "angle curves, ranges of motion left against right, gait cycles, an animated skeleton, and the "
+        "items to report of a study with inertial sensors. It needs no network.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="MOTION", help="output folder of reconstruct")
-    add_output(parser, "", "file to write; report.html in MOTION where not given")
+    add_output(parser, "", "file to write; default: report.html in MOTION")
     labels = {
-        "subject": "name or code of who was recorded", "operator": "who recorded",
-        "date": "day of the recording, as 2026-01-31", "place": "where", "protocol": "what was asked for",
+        "subject": "name or code of the subject", "operator": "operator",
+        "date": "day of the recording, as 2026-01-31", "place": "place", "protocol": "protocol",
     }  # fmt: skip
     for name, what in labels.items():
-        parser.add_argument(f"--{name}", default="", help=f"{what}; over that of the recording")
+        parser.add_argument(f"--{name}", default="", help=f"{what}; overrides the recording")
     parser.add_argument(
-        "--weight", type=float, metavar="KG", help="body mass, for torques; over that of the recording"
+        "--weight", type=float, metavar="KG", help="body mass, for torques; overrides the recording"
     )
     parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
 
 
 def _add_study(commands: Any) -> None:
     parser = command(
-        commands, "study", _study, "what each sensor of a recording is worth, angle by angle",
+        commands, "study", _study, "contribution of each sensor of a recording, angle by angle",
         "Reconstructs RECORDING with all its sensors, without each of them, and with fewer and fewer, "
-        "the one that is missed least going first. OUT gets a table, figures, and how many sensors each "
-        "angle needs. Without a truth in the recording, the difference from the full set is told, "
-        "which is no error.",
+        "the least useful one removed first. OUT gets a table, figures, and the number of sensors that "
+        "each angle needs. Without a truth in the recording, the table has the difference from the full "
+        "set, which is no error.",
     )  # fmt: skip
     parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
     add_output(parser, None, "folder to write")
     parser.add_argument(
         "--path", choices=["greedy", "ranked"],
-        help="greedy: each step tries every sensor that is left; ranked: in the order in which they are "
-        "missed alone, which takes fewer runs; not given: greedy up to eight sensors",
+        help="greedy: each step tries every remaining sensor; ranked: in the order of their effect alone, "
+        "with fewer runs; default: greedy up to eight sensors",
     )  # fmt: skip
     parser.add_argument("--lifter", type=Path, metavar="FILE", help="as for reconstruct")
     add_solver_options(parser)

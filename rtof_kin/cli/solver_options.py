@@ -1,4 +1,4 @@
-"""Options of every command that reconstructs: which solver, on what, with how many threads."""
+"""Solver options of every command that reconstructs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from rtof_kin.core.choices import SPACES, Space
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.threads import USUAL, limit_threads
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 
@@ -20,13 +20,13 @@ def add_solver_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--frames", type=int, default=50, metavar="N", help="frames in a fragment")
     group.add_argument(
         "--space", choices=SPACES,
-        help="variables that are optimised: the configuration of the skeleton, or the positions of its "
-        "joints (the paper's); not given: joint, where a pose prior is shipped for the skeleton",
+        help="variables: configurations of the skeleton, or joint positions (the paper's); default: joint, "
+        "where a pose prior is shipped for the skeleton",
     )  # fmt: skip
     group.add_argument(
         "--backend", choices=["realtime", "ipopt"],
-        help="solver of the energy; not given: realtime in joint space, ipopt in cartesian. Calibration "
-        "has a solver of its own",
+        help="solver of the energy; default: realtime in joint space, ipopt in cartesian. Calibration "
+        "has its own solver",
     )  # fmt: skip
     group.add_argument(
         "--paper", action="store_true",
@@ -34,47 +34,48 @@ def add_solver_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     group.add_argument(
         "--no-guards", dest="guards", action="store_false",
-        help="take keypoints and sensors as they are, without looking for what is wrong with them",
+        help="use keypoints and sensors as given, without outlier rejection",
     )  # fmt: skip
     group.add_argument(
         "--no-lift-with-sensors", dest="lift_with_sensors", action="store_false",
-        help="lift from the image alone",
+        help="lift from the image only",
     )  # fmt: skip
     group.add_argument(
         "--threads", type=int, metavar="N",
-        help="threads that numerical libraries (BLAS, OpenMP, torch) may use; matrices are small: more "
-        f"take processor time and gain nothing; not given: OMP_NUM_THREADS, else {USUAL}",
+        help="threads of numerical libraries (BLAS, OpenMP, torch); more than a few gain nothing, since "
+        f"matrices are small; default: OMP_NUM_THREADS, else {USUAL}",
     )  # fmt: skip
 
 
 def use_threads(options: argparse.Namespace) -> None:
-    """Limit the threads of numerical libraries; before the first of them is loaded.
-
-    Raises:
-        ShapeError: see `limit_threads`.
-    """
+    """Limit the threads of numerical libraries, before the first of them is loaded."""
     limit_threads(options.threads)
 
 
 def settings_of(options: argparse.Namespace, mode: str = "rtof") -> ReconstructionSettings:
-    """What was chosen.
+    """Return the settings that the options choose.
+
+    Args:
+        options: parsed. mode: of the reconstruction, or 'calibrate'.
 
     Raises:
-        ShapeError: options that do not go together.
+        InvalidInputError: options contradict each other.
     """
     from rtof_kin.reconstruction.settings import ReconstructionSettings
 
     if options.paper and options.space == "joint":
-        raise ShapeError("--paper is an energy in cartesian space; leave out --space joint, or --paper")
+        raise InvalidInputError(
+            "--paper is an energy in cartesian space; leave out --space joint, or --paper"
+        )
     space: Space | None = "cartesian" if options.paper else options.space
     if mode in ("lift", "sf2") and (space or options.backend):
-        raise ShapeError(f"mode {mode} optimises nothing; leave out --space, --backend and --paper")
+        raise InvalidInputError(f"mode {mode} optimises nothing; leave out --space, --backend and --paper")
     if space == "cartesian":
         named = "--paper" if options.paper else "--space cartesian"
         if mode == "imu":
-            raise ShapeError(f"mode imu is solved in joint space; leave out {named}")
+            raise InvalidInputError(f"mode imu is solved in joint space; leave out {named}")
         if mode == "calibrate":
-            raise ShapeError(f"calibration is solved in joint space; leave out {named}")
+            raise InvalidInputError(f"calibration is solved in joint space; leave out {named}")
     settings = ReconstructionSettings(
         frames=options.frames, space=space, backend=options.backend, guard_streams=options.guards,
         lift_with_sensors=options.lift_with_sensors,

@@ -1,4 +1,4 @@
-"""What every command shares: consoles, progress bars, tables, and how a command is declared."""
+"""Consoles, progress bars and tables of all commands, and how a command is declared."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from rich.text import Text
 from rtof_kin.core.files.manifest import MANIFEST
 
 if TYPE_CHECKING:
+    from rtof_kin.calibration.result import SelfCalibration
+    from rtof_kin.reconstruction.result import Reconstruction
     from rtof_kin.report.headline import Headline
 
 # Units stand in square brackets, and paths may: nothing printed is markup.
@@ -32,11 +34,19 @@ SCORE_COLUMNS = {
     "flexion_deg": "flexion\n\n[deg]",
     "coverage": "valid",
 }
+_MEAN_NORM = 1.596
+"""Mean norm of a normal error in three dimensions, in standard deviations of an axis."""
 
 
 def command(
     commands: Any, name: str, run: Callable[[argparse.Namespace], int | None], summary: str, more: str
 ) -> argparse.ArgumentParser:
+    """Declare a command.
+
+    Args:
+        commands: of the parser. name: what users type. run: what it does; returns the exit code or None.
+        summary: one line without a full stop. more: further sentences of its help.
+    """
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
         help=summary,
@@ -48,6 +58,11 @@ def command(
 
 
 def add_output(parser: argparse.ArgumentParser, default: str | None, what: str, **how: Any) -> None:
+    """Declare -o and --overwrite.
+
+    Args:
+        parser: of the command. default: None where the option is required. what: help. how: for argparse.
+    """
     parser.add_argument(
         "-o", "--output", default=default, required=default is None, metavar="OUT", help=what, **how
     )
@@ -56,24 +71,120 @@ def add_output(parser: argparse.ArgumentParser, default: str | None, what: str, 
 
 @contextmanager
 def progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A bar for each stage, on the error stream."""
+    """Show a bar for each stage on the error stream; yields a function of (stage, done, in all)."""
     columns = (
         TextColumn("{task.description:>5}", markup=False), BarColumn(), MofNCompleteColumn(),
         TimeElapsedColumn(),
     )  # fmt: skip
-    with Progress(*columns, console=err) as progress:
+    with Progress(*columns, console=err) as bars:
         tasks: dict[str, Any] = {}
 
-        def tell(stage: str, done: int, total: int) -> None:
+        def update(stage: str, done: int, total: int) -> None:
             if stage not in tasks:
-                tasks[stage] = progress.add_task(stage, total=total)
-            progress.update(tasks[stage], completed=done, total=total)
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)
 
-        yield tell
+        yield update
+
+
+@contextmanager
+def warnings_in_summary() -> Iterator[None]:
+    """Silence log messages that the printed summary repeats."""
+    from rtof_kin.reconstruction.pipeline import WARNINGS_LOGGER
+
+    logger = logging.getLogger(WARNINGS_LOGGER)
+    logger.disabled = True
+    try:
+        yield
+    finally:
+        logger.disabled = False
+
+
+# --- what is printed -----------------------------------------------------------------------------
+
+
+def print_summary(result: Reconstruction, headline: Headline, folder: str | Path) -> None:
+    """Print a result in five lines: recording, accuracy, cautions, files, next command.
+
+    Args:
+        result: exported to `folder`. headline: of its audit.
+    """
+    poses, mode = result.motion.poses, result.mode
+    source = f"{len(poses) / poses.rate_hz:.1f} s at {poses.rate_hz:.0f} Hz"
+    parts = [part for part in (_with_camera(result), _with_sensors(result)) if part]
+    lines = {
+        "recording": f"{result.recording.name}: {source}, {' and '.join(parts)}, mode {mode}; "
+        f"subject {result.motion.skeleton.height:.2f} m tall",
+        "accuracy": _accuracy(result),
+        "caution": headline.line,
+        "files": f"{folder}: {', '.join(_entries(folder))}",
+        "next": f"rtof-kin report {folder} (one page for the browser); rtof-kin analyse {folder} -o ANGLES",
+    }
+    for name, text in lines.items():
+        style = _STYLES.get(headline.grade.value, "") if name == "caution" else ""
+        out.print(Text(f"{name:9} ", "bold"), Text(text, style), soft_wrap=True, sep="")
+
+
+def _with_camera(result: Reconstruction) -> str:
+    return "one camera" if result.keypoints is not None else ""
+
+
+def _with_sensors(result: Reconstruction) -> str:
+    return "" if result.bone_imus is None else f"{len(result.bone_imus.joints)} IMUs"
+
+
+def _accuracy(result: Reconstruction) -> str:
+    """Errors against the truth, else those expected by the covariances."""
+    if (m := result.metrics) is not None:
+        return (
+            f"{m['mpjpe_rr_mm']:.1f} mm relative to the root, {m['mpjpe_mm']:.0f} mm absolute, flexion of "
+            f"knees and elbows {m['flexion_deg']:.1f} deg (mean errors against the truth)"
+        )
+    confidence = result.motion.confidence
+    if confidence is None:
+        return f"not estimated in mode {result.mode}; the recording has no truth to compare with"
+    import numpy as np
+
+    relative, world = (
+        1000 * _MEAN_NORM * float(np.nanmean(sigma))
+        for sigma in (confidence.relative_sigma[:, 1:], confidence.position_sigma)
+    )
+    return (
+        f"expected {relative:.0f} mm relative to the root, {world:.0f} mm absolute (mean joint error by the "
+        "estimated covariances; there is no truth to compare with)"
+    )
+
+
+def print_sections(headline: Headline) -> None:
+    """Print the verdict of every section of the audit with its reasons."""
+    table = Table("section", Column("verdict", no_wrap=True), "why", box=SIMPLE_HEAD, pad_edge=False)
+    for verdict in headline.sections:
+        if verdict.section != "truth":  # see `print_scores`
+            grade = verdict.grade.value
+            table.add_row(verdict.section, Text(grade, _STYLES.get(grade, "")), "\n".join(verdict.reasons))
+    out.print(table)
+
+
+def print_headline(headline: Headline, what: str = "") -> None:
+    """Print the overall verdict in one line, and that of every section.
+
+    Args:
+        what: in front of the line.
+    """
+    out.print(f"{what}{headline.line}", style=_STYLES.get(headline.grade.value, ""), soft_wrap=True)
+    print_sections(headline)
+
+
+def print_calibration(calibration: SelfCalibration) -> None:
+    """Print every estimated quantity with its standard deviations."""
+    table = Table("quantity", "of", "value", "+-", "prior +-", "verdict", title="self-calibration")
+    for row in calibration.table():
+        table.add_row(*row)
+    out.print(table)
 
 
 def with_zero_motion(recording: Any) -> dict[str, Any]:
-    """The row of a predictor that never moves, by the same code as every other."""
+    """Score a predictor that never moves, by the same code as every other; empty without truth."""
     from rtof_kin.body.metrics import evaluate, motionless
 
     if recording.truth is None:
@@ -83,6 +194,11 @@ def with_zero_motion(recording: Any) -> dict[str, Any]:
 
 
 def print_scores(scores: Mapping[str, Mapping[str, float]]) -> None:
+    """Print one row of errors for each stage.
+
+    Args:
+        scores: stage -> figures of `SCORE_COLUMNS`.
+    """
     from rtof_kin.body.metrics import BEGUN_TOGETHER
 
     title = "error against the truth, mean over frames"
@@ -95,40 +211,8 @@ def print_scores(scores: Mapping[str, Mapping[str, float]]) -> None:
         out.print(BEGUN_TOGETHER)
 
 
-def print_calibration(calibration: Any) -> None:
-    """What was estimated, in one table."""
-    table = Table("quantity", "of", "value", "+-", "before +-", "verdict", title="calibrated from itself")
-    for row in calibration.table():
-        table.add_row(*row)
-    out.print(table)
-
-
-def print_headline(headline: Headline, what: str = "") -> None:
-    """The overall verdict in one line, and that of every section with its reasons."""
-    out.print(f"{what}{headline.line}", style=_STYLES.get(headline.grade.value, ""), soft_wrap=True)
-    table = Table("section", Column("verdict", no_wrap=True), "why", box=SIMPLE_HEAD, pad_edge=False)
-    for verdict in headline.sections:
-        grade = verdict.grade.value
-        if verdict.section == "truth":
-            continue  # see `print_scores`
-        table.add_row(verdict.section, Text(grade, _STYLES.get(grade, "")), "\n".join(verdict.reasons))
-    out.print(table)
-
-
-@contextmanager
-def doubts_in_headline() -> Iterator[None]:
-    """Without the log's warnings of what `print_headline` says."""
-    from rtof_kin.reconstruction.pipeline import WARNINGS_LOGGER
-
-    logger = logging.getLogger(WARNINGS_LOGGER)
-    logger.disabled = True
-    try:
-        yield
-    finally:
-        logger.disabled = False
-
-
 def figure_text(key: str, value: float | None) -> str:
+    """Format a figure of `SCORE_COLUMNS`; empty for None."""
     if value is None:
         return ""
     if key == "coverage":
@@ -136,8 +220,19 @@ def figure_text(key: str, value: float | None) -> str:
     return f"{value:.2f}" if key == "mpjae" else f"{value:.1f}"
 
 
-def print_files(folder: str | Path) -> None:
+def _files(folder: str | Path) -> list[str]:
     folder = Path(folder)
-    files = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
-    files.remove(MANIFEST)
-    out.print(f"wrote {folder}: {', '.join(files)}", soft_wrap=True)
+    files = (str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
+    return sorted(name for name in files if name != MANIFEST)
+
+
+def _entries(folder: str | Path) -> list[str]:
+    """Files of a folder, and its subfolders with their number of files."""
+    inner = [name.split("/")[0] for name in _files(folder) if "/" in name]
+    own = [name for name in _files(folder) if "/" not in name]
+    return own + [f"{name}/ ({inner.count(name)})" for name in dict.fromkeys(inner)]
+
+
+def print_files(folder: str | Path) -> None:
+    """Print what was written to a folder."""
+    out.print(f"wrote {folder}: {', '.join(_files(folder))}", soft_wrap=True)

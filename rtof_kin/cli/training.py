@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from rtof_kin.cli.terminal import command, err, out
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from lifting.corpus import Corpus
@@ -153,7 +153,7 @@ def _corpus(options: argparse.Namespace) -> Corpus | str:
 
     given = [x for x in (options.corpus, options.total_capture, options.human36m) if x is not None]
     if len(given) != 1:
-        raise ShapeError("train: name one of CORPUS, --total-capture DIR and --human36m DIR")
+        raise InvalidInputError("train: name one of CORPUS, --total-capture DIR and --human36m DIR")
     if options.corpus is not None:
         return str(options.corpus)
     with _reading() as tell:

@@ -33,9 +33,9 @@ from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
+from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-from rtof_kin.solve.solution import misfits
+from rtof_kin.solve.solution import FragmentSolution, misfits
 from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
 from rtof_kin.solve.uncertainty.disagreement import disagreement
 from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
