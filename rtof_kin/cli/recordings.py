@@ -34,7 +34,11 @@ if TYPE_CHECKING:
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
+    """Declare the commands of this module.
+
+    Args:
+        commands: subparsers of the command line.
+    """
     _add_demo(commands)
     _add_reconstruct(commands)
     _add_calibrate(commands)

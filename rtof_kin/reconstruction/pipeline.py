@@ -154,26 +154,34 @@ def reconstruct(
     with naming_wrong_samples(recording):
         if mode == "imu":
             return _from_sensors(job)
-        if recording.keypoints is None:
-            raise InvalidInputError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
-        estimated = (
-            calibrate and calibration is None and mode in ("sf2", "rtof") and recording.imus is not None
-        )
-        how: Calibrate = "given" if calibration is not None else "yes" if estimated else "no"
-        name = "detections" if lifter is None else getattr(lifter, "name", type(lifter).__name__)
-        choices = Choices(how, known is not None, name)
-        known = None if known is None else known.for_another_recording()
-        with explained(recording, job.subject, lifter):
-            rejected, warnings = tuple[StreamFault, ...](), tuple[str, ...]()
-            if estimated:
-                calibration, rejected, warnings = _estimated(job, priors, known)
-            elif calibration is None:
-                calibration = known
-            elif known is not None:
-                calibration = known.followed_by(calibration)
-            own = job.calibrated(calibration)
-            prepared, poses, solution = _optimised(own, mode, rejected, calibration)
-        return _result(job, own, mode, prepared, poses, solution, calibration, warnings, choices)
+        return _from_video(job, mode, calibrate, priors, calibration, known)
+
+
+def _from_video(
+    job: _Job, mode: Mode, calibrate: bool, priors: CalibrationPriors | None,
+    calibration: SelfCalibration | None, known: SelfCalibration | None,
+) -> Reconstruction:  # fmt: skip
+    """Every mode but imu; arguments as for `reconstruct`."""
+    if job.recording.keypoints is None:
+        raise InvalidInputError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
+    estimate = (
+        calibrate and calibration is None and mode in ("sf2", "rtof") and job.recording.imus is not None
+    )
+    how: Calibrate = "given" if calibration is not None else "yes" if estimate else "no"
+    name = "detections" if job.lifter is None else getattr(job.lifter, "name", type(job.lifter).__name__)
+    choices = Choices(how, known is not None, name)
+    known = None if known is None else known.for_another_recording()
+    rejected, warnings = tuple[StreamFault, ...](), tuple[str, ...]()
+    with explained(job.recording, job.subject, job.lifter):
+        if estimate:
+            calibration, rejected, warnings = _estimated(job, priors, known)
+        elif calibration is None:
+            calibration = known
+        elif known is not None:
+            calibration = known.followed_by(calibration)
+        own = job.calibrated(calibration)
+        prepared, poses, solution = _optimised(own, mode, rejected, calibration)
+    return _result(job, own, mode, prepared, poses, solution, calibration, warnings, choices)
 
 
 def _optimised(

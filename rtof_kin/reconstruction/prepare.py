@@ -182,6 +182,9 @@ def evenly_spaced(keypoints: KeypointSequence) -> KeypointSequence:
     Times that jitter by less than 1 % of a frame are kept. Otherwise positions are interpolated to the
     mean rate (dropped frames counted) between neighbouring samples; dropped frames are NaN with
     confidence 0.
+
+    Args:
+        keypoints: at increasing times.
     """
     times = keypoints.times
     if len(times) < 3:

@@ -104,7 +104,11 @@ def check_sensor_evidence(
 
 @contextmanager
 def naming_wrong_samples(recording: Recording) -> Iterator[None]:
-    """Prepend failed checks of the samples to errors raised inside."""
+    """Prepend failed checks of the samples to errors raised inside.
+
+    Args:
+        recording: as declared.
+    """
     try:
         yield
     except (CalibrationError, ShapeError, SolverError) as error:
