@@ -45,7 +45,7 @@ def _detect(options: argparse.Namespace) -> None:
     )
     try:
         layout = recognise(found.uv_px, found.confidence).layout
-    except ShapeError as error:
+    except InvalidInputError as error:
         out.print(f"their layout is not recognised: {error}", soft_wrap=True)
         return
     text = f'[keypoints]\nfile = "{target.name}"\nlayout = "{layout.name}"'
