@@ -141,7 +141,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _half_turn(a: Array, cross: Array) -> Array:
-    """Return half turns (n, 3, 3) about normals of directions a (n, 3), along `cross` where it is not zero."""
+    """Return half turns (n, 3, 3) about normals of a (n, 3), along `cross` if it is not zero."""
     helper = np.where(np.abs(a[:, :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0])
     opposite = np.linalg.norm(cross, axis=-1, keepdims=True) < 1e-12
     normal = unit(np.where(opposite, np.cross(a, helper), cross))
