@@ -22,7 +22,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from benchmarks.harness import write_results
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.simulation.mocap import MocapClip, read_corpus
 from rtof_kin.vision.landmark_regression import AdaptedPoints, Adapter
 from rtof_kin.vision.recognise import recognise
@@ -108,7 +108,7 @@ def _distance(points: AdaptedPoints, truth: Array, names: tuple[str, ...]) -> Ar
 def _recognised(uv: Array, confidence: Array, layout: str) -> bool:
     try:
         return recognise(uv, confidence).layout.name == layout
-    except ShapeError:
+    except InvalidInputError:
         return False
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, ShapeError, WritingError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError, WritingError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import check_file
 from rtof_kin.formats.markers import MarkerSequence
@@ -118,7 +118,7 @@ def read_c3d(path: str | Path, *, up: str | None = None) -> MarkerSequence:
     times = (max(int(first), 1) - 1 + np.arange(len(p_world))) / rate
     try:
         return MarkerSequence(times, tuple(names[i] for i in kept), p_world)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
 

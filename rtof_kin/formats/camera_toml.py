@@ -24,7 +24,7 @@ import tomli_w
 from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, ShapeError, UnitError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError, UnitError
 from rtof_kin.core.files.section import Section
 from rtof_kin.core.files.text import write_text
 from rtof_kin.data.camera import Camera
@@ -93,7 +93,7 @@ def _camera(section: Section, R_world_file: Array, metres_per_unit: float) -> Ca
             section.array("matrix", (3, 3)), R_camera_world, t, round(width), round(height),
             _distortion(section), section.optional_names("assumed") or (),
         )  # fmt: skip
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(section.path, f"[{section.name}]: {error}") from error
 
 

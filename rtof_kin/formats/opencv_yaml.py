@@ -33,7 +33,7 @@ import yaml
 from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import checked_distance
@@ -102,7 +102,7 @@ def read_opencv_yaml(
                 entries.array("matrix", 9).reshape(3, 3), R_camera_world, t, width, height,
                 entries.distortion(), () if R is not None else ("pose",),
             )  # fmt: skip
-        except ShapeError as error:
+        except InvalidInputError as error:
             raise FileFormatError(path, f"{name}: {error}") from error
     return cameras
 

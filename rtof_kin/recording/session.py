@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from datetime import date
 from typing import Any, Self
 
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError, ShapeError
 from rtof_kin.core.files.section import Section
 
 
@@ -69,5 +69,5 @@ def read_session(section: Section) -> Session:
     section.close()
     try:
         return Session(**labels)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise section.error("date", str(error)) from error

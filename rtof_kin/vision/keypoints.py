@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core import signals
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.vision.detections import Detections
@@ -89,7 +89,7 @@ def read_detector_keypoints(
     try:
         times = _times(found, rate_hz) + start
         return adapt(found, times, camera, layout, person, frame)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.checks import readonly
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
 from rtof_kin.vision.layouts import DetectorTable, Layout, detector_table, own
@@ -195,7 +195,7 @@ def read_gaussian(path: str | Path, table: DetectorTable) -> PointGaussian:
     names = point_names(table, SkeletonModel.default())
     try:
         return PointGaussian(names, arrays["mean"], arrays["covariance"], float(arrays["noise"]))
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, f"{error}; build it again") from error
 
 

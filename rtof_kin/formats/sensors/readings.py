@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.data.imu_declaration import LARGEST_NUMBER, Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 
@@ -102,5 +102,5 @@ def sensor_log(
         if not streams:
             raise ShapeError("there is no sensor in it")
         return SensorLog(path, title, streams, declaration, tuple(file_notes))
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error

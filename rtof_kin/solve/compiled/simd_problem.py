@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.numerics.banded import Store, StoredFactor
-from rtof_kin.core.numerics.simd import Columns, Mapped, Over, in_lanes
+from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd
 from rtof_kin.core.numerics.simd_codegen import FrameFunction
 from rtof_kin.solve.compiled import hessian_columns as couplings
 from rtof_kin.solve.compiled import stencils as windows
@@ -52,7 +52,7 @@ class LaneFunctions:
             windows.inverse(space), windows.motion(energy, robust), windows.pulled(energy),
         ]  # fmt: skip
         linear, coupled = couplings.linear(energy), couplings.coupled(energy)
-        code = in_lanes([*simple, linear.frame, coupled.frame])
+        code = compile_simd([*simple, linear.frame, coupled.frame])
         if code is None:
             return None
         return cls({given.function.name(): given for given in simple}, linear, coupled, code)
