@@ -21,7 +21,7 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.inertial.outlier_rejection import disagreeing, joined
+from rtof_kin.inertial.outlier_rejection import find_disagreements, merge_faults
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
 from rtof_kin.reconstruction.choices import Choices
 from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
@@ -168,9 +168,9 @@ def _with_camera(
         keypoints, poses, solution = _solved(prepared, skeleton, mode, settings, tell, found)
         if (
             mode == "rtof" and settings.guard_streams and prepared.bone_imus is not None
-            and (wrong := disagreeing(poses, prepared.bone_imus, skeleton))
+            and (wrong := find_disagreements(poses, prepared.bone_imus, skeleton))
         ):  # fmt: skip
-            wrong = joined((*slipped, *wrong))
+            wrong = merge_faults((*slipped, *wrong))
             prepared = prepare(recording, skeleton, mode, lifter, settings, tell, wrong)
             keypoints, poses, solution = _solved(prepared, skeleton, mode, settings, tell, found)
     warnings += _doubts(prepared, solution, settings)
@@ -345,7 +345,7 @@ def _slipped(
     plain = replace(settings, confidence=False)
     _, poses, _ = _solved(prepared, skeleton, "rtof", plain, lambda *_: None, None)
     most = _LASTING_SHARE * (poses.times[-1] - poses.times[0])
-    wrong = disagreeing(poses, prepared.bone_imus, skeleton)
+    wrong = find_disagreements(poses, prepared.bone_imus, skeleton)
     return tuple(fault for fault in wrong if fault.stop - fault.start < most)
 
 

@@ -22,14 +22,14 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.data.stream_faults import StreamFault
-from rtof_kin.inertial.outlier_rejection import guarded_imus, without
+from rtof_kin.inertial.outlier_rejection import mask_faults, reject_imu_outliers
 from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import usual_space
 from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-from rtof_kin.vision.outlier_rejection import guarded_keypoints
+from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers
 
 if TYPE_CHECKING:
     from lifting.predict import LiftedPoses
@@ -152,7 +152,7 @@ def prepare(    recording: Recording, skeleton: SkeletonModel, mode: str, lifter
     if inertial and bone_imus is None:
         raise ShapeError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
     if bone_imus is not None and left_out:
-        bone_imus = without(bone_imus, left_out)
+        bone_imus = mask_faults(bone_imus, left_out)
     tell("lift", 0, 1)
     told = bone_imus if settings.lift_with_sensors else None
     lifted, R_lifted = _lift(skeleton, keypoints, told, lifter, recording.floor_height)
@@ -192,9 +192,9 @@ def guarded(
     """
     keypoints, imus, faults = recording.keypoints, recording.imus, tuple[StreamFault, ...]()
     if settings.guard_streams and camera and keypoints is not None:
-        keypoints, faults = guarded_keypoints(keypoints)
+        keypoints, faults = reject_keypoint_outliers(keypoints)
     if settings.guard_streams and imus is not None:
-        imus, of_sensors = guarded_imus(imus)
+        imus, of_sensors = reject_imu_outliers(imus)
         faults += of_sensors
     return (replace(recording, keypoints=keypoints, imus=imus) if faults else recording), faults
 
