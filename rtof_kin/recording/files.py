@@ -217,7 +217,7 @@ def keypoint_arrays(arrays: dict[str, Array]) -> tuple[Array, Array]:
         arrays: uv_px (T, L, 2) and maybe confidence (T, L).
     """
     uv = arrays["uv_px"]
-    confidence = arrays.get("confidence", np.isfinite(uv).all(axis=-1).astype(float))
+    confidence: Array = arrays.get("confidence", np.isfinite(uv).all(axis=-1).astype(float))
     if confidence.shape != uv.shape[:2]:
         raise InvalidInputError(
             f"confidence: expected shape {uv.shape[:2]} as uv_px has, got {confidence.shape}"
@@ -248,11 +248,9 @@ def _keypoint_npz(
 def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) -> KeypointSequence:
     """Read keypoints from a detector's own file or folder, in its own layout; see `rtof_kin.vision`."""
     layout = section.text("layout")
-    known = (RECOGNISE, *detector_table().layouts)
-    if layout not in known:
-        raise section.error(
-            "layout", f"{layout!r} is not known; write one of {', '.join(known)}, or list names in landmarks"
-        )
+    known = ", ".join((RECOGNISE, *detector_table().layouts))
+    if layout not in known.split(", "):
+        raise section.error("layout", f"{layout!r} is not known; write one of {known}, or list landmarks")
     if section.has("landmarks"):
         raise section.error("layout", "stands beside landmarks; give only one of the two")
     if skeleton.name != "total_capture":
