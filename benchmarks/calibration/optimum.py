@@ -25,6 +25,7 @@ from rtof_kin.calibration.shared_fragments import SharedFragments
 from rtof_kin.reconstruction.pipeline import ReconstructionSettings
 from rtof_kin.reconstruction.prepare import prepare
 from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.joint_space.initial_guess import initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
@@ -35,8 +36,9 @@ def row(told: Recording, known: Mapping[tuple[str, str], Array], job: Job, lifte
     settings, priors = ReconstructionSettings(), job.priors
     prepared = prepare(told, told.skeleton, "sf2", lifter, settings, lambda *_: None)
     solver = JointSpaceSettings(floor_height=told.floor_height)
+    guess = initial_guess(prepared.start, prepared.recording.video, prepared.bone_imus, told.skeleton)
     own, again = (  # each with a prior of its own to learn
-        shared_fragments(prepared.recording, prepared.start, priors, solver, settings.frames)
+        shared_fragments(prepared.recording, guess, priors, solver, settings.frames)
         for _ in range(2)
     )
     sigma, truth = np.sqrt(np.diag(np.linalg.inv(own.prior))), values(own, known)

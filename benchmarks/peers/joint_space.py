@@ -20,6 +20,7 @@ from rtof_kin.core.errors import ShapeError
 from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.energy.problem import FragmentData, JointProblem
 from rtof_kin.solve.energy.state import StateSpace
+from rtof_kin.solve.joint_space.initial_guess import initial_guess
 from rtof_kin.solve.joint_space.limits import Limits
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
@@ -41,7 +42,8 @@ class JointScene:
         if not settings.limits:
             raise ShapeError("peers want limits=True: a solver leaves them out by itself")
         m, self.settings, self.frames = material, settings, frames
-        self.observations = Observations(m.skeleton, frames, settings, m.start, m.keypoints, m.imus)
+        guess = initial_guess(m.start, m.keypoints, m.imus, m.skeleton, refit_root=settings.refit_root)
+        self.observations = Observations(m.skeleton, frames, settings, guess, m.keypoints, m.imus)
         self.problem: JointProblem = self.observations.problem
         self.space: StateSpace = self.observations.space
         assert self.observations.limits is not None

@@ -40,6 +40,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.inertial.outlier_rejection import without
 from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations, low_passed, sensor_data
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
@@ -52,7 +53,7 @@ _USUAL_HEIGHT_PX = 500.0
 
 def calibrate(
     recording: Recording,
-    start: PoseSequence,
+    guess: InitialGuess,
     priors: CalibrationPriors | None = None,
     settings: JointSpaceSettings | None = None,
     frames: int = 50,
@@ -63,7 +64,7 @@ def calibrate(
 
     Args:
         recording: with IMUs and their calibration, however rough.
-        start: poses to begin with, at the keypoints' times: those after SF2.
+        guess: poses to begin with, at the keypoints' times: those after SF2, without the faults.
         priors: what is open; `CalibrationPriors.of` the recording where not given.
         settings: of the joint-space solver. frames: N of a fragment.
         progress: told how far it is.
@@ -75,20 +76,20 @@ def calibrate(
     """
     priors = priors or CalibrationPriors.of(recording)
     settings = settings or JointSpaceSettings(floor_height=recording.floor_height)
-    fragments = shared_fragments(recording, start, priors, settings, frames, left_out)
+    fragments = shared_fragments(recording, guess, priors, settings, frames, left_out)
     shared = fragments.estimate(priors.rounds, progress, priors.overcount)
     quantities = _quantities(fragments, shared, priors.overcount)
     return SelfCalibration(
-        quantities=tuple(_doubted(q, recording, start, shared) for q in quantities),
-        detector=_detector(fragments.data, shared.residuals, start.rate_hz),
-        middle=float(start.times[0] + start.times[-1]) / 2,
+        quantities=tuple(_doubted(q, recording, guess.poses, shared) for q in quantities),
+        detector=_detector(fragments.data, shared.residuals, guess.poses.rate_hz),
+        middle=float(guess.poses.times[0] + guess.poses.times[-1]) / 2,
         converged=shared.converged,
     )
 
 
 def shared_fragments(
     recording: Recording,
-    start: PoseSequence,
+    guess: InitialGuess,
     priors: CalibrationPriors,
     settings: JointSpaceSettings,
     frames: int,
@@ -102,9 +103,10 @@ def shared_fragments(
             "calibrate by"
         )
     _check_long_enough(seen, imus, priors)
+    start = guess.poses
     native = without(recording.calibration.apply(imus), left_out)
     bone_imus = native.resample(start.times)
-    data = Observations(recording.skeleton, frames, settings, start, seen, bone_imus, places=native.joints)
+    data = Observations(recording.skeleton, frames, settings, guess, seen, bone_imus, places=native.joints)
     slow = low_passed(_with_even_noise(native), settings)
 
     def sampled(times: Array) -> tuple[Array, Array, Array, Array]:

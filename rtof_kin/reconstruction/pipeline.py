@@ -21,7 +21,7 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.inertial.outlier_rejection import disagreeing, joined
+from rtof_kin.inertial.outlier_rejection import disagreeing, joined, without
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
 from rtof_kin.reconstruction.choices import Choices
 from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
@@ -45,6 +45,7 @@ from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
+from rtof_kin.solve.joint_space.initial_guess import initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import misfits
 from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
@@ -327,8 +328,13 @@ def _calibrated(
         if known.ankle_height:
             priors = replace(priors, sigma_ankle_height=None)
     slipped = _slipped(prepared, recording.skeleton, settings.with_fragment(fragment))
+    sensors = None if prepared.bone_imus is None else without(prepared.bone_imus, slipped)
+    guess = initial_guess(
+        prepared.start, prepared.recording.video, sensors, recording.skeleton,
+        refit_root=solver is None or solver.refit_root,
+    )  # fmt: skip
     found = calibrate_from(
-        prepared.recording, prepared.start, priors, solver, settings.frames,
+        prepared.recording, guess, priors, solver, settings.frames,
         lambda done, total: tell("calibrate", done, total), slipped,
     )  # fmt: skip
     return (found if known is None else known.followed_by(found)), slipped

@@ -23,6 +23,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Footholds
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
+from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.joint_space.solver import JointSpaceSolver
 from rtof_kin.solve.solution import FragmentReport, FragmentSolution, SolverStatus
@@ -93,7 +94,7 @@ class FragmentSolver:
 
     def solve(
         self,
-        start: PoseSequence,
+        start: PoseSequence | InitialGuess,
         keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None = None,
         progress: Progress | None = None,
@@ -103,7 +104,8 @@ class FragmentSolver:
         """Optimise a whole sequence: RTOF with sensors, RTO without, sensors alone without keypoints.
 
         Args:
-            start: finite poses of this skeleton, usually SF2's; also the centre of weak priors.
+            start: finite poses of this skeleton, usually SF2's, or an initial guess made from them; also
+                the centre of weak priors.
             keypoints: one sample a frame of `start`, landmarks named like joints (in joint space also
                 the skeleton's other landmarks); NaN where unseen. None for sensors alone, in joint space.
             bone_imus: any subset of the sensors, at any times; several sequences where sensors have
@@ -121,13 +123,12 @@ class FragmentSolver:
             SolverError: none of the landmarks is known; there are neither keypoints nor sensors; it is
                 the joint space alone that can do with what is given.
         """
-        bone_imus = _together(bone_imus, start)
-        self._check(start, keypoints, bone_imus, footholds)
+        guess, bone_imus = self._guess(start, keypoints, bone_imus, footholds)
         blocks = list(
-            self._solver.run(start, keypoints, bone_imus, footholds, progress, confidence=confidence)
+            self._solver.run(guess, keypoints, bone_imus, footholds, progress, confidence=confidence)
         )
         whole = replace(
-            start,
+            guess.poses,
             p_world_joint=np.concatenate([block.p_world_joint for block in blocks]),
             R_world_bone=np.concatenate([block.R_world_bone for block in blocks]),
         )
@@ -140,17 +141,31 @@ class FragmentSolver:
 
     def stream(
         self,
-        start: PoseSequence,
+        start: PoseSequence | InitialGuess,
         keypoints: KeypointSequence,
         bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None = None,
     ) -> Iterator[PoseSequence]:
         """The poses of `solve`, N/2 frames at a time, each as soon as nothing to come can change it."""
-        bone_imus = _together(bone_imus, start)
-        self._check(start, keypoints, bone_imus, None)
-        for block in self._solver.run(start, keypoints, bone_imus, None, None):
+        guess, bone_imus = self._guess(start, keypoints, bone_imus, None)
+        for block in self._solver.run(guess, keypoints, bone_imus, None, None):
             p, R = block.p_world_joint, block.R_world_bone
-            poses = replace(start[block.frames], p_world_joint=p, R_world_bone=R)
+            poses = replace(guess.poses[block.frames], p_world_joint=p, R_world_bone=R)
             yield self._solver.oriented(poses, keypoints[block.frames], bone_imus)
+
+    def _guess(
+        self, start: PoseSequence | InitialGuess, keypoints: KeypointSequence | None,
+        bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None, footholds: Footholds | None,
+    ) -> tuple[InitialGuess, BoneImuSequence | None]:  # fmt: skip
+        """The initial guess, made where only poses are given, and the sensors as one sequence."""
+        poses = start.poses if isinstance(start, InitialGuess) else start
+        if bone_imus is not None and not isinstance(bone_imus, BoneImuSequence):
+            bone_imus = BoneImuSequence.joined(bone_imus, poses.times)
+        self._check(poses, keypoints, bone_imus, footholds)
+        if isinstance(start, InitialGuess):
+            return start, bone_imus
+        bridging = bone_imus if self.space == "joint" else None  # positions alone are not bridged
+        refit = self.settings.refit_root
+        return initial_guess(start, keypoints, bridging, self.skeleton, refit_root=refit), bone_imus
 
     def _check(
         self, start: PoseSequence, keypoints: KeypointSequence | None,
@@ -186,11 +201,3 @@ class FragmentSolver:
                 f"start: frame {frame} is behind the camera or in it; check R_camera_world, "
                 "t_camera_world (world to camera, metres) and the world's z axis"
             )
-
-
-def _together(
-    bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None, start: PoseSequence
-) -> BoneImuSequence | None:
-    if bone_imus is None or isinstance(bone_imus, BoneImuSequence):
-        return bone_imus
-    return BoneImuSequence.joined(bone_imus, start.times)

@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.calibration.estimate import calibrate
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.core.errors import CalibrationError, ShapeError
@@ -36,7 +35,7 @@ def recorded(sigma_px: float = 0.5, degrees: float = 0.5) -> Recording:
 
 def found(recording: Recording, priors: CalibrationPriors, **start: Array) -> SelfCalibration:
     poses = replace(truth().poses, times=recording.keypoints.times, **start)
-    return calibrate(recording, poses, priors, cs.SETTINGS, frames=24)
+    return cs.calibrated(recording, poses, priors, cs.SETTINGS, frames=24)
 
 
 @pytest.mark.parametrize("seconds", [0.03, -0.02, 0.09])
@@ -98,7 +97,7 @@ def test_with_a_floor_a_body_too_small_is_found() -> None:
     given = planted.recording(truth, sigma_px=0.5, degrees=0.5)
     small = replace(given, joint_offsets=body.joint_offsets / 1.05)
     poses = replace(truth.poses, times=given.keypoints.times)
-    result = calibrate(small, poses, cs.only("bones", sigma_proportion=None), cs.SETTINGS, frames=24)
+    result = cs.calibrated(small, poses, cs.only("bones", sigma_proportion=None), cs.SETTINGS, frames=24)
     assert result["bones", "all"].value[0] == pytest.approx(0.05, abs=0.015)
     offsets = result.apply(small).joint_offsets
     assert np.abs(offsets - body.joint_offsets).max() < 0.4 * np.abs(body.joint_offsets).max() * 0.05
@@ -110,7 +109,7 @@ def test_ankles_higher_than_they_are_held_to_be_are_not_taken_for_a_tall_body() 
     given = planted.recording(truth, sigma_px=0.5, degrees=0.5)
     poses = replace(truth.poses, times=given.keypoints.times)
     results = [
-        calibrate(given, poses, cs.only(*kinds, sigma_size=0.03, sigma_proportion=None), cs.SETTINGS, 24)
+        cs.calibrated(given, poses, cs.only(*kinds, sigma_size=0.03, sigma_proportion=None), cs.SETTINGS, 24)
         for kinds in (("bones",), ("bones", "ankle height"))
     ]
     held, left_open = (result["bones", "all"] for result in results)
@@ -125,7 +124,7 @@ def test_ankles_higher_than_they_are_held_to_be_are_not_taken_for_a_tall_body() 
 def test_without_a_floor_nothing_is_said_of_ankles() -> None:
     poses = replace(truth().poses, times=recorded().keypoints.times)
     settings = replace(cs.SETTINGS, floor_height=None)
-    result = calibrate(recorded(), poses, CalibrationPriors(), settings, frames=24)
+    result = cs.calibrated(recorded(), poses, CalibrationPriors(), settings, frames=24)
     assert not any(q.kind == "ankle height" for q in result.quantities)
 
 
@@ -187,7 +186,7 @@ def test_somebody_who_does_not_move_leaves_the_delay_to_the_prior() -> None:
     p, R = cs.BODY.forward_kinematics(still.q)
     still = replace(still, poses=replace(truth().poses, p_world_joint=p, R_world_bone=R))
     recording = planted.recording(still, sigma_px=1.0)
-    result = calibrate(recording, still.poses, cs.only("delay"), cs.SETTINGS, frames=24)
+    result = cs.calibrated(recording, still.poses, cs.only("delay"), cs.SETTINGS, frames=24)
     delay = result["delay", "video"]
     assert delay.verdict is Verdict.PRIOR
     assert not delay.value.any()
@@ -198,12 +197,12 @@ def test_a_recording_shorter_than_the_delay_looked_for_is_refused() -> None:
     recording = recorded()
     short = replace(recording, keypoints=recording.keypoints[:10])
     with pytest.raises(CalibrationError, match=r"0.15 s in common, too little .* delay of 0.20 s"):
-        calibrate(short, truth().poses[:10], cs.only("delay"), cs.SETTINGS, frames=24)
+        cs.calibrated(short, truth().poses[:10], cs.only("delay"), cs.SETTINGS, frames=24)
 
 
 def test_a_recording_without_sensors_is_refused() -> None:
     with pytest.raises(CalibrationError, match="without calibrated IMUs and a video"):
-        calibrate(replace(recorded(), imus=None), truth().poses)
+        cs.calibrated(replace(recorded(), imus=None), truth().poses)
 
 
 def test_nothing_open_is_refused() -> None:

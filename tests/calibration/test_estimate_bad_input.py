@@ -14,7 +14,6 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence
-from rtof_kin.calibration.estimate import calibrate
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
 from rtof_kin.core.errors import CalibrationError, FileFormatError, ShapeError
@@ -47,7 +46,7 @@ def recorded(motion: str = "moving") -> Recording:
 
 def found(motion: str, priors: CalibrationPriors) -> SelfCalibration:
     poses = (still() if motion == "still" else moving()).poses
-    return calibrate(recorded(motion), poses, priors, cs.SETTINGS, frames=24)
+    return cs.calibrated(recorded(motion), poses, priors, cs.SETTINGS, frames=24)
 
 
 # --- too little motion ---------------------------------------------------------------------------
@@ -130,7 +129,7 @@ def test_a_body_told_much_too_small_is_found_out() -> None:
     """With a floor; whoever says 2 % of a body that is a quarter too small is told so."""
     small = replace(recorded(), joint_offsets=recorded().joint_offsets / 1.25)
     priors = cs.only("bones", sigma_size=0.02, sigma_proportion=None)
-    result = calibrate(small, moving().poses, priors, cs.SETTINGS, frames=24)
+    result = cs.calibrated(small, moving().poses, priors, cs.SETTINGS, frames=24)
     assert any(line.startswith("bones of all") for line in consistency_warnings(small, result))
 
 
@@ -140,7 +139,7 @@ def test_a_body_told_much_too_small_is_found_out() -> None:
 def test_a_recording_shorter_than_the_delay_searched_is_refused_with_both_lengths() -> None:
     short = replace(recorded(), keypoints=recorded().video[:20])
     with pytest.raises(CalibrationError, match=r"0\.32 s in common, too little .* delay of 2\.00 s"):
-        calibrate(short, moving().poses[:20], cs.only("delay", sigma_delay=0.5), cs.SETTINGS, frames=24)
+        cs.calibrated(short, moving().poses[:20], cs.only("delay", sigma_delay=0.5), cs.SETTINGS, frames=24)
 
 
 def test_a_video_that_hardly_overlaps_the_sensors_is_refused() -> None:
@@ -149,7 +148,7 @@ def test_a_video_that_hardly_overlaps_the_sensors_is_refused() -> None:
     late = replace(recorded(), keypoints=seen, truth=None)
     poses = replace(moving().poses, times=late.video.times)
     with pytest.raises(CalibrationError, match="too little to look for a delay"):
-        calibrate(late, poses, cs.only("delay"), cs.SETTINGS, frames=24)
+        cs.calibrated(late, poses, cs.only("delay"), cs.SETTINGS, frames=24)
 
 
 # --- two sensors with one name -------------------------------------------------------------------

@@ -80,7 +80,9 @@ def test_the_profiles_gradient_is_that_of_the_energy_with_states_at_their_optimu
 def test_how_large_somebody_is_neither_accelerations_nor_jerk_tell() -> None:
     truth, no_floor = cs.motion(24), replace(cs.SETTINGS, floor_height=None)
     recording = planted.recording(truth, sigma_px=3.0, degrees=3.0)
-    shared = shared_fragments(recording, truth.poses, cs.only("bones"), no_floor, cs.FRAMES)
+    shared = shared_fragments(
+        recording, cs.guessed(recording, truth.poses), cs.only("bones"), no_floor, cs.FRAMES
+    )
     shared.begin()
     y = np.zeros(len(shared.prior))
     evidence = shared.corrected(y)

@@ -20,6 +20,7 @@ from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
 from rtof_kin.solve.joint_space.covariance import blended, confidence_of, segment_pairs, state_covariances
+from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
@@ -64,7 +65,7 @@ def known(solution: FragmentSolution) -> Confidence:
 
 def test_covariances_of_states_are_blocks_of_the_dense_inverse() -> None:
     poses = truth(N)
-    data = Observations(BODY, N, HONEST, poses, **observed(poses, 1))
+    data = Observations(BODY, N, HONEST, InitialGuess(poses, np.zeros(N)), **observed(poses, 1))
     solver = LevenbergMarquardt(data.problem, None)
     data.problem.bind(data.fragment(0)[2])
     answer = solver.solve(data.start, 20, 1e-6)

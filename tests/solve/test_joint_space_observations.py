@@ -19,6 +19,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import FEET, Footholds
 from rtof_kin.solve.energy.frame_energy import TORSO
 from rtof_kin.solve.fragment_solver import FragmentSolver
+from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
@@ -37,7 +38,7 @@ def start(sigma_rad: Array | None = None) -> PoseSequence:
 def observed(
     poses: PoseSequence, imus: BoneImuSequence | None = None, settings: JointSpaceSettings = SETTINGS
 ) -> Observations:
-    return Observations(BODY, N, settings, poses, planted.keypoints(POSES), imus)
+    return Observations(BODY, N, settings, InitialGuess(poses, np.zeros(T)), planted.keypoints(POSES), imus)
 
 
 def weights(
@@ -223,7 +224,9 @@ PLACES = ("Hips", "Head", "LeftArm", "LeftForeArm", "LeftFoot", "RightLeg")
 def masked(places: tuple[str, ...], *sensors: str, **more: Any) -> Observations:
     imus = worn(*sensors) if sensors else None
     seen = planted.keypoints(POSES, 2.0)
-    return Observations(BODY, N, SETTINGS, start(), seen, imus, places=places, **more)
+    return Observations(
+        BODY, N, SETTINGS, InitialGuess(start(), np.zeros(T)), seen, imus, places=places, **more
+    )
 
 
 SETS = [(), ("LeftForeArm",), ("LeftArm", "LeftForeArm", "Head"), PLACES]

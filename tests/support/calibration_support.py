@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import planted
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.calibration.estimate import shared_fragments
+from rtof_kin.calibration.estimate import calibrate, shared_fragments
 from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.calibration.shared_fragments import SharedFragments
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
@@ -52,7 +55,17 @@ def motion(frames: int, seed: int = 0) -> MotionSequence:
 
 def fragments(recording: Recording, start: PoseSequence, priors: CalibrationPriors) -> SharedFragments:
     """Fragments of so few frames that a test is quick."""
-    return shared_fragments(recording, start, priors, SETTINGS, FRAMES)
+    return shared_fragments(recording, guessed(recording, start), priors, SETTINGS, FRAMES)
+
+
+def guessed(recording: Recording, start: PoseSequence) -> InitialGuess:
+    """The initial guess that a reconstruction makes of poses."""
+    return initial_guess(start, recording.video, recording.bone_imus(times=start.times), recording.skeleton)
+
+
+def calibrated(recording: Recording, start: PoseSequence, *given: Any, **settings: Any) -> SelfCalibration:
+    """`calibrate` from poses."""
+    return calibrate(recording, guessed(recording, start), *given, **settings)
 
 
 def misaligned(recording: Recording, **wrong: Array) -> Recording:

@@ -23,11 +23,11 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Footholds
-from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.solve.cartesian.banded import BandedProblem
 from rtof_kin.solve.cartesian.problem import TERMS, fragment_problem
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ class CartesianSolver:
 
     def run(
         self,
-        start: PoseSequence,
+        guess: InitialGuess,
         keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | None,
         footholds: Footholds | None,
@@ -82,8 +82,7 @@ class CartesianSolver:
             raise SolverError("space 'cartesian' needs keypoints and knows no footholds; use 'joint'")
         if not set(keypoints.names) & set(self.skeleton.names):
             raise SolverError("keypoints: none of the landmarks is a joint of the skeleton")
-        if self.settings.refit_root:
-            start = refit_root(start, keypoints)
+        start = guess.poses
         data = self._observations(start, keypoints, bone_imus)
         half, T = self.frames // 2, len(start)
         firsts = range(-half, T, half)

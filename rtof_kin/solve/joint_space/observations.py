@@ -19,12 +19,11 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import FEET, Footholds, standing_feet
-from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.solve.compiled.building import built_problem
 from rtof_kin.solve.energy.frame_energy import TORSO, Shape
 from rtof_kin.solve.energy.problem import FragmentData, JointProblem
 from rtof_kin.solve.energy.state import StateSpace
-from rtof_kin.solve.joint_space.gaps import through_gaps
+from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.limits import Limits
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
@@ -69,7 +68,7 @@ class Observations:
         skeleton: SkeletonModel,
         frames: int,
         settings: JointSpaceSettings,
-        start: PoseSequence,
+        guess: InitialGuess,
         keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | None,
         footholds: Footholds | None = None,
@@ -82,14 +81,10 @@ class Observations:
                 or not: recordings with any of them take the same compiled code.
         """
         self.skeleton, self.frames, self.settings, s = skeleton, frames, settings, settings
+        start = guess.poses
         self.rate_hz = start.rate_hz
         known, extra, names = skeleton.landmarks, tuple[str, ...](), tuple[str, ...]()
-        sigma_unseen = np.zeros(len(start))
         if keypoints is not None:
-            start = refit_root(start, keypoints) if s.refit_root else start
-            if bone_imus is not None:
-                anyone = keypoints.select(skeleton.names).seen.any(axis=1)
-                start, sigma_unseen = through_gaps(start, np.asarray(anyone), bone_imus, skeleton)
             extra = tuple(n for n in keypoints.names if n in known and n not in skeleton.names)
             names = (*skeleton.names, *extra)
             keypoints = keypoints.select(names)
@@ -109,7 +104,7 @@ class Observations:
         self.attached = Attached.of(self.problem.energy.shape)
         self.limits = Limits(self.space) if s.limits else None
         self._observe(start, keypoints, bone_imus, speaking)
-        self._hold_in_gaps(sigma_unseen)
+        self._hold_in_gaps(guess.sigma_root)
         if footholds is not None:
             p = np.full((len(start), len(standing), 3), np.nan)
             p[:, [standing.index(joint) for joint in footholds.joints]] = footholds.p_world

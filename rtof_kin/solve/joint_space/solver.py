@@ -21,6 +21,7 @@ from rtof_kin.inertial.contacts import Footholds
 from rtof_kin.solve.energy.problem import TERMS
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.covariance import blended, confidence_of, state_covariances
+from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.ipopt import Ipopt
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
@@ -45,7 +46,7 @@ class JointSpaceSolver:
 
     def run(
         self,
-        start: PoseSequence,
+        guess: InitialGuess,
         keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | None,
         footholds: Footholds | None,
@@ -56,11 +57,11 @@ class JointSpaceSolver:
         if keypoints is not None and not set(keypoints.names) & set(self.skeleton.landmarks):
             raise SolverError("keypoints: none of the landmarks is one of the skeleton")
         data = Observations(
-            self.skeleton, self.frames, self.settings, start, keypoints, bone_imus, footholds,
+            self.skeleton, self.frames, self.settings, guess, keypoints, bone_imus, footholds,
             self.places,
         )  # fmt: skip
         fragments = _Fragments(data, self.settings, confidence)
-        half, T = self.frames // 2, len(start)
+        half, T = self.frames // 2, len(guess.poses)
         i = np.arange(self.frames)
         taper = np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
         share = taper[:half] / (taper[half:] + taper[:half])
@@ -73,7 +74,7 @@ class JointSpaceSolver:
             x, told = x[:count], None
             if previous.covariance is not None and piece.covariance is not None:
                 C = blended(previous.covariance[half:], piece.covariance[:half], share)[:count]
-                told = confidence_of(data.space, start.times[frames], x, C, data.held)
+                told = confidence_of(data.space, guess.poses.times[frames], x, C, data.held)
             reports = [piece.report] if reports else [previous.report, piece.report]
             yield Block(frames, *data.space.poses(x), tuple(reports), told)
 

@@ -1,4 +1,4 @@
-"""A start where nobody was seen: sensors move it on, between what was seen at its ends."""
+"""Initial guess: the root on its rays, and unobserved intervals bridged by the sensors."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.solve.joint_space.gaps import through_gaps
+from rtof_kin.solve.joint_space.initial_guess import initial_guess
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -35,10 +37,20 @@ def stopped(seen: NDArray[np.bool_]) -> PoseSequence:
     return replace(TRUTH, p_world_joint=TRUTH.p_world_joint[last], R_world_bone=TRUTH.R_world_bone[last])
 
 
+def bridged(
+    start: PoseSequence, seen: NDArray[np.bool_], imus: BoneImuSequence
+) -> tuple[PoseSequence, Array]:
+    """Poses and sigma of the root, with keypoints in the frames `seen` and the root not refitted."""
+    uv = np.where(seen[:, None, None], np.full((T, 21, 2), 500.0), np.nan)
+    keypoints = KeypointSequence(planted.camera(), TRUTH.times, uv, np.ones((T, 21)), BODY.names)
+    guess = initial_guess(start, keypoints, imus, BODY, refit_root=False)
+    return guess.poses, guess.sigma_root
+
+
 @pytest.mark.parametrize("gap", [(2.0, 4.0), (-1.0, 2.0), (4.0, 7.0)])
-def test_somebody_who_walks_out_of_the_picture_walks_on(gap: tuple[float, float]) -> None:
+def test_bridged_root_follows_a_walk_within_its_sigma(gap: tuple[float, float]) -> None:
     seen = hidden(gap)
-    start, sigma = through_gaps(stopped(seen), seen, planted.bone_imus(BODY, TRUTH, LIMBS), BODY)
+    start, sigma = bridged(stopped(seen), seen, planted.bone_imus(BODY, TRUTH, LIMBS))
     error = np.linalg.norm(start.p_world_joint[:, 0] - TRUTH.p_world_joint[:, 0], axis=1)
     was = np.linalg.norm(stopped(seen).p_world_joint[:, 0] - TRUTH.p_world_joint[:, 0], axis=1)
     assert error.max() < 0.08
@@ -48,9 +60,9 @@ def test_somebody_who_walks_out_of_the_picture_walks_on(gap: tuple[float, float]
     np.testing.assert_array_equal(start.p_world_joint[seen], TRUTH.p_world_joint[seen])
 
 
-def test_the_pose_is_rigid_and_goes_on_without_a_jump_where_a_gap_begins_and_ends() -> None:
+def test_bridged_poses_are_rigid_and_continuous_at_both_ends() -> None:
     seen = hidden((1.0, 1.5), (3.0, 4.5))
-    start, _ = through_gaps(stopped(seen), seen, planted.bone_imus(BODY, TRUTH, LIMBS), BODY)
+    start, _ = bridged(stopped(seen), seen, planted.bone_imus(BODY, TRUTH, LIMBS))
     p = kinematics.positions(BODY.parents, BODY.joint_offsets, start.p_world_joint[:, 0], start.R_world_bone)
     np.testing.assert_allclose(p, start.p_world_joint, atol=1e-9)
     step = np.linalg.norm(np.diff(start.p_world_joint, axis=0), axis=-1).max()
@@ -59,7 +71,7 @@ def test_the_pose_is_rigid_and_goes_on_without_a_jump_where_a_gap_begins_and_end
     assert turns.max() < np.radians(12)
 
 
-def test_a_body_that_turns_where_nobody_sees_it_is_turned_by_its_limbs() -> None:
+def test_unobserved_turn_is_recovered_from_limb_sensors() -> None:
     """A quarter turn in two seconds, trunk and all; no sensor sits on the trunk."""
     about = so3.about_axis("z", np.radians(90) * np.clip((TRUTH.times - 2) / 2, 0, 1))
     turned = replace(
@@ -69,22 +81,35 @@ def test_a_body_that_turns_where_nobody_sees_it_is_turned_by_its_limbs() -> None
     seen = hidden((2.2, 3.8))
     last = np.maximum.accumulate(np.where(seen, np.arange(T), 0))
     held = replace(turned, R_world_bone=turned.R_world_bone[last])
-    start, _ = through_gaps(held, seen, planted.bone_imus(BODY, turned, LIMBS), BODY)
+    start, _ = bridged(held, seen, planted.bone_imus(BODY, turned, LIMBS))
     off, was = (so3.angle_between(turned.R_world_bone[:, 0], p.R_world_bone[:, 0]) for p in (start, held))
     assert off.max() < np.radians(10)
     assert was.max() > 1.0
 
 
-def test_without_sensors_on_the_legs_the_root_stays_where_it_was_put() -> None:
+def test_root_is_unchanged_without_leg_sensors() -> None:
     seen = hidden((2.0, 4.0))
     imus = planted.bone_imus(BODY, TRUTH, ("LeftArm", "RightArm"))
-    start, sigma = through_gaps(stopped(seen), seen, imus, BODY)
+    start, sigma = bridged(stopped(seen), seen, imus)
     np.testing.assert_array_equal(start.p_world_joint[:, 0], stopped(seen).p_world_joint[:, 0])
     np.testing.assert_array_equal(sigma, 0.0)
 
 
 @pytest.mark.parametrize("seen", [np.ones(T, dtype=bool), np.zeros(T, dtype=bool)])
-def test_who_is_seen_always_or_never_is_left_alone(seen: NDArray[np.bool_]) -> None:
-    start, sigma = through_gaps(TRUTH, seen, planted.bone_imus(BODY, TRUTH, LIMBS), BODY)
+def test_always_or_never_observed_is_unchanged(seen: NDArray[np.bool_]) -> None:
+    start, sigma = bridged(TRUTH, seen, planted.bone_imus(BODY, TRUTH, LIMBS))
     assert start is TRUTH
     np.testing.assert_array_equal(sigma, 0.0)
+
+
+def test_root_is_refitted_to_its_rays_unless_switched_off() -> None:
+    poses = planted.human(BODY, 4).poses
+    away = replace(poses, p_world_joint=poses.p_world_joint + np.array([0.0, 0.3, 0.0]))
+    error = {
+        refit: np.abs(guess.poses.p_world_joint - poses.p_world_joint).max()
+        for refit in (True, False)
+        for guess in [initial_guess(away, planted.keypoints(poses), None, BODY, refit_root=refit)]
+    }
+    assert error[False] == pytest.approx(0.3)
+    assert error[True] < 0.1
+    assert initial_guess(away, None, planted.bone_imus(BODY, poses), BODY).poses is away
