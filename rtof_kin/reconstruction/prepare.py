@@ -16,7 +16,7 @@ from rtof_kin.body.observability import WHOLE, levels_by_points
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core import signals
-from rtof_kin.core.choices import SPACES
+from rtof_kin.core.choices import SPACES, Backend
 from rtof_kin.core.errors import ShapeError, UnknownNameError, ViewError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -70,7 +70,7 @@ class ReconstructionSettings:
     """Of the fragment solver, and by their type its space; the defaults of `space` where not given."""
     space: str | None = None
     """One of `SPACES`, where `fragment` does not tell; where not given, that of `FragmentSolver`."""
-    backend: str | None = None
+    backend: Backend | None = None
     """'realtime' or 'ipopt', where `fragment` does not tell; by default the usual one of the space."""
     frames: int = 50
     """N, frames in a fragment."""
