@@ -18,7 +18,7 @@ from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNam
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.inertial.outlier_rejection import disagreeing, without
+from rtof_kin.inertial.outlier_rejection import find_disagreements, mask_faults
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
 from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
 from rtof_kin.reconstruction.lift import LifterLike
@@ -193,7 +193,7 @@ def _optimised(
         return prepared, prepared.stages[mode], None
     solution = job.solve(prepared, job.settings.confidence, mode)
     if mode == "rtof" and job.settings.guard_streams and prepared.bone_imus is not None:
-        wrong = disagreeing(solution.poses, prepared.bone_imus, prepared.skeleton)
+        wrong = find_disagreements(solution.poses, prepared.bone_imus, prepared.skeleton)
         if wrong:
             prepared = without_sensors(prepared, wrong, calibration)
             solution = job.solve(prepared, job.settings.confidence, mode)
@@ -340,7 +340,9 @@ def _calibrate(
         else JointSpaceSettings(floor_height=recording.floor_height)
     )
     used = replace(
-        prepared, bone_imus=without(prepared.bone_imus, slipped), settings=own.settings.with_fragment(solver)
+        prepared,
+        bone_imus=mask_faults(prepared.bone_imus, slipped),
+        settings=own.settings.with_fragment(solver),
     )
     found = estimate_calibration(
         replace(prepared.recording, keypoints=prepared.keypoints), used.guess, priors, solver,
@@ -357,7 +359,7 @@ def _slipped(job: _Job, prepared: Prepared) -> tuple[StreamFault, ...]:
         return ()
     poses = job.solve(prepared, confidence=False).poses
     most = _MISALIGNED_FRACTION * (poses.times[-1] - poses.times[0])
-    wrong = disagreeing(poses, prepared.bone_imus, prepared.skeleton)
+    wrong = find_disagreements(poses, prepared.bone_imus, prepared.skeleton)
     return tuple(fault for fault in wrong if fault.stop - fault.start < most)
 
 

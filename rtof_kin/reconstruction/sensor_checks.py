@@ -21,9 +21,8 @@ from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.inertial.mounting import LEAST_RATIO, diagnose_setup
 from rtof_kin.inertial.recorded_form import check_form
-from rtof_kin.inertial.setup_diagnosis import Fault, FaultKind
+from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, prepare
 from rtof_kin.reconstruction.settings import ReconstructionSettings

@@ -20,7 +20,7 @@ from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.clinical.angle_table import clinical_name
 from rtof_kin.data.poses import Provenance
 from rtof_kin.inertial.outlier_rejection import DISAGREES
-from rtof_kin.reconstruction.pipeline import Reconstruction
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.audit_results import FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS, AuditResult
 from rtof_kin.report.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings

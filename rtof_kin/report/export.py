@@ -30,7 +30,7 @@ from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
 from rtof_kin.formats.motion_npz import write_motion_npz
 from rtof_kin.formats.motion_views import dofs_from_prior
-from rtof_kin.reconstruction.pipeline import Reconstruction
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.audit import audit
 from rtof_kin.report.headline import headline
 from rtof_kin.report.provenance import input_provenance

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.metrics import BEGUN_TOGETHER, comparable, flexion, hinges
 from rtof_kin.core import signals
 from rtof_kin.core.files.folder import new_file
-from rtof_kin.reconstruction.pipeline import Reconstruction
+from rtof_kin.reconstruction.result import Reconstruction
 
 Array = NDArray[np.float64]
 ESTIMATE: Final = "#c0392b"

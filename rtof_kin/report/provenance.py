@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.reconstruction.pipeline import Reconstruction
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
 
 Data = dict[str, Any]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
-from rtof_kin.reconstruction.pipeline import Reconstruction
+from rtof_kin.reconstruction.result import Reconstruction
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.numerics.banded import Store, StoredFactor
-from rtof_kin.core.numerics.simd import Columns, Mapped, Over, in_lanes
+from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd
 from rtof_kin.core.numerics.simd_codegen import FrameFunction
 from rtof_kin.solve.compiled import hessian_columns, stencils
 from rtof_kin.solve.compiled.hessian_columns import HessianColumns
@@ -50,7 +50,7 @@ class SimdFunctions:
             stencils.inverse(space), stencils.motion(energy, robust), stencils.pulled(energy),
         ]  # fmt: skip
         linear, coupled = hessian_columns.linear(energy), hessian_columns.coupled(energy)
-        code = in_lanes([*simple, linear.frame, coupled.frame])
+        code = compile_simd([*simple, linear.frame, coupled.frame])
         if code is None:
             return None
         return cls({given.function.name(): given for given in simple}, linear, coupled, code)
