@@ -1,14 +1,15 @@
-"""The coordinates that an .osim has and a .mot moves: OpenSim's names for the skeleton's revolutes.
+"""Coordinates of an .osim and a .mot: OpenSim's names for the skeleton's revolutes.
 
-The skeleton table names them. Where it says ``-hip_flexion_r`` the coordinate turns about the opposite
-of the revolute's axis, so that its values have OpenSim's sign; a revolute without a name in OpenSim keeps
-the URDF's. Every angle is zero in the T-pose. The root has OpenSim's pelvis_tilt, _list, _rotation, _tx,
-_ty and _tz: rotations about z, x, y and translations along x, y, z of its ground, which is y up.
+The skeleton table has the names. With a leading minus, as in ``-hip_flexion_r``, the coordinate turns about
+the opposite of the revolute's axis, so that its values have OpenSim's sign; a revolute without a name in
+OpenSim keeps the URDF's. Every angle is zero in the T-pose. The root has OpenSim's pelvis_tilt, _list,
+_rotation, _tx, _ty and _tz: rotations about z, x, y and translations along x, y, z of its ground, y up.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,11 @@ from rtof_kin.formats.motion_views import check_known
 from rtof_kin.formats.world_axes import R_WORLD_GROUND
 
 Array = NDArray[np.float64]
-ROOT_AXES = "yxz"
-"""Of the root in world: z, x and y of OpenSim's ground, the first one turned round."""
-_ROOT_ROTATIONS = ("-pelvis_tilt", "pelvis_list", "pelvis_rotation")
-_ROOT_TRANSLATIONS = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
-_ROOT_RANGE_M = 10.0
+ROOT_AXES: Final = "yxz"
+"""Rotation axes of the root in world: z, x and y of OpenSim's ground, the first one reversed."""
+_ROOT_ROTATIONS: Final = ("-pelvis_tilt", "pelvis_list", "pelvis_rotation")
+_ROOT_TRANSLATIONS: Final = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
+_ROOT_RANGE_M: Final = 10.0
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,12 @@ class Coordinate:
     joint: str
     """The joint of the skeleton that it moves."""
     axis: Array
-    """(3,) that it turns about or moves along, in the axes that the joint has with all angles zero."""
+    """(3,) axis of rotation or translation, in the joint's axes with all angles zero."""
     is_rotation: bool
     range: tuple[float, float]
     """Radians or metres."""
     urdf: str = ""
-    """The URDF's name of it; `BASE_TURN` for the root's rotations, empty for its translations."""
+    """Its URDF name; `BASE_TURN` for the root's rotations, empty for its translations."""
 
     @property
     def sign(self) -> float:
@@ -51,11 +52,14 @@ class Coordinate:
 
 
 def coordinates(table: SkeletonTable) -> tuple[Coordinate, ...]:
-    """All coordinates: the root's three rotations and three translations, then each joint's three
-    rotations in the order of its axes.
+    """Return all coordinates: three rotations and three translations of the root, then three rotations of
+    each joint in the order of its axes.
+
+    Args:
+        table: the skeleton.
 
     Raises:
-        ShapeError: two would have one name.
+        InvalidInputError: two would have one name.
     """
     root = table.names[0]
     out = [
@@ -80,18 +84,21 @@ def _rotation(joint: str, axis: str, opensim: str, urdf: str, limits: tuple[floa
 
 
 def coordinate_values(motion: MotionSequence) -> tuple[tuple[Coordinate, ...], Array]:
-    """The coordinates of a motion and their values (T, C), rad and m, continuous over time.
+    """Return the coordinates of a motion and their values (T, C), rad and m, continuous over time.
+
+    Args:
+        motion: its configurations must be known, see `formats.motion_views.pieces`.
 
     Raises:
-        ShapeError: a configuration is not known; cut the motion there, see `formats.motion_views.pieces`.
+        InvalidInputError: a configuration is unknown.
     """
     check_known(motion)
     skeleton, R_world_root = motion.skeleton, motion.poses.R_world_bone[:, 0]
-    all_of_them = coordinates(skeleton.table)
+    every = coordinates(skeleton.table)
     index = [skeleton.dof_names.index(d.urdf) for j in skeleton.table.joints for d in j.dofs]
     unsigned = [
         so3.euler_continuous(so3.matrix_to_euler(ROOT_AXES, R_world_root)),
         motion.q[:, :3] @ np.abs(R_WORLD_GROUND),
         motion.q[:, 7:][:, index],
     ]
-    return all_of_them, np.concatenate(unsigned, axis=1) * [c.sign for c in all_of_them]
+    return every, np.concatenate(unsigned, axis=1) * [c.sign for c in every]

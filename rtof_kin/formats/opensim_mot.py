@@ -1,10 +1,10 @@
 """OpenSim's motions: ``.mot`` (coordinates in degrees) and ``.sto`` (states: values and speeds in rad).
 
-Both are tables for the .osim that `formats.opensim_model` writes of the same skeleton: a header that ends with
-``endheader``, then columns that tabs separate, the first one time in s. Translations are in m. OpenSim
-wants even times and has no way to say that a number is not known: it takes a NaN for the end of the file.
-A motion with a gap becomes several files. A ``.mot`` lacks the coordinates that were never observed, for
-which OpenSim's tools take the model's zero; a ``.sto`` must have all states, so its header names them.
+Tables for the .osim of the same skeleton: a header that ends with ``endheader``, then tab-separated columns,
+the first one time in s. Translations are in m. OpenSim needs even times and takes a NaN for the end of the
+file, so a motion with gaps becomes several files. A ``.mot`` lacks the coordinates that were never
+observed, for which OpenSim's tools take the model's zero; a ``.sto`` must have all states, so its header
+names them.
 """
 
 from __future__ import annotations
@@ -24,33 +24,40 @@ Array = NDArray[np.float64]
 
 
 def write_mot(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
-    """Write coordinates, angles in degrees, for OpenSim's graphical program and its tools; without those
-    that were never observed (`observation.never_observed`).
+    """Write coordinates, angles in degrees, without those that were never observed.
+
+    Args:
+        path: the file. motion: known configurations at even times.
+        overwrite: whether an existing file is replaced.
 
     Raises:
-        ShapeError: a frame is not known, or times are uneven. OutputExistsError: the file exists and
-            overwriting was not asked for. RtofError: it cannot be written.
+        InvalidInputError: a frame is unknown, or times are uneven.
+        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
-    all_of_them, values = coordinate_values(motion)
-    unit = [180 / np.pi if c.is_rotation else 1.0 for c in all_of_them]
+    every, values = coordinate_values(motion)
+    unit = [180 / np.pi if c.is_rotation else 1.0 for c in every]
     unseen = never_observed(motion)
-    kept = [i for i, c in enumerate(all_of_them) if c.urdf not in unseen]
-    names = [all_of_them[i].name for i in kept]
+    kept = [i for i, c in enumerate(every) if c.urdf not in unseen]
+    names = [every[i].name for i in kept]
     _write_table(Path(path), motion, names, (values * unit)[:, kept], True, overwrite)
 
 
 def write_sto(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
-    """Write states, named by their paths in the model: values in rad and m, and speeds, which are central
-    differences (0 of a single frame), in rad/s and m/s.
+    """Write states under their paths in the model: values, rad and m, and speeds, rad/s and m/s, by central
+    differences (0 for a single frame).
+
+    Args:
+        path: the file. motion: known configurations at even times.
+        overwrite: whether an existing file is replaced.
 
     Raises:
         As `write_mot`.
     """
-    all_of_them, values = coordinate_values(motion)
+    every, values = coordinate_values(motion)
     speeds = np.zeros_like(values)
     if len(values) > 1:
         speeds = np.gradient(values, even_times(motion.times), axis=0)
-    names = [f"/jointset/{c.joint}/{c.name}/{kind}" for kind in ("value", "speed") for c in all_of_them]
+    names = [f"/jointset/{c.joint}/{c.name}/{kind}" for kind in ("value", "speed") for c in every]
     _write_table(Path(path), motion, names, np.hstack([values, speeds]), False, overwrite)
 
 
@@ -75,11 +82,11 @@ def _write_table(
 
 
 def _unseen(motion: MotionSequence) -> list[str]:
-    """Lines on the joints and coordinates that nobody saw, where there are any."""
+    """Return a line each on unobserved joints and coordinates, if any."""
     dofs = dofs_from_prior(motion)
     unseen = {c.name: dofs[c.urdf] for c in coordinates(motion.skeleton.table) if c.urdf in dofs}
     return [
-        f"Nobody saw these {what} in a share of the frames: "
+        f"Unobserved {what} and the share of the frames: "
         + ", ".join(f"{name} {100 * share:.3g} %" for name, share in shares.items()) + "."
         for what, shares in (("joints", from_prior(motion)), ("coordinates", unseen)) if shares
     ]  # fmt: skip

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, InvalidInputError, UnknownNameError
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.formats.bvh import read_bvh, write_bvh
 
@@ -226,15 +226,15 @@ def test_a_motion_whose_parts_do_not_fit_together_is_refused():
         rate_hz=30.0,
     )
     assert len(ArticulatedMotion(**good)) == 4
-    with pytest.raises(ShapeError, match="parents before children"):
+    with pytest.raises(InvalidInputError, match="parents before children"):
         ArticulatedMotion(**{**good, "parents": (-1, 1)})
-    with pytest.raises(ShapeError, match=r"expected shape \(4, 2, 3, 3\)"):
+    with pytest.raises(InvalidInputError, match=r"expected shape \(4, 2, 3, 3\)"):
         ArticulatedMotion(**{**good, "R_parent_joint": np.tile(np.eye(3), (3, 2, 1, 1))})
-    with pytest.raises(ShapeError, match="not rotation matrices"):
+    with pytest.raises(InvalidInputError, match="not rotation matrices"):
         ArticulatedMotion(**{**good, "R_parent_joint": np.ones((4, 2, 3, 3))})
-    with pytest.raises(ShapeError, match="more than once"):
+    with pytest.raises(InvalidInputError, match="more than once"):
         ArticulatedMotion(**{**good, "names": ("a", "a")})
-    with pytest.raises(ShapeError, match="rate_hz"):
+    with pytest.raises(InvalidInputError, match="rate_hz"):
         ArticulatedMotion(**{**good, "rate_hz": 0.0})
     with pytest.raises(UnknownNameError, match="unknown joint 'c'"):
         ArticulatedMotion(**good).index("c")
@@ -290,7 +290,7 @@ def test_joints_that_do_not_stand_branch_by_branch_are_written_so(tmp_path, movi
     ],
 )
 def test_what_a_file_could_not_say_is_not_written(tmp_path, name, order, says):
-    with pytest.raises(ShapeError, match=says):
+    with pytest.raises(InvalidInputError, match=says):
         write_bvh(tmp_path / "out.bvh", a_motion((name,), (-1,)), order=order)
     assert not list(tmp_path.iterdir())
 
@@ -311,5 +311,5 @@ def test_a_position_that_is_not_known_is_refused(tmp_path):
     p = np.array(motion.p_root)
     p[3] = np.nan
     unknown = ArticulatedMotion(("root",), (-1,), motion.offsets, motion.R_parent_joint, p, 50.0)
-    with pytest.raises(ShapeError, match="BVH has no gaps, write a file for each piece"):
+    with pytest.raises(InvalidInputError, match="BVH has no gaps, write a file for each piece"):
         write_bvh(tmp_path / "out.bvh", unknown)
