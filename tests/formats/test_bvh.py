@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import (
+    FileFormatError,
+    InvalidInputError,
+    OutputExistsError,
+    RtofError,
+    UnknownNameError,
+)
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.formats.bvh import read_bvh, write_bvh
 

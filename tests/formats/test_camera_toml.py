@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, ShapeError, UnitError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError, UnitError
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
 from rtof_kin.formats.world_axes import UP
@@ -131,7 +131,7 @@ def test_a_file_without_cameras_and_arguments_without_sense_are_refused(tmp_path
         read_camera_toml(path)
     with pytest.raises(FileFormatError, match="no such file"):
         read_camera_toml(tmp_path / "none.toml")
-    with pytest.raises(ShapeError, match="up: 'w' is no axis; give one of x, y, z"):
+    with pytest.raises(InvalidInputError, match="up: 'w' is no axis; give one of x, y, z"):
         read_camera_toml(path, up="w")
-    with pytest.raises(ShapeError, match="metres_per_unit: 0 is not"):
+    with pytest.raises(InvalidInputError, match="metres_per_unit: 0 is not"):
         read_camera_toml(path, metres_per_unit=0)

@@ -11,7 +11,7 @@ import ezc3d
 import numpy as np
 import pytest
 
-from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError
 from rtof_kin.formats.c3d import read_c3d, write_c3d
 from rtof_kin.formats.camera_toml import read_camera_toml
 from rtof_kin.formats.markers import MarkerSequence
@@ -55,9 +55,9 @@ def test_markers_are_missing_as_a_whole_and_finite_otherwise(markers: MarkerSequ
     p[0, 0, 1] = np.nan
     assert np.isnan(MarkerSequence(markers.times, markers.names, p).p_world[0, 0]).all()
     p[0, 0, 1] = np.inf
-    with pytest.raises(ShapeError, match="infinite; write NaN"):
+    with pytest.raises(InvalidInputError, match="infinite; write NaN"):
         MarkerSequence(markers.times, markers.names, p)
-    with pytest.raises(ShapeError, match="marker names: LASI stands there more than once"):
+    with pytest.raises(InvalidInputError, match="marker names: LASI stands there more than once"):
         MarkerSequence(markers.times, ("LASI", "LASI", "C7"), markers.p_world)
     assert len(markers[2:5]) == 3
     assert markers.rate_hz == pytest.approx(50)
@@ -179,12 +179,12 @@ def test_what_is_no_trc_file_and_arguments_without_sense_are_refused(
         read_trc(tmp_path / "none.trc")
     with pytest.raises(FileFormatError, match="marker times: time does not increase"):
         read_trc(written(tmp_path, TRC.replace("0.02", "0.0")))
-    with pytest.raises(ShapeError, match="up: 'up' is no axis"):
+    with pytest.raises(InvalidInputError, match="up: 'up' is no axis"):
         read_trc(path, up="up")
-    with pytest.raises(ShapeError, match="unit: 'inch'"):
+    with pytest.raises(InvalidInputError, match="unit: 'inch'"):
         write_trc(tmp_path / "a.trc", markers, unit="inch")
     odd = MarkerSequence(markers.times, ("a\tb", "c", "d"), markers.p_world)
-    with pytest.raises(ShapeError, match="a tab or a line's end"):
+    with pytest.raises(InvalidInputError, match="a tab or a line's end"):
         write_trc(tmp_path / "a.trc", odd)
     with pytest.raises(RtofError, match="cannot be written"):
         write_trc(path / "a.trc", markers)
@@ -338,7 +338,7 @@ def test_what_is_no_c3d_file_and_markers_without_a_rate_are_refused(
     with pytest.raises(FileFormatError, match="no such file"):
         read_c3d(tmp_path / "none.c3d")
     uneven = MarkerSequence(markers.times**2, markers.names, markers.p_world)
-    with pytest.raises(ShapeError, match="resample to one rate"):
+    with pytest.raises(InvalidInputError, match="resample to one rate"):
         write_c3d(tmp_path / "b.c3d", uneven)
     with pytest.raises(RtofError, match="cannot be written"):
         write_c3d(path / "b.c3d", markers)

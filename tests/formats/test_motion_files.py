@@ -21,7 +21,7 @@ from opensim_support import read_by_opensim
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.core.errors import RtofError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.core.rotations import angle_between
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.bvh import read_bvh
@@ -370,12 +370,12 @@ def test_uneven_times_are_refused_where_a_format_has_none_of_its_own(
     times[7] += 0.004
     uneven = replace(motion, poses=replace(motion.poses, times=times))
     write_motion_files(tmp_path, uneven, DEFAULT)
-    with pytest.raises(ShapeError, match="frame 7 is 4.0 ms beside even times.*resample"):
+    with pytest.raises(InvalidInputError, match="frame 7 is 4.0 ms beside even times.*resample"):
         write_motion_files(tmp_path, uneven, ["trc"])
 
 
 def test_a_motion_that_nobody_saw_is_no_motion_for_opensim(motion: MotionSequence, tmp_path: Path) -> None:
-    with pytest.raises(ShapeError, match="nobody saw where the person was in any .* nothing for .mot"):
+    with pytest.raises(InvalidInputError, match="nobody saw where the person was in any .* nothing for .mot"):
         write_motion_files(tmp_path, motion[BRIDGED], ["mot"])
 
 

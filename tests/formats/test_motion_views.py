@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtof_kin.body.skeleton import MotionSequence
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.motion_views import (
     check_known,
@@ -44,9 +44,9 @@ def test_one_joint_out_of_the_picture_is_no_gap_of_the_motion(motion: MotionSequ
 
 def test_an_unknown_frame_is_named_with_what_to_do(motion: MotionSequence) -> None:
     check_known(motion)
-    with pytest.raises(ShapeError, match="frame 20 is not known.*`pieces`"):
+    with pytest.raises(InvalidInputError, match="frame 20 is not known.*`pieces`"):
         check_known(with_gap(motion))
-    with pytest.raises(ShapeError, match="frame 20 is not known"):
+    with pytest.raises(InvalidInputError, match="frame 20 is not known"):
         joint_tree(with_gap(motion))
 
 
@@ -61,7 +61,7 @@ def test_jitter_of_stamps_is_evened_and_more_is_refused() -> None:
     jitter = np.random.default_rng(1).uniform(-0.00015, 0.00015, 100)
     np.testing.assert_allclose(even_times(times + jitter), times, atol=0.0002)
     times[60:] += 0.02
-    with pytest.raises(ShapeError, match="ms beside even times, which .mot.*resample the motion"):
+    with pytest.raises(InvalidInputError, match="ms beside even times, which .mot.*resample the motion"):
         even_times(times)
 
 
@@ -126,5 +126,5 @@ def test_a_tree_stands_where_the_motion_does_in_any_axes_and_unit(
 
 def test_a_tree_of_a_single_frame_has_a_rate_and_an_unknown_unit_is_refused(motion: MotionSequence) -> None:
     assert joint_tree(motion[:1]).rate_hz == 60
-    with pytest.raises(ShapeError, match="unit: 'inch'; give one of m, mm, cm"):
+    with pytest.raises(InvalidInputError, match="unit: 'inch'; give one of m, mm, cm"):
         joint_tree(motion, unit="inch")

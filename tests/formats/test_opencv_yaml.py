@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rtof_kin.core.errors import FileFormatError, ShapeError, UnitError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
 
@@ -161,9 +161,9 @@ def test_up_unit_and_size_are_declared(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="camera, image_width: missing"):
         read_opencv_yaml(sizeless)
     assert_same(read_opencv_yaml(sizeless, size_px=(1920, 1080))["camera"], plain)
-    with pytest.raises(ShapeError, match="up: 'w' is no axis"):
+    with pytest.raises(InvalidInputError, match="up: 'w' is no axis"):
         read_opencv_yaml(path, up="w")
-    with pytest.raises(ShapeError, match="metres_per_unit: 0 is not"):
+    with pytest.raises(InvalidInputError, match="metres_per_unit: 0 is not"):
         read_opencv_yaml(path, metres_per_unit=0)
 
 

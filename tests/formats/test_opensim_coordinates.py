@@ -9,7 +9,7 @@ import pytest
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.opensim_coordinates import coordinate_values, coordinates
 
@@ -79,7 +79,7 @@ def test_a_person_who_turns_round_and_round_has_a_continuous_heading(skeleton: S
 def test_an_unknown_frame_is_refused(motion: MotionSequence) -> None:
     q = np.array(motion.q)
     q[5] = np.nan
-    with pytest.raises(ShapeError, match="frame 5 is not known"):
+    with pytest.raises(InvalidInputError, match="frame 5 is not known"):
         coordinate_values(replace(motion, q=q))
 
 
@@ -87,5 +87,5 @@ def test_a_name_that_stands_twice_in_the_table_is_refused(skeleton: SkeletonMode
     joints = list(skeleton.table.joints)
     joints[2] = replace(joints[2], dofs=joints[1].dofs)
     table = replace(skeleton.table, joints=tuple(joints))
-    with pytest.raises(ShapeError, match="OpenSim coordinates: lumbar_bending.* more than once"):
+    with pytest.raises(InvalidInputError, match="OpenSim coordinates: lumbar_bending.* more than once"):
         coordinates(table)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.body.skeleton import MotionSequence
-from rtof_kin.core.errors import OutputExistsError, ShapeError
+from rtof_kin.core.errors import InvalidInputError, OutputExistsError
 from rtof_kin.formats.opensim_coordinates import coordinate_values
 from rtof_kin.formats.opensim_mot import write_mot, write_sto
 
@@ -58,11 +58,11 @@ def test_gaps_uneven_times_and_existing_files_are_refused(
     assert callable(write)
     q = np.array(motion.q)
     q[7] = np.nan
-    with pytest.raises(ShapeError, match="frame 7 is not known"):
+    with pytest.raises(InvalidInputError, match="frame 7 is not known"):
         write(tmp_path / "a.mot", replace(motion, q=q))
     times = np.array(motion.times)
     times[30:] += 0.1
-    with pytest.raises(ShapeError, match="ms beside even times"):
+    with pytest.raises(InvalidInputError, match="ms beside even times"):
         write(tmp_path / "a.mot", replace(motion, poses=replace(motion.poses, times=times)))
     assert not (tmp_path / "a.mot").exists()
     write(tmp_path / "a.mot", motion)
