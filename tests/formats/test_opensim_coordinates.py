@@ -14,22 +14,22 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.opensim_coordinates import coordinate_values, coordinates
 
 
-def values_of(skeleton: SkeletonModel, **angles: float) -> dict[str, float]:
-    """Coordinates of the T-pose with some revolutes turned, rad."""
-    q = skeleton.t_pose()
+def values_of(skeleton: SkeletonModel, q: np.ndarray | None = None, **angles: float) -> dict[str, float]:
+    """Coordinates of a configuration, by default the T-pose with some revolutes turned, rad."""
+    q = skeleton.t_pose() if q is None else q
     for name, angle in angles.items():
         q[7 + skeleton.dof_names.index(name)] = angle
-    return posed(skeleton, q)
-
-
-def posed(skeleton: SkeletonModel, q: np.ndarray) -> dict[str, float]:
-    p, R = skeleton.forward_kinematics(q[None])
-    poses = PoseSequence(np.zeros(1), p, R, skeleton.names)
-    found, values = coordinate_values(MotionSequence(skeleton, q[None], poses, skeleton.check(q[None])))
+    found, values = coordinate_values(moving(skeleton, q[None]))
     return {c.name: v for c, v in zip(found, values[0].tolist(), strict=True)}
 
 
-def test_there_is_one_for_every_degree_of_freedom_and_each_has_a_name(any_skeleton: SkeletonModel) -> None:
+def moving(skeleton: SkeletonModel, q: np.ndarray) -> MotionSequence:
+    p, R = skeleton.forward_kinematics(q)
+    poses = PoseSequence(np.arange(len(q)) / 60, p, R, skeleton.names)
+    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+
+
+def test_every_degree_of_freedom_has_a_name(any_skeleton: SkeletonModel) -> None:
     found = coordinates(any_skeleton.table)
     assert len({c.name for c in found}) == len(found) == any_skeleton.nv
     assert [c.name for c in found[:6]] == [
@@ -48,44 +48,35 @@ def test_signs_are_opensims(skeleton: SkeletonModel) -> None:
     assert values_of(skeleton, RightArm_x=0.4)["RightArm_x"] == 0.4  # OpenSim has no such angle
 
 
-def test_a_range_is_turned_round_with_the_sign(skeleton: SkeletonModel) -> None:
+def test_range_is_reversed_with_the_sign(skeleton: SkeletonModel) -> None:
     found = {c.name: c for c in coordinates(skeleton.table)}
     np.testing.assert_allclose(np.degrees(found["hip_flexion_r"].range), [-60, 140])
     np.testing.assert_allclose(np.degrees(found["knee_angle_r"].range), [-10, 165])
 
 
-def test_the_pelvis_is_in_a_ground_with_y_up_and_z_on_the_right(skeleton: SkeletonModel) -> None:
+def test_pelvis_is_in_a_ground_with_y_up_and_z_on_the_right(skeleton: SkeletonModel) -> None:
     q = skeleton.t_pose()
     q[:3] = [1.0, 2.0, 3.0]
-    found = posed(skeleton, q)
+    found = values_of(skeleton, q)
     assert (found["pelvis_tx"], found["pelvis_ty"], found["pelvis_tz"]) == (1.0, 3.0, -2.0)
     for axis, angle, name in (("y", 0.3, "pelvis_tilt"), ("x", 0.2, "pelvis_list"),
                               ("z", 0.4, "pelvis_rotation")):  # fmt: skip
         q[3:7] = np.roll(so3.to_quat_wxyz(so3.about_axis(axis, angle)), -1)
         # Bending forward turns about y, the left; OpenSim's tilt is positive backward.
-        assert posed(skeleton, q)[name] == pytest.approx(-angle if axis == "y" else angle)
+        assert values_of(skeleton, q)[name] == pytest.approx(-angle if axis == "y" else angle)
 
 
-def test_a_person_who_turns_round_and_round_has_a_continuous_heading(skeleton: SkeletonModel) -> None:
+def test_heading_is_continuous_over_turns(skeleton: SkeletonModel) -> None:
     q = np.tile(skeleton.t_pose(), (200, 1))
     heading = np.linspace(0, 15, 200)
     q[:, 3:7] = np.roll(so3.to_quat_wxyz(so3.about_axis("z", heading)), -1, axis=-1)
-    p, R = skeleton.forward_kinematics(q)
-    poses = PoseSequence(np.arange(200) / 60, p, R, skeleton.names)
-    _, values = coordinate_values(MotionSequence(skeleton, q, poses, skeleton.check(q)))
+    _, values = coordinate_values(moving(skeleton, q))
     np.testing.assert_allclose(values[:, 2], heading, atol=1e-9)
 
 
-def test_an_unknown_frame_is_refused(motion: MotionSequence) -> None:
-    q = np.array(motion.q)
-    q[5] = np.nan
-    with pytest.raises(InvalidInputError, match="frame 5 is not known"):
-        coordinate_values(replace(motion, q=q))
-
-
-def test_a_name_that_stands_twice_in_the_table_is_refused(skeleton: SkeletonModel) -> None:
+def test_duplicate_name_is_refused(skeleton: SkeletonModel) -> None:
     joints = list(skeleton.table.joints)
     joints[2] = replace(joints[2], dofs=joints[1].dofs)
     table = replace(skeleton.table, joints=tuple(joints))
-    with pytest.raises(InvalidInputError, match="OpenSim coordinates: lumbar_bending.* more than once"):
+    with pytest.raises(InvalidInputError, match="lumbar_bending"):
         coordinates(table)
