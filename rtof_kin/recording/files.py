@@ -19,6 +19,7 @@ from rtof_kin.core.files.section import Section
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.formats.cameras import read_camera as read_camera_file
 from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import detector_table
 
@@ -90,7 +91,15 @@ def read_times(section: Section, path: Path, arrays: dict[str, Array], T: int) -
 
 
 def read_camera(section: Section) -> Camera:
-    """The camera, by its matrices or by position, target and focal length."""
+    """The camera, by its matrices, by position, target and focal length, or from a calibration file."""
+    if section.has("file"):
+        path, name, up = data_path(section), section.optional_text("name"), section.text("up", "z")
+        with naming(section.path):
+            camera = read_camera_file(
+                path, name, up=up, metres_per_unit=section.number("metres_per_unit", 1.0)
+            )
+        section.close()
+        return camera
     width, height = section.integer("width_px"), section.integer("height_px")
     distortion = section.optional_array("distortion", (5,))
     with naming(section.path):

@@ -33,6 +33,8 @@ A folder holds ``recording.toml`` and the arrays that it names. From arrays in m
     target_m = [0.0, 0.0, 1.0]           # t_camera_world_m (3): p_camera = R p_world + t
     distortion = [0.0, 0.0, 0.0, 0.0, 0.0]  # - k1, k2, p1, p2, k3
     assumed = ["focal length", "pose"]   # - what of it nobody measured; reports then say so
+    # file = "camera.yml"                # instead of these: a calibration, .toml (Pose2Sim), .yml or .json
+    #                                    # (OpenCV); - name, - up = "z", - metres_per_unit = 1.0
     [keypoints]                          # - with the camera
     file = "keypoints.npz"               # uv_px, - confidence, - times; or .csv
     rate_hz = 60.0                       # where the file has no times

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import cv2
 import numpy as np
+import planted
 import pytest
+import tomli_w
 
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.formats.cameras import read_camera
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
+from rtof_kin.recording.recording import Recording
 
 K = np.array([[1250.5, 0.0, 960.25], [0.0, 1240.125, 540.0], [0.0, 0.0, 1.0]])
 DISTORTION = np.array([-0.05, 0.1, 1e-5, -0.002, 0.01])
@@ -108,6 +113,22 @@ def test_several_cameras_in_one_file(text: str, tmp_path: Path) -> None:
         read_camera(path)
     with pytest.raises(UnknownNameError, match="'rigth'.*'right'"):
         read_camera(path, "rigth")
+
+
+@pytest.mark.parametrize("table", [{"name": "left"}, {"name": "left", "metres_per_unit": 0.001}])
+def test_recording_takes_its_camera_from_a_file(table: dict[str, object], tmp_path: Path) -> None:
+    planted.recording(planted.moving(SkeletonModel.default(), 12)).save(tmp_path / "take")
+    written(tmp_path / "take", "left:" + PLAIN.replace("\n", "\n    "))
+    index = tmp_path / "take" / "recording.toml"
+    content = tomllib.loads(index.read_text()) | {"camera": {"file": "camera.yml", **table}}
+    index.write_text(tomli_w.dumps(content))
+    keypoints = Recording.load(tmp_path / "take").keypoints
+    assert keypoints is not None
+    unit = float(table.get("metres_per_unit", 1.0))  # type: ignore[arg-type]
+    np.testing.assert_allclose(keypoints.camera.t_camera_world, TVEC * unit)
+    index.write_text(tomli_w.dumps(content | {"camera": {"file": "camera.yml", "width_px": 9}}))
+    with pytest.raises(UnknownNameError, match="'width_px'"):
+        Recording.load(tmp_path / "take")
 
 
 def test_read_camera_takes_the_reader_of_the_suffix(tmp_path: Path, camera: Camera) -> None:
