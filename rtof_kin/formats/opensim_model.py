@@ -22,7 +22,7 @@ from rtof_kin.body.urdf import segment_inertia
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.files.text import write_text
 from rtof_kin.data.imu import STANDARD_GRAVITY
-from rtof_kin.formats.opensim_coordinates import Coordinate, coordinates
+from rtof_kin.formats.opensim_mot import Coordinate, coordinates
 from rtof_kin.formats.world_axes import R_WORLD_GROUND
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ def write_osim(path: str | Path, skeleton: SkeletonModel, *, overwrite: bool = F
 
 
 def to_osim(skeleton: SkeletonModel) -> str:
-    """Return the OpenSim model of a skeleton, XML; its angles are `opensim_coordinates.coordinates`."""
+    """Return the OpenSim model of a skeleton, XML; its angles are `opensim_mot.coordinates`."""
     table = skeleton.table
     document = ET.Element("OpenSimDocument", Version=_VERSION)
     model = ET.SubElement(document, "Model", name=table.name)

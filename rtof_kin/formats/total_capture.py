@@ -1,7 +1,7 @@
 """Text formats of Total Capture (Trumble et al., BMVC 2017), in the files' own units and frames.
 
-Joint tables are in inches and x y z w, sensors in w x y z and m/s^2, cameras in metres and the dataset's
-y-up world. `rtof_kin.datasets.total_capture` converts them to this package's frames.
+Joint tables are in inches and x y z w, sensors at 60 Hz in w x y z and m/s^2, cameras in metres and the
+dataset's y-up world. `rtof_kin.datasets.total_capture` converts them to this package's frames.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,13 @@ from numpy.typing import NDArray
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu_declaration import Declaration
+from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
 Array = NDArray[np.float64]
+TITLE: Final = "Total Capture .sensors"
+_RATE_HZ: Final = 60.0
 _AGAIN: Final = "the download is probably incomplete; fetch and unpack the file again"
 
 
@@ -128,6 +133,25 @@ def _sensor_names(path: Path, rows: list[list[str]], S: int, T: int) -> tuple[st
     if len(rows) > T * (S + 1):
         raise FileFormatError(path, f"{announced} and holds {whole} whole ones", T * (S + 1) + 2)
     return names
+
+
+def is_sensors(head: str) -> bool:
+    """Implement `sensors.files.Format.recognise`."""
+    rows = [line.split() for line in head.splitlines()[:3]]
+    counts = [len(row) for row in rows]
+    return len(rows) == 3 and counts[:2] == [2, 1] and counts[2] >= 8 and rows[1][0] == "1"
+
+
+def read_sensor_log(path: Path, **declared: Any) -> SensorLog:
+    """Implement `sensors.files.Format.read` for `read_sensors`; without the calibration of other files."""
+    declaration = Declaration(rate_hz=_RATE_HZ).changed(**declared)
+    table = read_sensors(path)
+    times = np.arange(len(table.f_sensor)) / (declaration.rate_hz or _RATE_HZ)
+    sensors = [
+        Readings(name, times, table.f_sensor[:, s], quaternions=table.quat_wxyz[:, s])
+        for s, name in enumerate(table.names)
+    ]
+    return sensor_log([path], TITLE, sensors, declaration)
 
 
 def read_imu_calibration(path: str | Path) -> dict[str, Array]:

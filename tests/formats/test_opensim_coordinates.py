@@ -11,7 +11,7 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.opensim_coordinates import coordinate_values, coordinates
+from rtof_kin.formats.opensim_mot import coordinate_values, coordinates
 
 
 def values_of(skeleton: SkeletonModel, q: np.ndarray | None = None, **angles: float) -> dict[str, float]:

@@ -13,9 +13,8 @@ from opensim_support import read_by_opensim
 from rtof_kin.body import urdf
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import OutputExistsError
-from rtof_kin.formats.opensim_coordinates import coordinates
 from rtof_kin.formats.opensim_model import to_osim, write_osim
-from rtof_kin.formats.opensim_mot import write_mot
+from rtof_kin.formats.opensim_mot import coordinates, write_mot
 
 R_GROUND_WORLD = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
 

@@ -10,8 +10,7 @@ import pytest
 
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
-from rtof_kin.formats.opensim_coordinates import coordinate_values
-from rtof_kin.formats.opensim_mot import write_mot, write_sto
+from rtof_kin.formats.opensim_mot import coordinate_values, write_mot, write_sto
 
 
 def read(path: Path) -> tuple[list[str], list[str], np.ndarray]:

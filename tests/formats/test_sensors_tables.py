@@ -18,7 +18,8 @@ from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.imu_csv import is_imu_csv, read_imu_csv
 from rtof_kin.formats.sensors.imu_mat import read_imu_mat
 from rtof_kin.formats.sensors.opensense_sto import read_opensense_sto, write_opensense_sto
-from rtof_kin.formats.sensors.total_capture_sensors import is_total_capture, read_total_capture_sensors
+from rtof_kin.formats.total_capture import is_sensors
+from rtof_kin.formats.total_capture import read_sensor_log as read_total_capture_sensors
 
 TRUTHS = [truth(1), truth(2)]
 ONE = truth(1, T=6)
@@ -245,6 +246,6 @@ def test_total_capture_has_60_frames_a_second_unless_declared(tmp_path: Path) ->
 
 
 def test_total_capture_is_recognised_by_its_first_lines() -> None:
-    assert is_total_capture("2\t40\n1\nHead 1 0 0 0 0 0 9.81\n")
+    assert is_sensors("2\t40\n1\nHead 1 0 0 0 0 0 9.81\n")
     for other in ("2\t40\n1\nHead 1 0 0\n", "2\t40\n", ""):
-        assert not is_total_capture(other)
+        assert not is_sensors(other)

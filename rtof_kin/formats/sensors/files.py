@@ -12,15 +12,8 @@ from typing import Any, Final
 
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_stream import SensorLog
-from rtof_kin.formats.sensors import (
-    imu_csv,
-    imu_mat,
-    mvnx,
-    opensense_sto,
-    total_capture_sensors,
-    ximu3,
-    xsens,
-)
+from rtof_kin.formats import total_capture
+from rtof_kin.formats.sensors import imu_csv, imu_mat, mvnx, opensense_sto, ximu3, xsens
 
 _HEAD_BYTES: Final = 2**14
 _MOST_FILES: Final = 1000
@@ -54,9 +47,9 @@ FORMATS: Final = (
         opensense_sto.is_opensense_sto, opensense_sto.read_opensense_sto, True,
     ),
     Format(
-        total_capture_sensors.TITLE,
+        total_capture.TITLE,
         "text: numbers of sensors and frames; then blocks of a frame's number and a line for each sensor",
-        total_capture_sensors.is_total_capture, total_capture_sensors.read_total_capture_sensors, True,
+        total_capture.is_sensors, total_capture.read_sensor_log, True,
     ),
     Format(
         ximu3.TITLE, "folders with Inertial.csv, ..., whose first column is 'Timestamp (us)'",
