@@ -11,7 +11,6 @@ import total_capture_support as support
 from benchmarks import total_capture_files as files
 from benchmarks.total_capture_motion import cameras
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.data.camera import Camera
 from rtof_kin.formats.total_capture import read_cameras, read_imu_calibration, read_joints, read_sensors
 from rtof_kin.simulation.mocap import NAMES
 
@@ -144,18 +143,6 @@ def test_missing_columns_are_an_error_with_the_line(paths: dict[str, Path]) -> N
 # --- calibration of the IMUs ---------------------------------------------------------------------
 
 
-def test_calibrations_are_read_by_name_in_any_order(paths: dict[str, Path]) -> None:
-    calibration = support.take().calibration
-    ref, bone = read_imu_calibration(paths["ref"]), read_imu_calibration(paths["bone"])
-    assert set(ref) == set(bone) == set(calibration.sensors)
-    assert list(ref) != list(bone)
-    for s, name in enumerate(calibration.sensors):
-        w_last = np.roll(ref[name], 1)
-        R_ref = files.so3.from_quat_wxyz(w_last)
-        expected = files.C_WORLD_TC.T @ calibration.R_world_inertial[s]
-        assert support.degrees_apart(R_ref, expected) < 1e-3
-
-
 def test_calibration_by_hand_is_x_y_z_w(tmp_path: Path) -> None:
     text = "2\r\nHead -0.698693 -0.000693276 0.030256 0.714781 \r\n\r\nPelvis\t0 0 0 1\r\n"
     found = read_imu_calibration(write(tmp_path / "ref.txt", text))
@@ -208,21 +195,13 @@ def one_camera(**changed: str) -> str:
 
 def test_camera_by_hand(tmp_path: Path) -> None:
     (camera,) = read_cameras(write(tmp_path / "c.cal", one_camera())).values()
-    assert isinstance(camera, Camera)
     assert camera.center_world == pytest.approx([1, 2, 5])
+    (other,) = read_cameras(write(tmp_path / "c.cal", "\t".join(one_camera().split()))).values()
+    np.testing.assert_array_equal(other.R_camera_world, camera.R_camera_world)
     # Half a metre right of and below the axis, two metres away: r2 = 0.125.
     x = 0.25 * (1 + 0.5 * 0.125)
     expected = [1200 * x + 959.5, 1210 * x + 539.5]
     np.testing.assert_allclose(camera.project([1.5, 1.5, 3.0]), expected)
-
-
-def test_line_breaks_between_camera_numbers_do_not_matter(tmp_path: Path) -> None:
-    text = one_camera()
-    one = read_cameras(write(tmp_path / "a.cal", text))
-    for other in (text.replace("\r\n", "\n"), " ".join(text.split()), text.replace(" ", "\t") + "\r\n"):
-        two = read_cameras(write(tmp_path / "b.cal", other))
-        np.testing.assert_array_equal(one[1].R_camera_world, two[1].R_camera_world)
-        np.testing.assert_array_equal(one[1].t_camera_world, two[1].t_camera_world)
 
 
 @pytest.mark.parametrize(
@@ -250,12 +229,7 @@ def test_invalid_camera_file_is_refused(changed: dict[str, str], message: str, t
 
 @pytest.mark.parametrize("kind", READERS)
 def test_other_content_is_refused_by_name(kind: str, tmp_path: Path) -> None:
-    for content in (
-        b" \r\n\r\n",
-        b"\x00\xff\xfe\x80" * 50,
-        b"<!DOCTYPE html>\n<html>login</html>\n",
-        b"13\n",
-    ):
+    for content in (b" \r\n\r\n", b"\x00\xff\xfe\x80" * 50, b"<!DOCTYPE html>\n<html/>\n", b"13\n"):
         path = tmp_path / f"{kind}.txt"
         path.write_bytes(content)
         with pytest.raises(FileFormatError, match=rf"{kind}\.txt"):
