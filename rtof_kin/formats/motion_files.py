@@ -72,7 +72,7 @@ class Format:
     write: Callable[[Path, MotionSequence], Files]
     """Write into a folder."""
     even: bool = False
-    """Whether it has a rate in place of times, or its readers expect even ones."""
+    """True for formats with a rate in place of times, or whose readers expect even ones."""
 
 
 def write_motion_files(folder: str | Path, motion: MotionSequence, formats: Sequence[str] = DEFAULT) -> Path:

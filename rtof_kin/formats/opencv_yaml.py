@@ -96,7 +96,7 @@ def read_opencv_yaml(
         if R is None and up == "z":
             raise entries.error(
                 "R", "missing, so the world is this camera's own axes, and z is its viewing direction; "
-                "add R and T, or declare up='-y' if it was held level"
+                "add R and T, or declare up='-y' for a level camera"
             )  # fmt: skip
         R_camera_world = (np.eye(3) if R is None else R) @ R_world_file.T
         t = checked_distance(f"{path}: {name}, T", t, metres_per_unit)

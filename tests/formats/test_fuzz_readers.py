@@ -111,7 +111,7 @@ def zipped(member: bytes, names: tuple[str, ...]) -> bytes:
 
 
 def zip_bomb(name: bytes, packed: bytes) -> bytes:
-    """An archive of one member, half a gigabyte that was packed to half a megabyte, as it says itself."""
+    """An archive of one member, half a gigabyte that was packed to half a megabyte, by its own header."""
     sizes = struct.pack("<3I", 0, len(packed), BOMB_BYTES)
     stamp = struct.pack("<5H", 20, 0, zipfile.ZIP_DEFLATED, 0, 0) + sizes + struct.pack("<H", len(name))
     local = b"PK\3\4" + stamp + bytes(2) + name + packed

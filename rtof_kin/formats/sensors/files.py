@@ -27,13 +27,13 @@ class Format:
     looks: str
     """Description of such a file."""
     recognise: Callable[[str], bool]
-    """Whether a file that begins with this text is of the format."""
+    """Return True for the text that a file of the format begins with."""
     read: Callable[..., SensorLog]
     """Read a trial from paths, or from one path where `file_is_trial`; keyword arguments are fields of
     `Declaration` that replace the format's own. Raises FileFormatError for anything unreadable,
     incomplete, damaged or inconsistent, and UnknownNameError for an unknown field or value."""
     file_is_trial: bool = False
-    """Whether a file holds all sensors of a trial."""
+    """True where one file holds all sensors of a trial."""
 
 
 FORMATS: Final = (
