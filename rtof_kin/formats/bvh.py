@@ -167,28 +167,27 @@ def _read_motion(
 ) -> tuple[float, Array]:
     """Read the rate in Hz and the channel values (T, width) of the lines after line `start`."""
     filled = [(n, text) for n, text in enumerate(lines[start:], start + 1) if text.strip()]
-    frames = _labelled_number(path, filled[:1], "Frames:", len(lines))
+    end = (len(lines), "")
+    line, frames = _labelled_number(path, filled[0] if filled else end, "Frames:")
     if frames < 1 or frames != int(frames):
-        raise FileFormatError(path, f"the number of frames is {frames:g}", filled[0][0])
+        raise FileFormatError(path, f"the number of frames is {frames:g}", line)
     has_time = bool(filled[1:]) and ":" in filled[1][1]
     if has_time or rate_hz is None:
-        step = _labelled_number(path, filled[1:2], "Frame Time:", len(lines))
+        line, step = _labelled_number(path, filled[1] if filled[1:] else end, "Frame Time:")
         if rate_hz is None and not 1e-6 < step < 1e6:
-            raise FileFormatError(
-                path, f"the frame time is {step:g} s; declare the rate, e.g. rate_hz=60", filled[1][0]
-            )
+            problem = f"the frame time is {step:g} s; declare the rate, e.g. rate_hz=60"
+            raise FileFormatError(path, problem, line)
         rate_hz = 1 / step if rate_hz is None else rate_hz
     rows = filled[1 + has_time :]
     if len(rows) != frames:
-        raise FileFormatError(
-            path, f"{frames:g} frames are announced, {len(rows)} lines of values follow", len(lines)
-        )
+        problem = f"{frames:g} frames are announced, {len(rows)} lines of values follow"
+        raise FileFormatError(path, problem, len(lines))
     return rate_hz, _read_values(path, rows, width)
 
 
-def _labelled_number(path: Path, row: list[Row], label: str, last: int) -> float:
-    """Read the number after a label such as 'Frame Time:', with any spaces between."""
-    line, text = row[0] if row else (last, "")
+def _labelled_number(path: Path, row: Row, label: str) -> tuple[int, float]:
+    """Return the line and the number after a label such as 'Frame Time:', with any spaces between."""
+    line, text = row
     head, _, tail = text.partition(":")
     if " ".join(head.split()).lower() + ":" != label.lower():
         hint = "; declare the rate, e.g. rate_hz=60, if it is missing" if "Time" in label else ""
@@ -196,7 +195,7 @@ def _labelled_number(path: Path, row: list[Row], label: str, last: int) -> float
     value = _float_or_nan(tail)
     if not np.isfinite(value):
         raise FileFormatError(path, f"no number follows {label!r}", line)
-    return value
+    return line, value
 
 
 def _read_values(path: Path, rows: list[Row], width: int) -> Array:
