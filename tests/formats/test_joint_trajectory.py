@@ -109,23 +109,6 @@ def test_gap_is_nan_and_not_valid(tmp_path: Path, motion: MotionSequence) -> Non
     np.testing.assert_array_equal((numbers[:, 1 + BODY.nq :] == 0).all(axis=1), np.arange(T) == 4)
 
 
-def test_unobserved_ankle_is_not_valid_and_left_out_of_the_message(
-    tmp_path: Path, motion: MotionSequence
-) -> None:
-    observed = np.array(motion.poses.orientation_observed)
-    observed[:, BODY.names.index("RightFoot")] = False
-    motion = replace(motion, poses=replace(motion.poses, orientation_observed=observed))
-    write_joint_trajectory_csv(tmp_path / "a.csv", motion)
-    names, numbers = read_joint_trajectory_csv(tmp_path / "a.csv")
-    ankle = {"RightFoot_y", "RightFoot_x", "RightFoot_z"}
-    valid = {n: column for n, column in zip(names, numbers.T, strict=True) if n.endswith("_valid")}
-    assert {n for n, column in valid.items() if not column.any()} == {f"{n}_valid" for n in ankle}
-    joints, _ = messages(tmp_path, motion)
-    assert set(BODY.dof_names) - set(joints["joint_names"]) == ankle
-    lengths = {len(point[kind]) for point in joints["points"] for kind in ("positions", "velocities")}
-    assert lengths == {57}
-
-
 @pytest.mark.parametrize("text", ["time,a\n", "a,time\n1,2\n", "1,2\n3,4\n", "time,a\n1,x\n"])
 def test_other_table_is_refused_with_its_name(tmp_path: Path, text: str) -> None:
     (tmp_path / "walk.csv").write_text(text)
