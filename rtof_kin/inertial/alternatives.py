@@ -1,7 +1,7 @@
-"""Which other declaration, or which constant rotation, makes physics hold on the same numbers.
+"""Search for the declaration, constant rotation or rate under which a sensor's numbers obey physics.
 
-The declared conversion is undone and another one made, for every combination of the choices that matter;
-of those under which the laws hold, the one with the fewest changes is likely what the file means.
+The declared conversion is undone and another one applied, for every combination of the relevant choices;
+of those that obey the laws, the one with the fewest changes is the likeliest meaning of the file.
 """
 
 from __future__ import annotations
@@ -21,23 +21,21 @@ from rtof_kin.data.imu_stream import SensorStream
 from rtof_kin.inertial import gravity, turning
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-_SAMPLES = 600
-"""So many, spread over the recording, tell gravity."""
-_STEPS = 3000
-"""So many tell the turning."""
-_CLEARLY = 3.0
-"""The likely declaration is so many times closer to the laws than one with as few changes."""
-_FLAT = 0.01
-"""Turning about a further axis is known if it has such a share of the first one's power."""
+_SAMPLES = 600  # spread over the recording, for gravity
+_STEPS = 3000  # for turning
+_LEAST_FACTOR = 3.0  # between the best declaration's excess and the next one's
+_FLAT = 0.01  # [-] power of turning about a further axis, relative to the first, that determines it
 _OF_TURNING = ("angular_unit", "quaternion_order", "orientation_maps")
 
 
 def redeclared(stream: SensorStream, declared: Declaration, other: Declaration) -> SensorStream:
-    """The stream as it would be, had its file been declared otherwise.
+    """Convert a stream as if its file had been declared otherwise.
+
+    Args:
+        stream: the sensor. declared: its declaration. other: the new one.
 
     Raises:
-        ShapeError: the other declaration needs an orientation, and there is none.
+        InvalidInputError: the new declaration needs an orientation and there is none.
     """
     f, R, w = stream.f_sensor, stream.R_inertial_sensor, stream.w_sensor
     new_R = R
@@ -53,34 +51,31 @@ def redeclared(stream: SensorStream, declared: Declaration, other: Declaration) 
 
 
 def likely_changes(streams: Sequence[SensorStream], declared: Declaration) -> list[Mapping[str, str]]:
-    """The changes of a declaration that make the laws hold for most of the streams together.
+    """Return the smallest changes of a declaration under which most streams obey the laws.
 
     Args:
-        streams: of one file, those that do not obey.
-        declared: what they were read as.
+        streams: of one file, those that fail. declared: their declaration.
 
     Returns:
-        With the fewest changes, the best first; only the first where it is clearly the best. Empty where
-        nothing helps.
+        The best first; only the best if it is clearly better; empty if no change helps.
     """
     cases = [_Case(stream, declared) for stream in streams]
-    found: dict[int, list[tuple[float, Mapping[str, str]]]] = {}
+    found: list[tuple[float, Mapping[str, str]]] = []
     for changes in _changes(streams, declared):
-        if not found or len(changes) <= min(found):
-            other = declared.changed(**changes)
-            excess = float(np.median([case.excess(other) for case in cases]))
-            if excess <= 1:
-                found.setdefault(len(changes), []).append((excess, changes))
-    if not found:
-        return []
-    best = sorted(found[min(found)], key=lambda pair: pair[0])
-    if len(best) > 1 and best[1][0] > _CLEARLY * best[0][0]:
-        best = best[:1]
-    return [changes for _, changes in best]
+        if found and len(changes) > len(found[0][1]):
+            break
+        other = declared.changed(**changes)
+        excess = float(np.median([case.excess(other) for case in cases]))
+        if excess <= 1:
+            found.append((excess, changes))
+    found.sort(key=lambda pair: pair[0])
+    if len(found) > 1 and found[1][0] > _LEAST_FACTOR * found[0][0]:
+        found = found[:1]
+    return [changes for _, changes in found]
 
 
 def _changes(streams: Sequence[SensorStream], declared: Declaration) -> Iterator[Mapping[str, str]]:
-    """All changes of the fields that matter to what the streams hold, the fewest first."""
+    """Generate all changes of the fields that concern the streams' channels, the fewest first."""
     held = {name for stream in streams for name in stream.holds}
     fields = []
     if "f_sensor" in held:
@@ -100,65 +95,60 @@ def _changes(streams: Sequence[SensorStream], declared: Declaration) -> Iterator
 
 
 class _Case:
-    """One stream and how far it is from the laws under any declaration."""
+    """One stream and its excess over the laws' limits under any declaration."""
 
     def __init__(self, stream: SensorStream, declared: Declaration):
-        self.declared = declared
-        rest = gravity.at_rest(stream)
+        self._declared = declared
         every = max(1, len(stream) // _SAMPLES)
-        self.thinned, self.rest = _part(stream, slice(None, None, every)), rest[::every]
-        self.start = _part(stream, slice(_STEPS))
-        self.shift = turning.delay(stream)
-        self.per_metre = gravity.turning_acceleration(stream)
-        self.of_turning = cache(self._of_turning)
+        self._thinned = _part(stream, slice(None, None, every))
+        self._rest = gravity.at_rest(stream)[::every]
+        self._start = replace(_part(stream, slice(_STEPS)), f_sensor=None)
+        self._shift = turning.delay(stream)
+        self._per_metre = gravity.turning_acceleration(stream)
+        self._turning = cache(self._of_turning)
 
     def excess(self, other: Declaration) -> float:
-        """The largest figure of a law, as a multiple of its limit."""
-        excess = self.of_turning(*(getattr(other, field) for field in _OF_TURNING))
-        return max(excess, self._of_gravity(other)) if excess <= 1 else excess
+        """Return the largest figure of a law as a multiple of its limit."""
+        excess = self._turning(*(getattr(other, field) for field in _OF_TURNING))
+        if excess > 1:
+            return excess
+        stream = redeclared(self._thinned, self._declared, other)
+        checks = gravity.gravity_checks(stream, self._rest, self._per_metre)
+        return max(excess, *map(_excess, checks))
 
     def _of_turning(self, *values: str) -> float:
-        other = self.declared.changed(**dict(zip(_OF_TURNING, values, strict=True)))
-        stream = redeclared(replace(self.start, f_sensor=None), self.declared, other)
-        return _excess(turning.gyroscope(stream, self.shift))
-
-    def _of_gravity(self, other: Declaration) -> float:
-        stream = redeclared(self.thinned, self.declared, other)
-        of_gravity = (gravity.specific_force, gravity.gravity_direction, gravity.mean_acceleration)
-        checks = [law(stream, self.rest) for law in of_gravity]
-        return max(map(_excess, [*checks, gravity.lever_arm(stream, self.per_metre)]))
+        other = self._declared.changed(**dict(zip(_OF_TURNING, values, strict=True)))
+        return _excess(turning.gyroscope(redeclared(self._start, self._declared, other), self._shift))
 
 
 def _part(stream: SensorStream, samples: slice) -> SensorStream:
-    arrays = (*stream.holds, "times", "quaternion_norm")
-    parts = {name: getattr(stream, name) for name in arrays}
+    parts = {name: getattr(stream, name) for name in (*stream.holds, "times", "quaternion_norm")}
     return replace(stream, **{k: v[samples] for k, v in parts.items() if v is not None})
 
 
 def _excess(check: Check) -> float:
-    """0 where nothing can be told."""
+    """Return value over limit, 0 where unknown."""
     return float(np.nan_to_num(check.value / check.limit))
-
-
-# --- a constant rotation -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class FixedAxes:
-    """A constant change of axes that makes the orientation turn as the gyroscope does."""
+    """A constant change of axes under which the orientation turns as the gyroscope."""
 
     R_sensor_oriented: Array
-    """(3, 3) orthogonal: from the axes whose orientation the file gives to those of the gyroscope."""
-    residual: float
-    """Root mean square of what is left, rad/s."""
+    """(3, 3) orthogonal: from the axes of the file's orientation to those of the gyroscope."""
 
     @property
     def mirrored(self) -> bool:
-        """Whether the two differ in handedness, as of an axis with the wrong sign."""
+        """Whether the two differ in handedness."""
         return bool(np.linalg.det(self.R_sensor_oriented) < 0)
 
     def applied(self, stream: SensorStream) -> SensorStream:
-        """The stream with the orientation of the gyroscope's axes; only of axes that are not mirrored."""
+        """Return the stream with the orientation of the gyroscope's axes; not for mirrored axes.
+
+        Args:
+            stream: the sensor.
+        """
         R = stream.R_inertial_sensor
         return replace(stream, R_inertial_sensor=None if R is None else R @ self.R_sensor_oriented.T)
 
@@ -172,26 +162,27 @@ class FixedAxes:
             return "the gyroscope's axes are the orientation's, mirrored and turned"
         turn = so3.log(self.R_sensor_oriented)
         x, y, z = so3.unit(turn)
-        angle = np.degrees(np.linalg.norm(turn))
         return (
-            f"the orientation is of axes turned against the sensor's by a constant {angle:.1f} deg about "
-            f"({x:.2f}, {y:.2f}, {z:.2f})"
+            "the orientation is of axes turned against the sensor's by a constant "
+            f"{np.degrees(np.linalg.norm(turn)):.1f} deg about ({x:.2f}, {y:.2f}, {z:.2f})"
         )
 
 
 def fixed_axes(stream: SensorStream) -> FixedAxes | None:
-    """The constant orthogonal matrix that takes the orientation's rates to the gyroscope's (Wahba 1965).
+    """Fit the constant orthogonal matrix from the orientation's rates to the gyroscope's (Wahba 1965).
+
+    Args:
+        stream: the sensor.
 
     Returns:
-        None where too little is known, the sensor does not turn about at least two axes, or no such
-        matrix makes the two agree.
+        None for too little data, turning about fewer than two axes, or rates that still disagree.
     """
     pair = turning.both_rates(stream)
     if pair is None:
         return None
     measured, expected = pair
-    known: slice | Mask = slice(None)
-    for _ in range(2):  # once more without what the first one does not explain
+    known = np.ones(len(measured), dtype=np.bool_)
+    for _ in range(2):  # the second time without the largest residuals
         H = measured[known].T @ expected[known]
         U, size, Vt = np.linalg.svd(H)
         if not size[1] > _FLAT * size[0]:
@@ -200,18 +191,19 @@ def fixed_axes(stream: SensorStream) -> FixedAxes | None:
         off = np.linalg.norm(measured - expected @ R.T, axis=-1)
         known = off <= np.quantile(off, 0.95)
     residual = turning.trimmed_rms(measured - expected @ R.T)
-    return FixedAxes(R, residual) if residual <= turning.turning_limit(expected) else None
+    return FixedAxes(R) if residual <= turning.turning_limit(expected) else None
 
 
 def likely_rate(stream: SensorStream) -> float | None:
-    """Samples per second under which the orientation turns as fast as the gyroscope says; None where it
-    does not turn so under any.
+    """Return the sampling rate, Hz, under which orientation and gyroscope agree, if there is one.
+
+    Args:
+        stream: the sensor.
     """
     pair = turning.both_rates(stream)
     if pair is None:
         return None
     measured, expected = pair
     scale = float(np.sum(measured * expected) / max(np.sum(expected**2), 1e-12))
-    expected = scale * expected
-    agree = turning.trimmed_rms(measured - expected) <= turning.turning_limit(expected)
+    agree = turning.trimmed_rms(measured - scale * expected) <= turning.turning_limit(scale * expected)
     return scale * stream.rate_hz if agree and scale > 0 else None

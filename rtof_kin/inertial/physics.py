@@ -1,15 +1,15 @@
-"""Checks of sensor streams by physics, and what a file that fails them is likely to mean.
+"""Checks of sensor streams by physics, and the likely meaning of a file that fails them.
 
-Nothing is changed: a check says by how much a law is missed, and names the change of the declaration
-under which the same numbers would obey it. The laws are in `gravity` and `turning`, clocks and channels
-in `sampling`, other declarations in `alternatives`.
+Nothing is changed: a failed check names the change of the declaration under which the same numbers obey the
+law. The laws are in `gravity` and `turning`, clocks and channels in `sampling`, other declarations in
+`alternatives`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,43 +20,33 @@ from rtof_kin.inertial import gravity, turning
 from rtof_kin.inertial.alternatives import fixed_axes, likely_changes, likely_rate
 from rtof_kin.inertial.sampling import check_sampling
 
-LAWS = (
+LAWS: Final = (
     gravity.FORCE, gravity.DIRECTION, gravity.MEAN_ACCELERATION, gravity.LEVER, turning.GYROSCOPE,
 )  # fmt: skip
-"""Names of the checks that a wrong declaration of a unit or of axes fails."""
-
-
-def check_stream(stream: SensorStream, declaration: Declaration) -> tuple[Check, ...]:
-    """All checks of one sensor.
-
-    Args:
-        stream: what it measured.
-        declaration: what its numbers were read as.
-
-    Returns:
-        The laws, then clock and channels. Of a law that does not hold, `Check.likely` is the change of
-        the declaration that makes all of them hold, where there is a single one.
-    """
-    return _check((stream,), declaration)
+"""Names of the checks that fail for a wrong declaration of a unit or of axes."""
 
 
 def check_log(log: SensorLog) -> tuple[Check, ...]:
-    """All checks of all sensors of a file, which share one declaration: what is likely is what makes
-    the laws hold for all that miss them.
+    """Check all sensors of a file, which share one declaration.
+
+    Args:
+        log: the sensors.
+
+    Returns:
+        For each sensor the laws, then clock and channels. `Check.likely` of a failed law is the change of
+        the declaration under which all failing sensors obey, if there is a single one.
     """
-    return _check(log.streams, log.declaration)
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged numbers give infinite figures, which fail
+        return _check(log.streams, log.declaration)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # damaged numbers give infinite figures, which fail
 def _check(streams: Sequence[SensorStream], declared: Declaration) -> tuple[Check, ...]:
-    found = {stream.name: _laws(stream, declared) for stream in streams}
-    wrong = [stream for stream in streams if _broken(found[stream.name])]
+    found = [_laws(stream, declared) for stream in streams]
+    wrong = [stream for stream, checks in zip(streams, found, strict=True) if _broken(checks)]
     changes = likely_changes(wrong, declared) if wrong else []
     out: list[Check] = []
-    for stream in streams:
-        checks = found[stream.name]
-        broken = _broken(checks)
-        if broken:
+    for stream, checks in zip(streams, found, strict=True):
+        if broken := _broken(checks):
             why, likely = _explanation(stream, declared, broken, changes)
             checks = tuple(
                 replace(c, advice=f"{c.advice}. {why}", likely=likely) if c in broken else c for c in checks
@@ -66,32 +56,22 @@ def _check(streams: Sequence[SensorStream], declared: Declaration) -> tuple[Chec
 
 
 def _laws(stream: SensorStream, declared: Declaration) -> tuple[Check, ...]:
-    rest, gyroscope = gravity.at_rest(stream), turning.gyroscope(stream)
-    direction = gravity.gravity_direction(stream, rest)
+    per_metre = gravity.turning_acceleration(stream)
+    force, direction, mean, lever = gravity.gravity_checks(stream, gravity.at_rest(stream), per_metre)
     if declared.gravity == "removed" and direction.passed:  # what `Declaration` put back points up
         why = "gravity was removed, so that no direction of it is left"
         direction = Check.unknown(gravity.DIRECTION, stream.name, "deg", why)
-    return (
-        gravity.specific_force(stream, rest),
-        direction,
-        gravity.mean_acceleration(stream, rest),
-        gravity.lever_arm(stream, gravity.turning_acceleration(stream)),
-        gyroscope,
-        turning.jumps(stream, gyroscope.passed),
-        turning.gyroscope_delay(stream),
-        turning.quaternion_norm(stream),
-    )
+    return (force, direction, mean, lever, *turning.turning_checks(stream))
 
 
 def _broken(checks: Sequence[Check]) -> list[Check]:
-    """The laws that do not hold."""
     return [check for check in checks if check.failed and check.name in LAWS]
 
 
 def _explanation(
     stream: SensorStream, declared: Declaration, broken: Sequence[Check], changes: Sequence[Mapping[str, str]]
 ) -> tuple[str, Mapping[str, Any]]:
-    """Why laws do not hold, as a sentence and, where it is one thing to declare, as a change."""
+    """Return why laws do not hold, as a sentence and, if unique, as a change of the declaration."""
     if changes:
         text = "; or with ".join(_declared(change) for change in changes)
         return f"It would hold with {text}", changes[0] if len(changes) == 1 else {}
@@ -107,7 +87,7 @@ def _explanation(
 
 
 def _then(stream: SensorStream, declared: Declaration) -> str:
-    """What else a stream needs once its orientation is of its own axes."""
+    """Return what else a stream needs once its orientation is of its own axes."""
     wrong = _broken(_laws(stream, declared))
     if not wrong:
         return "with that rotation gravity points up"

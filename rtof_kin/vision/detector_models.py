@@ -1,8 +1,8 @@
-"""The user's own ONNX files of a 2D detector, run by ``rtmlib`` (the optional extra ``video``).
+"""2D detectors given by the user as ONNX files, run by ``rtmlib`` (the optional extra ``video``).
 
-No model file comes with this package, and none is ever fetched: rtmlib is given local files alone. What
-a file does is told by its inputs and outputs: RTMPose has two outputs (K, x) and (K, y); RTMO has boxes
-and keypoints; anything with boxes alone finds people (YOLOX, RTMDet).
+No model file ships with this package and none is downloaded. The kind of a model follows from its inputs
+and outputs: RTMPose has outputs (K, x) and (K, y), RTMO has boxes and keypoints, a person detector (YOLOX,
+RTMDet) has boxes only.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import importlib
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,60 +20,66 @@ from numpy.typing import NDArray
 from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.vision.detections import Person
 
-INSTALL = "pip install 'rtof_kin[video]'"
-MODELS = (
+_INSTALL = "pip install 'rtof_kin[video]'"
+_MODELS = (
     "put an RTMPose body model (body with feet gives 26 points, body 17) and, for more than one person "
     "or a person far away, a YOLOX or RTMDet person detector there as .onnx files; RTMPose's authors "
-    "publish them, and their licences are between them and you"
+    "publish them under their own licences"
 )
 
 
 @dataclass(frozen=True)
 class ModelFile:
-    """What an ONNX file is."""
+    """An ONNX file of a detector."""
 
     path: Path
-    kind: str
-    """'pose' (RTMPose), 'pose and people' (RTMO) or 'people'."""
+    kind: Literal["pose", "pose and people", "people"]
+    """RTMPose, RTMO, or a person detector."""
     height: int
-    """Of its input, px."""
+    """Height of the input, px."""
     width: int
-    """Of its input, px."""
+    """Width of the input, px."""
     points: int
-    """How many points it finds; 0 for 'people'."""
+    """Number of keypoints; 0 for a person detector."""
 
 
 def library(name: str) -> Any:
-    """A module of the optional extra.
+    """Import a module of the optional extra.
+
+    Args:
+        name: module.
 
     Raises:
-        RtofError: it is not installed; the message says how to get it.
+        RtofError: it is not installed; the message says how to install it.
     """
     try:
         return importlib.import_module(name)
     except ImportError as error:
         raise RtofError(
-            f"{name} is not installed, which detecting people in a video needs ({error}): {INSTALL}; "
+            f"{name} is not installed, which detecting people in a video needs ({error}): {_INSTALL}; "
             "model files are yours to provide"
         ) from error
 
 
 def find_models(folder: str | Path) -> tuple[ModelFile, ModelFile | None]:
-    """The model of poses in a folder, and the one that finds people, where there is one.
+    """Return the pose model of a folder and its person detector, if one is needed and present.
+
+    Args:
+        folder: with .onnx files.
 
     Raises:
-        FileFormatError: no such folder, no model of poses in it, several of a kind, or a damaged file.
+        FileFormatError: no such folder, no pose model, several of a kind, or a damaged file.
         RtofError: the extra is not installed.
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise FileFormatError(folder, f"there is no such folder of models; {MODELS}")
-    models = [describe(path) for path in sorted(folder.glob("*.onnx"))]
+        raise FileFormatError(folder, f"there is no such folder of models; {_MODELS}")
+    models = [_described(path) for path in sorted(folder.glob("*.onnx"))]
     poses = [model for model in models if model.points]
     people = [model for model in models if not model.points]
     if not poses:
         have = ", ".join(model.path.name for model in models) or "no .onnx file"
-        raise FileFormatError(folder, f"no model of poses in this folder, only {have}; {MODELS}")
+        raise FileFormatError(folder, f"no pose model in this folder, only {have}; {_MODELS}")
     for what, some in (("poses", poses), ("people", people)):
         if len(some) > 1:
             names = ", ".join(model.path.name for model in some)
@@ -81,16 +87,11 @@ def find_models(folder: str | Path) -> tuple[ModelFile, ModelFile | None]:
     return poses[0], people[0] if people and poses[0].kind == "pose" else None
 
 
-def describe(path: Path) -> ModelFile:
-    """What an ONNX file is, from its inputs and outputs.
-
-    Raises:
-        FileFormatError: not an ONNX model, or none of those known.
-    """
+def _described(path: Path) -> ModelFile:
+    """Return the kind and sizes of an ONNX model from its inputs and outputs."""
+    runtime = library("onnxruntime")
     try:
-        session = library("onnxruntime").InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    except RtofError:
-        raise
+        session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's errors have no common base
         raise FileFormatError(path, f"not a readable ONNX model: {error}") from error
     inputs = [tuple(value.shape) for value in session.get_inputs()]
@@ -99,42 +100,44 @@ def describe(path: Path) -> ModelFile:
     image = inputs[0] if len(inputs) == 1 else ()
     if len(image) != 4 or image[1] != 3 or not all(isinstance(n, int) for n in image[2:]):
         raise FileFormatError(path, f"its inputs {inputs} are not one image (N, 3, height, width)")
-    kind, points = "people", 0
+    kind: Literal["pose", "pose and people", "people"] = "people"
+    points = 0
     if ranks == [3, 3] and outputs[0][1] == outputs[1][1]:
         kind, points = "pose", outputs[0][1]
     elif ranks == [3, 4]:
         kind, points = "pose and people", outputs[1][2]
     elif not ranks or ranks[0] != 3:
-        known = "RTMPose's, RTMO's, YOLOX's or RTMDet's"
-        raise FileFormatError(path, f"its outputs {outputs} are not {known}")
+        raise FileFormatError(path, f"its outputs {outputs} are not RTMPose's, RTMO's, YOLOX's or RTMDet's")
     if not isinstance(points, int):
-        raise FileFormatError(path, f"its outputs {outputs} do not say how many points it finds")
+        raise FileFormatError(path, f"its outputs {outputs} do not state the number of points")
     return ModelFile(path, kind, image[2], image[3], points)
 
 
 class PersonDetector:
-    """Finds people and their points in images.
+    """Detector of people and their keypoints; without a person model the image is one person.
 
-    Attributes:
-        pose: the model of poses. people: the one that finds people; without one, everything in the image
-            counts as one person.
+    Args:
+        folder: with the models; errors as in `find_models`.
     """
 
     def __init__(self, folder: str | Path):
-        """Load the models of a folder; see `find_models` for what is raised."""
-        self.pose, self.people = find_models(folder)
+        pose, people = find_models(folder)
         rtmlib = library("rtmlib")
-        makers = {"pose": rtmlib.RTMPose, "pose and people": rtmlib.RTMO}
-        size = (self.pose.width, self.pose.height)
-        self._one_stage = self.pose.kind != "pose"
-        self._pose = _quietly(makers[self.pose.kind], self.pose, size[::-1] if self._one_stage else size)
+        self._one_stage = pose.kind != "pose"
+        make = rtmlib.RTMO if self._one_stage else rtmlib.RTMPose
+        size = (pose.height, pose.width) if self._one_stage else (pose.width, pose.height)
+        self._pose = _loaded(make, pose, size)
         self._people: Any = None
-        if self.people is not None:
-            boxes = rtmlib.RTMDet if "rtmdet" in self.people.path.stem.lower() else rtmlib.YOLOX
-            self._people = _quietly(boxes, self.people, (self.people.height, self.people.width))
+        if people is not None:
+            boxes = rtmlib.RTMDet if "rtmdet" in people.path.stem.lower() else rtmlib.YOLOX
+            self._people = _loaded(boxes, people, (people.height, people.width))
 
     def find(self, image: NDArray[np.uint8]) -> list[Person]:
-        """The people in one image (height, width, 3), as OpenCV reads it."""
+        """Return the people in an image.
+
+        Args:
+            image: (height, width, 3), BGR.
+        """
         if self._one_stage:
             points, scores = self._pose(image)
         else:
@@ -150,7 +153,7 @@ class PersonDetector:
         return [person for person in people if np.any(person.points[:, 2] > 0)]
 
 
-def _quietly(make: Any, model: ModelFile, size: tuple[int, int]) -> Any:
-    """A model of rtmlib, which prints when it loads one."""
+def _loaded(make: Any, model: ModelFile, size: tuple[int, int]) -> Any:
+    """Load a model; rtmlib prints while it does."""
     with contextlib.redirect_stdout(io.StringIO()):
         return make(str(model.path), model_input_size=size, backend="onnxruntime", device="cpu")

@@ -1,7 +1,6 @@
-"""People out of the JSON that detectors write: OpenPose, AlphaPose, COCO results, MMPose, MediaPipe.
+"""Readers of detectors' JSON: OpenPose, AlphaPose, COCO results, MMPose, MediaPipe.
 
-The structure tells the format: what a frame is, where its people are, what a person's points are. Only
-values are read; nothing in a file is ever executed.
+The format is recognised from the structure of the data.
 """
 
 from __future__ import annotations
@@ -10,31 +9,38 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import load_json
 from rtof_kin.vision.detections import NO_IDENTITY, Detections, Person
 
 Array = NDArray[np.float64]
 LARGEST_JSON = 256 * 2**20
-"""A JSON file larger than this many bytes is refused."""
+"""Largest size of a file, bytes."""
 _WHAT = "JSON of moderate size; write one file a frame, or .npz"
 _PEOPLE = ("people", "bodies", "instances")
 _POINTS = ("pose_keypoints_2d", "pose_keypoints", "joints", "keypoints", "pose_landmarks", "landmarks")
 _SCORES = ("keypoint_scores", "visibility", "confidence", "score", "presence")
 _IDENTITY = ("idx", "track_id", "person_id", "instance_id")
-_MOST_FRAMES_EACH = 100
-"""Frame numbers may leave gaps, but not so many per frame that is there."""
+_TIMES: Final = {"time": 1.0, "time_s": 1.0, "timestamp": 1.0, "timestamp_ms": 1e-3}
+_MOST_FRAMES_EACH: Final = 100
+"""Largest mean distance between frame numbers."""
 
 
 def read_json_folder(folder: Path) -> Detections:
-    """One file a frame, as OpenPose's ``--write_json`` has it: the last number in each name counts them.
+    """Read a folder with one file per frame, as written by OpenPose's ``--write_json``.
 
-    The first file is the first frame; numbers that are left out are frames without anybody.
+    Frames are numbered by the last number in the file names, from the first file on.
+
+    Args:
+        folder: with .json files.
+
+    Raises:
+        FileFormatError: no files, no unique frame numbers, or a damaged file.
     """
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".json")
     if not paths:
@@ -43,17 +49,22 @@ def read_json_folder(folder: Path) -> Detections:
     for path in paths:
         number = _number(path.stem)
         if number is None or number in frames:
-            raise FileFormatError(
-                path, "its name has no frame number, or another file has the same; keep one video's "
-                "files in a folder, named e.g. walk_000000000012_keypoints.json"
-            )  # fmt: skip
+            problem = "its name has no frame number, or another file has the same; keep one video's files in"
+            raise FileFormatError(path, f"{problem} a folder, named e.g. walk_000000000012_keypoints.json")
         frames[number] = _people(path, load_json(path, LARGEST_JSON, _WHAT), "frame")
     first = min(frames)
     return _detections(folder, {number - first: people for number, people in frames.items()})
 
 
 def read_json(path: Path) -> Detections:
-    """One file with one or many frames."""
+    """Read a file with one or many frames.
+
+    Args:
+        path: .json file.
+
+    Raises:
+        FileFormatError: damaged, or of no known structure.
+    """
     data = load_json(path, LARGEST_JSON, _WHAT)
     if isinstance(data, list) and data and all(isinstance(e, dict) and "image_id" in e for e in data):
         return _by_image(path, data, None)
@@ -71,9 +82,6 @@ def read_json(path: Path) -> Detections:
     return _by_name(path, data)
 
 
-# --- frames --------------------------------------------------------------------------------------
-
-
 def _of_list(path: Path, entries: Sequence[Any]) -> Detections:
     frames = [_people(path, entry, f"frame {i}") for i, entry in enumerate(entries)]
     stamps = [_time(entry) for entry in entries]
@@ -82,10 +90,8 @@ def _of_list(path: Path, entries: Sequence[Any]) -> Detections:
 
 
 def _time(frame: Any) -> float | None:
-    """Time of a frame, s, where it says."""
-    if not isinstance(frame, dict):
-        return None
-    for key, unit in (("time", 1.0), ("time_s", 1.0), ("timestamp", 1.0), ("timestamp_ms", 1e-3)):
+    """Return the time of a frame, s, if it has one."""
+    for key, unit in _TIMES.items() if isinstance(frame, dict) else ():
         value = frame.get(key)
         if isinstance(value, int | float) and not isinstance(value, bool):
             return float(value) * unit
@@ -93,39 +99,36 @@ def _time(frame: Any) -> float | None:
 
 
 def _by_name(path: Path, data: Mapping[str, Any]) -> Detections:
-    """Frames by the names of their images, e.g. ``{"0.jpg": {"people": [...]}}``."""
+    """Read frames keyed by the names of their images, e.g. ``{"0.jpg": {"people": [...]}}``."""
     frames = {}
     for name, frame in data.items():
         number = _number(Path(name).stem)
         if number is None or number in frames:
             known = ", ".join((*_PEOPLE, "annotations", "instance_info", "frames"))
-            raise FileFormatError(
-                path, f"{name!r} is no frame's name with a number of its own, nor one of {known}"
-            )
+            raise FileFormatError(path, f"{name!r} is no name of a frame with a unique number, nor {known}")
         frames[number] = _people(path, frame, f"frame {name}")
     return _detections(path, frames)
 
 
 def _by_image(path: Path, entries: Sequence[Any], data: Mapping[str, Any] | None) -> Detections:
-    """A list of people, each with the image they are in: AlphaPose's and COCO's."""
+    """Read a list of people with the image of each: AlphaPose and COCO."""
     frames: dict[int, list[Person]] = {}
     order = _image_order(data)
     for i, entry in enumerate(entries):
-        where = f"entry {i}"
         if not isinstance(entry, dict) or "image_id" not in entry:
-            raise FileFormatError(path, f"{where}: not a person with image_id and keypoints")
+            raise FileFormatError(path, f"entry {i}: not a person with image_id and keypoints")
         image = entry["image_id"]
         number = order.get(image) if order is not None else _image_number(image)
         if number is None:
-            raise FileFormatError(path, f"{where}: image_id {image!r} has no number, so no frame")
+            raise FileFormatError(path, f"entry {i}: image_id {image!r} has no number, so no frame")
         people = frames.setdefault(number, [])
         if "keypoints" in entry:
-            people.append(_person(path, entry, where))
+            people.append(_person(path, entry, f"entry {i}"))
     return _detections(path, frames, names=_category_names(data))
 
 
 def _image_order(data: Mapping[str, Any] | None) -> dict[Any, int] | None:
-    """Frame of each image where a COCO file lists its images: their order."""
+    """Return the frame of each image from the list of images of a COCO file."""
     if data is None or not isinstance(data.get("images"), list):
         return None
     ids = [image["id"] for image in data["images"] if isinstance(image, dict) and "id" in image]
@@ -148,7 +151,7 @@ def _image_number(image: Any) -> int | None:
 
 
 def _number(stem: str) -> int | None:
-    """The last number in a file's name."""
+    """Return the last number in a file name."""
     found = re.findall(r"\d+", stem)
     return int(found[-1][:18]) if found else None
 
@@ -158,21 +161,16 @@ def _detections(
     names: tuple[str, ...] | None = None,
 ) -> Detections:  # fmt: skip
     if frames and (min(frames) < 0 or max(frames) > _MOST_FRAMES_EACH * len(frames) + 1000):
-        raise FileFormatError(
-            path, f"its {len(frames)} frames are numbered from {min(frames)} to {max(frames)}; number "
-            "them as in the video, from 0"
-        )  # fmt: skip
+        numbers = f"numbered from {min(frames)} to {max(frames)}; number them as in the video, from 0"
+        raise FileFormatError(path, f"its {len(frames)} frames are {numbers}")
     try:
         return Detections.of_frames(frames, times, names)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
 
-# --- people --------------------------------------------------------------------------------------
-
-
 def _people(path: Path, frame: Any, where: str) -> list[Person]:
-    """The people of a frame, whatever way it lists them."""
+    """Return the people of a frame in any of the structures."""
     if frame is None:
         return []
     if isinstance(frame, dict):
@@ -197,13 +195,13 @@ def _people_listed(path: Path, entries: Any, where: str) -> list[Person]:
     for i, entry in enumerate(entries):
         person = {"keypoints": entry} if isinstance(entry, list) else entry
         if isinstance(person, dict) and not any(person.get(key) for key in _POINTS):
-            continue  # a person of whom nothing was found
+            continue  # a person without detected points
         people.append(_person(path, person, f"{where}, person {i}"))
     return people
 
 
 def _is_person(values: Sequence[Any]) -> bool:
-    """Whether a list is one person's points: numbers, rows of two or three, or tables with x."""
+    """Return whether a list is one person's points: numbers, rows of two or three, or tables with x."""
     first = values[0] if values else None
     if isinstance(first, list):
         return len(first) in (2, 3) and all(isinstance(value, int | float) for value in first)
@@ -211,13 +209,12 @@ def _is_person(values: Sequence[Any]) -> bool:
 
 
 def _person(path: Path, entry: Any, where: str) -> Person:
-    """One person's points and identity."""
+    """Return one person's points and identity."""
     if not isinstance(entry, dict):
         raise FileFormatError(path, f"{where}: holds {_kind(entry)}, not a person")
     values = next((entry[key] for key in _POINTS if key in entry), None)
     if not isinstance(values, list) or not values:
-        known = ", ".join(_POINTS)
-        raise FileFormatError(path, f"{where}: has none of the fields {known} with a list of points")
+        raise FileFormatError(path, f"{where}: has no field {', '.join(_POINTS)} with a list of points")
     try:
         points = _points(values, entry)
     except (TypeError, ValueError, KeyError, OverflowError) as error:
@@ -228,14 +225,18 @@ def _person(path: Path, entry: Any, where: str) -> Person:
 
 
 def _points(values: Sequence[Any], entry: Mapping[str, Any]) -> Array | None:
-    """(K, 3) x, y, confidence; None where their number does not fit."""
+    """Return (K, 3) x, y, confidence, or None if their number does not fit."""
     if isinstance(values[0], dict):
         return np.array([[float(v["x"]), float(v["y"]), _score(v)] for v in values])
     array = np.array(values, dtype=np.float64)
     if array.ndim == 1:
         if len(array) % 3:
             return None
-        return _flags_to_confidence(array.reshape(-1, 3))
+        array = array.reshape(-1, 3)
+        flags = array[:, 2]
+        if np.any(flags == 2) and np.all(np.isin(flags, (0, 1, 2))):
+            array[:, 2] = np.minimum(flags, 1)  # COCO annotations: 1 is hidden, 2 is visible
+        return array
     if array.ndim != 2 or array.shape[1] not in (2, 3):
         return None
     if array.shape[1] == 3:
@@ -245,16 +246,7 @@ def _points(values: Sequence[Any], entry: Mapping[str, Any]) -> Array | None:
 
 
 def _score(point: Mapping[str, Any]) -> float:
-    value = next((point[key] for key in _SCORES if point.get(key) is not None), 1.0)
-    return float(value)
-
-
-def _flags_to_confidence(points: Array) -> Array:
-    """COCO's annotations have 1 for hidden and 2 for visible instead of a confidence; both are seen."""
-    flags = points[:, 2]
-    if np.any(flags == 2) and np.all(np.isin(flags, (0, 1, 2))):
-        points[:, 2] = np.minimum(flags, 1)
-    return points
+    return float(next((point[key] for key in _SCORES if point.get(key) is not None), 1.0))
 
 
 def _identity(entry: Mapping[str, Any]) -> int:

@@ -1,4 +1,4 @@
-"""Detectors' files: a folder or a file of JSON, arrays in .npz or .npy, columns in .csv.
+"""Readers of detectors' files: a folder or a file of JSON, arrays in .npz or .npy, columns in .csv.
 
 ==========================  ====================================================================
 OpenPose                    folder of ``*_keypoints.json``, one a frame, or one JSON with many
@@ -14,8 +14,8 @@ NPZ                         ``uv_px`` or ``keypoints`` (T, K, 2 or 3) or (T, P, 
 NPY                         one array like that
 ==========================  ====================================================================
 
-Coordinates that are shares of the image need its size. Confidences above 1, which some detectors give,
-count as 1; where a file has none, every point with finite coordinates counts as seen.
+Coordinates that are fractions of the image need its size. Confidences above 1, which some detectors give,
+are clipped to 1; without confidences every point with finite coordinates has confidence 1.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_csv, read_npy, read_npz
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.json_files import read_json, read_json_folder
@@ -45,19 +45,19 @@ _NO_POINTS = {"frame", "frame_id", "index", ""}
 def read_detector_file(
     path: str | Path, width_px: int | None = None, height_px: int | None = None
 ) -> Detections:
-    """Everybody that a detector found in a video.
+    """Read the detections of all people in a video.
 
     Args:
         path: a file or folder of one of the formats above.
-        width_px, height_px: size of the image, for coordinates that are shares of it.
+        width_px, height_px: size of the image, for coordinates that are fractions of it.
 
     Raises:
-        FileFormatError: none of the formats, damaged, or without anybody in it; the message says where.
+        FileFormatError: unknown format, damaged, or without people.
     """
     path = Path(path)
     try:
         return _read(path).in_pixels(width_px, height_px)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
 
@@ -78,22 +78,18 @@ def _read(path: Path) -> Detections:
     return _of_arrays(path, {"keypoints": read_npy(path)} if suffix == ".npy" else read_npz(path))
 
 
-# --- arrays --------------------------------------------------------------------------------------
-
-
 def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:
     points = _one_of(path, arrays, ("uv_px", "keypoints", "keypoints_2d"))
     if points is None:
         have = ", ".join(arrays) or "nothing"
         raise FileFormatError(path, f"no array uv_px or keypoints of shape (T, K, 3); there is {have}")
     if points.ndim not in (3, 4) or points.shape[-1] not in (2, 3):
-        raise FileFormatError(
-            path, f"keypoints: shape {points.shape} is neither (T, K, 2 or 3) nor (T, P, K, 2 or 3)"
-        )
+        shapes = "neither (T, K, 2 or 3) nor (T, P, K, 2 or 3)"
+        raise FileFormatError(path, f"keypoints: shape {points.shape} is {shapes}")
     uv = points[..., :2]
-    seen: Array = np.asarray(np.isfinite(uv).all(axis=-1), dtype=np.float64)
-    given = _one_of(path, arrays, ("confidence", "scores", "keypoint_scores"))
-    confidence = given if given is not None else points[..., 2] if points.shape[-1] == 3 else seen
+    confidence = _one_of(path, arrays, ("confidence", "scores", "keypoint_scores"))
+    if confidence is None:
+        confidence = points[..., 2] if points.shape[-1] == 3 else np.isfinite(uv).all(axis=-1).astype(float)
     if confidence.shape != uv.shape[:-1]:
         raise FileFormatError(path, f"confidence: expected shape {uv.shape[:-1]}, got {confidence.shape}")
     if points.ndim == 3:
@@ -106,9 +102,6 @@ def _one_of(path: Path, arrays: dict[str, Array], names: tuple[str, ...]) -> Arr
     if len(found) > 1:
         raise FileFormatError(path, f"has {' and '.join(found)}; leave only one of them")
     return arrays[found[0]] if found else None
-
-
-# --- columns -------------------------------------------------------------------------------------
 
 
 def _of_columns(path: Path) -> Detections:
@@ -132,17 +125,17 @@ def _of_columns(path: Path) -> Detections:
             other = "y" if "x" in has else "x"
             raise FileFormatError(path, f"point {name}: has no column of {other}", 1)
     names = list(points)
-    if all(name.isdigit() for name in names):
+    numbered = all(name.isdigit() for name in names)
+    if numbered:
         names.sort(key=int)
     uv = np.stack([[points[n]["x"], points[n]["y"]] for n in names]).transpose(2, 0, 1)
-    seen: Array = np.asarray(np.isfinite(uv).all(axis=-1), dtype=np.float64)
+    seen = np.isfinite(uv).all(axis=-1).astype(float)
     confidence = np.stack([points[n].get("c", seen[:, i]) for i, n in enumerate(names)], axis=1)
-    named = None if all(name.isdigit() for name in names) else tuple(names)
-    return Detections(uv[:, None], confidence[:, None], times, named)
+    return Detections(uv[:, None], confidence[:, None], times, None if numbered else tuple(names))
 
 
 def _meaning(path: Path, header: str) -> tuple[str, str]:
-    """Which point a column is of, and which part of it: x, y, c, or '' for what is not used."""
+    """Return the point of a column and its part: x, y, c, or '' if unused."""
     numbered = _NUMBERED.fullmatch(header.strip().lower())
     if numbered:
         part = numbered[1]
@@ -150,6 +143,5 @@ def _meaning(path: Path, header: str) -> tuple[str, str]:
     for ending, part in _ENDINGS.items():
         if header.strip().lower().endswith(ending):
             return header.strip()[: -len(ending)], part
-    raise FileFormatError(
-        path, f"column {header!r}: expected time, or a point's name and one of {', '.join(_ENDINGS)}", 1
-    )
+    known = f"time, or a point's name and one of {', '.join(_ENDINGS)}"
+    raise FileFormatError(path, f"column {header!r}: expected {known}", 1)

@@ -1,7 +1,7 @@
-"""People in a video file or in front of a webcam, by the user's own models (`rtof_kin.vision.detector_models`).
+"""People in a video file or a webcam, by the user's models (`rtof_kin.vision.detector_models`).
 
 found = detect_video("walk.mp4", "models/")       # or detect_video(0, "models/", seconds=20)
-write_detections("walk.npz", found)               # which recording.toml can name
+write_detections("walk.npz", found)               # a file for recording.toml
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.vision.detections import Detections, Person
 from rtof_kin.vision.detector_models import PersonDetector, library
@@ -26,16 +26,16 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class VideoFrame:
-    """One image and when it was taken."""
+    """One image of a video."""
 
     time: float
-    """s, from the file; of a webcam, since its first frame."""
+    """s, from the file; for a webcam, since its first frame."""
     image: NDArray[np.uint8]
-    """(height, width, 3), as OpenCV reads it."""
+    """(height, width, 3), BGR."""
     index: int
     """Counted from 0."""
     total: int
-    """How many frames the file says it has; 0 where that is not known."""
+    """Number of frames according to the file; 0 where unknown."""
 
 
 def detect_video(
@@ -45,29 +45,28 @@ def detect_video(
     seconds: float | None = None,
     progress: Progress | None = None,
 ) -> Detections:
-    """Everybody's points in each frame of a video.
+    """Detect the people in each frame of a video.
 
     Args:
-        source: a video file, or the number of a webcam.
+        source: video file, or number of a webcam; a webcam may be stopped with Ctrl-C.
         models: folder of the user's .onnx files.
-        seconds: stop after so many; needed for a webcam, which never ends. A webcam may also be stopped
-            with Ctrl-C: what was seen so far is returned.
-        progress: called with ("detect", frames done, frames in all).
+        seconds: duration after which to stop; required for a webcam.
+        progress: called with ("detect", frames done, frames in total).
 
     Raises:
         FileFormatError: the video or the models cannot be read, or nobody was found.
-        RtofError: the extra is not installed.
+        InvalidInputError: a webcam without `seconds`. RtofError: the extra is not installed.
     """
     detector = PersonDetector(models)
     if isinstance(source, int) and seconds is None:
-        raise ShapeError(f"webcam {source}: give seconds, how long to look; it never ends by itself")
+        raise InvalidInputError(f"webcam {source}: give seconds, the duration of the recording")
     times: list[float] = []
-    frames: list[list[Person]] = []
+    people: list[list[Person]] = []
     try:
         for frame in read_video(source):
             if seconds is not None and frame.time > seconds:
                 break
-            frames.append(detector.find(frame.image))
+            people.append(detector.find(frame.image))
             times.append(frame.time)
             if progress is not None:
                 progress("detect", frame.index + 1, max(frame.total, frame.index + 1))
@@ -75,18 +74,21 @@ def detect_video(
         if not isinstance(source, int) or not times:
             raise
     try:
-        return Detections.of_frames(frames, np.array(times))
-    except ShapeError as error:
+        return Detections.of_frames(dict(enumerate(people)), np.array(times))
+    except InvalidInputError as error:
         raise FileFormatError(_name(source), f"{error}") from error
 
 
 def read_video(source: str | Path | int) -> Iterator[VideoFrame]:
-    """The frames of a video file or of a webcam.
+    """Generate the frames of a video file or a webcam.
 
-    Times are the file's own; where it has none, they follow from its frame rate.
+    Times are the time stamps of the file or, without those, follow from its frame rate.
+
+    Args:
+        source: video file, or number of a webcam.
 
     Raises:
-        FileFormatError: no such file, or not a video that OpenCV can read.
+        FileFormatError: no such file, or not readable by OpenCV.
         RtofError: the extra is not installed.
     """
     cv2 = library("cv2")
@@ -96,7 +98,7 @@ def read_video(source: str | Path | int) -> Iterator[VideoFrame]:
     try:
         if not capture.isOpened():
             raise FileFormatError(_name(source), "not a video or camera that OpenCV can read")
-        clock = _webcam_clock() if isinstance(source, int) else _FileClock(source, cv2, capture)
+        clock = _WebcamClock() if isinstance(source, int) else _FileClock(source, cv2, capture)
         total = 0 if isinstance(source, int) else max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
         index = 0
         while True:
@@ -115,18 +117,18 @@ def _name(source: str | Path | int) -> str | Path:
     return f"webcam {source}" if isinstance(source, int) else source
 
 
-def _webcam_clock() -> Callable[[int], float]:
-    started: list[float] = []
+class _WebcamClock:
+    """Clock of a webcam: time since the first frame."""
 
-    def clock(_: int) -> float:
-        started.append(time.monotonic()) if not started else None
-        return time.monotonic() - started[0]
-
-    return clock
+    def __call__(self, index: int) -> float:
+        now = time.monotonic()
+        if index == 0:
+            self._start = now
+        return now - self._start
 
 
 class _FileClock:
-    """Times of a file's frames: its time stamps as long as they increase, else its frame rate's."""
+    """Times of a file's frames: its time stamps while they increase, else the frame rate."""
 
     def __init__(self, path: str | Path, cv2: Any, capture: Any):
         self._path, self._capture, self._stamp = path, capture, cv2.CAP_PROP_POS_MSEC
@@ -145,10 +147,13 @@ class _FileClock:
 
 
 def write_detections(path: str | Path, detections: Detections, overwrite: bool = False) -> None:
-    """Write what `rtof_kin.vision.keypoint_files` reads back: uv_px, confidence and times.
+    """Write uv_px, confidence and times as an .npz file that `read_detector_file` reads.
+
+    Args:
+        path: .npz file. detections: of all people. overwrite: whether to replace an existing file.
 
     Raises:
-        OutputExistsError: it exists and overwriting was not asked for. RtofError: it cannot be written.
+        OutputExistsError: the file exists. RtofError: it cannot be written.
     """
     arrays: dict[str, NDArray[Any]] = {"uv_px": detections.uv_px, "confidence": detections.confidence}
     if detections.times is not None:

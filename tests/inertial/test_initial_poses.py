@@ -10,7 +10,7 @@ import pytest
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.poses import Provenance
 from rtof_kin.inertial.initial_poses import poses_from_sensors
 
@@ -91,7 +91,7 @@ def test_frames_in_which_no_sensor_says_anything_are_not_valid() -> None:
 
 def test_sensors_that_say_nothing_or_sit_nowhere_are_refused() -> None:
     imus = planted.bone_imus(BODY, TRUTH, ("Hips",))
-    with pytest.raises(ShapeError, match="no sensor has an orientation"):
+    with pytest.raises(InvalidInputError, match="no sensor has an orientation"):
         poses_from_sensors(BODY, replace(imus, R_world_bone=np.full_like(imus.R_world_bone, np.nan)))
     with pytest.raises(UnknownNameError, match="Tail"):
         poses_from_sensors(BODY, replace(imus, joints=("Tail",)))

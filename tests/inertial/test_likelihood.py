@@ -10,7 +10,7 @@ from inertial_support import Worn, free, walking
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import CalibrationError, ShapeError
+from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.inertial.likelihood import MotionLikelihood
 from rtof_kin.inertial.segment_motion import SegmentMotion, even_times, seen_bones, segment_motions
 
@@ -110,5 +110,5 @@ def test_what_a_camera_saw_fits_the_truth_better_than_a_turned_world(
 def test_without_a_prior_nothing_is_judged_and_a_moment_is_too_short(worn: Worn) -> None:
     with pytest.raises(CalibrationError, match="there is no pose prior of it"):
         MotionLikelihood(SkeletonModel.human36m())
-    with pytest.raises(ShapeError, match="0.32 s of sensor data are too short"):
+    with pytest.raises(InvalidInputError, match="0.32 s of sensor data are too short"):
         even_times(worn.truth.apply(worn.imus)[:20])

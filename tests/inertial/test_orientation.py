@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.formats.sensors.files import read_sensor_log
@@ -106,10 +106,10 @@ def test_at_a_long_gap_the_filter_starts_anew_and_that_is_told() -> None:
     assert got.R_inertial_sensor is not None
     assert np.median(inclination_deg(got.R_inertial_sensor, true[rows])) < 0.5
     assert got.notes[-1] == (
-        "the filter started anew 1 time, at 18.00 s; headings before and after are not related"
+        "the filter was restarted 1 time, at 18.00 s; headings before and after are not related"
     )
     longer = OrientationSettings(magnetometer=False, longest_bridged=4)
-    assert "started anew" not in str(with_orientation(cut(stream, rows), longer).notes)
+    assert "restarted" not in str(with_orientation(cut(stream, rows), longer).notes)
 
 
 def test_missing_samples_do_not_spread_and_long_ones_stay_missing() -> None:
@@ -132,28 +132,28 @@ def test_pieces_that_are_too_short_stay_without_orientation() -> None:
     R = oriented(cut(stream, rows))
     assert np.isnan(R[:50]).all()
     assert np.isfinite(R[50:]).all()
-    with pytest.raises(ShapeError, match="shank has nowhere 1 s of samples; record for longer"):
+    with pytest.raises(InvalidInputError, match="shank has nowhere 1 s of samples; record for longer"):
         with_orientation(cut(stream, np.arange(50)))
-    with pytest.raises(ShapeError, match="shank has nowhere 1 s of samples"):
+    with pytest.raises(InvalidInputError, match="shank has nowhere 1 s of samples"):
         with_orientation(cut(stream, np.arange(1)))
 
 
 def test_what_is_not_measured_is_asked_for() -> None:
     stream, _ = moving()
     for lacking, word in (("f_sensor", "accelerometer"), ("w_sensor", "gyroscope")):
-        with pytest.raises(ShapeError, match=f"shank has no {word}"):
+        with pytest.raises(InvalidInputError, match=f"shank has no {word}"):
             with_orientation(replace(stream, **{lacking: None}))
     no_field = replace(stream, m_sensor=None)
     assert len(oriented(no_field)) == len(stream)
-    with pytest.raises(ShapeError, match="shank has no magnetometer; let orientation do without it"):
+    with pytest.raises(InvalidInputError, match="shank has no magnetometer; let orientation do without it"):
         with_orientation(no_field, OrientationSettings(magnetometer=True))
-    with pytest.raises(ShapeError, match="orientation rate_hz is 0; it must be positive"):
+    with pytest.raises(InvalidInputError, match="orientation rate_hz is 0; it must be positive"):
         OrientationSettings(rate_hz=0)
 
 
 def test_a_rate_far_above_the_samples_is_refused_before_it_fills_the_memory() -> None:
     stream, _ = moving(3)
-    with pytest.raises(ShapeError, match="shank: 1e[+]08 Hz is far above its samples' rate; set rate"):
+    with pytest.raises(InvalidInputError, match="shank: 1e[+]08 Hz is far above its samples' rate; set rate"):
         with_orientation(stream, OrientationSettings(rate_hz=1e8))
 
 

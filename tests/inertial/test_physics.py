@@ -11,14 +11,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sensor_support import moved, read_as
 
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.plausibility import Check, Verdict
 from rtof_kin.data.imu_declaration import CHOICES, Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial import gravity, turning
 from rtof_kin.inertial.alternatives import fixed_axes, likely_changes, likely_rate, redeclared
-from rtof_kin.inertial.physics import LAWS, check_log, check_stream
+from rtof_kin.inertial.physics import LAWS, check_log
 
 PLAIN = Declaration()
 DATA = Path(__file__).parents[1] / "fixtures" / "inertial"
@@ -31,6 +31,10 @@ def failed(checks: tuple[Check, ...]) -> dict[str, Check]:
 
 def of(name: str, stream: SensorStream, declared: Declaration = PLAIN) -> Check:
     return next(check for check in check_stream(stream, declared) if check.name == name)
+
+
+def check_stream(stream: SensorStream, declared: Declaration) -> tuple[Check, ...]:
+    return check_log(SensorLog(Path("log"), "planted", (stream,), declared))
 
 
 def without(stream: SensorStream, *names: str) -> SensorStream:
@@ -232,9 +236,9 @@ def test_redeclaring_is_the_same_as_reading_again() -> None:
 
 
 def test_accelerations_made_with_an_orientation_are_undone_with_one() -> None:
-    with pytest.raises(ShapeError, match="were made with an orientation; give it"):
+    with pytest.raises(InvalidInputError, match="were made with an orientation; give it"):
         Declaration(gravity="removed").filed_acceleration(np.zeros((2, 3)))
-    with pytest.raises(ShapeError, match="wrist has no orientation to differentiate"):
+    with pytest.raises(InvalidInputError, match="wrist has no orientation to differentiate"):
         turning.rates_of_orientation(without(moved(), "R_inertial_sensor"))
 
 
@@ -361,8 +365,7 @@ def test_turning_is_the_rate_at_the_middle_of_the_step() -> None:
 
 def test_the_lever_arm_is_that_of_a_limb() -> None:
     stream = moved(noise=0.0)
-    check = gravity.lever_arm(stream, gravity.turning_acceleration(stream))
-    arm = float(check.advice.split()[-2])
+    arm = float(of("acceleration against turning", stream).advice.split()[-2])
     assert 0.15 < arm < 0.6
 
 

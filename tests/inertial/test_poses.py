@@ -7,7 +7,7 @@ import pytest
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.inertial.poses import POSES, facing_of, pose_rotations, turned_to
 
 BACK, DOWN, AHEAD = [-1, 0, 0], [0, 0, -1], [1, 0, 0]
@@ -61,12 +61,12 @@ def test_a_measured_pose_is_taken_as_it_is(skeleton: SkeletonModel) -> None:
 def test_poses_that_are_none_are_refused(skeleton: SkeletonModel) -> None:
     with pytest.raises(UnknownNameError, match="unknown calibration pose 'TT'.*Known: T, N, seated"):
         pose_rotations("TT", skeleton)
-    with pytest.raises(ShapeError, match=r"expected shape \(21, 3, 3\)"):
+    with pytest.raises(InvalidInputError, match=r"expected shape \(21, 3, 3\)"):
         pose_rotations(np.eye(3), skeleton)
     R = np.tile(np.eye(3), (21, 1, 1))
     R[4] = np.nan
-    with pytest.raises(ShapeError, match="Spine3 is not known"):
+    with pytest.raises(InvalidInputError, match="Spine3 is not known"):
         pose_rotations(R, skeleton)
     lying = np.tile(so3.about_axis("y", np.pi / 2), (21, 1, 1))
-    with pytest.raises(ShapeError, match="faces nowhere"):
+    with pytest.raises(InvalidInputError, match="faces nowhere"):
         facing_of(lying)

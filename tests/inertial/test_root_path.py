@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.inertial.contacts import Contacts, detect_contacts
 from rtof_kin.inertial.root_path import RootPath, RootPathSettings, root_path
 
@@ -102,5 +102,5 @@ def test_missing_accelerations_are_left_out() -> None:
 
 
 def test_settings_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(ShapeError, match="sigma_slip must be positive"):
+    with pytest.raises(InvalidInputError, match="sigma_slip must be positive"):
         RootPathSettings(sigma_slip=-1.0)

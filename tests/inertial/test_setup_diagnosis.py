@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import CalibrationError, ShapeError
+from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
-from rtof_kin.inertial.alignment import calibrated
-from rtof_kin.inertial.pose_calibration import calibrate_by_pose
+from rtof_kin.inertial.pose_calibration import calibrate_by_pose, calibrated
 from rtof_kin.inertial.setup_diagnosis import FaultKind, diagnose_setup
 from rtof_kin.simulation.noise import ImuNoise
 
@@ -183,7 +182,7 @@ def test_gaps_in_the_data_are_no_fault() -> None:
 
 def test_half_a_second_is_too_short_to_judge() -> None:
     worn = moving("walk")
-    with pytest.raises(ShapeError, match="too short to judge a movement by"):
+    with pytest.raises(InvalidInputError, match="too short to judge a movement by"):
         diagnose_setup(worn.truth.apply(worn.imus)[:20], worn.skeleton)
 
 

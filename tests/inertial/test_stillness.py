@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import CalibrationError, ShapeError
+from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_stream import SensorStream
 from rtof_kin.inertial.stillness import angular_velocity, find_still, orientation_rate, streams_of
@@ -46,7 +46,7 @@ def test_the_gyroscope_stands_above_the_orientation() -> None:
 
 
 def test_a_sensor_with_neither_has_no_angular_velocity() -> None:
-    with pytest.raises(ShapeError, match="sensor a: no angular velocity and no orientation"):
+    with pytest.raises(InvalidInputError, match="sensor a: no angular velocity and no orientation"):
         angular_velocity(SensorStream("a", np.arange(5.0)))
 
 

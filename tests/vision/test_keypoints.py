@@ -11,7 +11,7 @@ import pytest
 from detector_support import LAYOUTS, flat, landmarks_px, points_px, walking, watching
 
 from rtof_kin.body.skeleton import MotionSequence
-from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.detections import Detections
@@ -181,7 +181,7 @@ def test_a_file_outside_of_the_recording_is_refused(tmp_path: Path) -> None:
 
 def test_all_confidences_zero_is_a_clear_error(motion: MotionSequence, camera: Camera) -> None:
     uv = points_px("coco17", motion, camera)[:, None]
-    with pytest.raises(ShapeError, match="nowhere are more than 0 of 17 points seen"):
+    with pytest.raises(InvalidInputError, match="nowhere are more than 0 of 17 points seen"):
         keypoints_from_detections(Detections(uv, np.zeros(uv.shape[:3])), motion.times, camera, "coco17")
 
 
@@ -202,7 +202,7 @@ def test_points_outside_of_the_cameras_image_mean_another_camera(
     motion: MotionSequence, camera: Camera
 ) -> None:
     uv = 3 * points_px("coco17", motion, camera)[:, None]
-    with pytest.raises(ShapeError, match="% of the points lie outside of the camera's image of 1920 x 1080"):
+    with pytest.raises(InvalidInputError, match="% of the points lie outside of the camera's image of 1920 x 1080"):
         keypoints_from_detections(Detections(uv, np.ones(uv.shape[:3])), motion.times, camera)
 
 

@@ -9,7 +9,7 @@ import pytest
 from detector_support import LAYOUTS, landmarks_px, points_px, walking, watching
 
 from rtof_kin.body.skeleton import MotionSequence
-from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
@@ -173,16 +173,16 @@ def test_what_is_no_persons_points_is_refused(motion: MotionSequence, camera: Ca
     uv, confidence = sees("coco17", motion, camera)
     with pytest.raises(UnknownNameError, match="layout of keypoints 'coco'.*coco17"):
         ADAPTER.apply("coco", uv, confidence)
-    with pytest.raises(ShapeError, match=r"layout body25: expected shape \(T, 25, 2\)"):
+    with pytest.raises(InvalidInputError, match=r"layout body25: expected shape \(T, 25, 2\)"):
         ADAPTER.apply("body25", uv, confidence)
     with pytest.raises(
-        ShapeError, match="no point is seen in any of the 50 frames.*highest confidence is 0,"
+        InvalidInputError, match="no point is seen in any of the 50 frames.*highest confidence is 0,"
     ):
         ADAPTER.apply("coco17", uv, 0 * confidence)
-    with pytest.raises(ShapeError, match="no point is seen"):
+    with pytest.raises(InvalidInputError, match="no point is seen"):
         ADAPTER.naive("coco17", np.full_like(uv, np.nan), confidence)
     confidence[:, 2:] = 0.0
-    with pytest.raises(ShapeError, match="in no frame are enough points seen.*at least 4 of its 17"):
+    with pytest.raises(InvalidInputError, match="in no frame are enough points seen.*at least 4 of its 17"):
         ADAPTER.apply("coco17", uv, confidence)
 
 

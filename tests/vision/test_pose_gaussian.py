@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
-from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.vision.pose_gaussian import ANYWHERE, PoseGaussian
 
 Array = NDArray[np.float64]
@@ -121,7 +121,7 @@ def test_more_points_never_tell_less(gaussian: PoseGaussian) -> None:
 
 
 def test_what_does_not_fit_together_is_refused(gaussian: PoseGaussian) -> None:
-    with pytest.raises(ShapeError, match="covariance of points: expected shape"):
+    with pytest.raises(InvalidInputError, match="covariance of points: expected shape"):
         PoseGaussian(NAMES, gaussian.mean, gaussian.covariance[:4, :4], 0.03)
     with pytest.raises(UnknownNameError, match="point 'z'"):
         gaussian.given(("z",))

@@ -7,7 +7,7 @@ import pytest
 from detector_support import LAYOUTS, points_px, walking, watching
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.vision.layouts import detector_table
 from rtof_kin.vision.recognise import recognise
 
@@ -57,15 +57,15 @@ def test_somebody_lying_or_a_turned_video_is_recognised_too(
 def test_the_wrong_name_for_as_many_points_is_refused(
     said: str, is_: str, seen: dict[str, tuple[Array, Array]]
 ) -> None:
-    with pytest.raises(ShapeError, match=f"layout {said}: the points lie .* as those of {is_} do"):
+    with pytest.raises(InvalidInputError, match=f"layout {said}: the points lie .* as those of {is_} do"):
         recognise(*seen[is_], layout=said)
 
 
 def test_the_wrong_number_of_points_is_refused(seen: dict[str, tuple[Array, Array]]) -> None:
-    with pytest.raises(ShapeError, match="halpe26 has 26 points, but there are 25.*body25, body25b"):
+    with pytest.raises(InvalidInputError, match="halpe26 has 26 points, but there are 25.*body25, body25b"):
         recognise(*seen["body25"], layout="halpe26")
     uv, confidence = seen["halpe26"]
-    with pytest.raises(ShapeError, match=r"no layout has 24 points; known: body25 \(25\)"):
+    with pytest.raises(InvalidInputError, match=r"no layout has 24 points; known: body25 \(25\)"):
         recognise(uv[:, :24], confidence[:, :24])
     with pytest.raises(UnknownNameError, match="layout of keypoints 'openpose'"):
         recognise(uv, confidence, layout="openpose")
@@ -78,13 +78,13 @@ def test_points_in_a_wrong_order_are_no_person(
 ) -> None:
     uv, confidence = seen[layout]
     order = np.random.default_rng(1).permutation(uv.shape[1])
-    with pytest.raises(ShapeError, match="do not lie to each other as a person's.*check their order"):
+    with pytest.raises(InvalidInputError, match="do not lie to each other as a person's.*check their order"):
         recognise(uv[:, order], confidence[:, order], layout=layout if named else None)
 
 
 def test_noise_is_no_person(seen: dict[str, tuple[Array, Array]]) -> None:
     uv = np.random.default_rng(0).uniform(0, 1000, seen["coco17"][0].shape)
-    with pytest.raises(ShapeError, match="do not lie to each other"):
+    with pytest.raises(InvalidInputError, match="do not lie to each other"):
         recognise(uv, np.ones(uv.shape[:2]))
 
 
@@ -108,16 +108,16 @@ def test_of_nested_layouts_that_are_named_the_largest_is_taken(seen: dict[str, t
 
 def test_names_of_another_layout_are_refused(seen: dict[str, tuple[Array, Array]]) -> None:
     names = detector_table().layout("body25").names
-    with pytest.raises(ShapeError, match="layout body25b: the points are named Nose, Neck.*no UpperNeck"):
+    with pytest.raises(InvalidInputError, match="layout body25b: the points are named Nose, Neck.*no UpperNeck"):
         recognise(*seen["body25b"], names, layout="body25b")
-    with pytest.raises(ShapeError, match="named a, b, c, which is no layout; known: body25,"):
+    with pytest.raises(InvalidInputError, match="named a, b, c, which is no layout; known: body25,"):
         recognise(np.zeros((1, 3, 2)), np.ones((1, 3)), ["a", "b", "c"])
 
 
 def test_nobody_is_not_guessed_at(seen: dict[str, tuple[Array, Array]]) -> None:
     uv, confidence = seen["coco17"]
-    with pytest.raises(ShapeError, match="nowhere are more than 0 of 17 points seen"):
+    with pytest.raises(InvalidInputError, match="nowhere are more than 0 of 17 points seen"):
         recognise(uv, 0 * confidence)
     confidence = np.where(np.arange(17) < 5, 0.9, 0.0) * np.ones(uv.shape[:2])
-    with pytest.raises(ShapeError, match="nowhere are more than 5 of 17 points seen"):
+    with pytest.raises(InvalidInputError, match="nowhere are more than 5 of 17 points seen"):
         recognise(uv, confidence, layout="coco17")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.tracking import NOBODY, track_person
 
@@ -120,7 +120,7 @@ def test_identities_of_a_tracker_stand_above_places() -> None:
 @pytest.mark.parametrize("person, frame", [(2, 0), (-1, 0), (0, T), (0, -1), (5, None)])
 def test_a_person_who_is_not_there_cannot_be_asked_for(person: int, frame: int | None) -> None:
     found, _ = filmed([walker(300, 400), walker(1300, 1400)])
-    with pytest.raises(ShapeError, match=f"person {person} in frame .*there is no such person"):
+    with pytest.raises(InvalidInputError, match=f"person {person} in frame .*there is no such person"):
         track_person(found, TIMES, person=person, frame=frame)
 
 

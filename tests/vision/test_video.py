@@ -12,7 +12,7 @@ from detector_support import points_px, walking, watching
 from numpy.typing import NDArray
 
 from rtof_kin.cli import main
-from rtof_kin.core.errors import FileFormatError, RtofError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.vision import detector_models as models
 from rtof_kin.vision import video
 from rtof_kin.vision.keypoint_files import read_detector_file
@@ -204,7 +204,7 @@ def test_a_webcam_may_be_stopped_and_has_times_of_the_clock(
     assert found.times is not None
     assert found.times[0] == pytest.approx(0.0, abs=0.05)
     assert np.all(np.diff(found.times) > 0)
-    with pytest.raises(ShapeError, match="webcam 1: give seconds"):
+    with pytest.raises(InvalidInputError, match="webcam 1: give seconds"):
         video.detect_video(1, folder)
 
 

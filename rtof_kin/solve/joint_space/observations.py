@@ -18,7 +18,7 @@ from rtof_kin.core import signals
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import FEET, Footholds, standing_feet
+from rtof_kin.inertial.contacts import FEET, Footholds, detect_contacts
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.solve.compiled.building import built_problem
 from rtof_kin.solve.energy.frame_energy import TORSO, Shape
@@ -120,7 +120,7 @@ class Observations:
         if s.floor_height is not None:
             smooth = start.with_poses(slice(None), *self.space.poses(self.start))
             at_frames = None if bone_imus is None else bone_imus.resample(start.times)
-            contacts = standing_feet(smooth, at_frames, skeleton)
+            contacts = detect_contacts(smooth, at_frames, skeleton, from_poses=True)
             self.rows["w_floor"] = contacts.standing / s.sigma_floor**2
         self.turned = [
             self.space.low_passed(self._turned(start, yaw), start.rate_hz, s.smooth_start_hz)
