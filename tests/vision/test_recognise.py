@@ -108,7 +108,9 @@ def test_of_nested_layouts_that_are_named_the_largest_is_taken(seen: dict[str, t
 
 def test_names_of_another_layout_are_refused(seen: dict[str, tuple[Array, Array]]) -> None:
     names = detector_table().layout("body25").names
-    with pytest.raises(InvalidInputError, match="layout body25b: the points are named Nose, Neck.*no UpperNeck"):
+    with pytest.raises(
+        InvalidInputError, match="layout body25b: the points are named Nose, Neck.*no UpperNeck"
+    ):
         recognise(*seen["body25b"], names, layout="body25b")
     with pytest.raises(InvalidInputError, match="named a, b, c, which is no layout; known: body25,"):
         recognise(np.zeros((1, 3, 2)), np.ones((1, 3)), ["a", "b", "c"])
