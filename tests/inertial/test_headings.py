@@ -1,4 +1,4 @@
-"""Headings of sensors' references, planted and told by movement."""
+"""Planted headings of sensors' references are estimated from movement."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def truth() -> tuple[list[SegmentMotion], np.ndarray]:
 
 
 def misread(motions: list[SegmentMotion], R_pose: np.ndarray, angles: np.ndarray) -> list[SegmentMotion]:
-    """As they are read if references' headings are off by so much, though all was right in the pose."""
+    """The motions with wrong headings but a correct pose."""
     out = []
     for motion, R, angle in zip(motions, R_pose, angles, strict=True):
         turn = so3.about_axis("z", -angle)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -39,17 +41,6 @@ def test_a_missing_orientation_makes_its_neighbours_rates_missing_and_no_more() 
     assert known.tolist() == [True] * 3 + [False, True, False] + [True] * 3
 
 
-def test_the_gyroscope_stands_above_the_orientation() -> None:
-    times, w = np.arange(5) / 100, np.ones((5, 3))
-    both = SensorStream("a", times, R_inertial_sensor=np.tile(np.eye(3), (5, 1, 1)), w_sensor=w)
-    np.testing.assert_array_equal(angular_velocity(both), w)
-
-
-def test_a_sensor_with_neither_has_no_angular_velocity() -> None:
-    with pytest.raises(InvalidInputError, match="sensor a: no angular velocity and no orientation"):
-        angular_velocity(SensorStream("a", np.arange(5.0)))
-
-
 def test_the_first_second_in_which_all_are_still_is_found() -> None:
     streams = [stream("a", (2.0, 6.0)), stream("b", (3.0, 8.0), rate=61.0)]
     start, stop = find_still(streams)
@@ -57,7 +48,7 @@ def test_the_first_second_in_which_all_are_still_is_found() -> None:
     assert stop == pytest.approx(5.7, abs=0.1)
 
 
-def test_a_shorter_pause_is_passed_over() -> None:
+def test_shorter_pauses_are_ignored() -> None:
     with pytest.raises(CalibrationError, match=r"even around 4\.\d\d s sensors turn at .* deg/s, a most"):
         find_still([stream("a", (4.0, 4.6)), stream("b", (0.0, 10.0))])
 
@@ -68,12 +59,12 @@ def test_sensors_that_share_too_little_time_are_refused() -> None:
         find_still([stream("a", (0.0, 10.0)), late])
 
 
-def test_of_a_short_hold_the_stillest_second_is_taken() -> None:
+def test_the_stillest_second_of_a_short_pose_is_taken() -> None:
     start, stop = find_still([stream("a", (4.0, 5.1))])
     assert (start, stop) == (pytest.approx(4.05, abs=0.06), pytest.approx(5.05, abs=0.06))
 
 
-def test_a_gap_is_not_taken_for_stillness() -> None:
+def test_gaps_are_not_still() -> None:
     whole = stream("a", (20.0, 30.0))
     keep = (whole.times < 4) | (whole.times > 7)
     holed = SensorStream("a", whole.times[keep], w_sensor=whole.w_sensor[keep])  # type: ignore[index]
@@ -81,9 +72,10 @@ def test_a_gap_is_not_taken_for_stillness() -> None:
         find_still([holed])
 
 
-def test_a_sequence_becomes_a_stream_per_sensor() -> None:
-    R = np.tile(np.eye(3), (4, 2, 1, 1))
-    f = np.tile([0.0, 0.0, 9.81], (4, 2, 1))
-    streams = streams_of(ImuSequence(np.arange(4.0), R, f, ("a", "b")))
-    assert [s.name for s in streams] == ["a", "b"]
-    np.testing.assert_array_equal(streams[1].f_sensor, f[:, 1])
+def test_the_gyroscope_takes_precedence_over_the_orientation() -> None:
+    R, f, w = np.tile(np.eye(3), (5, 2, 1, 1)), np.zeros((5, 2, 3)), np.ones((5, 3))
+    _, second = streams_of(ImuSequence(np.arange(5.0), R, f, ("a", "b")))
+    np.testing.assert_array_equal(angular_velocity(second), 0.0)
+    np.testing.assert_array_equal(angular_velocity(replace(second, w_sensor=w)), w)
+    with pytest.raises(InvalidInputError, match="sensor a"):
+        angular_velocity(SensorStream("a", np.arange(5.0)))

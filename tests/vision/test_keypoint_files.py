@@ -159,9 +159,13 @@ def test_mediapipes_fractions_of_the_image_become_pixels(kind: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    "endings, size", [("{n}_x {n}_y {n}_z {n}_visibility", [1920, 1080]), ("x{k} y{k} z{k} v{k}", [1920, 1080]),
-                      ("{n}_u_px {n}_v_px {n}_confidence", [1, 1])],
-)  # fmt: skip
+    "endings, size",
+    [
+        ("{n}_x {n}_y {n}_z {n}_visibility", [1920, 1080]),
+        ("x{k} y{k} z{k} v{k}", [1920, 1080]),
+        ("{n}_u_px {n}_v_px {n}_confidence", [1, 1]),
+    ],
+)
 def test_columns_with_names_or_numbers(endings: str, size: list[int], tmp_path: Path) -> None:
     names = [endings.format(n=n, k=k) for k, n in enumerate(MP_NAMES)]
     uv = UV[:, 0][:, np.arange(33) % K]
