@@ -120,18 +120,11 @@ def test_missing_samples_stay_missing() -> None:
     assert np.median(inclination_deg(R[~missing], true[~missing])) < 0.5
 
 
-def test_short_pieces_have_no_orientation() -> None:
+def test_short_pieces_stay_missing_and_missing_channels_are_refused() -> None:
     stream, _ = moving()
-    rows = np.concatenate([np.arange(50), np.arange(500, 1500)])
-    R = oriented(cut(stream, rows))
+    R = oriented(cut(stream, np.concatenate([np.arange(50), np.arange(500, 1500)])))
     assert np.isnan(R[:50]).all()
     assert np.isfinite(R[50:]).all()
-    with pytest.raises(InvalidInputError, match="nowhere 1 s of samples"):
-        with_orientation(cut(stream, np.arange(50)))
-
-
-def test_missing_channels_are_refused() -> None:
-    stream, _ = moving()
     for lacking, word in (("f_sensor", "accelerometer"), ("w_sensor", "gyroscope")):
         with pytest.raises(InvalidInputError, match=f"shank has no {word}"):
             with_orientation(replace(stream, **{lacking: None}))
@@ -141,6 +134,8 @@ def test_missing_channels_are_refused() -> None:
         with_orientation(no_field, OrientationSettings(magnetometer=True))
     with pytest.raises(InvalidInputError, match="rate_hz"):
         OrientationSettings(rate_hz=0)
+    with pytest.raises(InvalidInputError, match="nowhere 1 s of samples"):
+        with_orientation(cut(stream, np.arange(50)))
     with pytest.raises(InvalidInputError, match="set rate_hz"):
         with_orientation(stream, OrientationSettings(rate_hz=1e8))
 

@@ -46,7 +46,7 @@ def test_a_single_person_is_never_ambiguous() -> None:
     assert (track.people, track.ambiguous.any(), track.lost.any()) == (1, False, False)
 
 
-def test_the_large_central_person_is_tracked() -> None:
+def test_people_are_tracked_in_any_order() -> None:
     found, index = filmed([walker(700, 1200), walker(100, 300, 0.5), walker(1800, 1700, 0.8)])
     track = track_person(found, TIMES, image_px=IMAGE)
     np.testing.assert_array_equal(track.person, index)
@@ -55,14 +55,10 @@ def test_the_large_central_person_is_tracked() -> None:
     uv, confidence = track.of(found)
     np.testing.assert_array_equal(uv[7], found.uv_px[7, index[7]])
     assert np.all(confidence == 0.8)
-
-
-def test_crossing_people_are_not_exchanged() -> None:
-    there, back = walker(300, 1600), walker(1600, 300, height=640.0)
-    found, index = filmed([there, back])
-    track = track_person(found, TIMES, person=int(index[0]), frame=0)
+    crossing, index = filmed([walker(300, 1600), walker(1600, 300, height=640.0)])
+    track = track_person(crossing, TIMES, person=int(index[0]), frame=0)
     np.testing.assert_array_equal(track.person, index)
-    assert track.reason == f"asked for: person {index[0]} in frame 0"
+    assert f"person {index[0]} in frame 0" in track.reason
 
 
 def test_overlapping_people_are_ambiguous() -> None:
