@@ -22,13 +22,13 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from benchmarks.harness import write_results
+from benchmarks.views import Views, ViewSettings
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.simulation.mocap import MocapClip, read_corpus
 from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks
 from rtof_kin.vision.layouts import mirrored
 from rtof_kin.vision.recognise import recognise
-from rtof_kin.vision.views import Views, ViewSettings
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).parent

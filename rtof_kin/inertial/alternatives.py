@@ -1,4 +1,4 @@
-"""Search for the declaration, constant rotation or rate under which a sensor's numbers obey physics.
+"""Search for the declaration under which a sensor's numbers obey physics.
 
 The declared conversion is undone and another one applied, for every combination of the relevant choices;
 of those that obey the laws, the one with the fewest changes is the likeliest meaning of the file.
@@ -7,14 +7,13 @@ of those that obey the laws, the one with the fewest changes is the likeliest me
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu_declaration import CHOICES, Declaration
 from rtof_kin.data.imu_stream import SensorStream
@@ -24,7 +23,6 @@ Array = NDArray[np.float64]
 _SAMPLES = 600  # spread over the recording, for gravity
 _STEPS = 3000  # for turning
 _LEAST_FACTOR = 3.0  # between the best declaration's excess and the next one's
-_FLAT = 0.01  # [-] power of turning about a further axis, relative to the first, that determines it
 _OF_TURNING = ("angular_unit", "quaternion_order", "orientation_maps")
 
 
@@ -129,81 +127,3 @@ def _part(stream: SensorStream, samples: slice) -> SensorStream:
 def _excess(check: Check) -> float:
     """Return value over limit, 0 where unknown."""
     return float(np.nan_to_num(check.value / check.limit))
-
-
-@dataclass(frozen=True)
-class FixedAxes:
-    """A constant change of axes under which the orientation turns as the gyroscope."""
-
-    R_sensor_oriented: Array
-    """(3, 3) orthogonal: from the axes of the file's orientation to those of the gyroscope."""
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether the two differ in handedness."""
-        return bool(np.linalg.det(self.R_sensor_oriented) < 0)
-
-    def applied(self, stream: SensorStream) -> SensorStream:
-        """Return the stream with the orientation of the gyroscope's axes; not for mirrored axes.
-
-        Args:
-            stream: the sensor.
-        """
-        R = stream.R_inertial_sensor
-        return replace(stream, R_inertial_sensor=None if R is None else R @ self.R_sensor_oriented.T)
-
-    def __str__(self) -> str:
-        nearest = np.round(self.R_sensor_oriented)
-        if np.abs(self.R_sensor_oriented - nearest).max() < 0.1:
-            rows = [(int(np.argmax(np.abs(row))), row) for row in nearest]
-            axes = ", ".join(("-" if row[i] < 0 else "") + "xyz"[i] for i, row in rows)
-            return f"the gyroscope's x, y, z are {axes} of the orientation's axes"
-        if self.mirrored:
-            return "the gyroscope's axes are the orientation's, mirrored and turned"
-        turn = so3.log(self.R_sensor_oriented)
-        x, y, z = so3.unit(turn)
-        return (
-            "the orientation is of axes turned against the sensor's by a constant "
-            f"{np.degrees(np.linalg.norm(turn)):.1f} deg about ({x:.2f}, {y:.2f}, {z:.2f})"
-        )
-
-
-def fixed_axes(stream: SensorStream) -> FixedAxes | None:
-    """Fit the constant orthogonal matrix from the orientation's rates to the gyroscope's (Wahba 1965).
-
-    Args:
-        stream: the sensor.
-
-    Returns:
-        None for too little data, turning about fewer than two axes, or rates that still disagree.
-    """
-    pair = turning.both_rates(stream)
-    if pair is None:
-        return None
-    measured, expected = pair
-    known = np.ones(len(measured), dtype=np.bool_)
-    for _ in range(2):  # the second time without the largest residuals
-        H = measured[known].T @ expected[known]
-        U, size, Vt = np.linalg.svd(H)
-        if not size[1] > _FLAT * size[0]:
-            return None
-        R = U @ Vt if size[2] > _FLAT * size[0] else so3.nearest_rotation(H)
-        off = np.linalg.norm(measured - expected @ R.T, axis=-1)
-        known = off <= np.quantile(off, 0.95)
-    residual = turning.trimmed_rms(measured - expected @ R.T)
-    return FixedAxes(R) if residual <= turning.turning_limit(expected) else None
-
-
-def likely_rate(stream: SensorStream) -> float | None:
-    """Return the sampling rate, Hz, under which orientation and gyroscope agree, if there is one.
-
-    Args:
-        stream: the sensor.
-    """
-    pair = turning.both_rates(stream)
-    if pair is None:
-        return None
-    measured, expected = pair
-    scale = float(np.sum(measured * expected) / max(np.sum(expected**2), 1e-12))
-    agree = turning.trimmed_rms(measured - scale * expected) <= turning.turning_limit(scale * expected)
-    return scale * stream.rate_hz if agree and scale > 0 else None

@@ -52,14 +52,10 @@ _FREEDOM = 3.0  # degrees of freedom of Student's t
 class _Pair:
     """Distribution of the orientation of segment b relative to segment a."""
 
-    R_mean: Array
-    """(3, 3) mean of R_a_b."""
-    precision: Array
-    """(3, 3) of log(R_mean^T R_a_b), rad^-2."""
-    turning_a: Array
-    """(3, 3) inverse shape of the relative angular velocity in a's axes, determinant 1."""
-    turning_b: Array
-    """(3, 3) in b's axes."""
+    R_mean: Array  # (3, 3) mean of R_a_b
+    precision: Array  # (3, 3) of log(R_mean^T R_a_b), rad^-2
+    turning_a: Array  # (3, 3) inverse shape of the relative angular velocity in a's axes, determinant 1
+    turning_b: Array  # (3, 3) in b's axes
 
 
 class MotionLikelihood:

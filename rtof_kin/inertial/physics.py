@@ -17,7 +17,7 @@ from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.inertial import gravity, turning
-from rtof_kin.inertial.alternatives import fixed_axes, likely_changes, likely_rate
+from rtof_kin.inertial.alternatives import likely_changes
 from rtof_kin.inertial.sampling import check_sampling
 
 LAWS: Final = (
@@ -75,11 +75,11 @@ def _explanation(
     if changes:
         text = "; or with ".join(_declared(change) for change in changes)
         return f"It would hold with {text}", changes[0] if len(changes) == 1 else {}
-    fixed = fixed_axes(stream)
+    fixed = turning.fixed_axes(stream)
     if fixed is not None:
         then = "" if fixed.mirrored else f"; {_then(fixed.applied(stream), declared)}"
         return f"By the gyroscope, {fixed}{then}", {}
-    rate_hz = likely_rate(stream)
+    rate_hz = turning.likely_rate(stream)
     if rate_hz is not None and [check.name for check in broken] == [turning.GYROSCOPE]:
         likely = {"rate_hz": round(rate_hz, 1)}
         return f"It would hold with {_declared(likely)}", likely

@@ -127,10 +127,7 @@ def calibrate_by_pose(
     if headings not in ("shared", "own"):
         raise UnknownNameError("kind of headings", [headings], ["shared", "own"])
     if headings == "own" and facing is not None:
-        raise CalibrationError(
-            "facing has no meaning for sensors with headings of their own; give world_facing, or "
-            "headings='shared'"
-        )
+        raise CalibrationError("facing needs headings='shared'; give world_facing for headings='own'")
     held = _hold(imus, joints, skeleton, still, levers)
     R_all, named = pose_rotations(pose, skeleton), isinstance(pose, str)
     faces = facing_of(R_all) if world_facing is None else world_facing
@@ -167,10 +164,8 @@ def _forward(facing: float | tuple[str, str], held: _Held) -> float:
         raise UnknownNameError("axis of facing", [axis], list(_AXES))
     forward = held.R_inertial_sensor[s][:, "xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0)
     if np.hypot(forward[0], forward[1]) < np.sin(np.radians(20.0)):
-        raise CalibrationError(
-            f"the axis {axis} of {sensor} is within 20 degrees of vertical in the pose, so it does not "
-            "point forward; name another axis"
-        )
+        problem = "is within 20 degrees of vertical in the pose; name another axis"
+        raise CalibrationError(f"the axis {axis} of {sensor} {problem}")
     return float(np.arctan2(forward[1], forward[0]))
 
 
@@ -185,9 +180,8 @@ def _from_movement(
     fastest = max(float(np.nanmax(np.linalg.norm(m.w_world, axis=-1))) for m in motions)
     if fastest < _LEAST_TURNING:
         raise CalibrationError(
-            f"headings are not observable: no sensor turns faster than {fastest:.2g} rad/s, and a pose alone "
-            "does not determine them; record some bending and stretching after it"
-            + (", or give facing" if headings == "shared" else "")
+            f"headings are not observable: no sensor turns faster than {fastest:.2g} rad/s; record some "
+            f"bending and stretching after the pose{', or give facing' if headings == 'shared' else ''}"
         )
     search = own_headings if headings == "own" else shared_heading
     return search(MotionLikelihood(skeleton), motions, R_pose)
@@ -230,16 +224,11 @@ class _Held:
     """S sensors on segments during a pose."""
 
     streams: tuple[SensorStream, ...]
-    joints: tuple[str, ...]
-    """Their segments."""
-    still: tuple[float, float]
-    """(start, stop) s"""
-    R_inertial_sensor: Array
-    """(S, 3, 3) mean orientations."""
-    spreads_deg: Array
-    """(S,) RMS angles to them."""
-    levers: Array
-    """(S, 3) positions of the sensors in the segments' frames, m."""
+    joints: tuple[str, ...]  # their segments
+    still: tuple[float, float]  # (start, stop) s
+    R_inertial_sensor: Array  # (S, 3, 3) mean orientations
+    spreads_deg: Array  # (S,) RMS angles to them
+    levers: Array  # (S, 3) m, positions of the sensors in the segments' frames
 
     def aligned(self, headings: Array, R_pose: Array) -> ImuCalibration:
         """Return the calibration for headings (S,), rad, under which R_world_bone is R_pose (S, 3, 3)."""
@@ -288,10 +277,8 @@ def _selected(imus: ImuSequence | SensorLog, sensors: Sequence[str]) -> tuple[Se
 
 def _orientations(stream: SensorStream) -> Array:
     if stream.R_inertial_sensor is None:
-        raise CalibrationError(
-            f"sensor {stream.name} has no orientation, which calibration needs; estimate it from its "
-            "gyroscope and accelerometer first (rtof_kin.inertial.orientation)"
-        )
+        problem = "has no orientation; estimate it first (rtof_kin.inertial.orientation)"
+        raise CalibrationError(f"sensor {stream.name} {problem}")
     return stream.R_inertial_sensor
 
 

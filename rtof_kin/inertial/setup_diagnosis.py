@@ -33,19 +33,12 @@ from rtof_kin.inertial.segment_motion import SegmentMotion, even_times, seen_bon
 Array = NDArray[np.float64]
 LEAST_RATIO: Final = 10.0
 """Log-likelihood ratio [nats] from which a fault is reported."""
-_LONE_FACTOR: Final = 2.5
-"""Multiple of `LEAST_RATIO` for sensors without one on a neighbouring segment."""
-_LONGEST: Final = 20.0
-"""Longer movements [s] are weighted as if they had this duration."""
-_SAME_RATIO: Final = 3.0
-"""Faults within this ratio [nats] of the likeliest one are listed as alternatives."""
-_MOST_ALTERNATIVES: Final = 3
-_QUARTERS_DEG: Final = {
-    90: "90 degrees to the left of", -90: "90 degrees to the right of", 180: "180 degrees from",
-}  # fmt: skip
-_NEAR: Final = 2
-"""Largest number of joints between segments that are confused with each other."""
-_SIDES: Final = ("Left", "Right")
+_LONE_FACTOR = 2.5  # multiple of it for sensors without one on a neighbouring segment
+_LONGEST = 20.0  # [s] longer movements have the weight of this duration
+_SAME_RATIO, _MOST_ALTERNATIVES = 3.0, 3  # [nats] to the likeliest fault, and number of alternatives
+_QUARTERS_DEG = {90: "90 degrees to the left of", -90: "90 degrees to the right of", 180: "180 degrees from"}
+_NEAR = 2  # joints between segments that are confused with each other
+_SIDES = ("Left", "Right")
 
 
 class FaultKind(Enum):
@@ -65,16 +58,11 @@ class FaultKind(Enum):
 class _Change:
     """Correction of one sensor's calibration."""
 
-    declared: str
-    """Declared segment."""
-    joint: str
-    """Actual segment."""
-    R_bone_new: Array
-    """(3, 3) factor of R_sensor_bone from the right."""
-    p_bone_sensor: Array
-    """(3,) lever arm on the actual segment, m."""
-    R_world_new: Array | None = None
-    """(3, 3) factor of R_world_inertial from the left."""
+    declared: str  # segment
+    joint: str  # actual segment
+    R_bone_new: Array  # (3, 3) factor of R_sensor_bone from the right
+    p_bone_sensor: Array  # (3,) m, lever arm on the actual segment
+    R_world_new: Array | None = None  # (3, 3) factor of R_world_inertial from the left
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +100,8 @@ class Fault:
         """
         missing = [c.declared for c in self.changes if c.declared not in calibration.joints]
         if missing:
-            raise CalibrationError(
-                f"the calibration has no sensor on {', '.join(missing)}, which the fault concerns; give "
-                "the calibration that was diagnosed"
-            )
+            problem = f"has no sensor on {', '.join(missing)}; give the one that was diagnosed"
+            raise CalibrationError(f"the calibration {problem}")
         joints, levers = list(calibration.joints), np.array(calibration.p_bone_sensor)
         R_sensor_bone, R_world_inertial = (
             calibration.R_sensor_bone.copy(),
@@ -131,12 +117,8 @@ class Fault:
                 R_world_inertial[s] = change.R_world_new @ R_world_inertial[s]
         return ImuCalibration(calibration.sensors, tuple(joints), R_world_inertial, R_sensor_bone, levers)
 
-    def read(self, motions: Sequence[SegmentMotion]) -> tuple[SegmentMotion, ...]:
-        """Return the motions under the corrected calibration.
-
-        Args:
-            motions: under the calibration as declared.
-        """
+    def _read(self, motions: Sequence[SegmentMotion]) -> tuple[SegmentMotion, ...]:
+        """Return the motions under the corrected calibration."""
         changes = {change.declared: change for change in self.changes}
         out = []
         for motion in motions:
@@ -181,7 +163,7 @@ def diagnose_setup(
         if fault is None:
             break
         found.append(fault)
-        motions = fault.read(motions)
+        motions = fault._read(motions)
         calibration = None if calibration is None else fault.corrected(calibration)
     return tuple(found)
 
@@ -191,7 +173,7 @@ def _likeliest(
 ) -> Fault | None:
     """Return the fault with the largest ratio above its threshold, with its alternatives."""
     base = scores.total(motions)
-    ratios = np.array([scores.total(fault.read(motions)) - base for fault in faults])
+    ratios = np.array([scores.total(fault._read(motions)) - base for fault in faults])
     least = [LEAST_RATIO * (_LONE_FACTOR if setup.is_lone(fault) else 1.0) for fault in faults]
     enough = np.flatnonzero(ratios >= least)
     if not len(enough):
@@ -227,10 +209,8 @@ class _Setup:
     """Sensors as declared, the calibration pose, and the faults that are possible."""
 
     skeleton: SkeletonModel
-    levers: dict[str, Array]
-    """Segment -> lever arm (3,), m, of each sensor."""
-    R_pose: Array
-    """(J, 3, 3) R_world_bone, facing x."""
+    levers: dict[str, Array]  # segment -> lever arm (3,), m, of each sensor
+    R_pose: Array  # (J, 3, 3) R_world_bone, facing x
     calibration: ImuCalibration | None
     index: dict[str, int] = field(init=False)
 

@@ -1,10 +1,12 @@
 """Checks of a sensor stream's rotation: the gyroscope measures the derivative of the orientation.
 
-The law needs neither the mounting of the sensor nor a heading.
+The law needs neither the mounting of the sensor nor a heading. Where it does not hold, `fixed_axes` and
+`likely_rate` find the constant rotation or the sampling rate under which it does.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -21,6 +23,7 @@ GYROSCOPE: Final = "gyroscope against orientation"
 _TURNING_DEG, _TURNING_SHARE = 5.0, 0.15  # [deg/s], [-] RMS difference; recordings: 1-7 deg/s at 50-170
 _JUMP_DEG = 5.0  # [deg] in one step beyond the gyroscope's rotation; recordings have up to 0.5
 _LARGEST_DELAY = 1.5  # [samples]; a mean rate since the last sample has 0.5
+_FLAT = 0.01  # [-] power about a further axis, relative to the first, that determines a rotation
 _NORM = 0.01  # [-] deviation of a quaternion's norm from 1; files round to 4-7 digits
 
 
@@ -79,7 +82,7 @@ def gyroscope(stream: SensorStream, shift: float | None = None) -> Check:
     Args:
         stream: the sensor. shift: delay of the gyroscope, samples; estimated if None.
     """
-    pair = both_rates(stream, shift)
+    pair = _both_rates(stream, shift)
     if pair is None:
         missing = "gyroscope" if stream.w_sensor is None else "orientation"
         why = "too few samples are known" if missing in stream.holds else f"there is no {missing}"
@@ -87,7 +90,7 @@ def gyroscope(stream: SensorStream, shift: float | None = None) -> Check:
     measured, expected = pair
     speeds = [np.degrees(trimmed_rms(w)) for w in (measured - expected, measured, expected)]
     residual, of_gyroscope, of_orientation = map(float, speeds)
-    limit = float(np.degrees(turning_limit(expected)))
+    limit = float(np.degrees(_limit(expected)))
     if of_orientation < _TURNING_DEG and residual <= limit:
         why = f"the sensor hardly turns ({of_orientation:.1f} deg/s)"
         return Check.unknown(GYROSCOPE, stream.name, "deg/s", why)
@@ -95,12 +98,8 @@ def gyroscope(stream: SensorStream, shift: float | None = None) -> Check:
     return Check(GYROSCOPE, stream.name, residual, limit, "deg/s", text)
 
 
-def turning_limit(expected: Array) -> float:
-    """Return the largest RMS difference of a gyroscope from expected rates, rad/s.
-
-    Args:
-        expected: (N, 3) rad/s.
-    """
+def _limit(expected: Array) -> float:
+    """Return the largest RMS difference, rad/s, of a gyroscope from expected rates (N, 3), rad/s."""
     return float(np.radians(_TURNING_DEG) + _TURNING_SHARE * trimmed_rms(expected))
 
 
@@ -114,13 +113,8 @@ def trimmed_rms(vectors: Array) -> float:
     return float(np.sqrt(np.mean(squares[: max(1, int(0.99 * len(squares)))])))
 
 
-def both_rates(stream: SensorStream, shift: float | None = None) -> tuple[Array, Array] | None:
-    """Return gyroscope and derivative of the orientation (N, 3), rad/s, where both are known.
-
-    Args:
-        stream: the sensor; None is returned for fewer than ten samples.
-        shift: delay of the gyroscope, samples; estimated if None.
-    """
+def _both_rates(stream: SensorStream, shift: float | None = None) -> tuple[Array, Array] | None:
+    """Return gyroscope and derivative of the orientation (N, 3), rad/s, if ten samples of both are known."""
     if stream.w_sensor is None or stream.R_inertial_sensor is None or len(stream) < 3:
         return None
     shift = delay(stream) if shift is None else shift
@@ -144,7 +138,7 @@ def turning_checks(stream: SensorStream) -> tuple[Check, ...]:
 
 def _jumps(stream: SensorStream, shift: float, agreeing: bool) -> Check:
     """Check the largest rotation between two samples that an agreeing gyroscope does not measure."""
-    name, pair = "jump of the orientation", both_rates(stream, shift) if agreeing else None
+    name, pair = "jump of the orientation", _both_rates(stream, shift) if agreeing else None
     if pair is None:
         why = "gyroscope and orientation do not agree, or one is missing"
         return Check.unknown(name, stream.name, "deg", why)
@@ -170,6 +164,84 @@ def _quaternion_norm(stream: SensorStream) -> Check:
     off = np.abs(norm - 1)
     text = f"The worst is sample {np.nanargmax(off)}: these are no orientations, or damaged ones"
     return Check(name, stream.name, float(np.nanmax(off)), _NORM, "", text)
+
+
+@dataclass(frozen=True)
+class FixedAxes:
+    """A constant change of axes under which the orientation turns as the gyroscope."""
+
+    R_sensor_oriented: Array
+    """(3, 3) orthogonal: from the axes of the file's orientation to those of the gyroscope."""
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the two differ in handedness."""
+        return bool(np.linalg.det(self.R_sensor_oriented) < 0)
+
+    def applied(self, stream: SensorStream) -> SensorStream:
+        """Return the stream with the orientation of the gyroscope's axes; not for mirrored axes.
+
+        Args:
+            stream: the sensor.
+        """
+        R = stream.R_inertial_sensor
+        return replace(stream, R_inertial_sensor=None if R is None else R @ self.R_sensor_oriented.T)
+
+    def __str__(self) -> str:
+        nearest = np.round(self.R_sensor_oriented)
+        if np.abs(self.R_sensor_oriented - nearest).max() < 0.1:
+            rows = [(int(np.argmax(np.abs(row))), row) for row in nearest]
+            axes = ", ".join(("-" if row[i] < 0 else "") + "xyz"[i] for i, row in rows)
+            return f"the gyroscope's x, y, z are {axes} of the orientation's axes"
+        if self.mirrored:
+            return "the gyroscope's axes are the orientation's, mirrored and turned"
+        turn = so3.log(self.R_sensor_oriented)
+        x, y, z = so3.unit(turn)
+        return (
+            "the orientation is of axes turned against the sensor's by a constant "
+            f"{np.degrees(np.linalg.norm(turn)):.1f} deg about ({x:.2f}, {y:.2f}, {z:.2f})"
+        )
+
+
+def fixed_axes(stream: SensorStream) -> FixedAxes | None:
+    """Fit the constant orthogonal matrix from the orientation's rates to the gyroscope's (Wahba 1965).
+
+    Args:
+        stream: the sensor.
+
+    Returns:
+        None for too little data, turning about fewer than two axes, or rates that still disagree.
+    """
+    pair = _both_rates(stream)
+    if pair is None:
+        return None
+    measured, expected = pair
+    known = np.ones(len(measured), dtype=np.bool_)
+    for _ in range(2):  # the second time without the largest residuals
+        H = measured[known].T @ expected[known]
+        U, size, Vt = np.linalg.svd(H)
+        if not size[1] > _FLAT * size[0]:
+            return None
+        R = U @ Vt if size[2] > _FLAT * size[0] else so3.nearest_rotation(H)
+        off = np.linalg.norm(measured - expected @ R.T, axis=-1)
+        known = off <= np.quantile(off, 0.95)
+    residual = trimmed_rms(measured - expected @ R.T)
+    return FixedAxes(R) if residual <= _limit(expected) else None
+
+
+def likely_rate(stream: SensorStream) -> float | None:
+    """Return the sampling rate, Hz, under which orientation and gyroscope agree, if there is one.
+
+    Args:
+        stream: the sensor.
+    """
+    pair = _both_rates(stream)
+    if pair is None:
+        return None
+    measured, expected = pair
+    scale = float(np.sum(measured * expected) / max(np.sum(expected**2), 1e-12))
+    agree = trimmed_rms(measured - scale * expected) <= _limit(scale * expected)
+    return scale * stream.rate_hz if agree and scale > 0 else None
 
 
 def _fluctuation(values: Array) -> Array:

@@ -15,11 +15,9 @@ from rtof_kin.core.errors import InvalidInputError, ShapeError
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 NO_IDENTITY: Final = -1
-_LARGEST_RELATIVE: Final = 3.0
-"""Coordinates of which none is larger are taken as fractions of the image size."""
-_MOST_PEOPLE: Final = 500
-_MOST_NUMBERS: Final = 2**27
-_HIGHEST_CONFIDENCE: Final = 10.0
+_LARGEST_RELATIVE = 3.0  # coordinates of which none is larger are fractions of the image size
+_MOST_PEOPLE, _MOST_NUMBERS = 500, 2**27
+_HIGHEST_CONFIDENCE = 10.0
 
 
 @dataclass(frozen=True)
@@ -55,10 +53,8 @@ class Detections:
             raise InvalidInputError("there is nobody in any frame; check the detector's output")
         low, high = float(np.nanmin(confidence, initial=0.0)), float(np.nanmax(confidence, initial=0.0))
         if high > _HIGHEST_CONFIDENCE or low < 0:
-            raise InvalidInputError(
-                f"detections confidence: ranges from {low:g} to {high:g}; give values from 0 to 1, divided "
-                "by the detector's maximum"
-            )
+            problem = f"ranges from {low:g} to {high:g}; give values from 0 to 1"
+            raise InvalidInputError(f"detections confidence: {problem}")
         confidence = np.clip(np.nan_to_num(confidence), 0.0, 1.0)
         missing = ~np.isfinite(uv).all(axis=-1) | (confidence == 0)
         uv[missing], confidence[missing] = np.nan, 0.0
@@ -97,10 +93,8 @@ class Detections:
             raise InvalidInputError("there is nobody in any frame; check the detector's output")
         for number, some in sizes.items():
             if some - {K}:
-                raise InvalidInputError(
-                    f"frame {number}: a person has {max(some - {K})} points, others have {K}; all must be in "
-                    "one layout"
-                )
+                problem = f"a person has {max(some - {K})} points, others have {K}; use one layout"
+                raise InvalidInputError(f"frame {number}: {problem}")
         T, P = max(frames) + 1, max(map(len, frames.values()))
         if P > _MOST_PEOPLE or T * P * K > _MOST_NUMBERS:
             raise InvalidInputError(

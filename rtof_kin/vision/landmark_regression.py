@@ -21,16 +21,15 @@ from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
-from rtof_kin.vision.layouts import DetectorTable, Layout, detector_table, own
+from rtof_kin.vision.layouts import DetectorTable, Layout, detector_table, own, point_names
 from rtof_kin.vision.pose_gaussian import FEWEST_POINTS, QUARTERS, PoseGaussian
-from rtof_kin.vision.views import point_names
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 LEAST_CONFIDENCE: Final = 0.1
 """Points with a smaller confidence are treated as not detected."""
 LEAST_SHARE: Final = 0.1
-"""Smallest fraction of a landmark's expected square error that is detector noise; with less it is unobserved."""
+"""Smallest fraction of a landmark's expected square error that is detector noise, else it is unobserved."""
 
 
 @dataclass(frozen=True)

@@ -110,6 +110,15 @@ def own(landmark: str) -> str:
     return f"skeleton:{landmark}"
 
 
+def point_names(table: DetectorTable, skeleton: SkeletonModel) -> tuple[str, ...]:
+    """Return the N points of a view: the skeleton's landmarks, then the detectors' points.
+
+    Args:
+        table: of the layouts. skeleton: with the landmarks.
+    """
+    return (*map(own, skeleton.landmarks), *(point.name for point in table.points))
+
+
 @cache
 def detector_table() -> DetectorTable:
     """Return the shipped table."""

@@ -129,7 +129,7 @@ def _exchanged(keypoints: KeypointSequence, pairs: NDArray[np.intp]) -> Iterator
 
 
 def _crossed(now: Array, expected: Array | None, size: float) -> bool:
-    """Return whether pairs (n, 2, 2), NaN if not detected, are nearer to the prediction with sides exchanged."""
+    """Return whether pairs (n, 2, 2), NaN if missing, are nearer to the prediction with sides exchanged."""
     if expected is None:
         return False
     off = np.linalg.norm(now - expected, axis=-1).mean(axis=1) / size

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -21,8 +20,7 @@ from rtof_kin.core.checks import indices_of, readonly
 Array = NDArray[np.float64]
 ANYWHERE: Final = 1e4
 """Variance of a person's place, RMS radii squared; practically flat."""
-_UPRIGHT_BONUS: Final = 0.5
-"""Log-likelihood per point by which a turned person must fit better than an upright one."""
+_UPRIGHT_BONUS = 0.5  # log-likelihood per point by which a turned person must fit better
 QUARTERS: Final = tuple(np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1)))
 """Rotations of the image by quarter turns; the first is none."""
 FEWEST_POINTS: Final = 4
@@ -84,31 +82,15 @@ class PoseGaussian:
         """
         return ConditionedPose(self, seen)
 
-    @cached_property
-    def _rows(self) -> dict[str, int]:
-        return {name: i for i, name in enumerate(self.names)}
-
-    def index(self, points: Sequence[str]) -> list[int]:
-        """Return the indices of points.
-
-        Args:
-            points: names.
-
-        Raises:
-            UnknownNameError: one is unknown.
-        """
-        try:
-            return [self._rows[point] for point in points]
-        except KeyError:
-            return indices_of("point", points, self.names)
-
     def between(self, a: Sequence[str], b: Sequence[str]) -> Array:
         """Return the covariance (2A, 2B) of points of a person anywhere in the image.
 
         Args:
             a, b: names of A and B points.
         """
-        rows, columns = ((2 * np.array(self.index(p))[:, None] + np.arange(2)).ravel() for p in (a, b))
+        rows, columns = (
+            (2 * np.array(indices_of("point", p, self.names))[:, None] + np.arange(2)).ravel() for p in (a, b)
+        )
         anywhere = ANYWHERE * np.tile(np.eye(2), (len(a), len(b)))
         return np.asarray(self.covariance[np.ix_(rows, columns)] + anywhere)
 
@@ -127,7 +109,7 @@ class ConditionedPose:
         with_noise = self._covariance + gaussian.noise**2 * np.eye(2 * len(seen))
         self._precision = np.linalg.inv(with_noise)
         self._log_det = float(np.linalg.slogdet(with_noise)[1])
-        mean = gaussian.mean[gaussian.index(seen)]
+        mean = gaussian.mean[indices_of("point", seen, gaussian.names)]
         self._centre = mean.mean(axis=0)
         self._mean = (mean - self._centre).ravel()
 
@@ -145,7 +127,7 @@ class ConditionedPose:
         per_point = np.maximum(error.reshape(M, 2).mean(axis=1), 0)
         size = np.linalg.norm(gain.reshape(M, 2, len(self.seen), 2), axis=(1, 3))
         noise = gaussian.noise**2 * (gain**2).sum(axis=1).reshape(M, 2).mean(axis=1)
-        mean = gaussian.mean[gaussian.index(wanted)] - self._centre
+        mean = gaussian.mean[indices_of("point", wanted, gaussian.names)] - self._centre
         return Regression(mean, gain, per_point, noise, size / size.sum(axis=1, keepdims=True))
 
     def likelihood(self, uv_px: Array) -> Likelihood:

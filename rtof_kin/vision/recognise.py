@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,10 @@ from rtof_kin.vision.layouts import Layout
 from rtof_kin.vision.pose_gaussian import FEWEST_POINTS
 
 Array = NDArray[np.float64]
-_FRAMES: Final = 60
-"""Number of persons, spread over the recording, that are tested."""
-_LEAST_MARGIN: Final = 1.0
-"""Log-likelihood per point between the best layout and the next; wrong layouts are 4 to 8 worse."""
-_LARGEST_MISFIT: Final = 3.0
-"""Median squared distance per degree of freedom; 0.6 to 2.7 for persons, 3 to 5 for points in a wrong order."""
-_LARGEST_MISFIT_NAMED: Final = 3.4
-"""The same for a layout that was named: postures may be unusual."""
+_FRAMES = 60  # persons, spread over the recording, that are tested
+_LEAST_MARGIN = 1.0  # log-likelihood per point over the next layout; wrong ones are 4 to 8 worse
+_LARGEST_MISFIT = 3.0  # median squared distance per degree of freedom; persons 0.6 to 2.7, wrong order 3 to 5
+_LARGEST_MISFIT_NAMED = 3.4  # for a layout that was named: postures may be unusual
 
 
 @dataclass(frozen=True)
@@ -144,8 +140,7 @@ def _decided(fits: Sequence[_Fit], layout: str | None) -> Recognition:
         tried = " or ".join(fit.layout.name for fit in fits)
         raise InvalidInputError(
             f"{len(best.layout)} points are not arranged as a person's in layout {tried} (misfit "
-            f"{best.misfit:.1f}, {largest:g} at most); check their order, and that x and y are pixels with "
-            "y down"
+            f"{best.misfit:.1f}, {largest:g} at most); check their order, and that y points down"
         )
     if best.log_likelihood - named.log_likelihood > _LEAST_MARGIN:
         raise InvalidInputError(

@@ -81,13 +81,10 @@ class _Trail:
 
     frames: list[int] = field(default_factory=list)
     people: list[int] = field(default_factory=list)
-    unsure: list[int] = field(default_factory=list)
-    """Frames with an ambiguous link."""
-    points: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(K, 2) in the last frame, px."""
+    unsure: list[int] = field(default_factory=list)  # frames with an ambiguous link
+    points: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (K, 2) px, in the last frame
     size: float = 0.0
-    velocity: Array = field(default_factory=lambda: np.zeros(2))
-    """px/s."""
+    velocity: Array = field(default_factory=lambda: np.zeros(2))  # px/s
     seen_at: float = 0.0
     identity: int = NO_IDENTITY
 
@@ -242,7 +239,7 @@ def _joined(
 
 
 def _cost(edge: _Trail, other: _Trail, forward: bool, measures: _Measures, times: Array) -> float:
-    """Return gap [s] plus distance [sizes] to a trail after (or before) another; inf if not the same person."""
+    """Return gap [s] plus distance [sizes] to a later (or earlier) trail; inf if of another person."""
     i, j = (-1, 0) if forward else (0, -1)
     end, start = (edge.frames[i], edge.people[i]), (other.frames[j], other.people[j])
     later = start[0] > end[0] if forward else start[0] < end[0]

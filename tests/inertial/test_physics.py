@@ -17,8 +17,9 @@ from rtof_kin.data.imu_declaration import CHOICES, Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial import gravity, turning
-from rtof_kin.inertial.alternatives import fixed_axes, likely_changes, likely_rate, redeclared
+from rtof_kin.inertial.alternatives import likely_changes, redeclared
 from rtof_kin.inertial.physics import LAWS, check_log
+from rtof_kin.inertial.turning import fixed_axes, likely_rate
 
 PLAIN = Declaration()
 DATA = Path(__file__).parents[1] / "fixtures" / "inertial"

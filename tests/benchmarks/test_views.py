@@ -9,9 +9,9 @@ import pytest
 from detector_support import walking
 from numpy.typing import NDArray
 
+from benchmarks.views import MIRROR, Views, ViewSettings
 from rtof_kin.body import kinematics
 from rtof_kin.vision.layouts import detector_table, mirrored, own
-from rtof_kin.vision.views import MIRROR, Views, ViewSettings
 
 Array = NDArray[np.float64]
 STILL = ViewSettings(

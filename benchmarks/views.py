@@ -1,4 +1,4 @@
-"""Simulated views of a body's points, to which landmark regressions are fitted and by which they are measured.
+"""Simulated views of a body's points, for fitting and measuring landmark regressions.
 
 The motion gives the orientations; the body is the shipped skeleton with varied bone lengths, because joints
 are those of the skeleton's table and the skeletons of motion capture have others.
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.vision.layouts import DetectorTable, mirrored, own
+from rtof_kin.vision.layouts import DetectorTable, mirrored, own, point_names
 
 Array = NDArray[np.float64]
 MIRROR = np.diag([1.0, -1.0, 1.0])
@@ -33,15 +33,6 @@ class ViewSettings:
     bone_scale: float = 0.05  # [-] of each bone's length, the same on both sides, standard deviation
     place: float = 0.010  # [m] of each detector's point in its segment per axis, standard deviation
     mirror: bool = True  # whether half of the views are of the mirrored motion
-
-
-def point_names(table: DetectorTable, skeleton: SkeletonModel) -> tuple[str, ...]:
-    """Return the N points of a view: the skeleton's landmarks, then the detectors' points.
-
-    Args:
-        table: of the layouts. skeleton: with the landmarks.
-    """
-    return (*map(own, skeleton.landmarks), *(point.name for point in table.points))
 
 
 class Views:
