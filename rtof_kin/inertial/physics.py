@@ -1,29 +1,34 @@
 """Checks of sensor streams by physics, and the likely meaning of a file that fails them.
 
 Nothing is changed: a failed check names the change of the declaration under which the same numbers obey the
-law. The laws are in `gravity` and `turning`, clocks and channels in `sampling`, other declarations in
-`alternatives`.
+law. For that the declared conversion is undone and another one applied, for every combination of the relevant
+choices; of those that obey, the one with the fewest changes is the likeliest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
 
 from rtof_kin.core.plausibility import Check
-from rtof_kin.data.imu_declaration import Declaration
+from rtof_kin.data.imu_declaration import CHOICES, Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
-from rtof_kin.inertial import gravity, turning
-from rtof_kin.inertial.alternatives import likely_changes
+from rtof_kin.inertial import laws
 from rtof_kin.inertial.sampling import check_sampling
 
 LAWS: Final = (
-    gravity.FORCE, gravity.DIRECTION, gravity.MEAN_ACCELERATION, gravity.LEVER, turning.GYROSCOPE,
+    laws.FORCE, laws.DIRECTION, laws.MEAN_ACCELERATION, laws.LEVER, laws.GYROSCOPE,
 )  # fmt: skip
 """Names of the checks that fail for a wrong declaration of a unit or of axes."""
+_SAMPLES = 600  # spread over the recording, for gravity
+_STEPS = 3000  # for turning
+_LEAST_FACTOR = 3.0  # between the best declaration's excess and the next one's
+_OF_TURNING = ("angular_unit", "quaternion_order", "orientation_maps")
 
 
 def check_log(log: SensorLog) -> tuple[Check, ...]:
@@ -43,7 +48,7 @@ def check_log(log: SensorLog) -> tuple[Check, ...]:
 def _check(streams: Sequence[SensorStream], declared: Declaration) -> tuple[Check, ...]:
     found = [_laws(stream, declared) for stream in streams]
     wrong = [stream for stream, checks in zip(streams, found, strict=True) if _broken(checks)]
-    changes = likely_changes(wrong, declared) if wrong else []
+    changes = _likely_changes(wrong, declared) if wrong else []
     out: list[Check] = []
     for stream, checks in zip(streams, found, strict=True):
         if broken := _broken(checks):
@@ -56,12 +61,12 @@ def _check(streams: Sequence[SensorStream], declared: Declaration) -> tuple[Chec
 
 
 def _laws(stream: SensorStream, declared: Declaration) -> tuple[Check, ...]:
-    per_metre = gravity.turning_acceleration(stream)
-    force, direction, mean, lever = gravity.gravity_checks(stream, gravity.at_rest(stream), per_metre)
+    per_metre = laws.turning_acceleration(stream)
+    force, direction, mean, lever = laws.gravity_checks(stream, laws.at_rest(stream), per_metre)
     if declared.gravity == "removed" and direction.passed:  # what `Declaration` put back points up
         why = "gravity was removed, so that no direction of it is left"
-        direction = Check.unknown(gravity.DIRECTION, stream.name, "deg", why)
-    return (force, direction, mean, lever, *turning.turning_checks(stream))
+        direction = Check.unknown(laws.DIRECTION, stream.name, "deg", why)
+    return (force, direction, mean, lever, *laws.turning_checks(stream))
 
 
 def _broken(checks: Sequence[Check]) -> list[Check]:
@@ -75,12 +80,13 @@ def _explanation(
     if changes:
         text = "; or with ".join(_declared(change) for change in changes)
         return f"It would hold with {text}", changes[0] if len(changes) == 1 else {}
-    fixed = turning.fixed_axes(stream)
-    if fixed is not None:
-        then = "" if fixed.mirrored else f"; {_then(fixed.applied(stream), declared)}"
+    fixed, R = laws.fixed_axes(stream), stream.R_inertial_sensor
+    if fixed is not None and R is not None:
+        turned = replace(stream, R_inertial_sensor=R @ fixed.R_sensor_oriented.T)
+        then = "" if fixed.mirrored else f"; {_then(turned, declared)}"
         return f"By the gyroscope, {fixed}{then}", {}
-    rate_hz = turning.likely_rate(stream)
-    if rate_hz is not None and [check.name for check in broken] == [turning.GYROSCOPE]:
+    rate_hz = laws.likely_rate(stream)
+    if rate_hz is not None and [check.name for check in broken] == [laws.GYROSCOPE]:
         likely = {"rate_hz": round(rate_hz, 1)}
         return f"It would hold with {_declared(likely)}", likely
     return "No other declaration makes it hold", {}
@@ -91,7 +97,7 @@ def _then(stream: SensorStream, declared: Declaration) -> str:
     wrong = _broken(_laws(stream, declared))
     if not wrong:
         return "with that rotation gravity points up"
-    changes = likely_changes([stream], declared)
+    changes = _likely_changes([stream], declared)
     if len(changes) == 1:
         return f"with that rotation, and {_declared(changes[0])}, gravity points up"
     return f"with that rotation {wrong[0].name} is still off by {wrong[0].value:.3g} {wrong[0].unit}"
@@ -99,3 +105,102 @@ def _then(stream: SensorStream, declared: Declaration) -> str:
 
 def _declared(change: Mapping[str, Any]) -> str:
     return " and ".join(f"{field} = {value}" for field, value in change.items())
+
+
+def redeclared(stream: SensorStream, declared: Declaration, other: Declaration) -> SensorStream:
+    """Convert a stream as if its file had been declared otherwise.
+
+    Args:
+        stream: the sensor. declared: its declaration. other: the new one.
+
+    Raises:
+        InvalidInputError: the new declaration needs an orientation and there is none.
+    """
+    f, R, w = stream.f_sensor, stream.R_inertial_sensor, stream.w_sensor
+    new_R = R
+    if R is not None and stream.quaternion_norm is not None:
+        new_R = other.rotations(declared.filed_quaternions(R))
+    elif R is not None:
+        new_R = other.upright(declared.filed_rotations(R))
+    if f is not None:
+        f = other.specific_force(declared.filed_acceleration(f, R), new_R)
+    if w is not None:
+        w = other.angular_velocity(declared.filed_angular_velocity(w))
+    return replace(stream, f_sensor=f, R_inertial_sensor=new_R, w_sensor=w)
+
+
+def _likely_changes(streams: Sequence[SensorStream], declared: Declaration) -> list[Mapping[str, str]]:
+    """Return the smallest changes of a declaration under which most streams obey the laws, the best first.
+
+    Only the best is returned if it is clearly better; none if no change helps.
+    """
+    cases = [_Case(stream, declared) for stream in streams]
+    found: list[tuple[float, Mapping[str, str]]] = []
+    for changes in _changes(streams, declared):
+        if found and len(changes) > len(found[0][1]):
+            break
+        other = declared.changed(**changes)
+        excess = float(np.median([case.excess(other) for case in cases]))
+        if excess <= 1:
+            found.append((excess, changes))
+    found.sort(key=lambda pair: pair[0])
+    if len(found) > 1 and found[1][0] > _LEAST_FACTOR * found[0][0]:
+        found = found[:1]
+    return [changes for _, changes in found]
+
+
+def _changes(streams: Sequence[SensorStream], declared: Declaration) -> Iterator[Mapping[str, str]]:
+    """Generate all changes of the fields that concern the streams' channels, the fewest first."""
+    held = {name for stream in streams for name in stream.holds}
+    fields = []
+    if "f_sensor" in held:
+        fields += ["acceleration_unit"]
+    if "w_sensor" in held:
+        fields += ["angular_unit"]
+    if "R_inertial_sensor" in held:
+        fields += ["orientation_maps", "inertial_axes"]
+        fields += ["gravity", "acceleration_axes"] if "f_sensor" in held else []
+        if any(stream.quaternion_norm is not None for stream in streams):
+            fields += ["quaternion_order"]
+    every = [
+        {k: v for k, v in zip(fields, values, strict=True) if v != getattr(declared, k)}
+        for values in product(*(CHOICES[field] for field in fields))
+    ]
+    yield from sorted((changes for changes in every if changes), key=len)
+
+
+class _Case:
+    """One stream and its excess over the laws' limits under any declaration."""
+
+    def __init__(self, stream: SensorStream, declared: Declaration):
+        self._declared = declared
+        every = max(1, len(stream) // _SAMPLES)
+        self._thinned = _part(stream, slice(None, None, every))
+        self._rest = laws.at_rest(stream)[::every]
+        self._start = replace(_part(stream, slice(_STEPS)), f_sensor=None)
+        self._shift = laws.delay(stream)
+        self._per_metre = laws.turning_acceleration(stream)
+        self._turning = cache(self._of_turning)
+
+    def excess(self, other: Declaration) -> float:
+        """Return the largest figure of a law as a multiple of its limit."""
+        excess = self._turning(*(getattr(other, field) for field in _OF_TURNING))
+        if excess > 1:
+            return excess
+        stream = redeclared(self._thinned, self._declared, other)
+        checks = laws.gravity_checks(stream, self._rest, self._per_metre)
+        return max(excess, *map(_excess, checks))
+
+    def _of_turning(self, *values: str) -> float:
+        other = self._declared.changed(**dict(zip(_OF_TURNING, values, strict=True)))
+        return _excess(laws.gyroscope(redeclared(self._start, self._declared, other), self._shift))
+
+
+def _part(stream: SensorStream, samples: slice) -> SensorStream:
+    parts = {name: getattr(stream, name) for name in (*stream.holds, "times", "quaternion_norm")}
+    return replace(stream, **{k: v[samples] for k, v in parts.items() if v is not None})
+
+
+def _excess(check: Check) -> float:
+    """Return value over limit, 0 where unknown."""
+    return float(np.nan_to_num(check.value / check.limit))

@@ -22,9 +22,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import uniform_filter1d
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
 from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
@@ -33,8 +35,7 @@ from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.inertial.headings import Headings, own_headings, shared_heading, wrapped
 from rtof_kin.inertial.likelihood import MotionLikelihood
 from rtof_kin.inertial.poses import facing_of, pose_rotations, turned_to
-from rtof_kin.inertial.segment_motion import RATE_HZ, segment_motions
-from rtof_kin.inertial.stillness import find_still, streams_of
+from rtof_kin.inertial.segment_motion import RATE_HZ, orientation_rate, segment_motions
 
 Array = NDArray[np.float64]
 _LEAST_MARGIN = 3.0  # [nats] of headings from movement over those more than 45 degrees away
@@ -42,6 +43,10 @@ _RESTLESS_DEG = 5.0  # RMS angle during the pose that is warned of
 _NAMED_POSE_DEG, _MEASURED_POSE_DEG = 10.0, 3.0  # usual error of a segment in a named and a measured pose
 _LEAST_TURNING = 0.5  # [rad/s] of movement that determines headings
 _LONGEST = 40.0  # [s] of movement from the pose on
+_STILL_RATE = 0.2  # [rad/s] of a sensor on a person who stands still
+_STILL_SECONDS = 1.0  # [s]
+_GRID_HZ, _LONGEST_STEP = 50.0, 0.2  # [Hz], [s]
+_UNKNOWN_RATE = 100.0  # [rad/s] assumed in gaps
 _AXES = ("x", "y", "z", "-x", "-y", "-z")
 
 
@@ -261,7 +266,7 @@ def _hold(
         raise CalibrationError(f"several sensors are mapped to {', '.join(double)}; a segment takes one")
     streams, given = _selected(imus, list(joints)), levers or {}
     indices_of("sensor", list(given), list(joints))
-    still = find_still(streams) if still is None else still
+    still = _find_still(streams) if still is None else still
     R, spreads = zip(*(_mean_orientation(stream, still) for stream in streams), strict=True)
     places = [
         readonly(f"lever arm of {s}", given[s], (3,)) if s in given else usual_lever(joint, skeleton)
@@ -270,8 +275,17 @@ def _hold(
     return _Held(streams, segments, still, np.array(R), np.array(spreads), np.array(places))
 
 
+def _streams_of(imus: ImuSequence | SensorLog) -> tuple[SensorStream, ...]:
+    if isinstance(imus, SensorLog):
+        return imus.streams
+    return tuple(
+        SensorStream(name, imus.times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
+        for s, name in enumerate(imus.names)
+    )
+
+
 def _selected(imus: ImuSequence | SensorLog, sensors: Sequence[str]) -> tuple[SensorStream, ...]:
-    streams = streams_of(imus)
+    streams = _streams_of(imus)
     return tuple(streams[i] for i in indices_of("sensor", sensors, [stream.name for stream in streams]))
 
 
@@ -293,3 +307,42 @@ def _mean_orientation(stream: SensorStream, still: tuple[float, float]) -> tuple
         )
     mean = so3.nearest_rotation(R.mean(axis=0))
     return mean, float(np.degrees(np.sqrt(np.mean(so3.angle_between(R, mean) ** 2))))
+
+
+def _find_still(streams: Sequence[SensorStream]) -> tuple[float, float]:
+    """Return (start, stop), s, of the first second in which the mean rate of the fastest sensor is small."""
+    seconds = _STILL_SECONDS
+    start, stop = max(s.times[0] for s in streams), min(s.times[-1] for s in streams)
+    if stop - start < seconds:
+        raise CalibrationError(
+            f"the sensors have {max(stop - start, 0):.2g} s in common, too short for a pose held for "
+            f"{seconds:g} s; record the pose, with all sensors on one clock"
+        )
+    times = np.arange(start, stop + 1e-9, 1 / _GRID_HZ)
+    rates = np.stack([_rate(stream, times) for stream in streams])
+    width = min(round(seconds * _GRID_HZ) + 1, len(times))
+    inside = slice(width // 2, len(times) - (width - 1) // 2)
+    centres, mean = times[inside], uniform_filter1d(rates.max(axis=0), width)[inside]
+    still = signals.runs(mean < _STILL_RATE)
+    if not still:
+        best = int(np.argmin(mean))
+        restless = streams[int(np.argmax(rates[:, inside][:, best]))].name
+        raise CalibrationError(
+            f"nobody stands still for {seconds:g} s: even around {centres[best]:.2f} s sensors turn at "
+            f"{np.degrees(mean[best]):.0f} deg/s, {restless} most; hold the pose longer, or give its time "
+            "with still=(start, stop)"
+        )
+    first, end = still[0]
+    if centres[end - 1] - centres[first] >= seconds:
+        return float(centres[first]), float(centres[end - 1])
+    stillest = float(centres[first + int(np.argmin(mean[first:end]))])
+    return stillest - seconds / 2, stillest + seconds / 2
+
+
+def _rate(stream: SensorStream, times: Array) -> Array:
+    """Return the angular speed, rad/s, of the gyroscope or else of the orientation."""
+    w = stream.w_sensor
+    if w is None:
+        w = orientation_rate(stream.times, _orientations(stream))
+    on_grid = signals.interpolate(stream.times, np.linalg.norm(w, axis=-1), times, max_gap=_LONGEST_STEP)
+    return np.minimum(np.nan_to_num(on_grid, nan=_UNKNOWN_RATE), _UNKNOWN_RATE)

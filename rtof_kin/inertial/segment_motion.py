@@ -15,7 +15,6 @@ from rtof_kin.core import signals
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.stillness import orientation_rate
 
 Array = NDArray[np.float64]
 RATE_HZ: Final = 60.0
@@ -103,3 +102,20 @@ def seen_bones(poses: PoseSequence, skeleton: SkeletonModel, times: Array) -> di
         for j, own in children.items()
         if own and np.isfinite(p[:, [*own, j]]).all(axis=(1, 2)).any()
     }
+
+
+def orientation_rate(times: Array, R: Array) -> Array:
+    """Differentiate orientations to angular velocity (T, 3), rad/s, in the rotating frame.
+
+    Central differences, ``log(R(t-1)^T R(t+1)) / (t(t+1) - t(t-1))``, one-sided at the ends.
+
+    Args:
+        times: (T,) s. R: (T, 3, 3); a rate is NaN where one of its two orientations is.
+    """
+    last = len(times) - 1
+    before, after = np.maximum(np.arange(last + 1) - 1, 0), np.minimum(np.arange(last + 1) + 1, last)
+    step = np.swapaxes(R[before], -1, -2) @ R[after]
+    known = np.isfinite(step).all(axis=(-2, -1))
+    out = np.full((last + 1, 3), np.nan)
+    out[known] = so3.log(step[known]) / (times[after] - times[before])[known, None]
+    return out
