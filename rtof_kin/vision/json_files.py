@@ -27,17 +27,14 @@ _POINTS = ("pose_keypoints_2d", "pose_keypoints", "joints", "keypoints", "pose_l
 _SCORES = ("keypoint_scores", "visibility", "confidence", "score", "presence")
 _IDENTITY = ("idx", "track_id", "person_id", "instance_id")
 _TIMES: Final = {"time": 1.0, "time_s": 1.0, "timestamp": 1.0, "timestamp_ms": 1e-3}
-_MOST_FRAMES_EACH: Final = 100
-"""Largest mean distance between frame numbers."""
+_MOST_FRAMES_EACH = 100  # largest mean distance between frame numbers
 
 
 def read_json_folder(folder: Path) -> Detections:
     """Read a folder with one file per frame, as written by OpenPose's ``--write_json``.
 
-    Frames are numbered by the last number in the file names, from the first file on.
-
     Args:
-        folder: with .json files.
+        folder: with .json files; the last number in their names, from the first on, is that of the frame.
 
     Raises:
         FileFormatError: no files, no unique frame numbers, or a damaged file.
@@ -67,7 +64,7 @@ def read_json(path: Path) -> Detections:
     """
     data = load_json(path, LARGEST_JSON, _WHAT)
     if isinstance(data, list) and data and all(isinstance(e, dict) and "image_id" in e for e in data):
-        return _by_image(path, data, None)
+        return _by_image(path, data, {})
     if isinstance(data, list):
         return _of_list(path, data)
     if not isinstance(data, dict):
@@ -83,10 +80,9 @@ def read_json(path: Path) -> Detections:
 
 
 def _of_list(path: Path, entries: Sequence[Any]) -> Detections:
-    frames = [_people(path, entry, f"frame {i}") for i, entry in enumerate(entries)]
+    frames = {i: _people(path, entry, f"frame {i}") for i, entry in enumerate(entries)}
     stamps = [_time(entry) for entry in entries]
-    times = None if None in stamps else np.array(stamps, dtype=np.float64)
-    return _detections(path, dict(enumerate(frames)), times)
+    return _detections(path, frames, None if None in stamps else np.array(stamps, dtype=np.float64))
 
 
 def _time(frame: Any) -> float | None:
@@ -100,7 +96,7 @@ def _time(frame: Any) -> float | None:
 
 def _by_name(path: Path, data: Mapping[str, Any]) -> Detections:
     """Read frames keyed by the names of their images, e.g. ``{"0.jpg": {"people": [...]}}``."""
-    frames = {}
+    frames: dict[int, list[Person]] = {}
     for name, frame in data.items():
         number = _number(Path(name).stem)
         if number is None or number in frames:
@@ -110,33 +106,30 @@ def _by_name(path: Path, data: Mapping[str, Any]) -> Detections:
     return _detections(path, frames)
 
 
-def _by_image(path: Path, entries: Sequence[Any], data: Mapping[str, Any] | None) -> Detections:
-    """Read a list of people with the image of each: AlphaPose and COCO."""
+def _by_image(path: Path, entries: Sequence[Any], data: Mapping[str, Any]) -> Detections:
+    """Read a list of people with the image of each: AlphaPose and COCO.
+
+    Frames are numbered by the list of images, if `data` has one, else by the images' names.
+    """
+    images, order = data.get("images"), None
+    if isinstance(images, list):
+        ids = [image["id"] for image in images if isinstance(image, dict) and "id" in image]
+        order = {image: i for i, image in enumerate(ids) if isinstance(image, int | str)}
     frames: dict[int, list[Person]] = {}
-    order = _image_order(data)
     for i, entry in enumerate(entries):
         if not isinstance(entry, dict) or "image_id" not in entry:
             raise FileFormatError(path, f"entry {i}: not a person with image_id and keypoints")
         image = entry["image_id"]
-        number = order.get(image) if order is not None else _image_number(image)
+        number = _image_number(image) if order is None else order.get(image)
         if number is None:
             raise FileFormatError(path, f"entry {i}: image_id {image!r} has no number, so no frame")
         people = frames.setdefault(number, [])
         if "keypoints" in entry:
             people.append(_person(path, entry, f"entry {i}"))
-    return _detections(path, frames, names=_category_names(data))
+    return _detections(path, frames, names=_category_names(data.get("categories")))
 
 
-def _image_order(data: Mapping[str, Any] | None) -> dict[Any, int] | None:
-    """Return the frame of each image from the list of images of a COCO file."""
-    if data is None or not isinstance(data.get("images"), list):
-        return None
-    ids = [image["id"] for image in data["images"] if isinstance(image, dict) and "id" in image]
-    return {image: i for i, image in enumerate(ids) if isinstance(image, int | str)}
-
-
-def _category_names(data: Mapping[str, Any] | None) -> tuple[str, ...] | None:
-    categories = data.get("categories") if data is not None else None
+def _category_names(categories: Any) -> tuple[str, ...] | None:
     if isinstance(categories, list) and len(categories) == 1 and isinstance(categories[0], dict):
         names = categories[0].get("keypoints")
         if isinstance(names, list) and all(isinstance(name, str) for name in names):
@@ -183,21 +176,20 @@ def _people(path: Path, frame: Any, where: str) -> list[Person]:
         several = isinstance(found, list) and isinstance(found[0], list) and not _is_person(found)
         return _people_listed(path, found, where) if several else [_person(path, frame, where)]
     if isinstance(frame, list):
-        one = [{"keypoints": frame}] if _is_person(frame) else frame
-        return _people_listed(path, one, where)
+        return _people_listed(path, [frame] if _is_person(frame) else frame, where)
     raise FileFormatError(path, f"{where}: holds {_kind(frame)}, not people")
 
 
 def _people_listed(path: Path, entries: Any, where: str) -> list[Person]:
+    """Return the listed people without those of whom no points were detected."""
     if not isinstance(entries, list):
         raise FileFormatError(path, f"{where}: holds {_kind(entries)}, not a list of people")
-    people = []
-    for i, entry in enumerate(entries):
-        person = {"keypoints": entry} if isinstance(entry, list) else entry
-        if isinstance(person, dict) and not any(person.get(key) for key in _POINTS):
-            continue  # a person without detected points
-        people.append(_person(path, person, f"{where}, person {i}"))
-    return people
+    entries = [{"keypoints": entry} if isinstance(entry, list) else entry for entry in entries]
+    return [
+        _person(path, entry, f"{where}, person {i}")
+        for i, entry in enumerate(entries)
+        if not isinstance(entry, dict) or any(entry.get(key) for key in _POINTS)
+    ]
 
 
 def _is_person(values: Sequence[Any]) -> bool:
@@ -209,7 +201,6 @@ def _is_person(values: Sequence[Any]) -> bool:
 
 
 def _person(path: Path, entry: Any, where: str) -> Person:
-    """Return one person's points and identity."""
     if not isinstance(entry, dict):
         raise FileFormatError(path, f"{where}: holds {_kind(entry)}, not a person")
     values = next((entry[key] for key in _POINTS if key in entry), None)
@@ -229,14 +220,11 @@ def _points(values: Sequence[Any], entry: Mapping[str, Any]) -> Array | None:
     if isinstance(values[0], dict):
         return np.array([[float(v["x"]), float(v["y"]), _score(v)] for v in values])
     array = np.array(values, dtype=np.float64)
-    if array.ndim == 1:
-        if len(array) % 3:
-            return None
+    if array.ndim == 1 and len(array) % 3 == 0:
         array = array.reshape(-1, 3)
         flags = array[:, 2]
         if np.any(flags == 2) and np.all(np.isin(flags, (0, 1, 2))):
             array[:, 2] = np.minimum(flags, 1)  # COCO annotations: 1 is hidden, 2 is visible
-        return array
     if array.ndim != 2 or array.shape[1] not in (2, 3):
         return None
     if array.shape[1] == 3:
