@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import breadth_first_order
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.inertial.likelihood import MotionLikelihood
-from rtof_kin.inertial.segment_motion import SegmentMotion
+from rtof_kin.inertial.likelihood import MotionLikelihood, SegmentMotion
 
 Array = NDArray[np.float64]
 Score = Callable[[float], float]

@@ -33,9 +33,8 @@ from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.inertial.headings import Headings, own_headings, shared_heading, wrapped
-from rtof_kin.inertial.likelihood import MotionLikelihood
+from rtof_kin.inertial.likelihood import RATE_HZ, MotionLikelihood, orientation_rate, segment_motions
 from rtof_kin.inertial.poses import facing_of, pose_rotations, turned_to
-from rtof_kin.inertial.segment_motion import RATE_HZ, orientation_rate, segment_motions
 
 Array = NDArray[np.float64]
 _LEAST_MARGIN = 3.0  # [nats] of headings from movement over those more than 45 degrees away

@@ -25,10 +25,15 @@ from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.likelihood import MotionLikelihood
+from rtof_kin.inertial.likelihood import (
+    MotionLikelihood,
+    SegmentMotion,
+    even_times,
+    seen_bones,
+    segment_motions,
+)
 from rtof_kin.inertial.pose_calibration import usual_lever
 from rtof_kin.inertial.poses import pose_rotations, turned_to
-from rtof_kin.inertial.segment_motion import SegmentMotion, even_times, seen_bones, segment_motions
 
 Array = NDArray[np.float64]
 LEAST_RATIO: Final = 10.0

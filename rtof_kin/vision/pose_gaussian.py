@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,32 +27,22 @@ FEWEST_POINTS: Final = 4
 """Smallest number of detected points for a regression."""
 
 
-@dataclass(frozen=True)
-class Regression:
-    """Best linear estimate of M points from K detected ones."""
+class Regression(NamedTuple):
+    """Best linear estimate of M points from K detected ones; lengths in RMS radii."""
 
-    mean: Array
-    """(M, 2) means about the centre of the K points' means, RMS radii."""
-    gain: Array
-    """(2M, 2K) derivative of the estimates."""
-    model_variance: Array
-    """(M,) mean square error per axis for exact detections, RMS radii squared."""
-    noise_variance: Array
-    """(M,) mean square error from detector noise."""
-    weight: Array
-    """(M, K) relative influence of each detected point; rows sum to 1."""
+    mean: Array  # (M, 2) about the centre of the K points' means
+    gain: Array  # (2M, 2K) derivative of the estimates
+    model_variance: Array  # (M,) mean square error per axis for exact detections
+    noise_variance: Array  # (M,) mean square error per axis from detector noise
+    weight: Array  # (M, K) relative influence of each detected point; rows sum to 1
 
 
-@dataclass(frozen=True)
-class Likelihood:
+class Likelihood(NamedTuple):
     """Goodness of fit of T persons."""
 
-    scale: Array
-    """(T,) s: RMS radii per px."""
-    per_point: Array
-    """(T,) log-likelihood of the pixels per point."""
-    misfit: Array
-    """(T,) squared Mahalanobis distance per degree of freedom; its expectation is 1."""
+    scale: Array  # (T,) RMS radii per px
+    per_point: Array  # (T,) log-likelihood of the pixels per point
+    misfit: Array  # (T,) squared Mahalanobis distance per degree of freedom; its expectation is 1
 
 
 @dataclass(frozen=True)
@@ -74,13 +64,13 @@ class PoseGaussian:
         covariance = readonly("covariance of points", self.covariance, (2 * N, 2 * N))
         object.__setattr__(self, "covariance", covariance)
 
-    def given(self, seen: Sequence[str]) -> ConditionedPose:
+    def given(self, seen: Sequence[str]) -> _ConditionedPose:
         """Return the distribution conditioned on detected points.
 
         Args:
             seen: K names.
         """
-        return ConditionedPose(self, seen)
+        return _ConditionedPose(self, seen)
 
     def between(self, a: Sequence[str], b: Sequence[str]) -> Array:
         """Return the covariance (2A, 2B) of points of a person anywhere in the image.
@@ -95,12 +85,8 @@ class PoseGaussian:
         return np.asarray(self.covariance[np.ix_(rows, columns)] + anywhere)
 
 
-class ConditionedPose:
-    """Distribution of persons of whom K points are detected; factorised once.
-
-    Args:
-        gaussian: of all points. seen: K detected points.
-    """
+class _ConditionedPose:
+    """Distribution of persons of whom K points are detected; factorised once."""
 
     def __init__(self, gaussian: PoseGaussian, seen: Sequence[str]):
         self.seen = tuple(seen)
@@ -114,11 +100,7 @@ class ConditionedPose:
         self._mean = (mean - self._centre).ravel()
 
     def regression(self, wanted: Sequence[str]) -> Regression:
-        """Return the regression of points on the detected ones.
-
-        Args:
-            wanted: M names.
-        """
+        """Return the regression of M points on the detected ones."""
         gaussian, M = self._gaussian, len(wanted)
         cross = gaussian.between(wanted, self.seen)
         gain = cross @ self._precision
@@ -131,13 +113,10 @@ class ConditionedPose:
         return Regression(mean, gain, per_point, noise, size / size.sum(axis=1, keepdims=True))
 
     def likelihood(self, uv_px: Array) -> Likelihood:
-        """Estimate scale and likelihood of persons.
+        """Estimate scale and likelihood of persons from pixels (T, K, 2) of the detected points.
 
         With a = x' P x, b = x' P m and n degrees of freedom, log p(x | s) = n log s - (s^2 a - 2 s b) / 2
         + constant has its maximum at the positive root of a s^2 - b s - n = 0.
-
-        Args:
-            uv_px: (T, K, 2) px of the detected points, finite.
         """
         x, m = _centred(uv_px), self._mean
         P, n = self._precision, 2 * len(self.seen) - 2
@@ -149,14 +128,7 @@ class ConditionedPose:
         return Likelihood(scale, log_p / len(self.seen), square / n)
 
     def turned_upright(self, uv_px: Array) -> tuple[NDArray[np.int64], Likelihood]:
-        """Find the quarter turn that brings each person upright.
-
-        Args:
-            uv_px: (T, K, 2) px of the detected points, finite.
-
-        Returns:
-            (T,) index into `QUARTERS`, and the likelihood of the rotated points.
-        """
+        """Return the quarter turn (T,) that brings persons (T, K, 2) upright, and their likelihood then."""
         T = len(uv_px)
         every = self.likelihood(np.concatenate([uv_px @ turn.T for turn in QUARTERS]))
         per_point = every.per_point.reshape(len(QUARTERS), T)
@@ -165,12 +137,7 @@ class ConditionedPose:
         return best, Likelihood(every.scale[row], every.per_point[row], every.misfit[row])
 
     def estimate(self, regression: Regression, uv_px: Array, scale: Array) -> Array:
-        """Estimate points (T, M, 2), px.
-
-        Args:
-            regression: of the M points. uv_px: (T, K, 2) px of the detected points, finite.
-            scale: (T,) RMS radii per px.
-        """
+        """Return points (T, M, 2), px, from the detected ones (T, K, 2) of persons of scale (T,)."""
         centre = uv_px.mean(axis=1, keepdims=True)
         z = scale[:, None] * _centred(uv_px) - self._mean
         estimate = (regression.mean.ravel() + z @ regression.gain.T) / scale[:, None]

@@ -9,9 +9,8 @@ from inertial_support import free
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.inertial.headings import own_headings, shared_heading, wrapped
-from rtof_kin.inertial.likelihood import MotionLikelihood
+from rtof_kin.inertial.likelihood import MotionLikelihood, SegmentMotion, segment_motions
 from rtof_kin.inertial.poses import pose_rotations
-from rtof_kin.inertial.segment_motion import SegmentMotion, segment_motions
 
 SENSORS = ("L_UpLeg", "L_LowLeg", "Pelvis")
 

@@ -11,8 +11,13 @@ from inertial_support import Worn, free, walking
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
-from rtof_kin.inertial.likelihood import MotionLikelihood
-from rtof_kin.inertial.segment_motion import SegmentMotion, even_times, seen_bones, segment_motions
+from rtof_kin.inertial.likelihood import (
+    MotionLikelihood,
+    SegmentMotion,
+    even_times,
+    seen_bones,
+    segment_motions,
+)
 
 SENSORS = ("L_UpLeg", "L_LowLeg", "Pelvis", "L_LowArm")
 

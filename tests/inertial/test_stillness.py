@@ -13,8 +13,8 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.inertial.likelihood import orientation_rate
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
-from rtof_kin.inertial.segment_motion import orientation_rate
 
 Array = NDArray[np.float64]
 SEGMENTS = ("LeftLeg", "Hips")
