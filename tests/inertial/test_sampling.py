@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,16 +12,18 @@ from sensor_support import moved
 
 from rtof_kin.core.plausibility import Check, Verdict
 from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorStream
-from rtof_kin.inertial.sampling import check_sampling
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.inertial.physics import LAWS, check_log
 
 PLAIN, STREAM = Declaration(), moved()
 RATE, LOST, JITTER = "rate against the declared one", "samples lost", "jitter of time stamps"
 FIELD = "disturbed magnetic field"
+OTHERS = {*LAWS, "jump of the orientation", "delay of the gyroscope", "norm of quaternions, less 1"}
 
 
 def found(stream: SensorStream, declared: Declaration = PLAIN) -> dict[str, Check]:
-    return {check.name: check for check in check_sampling(stream, declared)}
+    log = SensorLog(Path("log"), "planted", (stream,), declared)
+    return {check.name: check for check in check_log(log) if check.name not in OTHERS}
 
 
 def failed(stream: SensorStream, declared: Declaration = PLAIN) -> list[str]:

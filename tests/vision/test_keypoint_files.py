@@ -13,7 +13,7 @@ from detector_support import flat
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.vision import json_files
+from rtof_kin.vision import keypoint_files
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.layouts import detector_table
 
@@ -272,7 +272,7 @@ def test_arrays_that_do_not_fit_are_refused(arrays: dict[str, Array], message: s
 
 
 def test_files_that_are_too_large_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(json_files, "LARGEST_JSON", 10)
+    monkeypatch.setattr(keypoint_files, "_LARGEST_JSON", 10)
     with pytest.raises(FileFormatError, match="larger than 0 MiB, .*; write one file a frame"):
         read_detector_file(dumped(tmp_path, frames("people", "keypoints")))
 
