@@ -37,8 +37,7 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
-RATE_HZ: Final = 60.0
-"""Sampling rate of motions."""
+RATE_HZ: Final = 60.0  # of motions
 _EVERY = 4  # sample used of so many, as neighbours are nearly equal
 _MISALIGNMENT_DEG = 12.0  # per axis, of a good calibration and soft tissue
 _TILT_DEG = 20.0  # per axis, of the root against upright

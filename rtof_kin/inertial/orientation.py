@@ -28,14 +28,10 @@ _SHORTEST_PIECE = 1.0  # [s] of samples without a longer gap, for the filter to 
 class OrientationSettings:
     """Settings of the orientation filter."""
 
-    magnetometer: bool | None = None
-    """Whether the magnetic field gives the heading; None: if there is one. Iron nearby disturbs it."""
-    causal: bool = False
-    """Whether only the past of each sample is used."""
-    longest_bridged: float = 0.1
-    """Longest gap between samples that is interpolated, s; the filter restarts after longer ones."""
-    rate_hz: float | None = None
-    """Sampling rate, Hz; None: from the stream's median step."""
+    magnetometer: bool | None = None  # whether it gives the heading; None: if there is one
+    causal: bool = False  # whether only the past of each sample is used
+    longest_bridged: float = 0.1  # [s] of a gap that is interpolated; the filter restarts after longer ones
+    rate_hz: float | None = None  # [Hz] sampling rate; None: from the stream's median step
 
     def __post_init__(self) -> None:
         for name in ("longest_bridged", "rate_hz"):

@@ -26,8 +26,7 @@ from rtof_kin.vision.tracking import PersonTrack, track_person
 
 Array = NDArray[np.float64]
 
-MOST_OUTSIDE: Final = 0.5
-"""Largest fraction of the detected points that may lie outside the image."""
+MOST_OUTSIDE: Final = 0.5  # [-] largest fraction of the detected points that may lie outside the image
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,8 @@ from rtof_kin.vision.pose_gaussian import FEWEST_POINTS, QUARTERS, PoseGaussian
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-LEAST_CONFIDENCE: Final = 0.1
-"""Points with a smaller confidence are treated as not detected."""
-LEAST_SHARE: Final = 0.1
-"""Smallest fraction of a landmark's expected square error that is detector noise, else it is unobserved."""
+LEAST_CONFIDENCE: Final = 0.1  # [-] of a detected point
+LEAST_SHARE: Final = 0.1  # [-] of an observed landmark's expected square error that is detector noise
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,8 @@ class Layout:
         Args:
             names: in any order and spelling (``LBigToe``, ``left_big_toe``).
         """
-        given = [canonical(name).lower() for name in names]
-        wanted = [canonical(name).lower() for name in self.names]
+        given = [_canonical(name).lower() for name in names]
+        wanted = [_canonical(name).lower() for name in self.names]
         return [given.index(name) for name in wanted] if set(wanted) <= set(given) else None
 
 
@@ -78,12 +78,8 @@ class DetectorTable:
         return self.layouts[name]
 
 
-def canonical(name: str) -> str:
-    """Return a point's name in one spelling, side first.
-
-    Args:
-        name: e.g. ``LBigToe`` or ``left_big_toe``, both of which are LeftBigToe.
-    """
+def _canonical(name: str) -> str:
+    """Return a point's name in one spelling, side first: ``left_big_toe`` and ``LBigToe`` are LeftBigToe."""
     words = [word.lower() for word in _WORDS.findall(name)]
     sides = [_SIDES[word] for word in words if word in _SIDES]
     return "".join([*sides[:1], *(word.capitalize() for word in words if word not in _SIDES)])
@@ -163,7 +159,7 @@ def _point(entry: Mapping[str, Any]) -> list[Landmark]:
 
 def _layout(entry: Mapping[str, Any]) -> Layout:
     names, renamed = tuple(map(str, entry["names"])), entry.get("points", {})
-    points = tuple(str(renamed.get(name, canonical(name))) for name in names)
+    points = tuple(str(renamed.get(name, _canonical(name))) for name in names)
     return Layout(str(entry["name"]), str(entry["title"]), names, points)
 
 

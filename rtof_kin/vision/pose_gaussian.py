@@ -18,13 +18,10 @@ from numpy.typing import NDArray
 from rtof_kin.core.checks import indices_of, readonly
 
 Array = NDArray[np.float64]
-ANYWHERE: Final = 1e4
-"""Variance of a person's place, RMS radii squared; practically flat."""
+ANYWHERE: Final = 1e4  # [RMS radii squared] variance of a person's place; practically flat
 _UPRIGHT_BONUS = 0.5  # log-likelihood per point by which a turned person must fit better
 QUARTERS: Final = tuple(np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1)))
-"""Rotations of the image by quarter turns; the first is none."""
-FEWEST_POINTS: Final = 4
-"""Smallest number of detected points for a regression."""
+FEWEST_POINTS: Final = 4  # detected, for a regression
 
 
 class Regression(NamedTuple):
