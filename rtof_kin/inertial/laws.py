@@ -12,7 +12,6 @@ with a margin for sprints, jumps and dances.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -187,42 +186,34 @@ def _quaternion_norm(stream: SensorStream) -> Check:
     return Check(name, stream.name, float(np.nanmax(off)), _NORM, "", text)
 
 
-@dataclass(frozen=True)
-class FixedAxes:
-    """A constant change of axes under which the orientation turns as the gyroscope."""
+def described_axes(R_sensor_oriented: Array) -> str:
+    """Describe a constant change of axes in words.
 
-    R_sensor_oriented: Array
-    """(3, 3) orthogonal: from the axes of the file's orientation to those of the gyroscope."""
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether the two differ in handedness."""
-        return bool(np.linalg.det(self.R_sensor_oriented) < 0)
-
-    def __str__(self) -> str:
-        nearest = np.round(self.R_sensor_oriented)
-        if np.abs(self.R_sensor_oriented - nearest).max() < 0.1:
-            rows = [(int(np.argmax(np.abs(row))), row) for row in nearest]
-            axes = ", ".join(("-" if row[i] < 0 else "") + "xyz"[i] for i, row in rows)
-            return f"the gyroscope's x, y, z are {axes} of the orientation's axes"
-        if self.mirrored:
-            return "the gyroscope's axes are the orientation's, mirrored and turned"
-        turn = so3.log(self.R_sensor_oriented)
-        x, y, z = so3.unit(turn)
-        return (
-            "the orientation is of axes turned against the sensor's by a constant "
-            f"{np.degrees(np.linalg.norm(turn)):.1f} deg about ({x:.2f}, {y:.2f}, {z:.2f})"
-        )
+    Args:
+        R_sensor_oriented: (3, 3) of `fixed_axes`.
+    """
+    nearest = np.round(R_sensor_oriented)
+    if np.abs(R_sensor_oriented - nearest).max() < 0.1:
+        rows = [(int(np.argmax(np.abs(row))), row) for row in nearest]
+        axes = ", ".join(("-" if row[i] < 0 else "") + "xyz"[i] for i, row in rows)
+        return f"the gyroscope's x, y, z are {axes} of the orientation's axes"
+    if np.linalg.det(R_sensor_oriented) < 0:
+        return "the gyroscope's axes are the orientation's, mirrored and turned"
+    turn = so3.log(R_sensor_oriented)
+    angle, (x, y, z) = np.degrees(np.linalg.norm(turn)), so3.unit(turn)
+    constant = f"a constant {angle:.1f} deg about ({x:.2f}, {y:.2f}, {z:.2f})"
+    return f"the orientation is of axes turned against the sensor's by {constant}"
 
 
-def fixed_axes(stream: SensorStream) -> FixedAxes | None:
+def fixed_axes(stream: SensorStream) -> Array | None:
     """Fit the constant orthogonal matrix from the orientation's rates to the gyroscope's (Wahba 1965).
 
     Args:
         stream: the sensor.
 
     Returns:
-        None for too little data, turning about fewer than two axes, or rates that still disagree.
+        R_sensor_oriented (3, 3), from the axes of the file's orientation to those of the gyroscope, possibly
+        mirrored. None for too little data, turning about one axis only, or rates that still disagree.
     """
     pair = _both_rates(stream)
     if pair is None:
@@ -238,7 +229,7 @@ def fixed_axes(stream: SensorStream) -> FixedAxes | None:
         off = np.linalg.norm(measured - expected @ R.T, axis=-1)
         known = off <= np.quantile(off, 0.95)
     residual = _trimmed_rms(measured - expected @ R.T)
-    return FixedAxes(R) if residual <= _limit(expected) else None
+    return R if residual <= _limit(expected) else None
 
 
 def likely_rate(stream: SensorStream) -> float | None:

@@ -93,11 +93,13 @@ def _explanation(
     if changes:
         text = "; or with ".join(_declared(change) for change in changes)
         return f"It would hold with {text}", changes[0] if len(changes) == 1 else {}
-    fixed, R = laws.fixed_axes(stream), stream.R_inertial_sensor
-    if fixed is not None and R is not None:
-        turned = replace(stream, R_inertial_sensor=R @ fixed.R_sensor_oriented.T)
-        then = "" if fixed.mirrored else f"; {_then(turned, declared)}"
-        return f"By the gyroscope, {fixed}{then}", {}
+    R_sensor_oriented, R = laws.fixed_axes(stream), stream.R_inertial_sensor
+    if R_sensor_oriented is not None and R is not None:
+        text = f"By the gyroscope, {laws.described_axes(R_sensor_oriented)}"
+        if np.linalg.det(R_sensor_oriented) < 0:
+            return text, {}
+        turned = replace(stream, R_inertial_sensor=R @ R_sensor_oriented.T)
+        return f"{text}; {_then(turned, declared)}", {}
     rate_hz = laws.likely_rate(stream)
     if rate_hz is not None and [check.name for check in broken] == [laws.GYROSCOPE]:
         likely = {"rate_hz": round(rate_hz, 1)}
@@ -120,15 +122,8 @@ def _declared(change: Mapping[str, Any]) -> str:
     return " and ".join(f"{field} = {value}" for field, value in change.items())
 
 
-def redeclared(stream: SensorStream, declared: Declaration, other: Declaration) -> SensorStream:
-    """Convert a stream as if its file had been declared otherwise.
-
-    Args:
-        stream: the sensor. declared: its declaration. other: the new one.
-
-    Raises:
-        InvalidInputError: the new declaration needs an orientation and there is none.
-    """
+def _redeclared(stream: SensorStream, declared: Declaration, other: Declaration) -> SensorStream:
+    """Convert a stream as if its file had been declared otherwise."""
     f, R, w = stream.f_sensor, stream.R_inertial_sensor, stream.w_sensor
     new_R = R
     if R is not None and stream.quaternion_norm is not None:
@@ -200,13 +195,13 @@ class _Case:
         excess = self._turning(*(getattr(other, field) for field in _OF_TURNING))
         if excess > 1:
             return excess
-        stream = redeclared(self._thinned, self._declared, other)
+        stream = _redeclared(self._thinned, self._declared, other)
         checks = laws.gravity_checks(stream, self._rest, self._per_metre)
         return max(excess, *map(_excess, checks))
 
     def _of_turning(self, *values: str) -> float:
         other = self._declared.changed(**dict(zip(_OF_TURNING, values, strict=True)))
-        return _excess(laws.gyroscope(redeclared(self._start, self._declared, other), self._shift))
+        return _excess(laws.gyroscope(_redeclared(self._start, self._declared, other), self._shift))
 
 
 def _part(stream: SensorStream, samples: slice) -> SensorStream:

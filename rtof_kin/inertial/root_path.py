@@ -59,8 +59,7 @@ class RootPath:
     p_world: Array
     """(T, 3) m."""
     sigma: Array
-    """(T,) m, standard deviation of each horizontal coordinate since the first frame; NaN without foot
-    sensors."""
+    """(T,) m, of each horizontal coordinate since the first frame; NaN without foot sensors."""
 
     def __post_init__(self) -> None:
         p = readonly("root path p_world", self.p_world, ("T", 3))
@@ -95,7 +94,7 @@ def root_path(
     system = _System(T, poses.rate_hz)
     system.add(0, np.array([0]), np.array([0.0, 0.0, np.nan]), _ORIGIN**-2)
     p = _walked(system, poses, bone_imus, contacts, skeleton, ankle_height, settings)
-    return RootPath(p, _drift(p, contacts, poses.rate_hz, settings))
+    return RootPath(p, _drift(p, np.asarray(~contacts.standing.any(axis=1)), poses.rate_hz, settings))
 
 
 def path_through_gaps(
@@ -125,12 +124,19 @@ def path_through_gaps(
     system.add(0, np.flatnonzero(seen), root[seen], settings.sigma_seen**-2)
     height = float(np.median(ankles[standing]))
     p = _walked(system, poses, bone_imus, contacts, skeleton, height, settings)
-    sigma = np.zeros(len(poses))
+    sigma, flying = np.zeros(len(poses)), np.asarray(~contacts.standing.any(axis=1))
     for start, stop in signals.runs(~seen):
         gap = slice(max(start - 1, 0), stop + 1)  # with the frames seen at its ends
-        own = Contacts(contacts.joints, contacts.standing[gap])
-        p[gap] += _shift(root[gap] - p[gap], seen[gap])
-        drift = _drift_from(p[gap], seen[gap], own, poses.rate_hz, settings)
+        first, last = seen[gap][[0, -1]]
+        off = root[gap] - p[gap]
+        share = np.linspace(0.0, 1.0, len(off))[:, None] if first and last else float(last)
+        p[gap] += (1 - share) * off[0] + share * off[-1]
+        drift = np.full(len(off), np.inf)  # since the nearer of the ends that were seen
+        if first:
+            drift = _drift(p[gap], flying[gap], poses.rate_hz, settings)
+        if last:
+            back = _drift(p[gap][::-1], flying[gap][::-1], poses.rate_hz, settings)[::-1]
+            drift = np.minimum(drift, back)
         sigma[gap] = np.hypot(settings.sigma_edge, drift)
     p[seen], sigma[seen] = root[seen], 0.0
     return RootPath(p, sigma)
@@ -169,37 +175,25 @@ def _walked(
     skeleton: SkeletonModel, ankle_height: float, settings: RootPathSettings,
 ) -> Array:  # fmt: skip
     """Add feet and accelerations to a system and return its path (T, 3)."""
+    rate, every = poses.rate_hz, np.arange(system.frames)
     relative = poses.p_world_joint - poses.p_world_joint[:, :1]
     feet = relative[:, skeleton.index(*contacts.joints)]
-    _add_feet(system, feet, contacts, ankle_height, settings)
-    index = skeleton.index(*bone_imus.joints)
-    turned = np.einsum("tsij,sj->tsi", poses.R_world_bone[:, index], bone_imus.p_bone_sensor)
-    _add_sensors(system, relative[:, index] + turned, bone_imus.a_world, settings)
-    return _with_lower_foot(system, feet, settings.sigma_lower)
-
-
-def _add_feet(
-    system: _System, feet: Array, contacts: Contacts, ankle_height: float, settings: RootPathSettings
-) -> None:
-    """Constrain velocity and height of standing ankles (T, C, 3), and weakly the height of the lower one."""
     heights = np.where([False, False, True], ankle_height - feet, np.nan)
-    every = np.arange(system.frames)
     lower = heights[every, feet[..., 2].argmin(axis=1)]
     system.add(0, every, lower, settings.sigma_lower_height**-2)
-    moves = -signals.derivative(feet, system.rate_hz, 1)
+    moves = -signals.derivative(feet, rate, 1)
     for i, stands in enumerate(contacts.standing.T):
         still = np.flatnonzero(stands[1:] & stands[:-1])
         system.add(1, still, moves[still, i], settings.sigma_slip**-2)
         system.add(0, np.flatnonzero(stands), heights[stands, i], settings.sigma_floor**-2)
-
-
-def _add_sensors(system: _System, sensors: Array, a_world: Array, settings: RootPathSettings) -> None:
-    """Observe accelerations of sensors (T, S, 3); motion relative to the root lowers their weight."""
-    own = signals.derivative(sensors, system.rate_hz, 2)
+    index = skeleton.index(*bone_imus.joints)
+    turned = np.einsum("tsij,sj->tsi", poses.R_world_bone[:, index], bone_imus.p_bone_sensor)
+    own = signals.derivative(relative[:, index] + turned, rate, 2)
     wrong = settings.share_of_motion * np.linalg.norm(own, axis=2)
     weight = 1 / (settings.sigma_acceleration**2 + wrong**2)
-    for s in range(sensors.shape[1]):
-        system.add(2, np.arange(len(own)), a_world[1:-1, s] - own[:, s], weight[:, s])
+    for s in range(len(index)):
+        system.add(2, every[:-2], bone_imus.a_world[1:-1, s] - own[:, s], weight[:, s])
+    return _with_lower_foot(system, feet, settings.sigma_lower)
 
 
 def _with_lower_foot(system: _System, feet: Array, sigma: float) -> Array:
@@ -216,30 +210,12 @@ def _with_lower_foot(system: _System, feet: Array, sigma: float) -> Array:
     return p
 
 
-def _drift(p: Array, contacts: Contacts, rate_hz: float, settings: RootPathSettings) -> Array:
+def _drift(p: Array, flying: NDArray[np.bool_], rate_hz: float, settings: RootPathSettings) -> Array:
     """Return the drift (T,), m: by distance walked, and by flights with the square of their duration."""
     walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1))])
     flown = np.zeros(len(p))
-    for start, stop in signals.runs(~contacts.standing.any(axis=1)):
+    for start, stop in signals.runs(flying):
         since = np.minimum(np.arange(len(p)) - start, stop - start)[start:] / rate_hz
         slow = np.minimum(settings.sigma_flight * since / 2, settings.sigma_aloft)
         flown[start:] += (slow * since) ** 2
     return np.asarray(np.sqrt((settings.drift_per_metre * walked) ** 2 + flown))
-
-
-def _shift(off: Array, seen: NDArray[np.bool_]) -> Array:
-    """Return (n, 3), m: the errors at the ends that were seen, interpolated linearly."""
-    share = np.linspace(0.0, 1.0, len(off))[:, None] if seen[0] and seen[-1] else float(seen[-1])
-    return np.asarray((1 - share) * off[0] + share * off[-1])
-
-
-def _drift_from(
-    p: Array, seen: NDArray[np.bool_], contacts: Contacts, rate_hz: float, settings: RootPathSettings
-) -> Array:
-    """Return the drift (n,), m, since the nearer of the ends that were seen."""
-    back = Contacts(contacts.joints, contacts.standing[::-1])
-    ends = (
-        _drift(p, contacts, rate_hz, settings) if seen[0] else np.inf,
-        _drift(p[::-1], back, rate_hz, settings)[::-1] if seen[-1] else np.inf,
-    )
-    return np.asarray(np.minimum(*ends))

@@ -115,16 +115,6 @@ class Detections:
         """(T, P) True where a person was detected."""
         return np.asarray((self.confidence > 0).any(axis=-1))
 
-    def ordered(self, order: Sequence[int]) -> Self:
-        """Return the points in another order.
-
-        Args:
-            order: indices of the points to keep.
-        """
-        names = None if self.names is None else tuple(self.names[i] for i in order)
-        uv, confidence = self.uv_px[:, :, list(order)], self.confidence[:, :, list(order)]
-        return replace(self, uv_px=uv, confidence=confidence, names=names)
-
     def in_pixels(self, width_px: int | None, height_px: int | None) -> Self:
         """Return detections in pixels; coordinates up to 3 are taken as fractions of the image size.
 

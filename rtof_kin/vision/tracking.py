@@ -7,7 +7,6 @@ person is chosen: large, central and present most of the time, or the one asked 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -152,8 +151,14 @@ def track_person(
         reason = f"of {len(trails)} people the largest, most in the middle and most often seen"
     else:
         where = int(np.argmax(present.any(axis=1))) if frame is None else frame
-        chosen = _named(trails, present, person, where)
-        reason = f"asked for: person {person} in frame {where}"
+        own = [trail for trail in trails if (where, person) in zip(trail.frames, trail.people, strict=True)]
+        if not own:
+            known = np.flatnonzero(present[where]).tolist() if 0 <= where < len(present) else []
+            problem = (
+                f"there is no such person; of {len(present)} frames, counted from 0, that one has {known}"
+            )
+            raise InvalidInputError(f"person {person} in frame {where}: {problem}")
+        chosen, reason = own[0], f"asked for: person {person} in frame {where}"
     return _joined(chosen, trails, measures, times, reason)
 
 
@@ -201,18 +206,6 @@ def _prominence(trail: _Trail, measures: _Measures, image_px: tuple[float, float
         middle, width = float(np.median(u)), float(np.ptp(u)) + 1.0
     off = np.abs(measures.centre[at][:, 0] - middle) / max(width / 2, 1.0)
     return float((measures.size[at] * measures.confidence[at] / (1 + off)).sum())
-
-
-def _named(trails: Iterable[_Trail], present: Mask, person: int, frame: int) -> _Trail:
-    for trail in trails:
-        if (frame, person) in zip(trail.frames, trail.people, strict=True):
-            return trail
-    inside = 0 <= frame < len(present) and present[frame].any()
-    known = ", ".join(map(str, np.flatnonzero(present[frame]))) if inside else "nobody"
-    raise InvalidInputError(
-        f"person {person} in frame {frame}: there is no such person; of {len(present)} frames, counted "
-        f"from 0, that one has {known}"
-    )
 
 
 def _joined(

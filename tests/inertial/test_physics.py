@@ -18,7 +18,7 @@ from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial import laws
 from rtof_kin.inertial.laws import fixed_axes, likely_rate
-from rtof_kin.inertial.physics import LAWS, check_log, redeclared
+from rtof_kin.inertial.physics import LAWS, check_log
 
 PLAIN = Declaration()
 DATA = Path(__file__).parents[1] / "fixtures" / "inertial"
@@ -189,15 +189,6 @@ def test_noise_is_explained_by_no_declaration() -> None:
     assert check.advice.endswith("No other declaration makes it hold")
 
 
-def test_redeclaring_equals_reading_again() -> None:
-    stream = moved(seconds=5.0)
-    for means, declared, other in zip(truths(5, 6), truths(6, 6), truths(7, 6), strict=True):
-        again = redeclared(read_as(stream, means, declared), declared, other)
-        expected = read_as(stream, means, other)
-        for name in ("R_inertial_sensor", "f_sensor", "w_sensor"):
-            np.testing.assert_allclose(getattr(again, name), getattr(expected, name), rtol=1e-8, atol=1e-8)
-
-
 def test_a_missing_orientation_is_refused_where_it_is_needed() -> None:
     with pytest.raises(InvalidInputError, match="orientation"):
         Declaration(gravity="removed").filed_acceleration(np.zeros((2, 3)))
@@ -248,12 +239,9 @@ def test_a_constant_rotation_of_the_orientation_is_found() -> None:
     segment = replace(stream, R_inertial_sensor=stream.R_inertial_sensor @ R.as_matrix())
     fixed = fixed_axes(segment)
     assert fixed is not None
-    assert not fixed.mirrored
-    off = R.inv() * Rotation.from_matrix(fixed.R_sensor_oriented)
+    off = R.inv() * Rotation.from_matrix(fixed)
     assert np.degrees(off.magnitude()) < 1.0
-    assert not failed(
-        replace(segment, R_inertial_sensor=segment.R_inertial_sensor @ fixed.R_sensor_oriented.T)
-    )
+    assert not failed(replace(segment, R_inertial_sensor=segment.R_inertial_sensor @ fixed.T))
     check = failed(segment)[DIRECTION]
     assert f"by a constant {np.degrees(R.magnitude()):.0f}"[:-1] in check.advice
     assert check.advice.endswith("with that rotation gravity points up")
