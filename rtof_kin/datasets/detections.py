@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.datasets.total_capture_files import only_one, walk
@@ -83,7 +83,7 @@ def read_detections(
     times = arrays.get("times", np.arange(len(uv)) / rate_hz)
     with files.naming(path):
         if confidence.shape != uv.shape[:2] or len(times) != len(uv):
-            raise ShapeError(
+            raise InvalidInputError(
                 f"confidence has shape {confidence.shape}, times {times.shape}, uv_px {uv.shape}"
             )
         return KeypointSequence(camera, times, uv, confidence, names)

@@ -42,7 +42,7 @@ def measured_offsets(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
         p_world_joint: (T, J, 3) m, joints in the skeleton's order, finite.
 
     Raises:
-        ShapeError: a bone has no length.
+        InvalidInputError: a bone has no length.
     """
     lengths = bone_lengths(skeleton, p_world_joint)
     named = dict(zip(skeleton.names[1:], lengths[1:].tolist(), strict=True))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuSequence
@@ -83,15 +83,15 @@ class Take:
 
         Raises:
             UnknownNameError: no such camera or sensor.
-            ShapeError: keypoints of other times; noise that is negative or on a detector's keypoints.
+            InvalidInputError: keypoints of other times; noise that is negative or on a detector's keypoints.
         """
         self._check_camera(camera)
         if not noise_px >= 0 or not np.isfinite(noise_px):
-            raise ShapeError(f"noise_px: {noise_px:g} is not a standard deviation")
+            raise InvalidInputError(f"noise_px: {noise_px:g} is not a standard deviation")
         if seed < 0:
-            raise ShapeError(f"seed: {seed} is negative")
+            raise InvalidInputError(f"seed: {seed} is negative")
         if noise_px and keypoints is not None:
-            raise ShapeError("noise_px: noise is added to true joints only, not to a detector's")
+            raise InvalidInputError("noise_px: noise is added to true joints only, not to a detector's")
         if keypoints is None:
             keypoints = self._projected(camera, noise_px, seed)
         truth = self._cut_to(keypoints)
@@ -121,7 +121,7 @@ class Take:
             camera: number of one that shall be checked as well. keypoints: a detector's, of its video.
 
         Raises:
-            UnknownNameError: no such camera. ShapeError: keypoints without a camera.
+            UnknownNameError: no such camera. InvalidInputError: keypoints without a camera.
         """
         checks = check_take(self)
         if camera is not None:
@@ -129,7 +129,7 @@ class Take:
             checks += check_camera(camera)
         if keypoints is not None:
             if camera is None:
-                raise ShapeError("keypoints: name the camera whose video they were detected in")
+                raise InvalidInputError("keypoints: name the camera whose video they were detected in")
             checks += check_keypoints(self, camera, keypoints)
         return tuple(checks)
 
@@ -151,7 +151,7 @@ class Take:
     def _cut_to(self, keypoints: KeypointSequence) -> PoseSequence:
         count = min(len(self.truth), len(keypoints))
         if not np.allclose(self.truth.times[:count], keypoints.times[:count], atol=0.1 / RATE_HZ):
-            raise ShapeError(
+            raise InvalidInputError(
                 f"{self.subject} {self.name}: keypoints must begin at time 0 and have {RATE_HZ:g} "
                 "samples a second, as the videos do"
             )

@@ -12,7 +12,7 @@ import numpy as np
 from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.choices import CAMERA_MODES
-from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.datasets.human36m import SUBJECTS_TEST, SUBJECTS_TRAIN, Human36M
 from rtof_kin.protocols import published
@@ -48,7 +48,7 @@ class Human36MProtocol:
     def __post_init__(self) -> None:
         for name in ("subjects", "cameras", "modes"):
             if not getattr(self, name):
-                raise ShapeError(f"{name}: none are named, so there is nothing to measure")
+                raise InvalidInputError(f"{name}: none are named, so there is nothing to measure")
         indices_of("subject", self.subjects, SUBJECTS_TRAIN + SUBJECTS_TEST)
         indices_of("mode without sensors", self.modes, VISION)
         indices_of("camera", [str(c) for c in self.cameras], [str(c) for c in CAMERAS])

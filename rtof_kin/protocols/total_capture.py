@@ -21,7 +21,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.choices import CAMERA_MODES, SPACES
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
@@ -94,7 +94,7 @@ class TotalCaptureProtocol:
     def __post_init__(self) -> None:
         for name in ("subjects", "takes", "cameras", "modes"):
             if not getattr(self, name):
-                raise ShapeError(f"{name}: none are named, so there is nothing to measure")
+                raise InvalidInputError(f"{name}: none are named, so there is nothing to measure")
         indices_of("subject", self.subjects, SUBJECTS)
         indices_of("take", self.takes, sorted({take for _, take in (*TRAIN, *TEST)}))
         indices_of("mode", self.modes, CAMERA_MODES)
@@ -102,20 +102,20 @@ class TotalCaptureProtocol:
         indices_of("sensor", self.sensors, list(SkeletonModel.default().sensors))
         indices_of("camera", [str(c) for c in self.cameras], [str(c) for c in range(1, 9)])
         if not self.sensors and {"sf2", "rtof"} & set(self.modes):
-            raise ShapeError("modes sf2 and rtof need sensors; name some, or only lift and rto")
+            raise InvalidInputError("modes sf2 and rtof need sensors; name some, or only lift and rto")
         if self.keypoints is not None and self.noise_px:
-            raise ShapeError("noise is added to ground-truth 2D only, not to a detector's")
+            raise InvalidInputError("noise is added to ground-truth 2D only, not to a detector's")
         if not 0 <= self.noise_px < np.inf:
-            raise ShapeError(f"noise_px: {self.noise_px:g} is not a standard deviation")
+            raise InvalidInputError(f"noise_px: {self.noise_px:g} is not a standard deviation")
         if self.seed < 0:
-            raise ShapeError(f"seed: {self.seed} is negative")
+            raise InvalidInputError(f"seed: {self.seed} is negative")
         if self.keypoints is not None and not self.keypoints.is_dir():
             raise FileFormatError(self.keypoints, "there is no such folder of detections")
         lifter_path(self.lifter)
         if self.layout is not None:
             indices_of("layout", [self.layout], (RECOGNISE, *detector_table().layouts))
             if self.keypoints is None:
-                raise ShapeError("layout is that of a detector's points; name their folder as keypoints")
+                raise InvalidInputError("layout is that of a detector's points; name their folder as keypoints")
 
     def settings(self) -> dict[str, Any]:
         """Everything that the results depend on, as plain values."""

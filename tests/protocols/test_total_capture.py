@@ -25,7 +25,7 @@ from benchmarks.total_capture_standin import StandInTake, write_detections
 from lifting.checkpoint import save_checkpoint
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli import main
-from rtof_kin.core.errors import FileFormatError, OutputExistsError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.datasets.total_capture import TotalCapture
 from rtof_kin.formats.motion_npz import read_motion_npz
@@ -847,7 +847,7 @@ def test_a_lifter_that_cannot_be_used_is_said(
 
 def test_a_protocol_in_python_is_checked_as_well(root: Path) -> None:
     for changed, error in (
-        ({"subjects": ("S7",)}, UnknownNameError), ({"takes": ()}, ShapeError),
+        ({"subjects": ("S7",)}, UnknownNameError), ({"takes": ()}, InvalidInputError),
         ({"space": "polar"}, UnknownNameError), ({"keypoints": root / "none"}, FileFormatError),
     ):  # fmt: skip
         with pytest.raises(error):
