@@ -1,7 +1,6 @@
 """Total Capture (Trumble et al., BMVC 2017): takes and cameras as `Recording`s, z up, metres, seconds.
 
-The data are handed out by their authors for research only; nothing of them is in this package. Facts
-about the files are those that their users and public loaders agree on::
+The data are available from their authors for research only; this package has none of them. Conventions::
 
     R_world_bone     = C . R_vicon_segment . M             world_of_vicon C, segment_of_bone M
     R_world_inertial = C . R_ref                           calib_imu_ref.txt
@@ -50,7 +49,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 _STAMP_FRAMES = 10
-"""A foot may be stamped in these first frames while the pose stands still."""
+"""First frames, in which a foot may be stamped while the pose is constant."""
 _NEEDED = {
     "positions": "positions (gt_skel_gbl_pos.txt)",
     "orientations": "orientations (gt_skel_gbl_ori.txt)",
@@ -58,33 +57,32 @@ _NEEDED = {
     "calib_bone": "IMU calibration (*_calib_imu_bone.txt)",
     "calib_ref": "IMU calibration (*_calib_imu_ref.txt)",
 }
-"""What belongs to a complete take, by kind."""
+"""Files of a complete take, by kind."""
 
 
 class TotalCapture:
-    """The dataset in somebody's folder. Files are looked for once, and read when a take is asked for."""
+    """The dataset in a folder. Files are searched once, and read when a take is requested."""
 
     def __init__(self, root: str | Path):
-        """Look for the files.
+        """Search for the files.
+
+        Args:
+            root: folder of the dataset.
 
         Raises:
-            FileFormatError: there is no such folder, or nothing of the dataset in it.
+            FileFormatError: there is no such folder, or no file of the dataset in it.
         """
         self.root = Path(root)
         self.index: FileIndex = find_files(self.root)
 
     @property
     def takes(self) -> tuple[tuple[str, str], ...]:
-        """Subject and name of every take of which anything was found."""
+        """Subject and name of every take with at least one file."""
         return tuple(sorted(self.index.files))
 
     @cached_property
     def cameras(self) -> dict[int, Camera]:
-        """The cameras in the z-up world by number; empty where there is no calibration file.
-
-        Raises:
-            FileFormatError: the file is damaged, or there are several different ones.
-        """
+        """Cameras in the z-up world by number; empty without a calibration file."""
         path = only_one(self.index.cameras)
         if path is None:
             return {}
@@ -94,14 +92,18 @@ class TotalCapture:
         }
 
     def missing(self, takes: Iterable[tuple[str, str]] = (*TRAIN, *TEST)) -> list[str]:
-        """One line for every take that is not complete, and for files that cannot be assigned."""
+        """Return one line for every incomplete take and every file that cannot be used.
+
+        Args:
+            takes: subject and name of the takes to look at.
+        """
         lines = [] if self.index.cameras else [f"{CAMERA_FILE} (all takes): not found"]
         for subject, name in takes:
             what = self._missing_of((subject, name))
             if what:
                 lines.append(f"{subject} {name}: no {', '.join(what)}")
         lines += [
-            f"{path}: neither its name nor its folders tell subject and take; not used"
+            f"{path}: neither its name nor its folders give subject and take; not used"
             for path in self.index.unassigned
         ]
         lines += [f"{path}: cannot be read; not used" for path in self.index.unreadable]
@@ -118,9 +120,12 @@ class TotalCapture:
     def take(self, subject: str, name: str) -> Take:
         """Read a take.
 
+        Args:
+            subject: S1 to S5. name: such as acting3.
+
         Raises:
-            UnknownNameError: nothing of it was found. FileFormatError: no ground truth, or a file that
-                is damaged, or files that do not belong together.
+            UnknownNameError: no file of it was found. FileFormatError: no ground truth, a damaged file, or
+                files that do not belong together.
         """
         key = (subject.upper(), name.lower())
         if key not in self.index.files:
@@ -151,14 +156,14 @@ class TotalCapture:
         )
 
     def _others(self, take: tuple[str, str]) -> Iterator[tuple[str, Array]]:
-        """Name and joint offsets of the subject's other takes with orientations that can be read."""
+        """Yield name and joint offsets of the subject's other takes with readable orientations."""
         for other in self.takes:
             kinds = {"positions", "orientations"} & set(self.index.files[other])
             if other[0] != take[0] or other == take or len(kinds) < 2:
                 continue
             try:
                 truth = read_truth(other, partial(self.index.one, other), tuple)
-            except FileFormatError:  # said when that take is read
+            except FileFormatError:
                 continue
             if truth is not None and np.isfinite(truth.spread_mm):
                 yield " ".join(other), truth.joint_offsets
@@ -166,7 +171,7 @@ class TotalCapture:
     def _imus(
         self, take: tuple[str, str], frames: int, notes: list[str]
     ) -> tuple[ImuSequence | None, ImuCalibration | None]:
-        """The sensors that have data, a calibration and a place on the skeleton."""
+        """Read the sensors that have data, a calibration and a place on the skeleton."""
         path = self.index.one(take, "sensors")
         if path is None and (path := self.index.one(take, "aux_sensors")) is not None:
             notes.append(f"sensors from {path.name}, as there is no _Xsens.sensors")
@@ -199,7 +204,7 @@ class TotalCapture:
 
 
 def _sequence(path: Path, table: SensorTable, names: list[str], frames: int, notes: list[str]) -> ImuSequence:
-    """The sensors named, at times of their own."""
+    """Return the sensors named."""
     count = len(table.quat_wxyz)
     if count != frames:
         notes.append(f"{path.name} has {count} frames, the reference {frames}")
@@ -209,16 +214,16 @@ def _sequence(path: Path, table: SensorTable, names: list[str], frames: int, not
     dead = (f == 0).all(axis=-1)
     for sensor in np.flatnonzero(dead.any(axis=0)):
         lost = int(dead[:, sensor].sum())
-        notes.append(f"{names[sensor]}: no acceleration in {lost} frames, left open")
+        notes.append(f"{names[sensor]}: no acceleration in {lost} frames: unknown")
     f[dead] = np.nan
     f[:_STAMP_FRAMES] = np.nan
-    notes.append(f"accelerations of the first {_STAMP_FRAMES} frames left open: a foot may be stamped")
+    notes.append(f"accelerations of the first {_STAMP_FRAMES} frames are unknown: a foot may be stamped")
     with files.naming(path):
         return ImuSequence(np.arange(count) / RATE_HZ, R, f, tuple(names))
 
 
 def _sensor_rotations(path: Path, quat_wxyz: Array, names: list[str], notes: list[str]) -> Array:
-    """R_inertial_sensor (T, S, 3, 3), NaN where a sensor gives zeros."""
+    """Return R_inertial_sensor (T, S, 3, 3), NaN where a sensor has zeros."""
     norm = np.linalg.norm(quat_wxyz, axis=-1)
     absent = norm < 1e-6
     wrong = ~absent & (np.abs(norm - 1) > 0.01)
@@ -230,7 +235,7 @@ def _sensor_rotations(path: Path, quat_wxyz: Array, names: list[str], notes: lis
         )  # fmt: skip
     for sensor in np.flatnonzero(absent.any(axis=0)):
         lost = int(absent[:, sensor].sum())
-        notes.append(f"{names[sensor]}: no orientation in {lost} frames, left open")
+        notes.append(f"{names[sensor]}: no orientation in {lost} frames: unknown")
     R = so3.from_quat_wxyz(np.where(absent[..., None], [1.0, 0, 0, 0], quat_wxyz))
     R[absent] = np.nan
     return R

@@ -1,4 +1,4 @@
-"""One take of Total Capture in this package's frames, and the recordings it gives."""
+"""One take of Total Capture in this package's frames, and its recordings."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
-from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take
 from rtof_kin.datasets.total_capture_files import MISCALIBRATED
 from rtof_kin.datasets.total_capture_truth import RATE_HZ
 from rtof_kin.recording.recording import Recording
@@ -32,29 +30,29 @@ ACKNOWLEDGEMENT = (
 
 @dataclass(frozen=True)
 class Take:
-    """One take: what Vicon saw, what the sensors gave, and the cameras around."""
+    """One take: reference poses, sensors and cameras."""
 
     subject: str
     """S1 to S5."""
     name: str
     """Such as acting3."""
     truth: PoseSequence
-    """Poses at 60 Hz from time 0; not `valid` where the reference is known to jump."""
+    """Poses at 60 Hz from time 0; not `valid` where the reference has a known glitch."""
     joint_offsets: Array
     """(J, 3) each joint in its parent's link frame, m, measured in this take."""
     spread_mm: float
     """Largest standard deviation of an offset, mm; NaN where orientations were derived."""
     imus: ImuSequence | None
-    """The sensors that have a calibration; None where there are none. Without acceleration in the first
-    ten frames, in which a foot may be stamped while the pose stands still."""
+    """The calibrated sensors; None where there are none. The acceleration of the first ten frames, in which
+    a foot may be stamped, is NaN."""
     calibration: ImuCalibration | None
-    """Of those sensors, from the take's own files; lever arms are the skeleton's usual ones."""
+    """Calibration of those sensors, from the take's files; lever arms are those of the skeleton table."""
     cameras: Mapping[int, Camera]
     """By number, 1 to 8; empty without a camera calibration."""
     missing: tuple[str, ...]
-    """What was not found."""
+    """Missing files."""
     notes: tuple[str, ...]
-    """What was derived, mended or left out."""
+    """Derived, repaired and omitted data."""
 
     @cached_property
     def skeleton(self) -> SkeletonModel:
@@ -69,23 +67,20 @@ class Take:
         seed: int = 0,
         sensors: Sequence[str] | None = None,
     ) -> Recording:
-        """The take as one camera and some of the sensors recorded it.
+        """Return the take as recorded by one camera and some sensors, with the truth.
 
         Args:
-            camera: number, 1 to 8. keypoints: a detector's, of this camera's video; where not given,
-                the true joints as the camera sees them, outside of the picture too.
-            noise_px: standard deviation of white noise on true joints, px per axis.
-            seed: of the noise; every take and camera has its own.
-            sensors: names; all there are where not given.
-
-        Returns:
-            With the truth, cut to the shorter of video and reference.
+            camera: number, 1 to 8. sensors: names, by default all.
+            keypoints: a detector's, of this camera's video; by default the projected joints, also outside
+                the image. The recording ends with the shorter of keypoints and reference.
+            noise_px: standard deviation of white noise on projected joints, px per axis.
+            seed: of the noise; takes and cameras have different noise.
 
         Raises:
-            UnknownNameError: no such camera or sensor.
-            InvalidInputError: keypoints of other times; noise that is negative or on a detector's keypoints.
+            UnknownNameError: no such camera or sensor. InvalidInputError: keypoints of other times, or
+                negative noise or noise on a detector's keypoints.
         """
-        self._check_camera(camera)
+        self.camera(camera)
         if not noise_px >= 0 or not np.isfinite(noise_px):
             raise InvalidInputError(f"noise_px: {noise_px:g} is not a standard deviation")
         if seed < 0:
@@ -112,34 +107,22 @@ class Take:
             notes="; ".join(notes),
         )
 
-    def check(
-        self, camera: int | None = None, keypoints: KeypointSequence | None = None
-    ) -> tuple[Check, ...]:
-        """Whether what the files say fits together.
+    def camera(self, number: int) -> Camera:
+        """Return a camera.
 
         Args:
-            camera: number of one that shall be checked as well. keypoints: a detector's, of its video.
+            number: 1 to 8.
 
         Raises:
-            UnknownNameError: no such camera. InvalidInputError: keypoints without a camera.
+            UnknownNameError: no such camera, or no calibration of the cameras.
         """
-        checks = check_take(self)
-        if camera is not None:
-            self._check_camera(camera)
-            checks += check_camera(camera)
-        if keypoints is not None:
-            if camera is None:
-                raise InvalidInputError("keypoints: name the camera whose video they were detected in")
-            checks += check_keypoints(self, camera, keypoints)
-        return tuple(checks)
-
-    def _check_camera(self, camera: int) -> None:
-        if camera not in self.cameras:
-            known = [str(number) for number in self.cameras] or ["none, without calibration.cal"]
-            raise UnknownNameError("camera", [str(camera)], known)
+        if number not in self.cameras:
+            known = [str(n) for n in self.cameras] or ["none, without calibration.cal"]
+            raise UnknownNameError("camera", [str(number)], known)
+        return self.cameras[number]
 
     def _projected(self, number: int, noise_px: float, seed: int) -> KeypointSequence:
-        """The true joints as a camera sees them, with white noise."""
+        """Project the true joints and add white noise."""
         camera = self.cameras[number]
         uv = camera.project(self.truth.p_world_joint)
         if noise_px:

@@ -16,6 +16,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.datasets.total_capture import CAMERAS, Take, TotalCapture
+from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take
 from rtof_kin.simulation.mocap import NAMES, PARENTS
 
 ONE = ("S5", "acting3")
@@ -33,7 +34,7 @@ def take(root: Path) -> Take:
     return TotalCapture(root).take(*ONE)
 
 
-def failed(checks: tuple[Check, ...]) -> list[Check]:
+def failed(checks: list[Check]) -> list[Check]:
     return [check for check in checks if not check.passed]
 
 
@@ -71,23 +72,19 @@ def test_a_sensor_written_by_hand_gives_its_bone_and_no_acceleration(tmp_path: P
 # --- checks --------------------------------------------------------------------------------------
 
 
-def test_a_take_checks_its_files_and_keypoints(take: Take) -> None:
-    own = take.check()
-    assert not failed(own)
-    assert {check.subject for check in own} == {"take", *(f"sensor {n}" for n in take.imus.names)}  # type: ignore[union-attr]
-    more = take.check(1, take.recording(1, noise_px=3.0).keypoints)
-    assert not failed(more)
-    (added,) = more[len(own) :]
-    assert (added.subject, added.unit, added.limit) == ("camera 1", "px", 20)
-    assert added.value == pytest.approx(3 * np.sqrt(2 * np.log(2)), rel=0.05)
+def test_noisy_keypoints_pass_the_reprojection_check(take: Take) -> None:
+    (check,) = check_keypoints(take, 1, take.recording(1, noise_px=3.0).video)
+    assert check.passed
+    assert (check.subject, check.unit, check.limit) == ("camera 1", "px", 20)
+    assert check.value == pytest.approx(3 * np.sqrt(2 * np.log(2)), rel=0.05)
 
 
 def test_camera_2_fails_its_check_without_keypoints(take: Take) -> None:
     for camera in CAMERAS:
-        bad = failed(take.check(camera))
+        bad = failed(check_camera(camera))
         assert [check.subject for check in bad] == (["camera 2"] if camera == 2 else [])
         assert ("miscalibrated" in take.recording(camera).notes) == (camera == 2)
-    (bad_2,) = failed(take.check(2))
+    (bad_2,) = failed(check_camera(2))
     assert "(+20, -8) px" in bad_2.message
     assert "ground-truth 2D is not affected" in bad_2.message
 
@@ -97,12 +94,12 @@ def test_a_slipped_sensor_is_distinguished_from_the_calibration_of_another_take(
     R = np.array(take.calibration.R_sensor_bone)
     turn = so3.about_axis("x", np.radians(30))
     R[4] = R[4] @ turn
-    (bad,) = failed(replace(take, calibration=replace(take.calibration, R_sensor_bone=R)).check())
+    (bad,) = failed(check_take(replace(take, calibration=replace(take.calibration, R_sensor_bone=R))))
     assert bad.subject == f"sensor {take.calibration.sensors[4]}"
     assert bad.value == pytest.approx(30, abs=0.01)
     assert "slipped" in bad.message
     R[:9] = R[:9] @ turn
-    bads = failed(replace(take, calibration=replace(take.calibration, R_sensor_bone=R)).check())
+    bads = failed(check_take(replace(take, calibration=replace(take.calibration, R_sensor_bone=R))))
     assert len(bads) == 9
     assert all("9 of 13 sensors fail this: is it the calibration of another take?" in b.message for b in bads)
 
@@ -113,7 +110,7 @@ def test_the_limb_that_is_not_in_the_t_pose_is_named(take: Take) -> None:
     R[:, arm] = R[:, arm] @ so3.about_axis("z", np.radians(40))
     p = positions(PARENTS, take.joint_offsets, take.truth.p_world_joint[:, 0], R)
     bent = replace(take.truth, p_world_joint=p, R_world_bone=R)
-    (bad,) = failed(replace(take, truth=bent, imus=None, calibration=None).check())
+    (bad,) = failed(check_take(replace(take, truth=bent, imus=None, calibration=None)))
     assert "(LeftForeArm to LeftHand)" in bad.message
     assert bad.value == pytest.approx(40, abs=6)
 
@@ -122,12 +119,14 @@ def test_bones_of_a_take_without_orientations_are_checked_by_their_length(tmp_pa
     paths = support.dataset(tmp_path, orientations=False, bvh=False)
     found = TotalCapture(tmp_path).take(*ONE)
     assert not found.truth.orientation_observed.any()
-    (bones,) = [check for check in found.check() if "bone lengths" in check.name]
+    (bones,) = [check for check in check_take(found) if "bone lengths" in check.name]
     assert bones.passed
     p = files.tc_positions(support.motion().p_world_joint)
     p[::2, NAMES.index("Head")] += 1.0
     files.write_joints(paths["positions"], p)
-    assert any("bone lengths" in check.name for check in failed(TotalCapture(tmp_path).take(*ONE).check()))
+    assert any(
+        "bone lengths" in check.name for check in failed(check_take(TotalCapture(tmp_path).take(*ONE)))
+    )
 
 
 # --- refusals ------------------------------------------------------------------------------------
@@ -152,9 +151,7 @@ def test_wrong_options_are_refused(
 def test_keypoints_need_their_camera_and_get_no_noise(take: Take) -> None:
     keypoints = take.recording(1).video
     with pytest.raises(UnknownNameError, match=r"camera '9'.*1, 2, 3"):
-        take.check(9)
-    with pytest.raises(InvalidInputError, match="name the camera"):
-        take.check(keypoints=keypoints)
+        check_keypoints(take, 9, keypoints)
     with pytest.raises(InvalidInputError, match="not to a detector's"):
         take.recording(1, keypoints, noise_px=2.0)
     with pytest.raises(UnknownNameError, match=r"camera '1'.*calibration\.cal"):

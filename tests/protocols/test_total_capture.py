@@ -343,7 +343,6 @@ def noisy(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     return run(protocol(root, noise_px=4.0, seed=3), tmp_path_factory.mktemp("noisy"), workers=1)
 
 
-@pytest.mark.slow
 def test_the_noise_of_a_camera_does_not_depend_on_the_order_of_jobs(
     root: Path, tmp_path: Path, noisy: Outcome
 ) -> None:
