@@ -1,7 +1,7 @@
-"""A subject's joint offsets, measured from positions of the joints in many frames.
+"""Joint offsets of a subject, measured from positions of the joints in many frames.
 
-Human3.6M's bones keep their length, but the spine turns about the pelvis and the shoulders about the
-thorax: segments with several children are not quite rigid, and no frame alone shows their shape.
+Human3.6M's bones have constant length, but the spine turns about the pelvis and the shoulders about the
+thorax: segments with several children are not quite rigid.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from rtof_kin.core import rotations as so3
 
 Array = NDArray[np.float64]
 _FRAMES = 4000
-"""As many frames, evenly spread, make the shape of a segment."""
+"""Number of frames, evenly spread, from which the shape of a segment is estimated."""
 _ROUNDS, _CONVERGED = 50, 1e-9
 
 
 def bone_lengths(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
-    """Median distance of each joint from its parent, m: (J,), 0 for the root.
+    """Return the median distance (J,) of each joint from its parent, m, 0 for the root.
 
     Args:
-        p_world_joint: (T, J, 3) m, joints in the skeleton's order, finite.
+        skeleton: with the parents. p_world_joint: (T, J, 3) m, joints in its order, finite.
     """
     parents = np.maximum(skeleton.parents, 0)
     distance = np.linalg.norm(p_world_joint - p_world_joint[:, parents], axis=-1)
@@ -31,15 +31,14 @@ def bone_lengths(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
 
 
 def measured_offsets(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
-    """Joint offsets (J, 3) of the subject in the parents' link frames, m; zero for the root.
+    """Return the subject's joint offsets (J, 3) in the parents' link frames, m, 0 for the root.
 
-    Each bone has its median length. A segment with one child keeps the direction that its table gives
-    it, which is its own axis. For one with several (pelvis, thorax) the directions are those of the mean
-    shape of its children about it: a Procrustes analysis over the frames, without scale (Gower 1975),
-    whose axes are turned to be nearest to the table's.
+    Each bone has its median length. A segment with one child has the direction of the table. For one with
+    several (pelvis, thorax) the directions are those of the mean shape of its children: a Procrustes
+    analysis over the frames, without scale (Gower 1975), in axes nearest to the table's.
 
     Args:
-        p_world_joint: (T, J, 3) m, joints in the skeleton's order, finite.
+        skeleton: with the table. p_world_joint: (T, J, 3) m, joints in its order, finite.
 
     Raises:
         InvalidInputError: a bone has no length.
@@ -57,7 +56,7 @@ def measured_offsets(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
 
 
 def _mean_shape(bones: Array, table: Array) -> Array:
-    """Directions of bones (T, C, 3) in common axes, near those of a table (C, 3), with its lengths."""
+    """Return directions of bones (T, C, 3) in common axes, near those of a table (C, 3), with its lengths."""
     lengths = np.linalg.norm(table, axis=-1, keepdims=True)
     shape = table
     for _ in range(_ROUNDS):
