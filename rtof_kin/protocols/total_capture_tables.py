@@ -1,9 +1,9 @@
-"""The paper's tables on Total Capture with our figures beside the printed ones."""
+"""Tables of the paper on Total Capture with the measured figures beside the published ones."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, Final
 
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.protocols import published
@@ -22,8 +22,8 @@ from rtof_kin.protocols.total_capture import (
 )
 
 Row = dict[str, Any]
-SEEN = ("S1", "S2", "S3")
-"""Subjects of whom the paper's lifter saw other takes in training."""
+_SEEN: Final = ("S1", "S2", "S3")
+"""Subjects with other takes in the training set of the paper's lifter."""
 _FIGURES = {"mpjpe_rr_mm": "root-relative", "mpjpe_mm": "absolute"}
 _AS_PRINTED = (
     "Ours here: the energy as printed with a weak prior on positions (CartesianSettings.paper()), from "
@@ -32,35 +32,28 @@ _AS_PRINTED = (
 
 
 def all_tables(protocol: TotalCaptureProtocol, outcome: Outcome) -> list[Table]:
-    """Every table for which something was measured, and what is missing."""
+    """Return every table for which something was measured, and one of missing and suspicious data.
+
+    Args:
+        protocol: what was asked for. outcome: what was measured.
+    """
     rows = list(rows_of(outcome))
-    tables = [
-        by_take(protocol, rows),
-        inertial_only(protocol, rows),
-        ablation(protocol, rows),
-        sixteen_joints(protocol, rows),
-    ]
+    tables = [part(protocol, rows) for part in (_by_take, _inertial_only, _ablation, _sixteen_joints)]
     if protocol.studies and "rtof" in protocol.modes:
-        tables += [fragment_length(rows), visual_weight(rows)]
-    state = state_of_data(protocol, outcome)
+        tables += [_fragment_length(rows), _visual_weight(rows)]
+    state = _state_of_data(protocol, outcome)
     return [*tables, state] if state.rows else tables
 
 
-def by_take(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
-    """Table 1: MPJPE by take, subjects seen and unseen, and over all frames."""
+def _by_take(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
+    """Make table 1: MPJPE by take, for subjects seen and unseen in training, and over all frames."""
 
     def cells(method: str, figure: str) -> list[Cell]:
         own = [row for row in rows if row["method"] == method]
-        groups: list[Callable[[Row], bool]] = [
-            lambda row, take=take, seen=seen: (
-                row["take"] == take  # type: ignore[misc]
-                and (row["subject"] in SEEN) == seen
-            )
-            for seen in (True, False)
-            for take in TEST_TAKES
-        ]
-        chosen = [*([r for r in own if group(r)] for group in groups), own]
-        return [pooled(part, figure) for part in chosen]
+        groups = {(seen, take): list[Row]() for seen in (True, False) for take in TEST_TAKES}
+        for row in own:
+            groups.get((row["subject"] in _SEEN, row["take"]), []).append(row)
+        return [pooled(part, figure) for part in (*groups.values(), own)]
 
     printed: list[tuple[Cell, ...]] = [(name, *row) for name, row in published.TABLE_1.items()]
     ours = [
@@ -78,8 +71,8 @@ def by_take(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
     )
 
 
-def inertial_only(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
-    """The paper's comparison with methods that have IMUs and no camera."""
+def _inertial_only(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
+    """Make the comparison with methods that have IMUs and no camera."""
     printed: list[tuple[Cell, ...]] = [
         (name, mpjpe, None, mpjje) for name, (mpjpe, mpjje) in published.INERTIAL_ONLY.items()
     ]
@@ -95,8 +88,8 @@ def inertial_only(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
     )
 
 
-def ablation(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
-    """Every mode, with the paper's ablation beside it and the calibration rows under it."""
+def _ablation(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
+    """Make the ablation: every mode, and the calibration rows below."""
     figures = ("mpjpe_rr_mm", "mpjpe_mm", "mpjpe_pa_mm", "mpjae", "mpjje", "angle_deg", "flexion_deg")
     ours = [
         (mode, *published.ABLATION[mode], *_means(rows, mode, figures), _share(rows, mode))
@@ -122,8 +115,8 @@ def ablation(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
     )  # fmt: skip
 
 
-def sixteen_joints(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
-    """The protocol of the multi-view papers: 16 joints, absolute, every 16th frame, four cameras."""
+def _sixteen_joints(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
+    """Make the table of the multi-view papers: 16 joints, absolute, every 16th frame, four cameras."""
     chosen = [row for row in rows if row["camera"] in SIXTEEN_CAMERAS]
     ours: list[tuple[Cell, ...]] = []
     for mode in protocol.modes:
@@ -149,8 +142,8 @@ def sixteen_joints(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
     )
 
 
-def fragment_length(rows: list[Row]) -> Table:
-    """Speed and error by N."""
+def _fragment_length(rows: list[Row]) -> Table:
+    """Make the study of the fragment length N: speed and error."""
     lines: list[tuple[Cell, ...]] = []
     for N, printed in published.FRAGMENT_LENGTH.items():
         own = [row for row in rows if row["method"] == length_name(N)]
@@ -172,8 +165,8 @@ def fragment_length(rows: list[Row]) -> Table:
     )  # fmt: skip
 
 
-def visual_weight(rows: list[Row]) -> Table:
-    """Error by k_V."""
+def _visual_weight(rows: list[Row]) -> Table:
+    """Make the study of the visual weight k_V."""
     figures = ("mpjpe_rr_mm", "mpjpe_mm", "mpjje")
     return Table(
         "visual_weight",
@@ -189,8 +182,8 @@ def visual_weight(rows: list[Row]) -> Table:
     )  # fmt: skip
 
 
-def state_of_data(protocol: TotalCaptureProtocol, outcome: Outcome) -> Table:
-    """What could not be measured and why, which checks failed, and what the loader had to do."""
+def _state_of_data(protocol: TotalCaptureProtocol, outcome: Outcome) -> Table:
+    """List failed measurements, failed checks and notes of the loader."""
     lines: list[tuple[Cell, ...]] = []
     whole: dict[str, str] = {}
     for key, job in protocol.jobs().items():
@@ -234,7 +227,7 @@ def _speed(rows: list[Row]) -> float | None:
 
 
 def _setup(protocol: TotalCaptureProtocol, rows: list[Row]) -> str:
-    """What our rows were measured with."""
+    """Describe the setup of our rows."""
     if protocol.keypoints is not None:
         keypoints = f"the detections in {protocol.keypoints.name}"
     elif protocol.noise_px:
@@ -248,8 +241,8 @@ def _setup(protocol: TotalCaptureProtocol, rows: list[Row]) -> str:
         f"Ours: one camera at a time ({', '.join(map(str, cameras)) or 'none'}), pooled over all "
         f"{frames} frames of all cameras; {len(protocol.sensors)} IMUs where a mode uses them; 2D: "
         f"{keypoints}; 21 joints, root included; solved in {protocol.space} space, the "
-        f"sensors' calibration {calibration}. {_lifter(protocol)} Of lift the joints are scored as the "
-        "network gives them; a motion that is saved has them on rigid bones."
+        f"sensors' calibration {calibration}. {_lifter(protocol)} Mode lift is scored "
+        "with the joints of the network; its saved motions have rigid bones."
     )
 
 
@@ -260,7 +253,7 @@ def _lifter(protocol: TotalCaptureProtocol) -> str:
 
 
 def _incomplete(protocol: TotalCaptureProtocol, rows: list[Row]) -> list[str]:
-    """A sentence that names the takes, cameras and modes of the protocol without a result, if any."""
+    """Return a sentence that names the takes, cameras and modes without a result, if any."""
     done = {(row["subject"], row["take"], row["camera"], row["method"]) for row in rows}
     names = []
     for take in protocol.pairs():

@@ -385,7 +385,7 @@ def test_the_takes_drawn_are_the_steadiest_and_the_liveliest(
         return Figure(figsize=(1, 1))
 
     monkeypatch.setattr(pictures, "error_curves", figure)
-    monkeypatch.setattr(pictures, "skeletons", figure)
+    monkeypatch.setattr(pictures, "_skeletons", figure)
     write_pictures(outcome, tmp_path, SkeletonModel.default().table, 60.0)
     assert drawn == [["S1_acting3_cam1", "S1_freestyle3_cam1"], "S1_freestyle3_cam1"]
 
