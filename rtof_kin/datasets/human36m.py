@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import CalibrationError, FileFormatError, RtofError, UnitError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.datasets.human36m_body import bone_lengths, measured_offsets
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS
 from rtof_kin.datasets.human36m_files import Archives, by_number
 from rtof_kin.recording.recording import Recording
@@ -50,6 +50,9 @@ ACKNOWLEDGEMENT = (
 )
 _PLAUSIBLE_THIGH = (0.2, 0.7)
 _CHECKED_FRAMES = 20
+_FRAMES = 4000
+"""Number of frames, evenly spread, from which the shape of a segment is estimated."""
+_ROUNDS, _CONVERGED = 50, 1e-9
 _shipped = cache(SkeletonModel.human36m)
 
 
@@ -64,7 +67,7 @@ class Motion:
     p_world_joint: Array
     """(T, 17, 3) m, world z up; NaN where unknown."""
     joint_offsets: Array
-    """(17, 3) m, the same in all of the subject's actions; see `human36m_body.measured_offsets`."""
+    """(17, 3) m, the same in all of the subject's actions; see `measured_offsets`."""
     rate_hz: float = RATE_HZ
     """Frames per second."""
 
@@ -276,3 +279,56 @@ def _reprojection(camera: Camera, p: Array, uv_px: Array) -> Array:
 def _median(values: Array) -> float:
     """Return the median; infinity for no values."""
     return float(np.median(values)) if len(values) else np.inf
+
+
+# --- the body ------------------------------------------------------------------------------------
+
+
+def bone_lengths(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
+    """Return the median distance (J,) of each joint from its parent, m, 0 for the root.
+
+    Args:
+        skeleton: with the parents. p_world_joint: (T, J, 3) m, joints in its order, finite.
+    """
+    parents = np.maximum(skeleton.parents, 0)
+    distance = np.linalg.norm(p_world_joint - p_world_joint[:, parents], axis=-1)
+    return np.asarray(np.median(distance, axis=0))
+
+
+def measured_offsets(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
+    """Return the subject's joint offsets (J, 3) in the parents' link frames, m, 0 for the root.
+
+    Each bone has its median length. A segment with one child has the direction of the table. For one with
+    several (pelvis, thorax) the directions are those of the mean shape of its children: a Procrustes
+    analysis over the frames, without scale (Gower 1975), in axes nearest to the table's.
+
+    Args:
+        skeleton: with the table. p_world_joint: (T, J, 3) m, joints in its order, finite.
+
+    Raises:
+        InvalidInputError: a bone has no length.
+    """
+    lengths = bone_lengths(skeleton, p_world_joint)
+    named = dict(zip(skeleton.names[1:], lengths[1:].tolist(), strict=True))
+    offsets = np.array(skeleton.with_bone_lengths(named).joint_offsets)
+    p = p_world_joint[:: -(-len(p_world_joint) // _FRAMES)]
+    for joint in range(len(skeleton.names)):
+        children = kinematics.children_of(skeleton.parents, joint)
+        if len(children) > 1:
+            bones = p[:, children] - p[:, [joint]]
+            offsets[children] = _mean_shape(bones, offsets[children])
+    return offsets
+
+
+def _mean_shape(bones: Array, table: Array) -> Array:
+    """Return directions of bones (T, C, 3) in common axes, near those of a table (C, 3), with its lengths."""
+    lengths = np.linalg.norm(table, axis=-1, keepdims=True)
+    shape = table
+    for _ in range(_ROUNDS):
+        R = so3.nearest_rotation(np.einsum("tci,cj->tij", bones, shape))
+        turned = np.einsum("tji,tcj->tci", R, bones)
+        before, shape = shape, lengths * so3.unit(np.median(turned, axis=0))
+        if np.abs(shape - before).max() < _CONVERGED:
+            break
+    to_table = so3.nearest_rotation(np.einsum("ci,cj->ij", table, shape))
+    return np.asarray(shape @ to_table.T)

@@ -13,8 +13,8 @@ from rtof_kin.core import signals
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.datasets.total_capture import Take
 from rtof_kin.datasets.total_capture_files import MISCALIBRATED
-from rtof_kin.datasets.total_capture_take import Take
 from rtof_kin.datasets.total_capture_truth import RATE_HZ, RIGID_MM
 
 Array = NDArray[np.float64]

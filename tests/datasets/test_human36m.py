@@ -19,8 +19,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, FileFormatError, UnitError, UnknownNameError
 from rtof_kin.data.camera import Camera
-from rtof_kin.datasets.human36m import RATE_HZ, Human36M
-from rtof_kin.datasets.human36m_body import bone_lengths, measured_offsets
+from rtof_kin.datasets.human36m import RATE_HZ, Human36M, bone_lengths, measured_offsets
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS, read_cameras
 from rtof_kin.datasets.human36m_files import JOINTS_OF_32
 
