@@ -83,8 +83,8 @@ def _ablation(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
     """Make the ablation: every mode, and the calibration rows below."""
     columns = {
         "mode": 0, "paper: MPJPE [mm]": 1, "paper: MPJAE": 2, "paper: MPJJE": 1, "root-relative [mm]": 1,
-        "absolute [mm]": 1, "Procrustes [mm]": 1, "MPJAE [m/s2]": 2, "MPJJE [m/s3]": 1, "joint angle [deg]": 1,
-        "flexion [deg]": 1, "valid": 0,
+        "absolute [mm]": 1, "Procrustes [mm]": 1, "MPJAE [m/s2]": 2, "MPJJE [m/s3]": 1,
+        "joint angle [deg]": 1, "flexion [deg]": 1, "valid": 0,
     }  # fmt: skip
     figures = ("mpjpe_rr_mm", "mpjpe_mm", "mpjpe_pa_mm", "mpjae", "mpjje", "angle_deg", "flexion_deg")
     ours: list[tuple[Cell, ...]] = []

@@ -13,14 +13,14 @@ import matplotlib.image
 import numpy as np
 import pytest
 from lifting_support import TABLE_17, untrained_lifter
-from protocol_support import facts_of, read_json, row
+from protocol_support import read_json, row
 
 from lifting.checkpoint import save_checkpoint
 from rtof_kin.cli import main
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.resources import model_path
 from rtof_kin.formats.motion_npz import read_motion_npz
-from rtof_kin.protocols import human36m, pictures, published
+from rtof_kin.protocols import pictures, published
 from rtof_kin.protocols.human36m import STILL, Human36MProtocol, all_tables, run
 from rtof_kin.protocols.jobs import Outcome
 from rtof_kin.protocols.tables import Table
@@ -151,17 +151,6 @@ def test_means_are_over_the_frames_of_all_actions(root: Path, lifter: Path, tmp_
     assert usual.settings()["lifter_sha256"] == hashlib.sha256(perfect).hexdigest()
 
 
-def test_two_processes_give_the_same_and_nothing_is_measured_again(
-    root: Path, lifter: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    about = protocol(root, lifter, actions=("Action 1",))
-    two = run(about, tmp_path / "two", workers=2)
-    one = run(about, tmp_path / "one", workers=1)
-    assert facts_of(two) == facts_of(one)
-    monkeypatch.setattr(human36m, "measure", None)
-    assert run(about, tmp_path / "two", workers=1).done == two.done
-
-
 # --- what is damaged or not there ----------------------------------------------------------------
 
 
@@ -223,28 +212,17 @@ def test_bad_input_is_refused_and_nothing_written(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.usefixtures("unpictured")
-@pytest.mark.parametrize(
-    "options, expected",
-    [
-        (["--keypoints", "hrnet"], "unknown keypoints"),
-        (["--cameras-file", "{tmp}/none.json"], "none.json"),
-        (["--lifter", "{tmp}/21.pt"], "joint"),
-    ],
-)
 def test_input_that_fails_in_every_measurement_is_refused(
-    options: list[str],
-    expected: str,
-    root: Path,
-    lifter: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    root: Path, lifter: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = untrained_lifter(rate_hz=50.0)
     save_checkpoint(tmp_path / "21.pt", made._network, made.description)
-    arguments = ["human36m", "--root", str(root), "--lifter", str(lifter), "--modes", "lift",
-                 "--workers", "1", "-o", str(tmp_path / "out")]  # fmt: skip
-    assert main([*arguments, *(text.replace("{tmp}", str(tmp_path)) for text in options)]) == 2
-    message = capsys.readouterr().err.splitlines()[-1]
-    assert message.startswith("error: ")
-    assert expected in message
+    arguments = ["human36m", "--root", str(root), "--modes", "lift", "--workers", "1"]
+    for k, (path, keypoints, expected) in enumerate(
+        ((lifter, "hrnet", "unknown keypoints"), (tmp_path / "21.pt", "gt", "joint"))
+    ):
+        options = ["--lifter", str(path), "--keypoints", keypoints, "-o", str(tmp_path / str(k))]
+        assert main([*arguments, *options]) == 2
+        message = capsys.readouterr().err.splitlines()[-1]
+        assert message.startswith("error: ")
+        assert expected in message

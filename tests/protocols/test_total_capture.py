@@ -181,26 +181,6 @@ def test_the_calibration_rows_are_those_by_hand(root: Path, measured: Measured) 
             assert (found["angle_deg"] is None) == (method == LOW_PASSED)  # the truth's own rotations
 
 
-def test_means_are_over_all_frames(root: Path, measured: Measured) -> None:
-    tables = read_json(measured.json)["tables"]
-    p = np.concatenate([position(measured, take, "rtof") for take in (WALKING, ACTING)])
-    p_true = np.concatenate([truth(root, take) for take in (WALKING, ACTING)])
-    error = 1000 * np.linalg.norm(p - p_true, axis=-1)
-    relative = 1000 * np.linalg.norm(p - p[:, :1] - p_true + p_true[:, :1], axis=-1)
-    cells = {cells[0]: cells for cells in tables["by_take"]["rows"]}
-    assert cells["rtof, ours, absolute"][-1] == pytest.approx(error.mean(), rel=1e-6)
-    assert cells["rtof, ours, root-relative"][-1] == pytest.approx(relative.mean(), rel=1e-6)
-    count = len(WALKING.poses)
-    assert cells["rtof, ours, absolute"][1:7] == [
-        pytest.approx(error[:count].mean(), rel=1e-6), None, None,
-        None, pytest.approx(error[count:].mean(), rel=1e-6), None,
-    ]  # fmt: skip
-    index = [NAMES.index(name) for name in SIXTEEN]
-    own = np.concatenate([error[:count][::16], error[count:][::16]])[:, index]
-    sixteen = {cells[0]: cells[1] for cells in tables["sixteen_joints"]["rows"]}
-    assert sixteen["rtof, ours, each camera alone"] == pytest.approx(own.mean(), rel=1e-6)
-
-
 def test_the_default_protocol_is_that_of_the_paper() -> None:
     usual = TotalCaptureProtocol(Path("data"))
     assert usual.takes == TEST_TAKES == ("walking2", "acting3", "freestyle3")
@@ -299,41 +279,6 @@ def test_a_second_run_measures_nothing_and_other_settings_are_refused(
     assert (measured.json.read_bytes(), (measured.out / "tables.md").read_bytes()) == before
 
 
-@pytest.mark.usefixtures("unpictured")
-def test_an_interrupted_command_resumes(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    whole = run(protocol(root), tmp_path / "whole", workers=1)
-    out = tmp_path / "out"
-    arguments = ["total-capture", "--root", str(root), "--subjects", "S1,S5", "--modes", "lift",
-                 "--takes", "walking2,acting3", "--cameras", "1,3", "--no-studies", "-o", str(out),
-                 "--workers", "1"]  # fmt: skip
-    measure, called = total_capture._seen_by, []
-
-    def until_somebody_interrupts(*about: Any) -> Any:
-        called.append(about[1:])
-        if len(called) == 2:
-            raise KeyboardInterrupt
-        return measure(*about)
-
-    monkeypatch.setattr(total_capture, "_seen_by", until_somebody_interrupts)
-    assert main(arguments) == 130
-    assert "interrupted" in capsys.readouterr().err
-    kept = sorted(path.name for path in (out / "runs").glob("*.json"))
-    assert kept == ["S1_walking2.json", "S1_walking2_cam1.json"]
-    assert not (out / "tables.md").exists()
-    assert main(arguments) == 0
-    assert [about[1] for about in called] == [1, 3, 3, 1, 3]
-    assert read_json(out / "tables.json")["rows"] == read_json_of(whole)
-
-
-def read_json_of(outcome: Outcome) -> list[dict[str, Any]]:
-    """Rows of an outcome as they are read back from JSON."""
-    from rtof_kin.protocols.measures import rows_of
-
-    return json.loads(json.dumps(list(rows_of(outcome))))
-
-
 # --- the same seed gives the same table ----------------------------------------------------------
 
 
@@ -364,25 +309,6 @@ def test_two_processes_and_a_resumed_run_give_the_same_tables(
 
 
 # --- what is damaged or not there ----------------------------------------------------------------
-
-
-def test_a_damaged_take_is_reported_under_every_table(tmp_path: Path) -> None:
-    data = tmp_path / "data"
-    paths = tc.dataset(data, WALKING, ACTING)  # the paths of the last
-    lines = tc.lines(paths["positions"])
-    paths["positions"].write_text("".join([*lines[:5], "broken\n", *lines[6:]]))
-    about = protocol(data, modes=("lift", "sf2"), takes=("walking2", "acting3"))
-    about = replace(about, subjects=("S1", "S5"))
-    outcome = run(about, tmp_path / "out", workers=1)
-    assert set(outcome.done) == {"S1_walking2", "S1_walking2_cam1", "S1_walking2_cam3"}
-    tables = tables_of(about, outcome)
-    for name in ("by_take", "inertial_only", "ablation", "sixteen_joints"):
-        (sentence,) = [note for note in tables[name].notes if note.startswith("INCOMPLETE")]
-        assert "S5 acting3" in sentence
-    state = {cells[0]: cells for cells in tables["state_of_data"].rows if cells[1] != "note"}
-    assert state["S5 acting3"][1] == "not measured"
-    assert "gt_skel_gbl_pos.txt, line 6" in str(state["S5 acting3"][2])
-    assert not any("S5 acting3 camera" in name for name in state)  # said once, not for every camera
 
 
 def test_a_take_without_sensors_has_the_modes_that_need_none(tmp_path: Path) -> None:
@@ -510,7 +436,7 @@ def test_files_of_a_detector_and_a_shipped_lifter_are_used(root: Path, tmp_path:
     assert found["settings"]["layout"] == "auto"
 
 
-def test_the_space_is_passed_to_the_solver(
+def test_space_and_calibration_are_passed_to_the_reconstruction(
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = []
@@ -518,32 +444,21 @@ def test_the_space_is_passed_to_the_solver(
     def reconstructions(
         recording: Any, modes: Any, lifter: Any, settings: Any, calibrate: bool
     ) -> dict[str, Any]:
-        given.append(type(settings.fragment))
+        given.append((type(settings.fragment), calibrate))
         return {}
 
     monkeypatch.setattr(total_capture, "reconstructions", reconstructions)
     about = protocol(root, subjects=("S1",), takes=("walking2",), cameras=(1,))
-    spaces = {"joint": type(None), "cartesian": CartesianSettings}  # none: those of joint space
-    for space in spaces:
-        chosen = replace(about, space=space)
+    for space, calibrate, text in (
+        ("joint", True, "each take itself"),
+        ("cartesian", False, "files have it"),
+    ):
+        chosen = replace(about, space=space, calibrate=calibrate)
         outcome = run(chosen, tmp_path / space, workers=1)
-        assert f"solved in {space} space" in tables_of(chosen, outcome)["by_take"].notes[0]
-    assert given == list(spaces.values())
-
-
-@pytest.mark.slow
-def test_self_calibration_corrects_misaligned_sensors(tmp_path: Path) -> None:
-    """Noisy sensors are turned by some degrees on their segments."""
-    tc.dataset(tmp_path / "data", tc.take("S1", "walking2", noisy=True, frames=240))
-    about = protocol(tmp_path / "data", subjects=("S1",), takes=("walking2",), cameras=(1,))
-    errors = {}
-    for calibrate in (False, True):
-        chosen = replace(about, modes=("rtof",), calibrate=calibrate)
-        outcome = run(chosen, tmp_path / str(calibrate), workers=1)
-        errors[calibrate] = figures(outcome)["S1_walking2_cam1"]["rtof"]["flexion_deg"]
-        where = "found from each take itself" if calibrate else "as the files have it"
-        assert where in tables_of(chosen, outcome)["by_take"].notes[0]
-    assert errors[True] < 0.8 * errors[False]
+        note = tables_of(chosen, outcome)["by_take"].notes[0]
+        assert f"solved in {space} space" in note
+        assert text in note
+    assert given == [(type(None), True), (CartesianSettings, False)]  # None: settings of joint space
 
 
 # --- studies -------------------------------------------------------------------------------------

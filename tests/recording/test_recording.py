@@ -462,21 +462,6 @@ def test_wrong_keypoint_arrays_raise_with_file_and_field(
 
 
 @pytest.mark.parametrize(
-    ("times", "message"),
-    [
-        (BACKWARDS, "time does not increase from index 4"),
-        (with_value(np.arange(T) / 60, 3, np.nan), "not finite at index 3"),
-        (np.arange(T - 1) / 60, r"keypoints uv_px: expected shape \(11, "),
-        (np.ones((T, 2)), "keypoint times: expected shape"),
-    ],
-)
-def test_wrong_times_raise_with_the_sample(tmp_path: Path, times: np.ndarray, message: str) -> None:
-    write(tmp_path, "rate_hz = 60.0\n", keypoints={**keypoint_arrays(), "times": times})
-    with pytest.raises(FileFormatError, match=rf"keypoints\.npz: .*{message}"):
-        Recording.load(tmp_path)
-
-
-@pytest.mark.parametrize(
     ("new", "error", "message"),
     [
         ({"quat_wxyz": with_value(QUAT, (7, 1), QUAT[7, 1] * 1.01)}, FileFormatError,
