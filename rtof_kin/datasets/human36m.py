@@ -13,11 +13,10 @@ file of cameras, see `rtof_kin.datasets.human36m_cameras`. A recording ends with
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,6 @@ from rtof_kin.core.errors import CalibrationError, FileFormatError, RtofError, U
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.datasets.human36m_cameras import CAMERA_IDS
 from rtof_kin.datasets.human36m_files import Archives, by_number
 from rtof_kin.recording.recording import Recording
 
@@ -39,8 +37,6 @@ SUBJECTS_TRAIN = ("S1", "S5", "S6", "S7", "S8")
 SUBJECTS_TEST = ("S9", "S11")
 RATE_HZ = 50.0
 """Sampling rate of positions and video, Hz."""
-_ACTIONS: Final = 30
-"""Actions of each subject; S11 has one less, whose video is corrupt."""
 _LIMIT_GT_PX, _LIMIT_DETECTED_PX = 3.0, 30.0
 """Largest median reprojection error of a recording with projected and with detected keypoints, px."""
 ACKNOWLEDGEMENT = (
@@ -107,41 +103,6 @@ class Human36M:
     def cameras(self) -> Mapping[str, Mapping[int, Camera]]:
         """Cameras by subject and number, 0 to 3; world z up, m."""
         return self._archives.all_cameras
-
-    def missing(self, subjects: Sequence[str] = SUBJECTS_TRAIN + SUBJECTS_TEST) -> list[str]:
-        """Return one line for everything that is missing or damaged; an empty list if complete.
-
-        Args:
-            subjects: names of the subjects to look at.
-        """
-        unreadable = []
-        for part in ("all_positions", "all_keypoints", "all_cameras"):
-            try:
-                getattr(self._archives, part)
-            except RtofError as error:
-                unreadable.append(str(error))
-        return unreadable or [line for subject in subjects for line in self._missing_of(subject)]
-
-    def _missing_of(self, subject: str) -> Iterator[str]:
-        archives = self._archives
-        actions = archives.all_positions.get(subject, {})
-        expected = _ACTIONS - (subject == "S11")
-        if len(actions) < expected:
-            yield f"{subject}: {len(actions)} of {expected} actions in {archives.path_3d.name}"
-        cameras = archives.all_cameras.get(subject, {})
-        lacking = ", ".join(str(i) for i in range(len(CAMERA_IDS)) if i not in cameras)
-        if lacking:
-            yield f"{subject}: no camera {lacking} in {archives.path_cameras.name}"
-        for action in sorted(actions):
-            try:
-                self.motion(subject, action)
-                for camera in range(len(CAMERA_IDS)):
-                    archives.keypoints(subject, action, camera)
-            except UnitError as error:  # the same for all actions
-                yield str(error)
-                return
-            except RtofError as error:
-                yield str(error)
 
     def motion(self, subject: str, action: str) -> Motion:
         """Return the positions of an action and the subject's body.

@@ -13,7 +13,7 @@ The data are available from their authors for research only; this package has no
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -217,24 +217,6 @@ class TotalCapture:
             number: replace(camera, R_camera_world=camera.R_camera_world @ WORLD_OF_VICON.T)
             for number, camera in read_cameras(path).items()
         }
-
-    def missing(self, takes: Iterable[tuple[str, str]] = (*TRAIN, *TEST)) -> list[str]:
-        """Return one line for every incomplete take and every file that cannot be used.
-
-        Args:
-            takes: subject and name of the takes to look at.
-        """
-        lines = [] if self.index.cameras else [f"{CAMERA_FILE} (all takes): not found"]
-        for subject, name in takes:
-            what = self._missing_of((subject, name))
-            if what:
-                lines.append(f"{subject} {name}: no {', '.join(what)}")
-        lines += [
-            f"{path}: neither its name nor its folders give subject and take; not used"
-            for path in self.index.unassigned
-        ]
-        lines += [f"{path}: cannot be read; not used" for path in self.index.unreadable]
-        return lines
 
     def _missing_of(self, take: tuple[str, str]) -> list[str]:
         have = set(self.index.files.get(take, ()))

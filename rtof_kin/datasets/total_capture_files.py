@@ -7,6 +7,7 @@ else from the nearest folder above that names them; a file without them is not u
 from __future__ import annotations
 
 import filecmp
+import logging
 import os
 import re
 from collections import Counter
@@ -40,6 +41,7 @@ KINDS = {
 }
 """Endings of file names, by kind."""
 CAMERA_FILE = "calibration.cal"
+_log = logging.getLogger(__name__)
 _TAKE = re.compile(r"(?<![a-z])(acting|freestyle|rom|walking)_?([1-3])(?!\d)")
 _SUBJECT_IN_FILE = re.compile(r"(?:^|_)s([1-5])(?=_)")
 _SUBJECT_IN_FOLDER = re.compile(r"(?<![a-z0-9])s([1-5])(?![a-z0-9])")
@@ -61,8 +63,6 @@ class FileIndex:
     """Candidates for the camera calibration."""
     unassigned: list[Path] = field(default_factory=list)
     """Files whose name and folders do not give subject and take."""
-    unreadable: list[Path] = field(default_factory=list)
-    """Unreadable folders and broken links."""
 
     def one(self, take: Take, kind: str) -> Path | None:
         """Return the file of a kind, or None.
@@ -112,15 +112,15 @@ def find_files(root: str | Path) -> FileIndex:
     root = Path(root)
     if not root.is_dir():
         raise FileFormatError(root, "there is no such folder; name the one the dataset lies in")
-    index = FileIndex(root)
-    for path in sorted(walk(root, index.unreadable)):
+    index, unreadable = FileIndex(root), list[Path]()
+    for path in sorted(walk(root, unreadable)):
         name = path.name.lower()
         kind = next((kind for kind, end in KINDS.items() if name.endswith(end)), None)
         if kind is None and name != CAMERA_FILE:
             continue
         take = _take_of(path, root)
         if not path.is_file():
-            index.unreadable.append(path)
+            unreadable.append(path)
         elif kind is None:
             index.cameras.append(path)
         elif take is None:
@@ -135,6 +135,12 @@ def find_files(root: str | Path) -> FileIndex:
         raise FileFormatError(
             root, f"{problem}; name the folder in which the dataset's archives were unpacked"
         )
+    for paths, reason in (
+        (unreadable, "cannot be read"),
+        (index.unassigned, "subject and take are not in the path"),
+    ):
+        for path in paths:
+            _log.warning("%s: %s; not used", path, reason)
     return index
 
 

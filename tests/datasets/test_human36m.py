@@ -425,7 +425,6 @@ def test_a_corrupt_action_is_refused_and_the_others_are_usable(
         data.motion("S9", "Bad")
     np.testing.assert_allclose(data.motion("S9", "Action 0").joint_offsets, before, atol=0.02)
     data.recording("S9", "Action 0", 0)
-    assert any("S9 'Bad'" in line for line in data.missing(["S9"]))
 
 
 def test_positions_in_millimetres_are_refused(own: tuple[Path, files.Positions]) -> None:
@@ -437,8 +436,6 @@ def test_positions_in_millimetres_are_refused(own: tuple[Path, files.Positions])
     with pytest.raises(UnitError, match=message):
         data.motion("S9", "Action 0")
     data.motion("S11", "Action 0")
-    lines = [line for line in data.missing(["S9"]) if "thigh" in line]
-    assert len(lines) == 1
 
 
 @pytest.mark.parametrize("entry, message", [
@@ -456,7 +453,6 @@ def test_corrupt_keypoints_are_refused(own: tuple[Path, files.Positions], entry:
     with pytest.raises(FileFormatError, match=rf"data_2d_h36m_gt\.npz: S9 'Action 2'.*{message}"):
         data.recording("S9", "Action 2", 0)
     data.recording("S9", "Action 1", 0)
-    assert any("S9 'Action 2'" in line for line in data.missing(["S9"]))
 
 
 @pytest.mark.parametrize("metadata", [
@@ -497,28 +493,3 @@ def test_an_archive_of_something_else_is_refused(
     with pytest.raises(FileFormatError, match=rf"data_3d_h36m\.npz: positions_3d: .*{message}"):
         Human36M(tmp_path).motion("S9", "Action 0")
     assert not (tmp_path / "it ran").exists()
-    assert any(message.split(" ")[0] in line for line in Human36M(tmp_path).missing())
-
-
-# --- what is missing -----------------------------------------------------------------------------
-
-
-def test_missing_parts_are_listed(tmp_path: Path) -> None:
-    positions, keypoints, cameras = Human36M(tmp_path).missing()
-    assert "data_3d_h36m.npz: there is no such file" in positions
-    assert "unknown keypoints" in keypoints
-    assert "name the file of cameras" in cameras
-    planted = files.write_dataset(tmp_path, ("S1", "S11"), actions=30, frames=3)
-    assert Human36M(tmp_path).missing(["S1", "S11"]) == []
-    assert Human36M(tmp_path, keypoints="cpn_ft_h36m_dbb").missing(["S1"]) == []
-    lines = Human36M(tmp_path).missing()
-    assert {line.split(":")[0] for line in lines} == {"S5", "S6", "S7", "S8", "S9"}
-    assert lines[0] == "S5: 0 of 30 actions in data_3d_h36m.npz"
-    assert lines[1] == "S5: no camera 0, 1, 2, 3 in camera-parameters.json"
-    entries = files.keypoints(planted)
-    del entries["S11"]["Action 1"]
-    files.write_keypoints(tmp_path, entries)
-    spoil(tmp_path, setter("extrinsics", "S1", LAST, value=None))
-    camera, action = Human36M(tmp_path).missing(["S1", "S11"])
-    assert camera == "S1: no camera 3 in camera-parameters.json"
-    assert action.startswith("unknown action of S11 in data_2d_h36m_gt.npz 'Action 1'")

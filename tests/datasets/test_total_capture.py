@@ -284,12 +284,14 @@ def test_every_layout_and_spelling_is_the_same_dataset(layout: str, tmp_path: Pa
         path.rename(path.with_name(path.name.upper() if n % 2 else path.name.title()))
     dataset = TotalCapture(tmp_path)
     assert dataset.takes == (("S4", "acting3"), ONE)
-    assert not dataset.missing([("S4", "acting3"), ONE])
-    assert len(dataset.missing()) == 40
-    same(dataset.take("s5", "Acting3"), take)
+    found = dataset.take("s5", "Acting3")
+    same(found, take)
+    assert not found.missing
 
 
-def test_foreign_files_are_ignored(tmp_path: Path, paths: dict[str, Path], take: Take) -> None:
+def test_foreign_files_are_ignored(
+    tmp_path: Path, paths: dict[str, Path], take: Take, caplog: pytest.LogCaptureFixture
+) -> None:
     for path in list(paths.values()):
         path.with_name(f"._{path.name}").write_bytes(b"\x00\x05\x16\x07")
     (paths["bvh"].parent / "acting3_exported.bvh").write_text("HIERARCHY")
@@ -298,7 +300,7 @@ def test_foreign_files_are_ignored(tmp_path: Path, paths: dict[str, Path], take:
     shutil.copy(paths["positions"], lost)
     dataset = TotalCapture(tmp_path)
     assert dataset.takes == (ONE,)
-    assert any("walking1" in line and "gt_skel_gbl_pos" in line for line in dataset.missing([ONE]))
+    assert f"{lost}: subject and take are not in the path; not used" in caplog.text
     same(dataset.take(*ONE), take)
 
 
@@ -309,7 +311,7 @@ def test_foreign_files_are_ignored(tmp_path: Path, paths: dict[str, Path], take:
 def test_each_missing_file_is_reported(kind: str, tmp_path: Path, paths: dict[str, Path], take: Take) -> None:
     paths[kind].unlink()
     dataset = TotalCapture(tmp_path)
-    missing = dataset.missing([ONE])
+    missing = dataset.take(*ONE).missing
     words = {"positions": "positions", "orientations": "orientations", "sensors": "", "ref": "ref",
              "bone": "bone", "cameras": "calibration.cal"}  # fmt: skip
     if kind in ("bvh", "aux", "sensors"):  # others replace these
@@ -343,19 +345,6 @@ def test_a_take_without_truth_or_sensors(tmp_path: Path, paths: dict[str, Path])
     paths["bvh"].write_text("HIERARCHY")
     with pytest.raises(FileFormatError, match="BlenderZXY"):
         TotalCapture(tmp_path).take(*ONE)
-
-
-def test_what_is_missing_is_listed_by_take(tmp_path: Path) -> None:
-    paths = support.dataset(tmp_path, support.take("S4"), support.take())
-    for kind in ("sensors", "aux", "ref"):
-        paths[kind].unlink()
-    lines = TotalCapture(tmp_path).missing([("S4", "acting3"), ONE, ("S1", "walking2")])
-    assert len(lines) == 2
-    first, second = sorted(lines)
-    assert first.startswith("S1 walking2")
-    assert second.startswith("S5 acting3")
-    assert "ref" in second
-    assert "sensors" in second
 
 
 # --- orientations that are not there -------------------------------------------------------------
