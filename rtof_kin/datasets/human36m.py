@@ -13,7 +13,6 @@ file of cameras, see `rtof_kin.datasets.human36m_cameras`. A recording ends with
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -98,11 +97,6 @@ class Human36M:
         """(subject, action) of every motion, subjects by number, actions by name."""
         motions = self._archives.all_positions
         return tuple((subject, a) for subject in by_number(motions) for a in sorted(motions[subject]))
-
-    @property
-    def cameras(self) -> Mapping[str, Mapping[int, Camera]]:
-        """Cameras by subject and number, 0 to 3; world z up, m."""
-        return self._archives.all_cameras
 
     def motion(self, subject: str, action: str) -> Motion:
         """Return the positions of an action and the subject's body.

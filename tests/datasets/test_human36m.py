@@ -216,21 +216,13 @@ def test_tangential_coefficients_of_the_source_are_swapped(root: Path) -> None:
         assert np.abs(other[:, 0] - files.projected(p_world, "S9", i)[:, 0]).max() > 0.05
 
 
-def test_the_camera_file_can_be_given(own: tuple[Path, files.Positions], tmp_path: Path) -> None:
-    root, _ = own
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    source = files.write_camera_source(elsewhere, TWO)
-    by_source = Human36M(root, source).recording("S9", "Action 0", 0)
-    by_json = Human36M(root).recording("S9", "Action 0", 0)
-    np.testing.assert_allclose(
-        by_source.keypoints.camera.center_world, by_json.keypoints.camera.center_world, atol=1e-9
-    )
-    (root / "camera-parameters.json").unlink()
-    assert Human36M(root, source).cameras.keys() == set(TWO)
-    message = "neither camera-parameters.json nor h36m_dataset.py is in this folder; name the file"
-    with pytest.raises(FileFormatError, match=message):
-        Human36M(root).recording("S9", "Action 0", 0)
+def test_the_camera_file_can_be_given(root: Path, own: tuple[Path, files.Positions]) -> None:
+    folder, _ = own
+    (folder / "camera-parameters.json").unlink()
+    recording = Human36M(folder, root / "h36m_dataset.py").recording("S9", "Action 0", 0)
+    np.testing.assert_allclose(recording.video.camera.center_world, files.PLACES[0], atol=1e-9)
+    with pytest.raises(FileFormatError, match="neither camera-parameters.json nor h36m_dataset.py"):
+        Human36M(folder).recording("S9", "Action 0", 0)
 
 
 def change_json(change: Callable[[dict[str, Any]], Any]) -> str:
