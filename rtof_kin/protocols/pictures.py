@@ -62,13 +62,11 @@ def error_curves(outcome: Outcome, keys: Sequence[str], rate_hz: float) -> Figur
             best = [mode for mode in ("rtof", "rto", "sf2") if f"{mode}_{suffix}" in arrays][:1]
             for mode in (["lift"] if f"lift_{suffix}" in arrays else []) + best:
                 curve = arrays[f"{mode}_{suffix}"]
-                mean = float(np.nanmean(curve))
-                text = f"{NAMES[mode]}: mean {mean:.1f}"
+                text = f"{NAMES[mode]}: mean {np.nanmean(curve):.1f}"
                 times = np.arange(len(curve)) / rate_hz
                 ax.plot(times, curve, color=STAGE_COLORS[mode], lw=0.9, label=text)
             ax.set_title(where, fontsize=10)
-            ax.set_xlabel("time [s]")
-            ax.set_ylabel(label)
+            ax.set(xlabel="time [s]", ylabel=label)
             ax.set_ylim(bottom=0)
             ax.grid(alpha=0.3)
             ax.legend(loc="upper right", fontsize=8)
@@ -89,14 +87,10 @@ def _skeletons(outcome: Outcome, key: str, parents: Sequence[int], rate_hz: floa
         ):
             for points, color in ((p_true, TRUTH), (p, STAGE_COLORS[mode])):
                 x, z = view @ (points - points[0]).T
-                for child, parent in enumerate(parents):
-                    if parent >= 0:
-                        ax.plot(x[[parent, child]], z[[parent, child]], color=color, lw=2, alpha=0.85)
-            ax.set_aspect("equal")
-            ax.set_xlim(-1.1, 1.1)
-            ax.set_ylim(-1.2, 1.0)
-            ax.set_xlabel(f"{label} [m]")
-            ax.set_ylabel(f"{NAMES[mode]}\nup [m]" if ax is row[0] else "")
+                bones = np.array([(parent, child) for child, parent in enumerate(parents) if parent >= 0]).T
+                ax.plot(x[bones], z[bones], color=color, lw=2, alpha=0.85)
+            up = f"{NAMES[mode]}\nup [m]" if ax is row[0] else ""
+            ax.set(aspect="equal", xlim=(-1.1, 1.1), ylim=(-1.2, 1.0), xlabel=f"{label} [m]", ylabel=up)
             ax.set_title(f"{frame / rate_hz:.1f} s", fontsize=9)
     where = f"{facts['subject']} {facts['take']}, camera {facts['camera']}"
     figure.suptitle(f"{where}: estimate over the truth (green), roots together")
