@@ -85,7 +85,7 @@ def trusted_turns(joint: JointCoordinateSystem, times: Array, R: Array) -> Mask:
     """
     fastest = next((v for name, v in FASTEST.items() if name in joint.name), np.inf)
     out = np.ones(len(R), dtype=np.bool_)
-    known = np.isfinite(R).all(axis=(1, 2))
+    known: Mask = np.asarray(np.isfinite(R).all(axis=(1, 2)))
     both = known[1:] & known[:-1]
     steps = np.zeros(both.shape)
     steps[both] = so3.angle_between(R[1:][both], R[:-1][both])

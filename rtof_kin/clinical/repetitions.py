@@ -132,7 +132,7 @@ def _pelvis_height(
     seen = [ankle for ankle in ankles if np.isfinite(ankle).any()]
     if not seen:
         notes.append("no ankle was observed: the height of the pelvis is that in world, and drifts with it")
-        return pelvis
+        return np.asarray(pelvis)
     if len(seen) == 1:
         notes.append("one ankle was never observed: the height of the pelvis is relative to the other")
     return np.asarray(pelvis - np.mean(seen, axis=0))

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import npz_names
 from rtof_kin.core.plausibility import Check
 from rtof_kin.core.signals import interpolate
@@ -217,10 +217,11 @@ def _articulated(path: Path, title: str, motion: ArticulatedMotion) -> Inspectio
 def _markers(path: Path, title: str, markers: MarkerSequence) -> Inspection:
     lengths = bodies.bone_lengths(markers.p_world, bodies.limb_bones(markers.names))
     names = ", ".join(markers.names[:8]) + (", ..." if len(markers.names) > 8 else "")
+    seen = np.asarray(np.isfinite(markers.p_world).all(axis=-1))
     contents = (
         ("frames", _span(markers.times)),
         ("markers", f"{len(markers.names)}: {names}"),
-        ("seen", f"{_percent(np.isfinite(markers.p_world).all(axis=-1))} of them"),
+        ("seen", f"{_percent(seen)} of them"),
     )
     checks = _body_checks(markers.p_world, lengths, bodies.TRIANGULATED_MM)
     notes = () if lengths else ("No two names give a joint and a side, so no bone can be checked",)
@@ -240,7 +241,7 @@ def _keypoints(path: Path) -> Inspection:
     try:
         layout = recognise(found.uv_px, found.confidence, found.names)
         contents.append(("layout", f"{layout.layout.name}; {layout.reason}"))
-    except (InvalidInputError, ShapeError) as error:
+    except InvalidInputError as error:
         notes.append(f"The layout is not recognised: {error}")
     return Inspection(path, "keypoints of a detector", tuple(contents), notes=tuple(notes))
 

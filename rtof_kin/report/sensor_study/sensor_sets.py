@@ -1,8 +1,10 @@
-"""What the reconstruction with some of the sensors gave, measured against another one, angle by angle."""
+"""Accuracy of each angle with a subset of the sensors."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,23 +18,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SensorSet:
-    """What the reconstruction with some of the sensors gave, angle by angle; A angles."""
+    """Accuracy of the reconstruction with some of the sensors; A angles."""
 
     sensors: tuple[str, ...]
-    """Names of those that were used."""
     difference: Array
-    """(A,) rad, RMS from the full set over the frames in which both see the angle; NaN without any."""
+    """(A,) rad, RMS difference from the full set over frames in which both observe the angle; NaN without."""
     seen: Array
-    """(A,) share of the frames in which the full set sees the angle that this one sees too; NaN where the
-    full set never does."""
+    """(A,) share of the frames observed by the full set that are observed here; NaN if there are none."""
     error: Array
-    """(A,) rad, RMS against the truth; NaN without one."""
+    """(A,) rad, RMS error against the reference; NaN without one."""
     half_band: Array
-    """(A,) rad, half the median 95 % band; NaN where the motion does not say how certain it is."""
+    """(A,) rad, half the median 95 % band; NaN if the motion has no confidence."""
     loss: float
-    """rad, what is lost against the reference (the truth, else the full set): the mean over angles of the
-    RMS, a frame in which an angle is not seen counting as the angle's own spread, which is what guessing
-    its mean would err."""
+    """[rad] mean over angles of the RMS against the reference, else the full set. In unobserved frames the
+    standard deviation of the angle counts, which is the error of its mean."""
 
     def __post_init__(self) -> None:
         for field in ("difference", "seen", "error", "half_band"):
@@ -40,53 +39,43 @@ class SensorSet:
             object.__setattr__(self, field, own)
 
 
-def measured(
+def measure_set(
     sensors: tuple[str, ...], angles: ClinicalAngles, full: ClinicalAngles, truth: ClinicalAngles | None
 ) -> SensorSet:
-    """One set of sensors against the full one, and the truth.
-
-    Frames in a singular posture of either do not count: the angle is not defined there.
+    """Compare a set of sensors with the full set and the reference; singular postures are excluded.
 
     Args:
-        angles, full, truth: of the same rows at the same times.
+        sensors: names. angles, full, truth: with the same rows and times.
     """
     reference = full if truth is None else truth
     counted = full.known & ~full.singular
-    off, error = _off(angles, full), np.full(angles.values.shape, np.nan)
+    off, error = _difference(angles, full), np.full(angles.values.shape, np.nan)
     if truth is not None:
-        error = np.where(full.known, _off(angles, truth), np.nan)
+        error = np.where(full.known, _difference(angles, truth), np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
         seen = (angles.known & counted).sum(axis=0) / counted.sum(axis=0)
-    spread = np.array([_spread(column) for column in reference.values.T])
-    lost = np.where(np.isnan(off if truth is None else error), spread, off if truth is None else error)
-    losses = [_rms(np.where(counted, lost, np.nan)[:, a]) for a in range(lost.shape[1])]
-    known = np.array(losses)[np.isfinite(losses)]
+    spread = np.nan_to_num(_by_column(np.std, reference.values))
+    lost = off if truth is None else error
+    losses = _by_column(_rms, np.where(counted, np.where(np.isnan(lost), spread, lost), np.nan))
+    known = losses[np.isfinite(losses)]
     half = np.full(len(angles.names), np.nan)
     if angles.sigma is not None:
-        half = BAND_95 * np.array([_median(column) for column in angles.sigma.T])
-    return SensorSet(
-        sensors, np.array([_rms(column) for column in off.T]), seen,
-        np.array([_rms(column) for column in error.T]), half, float(known.mean()) if known.size else 0.0,
-    )  # fmt: skip
+        half = BAND_95 * _by_column(np.median, angles.sigma)
+    loss = float(known.mean()) if known.size else 0.0
+    return SensorSet(sensors, _by_column(_rms, off), seen, _by_column(_rms, error), half, loss)
 
 
-def _off(angles: ClinicalAngles, reference: ClinicalAngles) -> Array:
-    """(T, A) rad between two, the short way round; NaN where either is not known or not defined."""
-    off = angles.values - reference.values
-    off = (off + np.pi) % (2 * np.pi) - np.pi
+def _difference(angles: ClinicalAngles, reference: ClinicalAngles) -> Array:
+    """(T, A) rad in [-pi, pi); NaN where either is unknown or singular."""
+    off = (angles.values - reference.values + np.pi) % (2 * np.pi) - np.pi
     return np.where(angles.singular | reference.singular, np.nan, off)
 
 
 def _rms(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+    return float(np.sqrt(np.mean(values**2)))
 
 
-def _median(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else float("nan")
-
-
-def _spread(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.std()) if known.size else 0.0
+def _by_column(statistic: Callable[[Array], Any], values: Array) -> Array:
+    """(A,) statistic of the finite values of each column of (T, A); NaN without any."""
+    finite = (column[np.isfinite(column)] for column in values.T)
+    return np.array([statistic(own) if own.size else np.nan for own in finite])
