@@ -53,7 +53,7 @@ def angle_sigmas(
     for joint in table.joints:
         axes = frames[skeleton.names.index(joint.child)].T
         if joint.side == "left":  # rotation vectors are axial vectors
-            axes = -jcs.mirror_image(axes)
+            axes = -jcs.MIRROR[:, None] * axes
         covariance = confidence.turn(joint.parent, joint.child)
         known = np.asarray(np.isfinite(R[joint.name] + covariance).all(axis=(1, 2)))
         J = angle_rates(joint.sequence, R[joint.name][known]) @ axes

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,10 @@ from rtof_kin.data.poses import PoseSequence, Provenance
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Sources = NDArray[np.uint8]
+_ARRAYS: Final[dict[str, type]] = {
+    "values": np.float64, "provenance": np.uint8, "singular": np.bool_, "sigma": np.float64,
+    "trusted": np.bool_,
+}  # fmt: skip
 _NEEDS: Final = {"parent": (DIRECTION, WHOLE, WHOLE), "child": (DIRECTION, DIRECTION, WHOLE)}
 
 
@@ -66,20 +70,13 @@ class ClinicalAngles:
     """(T, A) whether a value is used for ranges, peaks and gait (`angle_confidence`); None for all."""
 
     def __post_init__(self) -> None:
-        def set_(name: str, shape: tuple[int, ...], dtype: type = np.float64) -> None:
-            object.__setattr__(self, name, readonly(f"angle {name}", getattr(self, name), shape, dtype))
-
         object.__setattr__(self, "times", checked_times("angle times", self.times))
         shape = (len(self.times), len(self.rows))
-        set_("values", shape)
-        set_("provenance", shape, np.uint8)
-        set_("singular", shape, np.bool_)
-        if self.sigma is not None:
-            set_("sigma", shape)
-            if np.any(self.sigma < 0) or np.isinf(self.sigma).any():
-                raise InvalidInputError("angle sigma: negative or infinite; use NaN where it is unknown")
-        if self.trusted is not None:
-            set_("trusted", shape, np.bool_)
+        for name, kind in _ARRAYS.items():
+            if (given := getattr(self, name)) is not None:
+                object.__setattr__(self, name, readonly(f"angle {name}", given, shape, kind))
+        if self.sigma is not None and (np.any(self.sigma < 0) or np.isinf(self.sigma).any()):
+            raise InvalidInputError("angle sigma: negative or infinite; use NaN where it is unknown")
 
     def __len__(self) -> int:
         return len(self.times)
@@ -115,15 +112,11 @@ class ClinicalAngles:
             names: of the angles, in the order wanted.
         """
         index = indices_of("clinical angle", names, self.names)
-        return replace(
-            self,
-            values=self.values[:, index],
-            provenance=self.provenance[:, index],
-            singular=self.singular[:, index],
-            rows=tuple(self.rows[i] for i in index),
-            sigma=None if self.sigma is None else self.sigma[:, index],
-            trusted=None if self.trusted is None else self.trusted[:, index],
-        )
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        chosen: dict[str, Any] = {
+            name: None if array is None else array[:, index] for name, array in arrays.items()
+        }
+        return replace(self, rows=tuple(self.rows[i] for i in index), **chosen)
 
 
 def clinical_angles(

@@ -1,22 +1,26 @@
-"""Contents of the report page: text and tables; plots are from `rtof_kin.report.plot_data`."""
+"""Report of a reconstruction as one HTML page; its plots are from `rtof_kin.report.plot_data`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
+from datetime import date
 from html import escape
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.body.skeleton_table import SkeletonTable
-from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
 from rtof_kin.clinical.angle_table import clinical_name
 from rtof_kin.clinical.gait import MEASURES, GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques
 from rtof_kin.core.signals import runs
+from rtof_kin.formats.motion_npz import read_motion_npz
 from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import SECTIONS, AuditResult, Grade, SectionVerdict, section_verdict
 from rtof_kin.report.clinical_findings import NO_BANDS, SECOND_PELVIS, clinical_findings
@@ -30,22 +34,47 @@ from rtof_kin.report.plot_data import (
     shown_frames,
     side_and_name,
 )
-from rtof_kin.report.summary_file import Summary
+from rtof_kin.report.summary_file import SUMMARY, Summary, read_summary
 
+PAGE: Final = "report.html"
 _GAIT_UNITS: Final = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
 _BANDS: Final = "Bands are 95 % intervals of the motion's confidence."
 _NO_AUDIT: Final = "an earlier version of rtof_kin wrote the folder, without an audit: reconstruct again"
 
 
-def page(
-    motion: MotionSequence, analysis: MotionAnalysis, summary: Summary, session: Session, made: str
+def report(
+    folder: str | Path,
+    session: Session | None = None,
+    weight_kg: float | None = None,
+    sex: str | None = None,
+    made: date | None = None,
 ) -> str:
-    """Return the HTML page of a report.
+    """Return the self-contained HTML page of a reconstruction.
 
     Args:
-        motion: a reconstructed motion. analysis: of it. summary: of its folder.
-        session: subject, operator, date, place, protocol. made: date of the report.
+        folder: written by `export`. session: labels that replace those of the recording.
+        weight_kg, sex: of the subject, if not in the recording; there are no torques without a weight.
+        made: date of the report; today by default.
+
+    Raises:
+        FileFormatError: the folder's files are missing or damaged.
+        InvalidInputError: an implausible weight.
     """
+    folder = Path(folder)
+    summary = read_summary(folder / SUMMARY)
+    motion = read_motion_npz(folder / "motion.npz").motion()
+    weight_kg = weight_kg or summary.subject.get("mass_kg")
+    sex = sex or summary.subject.get("sex")
+    analysis = analyse_motion(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
+    labels = summary.session.updated(session or Session())
+    subject = {**summary.subject, "mass_kg": weight_kg, "sex": sex}
+    summary = replace(summary, inputs=summary.inputs | {"subject": subject})
+    return _page(motion, analysis, summary, labels, (made or date.today()).isoformat())
+
+
+def _page(
+    motion: MotionSequence, analysis: MotionAnalysis, summary: Summary, session: Session, made: str
+) -> str:
     clinical = clinical_findings(analysis)
     results = (*(summary.results or ()), *clinical)
     overall = Headline(Grade.NOT_CHECKED, _NO_AUDIT, ())

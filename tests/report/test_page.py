@@ -25,8 +25,8 @@ from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import AuditResult
 from rtof_kin.report.isb import isb_items
+from rtof_kin.report.page import report
 from rtof_kin.report.plot_data import MISSING, packed, player_data, side_and_name
-from rtof_kin.report.writing import report
 
 TODAY = date(2026, 2, 3)
 INPUTS = {

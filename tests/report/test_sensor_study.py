@@ -23,8 +23,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.report.sensor_study import study as sensor_study
 from rtof_kin.report.sensor_study.figures import error_by_number, write_study_figures
 from rtof_kin.report.sensor_study.files import NO_ERROR, sentences, study_data, write_study
-from rtof_kin.report.sensor_study.sensor_sets import measure_set
-from rtof_kin.report.sensor_study.study import SensorStudy, number_of_runs, study_sensors
+from rtof_kin.report.sensor_study.study import SensorStudy, measure_set, number_of_runs, study_sensors
 from rtof_kin.solve.compiled import building
 
 Array = NDArray[np.float64]

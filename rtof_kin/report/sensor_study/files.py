@@ -22,8 +22,7 @@ import numpy as np
 
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.plot_data import side_and_name
-from rtof_kin.report.sensor_study.sensor_sets import SensorSet
-from rtof_kin.report.sensor_study.study import LEAST_SEEN, TOLERANCE, SensorStudy
+from rtof_kin.report.sensor_study.study import LEAST_SEEN, TOLERANCE, SensorSet, SensorStudy
 
 MARKER: Final = "study.csv"
 COLUMNS: Final = ("set", "sensors", "number", "angle", "difference_deg", "seen_share", "error_deg",
