@@ -50,7 +50,8 @@ def test_noise_is_filtered_before_it_is_differentiated() -> None:
     angles = swinging_knee()
     noisy = replace(angles, values=angles.values + np.random.default_rng(0).normal(0, 0.01, (T, 51)))
     column = angles.names.index("left_hip_flexion")
-    raw, filtered = (angular_velocity(noisy, cutoff)[:, column] for cutoff in (None, 6.0))
+    filtered = angular_velocity(noisy)[:, column]
+    raw = np.gradient(noisy.values[:, column], TIMES)
     assert filtered.std() < 0.3 * raw.std()
 
 
