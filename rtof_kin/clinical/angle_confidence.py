@@ -28,15 +28,12 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 UNIFORM_SIGMA: Final = np.pi / np.sqrt(3)
 """[rad] standard deviation of an angle uniformly distributed on the circle, the largest value reported."""
-_STEP: Final = 1e-5
-"""[rad] of the central differences."""
-WIDEST_BAND: Final = np.radians(30.0)
-"""[rad] largest half width of the 95 % band of a reliable sample."""
+_STEP: Final = 1e-5  # [rad] of the central differences
+WIDEST_BAND: Final = np.radians(30.0)  # [rad] largest half width of the 95 % band of a reliable sample
 FASTEST: Final = {"pelvis": 2000.0, "spine": 1200.0, "hip": 1200.0, "knee": 2500.0, "ankle": 2500.0}
 """[deg/s] upper bounds of angular speed: kicks reach 750 at the hip and 1,700 at the knee, throws 1,200
 between pelvis and upper trunk, spins 1,800 of the pelvis. Arms have no bound."""
-_MARGIN: Final = 0.1
-"""[s] before and after a sample that is too fast, excluded too."""
+_MARGIN: Final = 0.1  # [s] before and after a sample that is too fast, excluded too
 
 
 def angle_sigmas(

@@ -63,7 +63,6 @@ class ClinicalAngles:
     rows: tuple[AngleRow, ...]
     """A rows of the table: name, sign, range, OpenSim coordinate."""
     notes: tuple[str, ...] = ()
-    """What could not be determined, and why."""
     sigma: Array | None = None
     """(T, A) rad, standard deviation, NaN where unknown; None if the motion has no confidence."""
     trusted: Mask | None = None

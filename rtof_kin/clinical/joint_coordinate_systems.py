@@ -21,8 +21,7 @@ from rtof_kin.core import signals
 Array = NDArray[np.float64]
 R_ROS_ISB: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """ISB axes (x forward, y up, z right) in axes x forward, y left, z up."""
-MIRROR: Final = np.array([1.0, 1.0, -1.0])
-"""Reflection in the sagittal plane, in ISB axes."""
+MIRROR: Final = np.array([1.0, 1.0, -1.0])  # reflection in the sagittal plane, in ISB axes
 
 
 def anatomical_posture(skeleton: SkeletonModel, table: AngleTable) -> Array:

@@ -12,8 +12,7 @@ from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.core import signals
 
 Array = NDArray[np.float64]
-CUTOFF_HZ: Final = 6.0
-"""Low-pass before differentiation (Winter, Biomechanics and Motor Control, 2009)."""
+CUTOFF_HZ: Final = 6.0  # low-pass before differentiation (Winter, Biomechanics and Motor Control, 2009)
 
 
 @dataclass(frozen=True)

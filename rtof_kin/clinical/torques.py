@@ -31,10 +31,8 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.formats.joint_trajectory import joint_velocities
 
 Array = NDArray[np.float64]
-UNKNOWN: Final = -1
-"""In `single_support`: both feet, none, or unknown."""
-SHORTEST: Final = 0.5
-"""[s] of the shortest stretch that is differentiated twice."""
+UNKNOWN: Final = -1  # in `single_support`: both feet, none, or unknown
+SHORTEST: Final = 0.5  # [s] of the shortest stretch that is differentiated twice
 NO_WEIGHT: Final = "not computed: no weight is given, and torques are proportional to it"
 _EDGE: Final = 0.1
 """[s] at either end of a stretch that are left NaN, where accelerations are one-sided differences."""
@@ -49,7 +47,6 @@ class JointTorques:
     torques: Array
     """(T, D) N m about the URDF's revolutes, positive along their axes; NaN where unknown."""
     dof_names: tuple[str, ...]
-    """D revolutes of the URDF."""
     root_wrench: Array
     """(T, 6) external force, N, and moment about the root, N m, in world axes."""
     unexplained: Array
@@ -57,7 +54,6 @@ class JointTorques:
     weight_kg: float
     """Body mass, kg."""
     notes: tuple[str, ...]
-    """Limitations of the torques."""
 
 
 def joint_torques(

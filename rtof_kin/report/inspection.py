@@ -55,15 +55,11 @@ class Inspection:
 
     path: Path
     title: str
-    """Type of the file."""
     contents: tuple[tuple[str, str], ...]
     """Rows of a name and a value."""
     checks: tuple[Check, ...] = ()
-    """All checks that apply."""
     notes: tuple[str, ...] = ()
-    """Further remarks, in sentences."""
     log: SensorLog | None = None
-    """Sensor data, if any."""
     bone_lengths: Mapping[str, Array] = field(default_factory=dict)
     """Bone -> its length (T,) over the frames, m, if the file contains bodies."""
 

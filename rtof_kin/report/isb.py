@@ -33,7 +33,6 @@ class Item:
     topic: str
     name: str
     known: str | None = None
-    """Its value; None if the user must provide it."""
 
 
 def isb_items(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> tuple[Item, ...]:

@@ -19,12 +19,9 @@ from rtof_kin.report.clinical_findings import SECOND_PELVIS
 
 Array = NDArray[np.float64]
 Data = dict[str, Any]
-SHOWN_HZ: Final = 30.0
-"""Highest frame rate of plots; all figures are computed from all frames."""
-MOST_SHOWN: Final = 6000
-"""Largest number of plotted frames, unless that is fewer than 10 per second."""
-MISSING: Final = -32768
-"""NaN among packed numbers."""
+SHOWN_HZ: Final = 30.0  # highest frame rate of plots; all figures are computed from all frames
+MOST_SHOWN: Final = 6000  # largest number of plotted frames, unless that is fewer than 10 per second
+MISSING: Final = -32768  # NaN among packed numbers
 
 
 def side_and_name(name: str) -> tuple[str, str]:

@@ -13,8 +13,7 @@ from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import AuditResult
 
 SUMMARY: Final = "summary.json"
-_NUMBERS: Final = ("_m", "_kg", "_hz", "_px", "_share", "_s2")
-"""Suffixes of fields that are numbers."""
+_NUMBERS: Final = ("_m", "_kg", "_hz", "_px", "_share", "_s2")  # suffixes of fields that are numbers
 _LISTS: Final = ("lever_arm_m", "landmarks")
 
 
@@ -31,7 +30,6 @@ class Summary:
     results: tuple[AuditResult, ...] | None
     """Of the audit; None if the file has none."""
     settings: dict[str, Any] | None = None
-    """See `rtof_kin.reconstruction.choices`; None if the file has none."""
 
     @property
     def subject(self) -> dict[str, Any]:

@@ -14,8 +14,7 @@ from rtof_kin.report.figures import save_figures
 from rtof_kin.report.plot_data import side_and_name
 from rtof_kin.report.sensor_study.study import LEAST_SEEN, TOLERANCE, SensorStudy
 
-_LARGEST: Final = 20.0
-"""[deg] end of the colour scale."""
+_LARGEST: Final = 20.0  # [deg] end of the colour scale
 
 
 def write_study_figures(study: SensorStudy, folder: str | Path) -> list[Path]:

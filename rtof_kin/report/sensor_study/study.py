@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any, Final
 
 import numpy as np
@@ -29,10 +30,8 @@ Progress = Callable[[str, int, int], None]
 TOLERANCE: Final = np.radians(5.0)
 """[rad] largest RMS of an angle that is kept: differences beyond 5 degrees may mislead a clinical decision
 (McGinley, Baker, Wolfe, Morris: Gait & Posture 29, 2009)."""
-LEAST_SEEN: Final = 0.9
-"""Smallest share of frames in which an angle that is kept is observed."""
-MOST_GREEDY: Final = 8
-"""Largest number of sensors for which the greedy search is the default."""
+LEAST_SEEN: Final = 0.9  # smallest share of frames in which an angle that is kept is observed
+MOST_GREEDY: Final = 8  # largest number of sensors for which the greedy search is the default
 
 
 @dataclass(frozen=True)
@@ -123,29 +122,42 @@ def study_sensors(
     Raises:
         InvalidInputError: there are no sensors, or only one and no camera.
     """
-    imus = recording.imus
-    if imus is None:
+    imus, bone_imus = recording.imus, recording.bone_imus()
+    if imus is None or bone_imus is None:
         raise InvalidInputError(f"recording {recording.name}: has no IMUs, so there is nothing to omit")
     camera, names = recording.keypoints is not None, imus.names
     if not camera and len(names) < 2:
         raise InvalidInputError(f"recording {recording.name}: a single sensor without a camera")
-    bone_imus = recording.bone_imus()
-    assert bone_imus is not None
     settings = settings or ReconstructionSettings()
     settings = replace(settings, sensor_joints=(*settings.sensor_joints, *bone_imus.joints))
-    runs = _Runs(recording, lifter, settings, progress, number_of_runs(len(names), camera, greedy))
-    full = runs.of(names)
-    without = tuple(runs.of(_less(names, name)) for name in names)
+    done, total = count(), number_of_runs(len(names), camera, greedy)
+
+    def run(sensors: tuple[str, ...]) -> Reconstruction:
+        if progress is not None:
+            progress("study", next(done), total)
+        return _reconstruct(recording, sensors, lifter, settings)
+
+    def measure(sensors: tuple[str, ...]) -> SensorSet:
+        return measure_set(sensors, clinical_angles(run(sensors).motion).select(observed), angles, truth)
+
+    reconstruction = run(names)
+    angles = clinical_angles(reconstruction.motion)
+    observed = tuple(np.array(angles.names)[angles.known.any(axis=0)].tolist())
+    angles = angles.select(observed)
+    truth = _true_angles(recording, angles)
+    full = measure_set(names, angles, angles, truth)
+    without = tuple(measure(_less(names, name)) for name in names)
     path = [full, min(without, key=lambda found: found.loss)]
     loss = dict(zip(names, (found.loss for found in without), strict=True))
     while len(path[-1].sensors) > (0 if camera else 1):
         left = path[-1].sensors
         tried = left if _is_greedy(len(names), greedy) else (min(left, key=lambda name: loss[name]),)
-        path.append(min((runs.of(_less(left, name)) for name in tried), key=lambda found: found.loss))
-    assert runs.reconstruction is not None
+        path.append(min((measure(_less(left, name)) for name in tried), key=lambda found: found.loss))
+    if progress is not None:
+        progress("study", total, total)
     return SensorStudy(
-        recording.name, dict(zip(names, bone_imus.joints, strict=True)), runs.angles, full, without,
-        tuple(path), recording.truth is not None, runs.reconstruction,
+        recording.name, dict(zip(names, bone_imus.joints, strict=True)), observed, full, without,
+        tuple(path), recording.truth is not None, reconstruction,
     )  # fmt: skip
 
 
@@ -157,42 +169,20 @@ def _less(names: Sequence[str], omitted: str) -> tuple[str, ...]:
     return tuple(name for name in names if name != omitted)
 
 
-class _Runs:
-    """Reconstructions of one recording with subsets of its sensors, compared with the first of them."""
-
-    def __init__(
-        self, recording: Recording, lifter: LifterLike | None, settings: ReconstructionSettings,
-        progress: Progress | None, total: int,
-    ) -> None:  # fmt: skip
-        self.recording, self.lifter, self.settings = recording, lifter, settings
-        self.progress, self.done, self.total = progress or (lambda stage, done, total: None), 0, total
-        self.reconstruction: Reconstruction | None = None
-        self.full: ClinicalAngles | None = None
-        self.truth: ClinicalAngles | None = None
-        self.angles: tuple[str, ...] = ()
-
-    def of(self, sensors: tuple[str, ...]) -> SensorSet:
-        """Return the accuracy with some sensors; the first call is with the full set."""
-        self.progress("study", self.done, self.total)
-        angles = self._angles(sensors)
-        if self.full is None:
-            self.angles = tuple(np.array(angles.names)[angles.known.any(axis=0)].tolist())
-            self.full = angles.select(self.angles)
-            self.truth = _true_angles(self.recording, self.full)
-        self.done += 1
-        self.progress("study", self.done, self.total)
-        return measure_set(sensors, angles.select(self.angles), self.full, self.truth)
-
-    def _angles(self, sensors: tuple[str, ...]) -> ClinicalAngles:
-        recording, mode = replace(self.recording, imus=None, calibration=None), "rto"
-        if sensors and self.recording.imus is not None:
-            recording = replace(self.recording, imus=self.recording.imus.select(sensors))
-            mode = "rtof" if recording.keypoints is not None else "imu"
-        result = reconstruct(
-            recording, mode=mode, lifter=self.lifter, settings=self.settings, calibrate=False
-        )
-        self.reconstruction = self.reconstruction or result
-        return clinical_angles(result.motion)
+def _reconstruct(
+    recording: Recording,
+    sensors: tuple[str, ...],
+    lifter: LifterLike | None,
+    settings: ReconstructionSettings,
+) -> Reconstruction:
+    """Reconstruction with some of the sensors."""
+    mode = "rto"
+    if sensors and recording.imus is not None:
+        recording = replace(recording, imus=recording.imus.select(sensors))
+        mode = "rtof" if recording.keypoints is not None else "imu"
+    else:
+        recording = replace(recording, imus=None, calibration=None)
+    return reconstruct(recording, mode=mode, lifter=lifter, settings=settings, calibrate=False)
 
 
 def _true_angles(recording: Recording, like: ClinicalAngles) -> ClinicalAngles | None:
