@@ -7,9 +7,9 @@ grouping and wording are ours and have not been compared with the list of the ar
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 
+Items = dict[str, str | None]
 CITATION: Final = (
     "A. Cereatti et al.: ISB recommendations on the definition, estimation, and reporting of joint "
     "kinematics in human motion analysis applications using wearable inertial measurement technology. "
@@ -26,41 +26,30 @@ _METHODS: Final = {
 }
 
 
-@dataclass(frozen=True)
-class Item:
-    """One item to report."""
-
-    topic: str
-    name: str
-    known: str | None = None
-
-
-def isb_items(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> tuple[Item, ...]:
-    """Return all items in order.
+def isb_items(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> dict[str, Items]:
+    """Return topic -> item -> its value; None if the user must provide it.
 
     Args:
         inputs: of `report.provenance`. mode: of the reconstruction. bands: whether angles have 95 % bands.
         gaps: description of missing data.
     """
-    topics = {
+    confidence = "95 % bands of the posterior, inflated on other subjects"
+    return {
         "Participants and task": _participants(inputs),
         "Sensors": _sensors(inputs),
         "Orientation and alignment": _orientation(inputs, mode),
         "Joint kinematics": _joints(inputs, mode),
         "Quality": {
             "missing data": gaps,
-            "uncertainty of the angles": "95 % bands of the posterior, inflated on other subjects"
-            if bands
-            else None,
+            "uncertainty of the angles": confidence if bands else None,
             "validation against a reference for this task and population": None,
             "repeatability between trials, days and operators": None,
             "software and version": inputs.get("software"),
         },
     }
-    return tuple(Item(topic, name, known) for topic, own in topics.items() for name, known in own.items())
 
 
-def _participants(inputs: Mapping[str, Any]) -> dict[str, str | None]:
+def _participants(inputs: Mapping[str, Any]) -> Items:
     subject, session = inputs.get("subject") or {}, inputs.get("session") or {}
     units = {"height_m": "m tall", "mass_kg": "kg"}
     body = [f"{subject[name]:g} {unit}" for name, unit in units.items() if subject.get(name)]
@@ -73,7 +62,7 @@ def _participants(inputs: Mapping[str, Any]) -> dict[str, str | None]:
     }
 
 
-def _sensors(inputs: Mapping[str, Any]) -> dict[str, str | None]:
+def _sensors(inputs: Mapping[str, Any]) -> Items:
     sensors = inputs.get("sensors") or []
     rates = sorted({f"{s['rate_hz']:.4g} Hz" for s in sensors if s.get("rate_hz")})
     largest = [s["largest_specific_force_m_s2"] for s in sensors if s.get("largest_specific_force_m_s2")]
@@ -94,7 +83,7 @@ def _place(sensor: Mapping[str, Any]) -> str:
     return f"{sensor.get('name', '')} on {sensor.get('segment') or 'segment not stated'}{where}"
 
 
-def _orientation(inputs: Mapping[str, Any], mode: str) -> dict[str, str | None]:
+def _orientation(inputs: Mapping[str, Any], mode: str) -> Items:
     heading = aligned = delay = None
     if inputs.get("sensors"):
         heading = "constant headings as given with the recording"
@@ -113,7 +102,7 @@ def _orientation(inputs: Mapping[str, Any], mode: str) -> dict[str, str | None]:
     }
 
 
-def _joints(inputs: Mapping[str, Any], mode: str) -> dict[str, str | None]:
+def _joints(inputs: Mapping[str, Any], mode: str) -> Items:
     bones = (inputs.get("subject") or {}).get("bones", "bones not stated")
     hinges = "" if mode in ("lift", "sf2") else "; knees and elbows are hinges within their limits"
     return {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import date
 from html import escape
@@ -26,7 +26,7 @@ from rtof_kin.report.audit_results import SECTIONS, AuditResult, Grade, SectionV
 from rtof_kin.report.clinical_findings import NO_BANDS, SECOND_PELVIS, clinical_findings
 from rtof_kin.report.headline import Headline, headline
 from rtof_kin.report.html import badge, bullets, definitions, fill_template, table
-from rtof_kin.report.isb import CITATION, Item, isb_items
+from rtof_kin.report.isb import CITATION, Items, isb_items
 from rtof_kin.report.plot_data import (
     angle_curves,
     cycle_curves_data,
@@ -256,13 +256,11 @@ def _torques(torques: JointTorques | None, skeleton: SkeletonTable) -> str:
     return table(("degree of freedom", "peak N m", "peak N m/kg", "known"), rows)
 
 
-def _isb(items: Iterable[Item]) -> str:
+def _isb(topics: Mapping[str, Items]) -> str:
     blank = '<span class="blank">to be filled in:</span>'
-    rows, topic = [], ""
-    for item in items:
-        text = blank if item.known is None else escape(item.known)
-        if item.known is not None and item.known.endswith(":"):
-            text += f" {blank}"
-        rows.append((escape(item.topic if item.topic != topic else ""), escape(item.name), text))
-        topic = item.topic
+    rows = []
+    for topic, items in topics.items():
+        for number, (name, known) in enumerate(items.items()):
+            text = blank if known is None else escape(known) + (f" {blank}" if known.endswith(":") else "")
+            rows.append((escape(topic) if number == 0 else "", escape(name), text))
     return table(("", "item", "in this recording"), rows, "isb")

@@ -111,15 +111,6 @@ def test_segment_pairs_without_covariance_have_no_sigma() -> None:
     assert clinical_angles(motion()).sigma is None
 
 
-def test_selected_angles_keep_their_sigmas() -> None:
-    found = clinical_angles(with_covariance(motion(), 1e-4 * np.eye(3)))
-    chosen = found.select(["left_knee_flexion", "pelvis_tilt"])
-    assert found.sigma is not None
-    assert chosen.sigma is not None
-    at = [found.names.index(name) for name in chosen.names]
-    np.testing.assert_array_equal(chosen.sigma, found.sigma[:, at])
-
-
 @pytest.mark.parametrize("value", [-0.1, np.inf])
 def test_negative_or_infinite_sigmas_are_rejected(value: float) -> None:
     rows = angle_table(BODY.table).rows[:1]
