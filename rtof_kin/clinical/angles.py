@@ -30,7 +30,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.observability import DIRECTION, WHOLE, segment_levels
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical import joint_coordinate_systems as jcs
-from rtof_kin.clinical.angle_confidence import angle_sigmas, trusted_bands, trusted_turns, untrusted_note
+from rtof_kin.clinical.angle_confidence import angle_sigmas, reliable_samples
 from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem, angle_table
 from rtof_kin.core import signals
 from rtof_kin.core.checks import checked_times, indices_of, readonly
@@ -150,12 +150,9 @@ def clinical_angles(
     sigma = None
     if isinstance(motion, MotionSequence) and motion.confidence is not None:
         sigma = np.where(np.isfinite(values), angle_sigmas(R, table, skeleton, motion.confidence), np.nan)
-    turns = [trusted_turns(joint, poses.times, R[joint.name]) for joint in table.joints]
-    trusted = trusted_bands(sigma, values.shape) & np.repeat(np.stack(turns, axis=1), 3, axis=1)
-    notes = _notes(table, values, provenance)
-    if note := untrusted_note(poses.times, table.rows, np.isfinite(values), trusted):
-        notes += (note,)
-    return ClinicalAngles(poses.times, values, provenance, singular, table.rows, notes, sigma, trusted)
+    reliable, note = reliable_samples(table, poses.times, R, sigma, np.isfinite(values))
+    notes = (*_notes(table, values, provenance), *([note] if note else []))
+    return ClinicalAngles(poses.times, values, provenance, singular, table.rows, notes, sigma, reliable)
 
 
 def all_observed(poses: PoseSequence) -> PoseSequence:

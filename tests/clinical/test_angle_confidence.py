@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
-from rtof_kin.clinical.angle_confidence import (
-    UNIFORM_SIGMA,
-    angle_rates,
-    trusted_bands,
-    trusted_turns,
-    untrusted_note,
-)
+from rtof_kin.clinical.angle_confidence import UNIFORM_SIGMA, angle_rates, reliable_samples
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.clinical.files import write_analysis
@@ -36,7 +30,6 @@ BODY = SkeletonModel.default()
 PAIRS = tuple((joint.parent, joint.child) for joint in angle_table(BODY.table).joints)
 DISTINCT = tuple(dict.fromkeys(PAIRS))
 TIMES = np.arange(60) / 60
-HIP = next(joint for joint in angle_table(BODY.table).joints if joint.name == "left_hip")
 
 
 def motion(frames: int = 20) -> MotionSequence:
@@ -130,49 +123,46 @@ def test_files_and_figures_have_the_bands(tmp_path: Path) -> None:
     assert not any(ax.collections for ax in angles_over_time(analyse_motion(motion())).axes)
 
 
-def bending_hip() -> ClinicalAngles:
-    """The left thigh lifted by up to 60 degrees within a second, uncertain around the extreme."""
-    lifted = so3.about_axis("y", -np.radians(60) * np.sin(np.pi * TIMES) ** 2)
-    leg = {f"left_{segment}": lifted for segment in LEG}
-    found = clinical_angles(replace(posture(BODY, len(TIMES), **leg), times=TIMES), BODY)
-    sigma = np.radians(np.where(np.abs(TIMES - 0.5) < 0.1, 20.0, 5.0))
-    sigma = np.tile(sigma[:, None], (1, len(found.rows)))
-    return replace(found, sigma=sigma, trusted=trusted_bands(sigma, found.values.shape))
+def reliable(sigma: Array | None, hip: Array | None = None) -> tuple[NDArray[np.bool_], str]:
+    """Reliable samples of known angles, with unknown rotations except those of the left hip."""
+    table = angle_table(BODY.table)
+    R = {joint.name: np.full((len(TIMES), 3, 3), np.nan) for joint in table.joints}
+    R |= {} if hip is None else {"left_hip": hip}
+    return reliable_samples(table, TIMES, R, sigma, np.ones((len(TIMES), len(table.rows)), dtype=bool))
 
 
 def test_uncertain_samples_are_excluded_from_ranges() -> None:
-    found = bending_hip()
+    lifted = so3.about_axis("y", -np.radians(60) * np.sin(np.pi * TIMES) ** 2)
+    leg = {f"left_{segment}": lifted for segment in LEG}
+    angles = clinical_angles(replace(posture(BODY, len(TIMES), **leg), times=TIMES), BODY)
+    sigma = np.radians(np.where(np.abs(TIMES - 0.5) < 0.1, 20.0, 5.0))
+    trusted, note = reliable(np.tile(sigma[:, None], (1, len(angles.rows))))
+    assert "0.40 to 0.60 s" in note
     hip, whole = (
-        next(row for row in ranges_of_motion(angles) if row.name == "left_hip_flexion")
-        for angles in (found, replace(found, trusted=None))
+        next(row for row in ranges_of_motion(own) if row.name == "left_hip_flexion")
+        for own in (replace(angles, trusted=trusted), replace(angles, trusted=None))
     )
     assert np.degrees(whole.range) == pytest.approx(60, abs=1)
     assert np.degrees(hip.range) < 56
     assert abs(hip.time_high - 0.5) >= 0.1 - 1e-9
     assert hip.trusted_share == pytest.approx(1 - 0.2, abs=0.03)
     assert (hip.known_share, whole.trusted_share) == (1, 1)
-    assert found.trusted is not None
-    note = untrusted_note(TIMES, found.rows, found.known, found.trusted)
-    assert "0.40 to 0.60 s" in note
-    assert untrusted_note(TIMES, found.rows, found.known, found.known) == ""
 
 
-def test_without_standard_deviations_all_values_are_reliable() -> None:
-    assert trusted_bands(None, (4, 2)).all()
-    assert trusted_bands(np.full((4, 2), np.nan), (4, 2)).all()
-
-
-@pytest.mark.parametrize("speed_deg_s, allowed", [(900.0, True), (1700.0, False)])
-def test_samples_around_implausibly_fast_turns_are_unreliable(speed_deg_s: float, allowed: bool) -> None:
+@pytest.mark.parametrize("speed_deg_s", [900.0, 1700.0])
+def test_samples_around_implausibly_fast_turns_are_unreliable(speed_deg_s: float) -> None:
     angle = np.radians(speed_deg_s) * np.clip(TIMES - 0.5, 0.0, 0.1)
-    trusted = trusted_turns(HIP, TIMES, so3.about_axis("z", angle))
-    assert trusted.all() == allowed
-    if not allowed:
-        assert trusted[TIMES < 0.35].all()
-        assert not trusted[(TIMES > 0.45) & (TIMES < 0.65)].any()
+    found, note = reliable(None, so3.about_axis("z", angle))
+    fast = speed_deg_s > 1200.0
+    assert found.all() == (not fast)
+    assert ("left_hip" in note) == fast
+    if fast:
+        assert found[TIMES < 0.35].all()
+        assert (~found[(TIMES > 0.45) & (TIMES < 0.65)]).any(axis=1).all()
 
 
-def test_a_gap_is_not_a_fast_turn() -> None:
+def test_gaps_and_unknown_sigmas_are_reliable() -> None:
     R = so3.about_axis("z", np.where(TIMES > 0.5, 3.0, 0.0))
     R[30:32] = np.nan
-    assert trusted_turns(HIP, TIMES, R).all()
+    assert reliable(None, R)[0].all()
+    assert reliable(np.full((len(TIMES), 51), np.nan))[0].all()
