@@ -1,13 +1,7 @@
-"""Export of a sensor study as files and sentences.
+"""Export of a sensor study as sentences and files.
 
-=====================  ====================================================================
-study.csv              a row for each set of sensors and angle: difference, seen, error, band
-study.json             verdict and settings of the full set, the sets in order, the sentences
-figures/sensors.png    loss of omitting each sensor, angle x sensor
-figures/number.png     difference or error against the number of sensors
-=====================  ====================================================================
-
-An empty cell is a missing value.
+``study.csv`` has a row for each set of sensors and angle, with empty cells for missing values;
+``study.json`` has the verdict and settings of the full set, the sets in order and the sentences.
 """
 
 from __future__ import annotations
