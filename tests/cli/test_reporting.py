@@ -109,7 +109,7 @@ def test_study_says_how_many_runs_and_what_each_sensor_is_worth(
     assert main(["study", str(short), "-o", str(out), "--path", "ranked"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "2 sensors: 4 reconstructions" in text
-    assert "a difference from the full set is no error" in text
+    assert "not an error" in text
     assert "knee: flexion" in text
     assert {path.name for path in out.iterdir()} == {"study.csv", "study.json", "figures", MANIFEST}
     facts = json.loads((out / "study.json").read_text())
@@ -131,5 +131,5 @@ def test_study_without_sensors_is_one_line(
     folder = tmp_path / "blind"
     replace(Recording.load(short), imus=None, calibration=None).save(folder)
     assert main(["study", str(folder), "-o", str(tmp_path / "out")]) == 2
-    assert "has no IMUs, so there is nothing to leave out" in " ".join(capsys.readouterr().err.split())
+    assert "has no IMUs" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
