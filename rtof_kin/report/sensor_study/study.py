@@ -18,11 +18,14 @@ from numpy.typing import NDArray
 
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.core import signals
+from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.pipeline import Reconstruction, reconstruct
-from rtof_kin.reconstruction.prepare import LifterLike, ReconstructionSettings
+from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
@@ -176,7 +179,7 @@ def _reconstruct(
     settings: ReconstructionSettings,
 ) -> Reconstruction:
     """Reconstruction with some of the sensors."""
-    mode = "rto"
+    mode: Mode = "rto"
     if sensors and recording.imus is not None:
         recording = replace(recording, imus=recording.imus.select(sensors))
         mode = "rtof" if recording.keypoints is not None else "imu"
