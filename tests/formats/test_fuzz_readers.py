@@ -274,7 +274,7 @@ def test_a_corpus_of_motion_reads_nothing_outside_its_folder(file: str, tmp_path
     (tmp_path / "a.bvh").write_text("HIERARCHY")
     (folder / "link.bvh").symlink_to(tmp_path / "a.bvh")
     (folder / "index.csv").write_text(f"file,subject,tc_like,fps,quality\n{file},A,walk,60,ok\n")
-    with pytest.raises(FileFormatError, match="is no file inside this folder"):
+    with pytest.raises(FileFormatError, match="inside this folder"):
         list(read_corpus(folder))
 
 
