@@ -56,12 +56,12 @@ def read_object_npz(path: str | Path, wanted: Sequence[str], limit: int = LARGES
         check_file(path, "an NPZ archive")
         with zipfile.ZipFile(path) as archive:
             there = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+            check_sizes(path, [there[name] for name in wanted if name in there], limit)
             for name in wanted:
                 if name not in there:
                     raise FileFormatError(path, f"no member {name!r}; there is {', '.join(there) or 'none'}")
                 if there[name].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                     raise FileFormatError(path, f"{name}: compressed in a way that NumPy never uses")
-            check_sizes(path, [there[name] for name in wanted], limit)
             return {name: _read_member(path, name, archive.read(there[name])) for name in wanted}
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, MemoryError) as error:
         raise FileFormatError(path, f"damaged, or no NPZ archive ({error}); get it again") from error

@@ -124,7 +124,7 @@ def _read_human36m(folder: Path) -> Any:
     both = [Human36M(folder, keypoints=kind) for kind in ("gt", "cpn_ft_h36m_dbb")]
     take = "S9", "Action 0"
     seen = [data._archives.keypoints(*take, 0) for data in both]
-    return both[0].cameras, both[0]._archives.positions(*take), seen
+    return both[0]._archives.all_cameras, both[0]._archives.positions(*take), seen
 
 
 @cache
