@@ -26,6 +26,7 @@ from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.core.files.text import read_text
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.confidence import Confidence
+from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
@@ -100,6 +101,7 @@ class SkeletonModel:
         self.names, self.parents = table.names, table.parents
         self.joint_offsets: Array = readonly("joint_offsets", table.offsets, ("J", 3))
         self.model: Any = pin.buildModelFromXML(urdf or to_urdf(table), pin.JointModelFreeFlyer())
+        self.model.gravity.linear = GRAVITY_WORLD
         revolutes = [name for name in self.model.names if name not in ("universe", "root_joint")]
         self.dof_names: tuple[str, ...] = tuple(revolutes)
         expected = [dof.urdf for joint in table.joints for dof in joint.dofs]

@@ -28,6 +28,7 @@ from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.formats.cameras import read_camera as read_camera_file
 from rtof_kin.formats.imu_calibration_toml import calibration_of
 from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import detector_table
@@ -117,11 +118,19 @@ def _times(section: Section, path: Path, arrays: dict[str, Array], T: int) -> Ar
 
 
 def read_camera(section: Section) -> Camera:
-    """Read a camera given by its matrices, or by position, target and focal length.
+    """Read a camera given by its matrices, by position, target and focal length, or by a calibration file.
 
     Args:
         section: table ``[camera]``.
     """
+    if section.has("file"):
+        path, name, up = _data_path(section), section.optional_text("name"), section.text("up", "z")
+        with naming(section.path):
+            camera = read_camera_file(
+                path, name, up=up, metres_per_unit=section.number("metres_per_unit", 1.0)
+            )
+        section.close()
+        return camera
     width, height = section.integer("width_px"), section.integer("height_px")
     with naming(section.path):
         if section.has("position_m") or section.has("target_m"):

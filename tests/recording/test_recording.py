@@ -554,7 +554,7 @@ def test_an_archive_without_numbers_is_refused(tmp_path: Path, content: bytes, m
         ("time,Hips_u_px\n0,1\n", "line 1: the column 'Hips_v_px' is missing"),
         ("time,Hips_x,Hips_y\n0,1,2\n", "line 1: column 'Hips_x': expected 'time'"),
         ("time\n0\n", "line 1: no column ends in _u_px"),
-        ("time,Hips_u_px,Hips_u_px\n0,1,2\n", "'Hips_u_px' stands there more than once"),
+        ("time,Hips_u_px,Hips_u_px\n0,1,2\n", "'Hips_u_px' occurs more than once"),
         ("time,Hips_u_px,Hips_v_px\n0,1,2\n1,2\n", "line 3: 2 cells where the header names 3"),
         ("time,Hips_u_px,Hips_v_px\n0,1,two\n", "line 2: column Hips_v_px: 'two' is not a number"),
         ("time,Hips_u_px,Hips_v_px\n1,1,2\n0,1,2\n", "time does not increase from index 0"),
