@@ -1,6 +1,6 @@
 """The paper's protocol on Human3.6M: ``python examples/human36m.py --root DIR --lifter FILE [...]``.
 
-The same as ``rtof-kin human36m``; ``--help`` lists the options, the README says how to get the data.
+The same as ``rtof-kin human36m``; ``--help`` lists the options, docs/datasets.md how to get the data.
 """
 
 import sys

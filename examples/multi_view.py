@@ -1,4 +1,4 @@
-"""Points seen by several calibrated cameras: triangulation, and the cameras' poses put right by them."""
+"""Triangulation of points from several calibrated cameras, and bundle adjustment of the camera poses."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from rtof_kin.data.camera import Camera
 
 Array = NDArray[np.float64]
 FEWEST = 2
-"""Cameras that a point takes."""
+"""Minimum number of cameras of a point."""
 ROBUST_PX = 12.0
-"""Reprojection errors beyond this count less and less."""
+"""Scale of the Cauchy loss of the reprojection error."""
 _ROUNDS = 8
 
 
 @dataclass(frozen=True)
 class AdjustSettings:
-    """What is known before a bundle adjustment."""
+    """Prior standard deviations of a bundle adjustment."""
 
     sigma_px: float = 6.0
     """[px] of a detection, per axis."""
     sigma_turn: float = np.radians(1.5)
-    """[rad] by which a camera may be turned from where its file has it, per axis."""
+    """[rad] of a camera's orientation in its file, per axis."""
     sigma_move: float = 0.05
-    """[m] by which it may stand elsewhere, per axis."""
+    """[m] of its position, per axis."""
     iterations: int = 40
 
 
 def triangulate(cameras: Sequence[Camera], uv_px: Array, weight: Array) -> tuple[Array, Array]:
-    """Points from where cameras see them.
+    """Triangulate points.
 
     Weighted linear triangulation (Hartley and Zisserman 2004, 12.2), then Gauss-Newton on the
-    reprojection error; cameras that disagree count less (a Cauchy loss, by iterated weights).
+    reprojection error with a Cauchy loss (iteratively reweighted).
 
     Args:
-        cameras: C cameras. uv_px: (C, ..., 2), NaN where unseen. weight: (C, ...) inverse variances up to
-            a factor, 0 where unseen.
+        cameras: C cameras. uv_px: (C, ..., 2), NaN where unobserved. weight: (C, ...) inverse variances
+            up to a factor, 0 where unobserved.
 
     Returns:
-        Points (..., 3) in world, m, NaN where fewer than `FEWEST` cameras see them, and reprojection
-        errors (C, ..., 2), px, NaN where unseen.
+        Points (..., 3) in world, m, NaN where fewer than `FEWEST` cameras observe them, and
+        reprojection errors (C, ..., 2), px, NaN where unobserved.
     """
     shape = uv_px.shape[1:-1]
     uv, given = uv_px.reshape(len(cameras), -1, 2), weight.reshape(len(cameras), -1)
@@ -68,20 +68,20 @@ def triangulate(cameras: Sequence[Camera], uv_px: Array, weight: Array) -> tuple
 def adjust_cameras(
     cameras: Sequence[Camera], uv_px: Array, weight: Array, settings: AdjustSettings | None = None
 ) -> list[Camera]:
-    """The cameras where the points they see agree best: turned and moved, lenses kept.
+    """Adjust orientations and positions of the cameras; intrinsics stay.
 
-    Bundle adjustment with the points eliminated (Triggs et al. 2000) and a Cauchy loss. What the points
-    cannot tell (where all of it is, how it is turned, its size) stays as the cameras' files have it on
-    average, by the settings' sigmas.
+    Bundle adjustment with the points eliminated (Triggs et al. 2000) and a Cauchy loss. Position,
+    orientation and scale of the whole are unobserved and stay at the mean of the cameras' files through
+    the priors of the settings.
 
     Args:
-        cameras, uv_px, weight: as of `triangulate`; weights up to 1.
+        cameras, uv_px, weight: as for `triangulate`; weights up to 1. settings: default where None.
     """
     settings = settings or AdjustSettings()
     C = len(cameras)
     uv, weight = uv_px.reshape(C, -1, 2), weight.reshape(C, -1)
     weight = np.where(np.isfinite(uv).all(axis=-1), weight, 0.0)
-    kept = (weight > 0).sum(axis=0) > FEWEST  # two cameras tell little about each other
+    kept = (weight > 0).sum(axis=0) > FEWEST  # two cameras hardly constrain each other
     uv, weight = uv[:, kept], weight[:, kept]
     p, _ = triangulate(cameras, uv, weight)
     prior = np.tile(1 / np.r_[[settings.sigma_turn] * 3, [settings.sigma_move] * 3] ** 2, C)
@@ -98,7 +98,7 @@ def adjust_cameras(
 def _bundle_step(
     cameras: Sequence[Camera], xy: Array, weight: Array, p: Array, prior: Array, x: Array, sigma: float
 ) -> tuple[Array, Array]:
-    """One Gauss-Newton step of cameras (6 C,) and points (N, 3)."""
+    """Return one Gauss-Newton step of cameras (6 C,) and points (N, 3)."""
     C = len(cameras)
     error, J_point = _residuals(cameras, xy, p)
     J_camera = np.empty((*error.shape, 6))
@@ -122,23 +122,23 @@ def _bundle_step(
 
 
 def _moved(camera: Camera, change: Array) -> Camera:
-    """Turned by a rotation vector in world (the first three) and moved in world, m (the others)."""
+    """Return the camera rotated by change[:3] (rotation vector) and moved by change[3:], m, in world."""
     R = camera.R_camera_world @ so3.exp(-change[:3])
     return replace(camera, R_camera_world=R, t_camera_world=-R @ (camera.center_world + change[3:]))
 
 
 def _robust(error: Array, size: float) -> Array:
-    """(C, N) weights of a Cauchy loss of errors (C, N, 2); unseen ones are anything finite."""
+    """Return weights (C, N) of a Cauchy loss of errors (C, N, 2); arbitrary where unobserved."""
     return np.asarray(1 / (1 + np.sum(np.nan_to_num(error) ** 2, axis=-1) / size**2))
 
 
 def _plane(cameras: Sequence[Camera], uv: Array) -> Array:
-    """(C, N, 2) undistorted directions x/z, y/z; zero where unseen."""
+    """Return undistorted directions x/z, y/z (C, N, 2); zero where unobserved."""
     return np.stack([np.nan_to_num(c.normalise(seen)) for c, seen in zip(cameras, uv, strict=True)])
 
 
 def _residuals(cameras: Sequence[Camera], xy: Array, p: Array) -> tuple[Array, Array]:
-    """Undistorted reprojection errors (C, N, 2), px, and their derivatives by the points (C, N, 2, 3)."""
+    """Return undistorted reprojection errors (C, N, 2), px, and Jacobians by the points (C, N, 2, 3)."""
     errors, jacobians = [], []
     for camera, seen in zip(cameras, xy, strict=True):
         at = camera.to_camera(p)
@@ -153,7 +153,7 @@ def _residuals(cameras: Sequence[Camera], xy: Array, p: Array) -> tuple[Array, A
 
 
 def _linear(cameras: Sequence[Camera], xy: Array, weight: Array) -> Array:
-    """(N, 3) the points nearest to all rays in the linear sense."""
+    """Return the linear least-squares points (N, 3)."""
     rows, right = [], []
     for camera, seen, w in zip(cameras, xy, np.sqrt(weight), strict=True):
         R, t = camera.R_camera_world, camera.t_camera_world

@@ -1,4 +1,4 @@
-"""A trial of a Pose2Sim session: its cameras, everybody whom they saw, and who is who in each of them."""
+"""Trial of a Pose2Sim session: cameras, detections, and matching of the people across cameras."""
 
 from __future__ import annotations
 
@@ -23,43 +23,43 @@ from rtof_kin.vision.keypoints import DetectedKeypoints, keypoints_from_detectio
 Array = NDArray[np.float64]
 LEAST_CONFIDENCE = 0.2
 SAME_PERSON_PX = 60.0
-"""Points of different people are further than this from each other's triangulation."""
+"""Largest median reprojection error of one person's points."""
 FEWEST_POINTS = 8
 MOST_PEOPLE = 4
-"""People of a frame that are tried in each camera: those with the most points."""
+"""Candidates per camera and frame: those with the most points."""
 
 
 @dataclass(frozen=True)
 class View:
-    """What one camera saw of the person."""
+    """Detections of the person in one camera."""
 
     name: str
     camera: Camera
-    """As the calibration file has it."""
+    """Of the calibration file."""
     found: DetectedKeypoints
-    """The skeleton's landmarks, and how they came about."""
+    """Landmarks of the skeleton, with their source."""
     uv_px: Array
-    """(T, K, 2) the detector's own points of the person; NaN where unseen."""
+    """(T, K, 2) the detector's own points of the person; NaN where unobserved."""
     weight: Array
-    """(T, K) their confidence; 0 where unseen."""
+    """(T, K) their confidence; 0 where unobserved."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One person in front of calibrated cameras."""
+    """Recording of one person by calibrated cameras."""
 
     name: str
     views: tuple[View, ...]
     height: float
     """Standing height, m, from the configuration or the caller."""
     person: str
-    """Who is followed, in words."""
+    """Description of the tracked person."""
     videos: tuple[Path | None, ...]
-    """The video of each view, where there is one."""
+    """Video of each view, or None."""
 
 
 def find_trial(root: Path, name: str) -> Path:
-    """The folder below (or equal to) `root` that has detections in it and `name` in its path.
+    """Return the folder below (or equal to) `root` with detections in it and `name` in its path.
 
     Raises:
         RtofError: there is none, or more than one.
@@ -75,15 +75,15 @@ def find_trial(root: Path, name: str) -> Path:
 
 
 def read_trial(root: Path, name: str, height: float | None = None, participant: int | None = None) -> Trial:
-    """One person of a trial, the same one in every camera.
+    """Read one person of a trial from all cameras.
 
     People are matched across the cameras by triangulation; where the configuration has several heights,
-    they are told apart by which of them is larger.
+    they are assigned in the order of size.
 
     Args:
-        root: the session's folder. name: of the trial, see `find_trial`.
-        height: standing height, m; the configuration's where not given.
-        participant: number in the configuration's list of heights, from 1; the tallest where not given.
+        root: folder of the session. name: of the trial, see `find_trial`.
+        height: standing height, m; default: of the configuration.
+        participant: number in the configuration's list of heights, from 1; default: the tallest.
 
     Raises:
         RtofError: files are missing or do not belong together; the message says which.
@@ -143,8 +143,8 @@ def _view(name: str, camera: Camera, seen: Detections, times: Array, person: int
 def _people(
     cameras: Sequence[Camera], seen: Sequence[Detections], frames: int, count: int
 ) -> tuple[list[tuple[int, ...]], int]:
-    """Who is who: (number in each camera, ...) of up to `count` people, the smallest first, and the frame
-    nearest to the middle in which that many were found."""
+    """Return the number in each camera of up to `count` people, the smallest first, and the frame nearest
+    to the middle in which that many were found."""
     best: tuple[list[tuple[int, ...]], int] = ([], frames // 2)
     for frame in sorted(range(0, frames, 5), key=lambda f: abs(f - frames // 2)):
         groups = _matched(cameras, seen, frame)[:count]
@@ -163,7 +163,7 @@ def _people(
 def _matched(
     cameras: Sequence[Camera], seen: Sequence[Detections], frame: int
 ) -> list[tuple[float, tuple[int, ...]]]:
-    """(size, number in each camera) of the people of a frame, those that fit best first."""
+    """Return (size, number in each camera) of the people of a frame, best fit first."""
     fits = []
     for people in itertools.product(*(_prominent(d, frame) for d in seen)):
         uv = np.stack([d.uv_px[frame, who] for d, who in zip(seen, people, strict=True)])
@@ -176,7 +176,7 @@ def _matched(
             continue
         distance = np.linalg.norm(error, axis=-1)
         each = [np.median(d[np.isfinite(d)]) for d in distance if np.isfinite(d).any()]
-        misfit = float(np.max(each))  # the robust triangulation shows in one camera what is wrong
+        misfit = float(np.max(each))  # robust triangulation concentrates a mismatch in one camera
         size = float(np.median(np.linalg.norm(p[known] - np.median(p[known], axis=0), axis=-1)))
         fits.append((misfit, size, people))
     groups: list[tuple[float, tuple[int, ...]]] = []
@@ -197,7 +197,7 @@ def _prominent(seen: Detections, frame: int) -> list[int]:
 
 
 def _upwards(folder: Path, root: Path) -> Iterator[Path]:
-    """The trial's folder and those above it, up to the session's."""
+    """Yield the folder of the trial and its parents, up to that of the session."""
     for place in (folder, *folder.parents):
         yield place
         if place == root:
@@ -217,7 +217,7 @@ def _calibration(folder: Path, root: Path) -> Path:
 
 
 def _setting(folder: Path, root: Path, field: str, default: Any = None) -> Any:
-    """A field of the nearest Config.toml that has it."""
+    """Return a field of the nearest Config.toml that has it."""
     for place in _upwards(folder, root):
         path = place / "Config.toml"
         if not path.is_file():

@@ -1,12 +1,12 @@
-"""A real camera: each camera of a Pose2Sim trial alone, against the triangulation from all of them.
+"""Single real cameras of a Pose2Sim trial, each compared with the triangulation from all cameras.
 
     python examples/real_camera.py FOLDER [--trial NAME] [-o OUT]
 
-FOLDER is a session of Pose2Sim's demonstration data that has the detections in it, as it was distributed
-(BSD-3): ``Pose2Sim/S00_Demo_Session`` of github.com/perfanalytics/pose2sim at commit a948c205. The
-person's size is the height in its Config.toml. All that an estimate takes from the other cameras is where
-its own camera stands, put right by a degree or so, and with ``--cameras file`` not even that. It is one
-clip of 1.7 s: an illustration, no benchmark.
+FOLDER is a session of Pose2Sim's demonstration data (BSD-3) with its detections:
+``Pose2Sim/S00_Demo_Session`` of github.com/perfanalytics/pose2sim at commit a948c205. The body size is
+scaled from the height in its Config.toml. The other cameras influence an estimate only through the pose of
+its camera, which bundle adjustment changes by about a degree; with ``--cameras file`` not at all. The clip
+has 1.7 s: an illustration, no benchmark.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 MARKER = "real_camera.json"
 DRAWN_PX = 1.0
-"""A detector's points disagree by more than this."""
+"""Smallest plausible median inconsistency of a detector between cameras."""
 MEASURED = "rto+"
-"""rto with the bone lengths of the triangulation."""
+"""Label of rto with the triangulated bone lengths."""
 COLUMNS = {
     "relative_mm": "rel.",
     "absolute_mm": "abs.",
@@ -53,26 +53,26 @@ COLUMNS = {
     "across_mm": "across",
     "fit_px": "fit",
 }
-"""Figure -> heading."""
+"""Heading by figure."""
 CAPTION = """Mean joint errors [mm]. rel.: relative to the root; of these, varying: without each joint's
 mean over the clip, along and across: the camera's view. abs.: absolute. aligned: after each frame's best
 similarity (Procrustes). fit: median distance of the skeleton from the joints in the image [px].
-rto+: with the bone lengths of the triangulation, which a single camera does not know."""
+rto+: with the bone lengths of the triangulation, which a single camera does not observe."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What one camera alone gives."""
+    """Results of a single camera."""
 
     view: View
     camera: Camera
-    """As it was used."""
+    """Camera with the pose used."""
     stages: dict[str, PoseSequence]
-    """Mode -> poses: lift, rto and `MEASURED`."""
+    """Poses by mode: lift, rto and `MEASURED`."""
     scores: dict[str, dict[str, float]]
-    """Mode -> figure of `COLUMNS` -> value."""
+    """Values by mode and figure of `COLUMNS`."""
     over_time: dict[str, Array]
-    """Mode -> (T,) mean error relative to the root, mm; NaN where there is no truth."""
+    """Mean error (T,) relative to the root by mode, mm; NaN where there is no truth."""
 
 
 def estimate(
@@ -83,11 +83,12 @@ def estimate(
     progress: Progress,
     lifter: LifterLike | None = None,
 ) -> Estimate:
-    """Lift and optimise what one camera saw, and compare it with the triangulation.
+    """Lift and optimise the keypoints of one camera, and compare with the triangulation.
 
     Args:
-        camera: where it stands. skeleton: the person's, from the height.
-        lifter: the shipped one where not given.
+        view: its keypoints. camera: with the pose to use. truth: the triangulation.
+        skeleton: scaled from the height. progress: called with (stage, steps done, steps in all).
+        lifter: default: the shipped one.
     """
     keypoints = replace(view.found.keypoints, camera=camera)
     stages: dict[str, PoseSequence] = {}
@@ -126,11 +127,11 @@ def _score(
     return figures, metrics.over_time["mpjpe_rr_mm"]
 
 
-# --- what is said --------------------------------------------------------------------------------
+# --- printed sentences --------------------------------------------------------------------------------
 
 
 def said_of_truth(trial: Trial, truth: Truth, adjusted: bool) -> list[str]:
-    """Sentences about the trial and its triangulation."""
+    """Describe the trial and its triangulation."""
     T, rate_hz = len(truth.poses), truth.poses.rate_hz
     misfit = ", ".join(
         f"{name} {before:.0f}" + (f" -> {after:.0f}" if adjusted else "")
@@ -141,34 +142,34 @@ def said_of_truth(trial: Trial, truth: Truth, adjusted: bool) -> list[str]:
         "and no benchmark",
         f"followed {trial.person}",
         *(f"{view.name}: {view.found.summary}" for view in trial.views),
-        f"distance of the detector's points from where the other cameras have them, median px: {misfit}",
+        f"median distance of the detector's points from the other cameras' triangulation, px: {misfit}",
     ]
     if max(after for _, after in truth.misfit_px.values()) < DRAWN_PX:
-        said.append("no detector is as consistent as that: these points were drawn, not detected")
+        said.append("too consistent for a detector: these points are synthetic")
     if adjusted:
         moved = ", ".join(f"{n} {a:.1f} deg, {b:.0f} mm" for n, (a, b) in truth.moved.items())
-        said.append(f"cameras put right by these points (bundle adjustment): {moved}")
+        said.append(f"changes of the cameras by bundle adjustment: {moved}")
     said.append(
-        f"the triangulation: without one of its cameras its joints are {truth.without_one_mm:.0f} mm "
-        f"elsewhere; the lengths of its limbs, which should be constant, vary by "
-        f"{truth.bone_spread_mm:.0f} mm (standard deviation)"
+        f"triangulation: joints change by {truth.without_one_mm:.0f} mm without one of the cameras; bone "
+        f"lengths of the limbs, constant in truth, have a standard deviation of "
+        f"{truth.bone_spread_mm:.0f} mm"
     )
     return said
 
 
 def said_of_scores(estimates: Sequence[Estimate], truth: Truth, skeleton: SkeletonModel) -> list[str]:
-    """Sentences about what limits which figure."""
+    """Describe what limits the scores."""
     rto = {key: _mean(estimates, "rto", key) for key in COLUMNS}
     bones = measured_bones(truth, skeleton)
     off = np.median([abs(length / skeleton.bone_lengths[n] - 1) for n, length in bones.items()])
     return [
-        f"rto is {rto['along_mm']:.0f} mm off along the view and {rto['across_mm']:.0f} mm across it: "
-        "one camera does not see depth, the lifter guesses it",
-        f"of {rto['relative_mm']:.0f} mm, {rto['varying_mm']:.0f} vary; the rest stays over the clip: "
+        f"rto errs by {rto['along_mm']:.0f} mm along the view and {rto['across_mm']:.0f} mm across it: "
+        "one camera does not observe depth, the lifter estimates it",
+        f"of {rto['relative_mm']:.0f} mm, {rto['varying_mm']:.0f} vary; the rest is constant over the clip: "
         "biases of detector and lifter in this posture, and the person's proportions",
         f"bones scaled from the height differ from the triangulated ones by {100 * off:.0f} % in the "
         f"median; with the latter it is {_mean(estimates, MEASURED, 'relative_mm'):.0f} mm",
-        "the absolute error holds the distance too, as wrong as the person's size and lean are",
+        "the absolute error includes the distance, with the errors of the person's size and lean",
     ]
 
 
@@ -177,7 +178,7 @@ def _mean(estimates: Sequence[Estimate], mode: str, key: str) -> float:
 
 
 def score_table(estimates: Sequence[Estimate]) -> Table:
-    """A row for each camera and mode, and the means."""
+    """Return a table with a row per camera and mode, and the means."""
     title = "each camera alone against the triangulation from all"
     table = Table("camera", "mode", *COLUMNS.values(), title=title)
     for e in estimates:
@@ -193,11 +194,11 @@ def score_table(estimates: Sequence[Estimate]) -> Table:
     return table
 
 
-# --- the command ---------------------------------------------------------------------------------
+# --- command ---------------------------------------------------------------------------------
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the example; returns the exit code."""
+    """Run the example and return the exit code."""
     options = _parser().parse_args(arguments)
     try:
         run(options)
@@ -212,10 +213,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="session of Pose2Sim's demo data")
     parser.add_argument("--trial", default="S00_P00_T01_BalancingTrial", metavar="NAME", help="whose folder")
     parser.add_argument("--participant", type=int, metavar="N", help="of several heights in Config.toml, "
-                        "the one to follow, from 1; the tallest where not given")  # fmt: skip
-    parser.add_argument("--height", type=float, metavar="M", help="m; Config.toml's where not given")
+                        "the one to track, from 1; default: the tallest")  # fmt: skip
+    parser.add_argument("--height", type=float, metavar="M", help="m; default: of Config.toml")
     parser.add_argument("--cameras", choices=("adjusted", "file"), default="adjusted",
-                        help="put right by the detections, or as the file has them")  # fmt: skip
+                        help="adjusted to the detections, or as in the file")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, default=Path("out/real_camera"), metavar="OUT")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier OUT")
     return parser
@@ -225,7 +226,7 @@ def run(options: argparse.Namespace, lifter: LifterLike | None = None) -> None:
     """Read, triangulate, estimate, print and draw.
 
     Raises:
-        RtofError: the folder is not as it should be, or OUT exists.
+        RtofError: invalid folder, or OUT exists.
     """
     check_replaceable(options.output, MARKER, options.overwrite)
     trial = read_trial(options.folder, options.trial, options.height, options.participant)

@@ -1,4 +1,4 @@
-"""The picture of the example: what the cameras see, where they think the joints are, and how far off."""
+"""Figure of the example: images, estimated joints and errors of each camera."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ Array = NDArray[np.float64]
 CAMERA_COLORS = ("#0072b2", "#d55e00", "#7b4fa3", "#b58900", "#444444", "#cc79a7")
 POINTS = "#ffd400"
 _MARGIN = 0.3
-"""Of a picture's cut-out about the person, in the person's size."""
+"""Margin of the image crop around the person, in body heights."""
 
 
 def draw(
     trial: Trial, truth: Truth, estimates: Sequence[Estimate], skeleton: SkeletonModel, path: Path
 ) -> None:
-    """Write the picture as PNG."""
+    """Write the figure as PNG."""
     count = len(estimates)
     figure = Figure(figsize=(3.6 * count + 0.6, 14.6), layout="constrained", dpi=110)
     figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
@@ -57,7 +57,7 @@ def draw(
 
 
 def _image(ax: Any, e: Estimate, video: Path | None, frame: int, skeleton: SkeletonModel) -> None:
-    """A frame with the detector's points and the rto skeleton in it."""
+    """Draw a frame with the detector's points and the rto skeleton."""
     image = _frame(video, frame)
     if image is not None:
         height, width = image.shape[:2]
@@ -83,7 +83,7 @@ def _image(ax: Any, e: Estimate, video: Path | None, frame: int, skeleton: Skele
 def _from_the_side(
     ax: Any, e: Estimate, truth: Truth, frame: int, skeleton: SkeletonModel, first: bool
 ) -> None:
-    """Where the joints are, seen from the camera's right: what the camera cannot see itself."""
+    """Draw the joints seen from the right of the camera, where depth errors are visible."""
     view, label = views(e.camera.R_camera_world)[1]
     floor = e.camera.center_world * [1.0, 1.0, 0.0]
     styles = {"triangulation": (TRUTH, 3.0)}
@@ -110,7 +110,7 @@ def _from_the_side(
 def _in_space(
     ax: Any, estimates: Sequence[Estimate], truth: Truth, frame: int, skeleton: SkeletonModel
 ) -> None:
-    """The triangulation and every camera's rto in world, with the directions to the cameras."""
+    """Draw the triangulation and every camera's rto in world, with the directions to the cameras."""
     every = [truth.poses.p_world_joint[frame]]
     _bones(ax, every[0], skeleton, TRUTH, 4)
     lines = [Line2D([], [], color=TRUTH, lw=4, label="triangulation")]
@@ -153,20 +153,20 @@ def _over_time(ax: Any, estimates: Sequence[Estimate], truth: Truth) -> None:
 
 
 def _bones(ax: Any, points: Array, skeleton: SkeletonModel, color: str, lw: float) -> None:
-    """One line with gaps, through joints (J, 2) or (J, 3)."""
+    """Draw the bones between joints (J, 2) or (J, 3) as one line with gaps."""
     gap = np.full(points.shape[1], np.nan)
     bones = [[points[p], points[j], gap] for j, p in enumerate(skeleton.parents) if p >= 0]
     ax.plot(*np.reshape(bones, (-1, len(gap))).T, color=color, lw=lw, alpha=0.9)
 
 
 def _frame(video: Path | None, frame: int) -> NDArray[np.uint8] | None:
-    """A frame's colours (height, width, 3); None where there is no video or nothing to read it with."""
+    """Return a frame (height, width, 3) in RGB; None without a video or the extra `video`."""
     if video is None:
         return None
     try:
         for found in read_video(video):
             if found.index == frame:
                 return np.ascontiguousarray(found.image[..., ::-1])
-    except RtofError:  # the extra that reads videos is not installed
+    except RtofError:  # extra `video` not installed
         return None
     return None

@@ -1,4 +1,4 @@
-"""The reference of the example: joints triangulated from all cameras, and how far to trust them."""
+"""Reference of the example: joints triangulated from all cameras, with measures of their accuracy."""
 
 from __future__ import annotations
 
@@ -20,41 +20,41 @@ from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 CUTOFF_HZ = 6.0
-"""Of the low-pass over the triangulated joints, the one that Pose2Sim uses."""
+"""Cutoff of the low-pass of the triangulated joints, as in Pose2Sim."""
 ADJUST_EVERY = 4
-"""The cameras are put right by every fourth frame."""
+"""Interval of the frames used by the bundle adjustment."""
 _LIMBS = ("ForeArm", "Hand", "Leg", "Foot")
 
 
 @dataclass(frozen=True)
 class Truth:
-    """The triangulation."""
+    """Triangulated reference."""
 
     poses: PoseSequence
-    """(T, J) the joints that the adapter gives in each view, triangulated and smoothed; `valid` where two
-    cameras saw them."""
+    """(T, J) joints from the landmark regression of each view, triangulated and smoothed; `valid` where two
+    cameras observe them."""
     cameras: tuple[Camera, ...]
-    """The cameras it was made with."""
+    """Cameras of the triangulation."""
     misfit_px: dict[str, tuple[float, float]]
-    """Camera -> median distance of the detector's points from what the *other* cameras make of them,
-    before and after the cameras were put right."""
+    """By camera: median distance of the detector's points from the triangulation of the *other* cameras,
+    before and after the bundle adjustment."""
     moved: dict[str, tuple[float, float]]
-    """Camera -> by how much it was turned, degrees, and moved, mm."""
+    """By camera: change of orientation, degrees, and position, mm."""
     without_one_mm: float
-    """Mean change of the joints where one of the cameras is left out."""
+    """Mean change of the joints without one of the cameras."""
     bone_spread_mm: float
-    """Mean standard deviation over time of the limbs' bone lengths, which should be constant."""
+    """Mean standard deviation over time of the bone lengths of the limbs."""
 
 
 def triangulated(trial: Trial, skeleton: SkeletonModel, adjust: bool) -> Truth:
-    """The joints of a trial's person from all cameras.
+    """Triangulate the joints of a trial from all cameras.
 
     Args:
-        adjust: whether the cameras are first put where the detector's own points agree best
-            (`multi_view.adjust_cameras`); otherwise they stay as the file has them.
+        trial: of `read_trial`. skeleton: names the joints.
+        adjust: adjust the camera poses first (`multi_view.adjust_cameras`); otherwise use those of the file.
 
     Raises:
-        RtofError: a joint is never seen by two cameras.
+        RtofError: a joint is never observed by two cameras.
     """
     before = [view.camera for view in trial.views]
     uv, weight = (np.stack([getattr(v, field) for v in trial.views]) for field in ("uv_px", "weight"))
@@ -84,14 +84,14 @@ def triangulated(trial: Trial, skeleton: SkeletonModel, adjust: bool) -> Truth:
 
 
 def measured_bones(truth: Truth, skeleton: SkeletonModel) -> dict[str, float]:
-    """Child joint -> median distance from its parent in the triangulation, m."""
+    """Return the median bone lengths of the triangulation, m, by child joint."""
     p, parents = truth.poses.p_world_joint, list(skeleton.parents[1:])
     length = np.median(np.linalg.norm(p[:, 1:] - p[:, parents], axis=-1), axis=0)
     return dict(zip(skeleton.names[1:], length.tolist(), strict=True))
 
 
 def _joints(trial: Trial, skeleton: SkeletonModel) -> tuple[Array, Array]:
-    """(C, T, J, 2) px and inverse variances (C, T, J) of the adapter's joints."""
+    """Return joints (C, T, J, 2), px, of the landmark regression and their inverse variances (C, T, J)."""
     uv, weight = [], []
     for view in trial.views:
         adapted = view.found.landmarks
@@ -105,7 +105,7 @@ def _joints(trial: Trial, skeleton: SkeletonModel) -> tuple[Array, Array]:
 def _smooth(
     cameras: Sequence[Camera], uv: Array, weight: Array, times: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Triangulated positions (T, J, 3), gaps interpolated, and which were seen (T, J)."""
+    """Return triangulated positions (T, J, 3), gaps interpolated, and which were observed (T, J)."""
     p, _ = triangulate(cameras, uv, weight)
     seen: NDArray[np.bool_] = np.asarray(np.isfinite(p).all(axis=-1))
     for j in np.flatnonzero(seen.any(axis=0)):
@@ -116,7 +116,7 @@ def _smooth(
 
 
 def _misfit_px(cameras: Sequence[Camera], uv: Array, weight: Array) -> list[float]:
-    """Each camera's median distance, px, of points from where the other cameras say that they are."""
+    """Return the median distance of each camera's points from the other cameras' triangulation, px."""
     out = []
     for c, camera in enumerate(cameras):
         others = [i for i in range(len(cameras)) if i != c]

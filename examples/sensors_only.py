@@ -1,7 +1,7 @@
-"""A real sensor trial, without any camera: ``python examples/sensors_only.py TRIAL PATH [OUT]``.
+"""Reconstruction of a sensor trial without a camera: ``python examples/sensors_only.py TRIAL PATH [OUT]``.
 
-TRIAL is a table of ``sensor_trials.toml``: which sensor sits where. PATH is what the sensors' maker
-wrote, a file or a folder. The person stands still for a second at the start; that calibrates the sensors.
+TRIAL is a table of ``sensor_trials.toml`` with the placement of the sensors, PATH the sensors' file or
+folder. The sensors are calibrated by the standing pose of a second or more at the start.
 """
 
 import sys
@@ -32,7 +32,7 @@ recording = Recording(trial, imus=ImuSequence.joined(log.imus()), calibration=fo
 result = reconstruct(recording, mode="imu")
 export(result, out, overwrite=True)
 draw(result, out / "figures" / "moving.png")
-print(f"{len(result.motion.times)} frames; pose held from {found.still[0]:.1f} to {found.still[1]:.1f} s")
-print(f"the root's place at the end: standard deviation {result.root_sigma[-1]:.2f} m per axis")
+print(f"{len(result.motion.times)} frames; pose from {found.still[0]:.1f} to {found.still[1]:.1f} s")
+print(f"root position at the end: standard deviation {result.root_sigma[-1]:.2f} m per axis")
 for warning in result.warnings:
     print("note:", warning)

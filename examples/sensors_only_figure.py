@@ -1,4 +1,4 @@
-"""The picture of the example without a camera: who moves how, where the root goes, how the knees bend."""
+"""Figure of the example without a camera: skeletons over time, root path, ankle heights, knee flexion."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FEET = ("LeftFoot", "RightFoot")
 
 
 def draw(result: Reconstruction, path: Path) -> None:
-    """Write the picture as PNG."""
+    """Write the figure as PNG."""
     poses, skeleton = result.motion.poses, result.motion.skeleton
     figure = Figure(figsize=(15, 11), layout="constrained", dpi=90)
     figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
@@ -40,7 +40,7 @@ def _color(name: str) -> str:
 
 
 def _skeletons(ax: Any, poses: PoseSequence, parents: tuple[int, ...], side: str, label: str) -> None:
-    """Skeletons one beside the other, each as seen from its own right side, or from its back."""
+    """Draw skeletons side by side, each seen from its right or from its back."""
     frames = np.linspace(0, len(poses) - 1, INSTANTS + 2).round().astype(int)[1:-1]
     for k, frame in enumerate(frames):
         axis = poses.R_world_bone[frame, 0, :, 0 if side == "side" else 1] * [1, 1, 0]

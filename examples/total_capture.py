@@ -1,6 +1,6 @@
 """The paper's protocol on Total Capture: ``python examples/total_capture.py --root DIR [...]``.
 
-The same as ``rtof-kin total-capture``; ``--help`` lists the options, the README says how to get the data.
+The same as ``rtof-kin total-capture``; ``--help`` lists the options, docs/datasets.md how to get the data.
 """
 
 import sys
