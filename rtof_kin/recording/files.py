@@ -94,7 +94,7 @@ def read_times(section: Section, path: Path, arrays: dict[str, Array], T: int) -
 def read_camera(section: Section) -> Camera:
     """The camera, by its matrices or by position, target and focal length."""
     width, height = section.integer("width_px"), section.integer("height_px")
-    distortion = section.optional_array("distortion", (5,))
+    distortion = section.array("distortion", (5,)) if section.has("distortion") else np.zeros(5)
     with naming(section.path):
         if section.has("position_m") or section.has("target_m"):
             position = section.array("position_m", (3,))
@@ -111,7 +111,7 @@ def read_camera(section: Section) -> Camera:
             t = section.array("t_camera_world_m", (3,))
         K = _intrinsics(section, width, height)
         assumed = section.optional_names("assumed") or ()
-        camera = Camera(K, R, t, width, height, distortion, assumed)  # type: ignore[arg-type]
+        camera = Camera(K, R, t, width, height, distortion, assumed)
     if K[0, 0] < _SHORTEST_FOCAL * width:
         field = "K" if section.has("K") else "focal_px"
         raise section.error(

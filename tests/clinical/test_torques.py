@@ -15,7 +15,7 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.gait import analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.torques import UNKNOWN, JointTorques, joint_torques, single_support
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError, ShapeError
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.data.poses import PoseSequence, Provenance
 
@@ -134,7 +134,7 @@ def test_without_a_weight_there_are_no_torques_and_it_is_said_why() -> None:
 
 @pytest.mark.parametrize("weight", [0.0, -70.0, 70_000.0, float("nan")])
 def test_a_weight_that_is_no_persons_is_refused(weight: float) -> None:
-    with pytest.raises(ShapeError, match="is no person's; give kilograms"):
+    with pytest.raises(InvalidInputError, match="is no person's; give kilograms"):
         joint_torques(held(), weight)
 
 

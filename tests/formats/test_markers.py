@@ -11,7 +11,7 @@ import ezc3d
 import numpy as np
 import pytest
 
-from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError, ShapeError
 from rtof_kin.formats.c3d import read_c3d, write_c3d
 from rtof_kin.formats.camera_toml import read_camera_toml
 from rtof_kin.formats.markers import MarkerSequence
@@ -55,9 +55,9 @@ def test_markers_are_missing_as_a_whole_and_finite_otherwise(markers: MarkerSequ
     p[0, 0, 1] = np.nan
     assert np.isnan(MarkerSequence(markers.times, markers.names, p).p_world[0, 0]).all()
     p[0, 0, 1] = np.inf
-    with pytest.raises(ShapeError, match="infinite; write NaN"):
+    with pytest.raises(InvalidInputError, match="infinite; write NaN"):
         MarkerSequence(markers.times, markers.names, p)
-    with pytest.raises(ShapeError, match="marker names: LASI stands there more than once"):
+    with pytest.raises(InvalidInputError, match="marker names: LASI .*more than once"):
         MarkerSequence(markers.times, ("LASI", "LASI", "C7"), markers.p_world)
     assert len(markers[2:5]) == 3
     assert markers.rate_hz == pytest.approx(50)
@@ -309,7 +309,7 @@ def test_what_a_model_derived_is_no_marker_and_a_point_without_a_label_gets_one(
         ({"Y_SCREEN": ""}, r"which axis points up \(POINT:Y_SCREEN\); declare it, e.g. up='z'"),
         ({"RATE": 0.0}, "POINT:RATE is 0 frames"),
         ({"FRAMES": 200}, "announces 200 frames and holds 14; it is damaged or was cut off"),
-        ({"LABELS": ["A", "A"]}, "A stands there more than once"),
+        ({"LABELS": ["A", "A"]}, "A .*more than once"),
         ({"DATA_START": 1}, "2 points that begin in block 1"),
     ],
 )

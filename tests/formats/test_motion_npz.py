@@ -200,7 +200,7 @@ def test_an_array_that_is_missing_is_named(path: Path, name: str) -> None:
     ("singular", np.zeros((12, 3), dtype=bool), r"singular: expected shape \(12, 21\)"),
     ("provenance", np.zeros(12), "provenance: expected shape"),
     ("names", np.array("Hips"), "names"),
-    ("names", np.array(["Hips"] * 21), "Hips stands there more than once"),
+    ("names", np.array(["Hips"] * 21), "Hips .*more than once"),
     ("dof_names", np.array(["a"]), "q: expected shape"),
     ("schema_version", np.array("one"), "invalid literal"),
     ("first_frame", np.arange(3), ""),

@@ -9,7 +9,7 @@ import pytest
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError, ShapeError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.opensim_coordinates import coordinate_values, coordinates
 
@@ -87,5 +87,5 @@ def test_a_name_that_stands_twice_in_the_table_is_refused(skeleton: SkeletonMode
     joints = list(skeleton.table.joints)
     joints[2] = replace(joints[2], dofs=joints[1].dofs)
     table = replace(skeleton.table, joints=tuple(joints))
-    with pytest.raises(ShapeError, match="OpenSim coordinates: lumbar_bending.* more than once"):
+    with pytest.raises(InvalidInputError, match="OpenSim coordinates: lumbar_bending.* more than once"):
         coordinates(table)

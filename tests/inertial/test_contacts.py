@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Contacts, ContactSettings, Footholds, detect_contacts, footholds
@@ -111,13 +111,13 @@ def test_a_foothold_is_where_the_ankle_is_meanwhile_at_the_floor() -> None:
     [
         (lambda: ContactSettings(window=0.0), "window must be positive"),
         (lambda: Contacts(("LeftFoot",), np.zeros((5, 2))), r"expected shape \(T, 1\)"),
-        (lambda: Contacts(("LeftFoot", "LeftFoot"), np.zeros((5, 2))), "LeftFoot stands there more"),
+        (lambda: Contacts(("LeftFoot", "LeftFoot"), np.zeros((5, 2))), "LeftFoot .*more"),
         (lambda: Footholds(("LeftFoot",), np.full((5, 1, 3), np.inf)), "finite, or NaN as a whole"),
         (lambda: Footholds(("LeftFoot",), np.full((5, 1, 3), [0, 0, np.nan])), "NaN as a whole"),
     ],
 )
 def test_what_makes_no_sense_is_refused(make: object, message: str) -> None:
-    with pytest.raises(ShapeError, match=message):
+    with pytest.raises(InvalidInputError, match=message):
         make()  # type: ignore[operator]
 
 

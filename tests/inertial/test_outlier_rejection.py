@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.inertial.outlier_rejection import disagreeing, guarded_imus, without
@@ -157,5 +157,5 @@ def test_left_out_is_what_a_sensor_said_meanwhile_and_nothing_else() -> None:
 def test_a_fault_says_what_when_and_what_was_done() -> None:
     fault = StreamFault(FaultKind.STUCK, "L_LowArm", 1.0, 2.5)
     assert str(fault) == "L_LowArm, 1.00 to 2.50 s: the sensor repeated one sample; it was left out"
-    with pytest.raises(ShapeError, match="ends at 1 s, before 2 s"):
+    with pytest.raises(InvalidInputError, match="ends at 1 s, before 2 s"):
         StreamFault(FaultKind.STUCK, "L_LowArm", 2.0, 1.0)

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sensor_support import moved, read_as
 
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.plausibility import Check, Verdict
 from rtof_kin.data.imu_declaration import CHOICES, Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
@@ -232,9 +232,9 @@ def test_redeclaring_is_the_same_as_reading_again() -> None:
 
 
 def test_accelerations_made_with_an_orientation_are_undone_with_one() -> None:
-    with pytest.raises(ShapeError, match="were made with an orientation; give it"):
+    with pytest.raises(InvalidInputError, match="were made with an orientation; give it"):
         Declaration(gravity="removed").filed_acceleration(np.zeros((2, 3)))
-    with pytest.raises(ShapeError, match="wrist has no orientation to differentiate"):
+    with pytest.raises(InvalidInputError, match="wrist has no orientation to differentiate"):
         turning.rates_of_orientation(without(moved(), "R_inertial_sensor"))
 
 

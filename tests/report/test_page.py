@@ -20,7 +20,7 @@ from report_support import BROWSER, Page, certain_to, drawn_data, folder_of, ren
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import Finding
@@ -154,7 +154,7 @@ def test_a_weight_brings_torques(tmp_path: Path) -> None:
     text = Page(report(folder, weight_kg=70.0, made=TODAY)).text
     assert "right knee flexion RightLeg_y" in " ".join(text["torques"].split())
     assert "no weight" not in text["verdicts"]
-    with pytest.raises(ShapeError, match="mass: 7000 kg is no person's"):
+    with pytest.raises(InvalidInputError, match="mass: 7000 kg is no person's"):
         report(folder, weight_kg=7000.0)
 
 

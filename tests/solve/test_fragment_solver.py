@@ -12,7 +12,7 @@ import pytest
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.choices import SPACES
-from rtof_kin.core.errors import ShapeError, SolverError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, ShapeError, SolverError, UnknownNameError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
@@ -131,7 +131,7 @@ def test_poses_of_another_skeleton_are_refused(scene: Scene, solver: FragmentSol
 
 def test_joints_in_another_order_are_refused(scene: Scene, solver: FragmentSolver) -> None:
     names = (*scene.start.names[1:], scene.start.names[0])
-    with pytest.raises(ShapeError, match="start: need all joints, in this order: Hips, Spine, "):
+    with pytest.raises(InvalidInputError, match="start: need all joints, in this order: Hips, Spine, "):
         solver.solve(replace(scene.start, names=names), scene.seen)
 
 
@@ -170,7 +170,7 @@ def test_sensors_with_times_of_their_own_are_given_as_several_sequences(
     alone = later[3].resample(scene.start.times)
     np.testing.assert_array_equal(own.a_world[:, 3], alone.a_world[:, 0])
     for wrong in ([], [parts[0], parts[0]]):
-        with pytest.raises(ShapeError, match="there must be some, each of another segment"):
+        with pytest.raises(InvalidInputError, match="there must be some, each of another segment"):
             solver.solve(scene.start, scene.seen, wrong)
 
 
@@ -192,7 +192,7 @@ def test_uneven_frames_are_refused(scene: Scene, solver: FragmentSolver) -> None
 def test_a_person_behind_the_camera_is_refused_with_the_frame(scene: Scene, solver: FragmentSolver) -> None:
     p = np.array(scene.start.p_world_joint)
     p[7] += [8.0, 0.0, 0.0]
-    with pytest.raises(ShapeError, match="frame 7 is behind the camera or in it; check R_camera_world"):
+    with pytest.raises(InvalidInputError, match="frame 7 is behind the camera or in it; check R_camera_world"):
         solver.solve(replace(scene.start, p_world_joint=p), scene.seen)
 
 
@@ -204,7 +204,7 @@ def test_keypoints_of_nothing_in_the_skeleton_are_refused(scene: Scene, solver: 
 
 def test_a_camera_that_sees_one_line_is_refused(scene: Scene, solver: FragmentSolver) -> None:
     K = np.array([[1e3, 1e3, 960.0], [1e3, 1e3, 540.0], [0.0, 0.0, 1.0]])
-    with pytest.raises(ShapeError, match="camera K: singular"):
+    with pytest.raises(InvalidInputError, match="camera K: singular"):
         solver.solve(scene.start, replace(scene.seen, camera=replace(scene.seen.camera, K=K)))
 
 
