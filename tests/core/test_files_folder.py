@@ -103,7 +103,7 @@ def test_foreign_folders_files_and_links_are_never_replaced(tmp_path: Path, over
     (tmp_path / "link").symlink_to(tmp_path / "theirs")
     before = tree(tmp_path)
     for name, message in (
-        ("photos", r"photos: holds .* never replaced: cat\.jpg; move it"),
+        ("photos", r"photos: contains .* never replaced: cat\.jpg; move it"),
         ("file", "file: is a file; name a folder"),
         ("link", "link: is a link"),
         ("file/out", r"out: cannot be written .*choose another folder"),
@@ -182,7 +182,7 @@ def test_files_of_the_user_in_a_folder_are_named_and_kept(
     write(tmp_path / "out", "old")
     change(tmp_path / "out")
     before = tree(tmp_path)
-    with pytest.raises(OutputExistsError, match=f"out: holds .*: {named}; move it"):
+    with pytest.raises(OutputExistsError, match=f"out: contains .*: {named}; move it"):
         write(tmp_path / "out", overwrite=True)
     assert tree(tmp_path) == before
 
@@ -210,7 +210,7 @@ def test_file_deleted_by_the_user_does_not_prevent_replacement(tmp_path: Path) -
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_folder_that_appeared_meanwhile_is_kept(tmp_path: Path, overwrite: bool) -> None:
     with (
-        pytest.raises(OutputExistsError, match="out: holds .*: notes.txt"),
+        pytest.raises(OutputExistsError, match="out: contains .*: notes.txt"),
         new_folder(tmp_path / "out", MARKER, overwrite) as folder,
     ):
         (folder / MARKER).write_text("new")

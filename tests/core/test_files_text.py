@@ -71,7 +71,7 @@ def test_names_and_arrays_of_npz_and_npy_files(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.arange(3, dtype=np.int16))
     np.testing.assert_array_equal(read_npy(tmp_path / "a.npy"), [0.0, 1.0, 2.0])
     np.savez(tmp_path / "a.npz", b=np.array([1e300]))
-    with pytest.raises(FileFormatError, match=r"a\.npz: b: holds a number beyond 1e\+20"):
+    with pytest.raises(FileFormatError, match=r"a\.npz: b: contains a number beyond 1e\+20"):
         read_npz(tmp_path / "a.npz")
     for read in (npz_names, read_npz):
         with pytest.raises(FileFormatError, match="damaged, or no NPZ archive"):

@@ -214,7 +214,7 @@ def test_an_array_that_does_not_fit_is_refused_with_the_file(
 
 def test_pickled_objects_are_never_read(path: Path) -> None:
     changed(path, mode=np.array({"code": print}, dtype=object))
-    with pytest.raises(FileFormatError, match="mode: holds object.*pickled objects are never"):
+    with pytest.raises(FileFormatError, match="mode: has type object.*pickled objects are never"):
         read_motion_npz(path)
 
 

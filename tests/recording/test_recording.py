@@ -432,7 +432,7 @@ def test_truth_of_another_skeleton_is_refused() -> None:
         ("target_m = [0.0, 0.0, 1.0]", "", FileFormatError, "target_m: missing; add 3 numbers"),
         ("[0.0, 0.0, 1.0]", "[4.0, 0.6, 0.0]", FileFormatError, "target_m: straight above, below"),
         ("[0.0, 0.0, 1.0]", "[0.0, 1.0]", FileFormatError, r"expected 3 numbers, got shape \(2,\)"),
-        ("[0.0, 0.0, 1.0]", "[0.0, inf, 1.0]", FileFormatError, "holds a number that is not finite"),
+        ("[0.0, 0.0, 1.0]", "[0.0, inf, 1.0]", FileFormatError, "contains a number that is not finite"),
         ("[camera]", "[camera]\ndistorsion = [0]", UnknownNameError, "Did you mean 'distortion'"),
         ("[subject]", "[subject]\nheigth_m = 1", UnknownNameError, r"\[subject\] 'heigth_m'"),
         ("height_m = 1.80", "height_m = 180", FileFormatError, "no human height; give metres"),
@@ -573,7 +573,7 @@ def test_wrong_times_are_answered_with_the_sample(tmp_path: Path, times: np.ndar
         ({"R_inertial_sensor": np.ones((40, S, 3, 3))}, FileFormatError, "give one of quat_wxyz"),
         ({"quat_wxyz": None, "R_inertial_sensor": np.ones((40, S, 3, 3))}, FileFormatError,
          r"imus\.npz: IMU R_inertial_sensor: not a rotation matrix at index \(0, 0\)"),
-        ({"f_sensor": FORCE / 9.81}, UnitError, r"imus\.npz: IMU L_UpArm: .* in g; multiply by 9\.81"),
+        ({"f_sensor": FORCE / 9.81}, UnitError, r"imus\.npz: IMU L_UpArm: .* in g; multiply by 9\.80665"),
         ({"f_sensor": FORCE * 0}, UnitError, r"imus\.npz: .* gravity was removed"),
         ({"f_sensor": FORCE * 1000}, UnitError, r"imus\.npz: .* not milli-g or raw counts"),
         ({"f_sensor": with_value(FORCE, (3, 1), np.inf)}, FileFormatError, "infinite; write NaN"),
@@ -631,7 +631,7 @@ def npy_bytes(array: np.ndarray) -> bytes:
 
 def test_pickled_objects_are_refused_and_not_run(tmp_path: Path) -> None:
     write(tmp_path, keypoints={"uv_px": np.array([Bomb()], dtype=object)})
-    with pytest.raises(FileFormatError, match=r"uv_px: holds object, .* objects are never read"):
+    with pytest.raises(FileFormatError, match=r"uv_px: has type object, .* objects are never read"):
         Recording.load(tmp_path)
 
 
@@ -662,7 +662,7 @@ def test_a_flipped_byte_in_an_archive_is_said_to_be_damaged(tmp_path: Path) -> N
         (npz_bytes(uv_px=npy_bytes(UV)[:-8]), "uv_px: damaged, 4024 of 4032"),
         (npz_bytes(uv_px=npy_bytes(UV).replace(b"(12, 21, 2)", b"(92, 21, 2)")), "needs 30912 bytes"),
         (npz_bytes(uv_px=npy_bytes(UV) + bytes(8)), "uv_px: damaged, 4040 of 4032"),
-        (npz_bytes(uv_px=npy_bytes(np.array(["a", "b"]))), "uv_px: holds <U1, not numbers"),
+        (npz_bytes(uv_px=npy_bytes(np.array(["a", "b"]))), "uv_px: has type <U1, not numbers"),
     ],
 )
 def test_bytes_that_are_no_archive_of_numbers_are_refused(
@@ -741,7 +741,7 @@ def test_a_recording_with_somebody_elses_files_beside_it_is_not_replaced(tmp_pat
     recording = full_recording()
     recording.save(tmp_path / "take")
     (tmp_path / "take" / "video.mp4").write_text("the only copy")
-    with pytest.raises(OutputExistsError, match=r"take: holds .*: video\.mp4; move it"):
+    with pytest.raises(OutputExistsError, match=r"take: contains .*: video\.mp4; move it"):
         recording.save(tmp_path / "take", overwrite=True)
     assert (tmp_path / "take" / "video.mp4").exists()
 

@@ -180,7 +180,7 @@ def test_what_stands_there_is_kept_unless_overwriting_is_asked_for(
     export(result, tmp_path / "out", figures=False)
     (tmp_path / "out" / "note").write_text("mine")
     for overwrite in (False, True):
-        with pytest.raises(OutputExistsError, match="out: holds .*: note; move it elsewhere"):
+        with pytest.raises(OutputExistsError, match="out: contains .*: note; move it elsewhere"):
             export(result, tmp_path / "out", overwrite=overwrite, figures=False)
     assert (tmp_path / "out" / "note").read_text() == "mine"
     (tmp_path / "out" / "note").unlink()
@@ -193,7 +193,7 @@ def test_what_stands_there_is_kept_unless_overwriting_is_asked_for(
 def test_a_folder_of_other_things_is_never_replaced(result: Reconstruction, tmp_path: Path) -> None:
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "letter").write_text("dear")
-    with pytest.raises(OutputExistsError, match="home: holds .* never replaced: letter"):
+    with pytest.raises(OutputExistsError, match="home: contains .* never replaced: letter"):
         export(result, tmp_path / "home", overwrite=True, figures=False)
     assert (tmp_path / "home" / "letter").read_text() == "dear"
 
