@@ -6,7 +6,7 @@ A format has a declaration, which the user may change. `rtof_kin.inertial.physic
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Any, Final, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,21 @@ from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
-CHOICES: dict[str, tuple[str, ...]] = {
-    "acceleration_unit": ("m/s2", "g", "mg"),
-    "gravity": ("included", "removed"),
-    "acceleration_axes": ("sensor", "inertial"),
-    "angular_unit": ("rad/s", "deg/s"),
-    "quaternion_order": ("wxyz", "xyzw"),
-    "orientation_maps": ("sensor to inertial", "inertial to sensor"),
-    "inertial_axes": ("z up", "z down", "y up"),
+AccelerationUnit = Literal["m/s2", "g", "mg"]
+Gravity = Literal["included", "removed"]
+AccelerationAxes = Literal["sensor", "inertial"]
+AngularUnit = Literal["rad/s", "deg/s"]
+QuaternionOrder = Literal["wxyz", "xyzw"]
+OrientationMaps = Literal["sensor to inertial", "inertial to sensor"]
+InertialAxes = Literal["z up", "z down", "y up"]
+CHOICES: Final[dict[str, tuple[str, ...]]] = {
+    "acceleration_unit": get_args(AccelerationUnit),
+    "gravity": get_args(Gravity),
+    "acceleration_axes": get_args(AccelerationAxes),
+    "angular_unit": get_args(AngularUnit),
+    "quaternion_order": get_args(QuaternionOrder),
+    "orientation_maps": get_args(OrientationMaps),
+    "inertial_axes": get_args(InertialAxes),
 }
 """Values of each field of `Declaration` except the rate."""
 _METRES = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY / 1000}
@@ -40,16 +47,16 @@ _UPRIGHT: dict[str, Array] = {
 class Declaration:
     """Units and conventions of a file. The defaults are those of this package."""
 
-    acceleration_unit: str = "m/s2"
-    gravity: str = "included"
+    acceleration_unit: AccelerationUnit = "m/s2"
+    gravity: Gravity = "included"
     """'included': 9.81 upwards at rest. 'removed': 0 at rest."""
-    acceleration_axes: str = "sensor"
+    acceleration_axes: AccelerationAxes = "sensor"
     """Axes of accelerations; 'inertial': those of the sensor's own reference."""
-    angular_unit: str = "rad/s"
-    quaternion_order: str = "wxyz"
-    orientation_maps: str = "sensor to inertial"
+    angular_unit: AngularUnit = "rad/s"
+    quaternion_order: QuaternionOrder = "wxyz"
+    orientation_maps: OrientationMaps = "sensor to inertial"
     """Direction of the orientation; 'sensor to inertial' is R_inertial_sensor."""
-    inertial_axes: str = "z up"
+    inertial_axes: InertialAxes = "z up"
     """'z up': ENU, NWU. 'z down': NED. 'y up': as in computer graphics."""
     rate_hz: float | None = None
     """Sampling rate, Hz; None: from time stamps or the header."""
