@@ -22,7 +22,7 @@ _VOID = {"meta", "input", "br"}
 
 
 def folder_of(motion: MotionSequence, folder: Path, **facts: Any) -> Path:
-    """What a report reads of a reconstruction; `facts` stand in its summary."""
+    """A folder with the files that a report reads; `facts` are added to its summary."""
     folder.mkdir(parents=True)
     write_motion_npz(folder / "motion.npz", motion, mode="rtof")
     summary = {"recording": "walk", "mode": "rtof", "acknowledgement": "", "inputs": {}, "audit": []}
@@ -31,7 +31,7 @@ def folder_of(motion: MotionSequence, folder: Path, **facts: Any) -> Path:
 
 
 def certain_to(degrees: float, motion: MotionSequence) -> Confidence:
-    """A confidence in which every angle's turn is known to so much per axis."""
+    """A confidence with the same orientation sigma for every segment."""
     T, names = len(motion.times), motion.skeleton.names
     pairs = tuple((j.parent, j.child) for j in angle_table(motion.skeleton.table).joints)
     pairs = tuple(dict.fromkeys(pairs))
@@ -41,7 +41,7 @@ def certain_to(degrees: float, motion: MotionSequence) -> Confidence:
 
 
 class Page(HTMLParser):
-    """A page taken apart: its text by the id of the section, its tables, and tags that do not close."""
+    """A parsed page: text by section id, attributes, and unbalanced tags."""
 
     def __init__(self, html: str) -> None:
         super().__init__()
@@ -74,14 +74,14 @@ class Page(HTMLParser):
 
 
 def drawn_data(html: str) -> Any:
-    """What the page's script draws."""
+    """Data that the script of a page draws."""
     found = re.search(r'<script id="data" type="application/json">(.*?)</script>', html, re.DOTALL)
     assert found is not None
     return json.loads(found.group(1))
 
 
 def rendered(page: Path, profile: Path) -> str:
-    """The page as a headless browser has it after its script has run."""
+    """The page in a headless browser after its script has run."""
     assert BROWSER is not None
     done = subprocess.run(
         [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={profile}",
