@@ -224,6 +224,11 @@ def _motion_file(path: Path) -> object:
     return write_motion_npz(path, motion())
 
 
+def recording(folder: Path) -> None:
+    """Save a recording in ``folder/take``."""
+    _take(folder / "take")
+
+
 def _take(path: Path) -> object:
     return planted.recording(planted.moving(SKELETON, 12)).save(path)
 
