@@ -223,7 +223,7 @@ def test_zip_bombs_are_not_unpacked(reader: Reader, name: str, tmp_path: Path, p
     (tmp_path / name).write_bytes(bomb)
     assert len(bomb) < 2**20
     refused_cheaply(reader, tmp_path)
-    with pytest.raises(FileFormatError, match="as no recording of anything does; not opened"):
+    with pytest.raises(FileFormatError, match="no recording .*not opened"):
         reader.read(tmp_path)
 
 
