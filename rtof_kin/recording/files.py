@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import (
-    CalibrationError, FileFormatError, InvalidInputError, ShapeError, UnitError, UnknownNameError,
+    CalibrationError,
+    FileFormatError,
+    InvalidInputError,
+    ShapeError,
+    UnitError,
+    UnknownNameError,
 )
 from rtof_kin.core.files.arrays import read_csv, read_npz
 from rtof_kin.core.files.folder import path_inside
