@@ -34,9 +34,7 @@ class Camera:
     """Assumed, not measured, properties in words, e.g. 'focal length', 'pose'."""
 
     def __post_init__(self) -> None:
-        freeze(
-            self, "camera", K=(3, 3), R_camera_world=(3, 3), t_camera_world=(3,), distortion=(5,)
-        )  # fmt: skip
+        freeze(self, "camera", K=(3, 3), R_camera_world=(3, 3), t_camera_world=(3,), distortion=(5,))
         if not so3.is_rotation(self.R_camera_world, tolerance=1e-4):
             raise InvalidInputError("camera R_camera_world: not a rotation matrix")
         regular = self.K[0, 0] * self.K[1, 1] - self.K[0, 1] * self.K[1, 0] > 0

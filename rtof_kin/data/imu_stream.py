@@ -46,10 +46,11 @@ class SensorStream:
         set_(self, "times", checked_times(f"{where} times", self.times))
         set_(self, "notes", tuple(self.notes))
         T = len(self.times)
-        freeze(
-            self, where, f_sensor=(T, 3), R_inertial_sensor=(T, 3, 3), w_sensor=(T, 3), m_sensor=(T, 3),
-            quaternion_norm=(T,),
-        )  # fmt: skip
+        shapes: dict[str, tuple[int, ...]] = {
+            "f_sensor": (T, 3), "R_inertial_sensor": (T, 3, 3), "w_sensor": (T, 3), "m_sensor": (T, 3),
+            "quaternion_norm": (T,),
+        }  # fmt: skip
+        freeze(self, where, **{n: shape for n, shape in shapes.items() if getattr(self, n) is not None})
 
     def __len__(self) -> int:
         return len(self.times)
