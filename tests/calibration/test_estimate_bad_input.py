@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
-from rtof_kin.core.errors import CalibrationError, FileFormatError, ShapeError
+from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
 from rtof_kin.recording.recording import Recording
@@ -159,16 +159,16 @@ def test_two_sensors_with_one_name_are_refused() -> None:
     assert imus is not None
     assert calibration is not None
     first, _, *others = calibration.sensors
-    with pytest.raises(ShapeError, match=f"{first}.* stands there more than once"):
+    with pytest.raises(InvalidInputError, match=f"{first}.* .*more than once"):
         ImuSequence.joined([imus, imus])
-    with pytest.raises(CalibrationError, match=f"sensor {first} stands there more than once"):
+    with pytest.raises(CalibrationError, match=f"sensor: {first} .*more than once"):
         replace(calibration, sensors=(first, first, *others))
-    with pytest.raises(CalibrationError, match="segment LeftArm stands there more than once"):
+    with pytest.raises(CalibrationError, match="segment: LeftArm .*more than once"):
         replace(calibration, joints=("LeftArm", "LeftArm", *calibration.joints[2:]))
 
 
 @pytest.mark.parametrize("old, new, message", [
-    ('"imu_RightArm",', '"imu_LeftArm",', r"imus\.npz: IMU names: imu_LeftArm stands there more"),
+    ('"imu_RightArm",', '"imu_LeftArm",', r"imus\.npz: IMU names: imu_LeftArm .*more"),
     ("[imus.sensors.imu_RightArm]", "[imus.sensors.imu_LeftArm]", r"recording\.toml.*imu_LeftArm.*twice"),
 ])  # fmt: skip
 def test_two_sensors_with_one_name_in_a_file_are_refused(

@@ -345,4 +345,4 @@ def test_sensors_are_enough_for_mode_imu(
     (scores,) = (line for line in told.splitlines() if "imu " in line[:6])
     assert scores in again
     for text in (told, again):
-        assert "mode imu knows no place: estimate and truth are moved to begin together" in text
+        assert "the estimate is shifted to start at the truth" in text

@@ -18,7 +18,7 @@ from lifting.source import Source
 from lifting.threads import torch_threads
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.resources import LIFTERS, model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
@@ -328,7 +328,7 @@ def test_offsets_that_are_no_humans_are_refused(
 
 
 def test_a_floor_above_the_camera_is_refused(lifter: Lifter, keypoints: KeypointSequence) -> None:
-    with pytest.raises(ShapeError, match="the camera is 0.50 m below the floor"):
+    with pytest.raises(InvalidInputError, match="the camera is 0.50 m below the floor"):
         lifter.predict(keypoints, floor_height=2.0)
 
 

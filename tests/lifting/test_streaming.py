@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lifting import streaming as module
 from lifting.predict import LiftedPoses, Lifter
 from lifting.streaming import StreamedPose, StreamingLifter
-from rtof_kin.core.errors import RtofError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, RtofError, ShapeError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -288,9 +288,9 @@ def test_what_is_wrong_is_refused_and_leaves_no_trace(
 
 
 def test_a_setting_that_cannot_be_is_refused(causal: Lifter, camera: Camera) -> None:
-    with pytest.raises(ShapeError, match="5 of the landmarks are joints that the lifter knows"):
+    with pytest.raises(InvalidInputError, match="5 of the landmarks are joints that the lifter knows"):
         StreamingLifter(causal, camera, names=(*causal.names[:5], "Nose"))
-    with pytest.raises(ShapeError, match="below the floor"):
+    with pytest.raises(InvalidInputError, match="below the floor"):
         StreamingLifter(causal, camera, floor_height=2.0)
-    with pytest.raises(ShapeError, match="are no human's"):
+    with pytest.raises(InvalidInputError, match="are no human's"):
         StreamingLifter(causal, camera, OFFSETS * 1000)

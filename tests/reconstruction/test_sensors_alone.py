@@ -196,7 +196,7 @@ def test_scores_do_not_count_where_the_first_frame_is(walk: MotionSequence) -> N
     assert there.metrics is not None
     assert there.metrics["mpjpe_mm"] == pytest.approx(here.metrics["mpjpe_mm"], rel=1e-9)
     figure = skeletons(there)
-    assert "estimate and truth are moved to begin together" in figure.get_suptitle()
+    assert "the estimate is shifted to start at the truth" in figure.get_suptitle()
     lines = [line for line in figure.axes[0].lines if line.get_color() == TRUTH]
     assert np.abs([line.get_xydata() for line in lines]).max() < 1.0
 

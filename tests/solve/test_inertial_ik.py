@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, ShapeError, UnknownNameError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
@@ -333,7 +333,7 @@ def test_poses_of_another_skeleton_are_refused_by_name() -> None:
 
 def test_joints_in_another_order_are_refused(lifted: PoseSequence) -> None:
     names = (*lifted.names[1:], lifted.names[0])
-    with pytest.raises(ShapeError, match="poses: need all joints, in this order: Hips, Spine, "):
+    with pytest.raises(InvalidInputError, match="poses: need all joints, in this order: Hips, Spine, "):
         refine(replace(lifted, names=names))
 
 

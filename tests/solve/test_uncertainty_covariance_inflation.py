@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.solve.joint_space.covariance import segment_pairs
 from rtof_kin.solve.uncertainty.covariance_inflation import (
@@ -117,11 +117,11 @@ def test_a_lifter_in_doubt_raises_floors_where_no_sensor_holds() -> None:
         ({"lasting": 1.1}, r"lasting: 1.1 is not in \[0, 1\]"),
         ({"lasting": np.nan}, "lasting: nan is not"),
         ({"torso_sigma": 0.0}, "torso_sigma: 0.0 must be positive"),
-        ({"sensors": ("Hips", "Hips")}, "sensors: Hips stands there more than once"),
+        ({"sensors": ("Hips", "Hips")}, "sensors: Hips .*more than once"),
     ],
 )
 def test_circumstances_that_cannot_be_are_refused(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises(ShapeError, match=message):
+    with pytest.raises(InvalidInputError, match=message):
         ResidualStatistics(**wrong)
 
 

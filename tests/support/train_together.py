@@ -1,6 +1,6 @@
 """Trainings of a tiny lifter into a folder, for `test_lifting_distributed`: alone, or under ``torchrun``.
 
-Each process writes what it was told and the first windows that it drew.
+Each process writes its reports and its first windows.
 """
 
 from __future__ import annotations
