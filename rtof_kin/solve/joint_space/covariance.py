@@ -1,14 +1,15 @@
-"""How well a fragment's solution is known: covariances of its states, and what they say of poses.
+"""Covariances of a fragment's states, and of the poses that follow from them.
 
-At the optimum the Gauss-Newton Hessian is the inverse covariance of all states of the fragment, as far
-as residuals are worth what their weights say. Of its inverse only the diagonal blocks are made, by frame
-(`banded.inverse_diagonal`): what is known of one frame whatever the others are. Robust losses count with
-the weight they have there, and a limit that pushes holds its angle to a degree.
+At the optimum the Gauss-Newton Hessian is the inverse covariance of all states of the fragment, as far as
+the weights are right. Only the diagonal blocks of its inverse are computed, the marginal covariance of
+each frame (`banded.inverse_diagonal`). Robust losses count with their weight at the optimum, and an active
+limit holds its angle to a degree.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +25,18 @@ from rtof_kin.solve.energy.jerk import LAGS
 from rtof_kin.solve.energy.state import StateSpace
 
 Array = NDArray[np.float64]
-_DAMPING = 1e-6
-"""Of the Hessian: a root of which nothing is known is known to a kilometre, which is nothing."""
-_NOWHERE = 3.0
-"""[m] of a position whose standard deviation is larger, nobody knows anything."""
+_DAMPING: Final = 1e-6
+"""Added to the Hessian's diagonal: an unobserved root gets a sigma of 1 km."""
+_NOWHERE: Final = 3.0
+"""[m] Standard deviation above which a position counts as unknown."""
 
 
 def state_covariances(problem: FragmentEnergy, solver: LevenbergMarquardt, solved: Solved) -> Array:
-    """(N, D, D) of the states' tangents in every frame; NaN where the Hessian does not tell."""
+    """Return the covariances (N, D, D) of the states' tangents; NaN where the Hessian is singular.
+
+    Args:
+        problem: with the fragment bound to it. solver: of that problem. solved: its solution.
+    """
     N, D = len(solved.x), problem.space.size
     solver.linearise(solved.x, solved.multipliers)
     try:
@@ -44,21 +49,23 @@ def state_covariances(problem: FragmentEnergy, solver: LevenbergMarquardt, solve
 
 
 def blended(earlier: Array, later: Array, share: Array) -> Array:
-    """Covariances (T, D, D) of states blended from two fragments; where one is NaN, the other's.
+    """Return the covariances of states blended from two fragments; where one is NaN, the other's.
 
-    Both fragments have the same data, so their errors are no independent draws: the weighted mean of the
-    two covariances is what the blend's can be at most, however they are correlated.
+    The weighted mean is an upper bound for errors that are correlated in any way.
 
     Args:
-        share: (T,) of the later one in the blend.
+        earlier, later: (T, D, D). share: (T,) weight of the later one in the blend.
     """
     mean = (1 - share)[:, None, None] * earlier + share[:, None, None] * later
     return np.where(np.isnan(earlier), later, np.where(np.isnan(later), earlier, mean))
 
 
 def segment_pairs(skeleton: SkeletonModel) -> tuple[tuple[str, str], ...]:
-    """Pairs of segments of a `Confidence`: each against the world, against its parent, and against the
-    nearest segment above that usually carries a sensor (upper arm in trunk, trunk in pelvis).
+    """Return the pairs of segments of a `Confidence`: each with the world, with its parent, and with the
+    nearest ancestor that usually carries a sensor (upper arm with trunk, trunk with pelvis).
+
+    Args:
+        skeleton: the body.
     """
     names, parents = skeleton.names, skeleton.parents
     carriers = {joint for joint, _ in skeleton.sensors.values()}
@@ -73,10 +80,11 @@ def segment_pairs(skeleton: SkeletonModel) -> tuple[tuple[str, str], ...]:
 def confidence_of(
     space: StateSpace, times: Array, x: Array, covariance: Array, held: Collection[str] = ()
 ) -> Confidence:
-    """What covariances (T, D, D) of states x (T, 3 + 4A) say of positions and orientations.
+    """Return the covariances of positions and orientations.
 
     Args:
-        held: joints of the space that nothing turns.
+        space: state space. times: (T,) s. x: (T, 3 + 4A) states. covariance: (T, D, D) of their tangents.
+        held: joints of the space with a fixed orientation.
     """
     skeleton, (p, R) = space.skeleton, space.poses(x)
     moves, turns = _rates(space, p, R)
@@ -95,7 +103,7 @@ def confidence_of(
 
 
 def _covariance(J: Array, covariance: Array) -> Array:
-    """(T, n, 3, 3) of n vectors with derivatives J (T, n, 3, D) by what has a covariance (T, D, D)."""
+    """Covariances (T, n, 3, 3) of n vectors with derivatives J (T, n, 3, D)."""
     T, n, _, D = J.shape
     JC = (J.reshape(T, n * 3, D) @ covariance).reshape(J.shape)
     out = JC @ np.swapaxes(J, -1, -2)
@@ -103,8 +111,8 @@ def _covariance(J: Array, covariance: Array) -> Array:
 
 
 def _rates(space: StateSpace, p: Array, R: Array) -> tuple[Array, Array]:
-    """Derivatives (T, J, 3, D) of joints' positions (T, J, 3) and of small turns of their segments
-    (T, J, 3, 3), in world, by a state's tangent.
+    """Derivatives (T, J, 3, D) of positions p (T, J, 3) and of rotation vectors of segments R in world by a
+    state's tangent.
     """
     parents, joints = space.skeleton.parents, np.array(space.joints)
     widths = np.where(space.hinge_axis < 0, 3, 1)
