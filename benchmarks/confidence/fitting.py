@@ -17,8 +17,8 @@ from rtof_kin.solve.uncertainty.covariance_inflation import (
     SEEN,
     CovarianceInflation,
     Widening,
-    correlated_factor_rate,
     correlated_factor,
+    correlated_factor_rate,
     seen_by,
     unsided,
 )

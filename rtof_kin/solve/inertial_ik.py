@@ -129,7 +129,7 @@ class InertialGuidedIK:
         return R
 
     def _observed(self, joint: int, p: Array, R_seen: Array, R_positions: Array) -> Array:
-        """Observed orientation (T, 3, 3) of a segment, averaged with that from positions for several bones."""
+        """Observed orientation (T, 3, 3) of a segment, averaged with positions for several bones."""
         if len(kinematics.children_of(self.skeleton.parents, joint)) > 1:
             return so3.nearest_rotation(R_seen + R_positions)
         return self._swung(joint, p, R_seen)

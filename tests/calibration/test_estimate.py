@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration, Verdict
-from rtof_kin.core.errors import CalibrationError, ShapeError
+from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.consistency_checks import consistency_warnings
 from rtof_kin.recording.recording import Recording
@@ -220,7 +220,7 @@ def test_a_video_that_sees_nobody_is_refused() -> None:
     {"sigma_delay": 0.0}, {"sigma_twist": -1.0}, {"rounds": 0}, {"overcount": np.nan},
 ])  # fmt: skip
 def test_priors_that_are_none_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ShapeError, match=f"{next(iter(wrong))} is .*positive, finite"):
+    with pytest.raises(InvalidInputError, match=f"{next(iter(wrong))} is .*positive, finite"):
         CalibrationPriors(**wrong)
 
 

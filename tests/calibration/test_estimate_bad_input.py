@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
-from rtof_kin.core.errors import CalibrationError, FileFormatError, ShapeError
+from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
 from rtof_kin.recording.recording import Recording
@@ -159,7 +159,7 @@ def test_two_sensors_with_one_name_are_refused() -> None:
     assert imus is not None
     assert calibration is not None
     first, _, *others = calibration.sensors
-    with pytest.raises(ShapeError, match=f"{first}.* stands there more than once"):
+    with pytest.raises(InvalidInputError, match=f"{first}.* stands there more than once"):
         ImuSequence.joined([imus, imus])
     with pytest.raises(CalibrationError, match=f"sensor {first} stands there more than once"):
         replace(calibration, sensors=(first, first, *others))

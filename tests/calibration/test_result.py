@@ -24,8 +24,8 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import (
     CalibrationError,
     FileFormatError,
+    InvalidInputError,
     OutputExistsError,
-    ShapeError,
     UnknownNameError,
 )
 from rtof_kin.recording.recording import Recording
@@ -203,7 +203,7 @@ def test_what_was_not_estimated_is_not_there() -> None:
     ({"known": 1.5}, "known is 1.5"),
 ])  # fmt: skip
 def test_quantities_that_are_none_are_refused(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises((ShapeError, UnknownNameError), match=message):
+    with pytest.raises((InvalidInputError, UnknownNameError), match=message):
         replace(quantity("delay", "video", 0.1), **wrong)
 
 

@@ -44,7 +44,7 @@ def test_the_gradient_of_a_kind_is_that_of_finite_differences(kind: str) -> None
     shared.begin()
     y = some_unknowns(shared)
     x = shared.states(0)
-    gradient = shared.border(shared.corrected(y), 0, x, y).gradient
+    gradient = shared.unknowns_hessian(shared.corrected(y), 0, x, y).gradient
     numeric = by_differences(shared, y, 0, x)
     np.testing.assert_allclose(gradient, numeric, rtol=1e-5, atol=1e-5 * np.abs(numeric).max())
 
@@ -55,7 +55,7 @@ def test_the_gradient_by_a_delay_is_that_of_the_sensors_motion() -> None:
     shared.begin()
     y = np.array([0.004, 0.001])
     x = shared.states(0)
-    gradient = shared.border(shared.corrected(y), 0, x, y).gradient
+    gradient = shared.unknowns_hessian(shared.corrected(y), 0, x, y).gradient
     numeric = by_differences(shared, y, 0, x)
     np.testing.assert_allclose(gradient, numeric, rtol=0.3, atol=0.3 * np.abs(numeric).max())
 
@@ -66,7 +66,7 @@ def test_the_gradient_of_all_kinds_together_is_that_of_finite_differences() -> N
     shared.begin()
     y = some_unknowns(shared)
     x = shared.states(12)
-    gradient = shared.border(shared.corrected(y), 12, x, y).gradient
+    gradient = shared.unknowns_hessian(shared.corrected(y), 12, x, y).gradient
     numeric = by_differences(shared, y, 12, x)
     for part in shared.columns:
         np.testing.assert_allclose(
@@ -83,13 +83,13 @@ def test_columns_and_corner_are_derivatives_of_the_gradients_where_residuals_van
     shared.begin()
     space, y = shared.data.space, np.zeros(len(shared.prior))
     x = space.from_poses(truth.poses.p_world_joint[:12, 0], truth.poses.R_world_bone[:12])
-    border = shared.border(shared.corrected(y), 0, x, y)
+    border = shared.unknowns_hessian(shared.corrected(y), 0, x, y)
     rng = np.random.default_rng(1)
     direction = np.sqrt(np.diag(np.linalg.inv(shared.prior))) * rng.normal(size=len(y)) * 1e-4
 
     def gradients(y: Array) -> tuple[Array, Array]:
         evidence = shared.corrected(y)
-        by_y = shared.border(evidence, 0, x, y).gradient
+        by_y = shared.unknowns_hessian(evidence, 0, x, y).gradient
         return shared.bound(evidence, 0).gradient(x), by_y
 
     (x_up, y_up), (x_down, y_down) = gradients(direction), gradients(-direction)

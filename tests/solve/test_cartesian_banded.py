@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.numerics import c_compiler as compiled
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.data.imu import BoneImuSequence
@@ -652,9 +652,9 @@ def test_joints_that_start_on_one_spot_have_no_distance_to_derive_and_fail() -> 
 def test_bone_lengths_as_constraints_need_ipopt() -> None:
     message = "bone_lengths 'constraint' needs backend 'ipopt', or take 'weighted'"
     constraint = replace(GIVEN, bone_lengths="constraint")
-    with pytest.raises(ShapeError, match=message):
+    with pytest.raises(InvalidInputError, match=message):
         Inspected("realtime", constraint)
-    with pytest.raises(ShapeError, match=message):
+    with pytest.raises(InvalidInputError, match=message):
         BandedProblem(problem_of(constraint))
-    with pytest.raises(ShapeError, match="backend: 'quick' is none of ipopt, realtime"):
+    with pytest.raises(InvalidInputError, match="backend: 'quick' is none of ipopt, realtime"):
         Inspected("quick")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.solve.cartesian.problem import TERMS, FragmentProblem, fragment_problem, rigid_pairs
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 
@@ -269,7 +269,7 @@ def test_rigid_pairs_keep_their_distance_in_any_motion_and_all_others_do_not() -
     ({"max_iterations": -1}, "max_iterations not negative"),
 ])  # fmt: skip
 def test_settings_that_mean_nothing_are_refused(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(ShapeError, match=message):
+    with pytest.raises(InvalidInputError, match=message):
         replace(CartesianSettings(), **change)
 
 
@@ -279,7 +279,7 @@ def test_settings_that_mean_nothing_are_refused(change: dict[str, Any], message:
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
 def test_a_sigma_that_is_not_positive_is_refused(field: str, value: float) -> None:
     change: dict[str, Any] = {field: value}
-    with pytest.raises(ShapeError, match=f"{field} must be positive"):
+    with pytest.raises(InvalidInputError, match=f"{field} must be positive"):
         replace(CartesianSettings(), **change)
 
 

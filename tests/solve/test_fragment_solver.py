@@ -12,7 +12,7 @@ import pytest
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.choices import SPACES
-from rtof_kin.core.errors import ShapeError, SolverError, UnknownNameError, ViewError
+from rtof_kin.core.errors import InvalidInputError, SolverError, UnknownNameError, ViewError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
@@ -82,7 +82,7 @@ def test_the_settings_choose_the_space_and_the_space_its_settings(space: str) ->
 def test_settings_of_the_other_space_are_refused(space: str) -> None:
     other = QUICK["cartesian" if space == "joint" else "joint"]
     wrong = f"settings: {type(other).__name__} are not those of space '{space}'"
-    with pytest.raises(ShapeError, match=wrong):
+    with pytest.raises(InvalidInputError, match=wrong):
         FragmentSolver(BODY, 8, other, space=space)
 
 
@@ -92,13 +92,13 @@ def test_an_unknown_space_is_refused_with_the_ones_there_are() -> None:
 
 
 def test_a_skeleton_without_a_prior_has_no_joint_space() -> None:
-    with pytest.raises(ShapeError, match="no pose prior is shipped for 'human36m'; use 'cartesian'"):
+    with pytest.raises(InvalidInputError, match="no pose prior is shipped for 'human36m'; use 'cartesian'"):
         FragmentSolver(SMALL, 8, space="joint")
 
 
 @pytest.mark.parametrize("frames", [0, 6, 9, 51])
 def test_a_fragment_must_be_even_and_long_enough(frames: int) -> None:
-    with pytest.raises(ShapeError, match=f"frames: N = {frames} must be even and at least 8"):
+    with pytest.raises(InvalidInputError, match=f"frames: N = {frames} must be even and at least 8"):
         FragmentSolver(BODY, frames)
 
 
@@ -131,19 +131,19 @@ def test_poses_of_another_skeleton_are_refused(scene: Scene, solver: FragmentSol
 
 def test_joints_in_another_order_are_refused(scene: Scene, solver: FragmentSolver) -> None:
     names = (*scene.start.names[1:], scene.start.names[0])
-    with pytest.raises(ShapeError, match="start: need all joints, in this order: Hips, Spine, "):
+    with pytest.raises(InvalidInputError, match="start: need all joints, in this order: Hips, Spine, "):
         solver.solve(replace(scene.start, names=names), scene.seen)
 
 
 def test_start_and_keypoints_need_the_same_times(scene: Scene, solver: FragmentSolver) -> None:
-    with pytest.raises(ShapeError, match="start and keypoints: must have the same times"):
+    with pytest.raises(InvalidInputError, match="start and keypoints: must have the same times"):
         solver.solve(scene.start[:20], scene.seen[1:21])
 
 
 def test_a_start_with_a_gap_is_refused_with_its_frame(scene: Scene, solver: FragmentSolver) -> None:
     p = np.array(scene.start.p_world_joint)
     p[13, 4, 1] = np.nan
-    with pytest.raises(ShapeError, match="pose of frame 13 is not finite; bridge gaps first"):
+    with pytest.raises(InvalidInputError, match="pose of frame 13 is not finite; bridge gaps first"):
         solver.solve(replace(scene.start, p_world_joint=p), scene.seen)
 
 
@@ -152,7 +152,7 @@ def test_only_joint_space_needs_the_orientations_of_the_start(scene: Scene) -> N
     R[9, 2] = np.nan
     start = replace(scene.start, R_world_bone=R)
     assert np.isfinite(quick("cartesian").solve(start, scene.seen).poses.p_world_joint).all()
-    with pytest.raises(ShapeError, match="pose of frame 9 is not finite; bridge gaps first"):
+    with pytest.raises(InvalidInputError, match="pose of frame 9 is not finite; bridge gaps first"):
         quick("joint").solve(start, scene.seen)
 
 
@@ -170,7 +170,7 @@ def test_sensors_with_times_of_their_own_are_given_as_several_sequences(
     alone = later[3].resample(scene.start.times)
     np.testing.assert_array_equal(own.a_world[:, 3], alone.a_world[:, 0])
     for wrong in ([], [parts[0], parts[0]]):
-        with pytest.raises(ShapeError, match="there must be some, each of another segment"):
+        with pytest.raises(InvalidInputError, match="there must be some, each of another segment"):
             solver.solve(scene.start, scene.seen, wrong)
 
 
@@ -185,7 +185,7 @@ def one_sensor(imus: BoneImuSequence, joint: str) -> BoneImuSequence:
 def test_uneven_frames_are_refused(scene: Scene, solver: FragmentSolver) -> None:
     times = np.array(scene.start.times)
     times[30:] += 0.008
-    with pytest.raises(ShapeError, match="not evenly spaced; resample the keypoints first"):
+    with pytest.raises(InvalidInputError, match="not evenly spaced; resample the keypoints first"):
         solver.solve(replace(scene.start, times=times), replace(scene.seen, times=times))
 
 
@@ -204,14 +204,14 @@ def test_keypoints_of_nothing_in_the_skeleton_are_refused(scene: Scene, solver: 
 
 def test_a_camera_that_sees_one_line_is_refused(scene: Scene, solver: FragmentSolver) -> None:
     K = np.array([[1e3, 1e3, 960.0], [1e3, 1e3, 540.0], [0.0, 0.0, 1.0]])
-    with pytest.raises(ShapeError, match="camera K: singular"):
+    with pytest.raises(InvalidInputError, match="camera K: singular"):
         solver.solve(scene.start, replace(scene.seen, camera=replace(scene.seen.camera, K=K)))
 
 
 def test_a_stream_refuses_what_a_solution_does_before_it_gives_anything(
     scene: Scene, solver: FragmentSolver
 ) -> None:
-    with pytest.raises(ShapeError, match="start and keypoints: must have the same times"):
+    with pytest.raises(InvalidInputError, match="start and keypoints: must have the same times"):
         next(solver.stream(scene.start[:20], scene.seen[1:21]))
 
 
@@ -220,7 +220,7 @@ def test_a_lens_that_cannot_be_gives_no_poses_that_are_not_finite(
     scene: Scene, solver: FragmentSolver
 ) -> None:
     lens = replace(scene.seen.camera, distortion=np.array([1e3, 0.0, 0.0, 0.0, 0.0]))
-    with suppress(ShapeError):  # it may as well be refused
+    with suppress(InvalidInputError):  # it may as well be refused
         out = solver.solve(scene.start[:8], replace(scene.seen[:8], camera=lens))
         assert np.isfinite(out.poses.p_world_joint).all()
 

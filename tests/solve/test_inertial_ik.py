@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
@@ -315,13 +315,13 @@ def test_the_arguments_are_left_as_they_were(truth: MotionSequence, lifted: Pose
 
 @pytest.mark.parametrize("threshold", [-0.1, 3.2, np.nan])
 def test_a_threshold_outside_0_to_pi_is_refused(threshold: float) -> None:
-    with pytest.raises(ShapeError, match=r"threshold: .* rad is outside \[0, pi\]"):
+    with pytest.raises(InvalidInputError, match=r"threshold: .* rad is outside \[0, pi\]"):
         InertialGuidedIKSettings(threshold=threshold)
 
 
 @pytest.mark.parametrize("blend_angle", [0.0, -1.0, np.nan])
 def test_a_blend_angle_that_is_not_positive_is_refused(blend_angle: float) -> None:
-    with pytest.raises(ShapeError, match=r"blend_angle: .* rad must be positive"):
+    with pytest.raises(InvalidInputError, match=r"blend_angle: .* rad must be positive"):
         InertialGuidedIKSettings(blend_angle=blend_angle)
 
 
@@ -333,7 +333,7 @@ def test_poses_of_another_skeleton_are_refused_by_name() -> None:
 
 def test_joints_in_another_order_are_refused(lifted: PoseSequence) -> None:
     names = (*lifted.names[1:], lifted.names[0])
-    with pytest.raises(ShapeError, match="poses: need all joints, in this order: Hips, Spine, "):
+    with pytest.raises(InvalidInputError, match="poses: need all joints, in this order: Hips, Spine, "):
         refine(replace(lifted, names=names))
 
 

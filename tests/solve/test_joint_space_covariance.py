@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.poses import PoseSequence
@@ -233,5 +233,5 @@ def test_pairs_are_those_that_clinical_angles_are_read_from() -> None:
 def test_a_confidence_needs_covariances_of_its_frames() -> None:
     space = StateSpace(BODY, BODY.names, hinged=True)
     x = space.from_poses(np.zeros((2, 3)), np.tile(np.eye(3), (2, 21, 1, 1)))
-    with pytest.raises(ShapeError, match="confidence times"):
+    with pytest.raises(InvalidInputError, match="confidence times"):
         confidence_of(space, np.zeros(2), x, np.tile(np.eye(space.size), (2, 1, 1)))

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.joint_space.limits import Limits
 
@@ -111,7 +111,7 @@ def test_limits_that_contradict_each_other_are_refused_by_name(low: float, high:
     bounds = np.array(body.limits)
     bounds[body.dof_names.index("LeftLeg_y")] = low, high
     vars(body)["limits"] = bounds
-    with pytest.raises(ShapeError, match="LeftLeg_y"):
+    with pytest.raises(InvalidInputError, match="LeftLeg_y"):
         Limits(StateSpace(body, body.names, True))
 
 

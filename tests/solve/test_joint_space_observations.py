@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import FEET, Footholds
@@ -124,7 +124,7 @@ def test_what_the_torso_is_held_to_is_the_start() -> None:
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
 def test_an_inflation_must_be_positive_and_finite(wrong: float) -> None:
-    with pytest.raises(ShapeError, match="torso_inflation"):
+    with pytest.raises(InvalidInputError, match="torso_inflation"):
         JointSpaceSettings(torso_inflation=wrong)
 
 

@@ -18,7 +18,7 @@ from rtof_kin.body.metrics import flexion, hinges
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
@@ -487,7 +487,7 @@ def test_absurd_numbers_harm_their_fragments_alone_and_give_back_the_start_where
 
 def test_limits_that_contradict_each_other_are_refused_by_name(scene: Scene) -> None:
     wrong = SkeletonModel(with_limit(1.0, 0.2))
-    with pytest.raises(ShapeError, match="limits of LeftLeg_y contradict each other"):
+    with pytest.raises(InvalidInputError, match="limits of LeftLeg_y contradict each other"):
         scene.solve(FragmentSolver(wrong, N))
 
 
@@ -498,7 +498,7 @@ def test_limits_that_contradict_each_other_are_refused_by_name(scene: Scene) -> 
 ])  # fmt: skip
 def test_a_sigma_must_be_positive_and_finite(field: str, value: float) -> None:
     change: dict[str, Any] = {field: value}
-    with pytest.raises(ShapeError, match=f"{field} must be positive and finite"):
+    with pytest.raises(InvalidInputError, match=f"{field} must be positive and finite"):
         replace(DEFAULT, **change)
 
 

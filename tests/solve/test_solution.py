@@ -84,5 +84,5 @@ def test_the_states_are_sentences_from_good_to_bad() -> None:
         "CONVERGED", "ACCEPTABLE", "ITERATION_LIMIT", "UNOBSERVED", "FAILED",
     ]  # fmt: skip
     assert all(status.value.endswith(".") for status in SolverStatus)
-    assert "starting poses" in SolverStatus.FAILED.value
-    assert "prior alone" in SolverStatus.UNOBSERVED.value
+    assert "initial poses" in SolverStatus.FAILED.value
+    assert "the prior" in SolverStatus.UNOBSERVED.value

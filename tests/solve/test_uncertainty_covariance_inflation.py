@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.solve.joint_space.covariance import segment_pairs
 from rtof_kin.solve.uncertainty.covariance_inflation import (
@@ -95,9 +95,9 @@ def test_a_share_of_the_distance_from_the_start_is_added_along_that_distance() -
 
 def test_white_residuals_leave_what_the_hessian_says_but_for_the_sensors() -> None:
     wide = {"world Hips": Widening(3.0, 0.5), "Hips UpLeg": Widening(1.1, 0.5)}
-    white = inflation(camera=wide).apply(confidence(), ResidualStatistics(lasting=0.0))
+    white = inflation(camera=wide).apply(confidence(), ResidualStatistics(autocorrelation=0.0))
     np.testing.assert_allclose(white.turn_covariance[0, :, 0, 0], np.square([1.2, 1.1]))
-    half = inflation(camera=wide).apply(confidence(), ResidualStatistics(lasting=0.5))
+    half = inflation(camera=wide).apply(confidence(), ResidualStatistics(autocorrelation=0.5))
     np.testing.assert_allclose(half.turn_covariance[0, 0, 0, 0], 2.1**2 + 0.25**2)
 
 
@@ -114,14 +114,14 @@ def test_a_lifter_in_doubt_raises_floors_where_no_sensor_holds() -> None:
 @pytest.mark.parametrize(
     "wrong, message",
     [
-        ({"lasting": 1.1}, r"lasting: 1.1 is not in \[0, 1\]"),
-        ({"lasting": np.nan}, "lasting: nan is not"),
+        ({"autocorrelation": 1.1}, r"autocorrelation: 1.1 is not in \[0, 1\]"),
+        ({"autocorrelation": np.nan}, "autocorrelation: nan is not"),
         ({"torso_sigma": 0.0}, "torso_sigma: 0.0 must be positive"),
         ({"sensors": ("Hips", "Hips")}, "sensors: Hips stands there more than once"),
     ],
 )
 def test_circumstances_that_cannot_be_are_refused(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises(ShapeError, match=message):
+    with pytest.raises(InvalidInputError, match=message):
         ResidualStatistics(**wrong)
 
 
@@ -184,10 +184,10 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path, text: str, message: str)
     "shares", [{"sensed": {"position": 0.1}}, {"fused": {"turn": -0.1}}, {"us": {"turn": 1.0}}]
 )
 def test_shares_that_cannot_be_are_refused(shares: dict[str, dict[str, float]]) -> None:
-    with pytest.raises(ShapeError, match="share"):
+    with pytest.raises(InvalidInputError, match="share"):
         CovarianceInflation(inflation().widenings, shares)
 
 
 def test_there_must_be_a_widening_for_what_has_none_of_its_own() -> None:
-    with pytest.raises(ShapeError, match=r"no widening 'other' of camera\.position"):
+    with pytest.raises(InvalidInputError, match=r"no widening 'other' of camera\.position"):
         CovarianceInflation({})

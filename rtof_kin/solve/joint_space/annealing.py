@@ -66,7 +66,7 @@ class Annealing:
         return True
 
     @property
-    def lasting_px(self) -> float:
+    def constant_px(self) -> float:
         """Size of the constant part of a landmark's errors, px per axis."""
         square = self.factor**2  # (1 + r) / (1 - r) with the correlation r
         return float(self.sigma / self.factor * np.sqrt((square - 1) / (square + 1)))
