@@ -15,10 +15,10 @@ from benchmarks.confidence.cases import Case, Errors, errors
 from rtof_kin.solve.uncertainty.covariance_inflation import (
     OTHER,
     SEEN,
+    WHITE_FACTOR,
     CovarianceInflation,
     Widening,
     correlated_factor,
-    correlated_factor_rate,
     seen_by,
     unsided,
 )
@@ -129,7 +129,8 @@ def sharpest(
         z = error / sigma
         ranked = sigma * (z * (2 * ndtr(z) - 1) + (np.sqrt(2) * np.exp(-(z**2) / 2) - 1) / np.sqrt(np.pi))
         by_sigma = (np.sqrt(2) * np.exp(-(z**2) / 2) - 1) / np.sqrt(np.pi) / sigma
-        by_factor = factor * variance * k * correlated_factor_rate(k, lasting)
+        slope = 1.0 + (k > WHITE_FACTOR) * (lasting - 1.0)  # of the factor by k
+        by_factor = factor * variance * k * slope
         rates = [np.mean(by_sigma * by_factor), np.mean(by_sigma * floor**2)]
         return float(np.mean(ranked) / size), np.array(rates) / size
 

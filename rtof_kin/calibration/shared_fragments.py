@@ -126,9 +126,9 @@ class SharedFragments:
         Raises:
             SolverError: a fragment cannot be solved, or the unknowns' Hessian is not positive definite.
         """
-        tell = progress or (lambda done, total: None)
+        report = progress or (lambda done, total: None)
         self.begin()
-        tell(1, rounds + 1)
+        report(1, rounds + 1)
         y, energies, converged = self._searched() if start is None else start, [], False
         best, step, given = (np.inf, y), np.zeros_like(y), self.prior
         shrinking = [c for u, c in zip(self.unknowns, self.columns, strict=True) if u.shrinks]
@@ -136,7 +136,7 @@ class SharedFragments:
             corrected = self.corrected(y)
             of_data = self.settle(corrected)
             energy, before = of_data + self._unlikely(y), best[0] + self._unlikely(best[1])
-            tell(done + 1, rounds + 1)
+            report(done + 1, rounds + 1)
             if energy > before * (1 + _ENOUGH):  # too far
                 step = step / 4
                 y = best[1] + step
@@ -152,7 +152,7 @@ class SharedFragments:
             step = -cho_solve(cho_factor(hessian), slope + self.prior @ y)
             y = y + step
         y = best[1]
-        tell(rounds + 1, rounds + 1)
+        report(rounds + 1, rounds + 1)
         residuals = self._residuals(self.corrected(y))
         return Shared(y, hessian, self._sigma_px, residuals, tuple(energies), converged, self._doubts)
 

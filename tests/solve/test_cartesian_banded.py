@@ -19,8 +19,6 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.numerics import c_compiler as compiled
-from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
-from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.solve.cartesian.banded import BandedProblem
 from rtof_kin.solve.cartesian.problem import TERMS, FragmentProblem
 from rtof_kin.solve.cartesian.settings import CartesianSettings
@@ -379,79 +377,6 @@ def test_real_time_minimum_is_a_minimum_of_ipopt() -> None:
                 energy = float(np.array(ipopt.inner._problem.energy(x, p)).sum())
                 assert energy == pytest.approx(total(report), rel=1e-6)
                 assert 1000 * np.linalg.norm(x.reshape(X.shape) - X, axis=-1).max() < 0.1
-
-
-def test_backends_agree_with_all_and_without_sensors() -> None:
-    cases: list[tuple[SkeletonModel, tuple[str, ...]]] = [
-        (BODY, planted.LIMBS), (SMALL, ()),
-    ]  # fmt: skip
-    for skeleton, sensors in cases:
-        given = {"skeleton": skeleton, "sensor_joints": sensors}
-        solvers = [Inspected(backend, GIVEN, **given) for backend in ("ipopt", "realtime")]
-        scene = Scene(1, skeleton=skeleton)
-        check_agreement(solvers, scene, {} if len(sensors) > 1 else {"bone_imus": None})
-
-
-def test_equal_calls_give_equal_results() -> None:
-    solver, scene, other = Inspected("realtime"), Scene(0), Scene(1)
-    first = scene.solve(solver)
-    other.solve(solver, bone_imus=None)
-    again, fresh = scene.solve(solver), scene.solve(Inspected("realtime"))
-    for second in (again, fresh):
-        np.testing.assert_array_equal(second.poses.p_world_joint, first.poses.p_world_joint)
-        for a, b in zip(second.fragments, first.fragments, strict=True):
-            assert replace(a, seconds=0.0) == replace(b, seconds=0.0)
-
-
-def test_stalled_solver_is_acceptable(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stalled(self: object, x: Array, *_: object) -> Solved:
-        return Solved(x, 2, False, np.zeros((len(x), 0)))
-
-    monkeypatch.setattr(LevenbergMarquardt, "solve", stalled)
-    solution = Scene(0).solve(Inspected("realtime", GIVEN))
-    assert {f.status for f in solution.fragments} == {SolverStatus.ACCEPTABLE}
-
-
-@pytest.mark.parametrize("most", [0, 3])
-def test_iteration_limit_is_kept_and_reported(most: int) -> None:
-    scene, set_ = Scene(0), replace(GIVEN, padding="replicate", max_iterations=most)
-    solution = scene.solve(Inspected("realtime", set_))
-    start = scene.solve(Inspected("realtime", replace(set_, max_iterations=0)))
-    assert {f.status for f in solution.fragments} == {SolverStatus.ITERATION_LIMIT}
-    assert [f.iterations for f in solution.fragments] == [most] * 4
-    for report, before in zip(solution.fragments, start.fragments, strict=True):
-        assert (total(report) < total(before)) == (most > 0)
-    still = np.abs(solution.poses.p_world_joint - scene.start.p_world_joint).max() < 1e-12
-    assert still == (most == 0)
-
-
-def landmark_at(scene: Scene, uv_px: float) -> KeypointSequence:
-    uv = np.array(scene.seen.uv_px)
-    uv[10] = uv_px
-    return replace(scene.seen, uv_px=uv)
-
-
-def check_failed(scene: Scene, change: dict[str, Any], set_: CartesianSettings = GIVEN) -> None:
-    """Frame 10 of 12 is hopeless: two fragments say so and give back their start."""
-    solver = Inspected("realtime", set_)
-    solution = scene.solve(solver, **change)
-    start = change.get("start", scene.start).p_world_joint
-    good, failed = SolverStatus.CONVERGED, SolverStatus.FAILED
-    assert [f.status for f in solution.fragments] == [good, good, failed, failed]
-    assert solution.status is failed
-    for report, answer in zip(solution.fragments, solver.answers, strict=True):
-        frames = np.clip(np.arange(report.first_frame, report.first_frame + N), 0, 11)
-        back = np.array_equal(answer, start[frames])
-        assert back == (report.status is failed)
-        assert (report.iterations == 0) == back
-    np.testing.assert_allclose(solution.poses.p_world_joint[8:], start[8:], atol=1e-12)
-
-
-@pytest.mark.filterwarnings("ignore:overflow")
-def test_overflowing_landmark_fails_and_is_reported() -> None:
-    scene = Scene(0)
-    plain = replace(GIVEN, huber_reprojection=None)
-    check_failed(scene, {"keypoints": landmark_at(scene, 1e200)}, plain)
 
 
 def test_bone_lengths_as_constraints_need_ipopt() -> None:

@@ -78,13 +78,13 @@ def segment_pairs(skeleton: SkeletonModel) -> tuple[tuple[str, str], ...]:
 
 
 def confidence_of(
-    space: StateSpace, times: Array, x: Array, covariance: Array, held: Collection[str] = ()
+    space: StateSpace, times: Array, x: Array, covariance: Array, fixed: Collection[str] = ()
 ) -> Confidence:
     """Return the covariances of positions and orientations.
 
     Args:
         space: state space. times: (T,) s. x: (T, 3 + 4A) states. covariance: (T, D, D) of their tangents.
-        held: joints of the space with a fixed orientation.
+        fixed: joints of the space with a fixed orientation.
     """
     skeleton, (p, R) = space.skeleton, space.poses(x)
     moves, turns = _rates(space, p, R)
@@ -94,7 +94,7 @@ def confidence_of(
     turns = np.concatenate([turns, np.zeros_like(turns[:, :1])], axis=1)  # the world's
     seen_from = np.swapaxes(R[:, children], -1, -2) @ (turns[:, children] - turns[:, parents])
     turned = _covariance(seen_from, covariance)
-    turning = {*space.names} - {*held}
+    turning = {*space.names} - {*fixed}
     turned[:, [child not in turning for _, child in pairs]] = np.nan  # turned with its parent
     positions = _covariance(moves, covariance)
     positions[np.trace(positions, axis1=2, axis2=3) > 3 * _NOWHERE**2] = np.nan

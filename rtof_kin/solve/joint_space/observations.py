@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 _ROOT_BESIDE_SENSORS: Final = 2.0
 """Factor on sigma_root where there are both landmarks and sensors."""
 _FIRM: Final = np.radians(1.0)
-"""[rad] Standard deviation of a joint that is held."""
+"""[rad] Standard deviation of the prior of a fixed joint."""
 _WEIGHTS: Final = {"w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor", "w_contact"}
 """Weights that are zero in the padding; the prior's is not."""
 
@@ -58,7 +58,7 @@ class Observations:
 
     Attributes:
         names: L landmarks. sensors: S segments with a place for a sensor. attached: their segments.
-        held: joints of the state space that keep their orientation because their sensor has no data.
+        fixed: joints of the state space that keep their orientation because their sensor has no data.
         rows, a_world, w_acceleration: observations of every frame. constant: body, camera, prior, floor.
         start: (T, 3 + 4A) initial states. confidence: (T, L) of the landmarks, 0 where unobserved.
         problem: energy of a fragment. limits: of the hinges, or None.
@@ -95,7 +95,7 @@ class Observations:
         self.sensors = tuple(n for n in skeleton.names if n in active or n in places)
         turning = {skeleton.names[p] for p in skeleton.parents if p >= 0} | active
         turning |= {skeleton.landmarks[n][0] for n in self.names if n not in skeleton.names}
-        self.held = {*self.sensors} - turning
+        self.fixed = {*self.sensors} - turning
         self.space = StateSpace(skeleton, [*turning, *self.sensors], settings.hinges)
         given = () if footholds is None else footholds.joints
         standing = tuple(n for n in skeleton.names if given and (n in given or n in FEET))
@@ -137,9 +137,9 @@ class Observations:
         return any(row[index].any() for row in rows)
 
     def _initial_states(self, start: PoseSequence) -> Array:
-        """Low-pass filtered states of the initial guess, held joints at zero."""
+        """Low-pass filtered states of the initial guess, fixed joints at zero."""
         x = self.space.from_poses(start.p_world_joint[:, 0], start.R_world_bone)
-        self.space.rotations(x)[:, [name in self.held for name in self.space.names]] = [1.0, 0, 0, 0]
+        self.space.rotations(x)[:, [name in self.fixed for name in self.space.names]] = [1.0, 0, 0, 0]
         return self.space.low_passed(x, start.rate_hz, self.settings.smooth_start_hz)
 
     def _problem(self, active: Collection[str], standing: tuple[str, ...]) -> FragmentEnergy:
@@ -204,10 +204,10 @@ class Observations:
         }
 
     def _prior(self) -> tuple[Array, Array]:
-        """Mean rotations (A - 1, 4) and precision of the joints; held joints have a firm one of their own."""
+        """Mean rotations (A - 1, 4) and precision of the joints; fixed joints have a firm one."""
         prior, moving, s = shipped_prior(self.skeleton.names), self.space.names[1:], self.settings
-        turning = [name for name in moving if name not in self.held]
-        of_turning = np.repeat([name not in self.held for name in moving], 3)
+        turning = [name for name in moving if name not in self.fixed]
+        of_turning = np.repeat([name not in self.fixed for name in moving], 3)
         mean = np.tile([1.0, 0.0, 0.0, 0.0], (len(moving), 1))
         mean[of_turning[::3]] = prior.mean_quat_wxyz[[prior.joints.index(name) - 1 for name in turning]]
         precision = np.eye(3 * len(moving)) / _FIRM**2

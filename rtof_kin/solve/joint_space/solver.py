@@ -74,7 +74,7 @@ class JointSpaceSolver:
             x, known = x[:count], None
             if previous.covariance is not None and piece.covariance is not None:
                 C = blended(previous.covariance[half:], piece.covariance[:half], share)[:count]
-                known = confidence_of(data.space, times[frames], x, C, data.held)
+                known = confidence_of(data.space, times[frames], x, C, data.fixed)
             reports = [piece.report] if reports else [previous.report, piece.report]
             yield Block(frames, *data.space.poses(x), tuple(reports), known)
 

@@ -56,7 +56,7 @@ USUAL_TORSO_SIGMA: Final = 0.09
 """[rad] Usual sigma of pelvis and upper trunk by the lifter."""
 _SHARES: Final = "apart"
 """Table of the factors a in a file."""
-_WHITE_FACTOR: Final = 1.2
+WHITE_FACTOR: Final = 1.2
 """k0, fitted with white 2D errors and eight real sensors."""
 
 
@@ -220,17 +220,8 @@ def correlated_factor(factor: ArrayLike, autocorrelation: ArrayLike) -> Array:
         factor: k. autocorrelation: m, 0 to 1.
     """
     k = np.asarray(factor, dtype=float)
-    white = np.minimum(k, _WHITE_FACTOR)
+    white = np.minimum(k, WHITE_FACTOR)
     return np.asarray(white + (k - white) * autocorrelation)
-
-
-def correlated_factor_rate(factor: float, autocorrelation: ArrayLike) -> Array:
-    """Return the derivative of `correlated_factor` by the factor.
-
-    Args:
-        factor: k. autocorrelation: m, 0 to 1.
-    """
-    return np.asarray(1.0 + (factor > _WHITE_FACTOR) * (np.asarray(autocorrelation, dtype=float) - 1.0))
 
 
 def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
