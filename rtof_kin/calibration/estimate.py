@@ -115,10 +115,10 @@ def shared_fragments(
 
     unknowns = _unknowns(recording.skeleton, seen, data, start, priors, sampled)
     seconds = min(float(start.times[-1] - start.times[0]), priors.most_seconds)
-    share = priors.lasting_seconds / max(seconds, priors.lasting_seconds)
+    share = priors.effective_seconds / max(seconds, priors.effective_seconds)
     weights = Weights(
-        vision=share * priors.worth_vision, sensors=share * priors.worth_sensors, motion=share,
-        prior=share * priors.worth_poses,
+        vision=share * priors.weight_vision, sensors=share * priors.weight_sensors, motion=share,
+        prior=share * priors.weight_poses,
     )  # fmt: skip
     return SharedFragments(data, start.times, unknowns, weights, priors.most_seconds)
 

@@ -44,13 +44,13 @@ class CalibrationPriors:
     """[rad] of the camera's orientation about each axis."""
     sigma_ankle_height: float | None = 0.02
     """[m] of ankles over the floor that they stand on; only where there is one."""
-    lasting_seconds: float = 6.0
+    effective_seconds: float = 6.0
     """[s] Effective length of a longer recording: autocorrelated errors do not average out."""
-    worth_vision: float = 1.0
+    weight_vision: float = 1.0
     """[1] Weight of landmarks relative to a reconstruction."""
-    worth_sensors: float = 1.0
+    weight_sensors: float = 1.0
     """[1] The same for the sensors' orientations."""
-    worth_poses: float = 0.1
+    weight_poses: float = 0.1
     """[1] The same for the pose prior and the torso of the initial guess: postures are autocorrelated."""
     overcount: float = 3.0
     """[1] Factor by which autocorrelated errors overstate the information, in claimed standard deviations."""

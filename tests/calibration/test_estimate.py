@@ -68,7 +68,7 @@ def test_planted_headings_are_found() -> None:
 def test_planted_mountings_are_reduced() -> None:
     rng = np.random.default_rng(5)
     mounting = np.radians(6) * rng.normal(size=(8, 3))
-    priors = cs.only("mounting", sigma_swing=0.1, sigma_twist=0.1, worth_sensors=1.0)
+    priors = cs.only("mounting", sigma_swing=0.1, sigma_twist=0.1, weight_sensors=1.0)
     result = found(cs.misaligned(recorded(), mounting=mounting), priors)
     joints = recorded().calibration.joints
     left = np.array([result["mounting", joint].value for joint in joints]) - mounting

@@ -17,7 +17,7 @@ T = 24
 def open_fragments(*kinds: str) -> SharedFragments:
     truth = cs.motion(T)
     recording = planted.recording(truth, sigma_px=4.0, degrees=4.0)
-    return cs.fragments(recording, truth.poses, cs.only(*kinds, worth_vision=0.5))
+    return cs.fragments(recording, truth.poses, cs.only(*kinds, weight_vision=0.5))
 
 
 def some_unknowns(shared: SharedFragments, size: float = 0.5) -> Array:

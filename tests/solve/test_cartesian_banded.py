@@ -372,7 +372,7 @@ def test_real_time_minimum_is_a_minimum_of_ipopt() -> None:
             for report, X, values in zip(reports, quick.answers, quick.values, strict=True):
                 assert report.status is SolverStatus.CONVERGED
                 p = ipopt.inner._problem.pack(values)
-                x, status, _, _ = ipopt.inner._ipopt(X.ravel(), p)
+                x, status, _, _ = ipopt.inner._ipopt(X.ravel(), values, p)
                 assert status is SolverStatus.CONVERGED
                 energy = float(np.array(ipopt.inner._problem.energy(x, p)).sum())
                 assert energy == pytest.approx(total(report), rel=1e-6)

@@ -26,6 +26,8 @@ from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 
 Array = NDArray[np.float64]
+Bones = tuple[tuple[int, int], ...]
+"""(joint, child) of each bone."""
 TERMS: Final = ("visual", "acceleration", "bone", "smooth", "length", "prior")
 CURVED_BY: Final = ("rate_hz", "shares", "w_acceleration", "w_bone", "w_smooth", "k")
 """Parameters that the Hessian of the terms with linear residuals depends on."""
@@ -62,11 +64,7 @@ class FragmentProblem:
     """
 
     def __init__(
-        self,
-        parents: tuple[int, ...],
-        frames: int,
-        sensor_bones: tuple[tuple[int, int], ...],
-        settings: CartesianSettings,
+        self, parents: tuple[int, ...], frames: int, sensor_bones: Bones, settings: CartesianSettings
     ) -> None:
         """Build the programme.
 
@@ -120,16 +118,13 @@ class FragmentProblem:
             energies.distance(self._joint(a), self._joint(b), P["lengths"][i])
             for i, (a, b) in enumerate(self.pairs)
         ]
+        length = ca.vertcat(*lengths) / s.sigma_length
         return {
             "visual": _Term(ca.vec(visual), ca.vec(ca.repmat(P["w_visual"].T, 2, 1)), s.huber_reprojection),
             "acceleration": _spread(accelerations, P["w_acceleration"], s.sigma_acceleration),
             "bone": _spread(bones, P["w_bone"], s.sigma_bone),
             "smooth": _Term(ca.vec(smooth), ca.vec(ca.repmat(P["w_smooth"].T, 3 * J, 1))),
-            "length": _Term(
-                ca.vec(ca.vertcat(*lengths)) / s.sigma_length,
-                ca.vec(ca.repmat(P["w_length"].T, len(lengths), 1)),
-                exact=True,
-            ),
+            "length": _Term(ca.vec(length), ca.vec(ca.repmat(P["w_length"].T, len(lengths), 1)), exact=True),
             "prior": _Term(ca.vec(self._prior()), ca.SX.ones(3 * J * N) / (3 * J * N)),
         }
 
@@ -244,10 +239,7 @@ class FragmentProblem:
 
 
 def fragment_problem(
-    parents: tuple[int, ...],
-    frames: int,
-    sensor_bones: tuple[tuple[int, int], ...],
-    settings: CartesianSettings,
+    parents: tuple[int, ...], frames: int, sensor_bones: Bones, settings: CartesianSettings
 ) -> FragmentProblem:
     """Return the problem, built once for all bodies and weights k that share a tree.
 
@@ -262,7 +254,7 @@ def fragment_problem(
 _cached_problem = lru_cache(maxsize=8)(FragmentProblem)
 
 
-def rigid_pairs(parents: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
+def rigid_pairs(parents: tuple[int, ...]) -> Bones:
     """Return pairs of joints at a constant distance: bones, and siblings on one segment.
 
     Args:

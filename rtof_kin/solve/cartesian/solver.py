@@ -50,14 +50,12 @@ class CartesianSolver:
         self.sensor_joints = sensor_joints
         bones = [
             (joint, child)
-            for joint in skeleton.index(*self.sensor_joints)
+            for joint in skeleton.index(*sensor_joints)
             for child in kinematics.children_of(skeleton.parents, joint)
         ]  # a sensor on a leaf (head, foot) has no bone and is not used
         with BUILDING:
             self._problem = fragment_problem(skeleton.parents, frames, tuple(bones), self.settings)
-            self._energy, self._gradient = (
-                Buffered(function) for function in (self._problem.energy, self._problem.gradient)
-            )
+            self._energy, self._gradient = Buffered(self._problem.energy), Buffered(self._problem.gradient)
             self._banded = BandedProblem(self._problem) if settings.backend == "realtime" else None
         self._one_at_a_time = threading.Lock()
         p = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
@@ -132,19 +130,13 @@ class CartesianSolver:
         """One solution, with a report measured at the returned point."""
         problem, p = self._problem, self._problem.pack(values)
         began = perf_counter()
-        if self._banded is None:
-            x, status, iterations, lam_g = self._ipopt(x0, p)
-        else:
-            x, status, iterations = self._real_time(self._banded, x0, values, p)
-            lam_g = np.zeros(0)
+        solve = self._ipopt if self._banded is None else self._real_time
+        x, status, iterations, lam_g = solve(x0, values, p)
         seconds = perf_counter() - began
         if status is SolverStatus.FAILED or not np.all(np.isfinite(x)):
             status, x = SolverStatus.FAILED, x0
-        g = np.zeros(0)
-        if self._banded is not None:
-            gradient = self._banded.gradient(self._banded.ordered(x))
-        else:
-            gradient = self._gradient(x, p)[0]
+        banded, g = self._banded, np.zeros(0)
+        gradient = self._gradient(x, p)[0] if banded is None else banded.gradient(banded.ordered(x))
         if len(lam_g):
             g = np.asarray(problem.constraints(x, p)).ravel()
             gradient = gradient + np.asarray(problem.constraint_gradient(x, p, lam_g)).ravel()
@@ -159,7 +151,7 @@ class CartesianSolver:
             infeasibility=float(np.abs(g).max(initial=0.0)),
         )
 
-    def _ipopt(self, x0: Array, p: Array) -> tuple[Array, SolverStatus, int, Array]:
+    def _ipopt(self, x0: Array, _: dict[str, Array], p: Array) -> tuple[Array, SolverStatus, int, Array]:
         """Positions, status, iterations, multipliers of the constraints."""
         solver = self._problem.solver
         bounds = 0.0 if self.settings.bone_lengths == "constraint" else ()
@@ -170,18 +162,17 @@ class CartesianSolver:
         return x, _status(stats["return_status"]), int(stats["iter_count"]), lam_g
 
     def _real_time(
-        self, banded: BandedProblem, x0: Array, values: dict[str, Array], p: Array
-    ) -> tuple[Array, SolverStatus, int]:
-        """Positions, status, iterations."""
-        banded.bind(values, p)
-        s = self.settings
+        self, x0: Array, values: dict[str, Array], p: Array
+    ) -> tuple[Array, SolverStatus, int, Array]:
+        """Positions, status, iterations, no multipliers."""
+        assert self._banded is not None
+        self._banded.bind(values, p)
+        most, decrease = self.settings.max_iterations, _DECREASE * self.settings.tolerance
         try:
-            solved = LevenbergMarquardt(banded).solve(
-                banded.ordered(x0), s.max_iterations, _DECREASE * s.tolerance
-            )
+            solved = LevenbergMarquardt(self._banded).solve(self._banded.ordered(x0), most, decrease)
         except SolverError:
-            return x0, SolverStatus.FAILED, 0
-        return banded.positions(solved.x), SolverStatus.of(solved), solved.iterations
+            return x0, SolverStatus.FAILED, 0, np.zeros(0)
+        return self._banded.positions(solved.x), SolverStatus.of(solved), solved.iterations, np.zeros(0)
 
     def _estimated_sigma(self, x: Array, values: dict[str, Array], sigma: float) -> float:
         """Twice the size of the reprojection residuals at x, px; `sigma` for fewer than 20 landmarks."""
@@ -226,9 +217,7 @@ class CartesianSolver:
             "w_acceleration": np.isfinite(a).all(axis=-1).astype(float),
             "b_world": np.nan_to_num(b),
             "w_bone": np.isfinite(b).all(axis=-1).astype(float),
-            "R_camera_world": camera.R_camera_world,
-            "t_camera_world": camera.t_camera_world,
-            "K": camera.K,
+            **{name: getattr(camera, name) for name in ("R_camera_world", "t_camera_world", "K")},
         }
 
     def _fragment_values(
@@ -236,26 +225,19 @@ class CartesianSolver:
     ) -> dict[str, Array]:
         """Parameters of the problem for the frames `index`, of which those not `inside` are padding."""
         present = np.ones_like(inside) if self.settings.padding == "replicate" else inside
-        visual = data["w_visual"][index] * present[:, None]
-        # 0 at the recording's first and last frame, and at their copies beyond the ends.
-        acceleration = data["w_acceleration"][index][1:-1].T
-        bone = (data["w_bone"][index] * present[:, None]).T
         smooth = (np.convolve(present, [1] * 4, mode="valid") == 4).astype(float)
-        length = present.astype(float)
-        J = len(self.skeleton.names)
-        columns = (len(index), -1)
-        a = data["a_world"][index].reshape(columns).T
+        J, columns = len(self.skeleton.names), (len(index), -1)
         return {
             **{n: data[n] for n in ("R_camera_world", "t_camera_world", "K", "rate_hz", "shares")},
             "uv_px": data["uv_px"][index].reshape(-1, 2).T,
-            "w_visual": _mean(visual, 2).ravel(),
-            "a_world": a[:, 1:-1],
-            "w_acceleration": _mean(acceleration, 3),
+            "w_visual": _mean(data["w_visual"][index] * present[:, None], 2).ravel(),
+            "a_world": data["a_world"][index].reshape(columns).T[:, 1:-1],
+            "w_acceleration": _mean(data["w_acceleration"][index][1:-1].T, 3),  # 0 at both ends
             "b_world": data["b_world"][index].reshape(columns).T,
-            "w_bone": _mean(bone, 3),
+            "w_bone": _mean((data["w_bone"][index] * present[:, None]).T, 3),
             "w_smooth": _mean(smooth, 3 * J),
             "j_world": self._jerk_target(index, data),
-            "w_length": _mean(length, len(self._problem.pairs)),
+            "w_length": _mean(present.astype(float), len(self._problem.pairs)),
             "lengths": self._lengths,
             "p_prior": start.p_world_joint[index].reshape(columns).T,
             "k": np.array([self.settings.term_weights()[term] for term in TERMS]),
