@@ -168,26 +168,8 @@ class CalibrationResiduals:
         return uv, J
 
     @cached_property
-    def _axes(self) -> tuple[Array, Array]:
-        """Axes (N, D - 3, 3) in world of the rotations' tangent coordinates, and points on them."""
-        owners, axes = [], []
-        for a, j in enumerate(self.space.joints):
-            for axis in self.space.axes(a).T:
-                owners.append(j)
-                axes.append(axis)
-        turned = np.einsum("ndij,dj->ndi", self.R[:, owners], np.array(axes))
-        return turned, self.p[:, owners]
-
-    @cached_property
-    def _moves(self) -> NDArray[np.bool_]:
-        """(J, D - 3) whether a rotation's tangent coordinate turns a segment."""
-        space, J = self.space, len(self.space.skeleton.parents)
-        beyond = np.eye(J, dtype=bool)
-        for j, parent in enumerate(space.skeleton.parents):
-            if parent >= 0:
-                beyond[j] |= beyond[parent]
-        owners = [j for a, j in enumerate(space.joints) for _ in range(space.axes(a).shape[1])]
-        return beyond[:, owners]
+    def _turn_rates(self) -> Array:
+        return self.space.turn_rates(self.R)
 
     @property
     def a_sensors(self) -> Array:
@@ -201,11 +183,7 @@ class CalibrationResiduals:
 
     def _points_by_state(self, joints: Sequence[int], points: Array) -> Array:
         """Derivatives (N, K, 3, D) of points (N, K, 3) on segments."""
-        axes, places = self._axes
-        arm = points[:, :, None] - places[:, None]
-        turning = np.cross(axes[:, None], arm) * self._moves[list(joints)][None, :, :, None]
-        shifting = np.broadcast_to(np.eye(3), (*points.shape[:2], 3, 3))
-        return np.concatenate([shifting, np.swapaxes(turning, 2, 3)], axis=3)
+        return self.space.point_rates(self.p, self._turn_rates, joints, points)
 
     def pixels(self, weight: Array, knee: Array) -> Residuals:
         """Return those of reprojection, px, for weights (N, L) and the threshold of the loss (N,)."""
@@ -226,8 +204,7 @@ class CalibrationResiduals:
         error = np.where(error[..., :1] < 0, -error, error)
         v, cosine = error[..., 1:], error[..., :1, None] * np.eye(3)
         r = np.einsum("sij,nsj->nsi", 2 * W, v)
-        axes = self._axes[0][:, None] * self._moves[own][None, :, :, None]
-        turned = np.swapaxes(axes @ self.R[:, own], 2, 3)  # in the segment's axes
+        turned = np.swapaxes(self._turn_rates[:, own] @ self.R[:, own], 2, 3)  # in the segment's axes
         by_state = np.zeros((*r.shape, self.space.size))
         by_state[..., 3:] = W @ (cosine + so3.skew(v)) @ turned
         return Residuals(r, by_state, _robust(weight, r, robust)), W @ (so3.skew(v) - cosine)

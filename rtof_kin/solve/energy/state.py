@@ -7,6 +7,7 @@ its own frame (rad; one number for a hinge). No posture is singular.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 XYZ: Final = "xyz"
 
 
@@ -56,8 +58,8 @@ class StateSpace:
         ]
         self.expand = np.eye(3 * len(self.joints))[:, kept]
         self.size = 3 + len(kept)
-        widths = np.where(self.hinge_axis < 0, 3, 1)
-        self.first = 3 + np.cumsum(widths) - widths
+        self._widths = np.where(self.hinge_axis < 0, 3, 1)
+        self.first = 3 + np.cumsum(self._widths) - self._widths
 
     def axes(self, a: int) -> Array:
         """Return the axes (3, 1 or 3) of the a-th moving joint, in its own frame."""
@@ -153,3 +155,34 @@ class StateSpace:
         R = kinematics.world_rotations(skeleton.parents, R)
         p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, x[:, :3], R)
         return p, R
+
+    @cached_property
+    def _turning(self) -> tuple[Index, Array, NDArray[np.bool_]]:
+        """Joint and axis (3, D - 3) in its frame of each rotation coordinate; segments (J, D - 3) turned."""
+        owners = np.repeat(self.joints, self._widths)
+        axes = np.concatenate([self.axes(a) for a in range(len(self.joints))], axis=1)
+        beyond = np.eye(len(self.skeleton.parents), dtype=bool)
+        for j, parent in enumerate(self.skeleton.parents):
+            if parent >= 0:
+                beyond[j] |= beyond[parent]
+        return owners, axes, beyond[:, owners]
+
+    def turn_rates(self, R: Array) -> Array:
+        """Return derivatives (T, J, D - 3, 3) of segments' rotation vectors in world by the rotations.
+
+        Args:
+            R: (T, J, 3, 3) orientations of the segments.
+        """
+        owners, axes, moves = self._turning
+        turned = np.einsum("tdij,jd->tdi", R[:, owners], axes)
+        return np.where(moves[..., None], turned[:, None], 0.0)
+
+    def point_rates(self, p: Array, turns: Array, joints: Sequence[int], points: Array) -> Array:
+        """Return derivatives (T, K, 3, D) of points on segments by the tangent.
+
+        Args:
+            p: (T, J, 3) joints, m. turns: their `turn_rates`. joints: K segments. points: (T, K, 3) m.
+        """
+        arm = points[:, :, None] - p[:, None, self._turning[0]]
+        moved = np.swapaxes(np.cross(turns[:, list(joints)], arm), -1, -2)
+        return np.concatenate([np.broadcast_to(np.eye(3), (*points.shape, 3)), moved], axis=-1)

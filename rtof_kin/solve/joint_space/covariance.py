@@ -87,7 +87,9 @@ def confidence_of(
         fixed: joints of the space with a fixed orientation.
     """
     skeleton, (p, R) = space.skeleton, space.poses(x)
-    moves, turns = _rates(space, p, R)
+    rates = space.turn_rates(R)
+    moves = space.point_rates(p, rates, range(len(skeleton.names)), p)
+    turns = np.concatenate([np.zeros((*p.shape, 3)), np.swapaxes(rates, -1, -2)], axis=-1)
     pairs = segment_pairs(skeleton)
     names = (*skeleton.names, WORLD)
     parents, children = np.array([[names.index(name) for name in pair] for pair in pairs]).T
@@ -108,23 +110,3 @@ def _covariance(J: Array, covariance: Array) -> Array:
     JC = (J.reshape(T, n * 3, D) @ covariance).reshape(J.shape)
     out = JC @ np.swapaxes(J, -1, -2)
     return np.asarray((out + np.swapaxes(out, -1, -2)) / 2)
-
-
-def _rates(space: StateSpace, p: Array, R: Array) -> tuple[Array, Array]:
-    """Derivatives (T, J, 3, D) of positions p (T, J, 3) and of rotation vectors of segments R in world by a
-    state's tangent.
-    """
-    parents, joints = space.skeleton.parents, np.array(space.joints)
-    widths = np.where(space.hinge_axis < 0, 3, 1)
-    of = np.repeat(joints, widths)  # the joint of each coordinate that turns
-    local = np.concatenate([space.axes(a) for a in range(len(joints))], axis=1)
-    axes = np.einsum("tdij,jd->tdi", R[:, of], local)
-    above = np.zeros((len(parents), len(parents)), dtype=bool)
-    for j in range(len(parents)):
-        above[j, kinematics.line_to_root(parents, j)] = True
-    turn = np.where(above[:, of, None], axes[:, None], 0.0)
-    move = np.cross(turn, p[:, :, None] - p[:, None, of])
-    root = np.broadcast_to(np.eye(3), (*p.shape, 3))
-    moves = np.concatenate([root, np.swapaxes(move, -1, -2)], axis=-1)
-    turns = np.concatenate([np.zeros_like(root), np.swapaxes(turn, -1, -2)], axis=-1)
-    return moves, turns
