@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration import sensor_unknowns as sensing
 from rtof_kin.calibration import vision_unknowns as seeing
@@ -32,7 +31,6 @@ from rtof_kin.calibration.result import (
 )
 from rtof_kin.calibration.shared_fragments import Shared, SharedFragments, Weights
 from rtof_kin.calibration.unknowns import Bones, Unknown
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -41,7 +39,7 @@ from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.inertial.outlier_rejection import without
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess
-from rtof_kin.solve.joint_space.observations import Observations, low_passed, sensor_data
+from rtof_kin.solve.joint_space.observations import Observations, bone_axis, low_passed, sensor_data
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
@@ -156,7 +154,7 @@ def _unknowns(
     if p.sigma_heading is not None:
         found.append(sensing.Heading(data.sensors, p.sigma_heading, p.sigma_heading_drift))
     if p.sigma_swing is not None:
-        axes = np.array([_bone_axis(skeleton, joint) for joint in data.sensors])
+        axes = np.array([bone_axis(skeleton, joint) for joint in data.sensors])
         found.append(sensing.Mounting(data.sensors, axes, p.sigma_swing, p.sigma_twist))
     if p.sigma_lever_arm is not None:
         found.append(sensing.LeverArm(data.sensors, p.sigma_lever_arm))
@@ -182,13 +180,6 @@ def _unknowns(
     if not found:
         raise CalibrationError("nothing is left open: give at least one standard deviation")
     return found
-
-
-def _bone_axis(skeleton: SkeletonModel, joint: str) -> Array:
-    """(3,) direction of a segment's bone in its frame; 0 for several or none."""
-    (j,) = skeleton.index(joint)
-    children = kinematics.children_of(skeleton.parents, j)
-    return so3.unit(skeleton.joint_offsets[children[0]]) if len(children) == 1 else np.zeros(3)
 
 
 def _height_px(keypoints: KeypointSequence) -> float:

@@ -336,18 +336,19 @@ def _limb_bones(skeleton: SkeletonModel) -> tuple[tuple[int, int], ...]:
     return tuple(sorted((joint, children[0]) for joint, children in pairs if len(children) == 1))
 
 
-def _whitening(skeleton: SkeletonModel, sensors: tuple[str, ...], s: JointSpaceSettings) -> Array:
-    """(9, S) column-major matrices from an orientation's error, rad, to swing and twist in sigmas.
+def bone_axis(skeleton: SkeletonModel, joint: str) -> Array:
+    """Return the unit direction (3,) of a segment's bone in its frame; 0 for several bones or none.
 
-    For a segment with several children or none, all three axes have the swing's sigma.
+    Args:
+        skeleton: the body. joint: where the segment begins.
     """
-    columns = []
-    for joint in skeleton.index(*sensors):
-        children = kinematics.children_of(skeleton.parents, joint)
-        W = np.eye(3) / s.sigma_swing
-        if len(children) == 1:
-            bone = so3.unit(skeleton.joint_offsets[children[0]])
-            along = np.outer(bone, bone)
-            W = (np.eye(3) - along) / s.sigma_swing + along / s.sigma_twist
-        columns.append(W.ravel(order="F"))
-    return np.array(columns).reshape(-1, 9).T
+    children = kinematics.children_of(skeleton.parents, skeleton.names.index(joint))
+    return np.asarray(so3.unit(skeleton.joint_offsets[children[0]]) if len(children) == 1 else np.zeros(3))
+
+
+def _whitening(skeleton: SkeletonModel, sensors: tuple[str, ...], s: JointSpaceSettings) -> Array:
+    """(9, S) column-major matrices from an orientation's error, rad, to swing and twist in sigmas."""
+    axes = np.reshape([bone_axis(skeleton, joint) for joint in sensors], (-1, 3))
+    along = axes[:, :, None] * axes[:, None]
+    W = (np.eye(3) - along) / s.sigma_swing + along / s.sigma_twist  # symmetric
+    return np.asarray(W.reshape(-1, 9).T)
