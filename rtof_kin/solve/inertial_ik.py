@@ -83,14 +83,15 @@ class InertialGuidedIK:
         self.skeleton.check_joints(poses.names)
         p = poses.p_world_joint
         known = np.isfinite(p).all(axis=(1, 2))
-        R_imu = self._sensor_rotations(poses, bone_imus)
-        R = np.full((*p.shape[:2], 3, 3), np.nan)
+        R, R_imu = np.full((2, *p.shape[:2], 3, 3), np.nan)
+        if bone_imus is not None:
+            joints = self.skeleton.index(*bone_imus.joints)
+            if not np.array_equal(bone_imus.times, poses.times):
+                bone_imus = bone_imus.resample(poses.times)
+            R_imu[:, list(joints)] = bone_imus.R_world_bone
         R_seen = np.full_like(R, np.nan) if R_observed is None else R_observed
-        R[known] = self._solve(p[known], R_seen[known], {j: matrices[known] for j, matrices in R_imu.items()})
-        sensed = np.zeros(p.shape[:2], dtype=bool)
-        for j, matrices in R_imu.items():
-            sensed[:, j] = np.isfinite(matrices[:, 0, 0])
-        return R, sensed
+        R[known] = self._solve(p[known], R_seen[known], R_imu[known])
+        return R, np.isfinite(R_imu[:, :, 0, 0])
 
     def _posed(self, poses: PoseSequence, p: Array, R: Array, sensed: NDArray[np.bool_]) -> PoseSequence:
         """The poses with positions and orientations, with sensor data where `sensed`."""
@@ -103,29 +104,19 @@ class InertialGuidedIK:
             orientation_observed=sensed | poses.orientation_observed,
         )
 
-    def _sensor_rotations(self, poses: PoseSequence, bone_imus: BoneImuSequence | None) -> dict[int, Array]:
-        """Joint index -> R_world_bone (T, 3, 3) of its sensor at the poses' times, NaN where missing."""
-        if bone_imus is None:
-            return {}
-        joints = self.skeleton.index(*bone_imus.joints)
-        if not np.array_equal(bone_imus.times, poses.times):
-            bone_imus = bone_imus.resample(poses.times)
-        return {j: bone_imus.R_world_bone[:, s] for s, j in enumerate(joints)}
-
-    def _solve(self, p: Array, R_seen: Array, R_imu: dict[int, Array]) -> Array:
+    def _solve(self, p: Array, R_seen: Array, R_imu: Array) -> Array:
         parents, offsets = self.skeleton.parents, self.skeleton.joint_offsets
-        R, none = np.empty((*p.shape[:2], 3, 3)), np.full((len(p), 3, 3), np.nan)
+        R, root = np.empty((*p.shape[:2], 3, 3)), np.broadcast_to(np.eye(3), (len(p), 3, 3))
         for j, parent in enumerate(parents):
-            identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
-            R_parent = identity if parent < 0 else R[:, parent]
-            has, sensed = (np.isfinite(seen[:, 0, 0]) for seen in (R_seen[:, j], R_imu.get(j, none)))
+            has, sensed = (np.isfinite(matrices[:, j, 0, 0]) for matrices in (R_seen, R_imu))
             bones = len(kinematics.children_of(parents, j))
             if bones != 1 or not sensed.all():  # with one bone the twist is the sensor's
                 if bones > 1 or not has.all():
+                    R_parent = root if parent < 0 else R[:, parent]
                     R[:, j] = kinematics.segment_rotation(parents, offsets, j, p, R_parent)
                 R[has, j] = self._observed(j, p[has], R_seen[has, j], R[has, j])
             if sensed.any():
-                R[sensed, j] = self._correct(j, p[sensed], R[sensed, j], R_imu[j][sensed])
+                R[sensed, j] = self._correct(j, p[sensed], R[sensed, j], R_imu[sensed, j])
         return R
 
     def _observed(self, joint: int, p: Array, R_seen: Array, R_positions: Array) -> Array:
