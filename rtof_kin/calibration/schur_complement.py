@@ -45,29 +45,20 @@ class UnknownsHessian:
                 out[..., part] = own if through is None else through @ own
         return out
 
-    def add(self, residuals: Residuals, by_unknowns: Array) -> None:
-        """Add residuals of single frames, with their derivatives (N, R, i, G)."""
-        weighted = residuals.weight[..., None, None] * by_unknowns
-        self._count(residuals.value, weighted, by_unknowns)
-        self._spread(residuals.by_state, weighted)
+    def add(self, residuals: Residuals, by_unknowns: Array, order: int = 0, rate_hz: float = 1.0) -> None:
+        """Add residuals (N - order, R, i) of differences over time.
 
-    def add_differences(self, residuals: Residuals, by_unknowns: Array, order: int, rate_hz: float) -> None:
-        """Add residuals (N - order, R, i) of differences over time; their `by_state` (N, R, i, D) is that
-        of the differenced quantity.
+        Args:
+            residuals: with `by_state` (N, R, i, D) of the differenced quantity.
+            by_unknowns: (N - order, R, i, G) their derivatives. order: 0 for single frames. rate_hz: 1/s.
         """
         weighted = residuals.weight[..., None, None] * by_unknowns
-        self._count(residuals.value, weighted, by_unknowns)
-        spread = np.zeros((len(weighted) + order, *weighted.shape[1:]))
-        for k, factor in enumerate(np.diff(np.eye(order + 1), n=order, axis=0)[0]):
-            spread[k : k + len(weighted)] += factor * rate_hz**order * weighted
-        self._spread(residuals.by_state, spread)
-
-    def _count(self, value: Array, weighted: Array, by_unknowns: Array) -> None:
         flat = weighted.reshape(-1, len(self.gradient))
         self.corner += flat.T @ by_unknowns.reshape(flat.shape)
-        self.gradient += flat.T @ value.ravel()
-
-    def _spread(self, by_state: Array, weighted: Array) -> None:
+        self.gradient += flat.T @ residuals.value.ravel()
         N, size, count = self.columns.shape
-        left = np.swapaxes(by_state.reshape(N, -1, size), 1, 2)
-        self.columns += left @ weighted.reshape(N, -1, count)
+        spread = np.zeros((N, *weighted.shape[1:]))
+        for k, factor in enumerate(np.diff(np.eye(order + 1), n=order, axis=0)[0]):
+            spread[k : k + len(weighted)] += factor * rate_hz**order * weighted
+        left = np.swapaxes(residuals.by_state.reshape(N, -1, size), 1, 2)
+        self.columns += left @ spread.reshape(N, -1, count)

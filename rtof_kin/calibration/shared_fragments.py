@@ -297,9 +297,9 @@ class SharedFragments:
         moves = at.accelerations(values.w_acceleration, s.robust_acceleration)
         rate = corrected.rate_hz
         moved = np.diff(by("sensors", at.sensors), n=2, axis=0) * rate**2
-        out.add_differences(moves, moved - by("accelerations", moves.value), 2, rate)
+        out.add(moves, moved - by("accelerations", moves.value), 2, rate)
         jerk = at.jerk(values.w_jerk, self.data.problem.sigma_jerk[:3] * corrected.length_scale)
-        out.add_differences(jerk, by("jerk", jerk.value), 3, rate)
+        out.add(jerk, by("jerk", jerk.value), 3, rate)
         return out
 
 

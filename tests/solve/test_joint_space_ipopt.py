@@ -167,7 +167,7 @@ def test_equal_calls_give_equal_results() -> None:
     solver, before = Ipopt(start.problem, start.limits), start.x.copy()
     first = solver.solve(start.x, 8, TIGHT)
     solver.solve(js.states(start.problem.space, N, 3), 3, TIGHT)
-    again = solver.solve(start.x, 8, TIGHT, np.ones_like(first.multipliers))
+    again = solver.solve(start.x, 8, TIGHT)
     np.testing.assert_array_equal(start.x, before)
     np.testing.assert_array_equal(again.x, first.x)
     np.testing.assert_array_equal(again.multipliers, first.multipliers)

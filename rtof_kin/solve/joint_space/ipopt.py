@@ -31,7 +31,7 @@ _METIS: Final = 5
 
 
 class Ipopt:
-    """Solves one problem for any data bound to it; the interface is that of `LevenbergMarquardt`."""
+    """Solves one problem for any data bound to it."""
 
     def __init__(self, problem: FragmentEnergy, limits: Limits | None) -> None:
         self.problem, self.limits = problem, limits
@@ -41,16 +41,13 @@ class Ipopt:
             self._functions = {name: _Oracle(name, self._point) for name in names}
         self._solvers: dict[tuple[int, float], Any] = {}
 
-    def solve(
-        self, x: Array, max_iterations: int, tolerance: float, multipliers: Array | None = None
-    ) -> Solved:
+    def solve(self, x: Array, max_iterations: int, tolerance: float) -> Solved:
         """Minimise from a state.
 
         Args:
             x: (N, 3 + 4A) initial state. max_iterations: iteration limit.
             tolerance: a hundredth of the largest remaining derivative of the Lagrangian, by a millimetre
                 or milliradian.
-            multipliers: unused, IPOPT initialises its own.
         """
         self._point.begin(x)
         problem, limits, N = self.problem, self.limits, len(x)
