@@ -16,6 +16,7 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
+from rtof_kin.solve.joint_space.initial_guess import initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.joint_space.solver import JointSpaceSolver
 
@@ -258,3 +259,10 @@ def test_recording_shorter_than_a_fragment_is_solved(
     assert [f.first_frame for f in out.fragments] == [-6, 0] + ([6] if frames > 6 else [])
     p, p_true = out.poses.p_world_joint, scene.truth.poses.p_world_joint[:frames]
     assert planted.root_relative_mm(p, p_true) < 50
+
+
+def test_initial_guess_may_be_given_instead_of_poses(scene: Scene, solver: FragmentSolver) -> None:
+    start, seen, imus = scene.start[:12], planted.unseen(scene.seen[:12], slice(5, 9)), scene.imus[:12]
+    guess = initial_guess(start, seen, imus if solver.space == "joint" else None, BODY)
+    given, made = (solver.solve(poses, seen, imus).poses for poses in (guess, start))
+    np.testing.assert_array_equal(given.p_world_joint, made.p_world_joint)
