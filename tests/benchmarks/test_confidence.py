@@ -31,7 +31,7 @@ from rtof_kin.solve.uncertainty.covariance_inflation import (
     CovarianceInflation,
     ResidualStatistics,
     Widening,
-    factor_where,
+    correlated_factor,
 )
 from rtof_kin.solve.uncertainty.disagreement import disagreement
 
@@ -124,7 +124,7 @@ def test_they_are_recovered_from_recordings_that_tell_different_things_of_themse
     rng = np.random.default_rng(1)
     variance = rng.uniform(0.01, 0.1, 40000) ** 2
     lasting, doubt = rng.uniform(0.0, 1.0, 40000), rng.uniform(0.5, 2.0, 40000)
-    size = np.sqrt(factor_where(3.0, lasting) ** 2 * variance + (0.05 * lasting * doubt) ** 2)
+    size = np.sqrt(correlated_factor(3.0, lasting) ** 2 * variance + (0.05 * lasting * doubt) ** 2)
     error = size * rng.normal(size=len(size))
     found = sharpest(error, variance, lasting, doubt, 0 * size, 1e-3)[:2]
     assert found == pytest.approx((3.0, 0.05), rel=0.1)

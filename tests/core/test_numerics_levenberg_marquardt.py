@@ -42,8 +42,7 @@ def apart(problem: JointProblem, x: Array, y: Array) -> float:
 
 
 def lagrangian_gradient(start: Start, solved: Solved) -> Array:
-    J = start.limits.jacobian(solved.x)
-    force = np.einsum("tm,tmd->td", solved.multipliers, J)
+    force = start.limits.force(solved.x, solved.multipliers)
     return np.asarray(start.problem.gradient(solved.x) + force)
 
 
