@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import CalibrationError, ShapeError
+from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
@@ -227,7 +227,7 @@ def certainty(keypoints: KeypointSequence, skeleton: SkeletonModel, lifter: Lift
     """
     try:
         result = lifter.predict(keypoints, skeleton.joint_offsets)
-    except ShapeError:
+    except InvalidInputError:
         return None
     p, seen = np.asarray(result.p_world_joint), keypoints.select(skeleton.names)
     off = np.linalg.norm(keypoints.camera.project(p) - seen.uv_px, axis=-1)
