@@ -1,0 +1,303 @@
+"""Preparation of a recording: even keypoints, one lift, one resampling of the sensors, SF2."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import planted
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+from reconstruction_support import BODY, SETTINGS, run
+
+from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.choices import CAMERA_MODES, Mode
+from rtof_kin.core.errors import CalibrationError, InvalidInputError
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.stream_faults import FaultKind
+from rtof_kin.reconstruction.prepare import Prepared, evenly_spaced, prepare
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve.fragment_solver import SolverStatus
+from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+
+Array = NDArray[np.float64]
+QUICK_PRIORS = replace(CalibrationPriors(), sigma_swing=None, sigma_image_bias=None)
+
+
+def prepared(
+    recording: Recording, truth: MotionSequence, mode: Mode, turned: Array | None = None
+) -> Prepared:
+    lifter = planted.PlantedLifter(truth, turned=turned)
+    return prepare(recording, BODY, mode, lifter, SETTINGS, lambda *_: None)
+
+
+def with_turned_sensor(recording: Recording, degrees: float) -> Recording:
+    """One sensor turned about its bone's x axis after its calibration."""
+    assert recording.calibration is not None
+    R = np.array(recording.calibration.R_sensor_bone)
+    R[0] = R[0] @ so3.about_axis("x", np.radians(degrees))
+    return replace(recording, calibration=replace(recording.calibration, R_sensor_bone=R))
+
+
+# --- each thing once -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", CAMERA_MODES)
+def test_video_is_lifted_once(recording: Recording, truth: MotionSequence, mode: Mode) -> None:
+    lifter = planted.PlantedLifter(truth)
+    run(recording, truth, mode, lifter=lifter)
+    assert len(lifter.asked) == 1
+
+
+def test_video_is_lifted_twice_with_calibration(recording: Recording, truth: MotionSequence) -> None:
+    lifter = planted.PlantedLifter(truth)
+    result = run(recording, truth, lifter=lifter, calibrate=True, priors=QUICK_PRIORS)
+    assert result.calibration is not None
+    assert len(lifter.asked) == 2
+
+
+def test_rejected_sensor_runs_sf2_again_on_the_same_lift(
+    recording: Recording, truth: MotionSequence, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The diagnosis of the setup, which a rejected sensor causes, lifts once more, without sensors."""
+    refined: list[Any] = []
+    refine = InertialGuidedIK.refine
+
+    def counted(self: InertialGuidedIK, lifted: Any, *sensors: Any) -> Any:
+        refined.append(lifted)
+        return refine(self, lifted, *sensors)
+
+    monkeypatch.setattr(InertialGuidedIK, "refine", counted)
+    lifter = planted.PlantedLifter(truth)
+    result = run(with_turned_sensor(recording, 60), truth, lifter=lifter)
+    (fault,) = result.faults
+    assert fault.kind is FaultKind.DISAGREES
+    assert fault.what == planted.LIMBS[0]
+    assert len(refined) == 2
+    assert refined[0] is refined[1] is result.stages["lift"]
+    of_stages = [sensors for sensors in lifter.sensors if sensors is not None]
+    assert len(of_stages) == 1
+    assert len(lifter.asked) == 2  # the other by the diagnosis
+    assert result.bone_imus is not None
+    assert np.isnan(result.bone_imus.R_world_bone[:, 0]).all()
+
+
+def test_sensors_are_resampled_to_the_frames_once(
+    recording: Recording, truth: MotionSequence, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert recording.imus is not None
+    times = recording.video.times
+    late = replace(
+        recording, keypoints=planted.unseen(recording.video, slice(5, 10)),
+        imus=replace(recording.imus, times=recording.imus.times + 1e-3),
+    )  # fmt: skip
+    calls: list[bool] = []
+    resample = BoneImuSequence.resample
+
+    def counted(self: BoneImuSequence, to: ArrayLike, max_gap: float = 0.1) -> BoneImuSequence:
+        calls.append(not np.array_equal(self.times, to) and np.array_equal(to, times))
+        return resample(self, to, max_gap)
+
+    monkeypatch.setattr(BoneImuSequence, "resample", counted)
+    for mode in ("sf2", "rtof"):
+        calls.clear()
+        found = prepared(late, truth, mode)
+        assert found.guess.poses is not None
+        assert sum(calls) == 1
+        calls.clear()
+        run(late, truth, mode)
+        assert sum(calls) == 1
+
+
+# --- what the lifter and the solver get ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode, with_sensors, given_", [
+    ("lift", True, False), ("rto", True, False), ("sf2", True, True), ("rtof", True, True),
+    ("sf2", False, False),
+])  # fmt: skip
+def test_lifter_gets_sensors_in_modes_that_use_them(
+    recording: Recording, truth: MotionSequence, mode: Mode, with_sensors: bool, given_: bool
+) -> None:
+    lifter = planted.PlantedLifter(truth)
+    chosen = replace(SETTINGS, lift_with_sensors=with_sensors)
+    found = prepare(recording, BODY, mode, lifter, chosen, lambda *_: None)
+    assert lifter.sensors == [found.bone_imus if given_ else None]
+    assert (lifter.sensors[0] is not None) == given_
+    assert (found.bone_imus is not None) == (mode in ("sf2", "rtof"))
+
+
+@pytest.mark.parametrize("mode", ["sf2", "rto", "rtof"])
+@pytest.mark.parametrize("turned", [None, so3.exp([0.1, -0.05, 0.15])])
+def test_solver_starts_from_the_lift_corrected_by_sf2(
+    recording: Recording, truth: MotionSequence, mode: Mode, turned: Array | None
+) -> None:
+    """With the lifter's orientations where it has them, else with positions alone."""
+    found = prepared(recording, truth, mode, turned)
+    lifted = found.stages["lift"]
+    R = None if turned is None else lifted.R_world_bone
+    refined = InertialGuidedIK(BODY).refine(lifted, found.bone_imus, R)
+    np.testing.assert_allclose(found.start.p_world_joint, refined.p_world_joint, atol=1e-9)
+    np.testing.assert_allclose(found.start.R_world_bone, refined.R_world_bone, atol=1e-9)
+    assert (found.start is found.stages.get("sf2")) == (mode != "rto")
+
+
+def test_solver_without_iterations_returns_the_start(recording: Recording, truth: MotionSequence) -> None:
+    idle = replace(SETTINGS, fragment=CartesianSettings(max_iterations=0, refit_root=False))
+    for mode in ("rto", "rtof"):
+        result = run(recording, truth, mode, settings=idle)
+        start = prepared(recording, truth, mode).start
+        assert result.solution is not None
+        np.testing.assert_allclose(
+            result.solution.poses.p_world_joint, start.p_world_joint, atol=1e-9, err_msg=mode
+        )
+
+
+def test_sf2_settings_reach_sf2(recording: Recording, truth: MotionSequence) -> None:
+    never = ReconstructionSettings(inertial_ik=InertialGuidedIKSettings(threshold=np.pi))
+    stages = run(recording, truth, "sf2", settings=never).stages
+    arm, hand = BODY.index("LeftForeArm", "LeftHand")
+    bones = [poses.p_world_joint[:, hand] - poses.p_world_joint[:, arm] for poses in stages.values()]
+    lifted, refined = (bone / np.linalg.norm(bone, axis=-1, keepdims=True) for bone in bones)
+    np.testing.assert_allclose(lifted, refined, atol=1e-9)
+
+
+# --- refused input -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("change, remedy", [
+    (lambda k: replace(k, times=1000 * k.times), "seconds"),
+    (lambda k: replace(k, uv_px=k.uv_px / 1920), "multiply x by its width"),
+])  # fmt: skip
+def test_keypoints_in_another_unit_are_refused(
+    recording: Recording, truth: MotionSequence, change: Any, remedy: str
+) -> None:
+    with pytest.raises(InvalidInputError, match=remedy):
+        prepared(replace(recording, keypoints=change(recording.video), imus=None), truth, "rto")
+
+
+@pytest.mark.parametrize("mode", ["sf2", "rtof"])
+def test_mode_with_sensors_refuses_a_recording_without(
+    recording: Recording, truth: MotionSequence, mode: Mode
+) -> None:
+    lifter = planted.PlantedLifter(truth)
+    camera_only = replace(recording, imus=None, calibration=None)
+    with pytest.raises(InvalidInputError, match=f"mode {mode} needs IMUs .*'rto'"):
+        run(camera_only, truth, mode, lifter=lifter)
+    assert not lifter.asked
+    assert run(camera_only, truth, "rto").metrics is not None
+
+
+def test_uncalibrated_sensors_are_refused_where_they_are_used(
+    recording: Recording, truth: MotionSequence
+) -> None:
+    uncalibrated = replace(recording, calibration=None)
+    with pytest.raises(CalibrationError, match="have no calibration"):
+        prepared(uncalibrated, truth, "rtof")
+    assert prepared(uncalibrated, truth, "lift").bone_imus is None
+
+
+# --- uneven times --------------------------------------------------------------------------------
+
+
+def keypoints_at(times: Array) -> KeypointSequence:
+    """One landmark on a straight line: 100 px/s to the right, 40 px/s down."""
+    uv = 500 + np.asarray(times)[:, None, None] * np.array([100.0, 40.0])
+    return KeypointSequence(planted.camera(), times, uv, np.full((len(times), 1), 0.8), ("Head",))
+
+
+@pytest.mark.parametrize("times", [
+    np.arange(5) / 30, np.array([0.0, 1.0]), np.array([3.0]),
+    np.arange(500) / 60 + np.random.default_rng(0).uniform(-4e-3, 4e-3, 500) / 60,
+], ids=["even", "two", "one", "jitter below 1 %"])  # fmt: skip
+def test_even_times_are_kept(times: Array) -> None:
+    keypoints = keypoints_at(times)
+    assert evenly_spaced(keypoints) is keypoints
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    jitter=st.floats(0.02, 0.4), frames=st.integers(3, 400), rate=st.floats(5, 120),
+    seed=st.integers(0, 1000),
+)  # fmt: skip
+def test_jittering_times_become_even_and_positions_are_interpolated(
+    jitter: float, frames: int, rate: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    times = (np.arange(frames) + rng.uniform(-jitter, jitter, frames)) / rate
+    keypoints = keypoints_at(times)
+    even = evenly_spaced(keypoints)
+    if even is not keypoints:
+        np.testing.assert_allclose(np.diff(even.times), np.diff(even.times).mean(), rtol=1e-9)
+    assert even.times[[0, -1]].tolist() == times[[0, -1]].tolist()
+    assert evenly_spaced(even) is even
+    seen = even.seen[:, 0]
+    expected = 500 + even.times[seen, None] * np.array([100.0, 40.0])
+    # Next to a sample, up to 1 % of a frame, the sample itself is taken.
+    np.testing.assert_allclose(even.uv_px[seen, 0], expected, atol=1.1 / rate + 1e-6)
+    np.testing.assert_allclose(even.confidence[seen], 0.8)
+
+
+@pytest.mark.parametrize("milliseconds", [[33, 33, 34], [14, 19], [16, 17, 17]])
+def test_times_rounded_to_milliseconds_have_the_mean_rate(milliseconds: list[int]) -> None:
+    times = np.cumsum([0, *milliseconds * 40]) / 1000
+    even = evenly_spaced(keypoints_at(times))
+    assert len(even) == len(times)
+    assert np.diff(even.times).mean() == pytest.approx(np.mean(milliseconds) / 1000)
+    assert even.seen.all()
+
+
+@pytest.mark.parametrize("start", [0.0, 12.3, 1.7e9])
+@pytest.mark.parametrize("rate", [25.0, 29.97, 100.0])
+def test_dropped_frames_are_missing_and_all_others_kept(
+    start: float, rate: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    dropped = [10, 11, 12, 25]
+    with caplog.at_level(logging.WARNING):
+        even = evenly_spaced(keypoints_at(start + np.delete(np.arange(40), dropped) / rate))
+    np.testing.assert_allclose(even.times, start + np.arange(40) / rate, atol=1e-6)
+    assert np.flatnonzero(~even.seen[:, 0]).tolist() == dropped
+    assert np.isnan(even.uv_px[dropped]).all()
+    for figure in ("36 samples", "40 even frames", f"{1000 / rate:.1f} ms"):
+        assert figure in caplog.text
+
+
+def test_missing_landmark_is_not_interpolated() -> None:
+    times = np.arange(30) / 60 + np.where(np.arange(30) % 2, 0.002, 0.0)
+    keypoints = keypoints_at(times)
+    uv = np.array(keypoints.uv_px)
+    uv[14] = np.nan
+    even = evenly_spaced(replace(keypoints, uv_px=uv))
+    missing = np.flatnonzero(~even.seen[:-1, 0])
+    assert 1 <= len(missing) <= 2
+    assert set(missing) <= {13, 14, 15}
+
+
+def test_video_with_jitter_and_dropped_frames_is_reconstructed() -> None:
+    long = planted.human(BODY, 120)
+    jitter = np.random.default_rng(1).uniform(-1.5e-3, 1.5e-3, 120)
+    frames = np.delete(np.arange(10, 100, 2), [20, 21])
+    video = planted.keypoints(long.poses)
+    video = replace(
+        video, times=(long.times + jitter)[frames], uv_px=video.uv_px[frames],
+        confidence=video.confidence[frames],
+    )  # fmt: skip
+    result = run(replace(planted.recording(long), keypoints=video), long)
+    assert result.keypoints is not None
+    assert len(result.keypoints) == 45
+    missing = set(np.flatnonzero(~result.keypoints.seen.any(axis=1)).tolist())
+    assert {20, 21} <= missing <= {19, 20, 21, 22}
+    assert np.ptp(np.diff(result.motion.times)) < 1e-9
+    assert result.metrics is not None
+    assert result.metrics["mpjpe_rr_mm"] < 30
+    assert result.solution is not None
+    assert result.solution.status is SolverStatus.CONVERGED
