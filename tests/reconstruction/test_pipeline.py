@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import planted
 import pytest
-from reconstruction_support import BODY, FRAMES, SETTINGS, TRUNK, run
+from reconstruction_support import BODY, FRAMES, QUICK_PRIORS, SETTINGS, TRUNK, run
 
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
@@ -29,8 +29,6 @@ from rtof_kin.solve.fragment_solver import SolverStatus
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
 from rtof_kin.solve.uncertainty.disagreement import disagreement
-
-QUICK_PRIORS = replace(CalibrationPriors(), sigma_swing=None, sigma_image_bias=None)
 
 
 @pytest.fixture(scope="module")

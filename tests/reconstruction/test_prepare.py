@@ -12,10 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
-from reconstruction_support import BODY, SETTINGS, run
+from reconstruction_support import BODY, QUICK_PRIORS, SETTINGS, run
 
 from rtof_kin.body.skeleton import MotionSequence
-from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.choices import CAMERA_MODES, Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
@@ -30,7 +29,6 @@ from rtof_kin.solve.fragment_solver import SolverStatus
 from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 
 Array = NDArray[np.float64]
-QUICK_PRIORS = replace(CalibrationPriors(), sigma_swing=None, sigma_image_bias=None)
 
 
 def prepared(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import planted
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -15,6 +17,8 @@ from rtof_kin.recording.recording import Recording
 BODY = SkeletonModel.default()
 FRAMES = 40
 SETTINGS = ReconstructionSettings(frames=16)
+QUICK_PRIORS = replace(CalibrationPriors(), sigma_swing=None, sigma_image_bias=None)
+"""Few unknowns."""
 TRUNK = BODY.index("Hips", "Spine", "Spine1", "Neck", "Head", "LeftShoulder", "RightShoulder")
 
 
