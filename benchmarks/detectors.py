@@ -22,9 +22,9 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from benchmarks.harness import write_results
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.simulation.mocap import MocapClip, read_corpus
-from rtof_kin.vision.landmark_regression import AdaptedPoints, Adapter
+from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks
 from rtof_kin.vision.recognise import recognise
 from rtof_kin.vision.views import Views, ViewSettings
 
@@ -35,7 +35,7 @@ BIAS_PX, WHITE_PX, HIDDEN = 6.0, 5.0, 0.25
 KINDS = ("exact", "noisy", "gaps")
 
 
-def measure(clips: list[MocapClip], adapter: Adapter) -> list[dict[str, Any]]:
+def measure(clips: list[MocapClip], adapter: LandmarkRegression) -> list[dict[str, Any]]:
     """A row for each layout and kind of 2D: mean errors in px, and how often the layout is recognised."""
     settings = replace(ViewSettings(), distance=(DISTANCE, DISTANCE), tilt_share=0.0)
     views, rng = Views(adapter.table, settings), np.random.default_rng(SEED)
@@ -49,7 +49,7 @@ def measure(clips: list[MocapClip], adapter: Adapter) -> list[dict[str, Any]]:
 
 
 def _row(
-    adapter: Adapter, views: Views, seen: list[tuple[Array, Array]], layout: str, kind: str
+    adapter: LandmarkRegression, views: Views, seen: list[tuple[Array, Array]], layout: str, kind: str
 ) -> dict[str, Any]:
     rng = np.random.default_rng(SEED)
     names = views.skeleton.names
@@ -96,7 +96,7 @@ def _observed(uv: Array, kind: str, rng: Generator) -> tuple[Array, Array]:
     return uv, confidence
 
 
-def _distance(points: AdaptedPoints, truth: Array, names: tuple[str, ...]) -> Array:
+def _distance(points: RegressedLandmarks, truth: Array, names: tuple[str, ...]) -> Array:
     """(T, J) px to the truth, NaN where there is no point."""
     uv = np.full(truth.shape, np.nan)
     for j, name in enumerate(names):
@@ -108,7 +108,7 @@ def _distance(points: AdaptedPoints, truth: Array, names: tuple[str, ...]) -> Ar
 def _recognised(uv: Array, confidence: Array, layout: str) -> bool:
     try:
         return recognise(uv, confidence).layout.name == layout
-    except ShapeError:
+    except InvalidInputError:
         return False
 
 
@@ -138,7 +138,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     split = tomllib.loads((HERE / "split.toml").read_text(encoding="utf-8"))
     clips = list(read_corpus(options.corpus, split["validation"], output_rate_hz=RATE_HZ))
-    rows = measure(clips, Adapter.default())
+    rows = measure(clips, LandmarkRegression.default())
     result = {
         "command": "python -m benchmarks.detectors --corpus DIR",
         "seed": SEED,

@@ -38,7 +38,7 @@ from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_
 Array = NDArray[np.float64]
 SETS = {n: SENSOR_SETS[n] for n in ("8", "10")}
 SETS["13"] = (*SETS["10"], "Head", "L_Foot", "R_Foot")
-NOISE = {"exact": ImuNoise.perfect(), "realistic": ImuNoise.realistic()}
+NOISE = {"exact": ImuNoise.perfect(), "realistic": ImuNoise()}
 FIGURES = {
     "orientation_deg": ("sensed segments deg", 1),
     "angle_deg": ("joint angle deg", 1),

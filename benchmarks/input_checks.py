@@ -34,7 +34,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import low_passed, simulate, standard_cameras
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.keypoints import adapt
+from rtof_kin.vision.keypoints import keypoints_from_detections
 
 RESULTS = harness.HERE / "results"
 SUBJECTS = {
@@ -173,7 +173,9 @@ def _recorded(
     p, R = clip.poses.p_world_joint, clip.poses.R_world_bone
     uv, visibility = sample(p, R, view.K, view.R_camera_world, view.t_camera_world, seed)
     confidence = np.where(np.isfinite(uv).all(axis=-1), visibility, 0.0)
-    found = adapt(Detections(uv[:, None], confidence[:, None]), clip.poses.times, view, "mediapipe33")
+    found = keypoints_from_detections(
+        Detections(uv[:, None], confidence[:, None]), clip.poses.times, view, "mediapipe33"
+    )
     return replace(r, keypoints=found.keypoints, truth=None)
 
 

@@ -30,9 +30,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.inertial.alignment import usual_lever
-from rtof_kin.inertial.mounting import LEAST_RATIO, diagnose_setup
 from rtof_kin.inertial.poses import pose_rotations
-from rtof_kin.inertial.setup_diagnosis import Fault, FaultKind
+from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.noise import ImuNoise
 from rtof_kin.simulation.sensors import simulate_imus

@@ -109,7 +109,7 @@ def make_take(
     """
     rng = np.random.default_rng([seed, zlib.crc32(f"{subject} {name}".encode())])
     imus, calibration = simulate_imus(
-        rng, poses, _skeleton(), tuple(_skeleton().sensors), poses.times, noise or ImuNoise.realistic()
+        rng, poses, _skeleton(), tuple(_skeleton().sensors), poses.times, noise or ImuNoise()
     )
     tilt = so3.exp(np.radians(0.7) * np.array([*rng.standard_normal(2), 0.0]))
     R_world_inertial = tilt @ so3.about_axis("z", np.radians(rng.uniform(-6, 6)))

@@ -18,7 +18,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import read_camera_toml
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.keypoints import DetectedKeypoints, adapt
+from rtof_kin.vision.keypoints import DetectedKeypoints, keypoints_from_detections
 
 Array = NDArray[np.float64]
 LEAST_CONFIDENCE = 0.2
@@ -135,7 +135,7 @@ def read_trial(root: Path, name: str, height: float | None = None, participant: 
 
 def _view(name: str, camera: Camera, seen: Detections, times: Array, person: int, frame: int) -> View:
     part = Detections(seen.uv_px[: len(times)], seen.confidence[: len(times)])
-    found = adapt(part, times, camera, person=person, frame=frame)
+    found = keypoints_from_detections(part, times, camera, person=person, frame=frame)
     uv, confidence = found.track.of(part)
     return View(name, camera, found, uv, np.where(confidence < LEAST_CONFIDENCE, 0.0, confidence))
 

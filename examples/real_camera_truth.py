@@ -94,7 +94,7 @@ def _joints(trial: Trial, skeleton: SkeletonModel) -> tuple[Array, Array]:
     """(C, T, J, 2) px and inverse variances (C, T, J) of the adapter's joints."""
     uv, weight = [], []
     for view in trial.views:
-        adapted = view.found.adapted
+        adapted = view.found.landmarks
         at = [adapted.names.index(name) for name in skeleton.names]
         sigma = np.where(adapted.confidence[:, at] > 0, adapted.sigma_px[:, at], np.inf)
         uv.append(adapted.uv_px[:, at])

@@ -1,8 +1,9 @@
-"""What many tests need: the shipped skeletons, a motion, a camera."""
+"""Fixtures of many tests: shipped skeletons, a motion, a camera, an empty cache of compiled code."""
 
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import planted
 import pytest
@@ -11,7 +12,7 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.data.camera import Camera
 
 os.environ.setdefault("RTOF_KIN_COMPILE", "never")
-"""Compiling takes longer than what the tests solve; `test_compiled` turns it on."""
+"""Compiling takes longer than the tests; the fixture `compile_cache` turns it on."""
 
 
 @pytest.fixture(scope="session")
@@ -28,7 +29,7 @@ def any_skeleton(request: pytest.FixtureRequest) -> SkeletonModel:
 
 @pytest.fixture(scope="session")
 def motion(skeleton: SkeletonModel) -> MotionSequence:
-    """One second of smooth random motion about standing at ease, 60 Hz, all of it seen."""
+    """One second of smooth random motion about standing, 60 Hz, completely observed."""
     return planted.seen(skeleton, 60)
 
 
@@ -36,3 +37,12 @@ def motion(skeleton: SkeletonModel) -> MotionSequence:
 def camera() -> Camera:
     """One camera 4 m away at 1.5 m."""
     return planted.camera()
+
+
+@pytest.fixture
+def compile_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache of compiled functions, not created yet; compilation is turned on."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("RTOF_KIN_CACHE", str(folder))
+    monkeypatch.delenv("RTOF_KIN_COMPILE", raising=False)
+    return folder

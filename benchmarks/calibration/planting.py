@@ -68,7 +68,7 @@ def _landmarks(recording: Recording) -> tuple[str, ...]:
 
 def _biases(recording: Recording, rng: Generator) -> Values:
     """Larger at arms and smaller at legs, as `KeypointNoise` has them."""
-    noise = KeypointNoise.realistic()
+    noise = KeypointNoise()
     return {name: noise.factor(name) * rng.standard_normal(2) for name in _landmarks(recording)}
 
 

@@ -20,7 +20,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import low_passed
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.keypoints import adapt
+from rtof_kin.vision.keypoints import keypoints_from_detections
 
 Apply = Callable[[Recording, Generator], Recording]
 ORDINARY = "ordinary"
@@ -172,7 +172,9 @@ def sampled(recording: Recording, detector: Path, seed: int) -> Recording:
         camera.t_camera_world, seed, rate=truth.rate_hz, size=(camera.width_px, camera.height_px),
         camera_error=False,
     )  # fmt: skip
-    found = adapt(Detections(uv[:, None], visibility[:, None]), truth.times, camera, "mediapipe33")
+    found = keypoints_from_detections(
+        Detections(uv[:, None], visibility[:, None]), truth.times, camera, "mediapipe33"
+    )
     return replace(recording, keypoints=found.keypoints)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.checks import indices_of, readonly
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
 
@@ -69,7 +69,7 @@ class PosePrior:
                 arrays["sigma_jerk"],
                 float(readonly("prior sigma_root_jerk", arrays["sigma_root_jerk"], ())),
             )
-        except (KeyError, ShapeError) as error:
+        except (KeyError, InvalidInputError) as error:
             raise FileFormatError(path, f"no pose prior of {len(joints)} joints ({error})") from error
         return prior
 

@@ -38,7 +38,7 @@ from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
-from rtof_kin.inertial.outlier_rejection import without
+from rtof_kin.inertial.outlier_rejection import mask_faults
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations, low_passed, sensor_data
@@ -104,7 +104,7 @@ def shared_fragments(
         )
     _check_long_enough(seen, imus, priors)
     start = guess.poses
-    native = without(recording.calibration.apply(imus), left_out)
+    native = mask_faults(recording.calibration.apply(imus), left_out)
     bone_imus = native.resample(start.times)
     data = Observations(recording.skeleton, frames, settings, guess, seen, bone_imus, places=native.joints)
     slow = low_passed(_with_even_noise(native), settings)

@@ -22,7 +22,7 @@ from typing import Any
 import tomli_w
 
 from rtof_kin.calibration.result import Detector, Quantity, SelfCalibration
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.section import Section
 from rtof_kin.core.files.text import write_text
 
@@ -84,7 +84,7 @@ def read_self_calibration_toml(path: str | Path) -> SelfCalibration:
             file.number("middle_s"),
             bool(file.integer("converged")),
         )  # fmt: skip
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
     file.close()
     return calibration

@@ -31,7 +31,7 @@ from rtof_kin.calibration.residuals import Evidence, Situation
 from rtof_kin.calibration.schur_complement import Border
 from rtof_kin.calibration.unknowns import Unknown
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.solve.energy.problem import JointProblem
+from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.observations import Observations
 
@@ -260,7 +260,7 @@ class SharedFragments:
         """(N, 3 + 4A) of the fragment from a frame, as they are by now."""
         return self._states[first][0]
 
-    def bound(self, evidence: Evidence, first: int) -> JointProblem:
+    def bound(self, evidence: Evidence, first: int) -> FragmentEnergy:
         """The problem with a fragment's evidence."""
         problem = self.data.problem
         problem.bind(evidence.fragment(first, self.data.frames))

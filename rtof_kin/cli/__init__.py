@@ -14,7 +14,11 @@ if TYPE_CHECKING:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command; returns the exit code. Importing takes longest, so Ctrl-C may come then too."""
+    """Run one command and return the exit code.
+
+    Args:
+        arguments: of the command line; default: sys.argv.
+    """
     try:
         return _run(arguments)
     except KeyboardInterrupt:

@@ -13,7 +13,11 @@ from rtof_kin.cli.terminal import add_output, command, out, print_files
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
+    """Declare the commands of this module.
+
+    Args:
+        commands: subparsers of the command line.
+    """
     parser = command(
         commands, "analyse", _analyse, "clinical joint angles, gait and torques of a motion",
         "MOTION is the output of reconstruct. OUT gets the angles as CSV with a table of their names, "

@@ -10,7 +10,11 @@ from rtof_kin.cli.terminal import command, out, progress
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
+    """Declare the commands of this module.
+
+    Args:
+        commands: subparsers of the command line.
+    """
     parser = command(
         commands, "detect", _detect, "detect keypoints of people in a video or webcam",
         "Runs model files of yours (.onnx: RTMPose or RTMO, and YOLOX or RTMDet to find people) on this "

@@ -18,7 +18,11 @@ _FAILED = 1
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
+    """Declare the commands of this module.
+
+    Args:
+        commands: subparsers of the command line.
+    """
     parser = command(
         commands, "inspect", _inspect, "identify files and check their contents by physics",
         "FILE is a sensor log or a folder of one, a recording, a motion, motion capture, markers, "

@@ -10,7 +10,11 @@ from rtof_kin.cli.terminal import command, out
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
+    """Declare the commands of this module.
+
+    Args:
+        commands: subparsers of the command line.
+    """
     parser = command(
         commands, "export-lifter", _export_lifter, "write a lifter as ONNX, for other languages",
         "One graph from rays and sensor orientations in world to poses in world; its inputs, outputs, "

@@ -23,7 +23,11 @@ _WIDEST_FIGURE = 10
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
+    """Declare the commands of this module.
+
+    Args:
+        commands: subparsers of the command line.
+    """
     _add_total_capture(commands)
     _add_human36m(commands)
 

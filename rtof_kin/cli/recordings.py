@@ -34,7 +34,11 @@ if TYPE_CHECKING:
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
+    """Declare the commands of this module.
+
+    Args:
+        commands: subparsers of the command line.
+    """
     _add_demo(commands)
     _add_reconstruct(commands)
     _add_calibrate(commands)
@@ -80,8 +84,8 @@ def _calibrate(options: argparse.Namespace) -> None:
     from rtof_kin.reconstruction.consistency_checks import consistency_warnings
     from rtof_kin.reconstruction.pipeline import calibrate_recording
     from rtof_kin.recording.recording import INDEX, Recording
-    from rtof_kin.report.audit import calibration_findings
-    from rtof_kin.report.audit_results import Finding
+    from rtof_kin.report.audit import calibration_results
+    from rtof_kin.report.audit_results import AuditResult
     from rtof_kin.report.headline import headline
 
     settings = settings_of(options, "calibrate")
@@ -91,8 +95,10 @@ def _calibrate(options: argparse.Namespace) -> None:
     recording = Recording.load(options.recording)
     with progress() as update:
         found = calibrate_recording(recording, lifter=_lifter(options), settings=settings, progress=update)
-    doubts = (Finding.doubt("calibration", "recording", s) for s in consistency_warnings(recording, found))
-    print_headline(headline((*doubts, *calibration_findings(found))))
+    doubts = (
+        AuditResult.warning("calibration", "recording", s) for s in consistency_warnings(recording, found)
+    )
+    print_headline(headline((*doubts, *calibration_results(found))))
     print_calibration(found)
     write_self_calibration_toml(options.output, found, options.overwrite)
     out.print(f"wrote {options.output}", soft_wrap=True)

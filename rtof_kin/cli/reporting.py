@@ -18,7 +18,11 @@ from rtof_kin.cli.terminal import add_output, command, out, print_files, print_h
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
+    """Declare the commands of this module.
+
+    Args:
+        commands: subparsers of the command line.
+    """
     _add_report(commands)
     _add_study(commands)
 

@@ -15,7 +15,11 @@ if TYPE_CHECKING:
 
 
 def add_solver_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that `settings_of` and `use_threads` read."""
+    """Declare the options that `settings_of` and `use_threads` read.
+
+    Args:
+        parser: of the command.
+    """
     group = parser.add_argument_group("solver")
     group.add_argument("--frames", type=int, default=50, metavar="N", help="frames in a fragment")
     group.add_argument(
@@ -48,7 +52,11 @@ def add_solver_options(parser: argparse.ArgumentParser) -> None:
 
 
 def use_threads(options: argparse.Namespace) -> None:
-    """Limit the threads of numerical libraries, before the first of them is loaded."""
+    """Limit the threads of numerical libraries, before the first of them is loaded.
+
+    Args:
+        options: parsed; `threads` may be None.
+    """
     limit_threads(options.threads)
 
 

@@ -156,7 +156,11 @@ def _accuracy(result: Reconstruction) -> str:
 
 
 def print_sections(headline: Headline) -> None:
-    """Print the verdict of every section of the audit with its reasons."""
+    """Print the verdict of every section of the audit with its reasons.
+
+    Args:
+        headline: of the audit.
+    """
     table = Table("section", Column("verdict", no_wrap=True), "why", box=SIMPLE_HEAD, pad_edge=False)
     for verdict in headline.sections:
         if verdict.section != "truth":  # see `print_scores`
@@ -169,14 +173,18 @@ def print_headline(headline: Headline, what: str = "") -> None:
     """Print the overall verdict in one line, and that of every section.
 
     Args:
-        what: in front of the line.
+        headline: of the audit. what: prefix of the line.
     """
     out.print(f"{what}{headline.line}", style=_STYLES.get(headline.grade.value, ""), soft_wrap=True)
     print_sections(headline)
 
 
 def print_calibration(calibration: SelfCalibration) -> None:
-    """Print every estimated quantity with its standard deviations."""
+    """Print every estimated quantity with its standard deviations.
+
+    Args:
+        calibration: of a recording.
+    """
     table = Table("quantity", "of", "value", "+-", "prior +-", "verdict", title="self-calibration")
     for row in calibration.table():
         table.add_row(*row)
@@ -184,7 +192,11 @@ def print_calibration(calibration: SelfCalibration) -> None:
 
 
 def with_zero_motion(recording: Any) -> dict[str, Any]:
-    """Score a predictor that never moves, by the same code as every other; empty without truth."""
+    """Score a predictor that never moves by the same code; empty without truth.
+
+    Args:
+        recording: with or without truth.
+    """
     from rtof_kin.body.metrics import evaluate, motionless
 
     if recording.truth is None:
@@ -212,7 +224,11 @@ def print_scores(scores: Mapping[str, Mapping[str, float]]) -> None:
 
 
 def figure_text(key: str, value: float | None) -> str:
-    """Format a figure of `SCORE_COLUMNS`; empty for None."""
+    """Format a figure.
+
+    Args:
+        key: of `SCORE_COLUMNS`. value: empty for None.
+    """
     if value is None:
         return ""
     if key == "coverage":
@@ -234,5 +250,9 @@ def _entries(folder: str | Path) -> list[str]:
 
 
 def print_files(folder: str | Path) -> None:
-    """Print what was written to a folder."""
+    """Print the files of a folder.
+
+    Args:
+        folder: just written.
+    """
     out.print(f"wrote {folder}: {', '.join(_files(folder))}", soft_wrap=True)

@@ -22,7 +22,11 @@ DEFAULT_MINUTES = 45.0
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
+    """Declare the commands of this module.
+
+    Args:
+        commands: subparsers of the command line.
+    """
     parser = command(
         commands, "train", _train, "train a lifter on motion capture",
         "CORPUS is a folder of BVH and AMC files with an index.csv (see benchmarks/README.md), split by "

@@ -1,5 +1,5 @@
-"""Clinical joint angles of a motion and what is read from them: range, gait, repetitions, torques.
+"""Clinical joint angles of a motion; range of motion, gait, repetitions and joint torques from them.
 
-Motion -> `angles.clinical_angles` -> `ClinicalAngles` -> the analyses. Every result carries `notes`: what
-could not be told, and why.
+Motion -> `angles.clinical_angles` -> `ClinicalAngles` -> the analyses. Each result has `notes` on what could
+not be determined, and why.
 """

@@ -1,60 +1,126 @@
-"""Standard deviations of clinical angles, from the covariance of the rotations they are read from.
+"""Standard deviations of clinical angles, and which of their samples are reliable.
 
-An angle's error is, to first order, linear in the small rotation vector by which the rotation of child in
-parent is off; what parent and child have in common is not in that. Near a singular posture, or where an
-arm hangs, the outer angles magnify it without bound: nothing is known of an angle that may be anywhere.
+Standard deviations follow from the covariance of the relative rotation by first-order propagation: the
+error of an angle is linear in the small rotation vector of the child's rotation in its parent. Near a
+singular posture the outer two angles amplify it without bound, so they are capped at `UNIFORM_SIGMA`.
+
+A sample is reliable if the half width of its 95 % band is at most `WIDEST_BAND` and the joint does not turn
+faster than is physiologically possible. Unreliable samples keep their value and standard deviation but are
+excluded from ranges of motion, peaks and gait.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical import joint_coordinate_systems as jcs
-from rtof_kin.clinical.angle_table import AngleTable
+from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.confidence import Confidence
+from rtof_kin.core import signals
+from rtof_kin.data.confidence import BAND_95, Confidence
 
 Array = NDArray[np.float64]
-NOTHING_KNOWN = np.pi / np.sqrt(3)
-"""[rad] standard deviation of an angle that is anywhere on the circle, the largest that is given."""
-_STEP = 1e-5
+Mask = NDArray[np.bool_]
+UNIFORM_SIGMA: Final = np.pi / np.sqrt(3)
+"""[rad] standard deviation of an angle uniformly distributed on the circle, the largest value reported."""
+_STEP: Final = 1e-5
 """[rad] of the central differences."""
+WIDEST_BAND: Final = np.radians(30.0)
+"""[rad] largest half width of the 95 % band of a reliable sample."""
+FASTEST: Final = {"pelvis": 2000.0, "spine": 1200.0, "hip": 1200.0, "knee": 2500.0, "ankle": 2500.0}
+"""[deg/s] upper bounds of angular speed: kicks reach 750 at the hip and 1,700 at the knee, throws 1,200
+between pelvis and upper trunk, spins 1,800 of the pelvis. Arms have no bound."""
+_MARGIN: Final = 0.1
+"""[s] before and after a sample that is too fast, excluded too."""
 
 
 def angle_sigmas(
     R: dict[str, Array], table: AngleTable, skeleton: SkeletonModel, confidence: Confidence
 ) -> Array:
-    """Standard deviations (T, A) rad of all angles of a table, in its order.
+    """Return standard deviations (T, A) rad of all angles of a table, in its order.
 
     Args:
-        R: rotations (T, 3, 3) of every joint coordinate system, as `jcs.relative_rotations` gives them.
-        confidence: of the motion they are from; what is not among its pairs is NaN.
+        R: rotations (T, 3, 3) of each joint coordinate system, from `jcs.relative_rotations`.
+        table: of the angles. skeleton: of the motion.
+        confidence: of the motion; angles of segment pairs that it does not contain are NaN.
     """
     frames, columns = jcs.isb_frames(skeleton, table), []
     for joint in table.joints:
-        R_bone_isb = frames[skeleton.names.index(joint.child)]
-        axes = R_bone_isb.T
-        if joint.side == "left":  # an axial vector in the mirror
+        axes = frames[skeleton.names.index(joint.child)].T
+        if joint.side == "left":  # rotation vectors are axial vectors
             axes = -jcs.mirror_image(axes)
         covariance = confidence.turn(joint.parent, joint.child)
         known = np.asarray(np.isfinite(R[joint.name] + covariance).all(axis=(1, 2)))
         J = angle_rates(joint.sequence, R[joint.name][known]) @ axes
         variance = np.einsum("tai,tij,taj->ta", J, covariance[known], J)
         sigma = np.full((len(known), 3), np.nan)
-        sigma[known] = np.minimum(np.sqrt(np.maximum(variance, 0.0)), NOTHING_KNOWN)
+        sigma[known] = np.minimum(np.sqrt(np.maximum(variance, 0.0)), UNIFORM_SIGMA)
         columns.append(sigma)
     return np.concatenate(columns, axis=1)
 
 
 def angle_rates(sequence: str, R: Array) -> Array:
-    """Derivatives (T, 3, 3) of the three angles of rotations (T, 3, 3) by a small rotation vector e of
-    ``R @ exp(e)``; by central differences.
+    """Return derivatives (T, 3, 3) of three angles by a rotation vector e in ``R @ exp(e)``, numerically.
+
+    Args:
+        sequence: as in `jcs.decompose`. R: rotations (T, 3, 3).
     """
     columns = []
     for axis in np.eye(3):
-        later, earlier = (jcs.decompose(sequence, R @ so3.exp(s * _STEP * axis)) for s in (1, -1))
-        turned = (later - earlier + np.pi) % (2 * np.pi) - np.pi
-        columns.append(turned / (2 * _STEP))
+        after, before = (jcs.decompose(sequence, R @ so3.exp(s * _STEP * axis)) for s in (1, -1))
+        columns.append(((after - before + np.pi) % (2 * np.pi) - np.pi) / (2 * _STEP))
     return np.stack(columns, axis=-1)
+
+
+def trusted_turns(joint: JointCoordinateSystem, times: Array, R: Array) -> Mask:
+    """Return a mask (T,) that excludes samples around turns that are too fast.
+
+    Args:
+        joint: whose bound applies. times: (T,) s. R: rotations (T, 3, 3), NaN where unknown.
+    """
+    fastest = next((v for name, v in FASTEST.items() if name in joint.name), np.inf)
+    out = np.ones(len(R), dtype=np.bool_)
+    known = np.isfinite(R).all(axis=(1, 2))
+    both = known[1:] & known[:-1]
+    steps = np.zeros(both.shape)
+    steps[both] = so3.angle_between(R[1:][both], R[:-1][both])
+    for k in np.flatnonzero(np.degrees(steps) > fastest * np.diff(times)):
+        out[(times >= times[k] - _MARGIN) & (times <= times[k + 1] + _MARGIN)] = False
+    return out
+
+
+def trusted_bands(sigma: Array | None, shape: tuple[int, ...]) -> Mask:
+    """Return a mask (T, A) of standard deviations that are small enough, or unknown.
+
+    Args:
+        sigma: (T, A) rad, or None if the motion has none. shape: (T, A).
+    """
+    if sigma is None:
+        return np.ones(shape, dtype=np.bool_)
+    return np.asarray(~(BAND_95 * sigma > WIDEST_BAND))
+
+
+def untrusted_note(times: Array, rows: Sequence[AngleRow], known: Mask, trusted: Mask) -> str:
+    """Return a sentence on the samples that are excluded; empty if there are none.
+
+    Args:
+        times: (T,) s. rows: A angles. known, trusted: (T, A).
+    """
+    excluded = known & ~trusted
+    if not excluded.any():
+        return ""
+    share = excluded.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    worst = int(share.argmax())
+    spans = [f"{times[a]:.2f} to {times[b - 1]:.2f} s" for a, b in signals.runs(excluded[:, worst])]
+    more = f" and {len(spans) - 3} more" if len(spans) > 3 else ""
+    count = int(np.count_nonzero(excluded.any(axis=0)))
+    return (
+        f"{count} angles have unreliable samples, which are excluded from ranges, peaks and gait: 95 % bands "
+        f"beyond +-{np.degrees(WIDEST_BAND):.0f} deg, or implausibly fast rotation; most of "
+        f"{rows[worst].name}: {100 * share[worst]:.0f} % of its samples, at {', '.join(spans[:3])}{more}"
+    )

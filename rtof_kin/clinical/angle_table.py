@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,8 +12,41 @@ from rtof_kin.core.errors import UnknownNameError
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.confidence import WORLD
+from rtof_kin.formats.joint_trajectory import BASE_TURN
 
-SIDES = ("right", "left")
+SIDES: Final = ("right", "left")
+_BOTH_DIRECTIONS: Final = {
+    "dorsiflexion": "dorsiflexion/plantarflexion",
+    "flexion": "flexion/extension",
+    "horizontal adduction": "horizontal adduction/abduction",
+    "adduction": "adduction/abduction",
+    "internal rotation": "internal/external rotation",
+    "inversion": "inversion/eversion",
+    "pronation": "pronation/supination",
+    "ulnar deviation": "ulnar/radial deviation",
+    "left bending": "left/right bending",
+    "left rotation": "left/right rotation",
+    "protraction": "protraction/retraction",
+    "backward rotation": "backward/forward rotation",
+    "clavicle elevation": "clavicle elevation/depression",
+}
+"""Movement -> the movement and its opposite."""
+
+
+def clinical_name(skeleton: SkeletonTable, dof: str) -> str:
+    """Return a degree of freedom in words, e.g. 'left hip internal/external rotation (LeftUpLeg_z)'.
+
+    Args:
+        skeleton: whose degree of freedom it is.
+        dof: its URDF name, or `BASE_TURN` for the orientation of the root. Other names are unchanged.
+    """
+    if dof == BASE_TURN:
+        return f"pelvis orientation ({dof})"
+    names = {own.urdf: own.clinical.lstrip("-") for joint in skeleton.joints for own in joint.dofs}
+    if not (name := names.get(dof)):
+        return dof
+    movement = next((movement for movement in _BOTH_DIRECTIONS if name.endswith(movement)), "")
+    return f"{name.removesuffix(movement)}{_BOTH_DIRECTIONS.get(movement, '')} ({dof})"
 
 
 @dataclass(frozen=True)
@@ -25,21 +58,21 @@ class AngleRow:
     positive: str
     """The movement that is positive."""
     sign: int
-    """Of the angle against the rotation about its axis, in the (mirrored, if left) ISB frames."""
+    """Sign relative to the rotation about its axis, in the (mirrored, if left) ISB frames."""
     range: tuple[float, float]
-    """Radians, as wide as the angle can be told; whole turns are chosen so that it lies there."""
+    """[rad] interval into which whole turns are wrapped."""
     opensim: str
-    """OpenSim coordinate, a leading '-' for the opposite sign; '' where there is none."""
+    """OpenSim coordinate, a leading '-' for the opposite sign; '' if there is none."""
 
     @property
     def label(self) -> str:
-        """The name for people."""
+        """The name with spaces."""
         return self.name.replace("_", " ")
 
 
 @dataclass(frozen=True)
 class JointCoordinateSystem:
-    """Three angles of one rotation: of a child segment in its parent's frame."""
+    """Three angles of the rotation of a child segment in its parent's frame."""
 
     name: str
     """E.g. 'right_hip'."""
@@ -52,11 +85,11 @@ class JointCoordinateSystem:
     sequence: str
     """Intrinsic axes in the ISB frames, e.g. 'zxy'."""
     hinge: bool
-    """Whether the first angle is told from the long axes alone where the parent's twist is unseen."""
+    """Whether the first angle is taken between the long axes if the parent's axial rotation is unobserved."""
     singular: str
-    """Postures in which the first and the third angle cannot be told apart."""
+    """Postures in which only the sum of the first and the third angle is defined."""
     source: str
-    """Who recommends it."""
+    """Publication that recommends it."""
     angles: tuple[AngleRow, AngleRow, AngleRow]
     """In the order of the sequence."""
     urdf: tuple[str, ...]
@@ -65,11 +98,11 @@ class JointCoordinateSystem:
 
 @dataclass(frozen=True)
 class AngleTable:
-    """All clinical angles of one skeleton, and which of its joints and landmarks carry what."""
+    """All clinical angles of one skeleton."""
 
     joints: tuple[JointCoordinateSystem, ...]
     segments: dict[str, str]
-    """Anatomical word ('pelvis', 'right shank', 'left heel') -> joint or landmark of the skeleton."""
+    """Anatomical term ('pelvis', 'right shank', 'left heel') -> joint or landmark of the skeleton."""
 
     @property
     def rows(self) -> tuple[AngleRow, ...]:
@@ -77,7 +110,7 @@ class AngleTable:
         return tuple(angle for joint in self.joints for angle in joint.angles)
 
     def sidecar(self) -> list[dict[str, Any]]:
-        """The table as plain data, one entry per angle, for the file that goes with the numbers."""
+        """Return the table as plain data, one entry per angle."""
         return [
             {
                 "name": angle.name,
@@ -102,30 +135,24 @@ class AngleTable:
 
 
 def angle_table(skeleton: SkeletonTable) -> AngleTable:
-    """The table of clinical angles of a skeleton.
+    """Return the table of clinical angles of a skeleton.
+
+    Args:
+        skeleton: one of those in ``models/clinical_angles.toml``.
 
     Raises:
-        UnknownNameError: the table has no segments for this skeleton.
+        UnknownNameError: the skeleton is not in that file.
     """
     data = load_toml(model_path("clinical_angles.toml"))
-    if skeleton.name not in data["segments"]:
-        raise UnknownNameError(
-            "skeleton in the table of clinical angles", [skeleton.name], list(data["segments"])
-        )
-    segments = _segments(data["segments"][skeleton.name])
+    known = data["segments"]
+    if skeleton.name not in known:
+        raise UnknownNameError("skeleton in the table of clinical angles", [skeleton.name], list(known))
+    segments = {WORLD: WORLD}
+    for term, name in known[skeleton.name].items():
+        for side in SIDES if "{" in name else ("",):
+            segments[f"{side} {term}".strip()] = name.format(S=side.title(), s=side[:1].upper())
     entries = [(entry, side) for entry in data["joint"] for side in (SIDES if entry.get("sides") else ("",))]
     return AngleTable(tuple(_joint(entry, side, segments, skeleton) for entry, side in entries), segments)
-
-
-def _segments(names: dict[str, str]) -> dict[str, str]:
-    out = {WORLD: WORLD}
-    for word, name in names.items():
-        if "{" not in name:
-            out[word] = name
-            continue
-        for side in SIDES:
-            out[f"{side} {word}"] = name.format(S=side.title(), s=side[0].upper())
-    return out
 
 
 def _joint(
@@ -135,7 +162,7 @@ def _joint(
         segments.get(f"{side} {entry[end]}") or segments[entry[end]] for end in ("parent", "child")
     )
     name = f"{side}_{entry['name']}" if side else entry["name"]
-    angles = [
+    first, second, third = (
         AngleRow(
             name=f"{name}_{angle['name']}",
             positive=angle["positive"],
@@ -144,16 +171,16 @@ def _joint(
             opensim=angle["opensim"].format(x=side[:1]),
         )
         for angle in entry["angle"]
-    ]
+    )
     return JointCoordinateSystem(
         name=name, side=side, parent=parent, child=child, sequence=entry["sequence"],
         hinge=entry.get("hinge", False), singular=entry["singular"], source=entry["source"],
-        angles=(angles[0], angles[1], angles[2]), urdf=_revolutes(skeleton, parent, child),
+        angles=(first, second, third), urdf=_revolutes(skeleton, parent, child),
     )  # fmt: skip
 
 
 def _revolutes(skeleton: SkeletonTable, parent: str, child: str) -> tuple[str, ...]:
-    """URDF names of the revolutes on the way from one segment to another below it."""
+    """URDF names of the revolutes between a segment and another below it."""
     if parent == WORLD:
         return ()
     chain, at = [], skeleton.names.index(child)

@@ -1,27 +1,27 @@
-"""`ClinicalAngles`: the joint angles of a motion by clinical name, with who saw each of them when.
+"""Clinical joint angles of a motion, with the observation source of each value.
 
-An angle that nobody saw is NaN, never the number that a prior or a parent's twist happens to give. What
-an angle needs follows from its place in the sequence, because the child's long axis is the last one:
+An unobserved angle is NaN, never the value of a prior. What an angle needs follows from its place in the
+sequence, because the child's long axis is the last one:
 
 =========  ======================================  =========================================
 angle      needs of the parent segment             needs of the child segment
 =========  ======================================  =========================================
 first      the direction of its bone               the direction of its bone
-second     its whole orientation                   the direction of its bone
-third      its whole orientation                   its whole orientation
+second     its complete orientation                the direction of its bone
+third      its complete orientation                its complete orientation
 =========  ======================================  =========================================
 
-The whole orientation is seen where `PoseSequence.orientation_observed` says so (several bones, or a
-sensor, whoever saw where the joint is); the direction where the joint and its only child were seen. A
-leaf without a sensor (hand, foot) has neither. And an angle of a knee or elbow that stands still while
-the joint flexes was fixed by the model that made the motion, not seen by anybody.
+The complete orientation is observed where `PoseSequence.orientation_observed` is set (several bones, or a
+sensor); the direction where the joint and its only child are observed. A leaf without a sensor (hand, foot)
+has neither. An angle of a knee or elbow that is constant while the joint flexes is fixed by the model of the
+motion, and counts as unobserved.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,16 +30,17 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.observability import DIRECTION, WHOLE, segment_levels
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical import joint_coordinate_systems as jcs
-from rtof_kin.clinical.angle_confidence import angle_sigmas
+from rtof_kin.clinical.angle_confidence import angle_sigmas, trusted_bands, trusted_turns, untrusted_note
 from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem, angle_table
-from rtof_kin.clinical.trust import trusted_bands, trusted_turns, untrusted_note
 from rtof_kin.core import signals
 from rtof_kin.core.checks import checked_times, indices_of, readonly
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence, Provenance
 
 Array = NDArray[np.float64]
-_NEEDS = {"parent": (DIRECTION, WHOLE, WHOLE), "child": (DIRECTION, DIRECTION, WHOLE)}
+Mask = NDArray[np.bool_]
+Sources = NDArray[np.uint8]
+_NEEDS: Final = {"parent": (DIRECTION, WHOLE, WHOLE), "child": (DIRECTION, DIRECTION, WHOLE)}
 
 
 @dataclass(frozen=True)
@@ -49,42 +50,42 @@ class ClinicalAngles:
     times: Array
     """(T,) seconds, strictly increasing."""
     values: Array
-    """(T, A) radians; NaN where nobody saw the angle. Continuous within every stretch without a gap."""
-    provenance: NDArray[np.uint8]
-    """(T, A) `Provenance` of each value: the weaker of its two segments'; a segment's that was seen to
-    turn is at least IMU. PRIOR where the pose is known but nobody saw this angle of it."""
-    singular: NDArray[np.bool_]
-    """(T, A) whether the angle is one of two whose sum alone is defined in this posture, nearly."""
+    """(T, A) radians; NaN where unobserved. Continuous between gaps."""
+    provenance: Sources
+    """(T, A) `Provenance` of each value: the weaker of its two segments, at least IMU for a segment whose
+    orientation was observed. PRIOR where the pose is known but this angle is unobserved."""
+    singular: Mask
+    """(T, A) whether only the sum of this and another angle is defined near this posture."""
     rows: tuple[AngleRow, ...]
     """A rows of the table: name, sign, range, OpenSim coordinate."""
     notes: tuple[str, ...] = ()
-    """What could not be told, and why."""
+    """What could not be determined, and why."""
     sigma: Array | None = None
-    """(T, A) rad, standard deviation of each value; NaN where there is no value or nobody knows how good
-    it is. None where the motion has no confidence."""
-    trusted: NDArray[np.bool_] | None = None
-    """(T, A) whether ranges, peaks and gait may go by a value (`clinical.trust`); None for all."""
+    """(T, A) rad, standard deviation, NaN where unknown; None if the motion has no confidence."""
+    trusted: Mask | None = None
+    """(T, A) whether a value is used for ranges, peaks and gait (`angle_confidence`); None for all."""
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "times", checked_times("angle times", self.times))
+        def set_(name: str, shape: tuple[int, ...], dtype: type = np.float64) -> None:
+            object.__setattr__(self, name, readonly(f"angle {name}", getattr(self, name), shape, dtype))
+
+        object.__setattr__(self, "times", checked_times("angle times", self.times))
         shape = (len(self.times), len(self.rows))
-        set_(self, "values", readonly("angle values", self.values, shape))
-        set_(self, "provenance", readonly("angle provenance", self.provenance, shape, np.uint8))
-        set_(self, "singular", readonly("angle singular", self.singular, shape, np.bool_))
+        set_("values", shape)
+        set_("provenance", shape, np.uint8)
+        set_("singular", shape, np.bool_)
         if self.sigma is not None:
-            sigma: Array = readonly("angle sigma", self.sigma, shape)
-            if np.any(sigma < 0) or np.isinf(sigma).any():
-                raise ShapeError("angle sigma: negative or infinite; write NaN where it is not known")
-            set_(self, "sigma", sigma)
+            set_("sigma", shape)
+            if np.any(self.sigma < 0) or np.isinf(self.sigma).any():
+                raise InvalidInputError("angle sigma: negative or infinite; use NaN where it is unknown")
         if self.trusted is not None:
-            set_(self, "trusted", readonly("angle trusted", self.trusted, shape, np.bool_))
+            set_("trusted", shape, np.bool_)
 
     def __len__(self) -> int:
         return len(self.times)
 
     def __getitem__(self, name: str) -> Array:
-        """(T,) radians of one angle; `UnknownNameError` if there is none of that name."""
+        """(T,) radians of one angle; raises `UnknownNameError` for an unknown name."""
         return np.asarray(self.values[:, indices_of("clinical angle", [name], self.names)[0]])
 
     @property
@@ -93,18 +94,13 @@ class ClinicalAngles:
         return tuple(row.name for row in self.rows)
 
     @property
-    def values_deg(self) -> Array:
-        """(T, A) degrees."""
-        return np.asarray(np.degrees(self.values))
-
-    @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Mask:
         """(T, A) whether there is a value."""
         return np.isfinite(self.values)
 
     @property
     def trusted_values(self) -> Array:
-        """(T, A) radians; NaN also where a value is not trusted."""
+        """(T, A) radians; NaN also where a value is unreliable."""
         return self.values if self.trusted is None else np.where(self.trusted, self.values, np.nan)
 
     @property
@@ -113,7 +109,11 @@ class ClinicalAngles:
         return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0
 
     def select(self, names: Sequence[str]) -> Self:
-        """The angles named, in that order."""
+        """Return some of the angles.
+
+        Args:
+            names: of the angles, in the order wanted.
+        """
         index = indices_of("clinical angle", names, self.names)
         return replace(
             self,
@@ -129,30 +129,30 @@ class ClinicalAngles:
 def clinical_angles(
     motion: MotionSequence | PoseSequence, skeleton: SkeletonModel | None = None
 ) -> ClinicalAngles:
-    """Clinical joint angles from segment orientations.
+    """Compute clinical joint angles from segment orientations.
 
     Args:
-        motion: a motion, or poses of `skeleton`'s joints. Poses without any provenance (all NOBODY) are
-            believed where they are `valid`; `orientation_observed` counts all the same.
-        skeleton: of the poses; a motion brings its own.
+        motion: a motion, or poses of `skeleton`'s joints. Poses whose provenance is NOBODY throughout count
+            as observed where they are `valid`, subject to `orientation_observed`.
+        skeleton: of the poses; not needed for a motion.
 
     Returns:
-        Every angle of the table, radians, against the anatomical standing posture.
+        All angles of the table, radians, relative to the anatomical standing posture.
 
     Raises:
-        ShapeError: poses without a skeleton, or joints missing.
+        InvalidInputError: poses without a skeleton, or missing joints.
         UnknownNameError: the skeleton has no clinical table.
     """
     poses = motion.poses if isinstance(motion, MotionSequence) else motion
     if isinstance(motion, MotionSequence):
         skeleton = motion.skeleton
     if skeleton is None:
-        raise ShapeError("clinical_angles: poses do not bring a skeleton; give the one they are of")
+        raise InvalidInputError("clinical_angles: poses do not contain a skeleton; pass theirs")
     skeleton.check_joints(poses.names)
     table = angle_table(skeleton.table)
     R = jcs.relative_rotations(poses.R_world_bone, skeleton, table)
     levels = segment_levels(poses, skeleton)
-    seen_by = _seen_by(poses, skeleton, levels)
+    seen_by = _segment_sources(poses, skeleton, levels)
     parts = [_joint_angles(joint, R[joint.name], poses.names, seen_by, levels) for joint in table.joints]
     values, provenance, singular = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
     sigma = None
@@ -167,13 +167,17 @@ def clinical_angles(
 
 
 def all_observed(poses: PoseSequence) -> PoseSequence:
-    """The same poses, declared to be seen in all three angles: motion capture, or a planted motion."""
+    """Return poses with all orientations marked as observed, e.g. those of motion capture.
+
+    Args:
+        poses: whose orientations are all measured.
+    """
     return replace(poses, orientation_observed=np.ones(len(poses.names), dtype=np.bool_))
 
 
-def _seen_by(poses: PoseSequence, skeleton: SkeletonModel, levels: NDArray[np.int_]) -> NDArray[np.uint8]:
-    """(T, J) `Provenance` of each segment: its joint's; where nobody saw that but all of its turn, who
-    saw its far ends, or the sensor of one that has none.
+def _segment_sources(poses: PoseSequence, skeleton: SkeletonModel, levels: NDArray[np.int_]) -> Sources:
+    """(T, J) `Provenance` of each segment: that of its joint; if only its orientation is observed, that of
+    its children, at least IMU.
     """
     out = np.array(poses.provenance)
     for j in range(len(skeleton.names) if out.any() else 0):
@@ -184,16 +188,16 @@ def _seen_by(poses: PoseSequence, skeleton: SkeletonModel, levels: NDArray[np.in
 
 
 def _joint_angles(
-    joint: JointCoordinateSystem, R: Array, names: tuple[str, ...], seen_by: NDArray[np.uint8],
+    joint: JointCoordinateSystem, R: Array, names: tuple[str, ...], seen_by: Sources,
     levels: NDArray[np.int_],
-) -> tuple[Array, NDArray[np.uint8], NDArray[np.bool_]]:  # fmt: skip
+) -> tuple[Array, Sources, Mask]:  # fmt: skip
     """Values, provenance and singular flags (T, 3) of one joint coordinate system."""
     child = names.index(joint.child)
     parent = names.index(joint.parent) if joint.urdf else child
     child_level = levels[:, child]
     parent_level = levels[:, parent] if joint.urdf else np.full(len(levels), WHOLE)
     observed = (parent_level[:, None] >= _NEEDS["parent"]) & (child_level[:, None] >= _NEEDS["child"])
-    posed: NDArray[np.bool_] = np.asarray(np.isfinite(R).all(axis=(-2, -1)))
+    posed: Mask = np.asarray(np.isfinite(R).all(axis=(-2, -1)))
     signs = np.array([row.sign for row in joint.angles])
     center = signs * np.array([np.mean(row.range) for row in joint.angles])
     raw = np.full((len(R), 3), np.nan)
@@ -204,32 +208,20 @@ def _joint_angles(
         raw[start:stop] = jcs.continuous(joint.sequence, angles, center)
     observed &= posed[:, None]
     if joint.hinge:
-        raw[:, 0] = np.where(parent_level < WHOLE, _bend(raw), raw[:, 0])
+        # The angle between the long axes does not depend on the axial rotation of the parent.
+        between = np.arccos(np.clip(np.cos(raw[:, 0]) * np.cos(raw[:, 1]), -1, 1))
+        raw[:, 0] = np.where(parent_level < WHOLE, np.copysign(between, raw[:, 0]), raw[:, 0])
         observed &= ~_fixed(raw)
-    provenance = _provenance(seen_by[:, [parent, child]], posed, observed)
+    weaker = seen_by[:, [parent, child]].min(axis=1)
+    both_seen = (weaker >= Provenance.IMU) | (not seen_by[:, [parent, child]].any())
+    unseen = np.where(posed, np.where(both_seen, Provenance.PRIOR, weaker), Provenance.NOBODY)
+    provenance = np.where(observed, weaker[:, None], unseen[:, None]).astype(np.uint8)
     return np.where(observed, signs * raw, np.nan), provenance, singular & observed
 
 
-def _provenance(
-    seen_by: NDArray[np.uint8], posed: NDArray[np.bool_], observed: NDArray[np.bool_]
-) -> NDArray[np.uint8]:
-    """(T, 3) of the angles between two segments, seen by (T, 2): posed (T,), some observed (T, 3)."""
-    weaker = seen_by.min(axis=1)
-    # Two segments may be seen and an angle between them not: that one is whatever a prior made of it.
-    both_seen = (weaker >= Provenance.IMU) | (not seen_by.any())
-    unseen = np.where(posed, np.where(both_seen, Provenance.PRIOR, weaker), Provenance.NOBODY)
-    return np.where(observed, weaker[:, None], unseen[:, None]).astype(np.uint8)
-
-
-def _bend(raw: Array) -> Array:
-    """(T,) the angle between the long axes, which no twist of the parent changes, signed as the first."""
-    between = np.arccos(np.clip(np.cos(raw[:, 0]) * np.cos(raw[:, 1]), -1, 1))
-    return np.asarray(np.copysign(between, raw[:, 0]))
-
-
-def _fixed(raw: Array) -> NDArray[np.bool_]:
-    """(3,) which angles stand still to a thousandth of a degree while the first one moves: no joint of a
-    person does that, so the model that made the motion has a hinge there.
+def _fixed(raw: Array) -> Mask:
+    """(3,) which angles vary by less than a thousandth of a degree while the first one moves: the model of
+    the motion has a hinge there.
     """
     known = raw[np.isfinite(raw).all(axis=1)]
     if len(known) == 0:
@@ -238,24 +230,24 @@ def _fixed(raw: Array) -> NDArray[np.bool_]:
     return np.asarray((span < 1e-3) & (span[0] > 1.0))
 
 
-def _notes(table: AngleTable, values: Array, provenance: NDArray[np.uint8]) -> tuple[str, ...]:
-    """One sentence for the angles that nobody ever saw, one for those seen only at times."""
+def _notes(table: AngleTable, values: Array, provenance: Sources) -> tuple[str, ...]:
+    """Sentences on the angles that are never observed, and on those with gaps."""
     share = np.isfinite(values).mean(axis=0)
     names = np.array([row.name for row in table.rows])
     notes = []
     never = share == 0
     if never.any():
-        posed = (provenance == Provenance.PRIOR).any(axis=0)
         why = "not in the data"
-        if posed[never].all():
-            why = "no sensor and no landmark shows that turn, or the model that made the motion fixes it"
-        notes.append(f"no value at all ({why}): {', '.join(names[never])}")
-    at_times = (share > 0) & (share < 1)
-    if at_times.any():
-        worst = int(np.argmin(np.where(at_times, share, 2)))
+        if (provenance == Provenance.PRIOR).any(axis=0)[never].all():
+            why = "not observed by any sensor or landmark, or fixed by the model of the motion"
+        notes.append(f"no values ({why}): {', '.join(names[never])}")
+    gaps = (share > 0) & (share < 1)
+    if gaps.any():
+        worst = int(np.argmin(np.where(gaps, share, 2)))
         missing = 100 * (1 - share[worst])
+        most = "under 1" if missing < 1 else f"{missing:.0f}"
         notes.append(
-            f"{at_times.sum()} angles have gaps where nobody saw them, the largest share "
-            + ("under 1" if missing < 1 else f"{missing:.0f}") + f" % of the time: {names[worst]}"
-        )  # fmt: skip
+            f"{gaps.sum()} angles have gaps where they were not observed, at most {most} % of the time: "
+            f"{names[worst]}"
+        )
     return tuple(notes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,31 +14,32 @@ from rtof_kin.clinical.gait_events import GaitEvents
 from rtof_kin.core import signals
 
 Array = NDArray[np.float64]
-LONGEST_STRIDE = 2.5
-"""Two strikes further apart, s, have a pause or a gap between them."""
-UNSTEADY = 0.15
-"""Stride times that spread by more than this share of their mean are noted."""
-LEAST_STANCE = 0.55
-"""A median stance share below this is noted: walking has a double support."""
-PHASES = np.linspace(0.0, 1.0, 101)
-"""Where curves of a cycle are sampled, share of the cycle from heel strike to heel strike."""
-MEASURES = ("stride_time", "cadence", "stride_length", "speed", "stance_share")
+LONGEST_STRIDE: Final = 2.5
+"""[s] between two strikes; longer ones contain a pause or a gap."""
+UNSTEADY: Final = 0.15
+"""Coefficient of variation of stride times above which a note is given."""
+LEAST_STANCE: Final = 0.55
+"""Median stance share below which a note is given: walking has a double support."""
+PHASES: Final = np.linspace(0.0, 1.0, 101)
+"""Samples of a cycle, share of the time from heel strike to heel strike."""
+MEASURES: Final = ("stride_time", "cadence", "stride_length", "speed", "stance_share")
 """Fields of `Stride` that are averaged and compared between the sides."""
+Summary = dict[str, dict[str, tuple[float, float, int]]]
 
 
 @dataclass(frozen=True)
 class Stride:
-    """From a heel strike to the next of the same foot."""
+    """A heel strike to the next of the same foot."""
 
     side: str
     start: float
-    """Seconds of the first strike."""
+    """[s] first strike."""
     toe_off: float
-    """Seconds."""
+    """[s]"""
     stop: float
-    """Seconds of the next strike."""
+    """[s] next strike."""
     stride_length: float
-    """Horizontal distance of the heel between the two strikes, m; 0 on a treadmill."""
+    """[m] horizontal distance of the heel between the two strikes; 0 on a treadmill."""
 
     @property
     def stride_time(self) -> float:
@@ -46,7 +48,7 @@ class Stride:
 
     @property
     def cadence(self) -> float:
-        """Steps a minute: two steps in a stride."""
+        """Steps per minute; a stride has two steps."""
         return 120.0 / self.stride_time
 
     @property
@@ -56,33 +58,33 @@ class Stride:
 
     @property
     def stance_share(self) -> float:
-        """Share of the stride during which the foot is on the floor."""
+        """Stance time divided by stride time."""
         return (self.toe_off - self.start) / self.stride_time
 
 
 @dataclass(frozen=True)
 class GaitAnalysis:
-    """Strides of a recording and their measures."""
+    """Strides of a recording and their spatiotemporal parameters."""
 
     events: GaitEvents
     strides: tuple[Stride, ...]
     """Of both feet, by their start."""
-    summary: dict[str, dict[str, tuple[float, float, int]]]
+    summary: Summary
     """Side -> measure of `MEASURES` -> (mean, standard deviation, n); the deviation is NaN for n = 1."""
     symmetry: dict[str, float]
-    """Measure -> (right - left) / mean of both; 0 is symmetric. Empty with one side alone."""
+    """Measure -> (right - left) / mean of both; 0 is symmetric. Empty if a side has no stride."""
     notes: tuple[str, ...]
-    """What could not be told, and why."""
+    """What could not be determined, and why."""
 
 
 @dataclass(frozen=True)
 class CycleCurves:
-    """One angle over the gait cycle of one side."""
+    """One angle over the gait cycles of one side."""
 
     name: str
     side: str
     curves: Array
-    """(n, 101) radians at `PHASES`, one row for each stride that has the angle throughout."""
+    """(n, 101) radians at `PHASES`, one row for each stride with a complete curve."""
 
     @property
     def mean(self) -> Array:
@@ -98,40 +100,45 @@ class CycleCurves:
 
 
 def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> GaitAnalysis:
-    """Strides between the events, their measures by side, and how alike the sides are.
+    """Find strides and compute their parameters by side, and the symmetry of the sides.
 
     Args:
-        angles: of the same motion; a stride in which a value of its knee's flexion is not trusted is left
-            out, with a note.
+        events: of both feet.
+        angles: of the same motion; strides with unreliable knee flexion are excluded, with a note.
     """
     found = [stride for side in events.feet for stride in _strides(side, events)]
     strides = sorted((s for s in found if _trusted(s, angles)), key=lambda stride: stride.start)
-    summary = {}
+    summary: Summary = {}
     notes = list(events.notes)
     if len(strides) < len(found):
         notes.append(
-            f"{len(found) - len(strides)} of {len(found)} strides are left out: their knee's flexion is "
-            "not trusted throughout"
+            f"{len(found) - len(strides)} of {len(found)} strides are excluded: unreliable knee flexion"
         )
     for side in SIDES:
         own = [stride for stride in strides if stride.side == side]
         if own:
             summary[side] = {name: _statistics(own, name) for name in MEASURES}
+        strikes = events.feet[side].strikes.size if side in events.feet else 0
         if len(own) == 1:
-            notes.append(f"{side}: a single complete stride, so no spread between strides")
-        elif not own and side in events.feet and events.feet[side].strikes.size:
+            notes.append(f"{side}: a single complete stride, so no standard deviation")
+        elif not own and strikes:
             notes.append(
-                f"{side}: {events.feet[side].strikes.size} heel strike(s), but no two with a toe off "
-                f"and a strike of the other foot between them within {LONGEST_STRIDE:g} s: no stride"
+                f"{side}: {strikes} heel strike(s), but no two with a toe off and a strike of the other foot "
+                f"between them within {LONGEST_STRIDE:g} s: no stride"
             )
-        notes += _doubts(side, own)
+        notes += _warnings(side, own)
+    symmetry = {}
     if len(summary) < 2:
-        notes.append("symmetry needs a complete stride of either side")
-    return GaitAnalysis(events, tuple(strides), summary, _symmetry(summary), tuple(notes))
+        notes.append("symmetry needs a complete stride of each side")
+    else:
+        for name in MEASURES:
+            right, left = (summary[side][name][0] for side in SIDES)
+            symmetry[name] = 2 * (right - left) / (right + left) if right + left > 0 else float("nan")
+    return GaitAnalysis(events, tuple(strides), summary, symmetry, tuple(notes))
 
 
 def _trusted(stride: Stride, angles: ClinicalAngles | None) -> bool:
-    """Whether every value of the knee's flexion during a stride is trusted."""
+    """Whether all values of the knee's flexion during a stride are reliable."""
     if angles is None:
         return True
     knee = angles.select([f"{stride.side}_knee_flexion"])
@@ -139,51 +146,38 @@ def _trusted(stride: Stride, angles: ClinicalAngles | None) -> bool:
     return bool((np.isfinite(knee.trusted_values) | ~knee.known)[inside].all())
 
 
-def _symmetry(summary: dict[str, dict[str, tuple[float, float, int]]]) -> dict[str, float]:
-    out = {}
-    for name in MEASURES if len(summary) == 2 else ():
-        right, left = (summary[side][name][0] for side in SIDES)
-        out[name] = 2 * (right - left) / (right + left) if right + left > 0 else float("nan")
-    return out
-
-
 def _strides(side: str, events: GaitEvents) -> list[Stride]:
-    """Pairs of strikes with one toe off, one strike of the other foot (if that was seen) and no gap."""
+    """Pairs of strikes with one toe off, one strike of the other foot (if observed) and no gap."""
     foot, times = events.feet[side], events.times
     others = [other.strikes for name, other in events.feet.items() if name != side]
     out = []
     for start, stop in zip(foot.strikes[:-1], foot.strikes[1:], strict=True):
-        (offs,) = _between([foot.offs], start, stop)
-        alternates = all(len(strikes) == 1 for strikes in _between(others, start, stop))
+        offs, *strikes = (t[(t > start) & (t < stop)] for t in (foot.offs, *others))
+        alternates = all(len(own) == 1 for own in strikes)
         seen = np.isfinite(foot.heel[(times >= start) & (times <= stop)]).all()
-        if len(offs) != 1 or not alternates or not seen or stop - start > LONGEST_STRIDE:
-            continue
-        ends = signals.interpolate(times, foot.heel, [start, stop])
-        length = float(np.linalg.norm((ends[1] - ends[0])[:2]))
-        out.append(Stride(side, float(start), float(offs[0]), float(stop), length))
+        if len(offs) == 1 and alternates and seen and stop - start <= LONGEST_STRIDE:
+            ends = signals.interpolate(times, foot.heel, [start, stop])
+            length = float(np.linalg.norm((ends[1] - ends[0])[:2]))
+            out.append(Stride(side, float(start), float(offs[0]), float(stop), length))
     return out
 
 
-def _between(events: list[Array], start: float, stop: float) -> list[Array]:
-    return [instants[(instants > start) & (instants < stop)] for instants in events]
-
-
-def _doubts(side: str, strides: list[Stride]) -> list[str]:
-    """Why strides may be none of steady walking; nothing where they may."""
-    doubts = []
+def _warnings(side: str, strides: list[Stride]) -> list[str]:
+    """Sentences on strides that are not those of steady walking."""
+    notes = []
     if len(strides) > 2:
         mean, spread, _ = _statistics(strides, "stride_time")
         if spread > UNSTEADY * mean:
-            doubts.append(
-                f"{side}: strides take {mean:.2f} +- {spread:.2f} s, which is no steady walking; means "
-                "and curves are of unlike movements"
+            notes.append(
+                f"{side}: stride times are {mean:.2f} +- {spread:.2f} s, which is not steady walking; means "
+                "and curves combine different movements"
             )
     if strides and np.median([stride.stance_share for stride in strides]) < LEAST_STANCE:
-        doubts.append(
-            f"{side}: stance takes less than {100 * LEAST_STANCE:.0f} % of the stride: running, or no "
-            "gait; events are told by a rule for walking"
+        notes.append(
+            f"{side}: stance takes less than {100 * LEAST_STANCE:.0f} % of the stride: running, or not gait; "
+            "event detection assumes walking"
         )
-    return doubts
+    return notes
 
 
 def _statistics(strides: list[Stride], name: str) -> tuple[float, float, int]:
@@ -193,23 +187,23 @@ def _statistics(strides: list[Stride], name: str) -> tuple[float, float, int]:
 
 
 def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurves, ...]:
-    """Every angle over the cycles of its own side; those of the trunk over the cycles of both.
+    """Sample each angle over the cycles of its own side; those of the trunk over the cycles of both.
 
-    An angle without a stride in which it is known and trusted throughout is left out.
+    Angles without a stride in which they are known and reliable throughout are omitted.
+
+    Args:
+        angles, gait: of the same motion.
     """
     out = []
-    for row in angles.rows:
-        own = tuple(side for side in SIDES if row.name.startswith(f"{side}_")) or SIDES
-        for side in own:
-            strides = [stride for stride in gait.strides if stride.side == side]
-            curves = [_curve(angles, row.name, stride) for stride in strides]
-            known = [curve for curve in curves if np.isfinite(curve).all()]
-            if known:
+    for row, values in zip(angles.rows, angles.trusted_values.T, strict=True):
+        for side in [side for side in SIDES if row.name.startswith(f"{side}_")] or SIDES:
+            curves = [
+                signals.interpolate(
+                    angles.times, values, s.start + PHASES * s.stride_time, max_gap=1.5 / angles.rate_hz
+                )
+                for s in gait.strides
+                if s.side == side
+            ]
+            if known := [curve for curve in curves if np.isfinite(curve).all()]:
                 out.append(CycleCurves(row.name, side, np.array(known)))
     return tuple(out)
-
-
-def _curve(angles: ClinicalAngles, name: str, stride: Stride) -> Array:
-    at = stride.start + PHASES * stride.stride_time
-    values = angles.select([name]).trusted_values[:, 0]
-    return signals.interpolate(angles.times, values, at, max_gap=1.5 / angles.rate_hz)

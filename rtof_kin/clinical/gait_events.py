@@ -1,13 +1,14 @@
-"""Heel strikes and toe offs from the feet's path relative to the pelvis.
+"""Heel strikes and toe offs from the path of the feet relative to the pelvis.
 
-A heel strikes when it is furthest ahead of the pelvis, a toe leaves when it is furthest behind, along the
-direction in which the pelvis faces (Zeni et al., Gait & Posture 27, 2008). Neither the floor's height nor
-the speed of walking enters, so a treadmill, a drifting height or a scaled skeleton do no harm.
+Heel strike is when the heel is furthest ahead of the pelvis, toe off when the toe is furthest behind, along
+the direction in which the pelvis faces (Zeni et al., Gait & Posture 27, 2008). Neither the height of the
+floor nor the walking speed enters, so it also applies on a treadmill and under drift in height.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +22,16 @@ from rtof_kin.core import signals
 from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
-CUTOFF_HZ = 7.0
+CUTOFF_HZ: Final = 7.0
 """Low-pass of the feet's path."""
-HEADING_CUTOFF_HZ = 0.5
-"""Low-pass of the direction the pelvis faces: its turning within a step is no change of direction."""
-LEAST_SWING = 0.10
-"""The heel must come this far, m, out of the extremes around it: nobody steps shorter."""
-LEAST_STRIDE = 0.4
-"""Two strikes of one foot are at least so many seconds apart."""
-LEAST_RATE_HZ = 5.0
-"""Of the motion: with two frames in a swing stride times are right to 1 %; with fewer nothing is."""
+HEADING_CUTOFF_HZ: Final = 0.5
+"""Low-pass of the pelvis heading, which removes its rotation within a step."""
+LEAST_SWING: Final = 0.10
+"""[m] smallest prominence of an extremum of the heel's path."""
+LEAST_STRIDE: Final = 0.4
+"""[s] shortest time between two strikes of one foot."""
+LEAST_RATE_HZ: Final = 5.0
+"""Lowest sampling rate: with two frames in a swing, stride times are accurate to 1 %."""
 
 
 @dataclass(frozen=True)
@@ -38,46 +39,43 @@ class FootEvents:
     """Events of one foot."""
 
     strikes: Array
-    """(n,) seconds at which the heel strikes."""
+    """(n,) seconds of the heel strikes."""
     offs: Array
-    """(m,) seconds at which the toe leaves the floor."""
+    """(m,) seconds of the toe offs."""
     heel: Array
-    """(T, 3) m, path of the heel in world (of the ankle, where the foot's turn was mostly not seen)."""
+    """(T, 3) m, path of the heel in world (of the ankle if the foot's orientation is mostly unobserved)."""
 
 
 @dataclass(frozen=True)
 class GaitEvents:
-    """Events of both feet; a foot that cannot be told is missing."""
+    """Events of both feet."""
 
     times: Array
     """(T,) seconds of the recording."""
     feet: dict[str, FootEvents]
-    """'right' and 'left', as far as they were seen."""
-    forward: Array
-    """(T, 3) horizontal unit vector in which the pelvis faces, without its turning within a step; NaN
-    where that is not known, or the rate is too low for events."""
+    """'right' and 'left', if observed."""
     notes: tuple[str, ...]
-    """What could not be told, and why."""
+    """What could not be determined, and why."""
 
 
 def gait_events(poses: PoseSequence, skeleton: SkeletonModel) -> GaitEvents:
-    """Heel strikes and toe offs of both feet.
+    """Detect heel strikes and toe offs of both feet.
 
     Args:
-        poses: of the skeleton's joints, in world. skeleton: says where heels and toes are.
+        poses: of the skeleton's joints, in world. skeleton: with heel and toe landmarks.
 
     Returns:
-        The events, the first and the last quarter of a stride possibly left out: an extremum at the
-        edge of what was seen is none. None at a rate below `LEAST_RATE_HZ`, as a note says.
+        The events. Those within a quarter of a stride of either end may be missing, because an extremum at
+        an edge is not detected. There are none at a rate below `LEAST_RATE_HZ`.
 
     Raises:
-        UnknownNameError, ShapeError: the poses are of another skeleton.
+        InvalidInputError: the poses are of another skeleton.
     """
     skeleton.check_joints(poses.names)
     table = angle_table(skeleton.table)
     if round(poses.rate_hz, 6) < LEAST_RATE_HZ:
         note = f"{poses.rate_hz:.3g} Hz is too low a rate for gait events; record {LEAST_RATE_HZ:g} Hz"
-        return GaitEvents(poses.times, {}, np.full((len(poses), 3), np.nan), (note,))
+        return GaitEvents(poses.times, {}, (note,))
     notes: list[str] = []
     (pelvis,) = skeleton.index(table.segments["pelvis"])
     forward = _forward(poses, pelvis)
@@ -86,44 +84,38 @@ def gait_events(poses: PoseSequence, skeleton: SkeletonModel) -> GaitEvents:
     for side in SIDES:
         heel, toe = _heel_and_toe(poses, skeleton, table, side, notes)
         if not np.isfinite(heel).any():
-            notes.append(f"{side} foot: never seen, so it has no events and no strides")
+            notes.append(f"{side} foot: never observed, so it has no events and no strides")
             continue
         ahead = [np.sum((point - p_pelvis) * forward, axis=-1) for point in (heel, toe)]
-        strikes = _extrema(poses.times, ahead[0], poses.rate_hz)
-        offs = _extrema(poses.times, -ahead[1], poses.rate_hz)
-        feet[side] = FootEvents(strikes, offs, heel)
+        strikes = _maxima(poses.times, ahead[0], poses.rate_hz)
+        feet[side] = FootEvents(strikes, _maxima(poses.times, -ahead[1], poses.rate_hz), heel)
         if not strikes.size:
             notes.append(
-                f"{side} foot: no heel strike in {poses.times[-1] - poses.times[0]:.1f} s; it never "
-                f"swings by {LEAST_SWING:g} m against the pelvis, or for less than a step"
+                f"{side} foot: no heel strike in {poses.times[-1] - poses.times[0]:.1f} s; no swing of "
+                f"{LEAST_SWING:g} m relative to the pelvis, or less than a step"
             )
-    return GaitEvents(poses.times, feet, forward, tuple(notes))
+    return GaitEvents(poses.times, feet, tuple(notes))
 
 
 def _forward(poses: PoseSequence, pelvis: int) -> Array:
-    """(T, 3) where the pelvis faces, low-passed; NaN where it is not known."""
-    R = poses.R_world_bone[:, pelvis]
-    angle = so3.heading(R)
+    """(T, 3) low-passed horizontal unit vector in which the pelvis faces; NaN where unknown."""
+    angle = so3.heading(poses.R_world_bone[:, pelvis])
     out = np.full((len(poses), 3), np.nan)
     for start, stop in signals.runs(np.isfinite(angle)):
-        slow = _slow(np.unwrap(angle[start:stop]), poses.rate_hz)
+        own, frames = np.unwrap(angle[start:stop]), np.arange(stop - start)
+        if len(own) < 2 * poses.rate_hz / HEADING_CUTOFF_HZ:  # too short to filter
+            slow = np.polynomial.Polynomial.fit(frames, own, min(1, len(own) - 1))(frames)
+        else:
+            slow = signals.low_pass(own, poses.rate_hz, HEADING_CUTOFF_HZ)
         out[start:stop] = np.stack([np.cos(slow), np.sin(slow), np.zeros_like(slow)], axis=-1)
     return out
-
-
-def _slow(angle: Array, rate_hz: float) -> Array:
-    """The direction without its swing; the mean where the stretch is too short to tell the two apart."""
-    if len(angle) < 2 * rate_hz / HEADING_CUTOFF_HZ:
-        trend = np.polynomial.Polynomial.fit(np.arange(len(angle)), angle, min(1, len(angle) - 1))
-        return np.asarray(trend(np.arange(len(angle))))
-    return signals.low_pass(angle, rate_hz, HEADING_CUTOFF_HZ)
 
 
 def _heel_and_toe(
     poses: PoseSequence, skeleton: SkeletonModel, table: AngleTable, side: str, notes: list[str]
 ) -> tuple[Array, Array]:
-    """Paths (T, 3) of heel and toe, NaN while the foot's place or turn was not seen; both the ankle's,
-    NaN while that was not seen, where the turn was for less than half of that time.
+    """Paths (T, 3) of heel and toe, NaN where the foot's pose is unobserved; both those of the ankle if the
+    foot's orientation is unobserved for more than half of the time.
     """
     (foot,) = skeleton.index(table.segments[f"{side} foot"])
     seen = poses.position_observed[:, foot]
@@ -131,13 +123,12 @@ def _heel_and_toe(
     unseen = int(seen.sum() - turned.sum())
     if unseen > turned.sum():
         often = f" in {100 * unseen / seen.sum():.0f} % of the frames" if turned.any() else ""
-        notes.append(f"{side} foot: nobody saw it turn{often}, so its events are those of the ankle")
+        notes.append(f"{side} foot: orientation unobserved{often}, so ankle positions give its events")
         ankle = np.where(seen[:, None], poses.p_world_joint[:, foot], np.nan)
         return ankle, ankle
     if unseen:
-        notes.append(
-            f"{side} foot: nobody saw it turn for {unseen / poses.rate_hz:.2g} s, where it has no events"
-        )
+        seconds = f"{unseen / poses.rate_hz:.2g} s"
+        notes.append(f"{side} foot: orientation unobserved for {seconds}, where it has no events")
     landmarks = list(skeleton.landmarks)
     points = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
     wanted = [points[:, landmarks.index(table.segments[f"{side} {word}"])] for word in ("heel", "toe")]
@@ -145,14 +136,13 @@ def _heel_and_toe(
     return heel, toe
 
 
-def _extrema(times: Array, ahead: Array, rate_hz: float) -> Array:
-    """Seconds of the maxima of a path (T,), to a fraction of a frame; none across gaps or at edges."""
+def _maxima(times: Array, ahead: Array, rate_hz: float) -> Array:
+    """Seconds of the maxima of a path (T,), with parabolic interpolation; none across gaps or at edges."""
     found = []
     for start, stop in signals.runs(np.isfinite(ahead)):
         stretch = smoothed(ahead[start:stop], rate_hz, CUTOFF_HZ)
         distance = max(1, round(LEAST_STRIDE * rate_hz))
-        peaks, _ = find_peaks(stretch, distance=distance, prominence=LEAST_SWING)
-        for peak in peaks:
+        for peak in find_peaks(stretch, distance=distance, prominence=LEAST_SWING)[0]:
             before, at, after = stretch[peak - 1 : peak + 2]
             curvature = before - 2 * at + after
             shift = 0.5 * (before - after) / curvature if curvature < 0 else 0.0

@@ -1,4 +1,7 @@
-"""Checks that the records of data make when they are built: shapes, times, names, rotations."""
+"""Validation of the arrays and names that data classes hold: shapes, times, names, rotations.
+
+Results of plausibility checks, which are reported to the user, are in `plausibility`.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +13,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, ShapeError, UnknownNameError
 
 Array = NDArray[np.float64]
+Shape = Sequence[int | str]
+"""Lengths of the axes; a letter matches any length."""
 
 
-def readonly(field: str, value: ArrayLike, shape: Sequence[int | str], dtype: Any = float) -> Any:
-    """A read-only copy of an array whose shape is checked against e.g. ``("T", 21, 3)``.
+def readonly(field: str, value: ArrayLike, shape: Shape, dtype: Any = float) -> Any:
+    """Return a read-only copy of an array whose shape is checked against e.g. ``("T", 21, 3)``.
+
+    Args:
+        field: name in error messages. value, shape: array and its expected shape. dtype: type of the copy.
 
     Raises:
-        ShapeError: the value is not numeric or its shape differs; letters match any length.
+        ShapeError: the value is not numeric or its shape differs.
     """
     try:
         array = np.array(value, dtype=dtype)
@@ -29,24 +37,46 @@ def readonly(field: str, value: ArrayLike, shape: Sequence[int | str], dtype: An
         isinstance(want, str) or want == have for want, have in zip(shape, array.shape, strict=True)
     )
     if not fits:
-        want = ", ".join(map(str, shape))
-        raise ShapeError(f"{field}: expected shape ({want}), got {array.shape}")
+        raise ShapeError(f"{field}: expected shape ({', '.join(map(str, shape))}), got {array.shape}")
     array.setflags(write=False)
     return array
 
 
+def freeze(record: object, name: str, **shapes: Shape) -> None:
+    """Replace array fields of a frozen dataclass by read-only copies of checked shape; None stays None.
+
+    Args:
+        record: the instance, in its ``__post_init__``. name: prefix of fields in error messages.
+        shapes: expected shape of each field.
+
+    Raises:
+        ShapeError: see `readonly`.
+    """
+    for field, shape in shapes.items():
+        value = getattr(record, field)
+        if value is not None:
+            object.__setattr__(record, field, readonly(f"{name} {field}", value, shape))
+
+
 def checked_times(field: str, times: ArrayLike) -> Array:
-    """Read-only times (T,) in seconds, finite and strictly increasing."""
+    """Return read-only times (T,) in seconds.
+
+    Args:
+        field: name in error messages. times: (T,) s.
+
+    Raises:
+        InvalidInputError: they are empty, not finite or not strictly increasing.
+    """
     array: Array = readonly(field, times, ("T",))
     if len(array) == 0:
-        raise ShapeError(f"{field}: empty; at least one sample is needed")
+        raise InvalidInputError(f"{field}: empty; at least one sample is needed")
     if not np.all(np.isfinite(array)):
         first = int(np.flatnonzero(~np.isfinite(array))[0])
-        raise ShapeError(f"{field}: not finite at index {first}; every sample needs a time")
+        raise InvalidInputError(f"{field}: not finite at index {first}; every sample needs a time")
     steps = np.diff(array)
     if np.any(steps <= 0):
         first = int(np.flatnonzero(steps <= 0)[0])
-        raise ShapeError(
+        raise InvalidInputError(
             f"{field}: time does not increase from index {first} ({array[first]:g} s) to "
             f"{first + 1} ({array[first + 1]:g} s); sort the samples and drop duplicates"
         )
@@ -54,7 +84,14 @@ def checked_times(field: str, times: ArrayLike) -> Array:
 
 
 def indices_of(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[int]:
-    """Positions of names in a list; `UnknownNameError` names those that are not there."""
+    """Return the positions of names in a list.
+
+    Args:
+        kind: what the names are, for the error message. wanted: names. known: the list.
+
+    Raises:
+        UnknownNameError: names that are not in the list.
+    """
     unknown = [name for name in wanted if name not in known]
     if unknown:
         raise UnknownNameError(kind, unknown, known)
@@ -62,21 +99,37 @@ def indices_of(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[i
 
 
 def checked_names(field: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Names as a tuple, none of them twice."""
+    """Return unique names as a tuple.
+
+    Args:
+        field: name in error messages. names: to be checked.
+
+    Raises:
+        InvalidInputError: a name occurs more than once.
+    """
     names = tuple(map(str, names))
     double = sorted(name for name, count in Counter(names).items() if count > 1)
     if double:
-        raise ShapeError(f"{field}: {', '.join(double)} stands there more than once")
+        raise InvalidInputError(f"{field}: {', '.join(double)} occurs more than once")
     return names
 
 
 def checked_rotations(field: str, R: Array) -> None:
-    """Check that each matrix (..., 3, 3) is a rotation, or NaN as a whole."""
+    """Check that each matrix is a rotation or NaN as a whole.
+
+    Args:
+        field: name in error messages. R: (..., 3, 3).
+
+    Raises:
+        InvalidInputError: a matrix is neither.
+    """
     missing = np.isnan(R).any(axis=(-2, -1))
     if np.any(missing & ~np.isnan(R).all(axis=(-2, -1))):
-        raise ShapeError(f"{field}: a matrix is partly NaN; missing ones are NaN as a whole")
+        raise InvalidInputError(f"{field}: a matrix is partly NaN; missing ones are NaN as a whole")
     if not so3.is_rotation(R[~missing], tolerance=1e-5):
-        known = np.argwhere(~missing)
-        first = next(i for i in known if not so3.is_rotation(R[tuple(i)], tolerance=1e-5))
+        given = np.argwhere(~missing)
+        first = next(i for i in given if not so3.is_rotation(R[tuple(i)], tolerance=1e-5))
         at = ", ".join(map(str, first))
-        raise ShapeError(f"{field}: not a rotation matrix at index ({at}); normalise quaternions before use")
+        raise InvalidInputError(
+            f"{field}: not a rotation matrix at index ({at}); normalise quaternions before use"
+        )

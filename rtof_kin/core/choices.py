@@ -1,12 +1,12 @@
-"""The names that settings choose from, as types."""
+"""Names that settings choose from, as types."""
 
 from __future__ import annotations
 
 from typing import Final, Literal, get_args
 
 Mode = Literal["lift", "sf2", "rto", "rtof", "imu"]
-"""lift: the network alone. sf2: corrected by IMUs frame by frame. rto: optimised, vision only.
-rtof: SF2, then optimised with everything. imu: sensors only, without a camera."""
+"""lift: network only. sf2: lift corrected by IMUs frame by frame. rto: optimisation on video only.
+rtof: SF2, then optimisation on video and IMUs. imu: sensors only, without a camera."""
 Space = Literal["joint", "cartesian"]
 """Variables of the fragment solver: configurations of the skeleton, or joint positions."""
 Backend = Literal["realtime", "ipopt"]
@@ -14,7 +14,7 @@ Backend = Literal["realtime", "ipopt"]
 Calibrate = Literal["yes", "given", "no"]
 """'yes': from the recording itself. 'given': an earlier calibration of it was applied."""
 Compile = Literal["auto", "never"]
-"""Whether the energy is compiled to machine code where a C compiler exists."""
+"""auto: compile the energy to machine code if a C compiler exists. never: interpret it."""
 
 MODES: Final[tuple[Mode, ...]] = get_args(Mode)
 CAMERA_MODES: Final[tuple[Mode, ...]] = MODES[:-1]

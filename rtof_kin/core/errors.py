@@ -1,7 +1,7 @@
-"""The error types of the package.
+"""Error types of the package.
 
-Every error a caller can cause derives from `RtofError`; its message says what was wrong, where,
-and what to do about it. The command line turns them into one line and exit code 2.
+Every error that a caller can cause derives from `RtofError`. Its message names what is wrong, where, and the
+remedy. The command line prints it as one line and exits with code 2.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ class RtofError(Exception):
 
 
 class InvalidInputError(RtofError, ValueError):
-    """An argument, a setting or a field of data has a value that it cannot have."""
+    """An argument, a setting or a field of data has an invalid value."""
 
 
 class ShapeError(InvalidInputError):
@@ -24,17 +24,18 @@ class ShapeError(InvalidInputError):
 
 
 class ViewError(InvalidInputError):
-    """A camera as declared cannot have seen what it is said to have seen."""
+    """The declared camera is inconsistent with the keypoints."""
 
 
 class UnitError(RtofError, ValueError):
-    """Numbers are plausible only in another unit than the one declared."""
+    """Numbers are plausible only in another unit than the declared one."""
 
 
 class UnknownNameError(RtofError, KeyError):
-    """A joint, landmark, sensor or setting is named that does not exist."""
+    """A joint, landmark, sensor or setting of this name does not exist."""
 
     def __init__(self, kind: str, unknown: Iterable[str], known: Sequence[str]):
+        """Take the kind of names, the unknown names and all valid ones."""
         unknown = list(unknown)
         hints = [match for name in unknown for match in get_close_matches(name, known, n=1)]
         hint = f" Did you mean {', '.join(map(repr, hints))}?" if hints else ""
@@ -45,20 +46,21 @@ class UnknownNameError(RtofError, KeyError):
 
 
 class FileFormatError(RtofError, ValueError):
-    """A file cannot be read as what it claims to be."""
+    """A file cannot be read in its declared format."""
 
     def __init__(self, path: str | Path, problem: str, line: int | None = None):
+        """Take the file, the problem and the line where it is, if any."""
         self.path, self.line = Path(path), line
         where = f"{path}, line {line}" if line is not None else str(path)
         super().__init__(f"{where}: {problem}")
 
 
 class OutputExistsError(RtofError, FileExistsError):
-    """Something stands where output would be written, and overwriting was not asked for."""
+    """Output exists already, and overwriting was not requested."""
 
     @classmethod
     def of(cls, path: str | Path) -> OutputExistsError:
-        """The error about a file or folder that would be replaced if that were asked for."""
+        """Return the error about a file or folder that may be replaced on request."""
         remedy = "ask to overwrite it (--overwrite; overwrite=True in Python) or name another one"
         return cls(f"{path}: is there already; {remedy}")
 
@@ -72,4 +74,4 @@ class CalibrationError(RtofError, ValueError):
 
 
 class SolverError(RtofError, RuntimeError):
-    """An optimisation problem cannot be posed with what was given."""
+    """An optimisation problem cannot be posed or solved."""

@@ -1,4 +1,7 @@
-"""Figures against their limits: what a check of somebody's data found."""
+"""Results of plausibility checks of the user's data: a value against its limit, with advice.
+
+Validation of arrays, which raises errors, is in `checks`.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typing import Any, Self
 
 
 class Verdict(Enum):
-    """What a check found."""
+    """Outcome of a check."""
 
     PASSED = "holds"
     FAILED = "does not hold"
@@ -19,52 +22,50 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Check:
-    """One figure against its limit."""
+    """One value against its limit."""
 
     name: str
-    """What is checked."""
+    """Checked quantity."""
     subject: str
-    """What it is about: the take, a sensor, a camera, a bone."""
+    """Take, sensor, camera or bone that is checked."""
     value: float
-    """NaN where nothing is known; such a check is neither passed nor failed."""
+    """NaN if it cannot be computed; such a check neither passes nor fails."""
     limit: float
     """Largest value that passes."""
     unit: str
-    """Of value and limit."""
+    """Unit of value and limit."""
     advice: str = ""
-    """What a failure may mean; of an unknown value, why it cannot be told."""
+    """Possible meaning of a failure; of a NaN value, the reason."""
     likely: Mapping[str, Any] = field(default_factory=dict)
-    """The change of the declaration that would make it hold. It is only reported."""
+    """Change of the declaration with which the check would pass. It is only reported."""
     cause: str = ""
-    """The most likely cause of a failure, as a headline: 'the focal length is too short'. Empty where the
-    figure does not tell one."""
+    """Most likely cause of a failure as a headline, e.g. 'the focal length is too short'; may be empty."""
 
     @classmethod
     def unknown(cls, name: str, subject: str, unit: str, why: str) -> Self:
-        """A check that the data do not allow."""
-        return cls(name, subject, float("nan"), float("nan"), unit, why)
+        """Return a check that the data do not allow; `why` is its advice."""
+        return cls(name, subject, math.nan, math.nan, unit, why)
 
     @property
     def verdict(self) -> Verdict:
-        """By value and limit."""
+        """Outcome by value and limit."""
         if math.isnan(self.value):
             return Verdict.NOT_POSSIBLE
         return Verdict.PASSED if self.value <= self.limit else Verdict.FAILED
 
     @property
     def passed(self) -> bool:
-        """Whether the figure is known and within its limit."""
+        """True if the value is finite and within its limit."""
         return self.verdict is Verdict.PASSED
 
     @property
     def failed(self) -> bool:
-        """Whether the figure is known and beyond its limit."""
+        """True if the value exceeds its limit."""
         return self.verdict is Verdict.FAILED
 
     @property
     def message(self) -> str:
-        """One line: what, where, the figure, its limit, and what a failure may mean."""
-        text = f"{self.subject}: {self.name} is {self.value:.3g} {self.unit}"
-        text += f" (limit {self.limit:g})"
+        """One line: subject, name, value, limit and, unless passed, the advice."""
+        text = f"{self.subject}: {self.name} is {self.value:.3g} {self.unit} (limit {self.limit:g})"
         text = f"{self.cause}: {text}" if self.failed and self.cause else text
         return text if self.passed else f"{text}. {self.advice}"

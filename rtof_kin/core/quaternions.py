@@ -1,7 +1,6 @@
-"""Unit quaternions w x y z on arrays: the state that the joint-space solver steps on.
+"""Unit quaternions w x y z on arrays with any leading batch axes: state of the joint-space solver.
 
-Elsewhere rotations are matrices; inside an optimiser four numbers that are easily kept of unit norm are
-the better state. Any leading batch axes, no loop over time.
+Elsewhere rotations are matrices; an optimiser steps on quaternions, which are easily normalised.
 """
 
 from __future__ import annotations
@@ -15,27 +14,43 @@ Array = NDArray[np.float64]
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 _LEFT = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
 _SIGNS = np.array([[1.0, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]])
-"""The matrix of a product with a from the left has a's components at these places, with these signs."""
+"""Components of a, and their signs, in the matrix of the product a b with b."""
 
 
 def multiply(a: Array, b: Array) -> Array:
-    """Products (..., 4): first turn by b, then by a."""
+    """Return products (..., 4): rotation by b, then by a.
+
+    Args:
+        a, b: (..., 4).
+    """
     return np.asarray(np.einsum("...ij,...j->...i", a[..., _LEFT] * _SIGNS, b))
 
 
 def conjugate(q: Array) -> Array:
-    """Inverses (..., 4)."""
+    """Return inverses (..., 4).
+
+    Args:
+        q: (..., 4).
+    """
     return np.asarray(q * _CONJUGATE)
 
 
 def exp(rotvec: Array) -> Array:
-    """Quaternions (..., 4) of rotation vectors (..., 3), rad."""
+    """Return quaternions (..., 4) of rotation vectors.
+
+    Args:
+        rotvec: (..., 3) rad.
+    """
     half = np.linalg.norm(rotvec, axis=-1, keepdims=True) / 2
     return np.concatenate([np.cos(half), np.sinc(half / np.pi) * rotvec / 2], axis=-1)
 
 
 def log(q: Array) -> Array:
-    """Rotation vectors (..., 3), rad, of length at most pi."""
+    """Return rotation vectors (..., 3), rad, of length at most pi.
+
+    Args:
+        q: (..., 4).
+    """
     q = np.where(q[..., :1] < 0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     factor = np.where(sine > 1e-9, 2 * np.arctan2(sine, q[..., :1]) / np.maximum(sine, 1e-12), 2.0)
@@ -43,7 +58,11 @@ def log(q: Array) -> Array:
 
 
 def right_jacobian_inverse(rotvec: Array) -> Array:
-    """(..., 3, 3): by how much log(exp(v) exp(d)) changes with a small d (Sola et al. 2018, eq. 144)."""
+    """Return derivatives (..., 3, 3) of log(exp(v) exp(d)) by d at d = 0 (Sola et al. 2018, eq. 144).
+
+    Args:
+        rotvec: v, (..., 3) rad.
+    """
     angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
     safe = np.maximum(angle, 1e-3)
     factor = np.where(angle > 1e-3, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe)), 1 / 12)
@@ -52,7 +71,11 @@ def right_jacobian_inverse(rotvec: Array) -> Array:
 
 
 def right_jacobian(rotvec: Array) -> Array:
-    """(..., 3, 3): log(exp(v)^-1 exp(v + d)) per small d (Sola et al. 2018, eq. 143)."""
+    """Return derivatives (..., 3, 3) of log(exp(v)^-1 exp(v + d)) by d at d = 0 (Sola et al. 2018, eq. 143).
+
+    Args:
+        rotvec: v, (..., 3) rad.
+    """
     angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
     safe = np.maximum(angle, 1e-3)
     first = np.where(angle > 1e-3, (1 - np.cos(safe)) / safe**2, 0.5 - angle**2 / 24)

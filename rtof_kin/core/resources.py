@@ -1,4 +1,4 @@
-"""Files that ship with the package: skeleton tables, the URDF, trained lifters."""
+"""Files that ship with the package: skeleton tables, URDFs, trained lifters."""
 
 from __future__ import annotations
 
@@ -7,32 +7,28 @@ from pathlib import Path
 from rtof_kin.core.errors import FileFormatError
 
 PACKAGED = Path(__file__).parents[1] / "models"
-"""Where an installed package carries its models."""
+"""Models folder of an installed package."""
 CHECKOUT = Path(__file__).parents[2] / "models"
-"""Where a checkout of the source keeps the same files."""
+"""Models folder of a source checkout."""
 LIFTERS = {"detections": "lifter.pt", "perfect": "lifter_perfect.pt", "causal": "lifter_causal.pt"}
-"""Lifters that ship with the package, by name. detections: the default, for real detectors. perfect: for
-projected ground truth. causal: without delay, for streaming."""
+"""Shipped lifters. detections: the default, for real detectors. perfect: for projected ground truth.
+causal: without delay, for streaming."""
 DEFAULT_LIFTER = "detections"
 
 
 def model_path(name: str) -> Path:
-    """The path of a shipped file or folder, found the same way from an installation and from a checkout.
+    """Return the path of a shipped file or folder, in an installation or a checkout.
 
     Args:
-        name: file name inside the models folder, e.g. ``"skeleton.toml"``.
+        name: path inside the models folder, e.g. ``"skeleton.toml"``.
 
     Raises:
-        FileFormatError: neither the package nor the checkout holds it; the message lists what is
-            there.
+        FileFormatError: it does not exist; the message lists the files that do.
     """
     for folder in (PACKAGED, CHECKOUT):
-        path = folder / name
-        if path.exists():
-            return path
-    present = sorted(
-        path.name for folder in (PACKAGED, CHECKOUT) if folder.is_dir() for path in folder.iterdir()
-    )
+        if (folder / name).exists():
+            return folder / name
+    present = sorted(path.name for folder in (PACKAGED, CHECKOUT) for path in folder.glob("*"))
     raise FileFormatError(
         PACKAGED / name,
         "no such file ships with this installation (there is: "
@@ -41,10 +37,10 @@ def model_path(name: str) -> Path:
 
 
 def lifter_path(lifter: str | Path | None) -> Path:
-    """The file of a lifter, however it was named; every command and protocol asks here.
+    """Return the weights file of a lifter.
 
     Args:
-        lifter: a name in `LIFTERS`, or a file; the default of these where not given.
+        lifter: a name in `LIFTERS` or a file; the default lifter if None.
 
     Raises:
         FileFormatError: it is neither.
@@ -52,8 +48,8 @@ def lifter_path(lifter: str | Path | None) -> Path:
     name = DEFAULT_LIFTER if lifter is None else str(lifter)
     path = model_path(LIFTERS[name]) if name in LIFTERS else Path(name)
     if not path.is_file():
+        names = ", ".join(LIFTERS)
         raise FileFormatError(
-            path, "no such file; give the path of a trained lifter, or the name of a shipped one: "
-            + ", ".join(LIFTERS),
-        )  # fmt: skip
+            path, f"no such file; give the path of a trained lifter, or the name of a shipped one: {names}"
+        )
     return path

@@ -26,13 +26,10 @@ Array = NDArray[np.float64]
 
 
 def skew(v: ArrayLike) -> Array:
-    """Cross-product matrices: ``skew(a) @ b == cross(a, b)``.
+    """Return cross-product matrices (..., 3, 3): ``skew(a) @ b == cross(a, b)``.
 
     Args:
-        v: vectors (..., 3).
-
-    Returns:
-        Matrices (..., 3, 3).
+        v: (..., 3).
     """
     v = np.asarray(v, dtype=float)
     out = np.zeros((*v.shape[:-1], 3, 3))
@@ -42,30 +39,45 @@ def skew(v: ArrayLike) -> Array:
 
 
 def exp(rotvec: ArrayLike) -> Array:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) in radians."""
+    """Return rotation matrices (..., 3, 3) of rotation vectors.
+
+    Args:
+        rotvec: (..., 3) rad.
+    """
     rotvec = np.asarray(rotvec, dtype=float)
     flat = Rotation.from_rotvec(rotvec.reshape(-1, 3)).as_matrix()
     return np.asarray(flat).reshape(*rotvec.shape[:-1], 3, 3)
 
 
 def log(R: ArrayLike) -> Array:
-    """Rotation vectors (..., 3) in radians, of length at most pi, of matrices (..., 3, 3)."""
+    """Return rotation vectors (..., 3), rad, of length at most pi.
+
+    Args:
+        R: (..., 3, 3).
+    """
     R = np.asarray(R, dtype=float)
     flat = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec()
     return np.asarray(flat).reshape(*R.shape[:-2], 3)
 
 
 def angle_between(R_a: ArrayLike, R_b: ArrayLike) -> Array:
-    """Angle in radians (...) of the rotation that takes one orientation to the other.
+    """Return the angle (...), rad, between orientations.
 
-    From the chord ``|R_a - R_b|_F = 2 sqrt(2) sin(angle / 2)``, which keeps full precision near 0.
+    Computed from the chord ``|R_a - R_b|_F = 2 sqrt(2) sin(angle / 2)``, which is precise near 0.
+
+    Args:
+        R_a, R_b: (..., 3, 3).
     """
     chord = np.linalg.norm(np.asarray(R_a) - np.asarray(R_b), axis=(-2, -1))
     return np.asarray(2 * np.arcsin(np.clip(chord / np.sqrt(8), 0, 1)))
 
 
 def about_axis(axis: str, angle: ArrayLike) -> Array:
-    """Rotations (..., 3, 3) by `angle` (...) in radians about the coordinate axis 'x', 'y' or 'z'."""
+    """Return rotations (..., 3, 3) about a coordinate axis.
+
+    Args:
+        axis: 'x', 'y' or 'z'. angle: (...) rad.
+    """
     angle = np.asarray(angle, dtype=float)
     i = "xyz".index(axis)
     j, k = (i + 1) % 3, (i + 2) % 3
@@ -78,34 +90,39 @@ def about_axis(axis: str, angle: ArrayLike) -> Array:
 
 
 def unit(v: ArrayLike) -> Array:
-    """Vectors (..., 3) divided by their norms; the zero vector stays zero."""
+    """Return vectors divided by their norms; the zero vector stays zero.
+
+    Args:
+        v: (..., 3).
+    """
     v = np.asarray(v, dtype=float)
     norm = np.linalg.norm(v, axis=-1, keepdims=True)
     return np.asarray(np.divide(v, norm, out=np.zeros_like(v), where=norm > 0))
 
 
 def angle_about(axis: Array, R: Array) -> float:
-    """Angle of a rotation (3, 3) about a known axis, a unit vector (3,), in [-pi, pi]."""
+    """Return the angle of a rotation about a given axis, in [-pi, pi].
+
+    Args:
+        axis: (3,) unit vector. R: (3, 3).
+    """
     sine = axis @ [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]
     return float(np.arctan2(sine, np.trace(R) - 1))
 
 
 def minimal_rotation(a: ArrayLike, b: ArrayLike) -> Array:
-    """The rotation with the smallest angle that turns direction a into direction b.
+    """Return the rotations (..., 3, 3) of smallest angle that turn direction a into direction b.
 
-    Where the two are opposite the axis is arbitrary; one perpendicular to `a` is taken.
-    `kinematics.swing` chooses it over time.
+    For opposite directions an arbitrary axis perpendicular to `a` is used; `kinematics.swing` chooses it
+    over time.
 
     Args:
-        a, b: directions (..., 3); need not be unit vectors. A zero vector gives the identity.
-
-    Returns:
-        Rotations (..., 3, 3).
+        a, b: (..., 3), of any length. A zero vector gives the identity.
     """
     a, b = np.broadcast_arrays(unit(a), unit(b))
     cos = np.sum(a * b, axis=-1)
-    # Rodrigues' formula loses its digits near half a turn. Past a right angle: half a turn about the
-    # common normal takes a to -a, and the rest is less than a right angle.
+    # Rodrigues' formula loses precision near 180 deg. Beyond 90 deg: a half turn about the common normal
+    # takes a to -a, and the remaining angle is below 90 deg.
     far = cos < 0
     cross = _cross(np.where(far[..., None], -a, a), b)
     R = cross[..., :, None] * (cross / (1 + np.abs(cos))[..., None])[..., None, :] + skew(cross)
@@ -116,7 +133,7 @@ def minimal_rotation(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross products (..., 3): NumPy's own takes four times as long."""
+    """Return cross products (..., 3), four times as fast as `numpy.cross`."""
     out = np.empty_like(a)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
@@ -124,7 +141,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _half_turn(a: Array, cross: Array) -> Array:
-    """Half turns (n, 3, 3) about normals of directions a (n, 3): `cross` where that is one."""
+    """Return half turns (n, 3, 3) about normals of a (n, 3), along `cross` if it is not zero."""
     helper = np.where(np.abs(a[:, :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0])
     opposite = np.linalg.norm(cross, axis=-1, keepdims=True) < 1e-12
     normal = unit(np.where(opposite, np.cross(a, helper), cross))
@@ -133,9 +150,12 @@ def _half_turn(a: Array, cross: Array) -> Array:
 
 
 def nearest_rotation(M: ArrayLike) -> Array:
-    """The rotation (..., 3, 3) that maximises ``trace(R^T M)`` (Kabsch 1976, Umeyama's sign).
+    """Return the rotations (..., 3, 3) that maximise ``trace(R^T M)`` (Kabsch 1976, Umeyama's sign).
 
-    With ``M = sum_i w_i b_i a_i^T`` this is the weighted least-squares rotation taking a_i to b_i.
+    With ``M = sum_i w_i b_i a_i^T`` this is the weighted least-squares rotation that maps a_i to b_i.
+
+    Args:
+        M: (..., 3, 3).
     """
     U, _, Vt = np.linalg.svd(np.asarray(M, dtype=float))
     sign = np.sign(np.linalg.det(U @ Vt))
@@ -145,20 +165,32 @@ def nearest_rotation(M: ArrayLike) -> Array:
 
 
 def heading(R: ArrayLike) -> Array:
-    """Rotation about z, in radians (...), that is nearest to R (..., 3, 3)."""
+    """Return the angle (...), rad, of the rotation about z nearest to R.
+
+    Args:
+        R: (..., 3, 3).
+    """
     R = np.asarray(R, dtype=float)
     return np.asarray(np.arctan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1]))
 
 
 def from_quat_wxyz(quat_wxyz: ArrayLike) -> Array:
-    """Rotation matrices (..., 3, 3) of quaternions (..., 4) with the scalar first."""
+    """Return rotation matrices (..., 3, 3) of quaternions.
+
+    Args:
+        quat_wxyz: (..., 4), scalar first.
+    """
     quat = np.asarray(quat_wxyz, dtype=float)
     flat = Rotation.from_quat(quat.reshape(-1, 4), scalar_first=True).as_matrix()
     return np.asarray(flat).reshape(*quat.shape[:-1], 3, 3)
 
 
 def to_quat_wxyz(R: ArrayLike) -> Array:
-    """Quaternions (..., 4), scalar first, continuous along the first axis, of R (..., 3, 3)."""
+    """Return quaternions (..., 4), scalar first, continuous along the first axis.
+
+    Args:
+        R: (..., 3, 3).
+    """
     R = np.asarray(R, dtype=float)
     flat = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(scalar_first=True)
     quat = np.asarray(flat).reshape(*R.shape[:-2], 4)
@@ -169,27 +201,28 @@ def to_quat_wxyz(R: ArrayLike) -> Array:
 
 
 def is_rotation(R: ArrayLike, tolerance: float = 1e-6) -> bool:
-    """Whether all of R (..., 3, 3) are orthonormal and right-handed to `tolerance`; NaN is not."""
+    """Return whether all matrices are orthonormal and right-handed; NaN is not.
+
+    Args:
+        R: (..., 3, 3). tolerance: largest deviation of a dot or cross product of rows.
+    """
     R = np.asarray(R, dtype=float)
-    if not np.all(np.abs(R) <= 1 + tolerance):  # as it is where one is NaN or infinite
+    if not np.all(np.abs(R) <= 1 + tolerance):  # also if one is NaN or infinite
         return False
     x, y, z = R.reshape(-1, 9).T.copy().reshape(3, 3, -1)  # rows of all matrices: x cross y is z
     errors = (x * x).sum(0) - 1, (y * y).sum(0) - 1, (x * y).sum(0), np.cross(x, y, axis=0) - z
     return all(bool(np.all(np.abs(error) < tolerance)) for error in errors)
 
 
-# --- Euler angles: intrinsic, any of the six sequences of three different axes -------------------
+# --- Euler angles: intrinsic, about three different axes in any order ----------------------------
 
 
 def euler_to_matrix(order: str, angles: ArrayLike) -> Array:
-    """Product of three coordinate rotations in the order given.
+    """Return the product (..., 3, 3) of three coordinate rotations.
 
     Args:
-        order: three different axes, e.g. 'yxz'; ``R = R_y(a0) R_x(a1) R_z(a2)``, intrinsic.
-        angles: (..., 3) in radians, in that order.
-
-    Returns:
-        Rotations (..., 3, 3).
+        order: three different axes, e.g. 'yxz' for ``R = R_y(a0) R_x(a1) R_z(a2)``.
+        angles: (..., 3) rad, in that order.
     """
     angles = np.asarray(angles, dtype=float)
     first, second, third = (about_axis(axis, angles[..., i]) for i, axis in enumerate(order))
@@ -197,10 +230,12 @@ def euler_to_matrix(order: str, angles: ArrayLike) -> Array:
 
 
 def matrix_to_euler(order: str, R: ArrayLike) -> Array:
-    """Angles (..., 3) of `euler_to_matrix`, the middle one in [-pi/2, pi/2].
+    """Return the angles (..., 3), rad, of `euler_to_matrix`, the middle one in [-pi/2, pi/2].
 
-    Within rounding of a singular posture (middle angle +-90 degrees) the first angle is set to 0 and
-    the third carries the whole turn, so the product is exact there too.
+    At a singular posture (middle angle +-90 degrees) the first angle is 0 and the third is the whole turn.
+
+    Args:
+        order: three different axes. R: (..., 3, 3).
     """
     R = np.asarray(R, dtype=float)
     i, j, k = ("xyz".index(axis) for axis in order)
@@ -209,7 +244,7 @@ def matrix_to_euler(order: str, R: ArrayLike) -> Array:
     first = np.arctan2(-e * R[..., j, k], R[..., k, k])
     singular = np.hypot(R[..., i, i], R[..., i, j]) < 1e-12
     first = np.where(singular, 0.0, first)
-    # The third angle from R_first^T R, exact whichever value the first one took.
+    # The third angle from R_first^T R is exact for any value of the first.
     c, s = np.cos(first), np.sin(first)
     row_j = c[..., None] * R[..., j, :] + e * s[..., None] * R[..., k, :]
     third = np.arctan2(e * row_j[..., i], row_j[..., j])
@@ -217,16 +252,12 @@ def matrix_to_euler(order: str, R: ArrayLike) -> Array:
 
 
 def euler_near(angles: ArrayLike, reference: ArrayLike) -> Array:
-    """The representative of Euler angles nearest to a reference.
+    """Return the equivalent Euler angles (..., 3) nearest to a reference.
 
     Every rotation has two triples modulo whole turns: (a, b, c) and (a + pi, pi - b, c + pi).
 
     Args:
-        angles: (..., 3) in radians, three different axes.
-        reference: (..., 3) in radians.
-
-    Returns:
-        (..., 3) in radians, the one of the family with the smallest distance to the reference.
+        angles, reference: (..., 3) rad, three different axes.
     """
     angles, reference = np.asarray(angles, dtype=float), np.asarray(reference, dtype=float)
     turned = np.stack([angles[..., 0] + np.pi, np.pi - angles[..., 1], angles[..., 2] + np.pi], -1)
@@ -240,14 +271,13 @@ def euler_near(angles: ArrayLike, reference: ArrayLike) -> Array:
 
 
 def euler_continuous(angles: ArrayLike) -> Array:
-    """Euler angles (T, ..., 3) on the branch nearest to the frame before, unwrapped over time.
+    """Return Euler angles (T, ..., 3) on the branch nearest to the frame before, unwrapped over time.
 
-    The two branches of a rotation, see `euler_near`, are as far from each other whichever of them comes
-    first, so whether to change branch between two frames does not depend on the branch one is on: the
-    branch is the parity of the changes so far.
+    The distance between the branches of two frames (see `euler_near`) is symmetric, so whether to change
+    branch does not depend on the current one: the branch is the parity of the changes so far.
 
     Args:
-        angles: radians, three different axes, finite.
+        angles: (T, ..., 3) rad, three different axes, finite.
     """
     angles = np.asarray(angles, dtype=float)
     other = np.array([1.0, -1.0, 1.0]) * angles + np.pi

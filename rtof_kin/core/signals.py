@@ -12,16 +12,11 @@ Array = NDArray[np.float64]
 
 
 def interpolate(times: Array, values: Array, at: ArrayLike, max_gap: float = np.inf) -> Array:
-    """Linear interpolation that leaves gaps open.
+    """Interpolate linearly, element by element: (T', ...), NaN outside the valid samples and in gaps.
 
     Args:
-        times: (T,) seconds, increasing.
-        values: (T, ...) any unit; NaN where missing, element by element.
-        at: (T',) seconds.
-        max_gap: longest step between two valid samples that is interpolated across, s.
-
-    Returns:
-        (T', ...); NaN outside the valid samples and inside longer gaps.
+        times: (T,) s, increasing. values: (T, ...), NaN where missing. at: (T',) s.
+        max_gap: longest interval between valid samples that is interpolated, s.
     """
     at = np.asarray(at, dtype=float)
     flat = values.reshape(len(times), -1)
@@ -37,7 +32,7 @@ def interpolate(times: Array, values: Array, at: ArrayLike, max_gap: float = np.
 
 
 def _in_gap(t: Array, at: Array, max_gap: float) -> NDArray[np.bool_]:
-    """Whether each instant lies strictly between two samples further apart than `max_gap`."""
+    """Return whether each instant lies strictly between two samples further apart than `max_gap`."""
     right = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
     left = np.maximum(right - 1, 0)
     between = (at > t[left]) & (at < t[right])
@@ -45,10 +40,10 @@ def _in_gap(t: Array, at: Array, max_gap: float) -> NDArray[np.bool_]:
 
 
 def interpolate_rotations(times: Array, R: Array, at: ArrayLike, max_gap: float = np.inf) -> Array:
-    """Rotations (T, S, 3, 3) on the geodesic at other instants; gaps stay open as in `interpolate`.
+    """Interpolate rotations on the geodesic: (T', S, 3, 3), NaN as a whole where `interpolate` gives NaN.
 
-    Returns:
-        (T', S, 3, 3); NaN as a whole where nothing is known.
+    Args:
+        times: (T,) s, increasing. R: (T, S, 3, 3). at, max_gap: see `interpolate`.
     """
     at = np.asarray(at, dtype=float)
     out = np.full((len(at), *R.shape[1:]), np.nan)
@@ -70,25 +65,20 @@ def interpolate_rotations(times: Array, R: Array, at: ArrayLike, max_gap: float 
 def hat_average(
     times: Array, values: Array, at: ArrayLike, half_width: float, max_gap: float = np.inf
 ) -> Array:
-    """Weighted average of a signal under a triangular kernel.
+    """Average a signal with a triangular kernel: (T', ...), NaN outside the recording and at gaps.
 
-    ``(x(t+h) - 2 x(t) + x(t-h)) / h^2`` equals the second derivative of x averaged under a hat of
-    half-width h. The signal is taken as piecewise linear between its samples and integrated exactly
-    (Simpson on every piece): at equal rates this is the kernel [1 4 1] / 6.
+    ``(x(t+h) - 2 x(t) + x(t-h)) / h^2`` equals the second derivative of x averaged with a hat of half-width
+    h. The signal is piecewise linear between its samples and integrated exactly (Simpson on every piece): at
+    equal rates the kernel is [1 4 1] / 6. At the ends of the recording it is truncated and renormalised.
 
     Args:
-        times: (T,) seconds. values: (T, ...). at: (T',) seconds. half_width: h in seconds.
-        max_gap: longest step interpolated across, s.
-
-    Returns:
-        (T', ...); NaN outside the recording and where the kernel touches a gap. At the two ends of the
-        recording the kernel is cut off and renormalised.
+        times: (T,) s. values: (T, ...). at: (T',) s. half_width: h, s. max_gap: see `interpolate`.
     """
     at = np.asarray(at, dtype=float)
     low = np.searchsorted(times, at - half_width, side="right")
     high = np.searchsorted(times, at + half_width, side="left")
     count = int(np.max(high - low, initial=0))
-    # Knots: the kernel's corners and every sample under it, padded to one common number.
+    # Knots: corners of the kernel and all samples under it, padded to a common number.
     inner = np.minimum(low[:, None] + np.arange(count), high[:, None] - 1)
     samples = np.where(np.arange(count) < (high - low)[:, None], times[np.clip(inner, 0, None)], at[:, None])
     corners = at[:, None] + half_width * np.array([-1.0, 0.0, 1.0])
@@ -99,7 +89,7 @@ def hat_average(
     hat = np.maximum(0.0, 1 - np.abs(points - at[:, None]) / half_width)[..., None]
     width = np.diff(knots, axis=1)[None, ..., None]
     simpson = np.array([1.0, 4.0, 1.0])[:, None, None, None] / 6
-    # Pieces of no width (or of rounding's) may touch a gap without entering it.
+    # Pieces of zero width, up to rounding, may touch a gap without entering it.
     weight = simpson * width * hat
     weight[weight < 1e-9 * half_width] = 0.0
     product = np.where(weight > 0, weight * f, 0.0)
@@ -110,12 +100,21 @@ def hat_average(
 
 
 def derivative(values: ArrayLike, rate_hz: float, order: int) -> Array:
-    """Differences of a given order along the first axis, times rate**order: (T - order, ...)."""
+    """Return finite differences (T - order, ...) along the first axis, times rate**order.
+
+    Args:
+        values: (T, ...). rate_hz: sampling rate, Hz. order: of the derivative.
+    """
     return np.asarray(np.diff(np.asarray(values, dtype=float), n=order, axis=0) * rate_hz**order)
 
 
 def low_pass(values: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 2) -> Array:
-    """Zero-phase Butterworth low-pass along the first axis (order doubled by running both ways)."""
+    """Apply a zero-phase Butterworth low-pass along the first axis, forwards and backwards.
+
+    Args:
+        values: (T, ...). rate_hz: sampling rate, Hz. cutoff_hz: -3 dB frequency of one pass, Hz.
+        order: of one pass.
+    """
     values = np.asarray(values, dtype=float)
     sos = signal.butter(order, cutoff_hz, fs=rate_hz, output="sos")
     padding = min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
@@ -123,12 +122,10 @@ def low_pass(values: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 2
 
 
 def low_pass_known(times: Array, values: Array, cutoff_hz: float) -> Array:
-    """`low_pass` of what is known of a signal at even times, run by run; gaps stay open.
+    """Apply `low_pass` to each interval without NaN of a signal at even times.
 
     Args:
-        times: (T,) seconds.
-        values: (T, n) any unit; a row is missing where any of it is NaN.
-        cutoff_hz: where it is not below half the rate, nothing is filtered.
+        times: (T,) s. values: (T, n). cutoff_hz: Hz; from half the sampling rate on, nothing is filtered.
     """
     rate_hz = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     out = np.array(values, dtype=float)
@@ -140,7 +137,11 @@ def low_pass_known(times: Array, values: Array, cutoff_hz: float) -> Array:
 
 
 def runs(mask: ArrayLike) -> list[tuple[int, int]]:
-    """Half-open index ranges [start, stop) in which a mask (T,) is true."""
+    """Return half-open index ranges [start, stop) in which a mask is true.
+
+    Args:
+        mask: (T,).
+    """
     padded = np.concatenate([[False], np.asarray(mask, dtype=bool), [False]])
     edges = np.flatnonzero(np.diff(padded.astype(int)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -1,7 +1,7 @@
-"""How many threads the numerical libraries may use.
+"""Number of threads of the numerical libraries.
 
-NumPy's and SciPy's BLAS, CasADi and torch read it when they are loaded. The matrices here are small: a
-second thread takes as much processor time again and gains nothing.
+The BLAS of NumPy and SciPy, CasADi and torch read the environment when they are loaded. Matrices here are
+small: a second thread doubles the processor time and gains nothing.
 """
 
 from __future__ import annotations
@@ -9,36 +9,36 @@ from __future__ import annotations
 import os
 import sys
 
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 
 _VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 USUAL = 1
+"""Default number of threads."""
 
 
 def threads() -> int | None:
-    """How many they may use; None where they decide themselves."""
+    """Return the number of threads set in the environment; None if unset."""
     text = os.environ.get(_VARIABLES[0], "")
     return int(text) if text.isdecimal() else None
 
 
 def limit_threads(count: int | None) -> None:
-    """Say how many threads the libraries may use that are loaded from now on.
+    """Set the number of threads of libraries that are loaded from now on.
 
     Args:
-        count: where not given, what the environment says stands, else `USUAL`.
+        count: if None, the number set in the environment, else `USUAL`.
 
     Raises:
-        ShapeError: fewer than one; or libraries are loaded already, that were told otherwise.
+        InvalidInputError: less than one, or libraries are loaded already with another number.
     """
     if count is not None and count < 1:
-        raise ShapeError(f"threads: {count}; give 1 or more")
+        raise InvalidInputError(f"threads: {count}; give 1 or more")
     if "numpy" in sys.modules:
         if count not in (None, threads()):
-            raise ShapeError(
+            raise InvalidInputError(
                 f"threads: numerical libraries are loaded already; set {_VARIABLES[0]}={count} before "
                 "Python starts"
             )
         return
-    wanted = count or threads() or USUAL
     for name in _VARIABLES:
-        os.environ[name] = str(wanted)
+        os.environ[name] = str(count or threads() or USUAL)

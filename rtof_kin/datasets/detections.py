@@ -27,7 +27,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.datasets.total_capture_files import only_one, walk
 from rtof_kin.recording import files
 from rtof_kin.vision.keypoint_files import FORMATS, read_detector_file
-from rtof_kin.vision.keypoints import adapt
+from rtof_kin.vision.keypoints import keypoints_from_detections
 
 Array = NDArray[np.float64]
 LANDMARKS = "landmarks.txt"
@@ -94,7 +94,9 @@ def _adapted(path: Path, camera: Camera, rate_hz: float, layout: str) -> Keypoin
     found = read_detector_file(path, camera.width_px, camera.height_px)
     times = np.arange(len(found)) / rate_hz if found.times is None else found.times
     with files.naming(path):
-        adapted = adapt(found, times, camera, None if layout == files.RECOGNISE else layout)
+        adapted = keypoints_from_detections(
+            found, times, camera, None if layout == files.RECOGNISE else layout
+        )
     _log.info("%s: %s", path, adapted.summary)
     return adapted.keypoints
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import readonly
-from rtof_kin.core.errors import FileFormatError, ShapeError, UnitError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError
 from rtof_kin.core.files.text import load_json, measurable, read_text
 from rtof_kin.data.camera import Camera
 
@@ -193,7 +193,7 @@ def _camera(
     try:
         t = readonly("t", t_mm, (3,)) / 1000
         camera = Camera(K, R_camera_world, t, *size_px, distortion)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, f"{where}: {error}") from error
     distance = float(np.linalg.norm(camera.center_world))
     low, high = _PLAUSIBLE_DISTANCE

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.kinematics import children_of
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text, write_text
 from rtof_kin.formats.articulated import ArticulatedMotion
 
@@ -57,7 +57,7 @@ def read_bvh(path: str | Path, rate_hz: float | None = None) -> ArticulatedMotio
     rate_hz, values = _read_motion(path, lines, tokens.line, width, rate_hz)
     try:
         return _assemble(nodes, values, rate_hz)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import CalibrationError, FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.section import Section
 from rtof_kin.core.files.text import write_text
 from rtof_kin.data.imu_calibration import ImuCalibration
@@ -89,7 +89,7 @@ def calibration_of(sensors: Section, skeleton: SkeletonModel) -> ImuCalibration 
             R_sensor_bone=np.array(R_sensor_bone),
             p_bone_sensor=np.array(levers),
         )
-    except (CalibrationError, ShapeError) as error:
+    except (CalibrationError, InvalidInputError) as error:
         raise FileFormatError(sensors.path, str(error)) from error
 
 

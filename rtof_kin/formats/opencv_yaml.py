@@ -1,4 +1,4 @@
-"""Cameras in YAML or JSON as OpenCV's FileStorage and ROS write them, and as people write them by hand.
+"""Cameras in YAML or JSON, as OpenCV's FileStorage, ROS and people write them.
 
     %YAML:1.0
     ---
@@ -16,34 +16,35 @@
     T: !!opencv-matrix                    # p_camera = R p_world + T
        ...
 
-`_NAMES` lists what else these entries are called. A matrix may be plain lists too. A file holds one
+`_NAMES` lists the other names of these entries; plain lists are accepted for matrices. A file holds one
 camera, a table for each of several, or a stereo pair (M1, D1, M2, D2, R, T), whose world is the first
-camera. Neither up nor the unit of length stand in a file: the caller declares them. Only values are read:
-no other tag is known, and aliases, by which a small file can grow without end, are refused.
+camera. The file states neither its up axis nor its unit of length: the caller does. Unknown tags are
+refused, and aliases, by which a small file can grow without end.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import checked_distance
 from rtof_kin.formats.world_axes import world_of_file
 
 Array = NDArray[np.float64]
-LARGEST_BYTES = 4 * 2**20
-"""Files of more bytes than this are refused; a calibration with all of its images' points is smaller."""
-_DEEPEST = 12
-_NAMES = {
+LARGEST_BYTES: Final = 4 * 2**20
+"""Largest file that is read, bytes."""
+_DEEPEST: Final = 12
+_NAMES: Final = {
     "matrix": ("camera_matrix", "cameraMatrix", "K", "M", "mtx", "intrinsic_matrix", "intrinsics"),
     "distortion": (
         "distortion_coefficients", "distCoeffs", "dist_coeffs", "dist_coeff", "dist", "D", "distortion",
@@ -56,7 +57,7 @@ _NAMES = {
     "size": ("image_size", "imageSize", "size", "resolution"),
     "name": ("camera_name", "name"),
 }  # fmt: skip
-"""What entries are called. 'pose' is 3 x 4 or 4 x 4, [R T]; 'size' is width, height."""
+"""Accepted names of the entries. 'pose' is 3 x 4 or 4 x 4, [R T]; 'size' is width, height."""
 
 
 def read_opencv_yaml(
@@ -67,42 +68,44 @@ def read_opencv_yaml(
     extrinsics: str | Path | None = None,
     size_px: tuple[int, int] | None = None,
 ) -> dict[str, Camera]:
-    """The cameras of a file by name, in its order, in a world with z up.
+    """Read the cameras of a file by name, in its order, into a world with z up.
 
     Args:
         path: the file; .yml, .yaml or .json.
-        up: the axis of the file's world that points up, see `rtof_kin.formats.world_axes.UP`. Where a camera
-            has no pose, and in a stereo pair, that world is the camera's own axes: '-y' if it was level.
-        metres_per_unit: length of the file's unit, m; 0.001 where it has mm.
-        extrinsics: a second file, whose entries are added: OpenCV's stereo sample writes two.
-        size_px: width and height of the images, where the file does not say.
+        up: the file's axis that points up, see `rtof_kin.formats.world_axes.UP`. Without a pose, and in
+            a stereo pair, the file's world is the camera's own axes: '-y' for a level camera.
+        metres_per_unit: length of the file's unit, m; 0.001 for mm.
+        extrinsics: a second file whose entries are added; OpenCV's stereo sample writes two.
+        size_px: width and height of the images, for a file without them.
 
     Raises:
-        FileFormatError: no such file, no camera in it, or a camera that is not complete; the message
-            names the entry. UnitError: a camera is too far away for metres.
-        ShapeError: `up` or `metres_per_unit` are none.
+        FileFormatError: no such file, no camera in it, or an incomplete camera; names the entry.
+        UnitError: a camera is too far away for metres.
+        InvalidInputError: invalid `up` or `metres_per_unit`.
     """
-    R_world_file = world_of_file(up)
-    if not (np.isfinite(metres_per_unit) and metres_per_unit > 0):
-        raise ShapeError(f"metres_per_unit: {metres_per_unit} is not a positive length")
-    content = load_yaml(Path(path))
+    R_world_file = world_of_file(up, metres_per_unit)
+    content = _load_yaml(Path(path))
     if extrinsics is not None:
-        content = {**content, **load_yaml(Path(extrinsics))}
+        content |= _load_yaml(Path(extrinsics))
     cameras: dict[str, Camera] = {}
     for name, table in _tables(Path(path), content).items():
         entries = _Entries(Path(path), name, table)
         R, t = entries.pose()
-        if R is None:
-            entries.check_alone(cameras, up)
-        R_camera_world = (np.eye(3) if R is None else R) @ R_world_file.T
-        t = checked_distance(entries.where("T"), t, metres_per_unit)
-        width, height = size_px or entries.size()
-        try:
-            cameras[name] = Camera(
-                entries.array("matrix", 9).reshape(3, 3), R_camera_world, t, width, height,
-                entries.distortion(), () if R is not None else ("pose",),
+        if R is None and cameras:
+            raise entries.error("R", "missing, as is T; each camera but a first one needs a pose")
+        if R is None and up == "z":
+            raise entries.error(
+                "R", "missing, so the world is this camera's own axes, and z is its viewing direction; "
+                "add R and T, or declare up='-y' if it was held level"
             )  # fmt: skip
-        except ShapeError as error:
+        R_camera_world = (np.eye(3) if R is None else R) @ R_world_file.T
+        t = checked_distance(f"{path}: {name}, T", t, metres_per_unit)
+        width, height = size_px or entries.size()
+        K, distortion = entries.array("matrix", 9).reshape(3, 3), entries.distortion()
+        assumed = ("pose",) if R is None else ()
+        try:
+            cameras[name] = Camera(K, R_camera_world, t, width, height, distortion, assumed)
+        except InvalidInputError as error:
             raise FileFormatError(path, f"{name}: {error}") from error
     return cameras
 
@@ -111,31 +114,26 @@ def read_opencv_yaml(
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """Plain values, and OpenCV's matrices as the mappings they are written as."""
+    """Plain values, and OpenCV's matrices as mappings."""
 
 
-def _mapping(loader: Any, node: Any) -> Any:
-    return loader.construct_mapping(node, deep=True)
+for _tag in ("opencv-matrix", "opencv-nd-matrix"):  # the latter is OpenCV 5's for vectors
+    _Loader.add_constructor(
+        f"tag:yaml.org,2002:{_tag}", lambda loader, node: loader.construct_mapping(node, deep=True)
+    )
 
 
-for _tag in ("opencv-matrix", "opencv-nd-matrix"):  # OpenCV 5 writes vectors as the latter
-    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _mapping)
-
-
-def load_yaml(path: Path) -> dict[str, Any]:
-    """The entries of a YAML or JSON file; nothing in it is executed.
-
-    Raises:
-        FileFormatError: no such file, too large, not YAML, nested too deep, with aliases or tags of
-            anything but data, or no table of entries.
-    """
+def _load_yaml(path: Path) -> dict[str, Any]:
+    """Return the entries of a YAML or JSON file; nothing in it is executed."""
     text = read_text(path, "a YAML file", LARGEST_BYTES)
-    if text.startswith("%YAML"):  # OpenCV's own version line is none that YAML knows
+    if text.startswith("%YAML"):  # OpenCV's version line is not valid YAML
         text = "#" + text
     try:
         _check_structure(path, text)
         content = yaml.load(text, Loader=_Loader)
     except (yaml.YAMLError, ValueError, RecursionError, TypeError) as error:
+        if isinstance(error, FileFormatError):
+            raise
         where = getattr(error, "problem_mark", None)
         problem = getattr(error, "problem", None) or str(error)
         line = where.line + 1 if where is not None else None
@@ -146,31 +144,29 @@ def load_yaml(path: Path) -> dict[str, Any]:
 
 
 def _check_structure(path: Path, text: str) -> None:
-    """Refuse aliases and deep nesting before anything is built: both can take time without end."""
+    """Refuse aliases and deep nesting, which can take unbounded time, before anything is built."""
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         line = event.start_mark.line + 1 if event.start_mark else None
         if isinstance(event, yaml.AliasEvent):
             raise FileFormatError(path, "an alias; write the value out", line)
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > _DEEPEST:
             raise FileFormatError(path, f"nested more than {_DEEPEST} deep", line)
 
 
-# --- what the entries mean -----------------------------------------------------------------------
+# --- meaning of the entries ----------------------------------------------------------------------
 
 
 def _tables(path: Path, content: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """The entries of each camera, under its name."""
+    """Return the entries of each camera, by its name."""
     if _named(content, "matrix") is not None:
         name = _named(content, "name")
         return {name if isinstance(name, str) and name else path.stem: content}
     listed = content.get("cameras")
     inside = dict(enumerate(listed)) if isinstance(listed, list) else listed
-    within = inside if isinstance(inside, dict) else content
     tables: dict[str, Mapping[str, Any]] = {}
-    for key, table in within.items():
+    for key, table in (inside if isinstance(inside, dict) else content).items():
         if isinstance(table, dict) and _named(table, "matrix") is not None:
             name = str(_named(table, "name") or key)
             if name in tables:
@@ -185,41 +181,39 @@ def _tables(path: Path, content: Mapping[str, Any]) -> dict[str, Mapping[str, An
 
 
 def _numbered(content: Mapping[str, Any], number: int) -> dict[str, Any]:
-    """Entries of one camera of several in one table, e.g. M1, D1, R1, T1; its number is cut off.
+    """Return one camera's entries of several in one table, e.g. M1, D1, R1, T1, without the number.
 
-    In a stereo pair R and T lead from the first camera to the second. R1 and R2 beside them are no
-    poses: they rectify images.
+    In a stereo pair R and T lead from the first camera to the second; R1 and R2 beside them rectify
+    images and are no poses.
     """
     shared = {key: value for key, value in content.items() if not key[-1:].isdigit()}
     own = {k[:-1].rstrip("_"): v for k, v in content.items() if k.endswith(str(number)) and k[:-1]}
-    pose = ("rotation", "translation", "pose")
-    placed = {key for field in pose for key in _NAMES[field]}
-    if placed & set(shared):
-        own = {key: value for key, value in own.items() if key not in placed}
+    pose = {key for field in ("rotation", "translation", "pose") for key in _NAMES[field]}
+    if pose & set(shared):
+        own = {key: value for key, value in own.items() if key not in pose}
         if number != 2:
-            shared = {key: value for key, value in shared.items() if key not in placed}
+            shared = {key: value for key, value in shared.items() if key not in pose}
     return {**shared, **own}
 
 
 def _named(table: Mapping[str, Any], field: str) -> Any:
-    """The first of a table's entries that goes by one of the field's names."""
+    """Return a field's value under the first of its names that the table has; None where absent."""
     return next((table[key] for key in _NAMES[field] if table.get(key) is not None), None)
 
 
+@dataclass(frozen=True)
 class _Entries:
-    """The entries of one camera, each read by what it means."""
+    """The entries of one camera."""
 
-    def __init__(self, path: Path, name: str, table: Mapping[str, Any]):
-        self.path, self.name, self.table = path, name, table
-
-    def where(self, entry: str) -> str:
-        return f"{self.path}: {self.name}, {entry}"
+    path: Path
+    name: str
+    table: Mapping[str, Any]
 
     def error(self, entry: str, problem: str) -> FileFormatError:
         return FileFormatError(self.path, f"{self.name}, {entry}: {problem}")
 
     def array(self, field: str, *sizes: int) -> Array:
-        """Finite numbers, flat; as many as one of the sizes."""
+        """Return finite numbers, flat; as many as one of the sizes."""
         value, entry = _named(self.table, field), _NAMES[field][0]
         if value is None:
             raise self.error(entry, "missing; it may be called " + ", ".join(_NAMES[field]))
@@ -235,7 +229,7 @@ class _Entries:
         return array
 
     def pose(self) -> tuple[Array | None, Array]:
-        """R_camera_file and t, of the file's unit; None and zeros where there is none."""
+        """Return R_camera_file and t in the file's unit; None and zeros where absent."""
         if _named(self.table, "pose") is not None:
             pose = self.array("pose", 12, 16)[:12].reshape(3, 4)
             return pose[:, :3], pose[:, 3]
@@ -245,18 +239,8 @@ class _Entries:
         R = so3.exp(rotation) if len(rotation) == 3 else rotation.reshape(3, 3)
         return R, self.array("translation", 3)
 
-    def check_alone(self, others: Mapping[str, Camera], up: str) -> None:
-        """Refuse a camera without a pose where the world cannot be its own axes."""
-        if others:
-            raise self.error("R", "missing, as is T; each camera but a first one needs a pose")
-        if up == "z":
-            raise self.error(
-                "R", "missing, so the world is this camera's own axes, and z is its viewing direction; "
-                "add R and T, or declare up='-y' if it was held level"
-            )  # fmt: skip
-
     def size(self) -> tuple[int, int]:
-        """Width and height, px."""
+        """Return width and height, px."""
         if _named(self.table, "size") is not None:
             width, height = self.array("size", 2)
         else:
@@ -264,7 +248,7 @@ class _Entries:
         return round(width), round(height)
 
     def distortion(self) -> Array:
-        """OpenCV's first five coefficients, (5,); zeros where there are none."""
+        """Return OpenCV's first five coefficients, (5,); zeros where absent."""
         model = self.table.get("distortion_model")
         if model not in (None, "plumb_bob", "rational_polynomial"):
             raise self.error("distortion_model", f"{str(model)[:40]!r}; undistort the images first")
@@ -276,4 +260,4 @@ class _Entries:
                 _NAMES["distortion"][0], f"{len(given)} coefficients, of which only the first five are "
                 "modelled; calibrate with five, or undistort the images first"
             )  # fmt: skip
-        return np.concatenate([given[:5], np.zeros(max(5 - len(given), 0))])
+        return np.pad(given[:5], (0, max(5 - len(given), 0)))

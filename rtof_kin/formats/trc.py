@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text, write_text
 from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.formats.world_axes import METRES, R_WORLD_GROUND, world_of_file
@@ -55,7 +55,7 @@ def read_trc(path: str | Path, *, up: str = "y") -> MarkerSequence:
     p_file = table[:, 1:].reshape(frames, count, 3) * metres
     try:
         return MarkerSequence(table[:, 0], names, p_file @ R_world_file.T)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
 

@@ -6,7 +6,7 @@ R_world_bone = R_pose at the time 0 of the pose,
     R_world_bone(t; h) = Rz(h) R_inertial_sensor(t) R_inertial_sensor(0)^T Rz(-h) R_pose.
 
 What h changes is the axis, in the body, about which the segment turns afterwards: with a heading that
-is off by 90 degrees a bow forward is read as a bow to the side. `Evidence` judges that. On the tree of
+is off by 90 degrees a bow forward is read as a bow to the side. `MotionLikelihood` judges that. On the tree of
 pairs that it compares, the best set of headings is found exactly on a grid (max-product, Pearl 1988),
 then refined. An axis that is vertical in the pose tells nothing about the heading: of an elbow stretched
 in a T-pose much less is known than of one in an N-pose.
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.inertial.likelihood import Evidence
+from rtof_kin.inertial.likelihood import MotionLikelihood
 from rtof_kin.inertial.segment_motion import SegmentMotion
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ class Headings:
     degrees off; above about 3 it is not mistaken for a quarter or half turn."""
 
 
-def own_headings(evidence: Evidence, motions: Sequence[SegmentMotion], R_pose: Array) -> Headings:
+def own_headings(evidence: MotionLikelihood, motions: Sequence[SegmentMotion], R_pose: Array) -> Headings:
     """A heading for each sensor.
 
     Args:
@@ -63,7 +63,7 @@ def own_headings(evidence: Evidence, motions: Sequence[SegmentMotion], R_pose: A
     return Headings(wrapped(angles), np.array(sigmas), float(min(margins)))
 
 
-def shared_heading(evidence: Evidence, motions: Sequence[SegmentMotion], R_pose: Array) -> Headings:
+def shared_heading(evidence: MotionLikelihood, motions: Sequence[SegmentMotion], R_pose: Array) -> Headings:
     """One heading for all sensors; arguments as for `own_headings`."""
     turned = _Turned(evidence, motions, R_pose)
     everyone = np.ones(len(motions))
@@ -103,7 +103,7 @@ def _spread(score: Callable[[float], float]) -> tuple[float, float]:
 class _Turned:
     """Motions under other headings, and what the evidence says of them."""
 
-    def __init__(self, evidence: Evidence, motions: Sequence[SegmentMotion], R_pose: Array) -> None:
+    def __init__(self, evidence: MotionLikelihood, motions: Sequence[SegmentMotion], R_pose: Array) -> None:
         self.evidence, self.R_pose = evidence, R_pose
         self.motions = list(motions)
         joints = [r.joint for r in motions]

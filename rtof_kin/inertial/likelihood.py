@@ -39,7 +39,7 @@ _EVERY = 4
 
 
 @dataclass(frozen=True)
-class EvidenceSettings:
+class LikelihoodSettings:
     """How much is believed of what."""
 
     limit_deg: float = 10.0  # [deg] by which a joint passes its limits with likelihood exp(-1/2)
@@ -54,13 +54,13 @@ class EvidenceSettings:
     degrees_of_freedom: float = 3.0  # [-] of Student's t
 
 
-class Evidence:
+class MotionLikelihood:
     """Log-likelihoods of motions on one skeleton, in nats."""
 
     def __init__(
         self,
         skeleton: SkeletonModel,
-        settings: EvidenceSettings | None = None,
+        settings: LikelihoodSettings | None = None,
         seen: Mapping[str, Array] | None = None,
     ) -> None:
         """For one skeleton; `seen`: `seen_bones` at the motions' times, where a camera looked.
@@ -68,7 +68,7 @@ class Evidence:
         Raises:
             CalibrationError: there is no pose prior of this skeleton.
         """
-        self.skeleton, self.settings = skeleton, settings or EvidenceSettings()
+        self.skeleton, self.settings = skeleton, settings or LikelihoodSettings()
         self.free_motion, self.seen = FreeMotion(skeleton), seen or {}
         self._accelerations: WeakKeyDictionary[SegmentMotion, dict[str, Array]] = WeakKeyDictionary()
 

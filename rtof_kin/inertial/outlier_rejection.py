@@ -40,7 +40,7 @@ _LASTING = 0.5
 """s of the running median of that difference."""
 
 
-def guarded_imus(imus: ImuSequence) -> tuple[ImuSequence, tuple[StreamFault, ...]]:
+def reject_imu_outliers(imus: ImuSequence) -> tuple[ImuSequence, tuple[StreamFault, ...]]:
     """Sensors without samples that only repeat one, or whose acceleration is at the end of its range.
 
     Returns:
@@ -107,7 +107,7 @@ def _spans(kind: FaultKind, what: str, where: Mask, times: Array) -> Iterator[St
         yield StreamFault(kind, what, *span)
 
 
-def disagreeing(
+def find_disagreements(
     poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel
 ) -> tuple[StreamFault, ...]:
     """When sensors' orientations differ from a motion that was solved with all of them.
@@ -148,7 +148,7 @@ def _running_median(values: Array, width: int) -> Array:
     return np.asarray(np.median(sliding_window_view(padded, max(width, 1)), axis=1))
 
 
-def joined(faults: Iterable[StreamFault]) -> tuple[StreamFault, ...]:
+def merge_faults(faults: Iterable[StreamFault]) -> tuple[StreamFault, ...]:
     """Faults of one kind and segment that overlap or nearly touch, as one."""
     out: list[StreamFault] = []
     for fault in sorted(faults, key=lambda f: (f.what, f.kind.name, f.start)):
@@ -161,7 +161,7 @@ def joined(faults: Iterable[StreamFault]) -> tuple[StreamFault, ...]:
     return tuple(out)
 
 
-def without(bone_imus: BoneImuSequence, faults: Iterable[StreamFault]) -> BoneImuSequence:
+def mask_faults(bone_imus: BoneImuSequence, faults: Iterable[StreamFault]) -> BoneImuSequence:
     """The sensors without what they said during faults, which name their segments."""
     R, a = bone_imus.R_world_bone.copy(), bone_imus.a_world.copy()
     for fault in faults:

@@ -32,7 +32,7 @@ from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.inertial.alignment import Held, PoseCalibration, calibrated, hold
 from rtof_kin.inertial.headings import Headings, own_headings, shared_heading, wrapped
-from rtof_kin.inertial.likelihood import Evidence
+from rtof_kin.inertial.likelihood import MotionLikelihood
 from rtof_kin.inertial.poses import facing_of, pose_rotations, turned_to
 from rtof_kin.inertial.segment_motion import segment_motions
 
@@ -150,4 +150,4 @@ def _told_by_movement(
             + (", or give facing" if headings == "shared" else "")
         )
     search = own_headings if headings == "own" else shared_heading
-    return search(Evidence(skeleton), motions, R_pose)
+    return search(MotionLikelihood(skeleton), motions, R_pose)

@@ -69,19 +69,3 @@ def turned_to(R_world_bone: Array, facing: float) -> Array:
     """The same pose (J, 3, 3), facing a given heading, rad about z from x."""
     turn = so3.about_axis("z", facing - facing_of(R_world_bone))
     return np.asarray(turn @ R_world_bone)
-
-
-def flexion_axis(joint: str, skeleton: SkeletonModel, R_pose: Array) -> Array:
-    """The axis (3,) in world about which a segment turns, seen from a pose (J, 3, 3), when it is flexed.
-
-    It is that of the joint's degree of freedom whose clinical name ends in "flexion". A segment that has
-    none, an upper arm, is raised forwards; the root bows.
-    """
-    j = skeleton.index(joint)[0]
-    own = skeleton.table.joints[j]
-    for axis, dof in zip(own.axes, own.dofs, strict=True):
-        if dof.clinical.endswith("flexion"):
-            sign = -1.0 if dof.clinical.startswith("-") else 1.0
-            return np.asarray(sign * R_pose[j][:, "xyz".index(axis)])
-    left = R_pose[0, :, 1]
-    return np.asarray(left if j == 0 else -left)

@@ -1,32 +1,55 @@
-"""Ways in which people get a sensor setup wrong, each as the correction that it calls for."""
+"""Diagnosis of a sensor setup: swapped or turned sensors, wrong segments, a wrong facing in the pose.
+
+Each possible fault is a hypothetical correction of the calibration. Its log-likelihood ratio against the
+calibration as declared is computed from movement (`rtof_kin.inertial.likelihood`), and the fault is reported
+when the ratio is large. Nothing is corrected unless `Fault.corrected` is called.
+
+Not every fault is observable: a rotation of the world about the vertical needs a camera, and swapped left
+and right sensors need a sensor on a neighbouring segment.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError
+from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.alignment import usual_lever
-from rtof_kin.inertial.segment_motion import SegmentMotion
+from rtof_kin.inertial.likelihood import MotionLikelihood
+from rtof_kin.inertial.poses import pose_rotations, turned_to
+from rtof_kin.inertial.segment_motion import SegmentMotion, even_times, seen_bones, segment_motions
 
 Array = NDArray[np.float64]
-_QUARTERS_DEG = (90, -90, 180)
-_NEAR = 2
-"""Segments so many joints apart are taken for each other."""
-_SIDES = ("Left", "Right")
-_SAME = np.eye(3)
+LEAST_RATIO: Final = 10.0
+"""Log-likelihood ratio [nats] from which a fault is reported."""
+_LONE_FACTOR: Final = 2.5
+"""Multiple of `LEAST_RATIO` for sensors without one on a neighbouring segment."""
+_LONGEST: Final = 20.0
+"""Longer movements [s] are weighted as if they had this duration."""
+_SAME_RATIO: Final = 3.0
+"""Faults within this ratio [nats] of the likeliest one are listed as alternatives."""
+_MOST_ALTERNATIVES: Final = 3
+_QUARTERS_DEG: Final = {
+    90: "90 degrees to the left of", -90: "90 degrees to the right of", 180: "180 degrees from",
+}  # fmt: skip
+_NEAR: Final = 2
+"""Largest number of joints between segments that are confused with each other."""
+_SIDES: Final = ("Left", "Right")
 
 
 class FaultKind(Enum):
-    """What people get wrong."""
+    """Kinds of faults of a setup."""
 
     FACING = "the person faced another way during the calibration pose than was assumed"
     MOUNTING = "the sensor is turned on its segment against its calibration"
@@ -39,38 +62,39 @@ class FaultKind(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
-    """How one sensor would have to be read."""
+class _Change:
+    """Correction of one sensor's calibration."""
 
     declared: str
-    """The segment that it was declared on."""
+    """Declared segment."""
     joint: str
-    """The segment that it is on."""
+    """Actual segment."""
     R_bone_new: Array
-    """(3, 3) R_sensor_bone is to be multiplied by this from the right."""
+    """(3, 3) factor of R_sensor_bone from the right."""
     p_bone_sensor: Array
-    """(3,) its lever arm there, m."""
-    R_world_new: Array = field(default_factory=lambda: _SAME)
-    """(3, 3) its R_world_inertial is to be multiplied by this from the left."""
+    """(3,) lever arm on the actual segment, m."""
+    R_world_new: Array | None = None
+    """(3, 3) factor of R_world_inertial from the left."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fault:
-    """One thing that is likely wrong; of several, what is left when those before it are corrected."""
+    """A likely fault of the setup, after the correction of those reported before it."""
 
     kind: FaultKind
+    """Kind of the fault."""
     what: str
-    """What is likely, in words: which sensors, and how they are."""
+    """Description with the sensors concerned."""
     remedy: str
     """What to do about it."""
-    changes: tuple[Change, ...]
-    """Sensors that are to be read otherwise."""
-    R_world_new: Array = field(default_factory=lambda: np.eye(3))
-    """(3, 3) that R_world_inertial of all sensors is to be multiplied by from the left."""
+    changes: tuple[_Change, ...] = ()
+    """Corrections of single sensors."""
+    R_world_new: Array | None = None
+    """(3, 3) factor of every sensor's R_world_inertial from the left."""
     log_likelihood_ratio: float = 0.0
-    """Nats by which this explains the movement better than the calibration as declared."""
+    """Against the calibration as declared, nats."""
     alternatives: tuple[str, ...] = ()
-    """Other things that explain it nearly as well."""
+    """Descriptions of other faults that are nearly as likely."""
 
     def __str__(self) -> str:
         others = f"; or else: {'; '.join(self.alternatives)}" if self.alternatives else ""
@@ -78,131 +102,200 @@ class Fault:
         return f"{self.what} ({ratio}{others}). {self.remedy}."
 
     def corrected(self, calibration: ImuCalibration) -> ImuCalibration:
-        """The calibration without the fault.
+        """Return the calibration without the fault.
+
+        Args:
+            calibration: the one that was diagnosed.
 
         Raises:
-            CalibrationError: it has no sensor on a segment that is concerned.
+            CalibrationError: it has no sensor on one of the segments concerned.
         """
         missing = [c.declared for c in self.changes if c.declared not in calibration.joints]
         if missing:
             raise CalibrationError(
-                f"the calibration has no sensor on {', '.join(missing)}, which the fault is about; give "
-                "the one under which it was found"
+                f"the calibration has no sensor on {', '.join(missing)}, which the fault concerns; give "
+                "the calibration that was diagnosed"
             )
         joints, levers = list(calibration.joints), np.array(calibration.p_bone_sensor)
-        R_sensor_bone = np.array(calibration.R_sensor_bone)
-        R_world_inertial = self.R_world_new @ calibration.R_world_inertial
+        R_sensor_bone, R_world_inertial = (
+            calibration.R_sensor_bone.copy(),
+            calibration.R_world_inertial.copy(),
+        )
+        if self.R_world_new is not None:
+            R_world_inertial = self.R_world_new @ R_world_inertial
         for change in self.changes:
             s = calibration.joints.index(change.declared)
             joints[s], levers[s] = change.joint, change.p_bone_sensor
             R_sensor_bone[s] = R_sensor_bone[s] @ change.R_bone_new
-            R_world_inertial[s] = change.R_world_new @ R_world_inertial[s]
-        return replace(
-            calibration,
-            joints=tuple(joints),
-            R_sensor_bone=R_sensor_bone,
-            p_bone_sensor=levers,
-            R_world_inertial=R_world_inertial,
-        )
+            if change.R_world_new is not None:
+                R_world_inertial[s] = change.R_world_new @ R_world_inertial[s]
+        return ImuCalibration(calibration.sensors, tuple(joints), R_world_inertial, R_sensor_bone, levers)
 
     def read(self, motions: Sequence[SegmentMotion]) -> tuple[SegmentMotion, ...]:
-        """Sensors as they are to be read if this is what is wrong."""
+        """Return the motions under the corrected calibration.
+
+        Args:
+            motions: under the calibration as declared.
+        """
         changes = {change.declared: change for change in self.changes}
         out = []
         for motion in motions:
-            if motion.joint in changes:
-                change = changes[motion.joint]
-                if change.R_world_new is not _SAME:
+            if (change := changes.get(motion.joint)) is not None:
+                if change.R_world_new is not None:
                     motion = motion.turned(change.R_world_new)
                 motion = motion.moved(change.joint, change.R_bone_new, change.p_bone_sensor)
-            if self.kind is FaultKind.WORLD:
-                motion = motion.turned(self.R_world_new)
-            out.append(motion)
+            out.append(motion if self.R_world_new is None else motion.turned(self.R_world_new))
         return tuple(out)
 
 
-# --- all of them ---------------------------------------------------------------------------------
+def diagnose_setup(
+    bone_imus: BoneImuSequence,
+    skeleton: SkeletonModel,
+    *,
+    pose: str | ArrayLike = "T",
+    visual: PoseSequence | None = None,
+    calibration: ImuCalibration | None = None,
+    kinds: Collection[FaultKind] = tuple(FaultKind),
+    most: int = 3,
+) -> tuple[Fault, ...]:
+    """Return the likely faults of calibrated sensors, the likeliest first.
+
+    Args:
+        bone_imus: calibrated sensors over some seconds of movement. skeleton: the subject's.
+        pose: calibration pose as in `calibrate_by_pose`; 'T' where the calibration used no pose.
+        visual: poses of the same movement from a camera; their bone directions are compared.
+        calibration: the calibration of the sensors, required to find swapped streams.
+        kinds: kinds of faults to test.
+        most: largest number of faults; each is searched after correction of those before it.
+    """
+    times = even_times(bone_imus)
+    R_pose = turned_to(pose_rotations(pose, skeleton), 0.0)
+    motions = segment_motions(bone_imus)
+    seen = None if visual is None else seen_bones(visual, skeleton, times)
+    scores = _Scores(MotionLikelihood(skeleton, seen=seen), min(1.0, _LONGEST / (times[-1] - times[0])))
+    found: list[Fault] = []
+    while len(found) < most:
+        setup = _Setup(skeleton, {m.joint: m.p_bone_sensor for m in motions}, R_pose, calibration)
+        faults = [f for f in setup.possible_faults(bool(seen)) if f.kind in kinds]
+        fault = _likeliest(scores, motions, setup, faults)
+        if fault is None:
+            break
+        found.append(fault)
+        motions = fault.read(motions)
+        calibration = None if calibration is None else fault.corrected(calibration)
+    return tuple(found)
+
+
+def _likeliest(
+    scores: _Scores, motions: Sequence[SegmentMotion], setup: _Setup, faults: Sequence[Fault]
+) -> Fault | None:
+    """Return the fault with the largest ratio above its threshold, with its alternatives."""
+    base = scores.total(motions)
+    ratios = np.array([scores.total(fault.read(motions)) - base for fault in faults])
+    least = [LEAST_RATIO * (_LONE_FACTOR if setup.is_lone(fault) else 1.0) for fault in faults]
+    enough = np.flatnonzero(ratios >= least)
+    if not len(enough):
+        return None
+    best = int(enough[np.argmax(ratios[enough])])
+    close = [i for i in np.argsort(-ratios) if ratios[i] > ratios[best] - _SAME_RATIO and i != best]
+    others = tuple(faults[i].what for i in close[:_MOST_ALTERNATIVES])
+    return replace(faults[best], log_likelihood_ratio=float(ratios[best]), alternatives=others)
+
+
+class _Scores:
+    """Total log-likelihoods; the terms of one and of two motions are computed once."""
+
+    def __init__(self, likelihood: MotionLikelihood, weight: float) -> None:
+        self._likelihood, self._weight = likelihood, weight
+        self._known: dict[tuple[SegmentMotion, ...], float] = {}
+
+    def total(self, motions: Sequence[SegmentMotion]) -> float:
+        by_joint = {motion.joint: motion for motion in motions}
+        out = sum(self._of(motion) for motion in motions)
+        out += sum(self._of(by_joint[a], by_joint[b]) for a, b in self._likelihood.tree(sorted(by_joint)))
+        return out * self._weight
+
+    def _of(self, *motions: SegmentMotion) -> float:
+        if motions not in self._known:
+            of = self._likelihood.single if len(motions) == 1 else self._likelihood.pair
+            self._known[motions] = of(*motions)
+        return self._known[motions]
 
 
 @dataclass(frozen=True)
-class Setup:
-    """Sensors as declared, and the pose in which they were calibrated."""
+class _Setup:
+    """Sensors as declared, the calibration pose, and the faults that are possible."""
 
     skeleton: SkeletonModel
     levers: dict[str, Array]
     """Segment -> lever arm (3,), m, of each sensor."""
     R_pose: Array
-    """(J, 3, 3) R_world_bone of all segments, facing x."""
-    calibration: ImuCalibration | None = None
-    """What the sensors' samples are read with; None where it is not known."""
+    """(J, 3, 3) R_world_bone, facing x."""
+    calibration: ImuCalibration | None
+    index: dict[str, int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "index", {name: j for j, name in enumerate(self.skeleton.names)})
 
     def possible_faults(self, seen: bool) -> Iterator[Fault]:
-        """Everything that is looked for; `seen`: a camera tells how the world is turned."""
+        """Generate all faults; those of the world only where a camera saw the movement."""
         yield from self._facings(seen)
         yield from self._mountings()
         yield from self._swaps()
-        if self.calibration is not None:
-            yield from self._streams()
         yield from self._elsewhere()
 
     def is_lone(self, fault: Fault) -> bool:
-        """Whether no sensor that a fault is about has another on the next segment."""
+        """Return whether no sensor concerned has another one on a neighbouring segment."""
         if fault.kind in (FaultKind.FACING, FaultKind.WORLD):
             return False
         parents = self.skeleton.parents
-        own = {self._index(joint) for joint in self.levers}
-        concerned = {self._index(change.declared) for change in fault.changes}
+        own = {self.index[joint] for joint in self.levers}
+        concerned = {self.index[change.declared] for change in fault.changes}
         return not any(parents[j] in own or any(parents[k] == j for k in own) for j in concerned)
 
-    # --- kinds -----------------------------------------------------------------------------------
-
     def _facings(self, seen: bool) -> Iterator[Fault]:
-        for angle in _QUARTERS_DEG:
+        for angle, way in _QUARTERS_DEG.items():
             turn = so3.about_axis("z", np.radians(angle))
-            R_pose = {joint: self.R_pose[self._index(joint)] for joint in self.levers}
+            R_pose = {joint: self.R_pose[self.index[joint]] for joint in self.levers}
             yield Fault(
                 FaultKind.FACING,
-                f"in the calibration pose the person faced {_way(angle)} where it was assumed",
-                "Calibrate again with the right facing, or let movement tell it (facing=None)",
+                f"in the calibration pose the person faced {way} where it was assumed",
+                "Calibrate again with the right facing, or estimate it from movement (facing=None)",
                 tuple(self._turned(joint, R.T @ turn @ R) for joint, R in R_pose.items()),
             )
             if seen:
-                yield Fault(
-                    FaultKind.WORLD,
-                    f"the sensors' world has to be turned by {angle} degrees about the vertical to be "
-                    "the camera's",
-                    "Turn the sensors' references, or the camera's calibration, by that angle",
-                    (),
-                    turn,
-                )
+                what = f"the sensors' world has to be turned by {angle} degrees about the vertical to be "
+                what += "the camera's"
+                remedy = "Turn the sensors' references, or the camera's calibration, by that angle"
+                yield Fault(FaultKind.WORLD, what, remedy, R_world_new=turn)
 
     def _mountings(self) -> Iterator[Fault]:
+        remedy = "Put it back as it was, or calibrate again as it sits now"
         for joint in self.levers:
             for axis in "xyz":
                 for angle in _QUARTERS_DEG:
-                    yield Fault(
-                        FaultKind.MOUNTING,
-                        f"the sensor on {joint} sits turned by {angle} degrees about the segment's "
-                        f"{axis} axis against its calibration",
-                        "Put it back as it was, or calibrate again as it sits now",
-                        (self._turned(joint, so3.about_axis(axis, np.radians(angle))),),
-                    )
+                    what = f"the sensor on {joint} sits turned by {angle} degrees about the segment's "
+                    what += f"{axis} axis against its calibration"
+                    change = self._turned(joint, so3.about_axis(axis, np.radians(angle)))
+                    yield Fault(FaultKind.MOUNTING, what, remedy, (change,))
 
     def _swaps(self) -> Iterator[Fault]:
-        remedy = "Swap the two names, or the sensors, and calibrate again"
-        for kind, what, pairs in self._groups():
-            yield Fault(kind, f"{what} are swapped", remedy, self._exchanged(pairs))
-
-    def _streams(self) -> Iterator[Fault]:
-        """Samples that were taken for another sensor's, so that they are read with its calibration."""
-        remedy = "Swap the two names where the samples are filed"
-        for _, what, pairs in self._groups():
-            changes = tuple(self._refiled(*way) for a, b in pairs for way in ((a, b), (b, a)))
-            what = f"the samples of {what.removeprefix('the sensors of ')}"
-            yield Fault(FaultKind.STREAMS, f"{what} are swapped", remedy, changes)
+        groups = [
+            (kind, what, [way for a, b in pairs for way in ((a, b), (b, a))])
+            for kind, what, pairs in self._groups()
+        ]
+        for kind, what, ways in groups:
+            remedy = "Swap the two names, or the sensors, and calibrate again"
+            yield Fault(kind, f"{what} are swapped", remedy, tuple(self._moved(*way) for way in ways))
+        if self.calibration is not None:
+            for _, what, ways in groups:
+                what = what.removeprefix("the sensors of ")
+                changes = tuple(self._refiled(self.calibration, *way) for way in ways)
+                remedy = "Swap the two names where the samples are filed"
+                yield Fault(FaultKind.STREAMS, f"the samples of {what} are swapped", remedy, changes)
 
     def _groups(self) -> Iterator[tuple[FaultKind, str, list[tuple[str, str]]]]:
-        """Pairs of segments whose sensors are taken for each other, together."""
+        """Generate the pairs of segments whose sensors may be swapped together."""
         pairs = [(a, _mirrored(a)) for a in self.levers if a.startswith(_SIDES[0])]
         pairs = [(a, b) for a, b in pairs if b in self.levers]
         for a, b in pairs:
@@ -217,7 +310,7 @@ class Setup:
             yield FaultKind.SIDES, "all left and right sensors", pairs
         for a in self.levers:
             for b in self.levers:
-                if self._index(a) < self._index(b) and b != _mirrored(a):
+                if self.index[a] < self.index[b] and b != _mirrored(a):
                     kind = FaultKind.NEIGHBOURS if self._near(a, b) else FaultKind.SWAPPED
                     yield kind, f"the sensors of {a} and {b}", [(a, b)]
 
@@ -226,54 +319,36 @@ class Setup:
         for a in self.levers:
             for b in sorted(carriers - set(self.levers)):
                 if self._near(a, b) or b == _mirrored(a):
-                    yield Fault(
-                        FaultKind.SEGMENT,
-                        f"the sensor declared on {a} sits on {b}",
-                        f"Declare it on {b}, or move it to {a}, and calibrate again",
-                        (self._moved(a, b),),
-                    )
+                    what = f"the sensor declared on {a} sits on {b}"
+                    remedy = f"Declare it on {b}, or move it to {a}, and calibrate again"
+                    yield Fault(FaultKind.SEGMENT, what, remedy, (self._moved(a, b),))
 
-    # --- parts -----------------------------------------------------------------------------------
+    def _turned(self, joint: str, R_bone_new: Array) -> _Change:
+        return _Change(joint, joint, R_bone_new, self.levers[joint])
 
-    def _turned(self, joint: str, R_bone_new: Array) -> Change:
-        return Change(joint, joint, R_bone_new, self.levers[joint])
-
-    def _moved(self, declared: str, joint: str) -> Change:
-        """A sensor read on another segment: in the pose it was aligned as if on the declared one."""
-        R_declared, R_joint = self.R_pose[self._index(declared)], self.R_pose[self._index(joint)]
+    def _moved(self, declared: str, joint: str) -> _Change:
+        """Assign a sensor to another segment; the pose had aligned it with the declared one."""
+        R_declared, R_joint = self.R_pose[self.index[declared]], self.R_pose[self.index[joint]]
         lever = self.levers.get(joint)
         lever = usual_lever(joint, self.skeleton) if lever is None else lever
-        return Change(declared, joint, R_declared.T @ R_joint, lever)
+        return _Change(declared, joint, R_declared.T @ R_joint, lever)
 
-    def _exchanged(self, pairs: Sequence[tuple[str, str]]) -> tuple[Change, ...]:
-        return tuple(self._moved(*way) for a, b in pairs for way in ((a, b), (b, a)))
-
-    def _refiled(self, declared: str, joint: str) -> Change:
-        """Samples of the sensor on `declared` read with the calibration of the one on `joint`."""
-        calibration = self.calibration
-        assert calibration is not None
+    def _refiled(self, calibration: ImuCalibration, declared: str, joint: str) -> _Change:
+        """Read the samples of the sensor on `declared` with the calibration of the one on `joint`."""
         a, b = (calibration.joints.index(name) for name in (declared, joint))
         R, W = calibration.R_sensor_bone, calibration.R_world_inertial
-        return Change(declared, joint, R[a].T @ R[b], self.levers[joint], W[b] @ W[a].T)
-
-    def _index(self, joint: str) -> int:
-        return self.skeleton.names.index(joint)
+        return _Change(declared, joint, R[a].T @ R[b], self.levers[joint], W[b] @ W[a].T)
 
     def _near(self, a: str, b: str) -> bool:
-        lines = (set(kinematics.line_to_root(self.skeleton.parents, self._index(j))) for j in (a, b))
+        lines = (set(kinematics.line_to_root(self.skeleton.parents, self.index[j])) for j in (a, b))
         return len(set.symmetric_difference(*lines)) <= _NEAR
 
     def _trunk_of(self, joint: str) -> str:
-        """The nearest segment towards the root that has no side."""
-        line = kinematics.line_to_root(self.skeleton.parents, self._index(joint))
+        """Return the nearest segment towards the root that has no side."""
+        line = kinematics.line_to_root(self.skeleton.parents, self.index[joint])
         return next(n for n in (self.skeleton.names[j] for j in line) if not n.startswith(_SIDES))
 
 
 def _mirrored(joint: str) -> str:
     left, right = _SIDES
     return joint.replace(left, right) if joint.startswith(left) else joint.replace(right, left)
-
-
-def _way(angle_deg: int) -> str:
-    ways = {90: "90 degrees to the left of", -90: "90 degrees to the right of", 180: "180 degrees from"}
-    return ways[angle_deg]

@@ -94,7 +94,11 @@ def check_camera_alone(
 
 @contextmanager
 def explained(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> Iterator[None]:
-    """Prepend the cause found by the checks to a `ViewError` raised inside."""
+    """Prepend the cause found by the checks to a `ViewError` raised inside.
+
+    Args:
+        recording: as declared. skeleton: the subject's. lifter: default: the shipped one.
+    """
     try:
         yield
     except ViewError as error:

@@ -19,6 +19,9 @@ a short recording reach four in one of three."""
 def check_height(recording: Recording) -> None:
     """Raise where a declared height and declared bone lengths are of different bodies.
 
+    Args:
+        recording: its height may be missing.
+
     Raises:
         CalibrationError: the heights differ by more than 10 %; names both.
     """

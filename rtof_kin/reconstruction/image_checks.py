@@ -13,17 +13,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.core.plausibility import Check
-from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.reconstruction.limb_images import Limbs, sensed_bones
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.outlier_rejection import side_pairs
 
@@ -97,7 +95,7 @@ def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: Lifte
     """
     keypoints = excerpt(recording.video)
     bone_imus = sensed(recording, keypoints.times)
-    if bone_imus is not None and not _sensed_bones(bone_imus, skeleton):
+    if bone_imus is not None and not sensed_bones(bone_imus, skeleton):
         bone_imus = None
     look = _Look(skeleton, lifter, keypoints, bone_imus)
     if look.given is None or np.isnan(look.given.certainty):
@@ -143,16 +141,6 @@ def sensed(recording: Recording, times: Array) -> BoneImuSequence | None:
     return found if found is not None and np.isfinite(found.R_world_bone).any() else None
 
 
-def _sensed_bones(bone_imus: BoneImuSequence, skeleton: SkeletonModel) -> list[tuple[int, int, int]]:
-    """Sensor, joint and child of every bone whose segment carries a sensor; none of head and feet."""
-    index = skeleton.names.index
-    return [
-        (s, index(joint), child)
-        for s, joint in enumerate(bone_imus.joints)
-        for child in kinematics.children_of(skeleton.parents, index(joint))
-    ]
-
-
 def _agreement(given: float, other: float) -> float:
     """Log ratio of the sensors' misfits in the image given and in another."""
     return float(np.log((given + _LEAST_MISFIT) / (other + _LEAST_MISFIT)))
@@ -166,7 +154,11 @@ def _unknown(name: str, why: str) -> Check:
 
 
 def exchanged_sides(keypoints: KeypointSequence) -> KeypointSequence:
-    """Left named right."""
+    """Return the keypoints with left and right names exchanged.
+
+    Args:
+        keypoints: an excerpt.
+    """
     order = np.arange(len(keypoints.names))
     for pairs in side_pairs(keypoints.names).values():
         order[pairs.ravel()] = pairs[:, ::-1].ravel()
@@ -212,7 +204,11 @@ def _stood_up(keypoints: KeypointSequence) -> tuple[str, Undo] | None:
 
 
 def halved(keypoints: KeypointSequence) -> KeypointSequence:
-    """Points of a picture half as wide."""
+    """Return the points scaled from an image half as wide.
+
+    Args:
+        keypoints: an excerpt.
+    """
     return replace(keypoints, uv_px=2 * keypoints.uv_px)
 
 
@@ -243,55 +239,6 @@ def _extent(seen: KeypointSequence) -> float:
     """Width and height of a person in px, together."""
     frames = seen.uv_px[seen.seen.any(axis=1)]
     return max(float(np.median(np.nanmax(frames, axis=1) - np.nanmin(frames, axis=1), axis=0).sum()), 1.0)
-
-
-@dataclass(frozen=True)
-class Limbs:
-    """Bones from each sensor's joint to its children, in the image plane."""
-
-    seen: Array
-    """(T, n, 2) as the keypoints have them, at unit depth; zeros where they are missing."""
-    middle: Array
-    """(T, n, 2) their middles."""
-    bones: Array
-    """(T, n, 3) as the sensors have them, in camera axes, m; likewise."""
-
-    @classmethod
-    def of(cls, keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel) -> Limbs:
-        """Of keypoints, and of sensors at the same times."""
-        sensor, joint, child = np.array(_sensed_bones(bone_imus, skeleton)).T
-        xy = keypoints.camera.normalise(keypoints.select(skeleton.names).uv_px)
-        R_camera_bone = keypoints.camera.R_camera_world @ bone_imus.R_world_bone[:, sensor]
-        seen, middle = xy[:, child] - xy[:, joint], (xy[:, child] + xy[:, joint]) / 2
-        bones = np.einsum("tnij,nj->tni", R_camera_bone, skeleton.joint_offsets[child])
-        known = np.isfinite(np.concatenate([seen, bones], axis=-1)).all(axis=-1, keepdims=True)
-        kept = (np.where(known, values, 0.0) for values in (seen, middle, bones))
-        return cls(*kept)
-
-    def drawn(self, bones: Array, perspective: ArrayLike = 1.0) -> Array:
-        """(..., T, n, 2) that bones (..., T, n, 3) are seen as, but for a scale.
-
-        Args:
-            perspective: (...) 1 as the focal length has it; 0.5 is that of one twice as long.
-        """
-        share = np.asarray(perspective)[..., None, None, None]
-        return np.asarray(bones[..., :2] - share * self.middle * bones[..., 2:])
-
-    def misfit(self, headings: Array, camera: Camera) -> float:
-        """How far limbs in the picture are from where the sensors have them: 0 they agree, 1 not at all.
-
-        Of every frame's limbs the share of their squares that no single scale explains, in the mean; the
-        least of it with all sensors turned by one of the headings (H,), rad.
-        """
-        R = camera.R_camera_world
-        turns = R @ so3.about_axis("z", headings) @ R.T
-        drawn = self.drawn(np.einsum("hij,tnj->htni", turns, self.bones))
-        both = np.einsum("tni,htni->ht", self.seen, drawn)
-        squares = np.sum(self.seen**2, axis=(1, 2)) * np.sum(drawn**2, axis=(2, 3))
-        known = squares > 0
-        explained = np.maximum(both, 0) ** 2 / np.where(known, squares, 1.0)
-        frames = known.sum(axis=1)
-        return float(np.min(1 - explained.sum(axis=1) / np.maximum(frames, 1)))
 
 
 @dataclass(frozen=True)

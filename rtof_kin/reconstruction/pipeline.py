@@ -18,7 +18,7 @@ from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNam
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.inertial.outlier_rejection import disagreeing, without
+from rtof_kin.inertial.outlier_rejection import find_disagreements, mask_faults
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
 from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
 from rtof_kin.reconstruction.lift import LifterLike
@@ -154,26 +154,34 @@ def reconstruct(
     with naming_wrong_samples(recording):
         if mode == "imu":
             return _from_sensors(job)
-        if recording.keypoints is None:
-            raise InvalidInputError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
-        estimated = (
-            calibrate and calibration is None and mode in ("sf2", "rtof") and recording.imus is not None
-        )
-        how: Calibrate = "given" if calibration is not None else "yes" if estimated else "no"
-        name = "detections" if lifter is None else getattr(lifter, "name", type(lifter).__name__)
-        choices = Choices(how, known is not None, name)
-        known = None if known is None else known.for_another_recording()
-        with explained(recording, job.subject, lifter):
-            rejected, warnings = tuple[StreamFault, ...](), tuple[str, ...]()
-            if estimated:
-                calibration, rejected, warnings = _estimated(job, priors, known)
-            elif calibration is None:
-                calibration = known
-            elif known is not None:
-                calibration = known.followed_by(calibration)
-            own = job.calibrated(calibration)
-            prepared, poses, solution = _optimised(own, mode, rejected, calibration)
-        return _result(job, own, mode, prepared, poses, solution, calibration, warnings, choices)
+        return _from_video(job, mode, calibrate, priors, calibration, known)
+
+
+def _from_video(
+    job: _Job, mode: Mode, calibrate: bool, priors: CalibrationPriors | None,
+    calibration: SelfCalibration | None, known: SelfCalibration | None,
+) -> Reconstruction:  # fmt: skip
+    """Every mode but imu; arguments as for `reconstruct`."""
+    if job.recording.keypoints is None:
+        raise InvalidInputError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
+    estimate = (
+        calibrate and calibration is None and mode in ("sf2", "rtof") and job.recording.imus is not None
+    )
+    how: Calibrate = "given" if calibration is not None else "yes" if estimate else "no"
+    name = "detections" if job.lifter is None else getattr(job.lifter, "name", type(job.lifter).__name__)
+    choices = Choices(how, known is not None, name)
+    known = None if known is None else known.for_another_recording()
+    rejected, warnings = tuple[StreamFault, ...](), tuple[str, ...]()
+    with explained(job.recording, job.subject, job.lifter):
+        if estimate:
+            calibration, rejected, warnings = _estimated(job, priors, known)
+        elif calibration is None:
+            calibration = known
+        elif known is not None:
+            calibration = known.followed_by(calibration)
+        own = job.calibrated(calibration)
+        prepared, poses, solution = _optimised(own, mode, rejected, calibration)
+    return _result(job, own, mode, prepared, poses, solution, calibration, warnings, choices)
 
 
 def _optimised(
@@ -185,7 +193,7 @@ def _optimised(
         return prepared, prepared.stages[mode], None
     solution = job.solve(prepared, job.settings.confidence, mode)
     if mode == "rtof" and job.settings.guard_streams and prepared.bone_imus is not None:
-        wrong = disagreeing(solution.poses, prepared.bone_imus, prepared.skeleton)
+        wrong = find_disagreements(solution.poses, prepared.bone_imus, prepared.skeleton)
         if wrong:
             prepared = without_sensors(prepared, wrong, calibration)
             solution = job.solve(prepared, job.settings.confidence, mode)
@@ -332,7 +340,9 @@ def _calibrate(
         else JointSpaceSettings(floor_height=recording.floor_height)
     )
     used = replace(
-        prepared, bone_imus=without(prepared.bone_imus, slipped), settings=own.settings.with_fragment(solver)
+        prepared,
+        bone_imus=mask_faults(prepared.bone_imus, slipped),
+        settings=own.settings.with_fragment(solver),
     )
     found = estimate_calibration(
         replace(prepared.recording, keypoints=prepared.keypoints), used.guess, priors, solver,
@@ -349,7 +359,7 @@ def _slipped(job: _Job, prepared: Prepared) -> tuple[StreamFault, ...]:
         return ()
     poses = job.solve(prepared, confidence=False).poses
     most = _MISALIGNED_FRACTION * (poses.times[-1] - poses.times[0])
-    wrong = disagreeing(poses, prepared.bone_imus, prepared.skeleton)
+    wrong = find_disagreements(poses, prepared.bone_imus, prepared.skeleton)
     return tuple(fault for fault in wrong if fault.stop - fault.start < most)
 
 

@@ -19,14 +19,14 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
-from rtof_kin.inertial.outlier_rejection import guarded_imus, joined, without
+from rtof_kin.inertial.outlier_rejection import mask_faults, merge_faults, reject_imu_outliers
 from rtof_kin.reconstruction.lift import Lifted, LifterLike, lift
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.inertial_ik import InertialGuidedIK
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-from rtof_kin.vision.outlier_rejection import guarded_keypoints
+from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -97,7 +97,7 @@ def prepare(
     if mode in ("sf2", "rtof") and bone_imus is None:
         raise InvalidInputError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
     if bone_imus is not None and rejected:
-        bone_imus = without(bone_imus, rejected)
+        bone_imus = mask_faults(bone_imus, rejected)
     progress("lift", 0, 1)
     sensors = bone_imus if settings.lift_with_sensors else None
     lifted = lift(keypoints, skeleton, lifter, sensors, recording.floor_height)
@@ -116,7 +116,7 @@ def without_sensors(
         prepared: of mode rtof. wrong: further intervals that are not used. calibration: see `prepare`.
     """
     assert prepared.bone_imus is not None
-    bone_imus = without(prepared.bone_imus, wrong)
+    bone_imus = mask_faults(prepared.bone_imus, wrong)
     stages, start = _refined(prepared.lifted, prepared.skeleton, "rtof", bone_imus, prepared.settings)
     video = prepared.recording.video
     return replace(
@@ -125,7 +125,7 @@ def without_sensors(
         stages=stages,
         start=start,
         keypoints=video if calibration is None else calibration.moved(video, start),
-        rejected=joined((*prepared.rejected, *wrong)),
+        rejected=merge_faults((*prepared.rejected, *wrong)),
     )
 
 
@@ -169,9 +169,9 @@ def cleaned(
     """
     keypoints, imus, faults = recording.keypoints, recording.imus, tuple[StreamFault, ...]()
     if settings.guard_streams and camera and keypoints is not None:
-        keypoints, faults = guarded_keypoints(keypoints)
+        keypoints, faults = reject_keypoint_outliers(keypoints)
     if settings.guard_streams and imus is not None:
-        imus, of_sensors = guarded_imus(imus)
+        imus, of_sensors = reject_imu_outliers(imus)
         faults += of_sensors
     return (replace(recording, keypoints=keypoints, imus=imus) if faults else recording), faults
 
@@ -182,6 +182,9 @@ def evenly_spaced(keypoints: KeypointSequence) -> KeypointSequence:
     Times that jitter by less than 1 % of a frame are kept. Otherwise positions are interpolated to the
     mean rate (dropped frames counted) between neighbouring samples; dropped frames are NaN with
     confidence 0.
+
+    Args:
+        keypoints: at increasing times.
     """
     times = keypoints.times
     if len(times) < 3:

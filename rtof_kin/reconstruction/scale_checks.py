@@ -19,7 +19,8 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import FEET, detect_contacts
 from rtof_kin.inertial.root_position import refit_root
-from rtof_kin.reconstruction.image_checks import Limbs, Picture
+from rtof_kin.reconstruction.image_checks import Picture
+from rtof_kin.reconstruction.limb_images import Limbs
 
 Array = NDArray[np.float64]
 ANKLE_HEIGHT = 0.08

@@ -21,9 +21,8 @@ from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.inertial.mounting import LEAST_RATIO, diagnose_setup
 from rtof_kin.inertial.recorded_form import check_form
-from rtof_kin.inertial.setup_diagnosis import Fault, FaultKind
+from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, prepare
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -104,7 +103,11 @@ def check_sensor_evidence(
 
 @contextmanager
 def naming_wrong_samples(recording: Recording) -> Iterator[None]:
-    """Prepend failed checks of the samples to errors raised inside."""
+    """Prepend failed checks of the samples to errors raised inside.
+
+    Args:
+        recording: as declared.
+    """
     try:
         yield
     except (CalibrationError, InvalidInputError, SolverError) as error:

@@ -1,1 +1,1 @@
-"""`Recording`: what was recorded of a person, and its folder format."""
+"""`Recording`: the inputs of one take of one person, and its folder format."""

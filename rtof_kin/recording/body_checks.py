@@ -1,11 +1,10 @@
-"""Checks of bodies and cameras that need no estimate: bones of constant length, a person's size, focal
-lengths, reprojection.
-"""
+"""Checks of bodies and cameras without a reconstruction: bone lengths, size, focal length, reprojection."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,31 +14,29 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 
 Array = NDArray[np.float64]
-RIGID_MM = 1.0
-"""Bones of a skeleton that was solved for keep their length to this; of files with six digits too."""
-TRIANGULATED_MM = 50.0
-"""Largest standard deviation of the distance of two joints or markers, each measured on its own; by
-triangulation from four cameras it is 10-37, by markers on skin less."""
+RIGID_MM: Final = 1.0
+"""Largest spread of a bone of a skeleton that was solved for, mm."""
+TRIANGULATED_MM: Final = 50.0
+"""Largest spread of the distance of two joints that were measured one by one, mm; 10-37 with four cameras."""
 SIZE, SIZE_FACTOR = 1.9, 2.4
-"""Diagonal of the box around a person's points, m, and how many times larger or smaller it may be: 0.8 to
-4.6 m, from a child that sits to a giant with raised arms; any two units are further apart."""
+"""Diagonal of the box around a person's points, m, and the largest ratio to it: 0.8 to 4.6 m."""
 FOCAL, FOCAL_FACTOR = 1.2, 5.0
-"""Focal length in image widths, and how many times it may be longer or shorter: views of 10-130 deg."""
+"""Focal length in image widths, and the largest ratio to it: fields of view of 10-130 deg."""
 CENTRE, ASPECT = 15.0, 3.0
-"""Largest distance of the principal point from the image's centre, % of its width; largest difference of
-the two focal lengths, %."""
-REPROJECTION_PX = 20.0
-"""Largest median distance of a detector's point from the true joint; detectors are off by up to 13 px."""
-UNITS_M = {"mm": 0.001, "cm": 0.01, "inches": 0.0254, "CMU units": 0.0254 / 0.45, "m": 1.0}
+"""Largest offset of the principal point from the centre, % of the width; largest difference of the focal
+lengths, %."""
+REPROJECTION_PX: Final = 20.0
+"""Largest median reprojection error, px; detectors are off by up to 13 px."""
+UNITS_M: Final = {"mm": 0.001, "cm": 0.01, "inches": 0.0254, "CMU units": 0.0254 / 0.45, "m": 1.0}
 """Units of length, m."""
-_BONES = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
+_BONES: Final = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 
 
 def limb_bones(names: Sequence[str]) -> dict[str, tuple[int, int]]:
-    """Bones between points whose names tell a side and a joint, as ``RHip``, ``left_knee``, ``R.Elbow``.
+    """Return bones, by name, as indices of two points named by side and joint (``RHip``, ``left_knee``).
 
-    Returns:
-        Name of the bone -> indices of its two ends.
+    Args:
+        names: of the points.
     """
     found: dict[str, int] = {}
     for i, name in enumerate(names):
@@ -54,17 +51,29 @@ def limb_bones(names: Sequence[str]) -> dict[str, tuple[int, int]]:
 
 
 def skeleton_bones(names: Sequence[str], parents: Sequence[int]) -> dict[str, tuple[int, int]]:
-    """The bones of a tree of joints, as `limb_bones` gives them."""
+    """Return the bones of a tree of joints, as `limb_bones` does.
+
+    Args:
+        names: of the joints. parents: index of each joint's parent, -1 for the root.
+    """
     return {f"{names[p]} to {names[j]}": (p, j) for j, p in enumerate(parents) if p >= 0}
 
 
 def bone_lengths(p: Array, bones: Mapping[str, tuple[int, int]]) -> dict[str, Array]:
-    """Length (T,) of each bone, NaN where an end is missing, of points (T, J, 3)."""
+    """Return the length (T,) of each bone, m, NaN where an end is missing.
+
+    Args:
+        p: points (T, J, 3) m. bones: as `limb_bones` gives them.
+    """
     return {name: np.linalg.norm(p[:, a] - p[:, b], axis=-1) for name, (a, b) in bones.items()}
 
 
 def check_bone_lengths(lengths: Mapping[str, Array], limit_mm: float) -> list[Check]:
-    """Standard deviation of every bone's length (T,), m."""
+    """Check the standard deviation of every bone's length.
+
+    Args:
+        lengths: (T,) m by bone. limit_mm: largest standard deviation, mm.
+    """
     name, checks = "spread of length", []
     for bone, length in lengths.items():
         known = length[np.isfinite(length)]
@@ -78,12 +87,10 @@ def check_bone_lengths(lengths: Mapping[str, Array], limit_mm: float) -> list[Ch
 
 
 def check_size(p: Array, unit: str = "m", metres: float = 1.0) -> Check:
-    """Whether points (T, J, 3) are as far apart as those of a person.
+    """Check that the points are as far apart as those of a person.
 
     Args:
-        p: positions, m.
-        unit: what the file's lengths are taken for.
-        metres: of that unit.
+        p: positions (T, J, 3) m. unit: in which the file was read. metres: length of that unit, m.
     """
     name = "size of the person"
     seen = np.isfinite(p).all(axis=-1).sum(axis=1) >= 5
@@ -91,11 +98,8 @@ def check_size(p: Array, unit: str = "m", metres: float = 1.0) -> Check:
         return Check.unknown(name, "all points", "times", "in no frame are five points seen")
     box = np.nanmax(p[seen], axis=1) - np.nanmin(p[seen], axis=1)
     size = float(np.median(np.linalg.norm(box, axis=-1)))
-    others = [
-        other
-        for other, length in UNITS_M.items()
-        if other != unit and _factor(size * length / metres / SIZE) < 1.3
-    ]
+    fitting = {u for u, length in UNITS_M.items() if _factor(size * length / metres / SIZE) < 1.3}
+    others = [u for u in UNITS_M if u in fitting - {unit}]
     advice = f"The points of a frame are {size:.3g} m apart, read in {unit}"
     if others:
         advice += f"; are they in {' or '.join(others)}?"
@@ -103,7 +107,11 @@ def check_size(p: Array, unit: str = "m", metres: float = 1.0) -> Check:
 
 
 def check_camera(name: str, camera: Camera) -> list[Check]:
-    """Focal length, aspect and principal point of an ordinary camera."""
+    """Check focal length, aspect ratio and principal point against those of ordinary cameras.
+
+    Args:
+        name: of the camera in the result. camera: to check.
+    """
     fx, fy = camera.K[0, 0], camera.K[1, 1]
     size = np.array([camera.width_px, camera.height_px])
     view = np.degrees(2 * np.arctan(camera.width_px / 2 / fx))
@@ -120,12 +128,10 @@ def check_camera(name: str, camera: Camera) -> list[Check]:
 
 
 def check_reprojection(keypoints: KeypointSequence, p_world: Array, names: Sequence[str]) -> Check:
-    """Median distance of keypoints from known positions in the picture.
+    """Check the median reprojection error of known positions.
 
     Args:
-        keypoints: what was seen.
-        p_world: (T, J, 3) m, at the keypoints' times.
-        names: J names; those the keypoints have too are compared.
+        keypoints: detections. p_world: (T, J, 3) m, at their times. names: of the J joints.
     """
     name, where = "median reprojection error", "truth in the camera"
     common = [joint for joint in keypoints.names if joint in names]
@@ -141,5 +147,5 @@ def check_reprojection(keypoints: KeypointSequence, p_world: Array, names: Seque
 
 
 def _factor(ratio: float) -> float:
-    """By how many times something is larger or smaller."""
+    """Return a ratio or its inverse, whichever is larger."""
     return max(ratio, 1 / ratio) if ratio > 0 else float("inf")

@@ -1,4 +1,4 @@
-"""The parts of a recording folder, read and written; `rtof_kin.recording.recording` documents the format."""
+"""Parts of a recording folder, read and written. The format is described in docs/recording.md."""
 
 from __future__ import annotations
 
@@ -6,44 +6,91 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import CalibrationError, FileFormatError, ShapeError, UnitError, UnknownNameError
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import (
+    CalibrationError,
+    FileFormatError,
+    InvalidInputError,
+    UnitError,
+    UnknownNameError,
+)
 from rtof_kin.core.files.arrays import read_csv, read_npz
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.section import Section
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import ImuSequence
+from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.formats.imu_calibration_toml import calibration_of
 from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import detector_table
 
 Array = NDArray[np.float64]
-OWN_LAYOUT, RECOGNISE = "joints", "auto"
-"""Layouts of keypoints: the skeleton's joints in their order; a detector's, to be recognised."""
-_SHORTEST_FOCAL = 0.1
+OWN_LAYOUT: Final = "joints"
+"""Layout of keypoints that are the skeleton's joints in their order."""
+RECOGNISE: Final = "auto"
+"""Layout of a detector that is to be recognised."""
+_SHORTEST_FOCAL: Final = 0.1
 """A focal length below this share of the image's width is in another unit."""
+_QUATERNION_TOLERANCE: Final = 1e-3
+_KEYPOINT_COLUMNS: Final = ("_u_px", "_v_px", "_confidence")
+_IMU_COLUMNS: Final = ("_qw", "_qx", "_qy", "_qz", "_fx", "_fy", "_fz")
+TRUTH: Final = ("times", "p_world_joint", "R_world_bone", "provenance", "valid", "orientation_observed")
+"""Fields of `PoseSequence` in a file."""
 _log = logging.getLogger(__name__)
-_KEYPOINT_COLUMNS = ("_u_px", "_v_px", "_confidence")
 
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Errors of the data types, raised inside, leave with the name of the file in front."""
+    """Put the name of a file in front of errors that data types raise inside.
+
+    Args:
+        path: the file.
+    """
     try:
         yield
     except UnitError as error:
         raise UnitError(f"{path}: {error}") from error
-    except (ShapeError, CalibrationError) as error:
+    except (InvalidInputError, CalibrationError) as error:
         raise FileFormatError(path, str(error)) from error
 
 
-def data_path(section: Section, or_folder: bool = False) -> Path:
-    """The file (or folder) that a section's field ``file`` names, inside the recording's folder."""
+def read_arrays(path: Path, wanted: Sequence[str]) -> dict[str, Array]:
+    """Read the arrays of an .npz file.
+
+    Args:
+        path: the file. wanted: names that it may have; others raise `UnknownNameError`.
+    """
+    arrays = read_npz(path)
+    unknown = sorted(set(arrays) - set(wanted))
+    if unknown:
+        raise UnknownNameError(f"array in {path}", unknown, wanted)
+    return arrays
+
+
+def needed(path: Path, arrays: dict[str, Array], name: str, shape: str) -> Array:
+    """Return a required array, or raise `FileFormatError`.
+
+    Args:
+        path: the file. arrays: its content. name: of the array. shape: its axes, e.g. ``"(T, S, 4)"``.
+    """
+    if name not in arrays:
+        have = ", ".join(arrays) or "nothing"
+        raise FileFormatError(path, f"no array {name!r} of shape {shape}; there is {have}")
+    if arrays[name].ndim != shape.count(",") + 1:
+        raise FileFormatError(path, f"{name}: expected shape {shape}, got {arrays[name].shape}")
+    return arrays[name]
+
+
+def _data_path(section: Section, or_folder: bool = False) -> Path:
+    """Return the file (or folder) inside the recording's folder that a section's field ``file`` names."""
     name = section.text("file")
     path = path_inside(section.path.parent, name)
     if path is None:
@@ -53,27 +100,8 @@ def data_path(section: Section, or_folder: bool = False) -> Path:
     return path
 
 
-def read_arrays(path: Path, wanted: Sequence[str]) -> dict[str, Array]:
-    """The arrays of an .npz file, of which only `wanted` may be there."""
-    arrays = read_npz(path)
-    unknown = sorted(set(arrays) - set(wanted))
-    if unknown:
-        raise UnknownNameError(f"array in {path}", unknown, wanted)
-    return arrays
-
-
-def needed(path: Path, arrays: dict[str, Array], name: str, shape: str) -> Array:
-    """An array that must be there, of as many axes as `shape` names, e.g. ``"(T, S, 4)"``."""
-    if name not in arrays:
-        have = ", ".join(arrays) or "nothing"
-        raise FileFormatError(path, f"no array {name!r} of shape {shape}; there is {have}")
-    if arrays[name].ndim != shape.count(",") + 1:
-        raise FileFormatError(path, f"{name}: expected shape {shape}, got {arrays[name].shape}")
-    return arrays[name]
-
-
-def read_times(section: Section, path: Path, arrays: dict[str, Array], T: int) -> Array:
-    """Times (T,) in s: the file's own, or evenly spaced at ``rate_hz`` from ``start_s``."""
+def _times(section: Section, path: Path, arrays: dict[str, Array], T: int) -> Array:
+    """Return times (T,) in s: those of the file, or evenly spaced at ``rate_hz`` from ``start_s``."""
     if not section.has("rate_hz"):
         if "times" not in arrays:
             raise section.error("rate_hz", f"missing, and {path} has no times; give one of the two")
@@ -90,13 +118,15 @@ def read_times(section: Section, path: Path, arrays: dict[str, Array], T: int) -
 
 
 def read_camera(section: Section) -> Camera:
-    """The camera, by its matrices or by position, target and focal length."""
+    """Read a camera given by its matrices, or by position, target and focal length.
+
+    Args:
+        section: table ``[camera]``.
+    """
     width, height = section.integer("width_px"), section.integer("height_px")
-    distortion = section.optional_array("distortion", (5,))
     with naming(section.path):
         if section.has("position_m") or section.has("target_m"):
-            position = section.array("position_m", (3,))
-            target = section.array("target_m", (3,))
+            position, target = section.array("position_m", (3,)), section.array("target_m", (3,))
             if np.linalg.norm(np.cross(target - position, [0, 0, 1])) < 1e-6:
                 raise section.error(
                     "target_m", "straight above, below or at position_m, so upright is undefined; "
@@ -105,16 +135,16 @@ def read_camera(section: Section) -> Camera:
             aimed = Camera.looking_at(position, target, 1.0, max(width, 1), max(height, 1))
             R, t = aimed.R_camera_world, aimed.t_camera_world
         else:
-            R = section.array("R_camera_world", (3, 3))
-            t = section.array("t_camera_world_m", (3,))
+            R, t = section.array("R_camera_world", (3, 3)), section.array("t_camera_world_m", (3,))
         K = _intrinsics(section, width, height)
+        distortion = section.optional_array("distortion", (5,))
         assumed = section.optional_names("assumed") or ()
         camera = Camera(K, R, t, width, height, distortion, assumed)  # type: ignore[arg-type]
     if K[0, 0] < _SHORTEST_FOCAL * width:
-        field = "K" if section.has("K") else "focal_px"
         raise section.error(
-            field, f"a focal length of {K[0, 0]:g} px in images {width} px wide sees nearly everything "
-            "before the camera; is it in mm? Give px: mm / width of the sensor in mm * width_px"
+            "K" if section.has("K") else "focal_px", f"a focal length of {K[0, 0]:g} px in images {width} "
+            "px wide sees nearly everything before the camera; is it in mm? Give px: mm / width of the "
+            "sensor in mm * width_px"
         )  # fmt: skip
     section.close()
     return camera
@@ -130,10 +160,13 @@ def _intrinsics(section: Section, width: int, height: int) -> Array:
 
 
 def camera_table(camera: Camera) -> dict[str, Any]:
-    """What `read_camera` reads back to the same bits."""
+    """Return the table that `read_camera` reads back exactly.
+
+    Args:
+        camera: to write.
+    """
     assumed = {"assumed": list(camera.assumed)} if camera.assumed else {}
-    return {
-        **assumed,
+    return assumed | {
         "width_px": int(camera.width_px),
         "height_px": int(camera.height_px),
         "K": camera.K.tolist(),
@@ -147,10 +180,14 @@ def camera_table(camera: Camera) -> dict[str, Any]:
 
 
 def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) -> KeypointSequence:
-    """The keypoints, with names that are landmarks of the skeleton."""
+    """Read keypoints whose names are landmarks of the skeleton.
+
+    Args:
+        section: table ``[keypoints]``. camera: that saw them. skeleton: that has the landmarks.
+    """
     if section.text("layout", OWN_LAYOUT) != OWN_LAYOUT:
         return _read_detected(section, camera, skeleton)
-    path = data_path(section)
+    path = _data_path(section)
     is_csv = path.suffix.lower() == ".csv"
     names, arrays = read_keypoint_csv(path) if is_csv else _keypoint_npz(section, path, skeleton)
     unknown = [name for name in names if name and name not in skeleton.landmarks]
@@ -159,24 +196,33 @@ def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) ->
         raise UnknownNameError(f"landmark in {where}", unknown, list(skeleton.landmarks))
     if is_csv and section.has("layout"):
         raise section.error("layout", "a .csv names its points itself; leave the layout out")
-    uv = arrays["uv_px"]
-    confidence: Array = np.asarray(np.isfinite(uv).all(axis=-1), dtype=np.float64)
-    confidence = arrays.get("confidence", confidence)
     kept = [i for i, name in enumerate(names) if name]
     with naming(path):
-        if confidence.shape != uv.shape[:2]:
-            raise ShapeError(
-                f"confidence: expected shape {uv.shape[:2]} as uv_px has, got {confidence.shape}"
-            )
+        uv, confidence = keypoint_arrays(arrays)
         sequence = KeypointSequence(
             camera=camera,
-            times=read_times(section, path, arrays, len(uv)),
+            times=_times(section, path, arrays, len(uv)),
             uv_px=uv[:, kept],
             confidence=confidence[:, kept],
             names=tuple(names[i] for i in kept),
         )
     section.close()
     return sequence
+
+
+def keypoint_arrays(arrays: dict[str, Array]) -> tuple[Array, Array]:
+    """Return pixels and confidences, 1 for every point seen where the file has none.
+
+    Args:
+        arrays: uv_px (T, L, 2) and maybe confidence (T, L).
+    """
+    uv = arrays["uv_px"]
+    confidence: Array = arrays.get("confidence", np.isfinite(uv).all(axis=-1).astype(float))
+    if confidence.shape != uv.shape[:2]:
+        raise InvalidInputError(
+            f"confidence: expected shape {uv.shape[:2]} as uv_px has, got {confidence.shape}"
+        )
+    return uv, confidence
 
 
 def _keypoint_npz(
@@ -200,14 +246,11 @@ def _keypoint_npz(
 
 
 def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) -> KeypointSequence:
-    """Keypoints from a detector's own file or folder, in its own layout; see `rtof_kin.vision`."""
-    layout: str | None = section.text("layout")
-    layouts = detector_table().layouts
-    if layout not in (RECOGNISE, *layouts):
-        known = ", ".join((RECOGNISE, *layouts))
-        raise section.error(
-            "layout", f"{layout!r} is not known; write one of {known}, or list names in landmarks"
-        )  # fmt: skip
+    """Read keypoints from a detector's own file or folder, in its own layout; see `rtof_kin.vision`."""
+    layout = section.text("layout")
+    known = ", ".join((RECOGNISE, *detector_table().layouts))
+    if layout not in known.split(", "):
+        raise section.error("layout", f"{layout!r} is not known; write one of {known}, or list landmarks")
     if section.has("landmarks"):
         raise section.error("layout", "stands beside landmarks; give only one of the two")
     if skeleton.name != "total_capture":
@@ -216,7 +259,7 @@ def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) ->
             f"names of the points in landmarks, or write {OWN_LAYOUT!r} for its joints in their order"
         )  # fmt: skip
     found = read_detector_keypoints(
-        data_path(section, or_folder=True),
+        _data_path(section, or_folder=True),
         camera,
         layout=None if layout == RECOGNISE else layout,
         rate_hz=section.optional_number("rate_hz"),
@@ -231,20 +274,22 @@ def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) ->
 
 
 def read_keypoint_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:
-    """Landmark names and the arrays ``uv_px``, ``confidence`` and, where it has them, ``times``."""
+    """Return landmark names and the arrays uv_px (T, L, 2), confidence (T, L) and, if present, times (T,).
+
+    Args:
+        path: a .csv file with the columns of a recording's keypoints.
+    """
     columns = read_csv(path)
     arrays = {"times": columns.pop("time")} if "time" in columns else {}
-    names = csv_names(path, list(columns), _KEYPOINT_COLUMNS, optional=1)
-    u, v = (np.stack([columns[n + end] for n in names], axis=1) for end in _KEYPOINT_COLUMNS[:2])
-    arrays["uv_px"] = np.stack([u, v], axis=-1)
-    seen = np.isfinite(arrays["uv_px"]).all(axis=-1).astype(float)
+    names = _csv_names(path, list(columns), _KEYPOINT_COLUMNS, optional=1)
+    uv = np.stack([[columns[n + end] for end in _KEYPOINT_COLUMNS[:2]] for n in names]).transpose(2, 0, 1)
+    seen = np.isfinite(uv).all(axis=-1).astype(float)
     given = [columns.get(f"{n}_confidence", seen[:, i]) for i, n in enumerate(names)]
-    arrays["confidence"] = np.stack(given, axis=1)
-    return names, arrays
+    return names, arrays | {"uv_px": uv, "confidence": np.stack(given, axis=1)}
 
 
-def csv_names(path: Path, columns: list[str], endings: Sequence[str], optional: int = 0) -> tuple[str, ...]:
-    """Names in the order of their first column; all columns but the last `optional` are needed."""
+def _csv_names(path: Path, columns: list[str], endings: Sequence[str], optional: int = 0) -> tuple[str, ...]:
+    """Return names in the order of their first column; all but the last `optional` endings are required."""
     names: dict[str, None] = {}
     for column in columns:
         ending = next((end for end in endings if column.endswith(end)), None)
@@ -263,22 +308,93 @@ def csv_names(path: Path, columns: list[str], endings: Sequence[str], optional: 
     return tuple(names)
 
 
-# --- truth ---------------------------------------------------------------------------------------
+# --- IMUs ----------------------------------------------------------------------------------------
 
-_TRUTH = ("times", "p_world_joint", "R_world_bone", "provenance", "valid", "orientation_observed")
+
+def read_imus(section: Section, skeleton: SkeletonModel) -> tuple[ImuSequence | None, ImuCalibration | None]:
+    """Read sensor data, where the section names a file, and their calibration, where it has one.
+
+    Args:
+        section: table ``[imus]``. skeleton: with the usual places of sensors.
+    """
+    calibration = calibration_of(section.table("sensors"), skeleton)
+    imus = _imu_sequence(section, calibration) if section.has("file") else None
+    if imus is not None and calibration is not None:
+        missing = [name for name in imus.names if name not in calibration.sensors]
+        if missing:
+            where = f"sensor (it has no table [imus.sensors.*] in {section.path})"
+            raise UnknownNameError(where, missing, calibration.sensors)
+    section.close()
+    return imus, calibration
+
+
+def _imu_sequence(section: Section, calibration: ImuCalibration | None) -> ImuSequence:
+    path = _data_path(section)
+    if path.suffix.lower() == ".csv":
+        names, arrays = _imu_csv(path)
+    else:
+        arrays = read_arrays(path, ("quat_wxyz", "R_inertial_sensor", "f_sensor", "times"))
+        listed = section.optional_names("names")
+        if listed is None and calibration is not None:
+            listed = calibration.sensors
+        if listed is None:
+            raise section.error("names", "missing; list the sensors in the file's order")
+        names = listed
+    f = needed(path, arrays, "f_sensor", "(T, S, 3)")
+    if f.shape[1] != len(names):
+        raise section.error(
+            "names", f"{len(names)} sensors are named, but {path} has {f.shape[1]}; list them in the "
+            "file's order"
+        )  # fmt: skip
+    with naming(path):
+        R = _imu_rotations(path, arrays, names)
+        return ImuSequence(_times(section, path, arrays, len(f)), R, f, names)
+
+
+def _imu_rotations(path: Path, arrays: dict[str, Array], names: Sequence[str]) -> Array:
+    if ("quat_wxyz" in arrays) == ("R_inertial_sensor" in arrays):
+        raise FileFormatError(path, "give one of quat_wxyz (T, S, 4) and R_inertial_sensor")
+    if "R_inertial_sensor" in arrays:
+        return needed(path, arrays, "R_inertial_sensor", "(T, S, 3, 3)")
+    quat = needed(path, arrays, "quat_wxyz", "(T, S, 4)")
+    shape = (len(arrays["f_sensor"]), len(names), 4)
+    if quat.shape != shape:
+        raise FileFormatError(path, f"quat_wxyz: expected shape {shape}, got {quat.shape}")
+    norm = np.linalg.norm(quat, axis=-1)
+    known = ~np.isnan(norm)
+    wrong = known & ~(np.abs(norm - 1) <= _QUATERNION_TOLERANCE)
+    if np.any(wrong):
+        t, s = (int(i) for i in np.argwhere(wrong)[0])
+        raise FileFormatError(
+            path, f"quat_wxyz: sample {t} of {names[s]} has norm {norm[t, s]:.6g}, not 1; normalise "
+            "it, or write NaN where a sample is missing"
+        )  # fmt: skip
+    R = np.full((*quat.shape[:2], 3, 3), np.nan)
+    R[known] = so3.from_quat_wxyz(quat[known])
+    return R
+
+
+def _imu_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:
+    columns = read_csv(path)
+    arrays = {"times": columns.pop("time")} if "time" in columns else {}
+    names = _csv_names(path, list(columns), _IMU_COLUMNS)
+    values = np.stack([[columns[n + end] for end in _IMU_COLUMNS] for n in names]).transpose(2, 0, 1)
+    return names, arrays | {"quat_wxyz": values[..., :4], "f_sensor": values[..., 4:]}
+
+
+# --- truth ---------------------------------------------------------------------------------------
 
 
 def read_truth(section: Section, skeleton: SkeletonModel) -> PoseSequence:
-    """Known poses, joints in the skeleton's order."""
-    path = data_path(section)
-    arrays = read_arrays(path, _TRUTH)
-    for name, shape in zip(_TRUTH[:3], ("(T)", "(T, J, 3)", "(T, J, 3, 3)"), strict=True):
+    """Read known poses, joints in the skeleton's order.
+
+    Args:
+        section: table ``[truth]``. skeleton: that names the joints.
+    """
+    path = _data_path(section)
+    arrays = read_arrays(path, TRUTH)
+    for name, shape in zip(TRUTH[:3], ("(T)", "(T, J, 3)", "(T, J, 3, 3)"), strict=True):
         needed(path, arrays, name, shape)
     section.close()
     with naming(path):
         return PoseSequence(names=skeleton.names, **arrays)  # type: ignore[arg-type]
-
-
-def truth_arrays(truth: PoseSequence) -> dict[str, NDArray[Any]]:
-    """The arrays that `read_truth` reads back to the same bits."""
-    return {name: getattr(truth, name) for name in _TRUTH}

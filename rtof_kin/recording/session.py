@@ -1,4 +1,4 @@
-"""Who was recorded, by whom, when and where: labels that reports print and nothing computes with."""
+"""Labels of a session for reports: subject, operator, date, place, protocol."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from dataclasses import asdict, dataclass, fields
 from datetime import date
 from typing import Any, Self
 
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.section import Section
 
 
 @dataclass(frozen=True)
 class Session:
-    """The labels of one session; '' where something is not known."""
+    """Labels of one session; '' where unknown."""
 
     subject: str = ""
-    """Name or code of who was recorded."""
+    """Name or code of the person recorded."""
     operator: str = ""
-    """Who recorded."""
+    """Person who made the recording."""
     date: str = ""
     """Day of the recording, as 2026-01-31."""
     place: str = ""
-    """Where it was recorded."""
+    """Place of the recording."""
     protocol: str = ""
-    """What the subject was asked to do."""
+    """Task of the subject."""
 
     def __post_init__(self) -> None:
         if not self.date:
@@ -32,42 +32,51 @@ class Session:
         try:
             date.fromisoformat(self.date)
         except ValueError as error:
-            raise ShapeError(
-                f"session date: {self.date!r} is no day; write year, month and day, as 2026-01-31"
+            raise InvalidInputError(
+                f"session date: {self.date!r} is not a day; write year, month and day, as 2026-01-31"
             ) from error
 
     @classmethod
     def of(cls, labels: Mapping[str, Any]) -> Self:
-        """The labels of plain data; what is not there is not known.
+        """Make the labels from plain data.
+
+        Args:
+            labels: text by field; missing fields are unknown.
 
         Raises:
-            ShapeError: a label is no text, or the date no day.
+            InvalidInputError: a label is not text, or the date not a day.
         """
         known = {field.name: labels.get(field.name, "") for field in fields(cls)}
         for name, text in known.items():
             if not isinstance(text, str):
-                raise ShapeError(f"session {name}: {str(text)[:40]!r} is no text")
+                raise InvalidInputError(f"session {name}: {str(text)[:40]!r} is not text")
         return cls(**known)
 
     def plain(self) -> dict[str, str]:
-        """What is known, by field."""
+        """Return the known labels by field."""
         return {name: text for name, text in asdict(self).items() if text}
 
     def updated(self, other: Session) -> Session:
-        """These labels, with what another one knows in their place."""
+        """Return these labels, replaced by those of another session where it has them.
+
+        Args:
+            other: the session that takes precedence.
+        """
         return Session.of(self.plain() | other.plain())
 
 
 def read_session(section: Section) -> Session:
-    """The labels of a table ``[session]``; all of its fields may be left out.
+    """Read the labels of a table ``[session]``; all of its fields are optional.
+
+    Args:
+        section: the table.
 
     Raises:
-        FileFormatError: a field is no text, or the date no day.
-        UnknownNameError: a field is none of these.
+        FileFormatError: a field is not text, or the date not a day. UnknownNameError: another field.
     """
     labels = {field.name: section.text(field.name, "") for field in fields(Session)}
     section.close()
     try:
         return Session(**labels)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise section.error("date", str(error)) from error

@@ -1,1 +1,1 @@
-"""The report of a reconstruction: what was checked (`audit`), and one page of everything (`page`)."""
+"""Report of a reconstruction: audit, clinical findings, figures, HTML page and exported files."""

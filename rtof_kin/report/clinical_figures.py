@@ -1,9 +1,9 @@
-"""Pictures of an analysis: angles over the gait cycle, or over time where nobody walks."""
+"""Figures of a clinical analysis: angles over the gait cycle, and over time."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,22 +12,23 @@ from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.report.figures import save_figures
+from rtof_kin.report.plot_data import side_and_name
 
-SIDE_COLORS = {"right": "#0072b2", "left": "#c0392b", "": "0.25"}
-SHOWN = (
+SIDE_COLORS: Final = {"right": "#0072b2", "left": "#c0392b", "": "0.25"}
+SHOWN: Final = (
     "pelvis_tilt", "pelvis_list", "spine_flexion",
     "hip_flexion", "hip_adduction", "hip_internal_rotation",
     "knee_flexion", "ankle_dorsiflexion", "ankle_inversion",
     "shoulder_elevation", "elbow_flexion", "elbow_pronation",
 )  # fmt: skip
-"""Angles that are drawn, without their side."""
+"""Angles that are plotted, without their side."""
 
 
 def write_clinical_figures(analysis: MotionAnalysis, folder: str | Path) -> list[Path]:
-    """Draw what there is into a folder, as PNG.
+    """Write ``angles.png``, and ``gait_cycles.png`` if there are strides; return their paths.
 
-    Returns:
-        The paths written: ``angles.png``, and ``gait_cycles.png`` where there are strides.
+    Args:
+        analysis: of the motion. folder: to write.
     """
     figures = {"angles": angles_over_time(analysis)}
     if analysis.curves:
@@ -36,17 +37,17 @@ def write_clinical_figures(analysis: MotionAnalysis, folder: str | Path) -> list
 
 
 def gait_cycles(analysis: MotionAnalysis) -> Figure:
-    """Mean and one standard deviation of angles from heel strike to heel strike, each side its own."""
+    """Plot mean and standard deviation of angles from heel strike to heel strike of each side.
+
+    Args:
+        analysis: of the motion.
+    """
     figure, axes = _panels("gait cycle of the same side, from heel strike [%]")
     for curve in analysis.curves:
-        shown = curve.name.removeprefix(f"{curve.side}_")
-        if shown not in axes:
-            continue
-        ax, color = axes[shown], SIDE_COLORS[curve.side]
-        mean, sd = np.degrees(curve.mean), np.degrees(curve.sd)
-        strides = "1 stride" if len(curve.curves) == 1 else f"{len(curve.curves)} strides"
-        ax.plot(100 * PHASES, mean, color=color, label=f"{curve.side}, {strides}")
-        ax.fill_between(100 * PHASES, mean - sd, mean + sd, color=color, alpha=0.2, lw=0)
+        if (shown := curve.name.removeprefix(f"{curve.side}_")) in axes:
+            strides = f"{len(curve.curves)} stride" + "s" * (len(curve.curves) != 1)
+            mean, sd = np.degrees(curve.mean), np.degrees(curve.sd)
+            _plot(axes[shown], 100 * PHASES, mean, sd, curve.side, f"{curve.side}, {strides}")
     _finish(axes)
     for side, measures in analysis.gait.summary.items():
         for ax in axes.values():
@@ -56,24 +57,29 @@ def gait_cycles(analysis: MotionAnalysis) -> Figure:
 
 
 def angles_over_time(analysis: MotionAnalysis) -> Figure:
-    """The same angles over time; a gap is where nobody saw the angle."""
+    """Plot the same angles over time, with their 95 % bands.
+
+    Args:
+        analysis: of the motion.
+    """
     figure, axes = _panels("time [s]")
     angles = analysis.angles
-    for name in angles.names:
-        side = next((s for s in ("right", "left") if name.startswith(f"{s}_")), "")
-        shown = name.removeprefix(f"{side}_")
-        if shown in axes and np.isfinite(angles[name]).any():
-            value = np.degrees(angles[name])
-            axes[shown].plot(angles.times, value, color=SIDE_COLORS[side], lw=1, label=side or None)
-            if angles.sigma is not None:
-                half = BAND_95 * np.degrees(angles.sigma[:, angles.names.index(name)])
-                axes[shown].fill_between(
-                    angles.times, value - half, value + half, color=SIDE_COLORS[side], alpha=0.15, lw=0
-                )
+    for a, name in enumerate(angles.names):
+        side, shown = side_and_name(name)
+        if shown in axes and angles.known[:, a].any():
+            half = None if angles.sigma is None else BAND_95 * np.degrees(angles.sigma[:, a])
+            _plot(axes[shown], angles.times, np.degrees(angles.values[:, a]), half, side, side or None)
     _finish(axes)
     bands = "" if angles.sigma is None else "; bands: 95 %"
-    figure.suptitle(f"Joint angles{bands}; a gap: nobody saw the angle")
+    figure.suptitle(f"Joint angles{bands}; gaps: not observed")
     return figure
+
+
+def _plot(ax: Any, x: Any, y: Any, half: Any, side: str, label: str | None) -> None:
+    color = SIDE_COLORS[side]
+    ax.plot(x, y, color=color, lw=1.2, label=label)
+    if half is not None:
+        ax.fill_between(x, y - half, y + half, color=color, alpha=0.2, lw=0)
 
 
 def _panels(label: str) -> tuple[Figure, dict[str, Any]]:
@@ -85,7 +91,7 @@ def _panels(label: str) -> tuple[Figure, dict[str, Any]]:
 
 
 def _finish(axes: dict[str, Any]) -> None:
-    """Titles, with the legend beside them, where it hides no curve; what nobody saw is said."""
+    """Add titles, with the legend beside them so that it hides no curve, and mark unobserved angles."""
     for name, ax in axes.items():
         ax.set_title(name.replace("_", " "), fontsize=9, loc="left")
         ax.set_ylabel("[deg]", fontsize=8)
@@ -94,5 +100,5 @@ def _finish(axes: dict[str, Any]) -> None:
             ax.legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False,
                       borderaxespad=0, handlelength=1, columnspacing=1)  # fmt: skip
         elif not ax.lines:
-            ax.text(0.5, 0.5, "nobody saw it", transform=ax.transAxes, ha="center", color="0.5")
+            ax.text(0.5, 0.5, "not observed", transform=ax.transAxes, ha="center", color="0.5")
             ax.set_yticks([])

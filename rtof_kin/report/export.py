@@ -1,19 +1,19 @@
-"""Everything a reconstruction leaves behind, in one folder.
+"""Export of a reconstruction to a folder.
 
 ============================  ==================================================================
 motion.npz                    the motion with validity and provenance (`formats.motion_npz`)
 skeleton.urdf                 the subject's skeleton
-files.json                    convention and names of every file (`formats.motion_files`)
+files.json                    convention and names of all files (`formats.motion_files`)
 joint_trajectory.csv, .json   configurations with named columns, and their units
 motion.csv                    the same with landmarks, validity and provenance
 ros_joint_trajectory.json     trajectory_msgs/JointTrajectory
 ros_base_trajectory.json      trajectory_msgs/MultiDOFJointTrajectory of the free base
-summary.json                  mode, verdict, settings, solver's report, limit violations, figures against
-                              the truth; what it was made from, and the audit (`report`)
+summary.json                  mode, verdict, settings, solver, limit violations, errors against the
+                              reference, inputs and audit
 figures/*.png                 see `rtof_kin.report.figures`
 ============================  ==================================================================
 
-and, where asked, OpenSim's, C3D, BVH and Parquet files, see `rtof_kin.formats.motion_files`.
+OpenSim, C3D, BVH and Parquet files are written on request, see `rtof_kin.formats.motion_files`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -30,14 +30,12 @@ from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
 from rtof_kin.formats.motion_npz import write_motion_npz
 from rtof_kin.formats.motion_views import dofs_from_prior
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.audit import audit
 from rtof_kin.report.headline import headline
-from rtof_kin.report.provenance import facts
+from rtof_kin.report.provenance import input_provenance
 
-if TYPE_CHECKING:
-    from rtof_kin.reconstruction.result import Reconstruction
-
-MARKER = "motion.npz"
+MARKER: Final = "motion.npz"
 
 
 def export(
@@ -47,26 +45,25 @@ def export(
     figures: bool = True,
     formats: Sequence[str] = DEFAULT,
 ) -> Path:
-    """Write a reconstruction; the folder appears whole or not at all.
+    """Write a reconstruction; after an error there is no folder.
 
     Args:
-        result: of `reconstruct`. folder: a new folder, or with `overwrite` one written here before.
-        figures: whether to draw figures too, which takes most of the time.
+        result: of `reconstruct`. folder: a new folder. overwrite: replace an earlier export there.
+        figures: draw figures too, which takes most of the time.
         formats: of the motion's files beside motion.npz, see `rtof_kin.formats.motion_files`.
 
     Returns:
         The folder.
 
     Raises:
-        OutputExistsError: something stands there that may not be replaced. UnknownNameError: no such
-            format. ShapeError: a format cannot hold the motion.
+        OutputExistsError: the folder exists and may not be replaced.
+        UnknownNameError: an unknown format. InvalidInputError: a format cannot represent the motion.
     """
     check_formats(formats)
     folder = Path(folder)
     with new_folder(folder, MARKER, overwrite) as temporary:
-        write_motion_npz(
-            temporary / MARKER, result.motion, first_frame=result.recording.first_frame, mode=result.mode
-        )
+        first_frame = result.recording.first_frame
+        write_motion_npz(temporary / MARKER, result.motion, first_frame=first_frame, mode=result.mode)
         write_motion_files(temporary, result.motion, formats)
         text = json.dumps(summary(result), indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
@@ -78,18 +75,26 @@ def export(
 
 
 def provenance_shares(poses: PoseSequence) -> dict[str, float]:
-    """Share of all joints and frames by who saw them: `Provenance`, in small letters -> 0 to 1."""
+    """Return the share of all joints and frames by `Provenance`, in lower case -> 0 to 1.
+
+    Args:
+        poses: of a motion.
+    """
     return {p.name.lower(): float(np.mean(poses.provenance == p)) for p in Provenance}
 
 
 def summary(result: Reconstruction) -> dict[str, Any]:
-    """What happened, as plain data: solver, provenance shares, limits, errors against the truth."""
+    """Return the contents of ``summary.json``.
+
+    Args:
+        result: of `reconstruct`.
+    """
     poses, report = result.motion.poses, result.motion.report
-    findings = audit(result)
+    results = audit(result)
     out: dict[str, Any] = {
         "recording": result.recording.name,
         "mode": result.mode,
-        "verdict": headline(findings).plain(),
+        "verdict": headline(results).plain(),
         "acknowledgement": result.recording.acknowledgement,
         "frames": len(poses),
         "rate_hz": poses.rate_hz,
@@ -101,18 +106,17 @@ def summary(result: Reconstruction) -> dict[str, Any]:
         "dofs_from_prior": dofs_from_prior(result.motion),
         "limit_violations_deg": {k: float(np.degrees(v)) for k, v in report.violations.items()},
         "singular_share": float(report.singular.mean()),
+        "settings": result.choices.plain(),
+        "inputs": input_provenance(result),
+        "audit": [found.plain() for found in results],
     }
-    out["settings"] = result.choices.plain()
-    out["inputs"] = facts(result)
-    out["audit"] = [finding.plain() for finding in findings]
     if result.faults:
         out["stream_faults"] = [str(fault) for fault in result.faults]
     if result.warnings:
         out["warnings"] = list(result.warnings)
     if result.root_sigma is not None:
         out["root_drift_sigma_m"] = _plain({"last_frame": float(result.root_sigma[-1])})
-    if result.solution is not None:
-        solution = result.solution
+    if (solution := result.solution) is not None:
         out["solver"] = {
             "status": solution.status.name,
             "meaning": solution.status.value,
@@ -130,5 +134,5 @@ def summary(result: Reconstruction) -> dict[str, Any]:
 
 
 def _plain(metrics: Mapping[str, float]) -> dict[str, float | None]:
-    """JSON knows no NaN: a figure that there is no data for is null."""
+    """None, which is null in JSON, for NaN."""
     return {name: value if np.isfinite(value) else None for name, value in metrics.items()}

@@ -1,10 +1,10 @@
-"""Pictures of a reconstruction: skeletons over the truth, error over time, joint angles over time."""
+"""Figures of a reconstruction: skeletons with the reference, error over time, joint angles over time."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -14,24 +14,22 @@ from numpy.typing import NDArray
 from rtof_kin.body.metrics import BEGUN_TOGETHER, comparable, flexion, hinges
 from rtof_kin.core import signals
 from rtof_kin.core.files.folder import new_file
-from rtof_kin.data.poses import PoseSequence
-
-if TYPE_CHECKING:
-    from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.result import Reconstruction
 
 Array = NDArray[np.float64]
-ESTIMATE, TRUTH = "#c0392b", "#2e8b57"
-STAGE_COLORS = {
+ESTIMATE: Final = "#c0392b"
+TRUTH: Final = "#2e8b57"
+STAGE_COLORS: Final = {
     "lift": "#8c8c8c", "sf2": "#e69f00", "rto": "#0072b2", "rtof": "#c0392b",
     "start": "#e69f00", "imu": "#c0392b",
 }  # fmt: skip
 
 
 def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
-    """Draw every figure there is data for into a folder, as PNG.
+    """Write all figures that apply as PNG, and return their paths.
 
-    Returns:
-        The paths written.
+    Args:
+        result: of `reconstruct`. folder: to write.
     """
     figures = {"skeletons": skeletons(result), "joint_angles": joint_angles(result)}
     if result.stage_metrics:
@@ -40,23 +38,28 @@ def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
 
 
 def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> list[Path]:
-    """Write figures into a folder as PNG, each by its name; the paths."""
-    folder = Path(folder)
+    """Write figures as PNG, and return their paths.
+
+    Args:
+        figures: name of the file without suffix -> figure. folder: to write.
+    """
     paths = []
     for name, figure in figures.items():
-        path = folder / f"{name}.png"
+        paths.append(Path(folder) / f"{name}.png")
         figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
-        with new_file(path, overwrite=True) as whole:
+        with new_file(paths[-1], overwrite=True) as whole:
             figure.savefig(whole)
-        paths.append(path)
     return paths
 
 
 def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
-    """The estimated skeleton (red) over the true one (green) at a few instants, from two sides.
+    """Plot the estimated skeleton (red) and the reference (green) at a few instants, from two sides.
 
-    Positions are relative to the estimate's root and seen from the camera's side and across; without a
-    camera, from where the person faces. See `comparable` for mode imu.
+    Positions are relative to the estimate's root, seen from the camera and from its right; without a
+    camera, from the front and the right. See `comparable` for mode imu.
+
+    Args:
+        result: of `reconstruct`. instants: number of columns.
     """
     poses, parents = result.motion.poses, result.motion.skeleton.parents
     truth = _truth_at(result)
@@ -68,18 +71,17 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
     sides, title = _sides(result)
     for column, frame in enumerate(frames):
         root = poses.p_world_joint[frame, 0]
-        for row, (view, label) in enumerate(sides):
-            ax = axes[row][column]
+        axes[0][column].set_title(f"{poses.times[frame]:.2f} s")
+        for ax, (view, label) in zip(axes[:, column], sides, strict=True):
             if truth is not None:
-                _draw(ax, (truth[frame] - root) @ view.T, parents, TRUTH, "truth")
-            _draw(ax, (poses.p_world_joint[frame] - root) @ view.T, parents, ESTIMATE, result.mode)
+                _plot_skeleton(ax, (truth[frame] - root) @ view.T, parents, TRUTH, "truth")
+            p = (poses.p_world_joint[frame] - root) @ view.T
+            _plot_skeleton(ax, p, parents, ESTIMATE, result.mode)
             ax.set_aspect("equal")
             ax.set_xlim(-1.1, 1.1)
             ax.set_ylim(-1.2, 1.0)
             ax.set_xlabel(f"{label} [m]")
             ax.set_ylabel("up [m]" if column == 0 else "")
-            if row == 0:
-                ax.set_title(f"{poses.times[frame]:.2f} s")
     axes[0][0].legend(loc="lower left", fontsize=8)
     if truth is not None and result.mode == "imu":
         title = f"{title}\n{BEGUN_TOGETHER}"
@@ -88,7 +90,11 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
 
 
 def error_over_time(result: Reconstruction) -> Figure:
-    """Mean joint error of every stage, absolute and relative to the root, over time."""
+    """Plot the mean joint error of each stage, absolute and relative to the root, over time.
+
+    Args:
+        result: of `reconstruct`, with a reference.
+    """
     figure = Figure(figsize=(11, 6), layout="constrained")
     axes = figure.subplots(2, 1, sharex=True)
     titles = {"mpjpe_rr_mm": "relative to the root", "mpjpe_mm": "absolute"}
@@ -108,7 +114,11 @@ def error_over_time(result: Reconstruction) -> Figure:
 
 
 def joint_angles(result: Reconstruction) -> Figure:
-    """Flexion of knees and elbows over time, with the truth where there is one."""
+    """Plot flexion of knees and elbows over time, with the reference if there is one.
+
+    Args:
+        result: of `reconstruct`.
+    """
     skeleton, poses = result.motion.skeleton, result.motion.poses
     truth = _truth_at(result)
     joints = hinges(skeleton)
@@ -117,11 +127,8 @@ def joint_angles(result: Reconstruction) -> Figure:
     figure = Figure(figsize=(11, 2.0 * len(joints)), layout="constrained")
     axes = figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0]
     for ax, j in zip(axes, joints, strict=True):
-        name = next(
-            dof.clinical.removeprefix("-")
-            for dof in skeleton.table.joints[j].dofs
-            if dof.clinical.endswith("flexion")
-        )
+        names = (dof.clinical.removeprefix("-") for dof in skeleton.table.joints[j].dofs)
+        name = next(name for name in names if name.endswith("flexion"))
         if true is not None:
             ax.plot(poses.times, true[:, j], color=TRUTH, lw=1.5, label="truth")
             off = np.abs(estimated[:, j] - true[:, j])
@@ -139,7 +146,7 @@ def joint_angles(result: Reconstruction) -> Figure:
 
 
 def _sides(result: Reconstruction) -> tuple[list[tuple[Array, str]], str]:
-    """`views`, and what they are in words."""
+    """`views` of the camera, or of the subject without one, and their description."""
     if result.keypoints is not None:
         camera = result.keypoints.camera
         return views(camera.R_camera_world), "from the camera (top), from its right (bottom)"
@@ -150,9 +157,13 @@ def _sides(result: Reconstruction) -> tuple[list[tuple[Array, str]], str]:
 
 
 def views(R_camera_world: Array) -> list[tuple[Array, str]]:
-    """(2, 3) maps from world to a picture: as the camera sees it, and from the camera's right."""
+    """Return the projections (2, 3) of a camera's view and of the view from its right, with axis labels.
+
+    Args:
+        R_camera_world: (3, 3).
+    """
     R = R_camera_world
-    looks_down = np.hypot(*R[2, :2]) < 0.1  # then what is up in the picture lies ahead
+    looks_down = np.hypot(*R[2, :2]) < 0.1  # then the top of the image is ahead
     forward = -R[1] if looks_down else R[2].copy()
     forward[2] = 0.0
     forward /= np.linalg.norm(forward)
@@ -161,7 +172,7 @@ def views(R_camera_world: Array) -> list[tuple[Array, str]]:
     return [(np.stack([right, up]), "right"), (np.stack([forward, up]), "away from camera")]
 
 
-def _draw(ax: Any, points: Array, parents: Sequence[int], color: str, label: str) -> None:
+def _plot_skeleton(ax: Any, points: Array, parents: Sequence[int], color: str, label: str) -> None:
     for child, parent in enumerate(parents):
         if parent >= 0:
             x, y = points[[parent, child]].T
@@ -169,15 +180,13 @@ def _draw(ax: Any, points: Array, parents: Sequence[int], color: str, label: str
 
 
 def _truth_at(result: Reconstruction) -> Array | None:
-    """True joint positions (T, J, 3) at the motion's times, or None."""
-    truth: PoseSequence | None = result.recording.truth
-    if truth is None:
-        return None
-    return signals.interpolate(truth.times, truth.p_world_joint, result.motion.times)
+    """Reference joint positions (T, J, 3) at the motion's times, or None."""
+    truth = result.recording.truth
+    return truth and signals.interpolate(truth.times, truth.p_world_joint, result.motion.times)
 
 
 def _shade_gaps(ax: Any, result: Reconstruction) -> None:
-    """Grey where the motion is not valid, e.g. nobody was in the picture."""
+    """Shade frames without a valid pose."""
     times = result.motion.times
     for start, stop in signals.runs(~result.motion.poses.valid.any(axis=1)):
         ax.axvspan(times[start], times[stop - 1], color="0.85", zorder=0)

@@ -1,8 +1,7 @@
-"""The first line that a user reads of a reconstruction, made from the findings of its audit alone.
+"""Headline of a report: overall grade and most serious result of its audit.
 
-The most serious thing comes first: something declared that the recording contradicts, then frames that no
-measurement made, then what else fails, then what warns. Where there is none of these, the line says what
-was checked, and what could not be.
+A declared input that the recording contradicts comes first, then frames without a measurement, then other
+failures, then warnings. Without any of these, the headline lists what was checked and what was not.
 """
 
 from __future__ import annotations
@@ -10,33 +9,33 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from rtof_kin.report.audit_results import (
     FAILED_FRAGMENTS,
     SECTIONS,
     UNOBSERVED_FRAGMENTS,
-    Finding,
+    AuditResult,
     Grade,
     SectionVerdict,
-    finding_lines,
+    result_lines,
     section_verdict,
 )
 
-_NAMED = 3
-"""So many things that could not be checked are named."""
+_NAMED: Final = 3
+"""Largest number of unchecked things that are named."""
 
 
 @dataclass(frozen=True)
 class Headline:
-    """What an audit comes to as a whole."""
+    """Overall verdict of an audit."""
 
     grade: Grade
-    """FAIL or WARN where anything does; else PASS where anything was checked and found right."""
+    """FAIL or WARN if any result does; else PASS if any passes."""
     text: str
     """One line, without the grade."""
     sections: tuple[SectionVerdict, ...]
-    """Verdicts on the sections that the audit has."""
+    """Verdicts on the sections of the audit."""
 
     @property
     def line(self) -> str:
@@ -44,7 +43,7 @@ class Headline:
         return f"{self.grade.value}: {self.text}"
 
     def plain(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """Return the headline as JSON data."""
         return {
             "grade": self.grade.value,
             "headline": self.text,
@@ -52,68 +51,55 @@ class Headline:
         }
 
 
-def headline(findings: Sequence[Finding]) -> Headline:
-    """Overall grade and first line of an audit.
+def headline(results: Sequence[AuditResult]) -> Headline:
+    """Return the overall grade and the headline of an audit.
 
     Args:
-        findings: of `rtof_kin.report.audit`, or of some of its sections.
+        results: of `rtof_kin.report.audit`, or of some of its sections.
     """
-    present = {finding.section for finding in findings}
-    sections = tuple(section_verdict(section, findings) for section in SECTIONS if section in present)
-    wrong = [finding for finding in findings if finding.grade in (Grade.FAIL, Grade.WARN)]
+    present = {result.section for result in results}
+    sections = tuple(section_verdict(section, results) for section in SECTIONS if section in present)
+    wrong = [result for result in results if result.grade in (Grade.FAIL, Grade.WARN)]
     if not wrong:
-        return _nothing_found(sections, findings)
-    worst = max(wrong, key=_severity)  # the first of several alike
-    others = [finding for finding in wrong if finding is not worst]
-    text = _declared_wrongly(worst) if _is_declared(worst) else worst.text
-    grade = Grade.FAIL if any(finding.grade is Grade.FAIL for finding in wrong) else Grade.WARN
-    return Headline(grade, text.rstrip(".") + _beside(others), sections)
+        return _without_warnings(sections, results)
+    worst = max(wrong, key=_severity)  # the first of equal ones
+    text = worst.text
+    if worst.section == "inputs" and worst.note:  # the likely cause, then the figure
+        limit = f"{worst.fail:.3g} {worst.unit}".rstrip()
+        figure = f"{worst.subject}: {worst.name} {worst.value:.3g} {worst.unit}".rstrip()
+        text = f"{worst.note.rstrip('.')} ({figure}, above {limit})"
+    text = text.rstrip(".")
+    for grade, verb in ((Grade.FAIL, "fails"), (Grade.WARN, "warns")):
+        others = (result for result in wrong if result is not worst and result.grade is grade)
+        if where := dict.fromkeys(result.section for result in others):
+            text += f"; more {verb} in {', '.join(where)}"
+    grade = Grade.FAIL if any(result.grade is Grade.FAIL for result in wrong) else Grade.WARN
+    return Headline(grade, text, sections)
 
 
-def _severity(finding: Finding) -> tuple[bool, bool, bool, bool, float]:
-    """What ranks findings that fail or warn. What is told in words tells more than a figure."""
-    fails = finding.grade is Grade.FAIL
-    limit = finding.fail if fails else finding.warn
+def _severity(result: AuditResult) -> tuple[bool, bool, bool, bool, float]:
+    """Sort key of failures and warnings; among warnings, those in words come before figures."""
+    fails = result.grade is Grade.FAIL
+    limit = result.fail if fails else result.warn
     return (
-        fails and _is_declared(finding),
-        finding.name in (FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS),
+        fails and result.section == "inputs",
+        result.name in (FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS),
         fails,
-        not finding.name,
-        finding.value / limit if limit > 0 else math.inf,
+        not result.name,
+        result.value / limit if limit > 0 else math.inf,
     )
 
 
-def _is_declared(finding: Finding) -> bool:
-    return finding.section == "inputs"
-
-
-def _declared_wrongly(finding: Finding) -> str:
-    """The likely cause, then the figure that shows it."""
-    limit = f"{finding.fail:.3g} {finding.unit}".rstrip()
-    figure = f"{finding.subject}: {finding.name} {finding.value:.3g} {finding.unit}".rstrip()
-    return f"{finding.note.rstrip('.')} ({figure}, above {limit})" if finding.note else finding.text
-
-
-def _beside(others: Sequence[Finding]) -> str:
-    """Where else something fails or warns."""
-    parts = []
-    for grade, verb in ((Grade.FAIL, "fails"), (Grade.WARN, "warns")):
-        where = dict.fromkeys(finding.section for finding in others if finding.grade is grade)
-        if where:
-            parts.append(f"more {verb} in {', '.join(where)}")
-    return "".join(f"; {part}" for part in parts)
-
-
-def _nothing_found(sections: tuple[SectionVerdict, ...], findings: Sequence[Finding]) -> Headline:
-    """What was checked, what the data hardly tell, and what nobody could check."""
+def _without_warnings(sections: tuple[SectionVerdict, ...], results: Sequence[AuditResult]) -> Headline:
+    """Headline of what was checked, what is weakly observed, and what could not be checked."""
     checked = [verdict.section for verdict in sections if verdict.grade is Grade.PASS]
     weak = [f"{v.section}: {v.reasons[0]}" for v in sections if v.grade is Grade.WEAK]
-    unknown = list(finding_lines(findings, Grade.UNTOLD))
-    if checked and not any(finding.section == "truth" for finding in findings):
-        unknown.append("the error itself: no truth is known")
+    unknown = list(result_lines(results, Grade.NOT_CHECKED))
+    if checked and not any(result.section == "truth" for result in results):
+        unknown.append("the error itself: there is no reference")
     more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
-    parts = [f"checked, nothing found in {', '.join(checked)}"] if checked else []
+    parts = [f"checked, no problem found in {', '.join(checked)}"] if checked else []
     parts += weak
     parts += [f"not checked: {'; '.join(unknown[:_NAMED])}{more}"] if unknown else []
-    grade = Grade.PASS if checked else Grade.WEAK if weak else Grade.UNTOLD
+    grade = Grade.PASS if checked else Grade.WEAK if weak else Grade.NOT_CHECKED
     return Headline(grade, "; ".join(parts), sections)

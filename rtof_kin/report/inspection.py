@@ -1,6 +1,6 @@
-"""What a file is, what it holds, and whether that can be true: `inspect`, for every file that is read.
+"""Inspection of input files: type, contents and plausibility checks of every file that the package reads.
 
-Sensor logs are checked by physics (`rtof_kin.inertial.physics`), bodies and cameras by
+Sensor logs are checked by `rtof_kin.inertial.physics`, bodies and cameras by
 `rtof_kin.recording.body_checks`. Nothing is changed.
 """
 
@@ -9,17 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.arrays import npz_names
 from rtof_kin.core.plausibility import Check
 from rtof_kin.core.signals import interpolate
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.datasets.total_capture_files import CAMERA_FILE
@@ -39,97 +38,91 @@ from rtof_kin.recording import body_checks as bodies
 from rtof_kin.recording.recording import INDEX, Recording
 from rtof_kin.simulation.mocap import find_asf
 from rtof_kin.simulation.mocap_families import recognise_family, recognise_unit
-from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.recognise import recognise
 
 Array = NDArray[np.float64]
-_NO_POSE = "There is no pose: the camera is taken to be level, at the origin"
+_NO_POSE: Final = "There is no pose: the camera is assumed to be level, at the origin"
+_SIGNALS: Final = {
+    "f_sensor": "acceleration", "w_sensor": "gyroscope", "m_sensor": "magnetometer",
+    "R_inertial_sensor": "orientation",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """What was found of one file or folder."""
+    """Type, contents and checks of one file or folder."""
 
     path: Path
     title: str
-    """What it is, in words."""
+    """Type of the file."""
     contents: tuple[tuple[str, str], ...]
-    """What it holds: rows of a name and a value."""
+    """Rows of a name and a value."""
     checks: tuple[Check, ...] = ()
-    """Every check that its content allows."""
+    """All checks that apply."""
     notes: tuple[str, ...] = ()
-    """What else a user should know, in sentences."""
+    """Further remarks, in sentences."""
     log: SensorLog | None = None
-    """The sensors, of a file that has some."""
+    """Sensor data, if any."""
     bone_lengths: Mapping[str, Array] = field(default_factory=dict)
-    """Bone -> its length (T,) over the frames, m, of a file that has bodies."""
+    """Bone -> its length (T,) over the frames, m, if the file contains bodies."""
 
     @property
     def failed(self) -> tuple[Check, ...]:
-        """The checks that do not hold."""
+        """The checks that fail."""
         return tuple(check for check in self.checks if check.failed)
 
 
 def inspect(path: str | Path, **declared: Any) -> Inspection:
-    """Look at a file, or at a folder that is a recording or the log of a trial.
+    """Inspect a file, or a folder with a recording or the sensor log of a trial.
 
     Args:
-        path: the file or folder.
-        declared: of a sensor log, fields of `Declaration` to set otherwise than its format does.
+        path: the file or folder. declared: of a sensor log, fields of `Declaration` to override.
 
     Raises:
-        FileFormatError: no such file, none that is known, or a damaged one.
-        ShapeError: something is declared of a file that is no sensor log.
+        FileFormatError: the file is missing, of an unknown type, or damaged.
+        InvalidInputError: something is declared of a file that is not a sensor log.
     """
     path = Path(path)
     if not path.exists():
         raise FileFormatError(path, "there is no such file or folder")
-    look = _look(path)
-    if look is None:
+    inspector = _inspector(path)
+    if inspector is None:
         try:
             return _log(path, read_sensor_log(path, **declared))
         except FileFormatError:
             if path.suffix.lower() != ".csv" or declared:
                 raise
-            return _keypoints(path)
+            inspector = _keypoints
     if declared:
-        raise ShapeError(f"{path}: no sensor log, so {', '.join(declared)} cannot be declared of it")
-    return look(path)
+        raise InvalidInputError(f"{path}: no sensor log, so {', '.join(declared)} cannot be declared of it")
+    return inspector(path)
 
 
-def _look(path: Path) -> Callable[[Path], Inspection] | None:
-    """How to look at a file that is no sensor log; None where it may be one."""
+def _inspector(path: Path) -> Callable[[Path], Inspection] | None:
+    """Function for the type of a file; None if it may be a sensor log."""
+    if path.name == INDEX or (path / INDEX).is_file():
+        return _recording
     if path.is_dir():
-        if (path / INDEX).is_file():
-            return _recording
         return _keypoints if any(path.glob("*_keypoints.json")) else None
-    if path.name == INDEX:
-        return lambda index: _recording(index.parent)
     if path.suffix.lower() == ".npz":
         return _motion if {"schema_version", "q"} <= set(npz_names(path)) else _keypoints
     return _BY_SUFFIX.get(path.suffix.lower())
 
 
-# --- sensors -------------------------------------------------------------------------------------
-
-
 def _log(path: Path, log: SensorLog) -> Inspection:
-    declared = [
-        (f"declared {f.name.replace('_', ' ')}", str(getattr(log.declaration, f.name)))
-        for f in fields(log.declaration)
-        if getattr(log.declaration, f.name) is not None
-    ]
-    contents = ((f"sensor {s.name}", _stream(s)) for s in log.streams)
-    return Inspection(path, log.format, (*contents, *declared), check_log(log), log.notes, log=log)
+    declared = ((f.name, getattr(log.declaration, f.name)) for f in fields(log.declaration))
+    contents = (
+        *((f"sensor {stream.name}", _stream(stream)) for stream in log.streams),
+        *((f"declared {name.replace('_', ' ')}", str(v)) for name, v in declared if v is not None),
+    )
+    return Inspection(path, log.format, contents, check_log(log), log.notes, log=log)
 
 
 def _stream(stream: SensorStream) -> str:
-    names = {"f_sensor": "acceleration", "w_sensor": "gyroscope", "m_sensor": "magnetometer",
-             "R_inertial_sensor": "orientation"}  # fmt: skip
     seconds = float(stream.times[-1] - stream.times[0])
-    held = ", ".join(names[name] for name in stream.holds)
-    return f"{len(stream)} samples at {stream.rate_hz:.4g} Hz, {seconds:.1f} s: {held}"
+    signals = ", ".join(_SIGNALS[name] for name in stream.holds)
+    return f"{len(stream)} samples at {stream.rate_hz:.4g} Hz, {seconds:.1f} s: {signals}"
 
 
 def _span(times: Array) -> str:
@@ -138,34 +131,36 @@ def _span(times: Array) -> str:
     return f"{len(times)} samples{rate}, {seconds:.1f} s"
 
 
-def _imu_log(path: Path, imus: ImuSequence) -> SensorLog:
-    streams = [
-        SensorStream(name, imus.times, imus.f_sensor[:, i], imus.R_inertial_sensor[:, i])
-        for i, name in enumerate(imus.names)
-    ]
-    return SensorLog(path, "IMUs of a recording", tuple(streams), Declaration())
+def _percent(seen: NDArray[np.bool_]) -> str:
+    return f"{100 * float(seen.mean()):.0f} %"
 
 
-# --- recordings and motions ----------------------------------------------------------------------
+def _body_checks(p: Array, lengths: Mapping[str, Array], limit_mm: float) -> tuple[Check, ...]:
+    return (bodies.check_size(p), *bodies.check_bone_lengths(lengths, limit_mm))
 
 
 def _recording(path: Path) -> Inspection:
+    path = path.parent if path.name == INDEX and path.is_file() else path
     recording = Recording.load(path)
-    keypoints, truth = recording.keypoints, recording.truth
+    keypoints, truth, imus = recording.keypoints, recording.truth, recording.imus
     contents: list[tuple[str, str]] = []
     checks: list[Check] = []
+    lengths: Mapping[str, Array] = {}
+    log = None
     if keypoints is not None:
         contents += [
             ("keypoints", f"{_span(keypoints.times)}: {len(keypoints.names)} landmarks"),
-            ("seen", f"{100 * float(keypoints.seen.mean()):.0f} % of them"),
+            ("seen", f"{_percent(keypoints.seen)} of them"),
             ("camera", _camera(keypoints.camera)),
         ]
         checks += bodies.check_camera("of the recording", keypoints.camera)
-    lengths: Mapping[str, Array] = {}
-    log = None
-    if recording.imus is not None:
-        contents.append(("IMUs", f"{_span(recording.imus.times)}: {', '.join(recording.imus.names)}"))
-        log = _imu_log(path, recording.imus)
+    if imus is not None:
+        contents.append(("IMUs", f"{_span(imus.times)}: {', '.join(imus.names)}"))
+        streams = tuple(
+            SensorStream(name, imus.times, imus.f_sensor[:, i], imus.R_inertial_sensor[:, i])
+            for i, name in enumerate(imus.names)
+        )
+        log = SensorLog(path, "IMUs of a recording", streams, Declaration())
         checks += check_log(log)
     if truth is not None:
         contents.append(("truth", f"{_span(truth.times)}: {len(truth.names)} joints"))
@@ -174,28 +169,23 @@ def _recording(path: Path) -> Inspection:
         if keypoints is not None:
             at = interpolate(truth.times, truth.p_world_joint, keypoints.times)
             checks.append(bodies.check_reprojection(keypoints, at, truth.names))
-        checks += [bodies.check_size(truth.p_world_joint)]
-        checks += bodies.check_bone_lengths(lengths, bodies.RIGID_MM)
+        checks += _body_checks(truth.p_world_joint, lengths, bodies.RIGID_MM)
     return Inspection(path, "recording", tuple(contents), tuple(checks), log=log, bone_lengths=lengths)
 
 
 def _motion(path: Path) -> Inspection:
     file = read_motion_npz(path)
     poses = file.poses
-    skeleton = file.motion().skeleton
-    lengths = bodies.bone_lengths(poses.p_world_joint, bodies.skeleton_bones(poses.names, skeleton.parents))
+    bones = bodies.skeleton_bones(poses.names, file.motion().skeleton.parents)
+    lengths = bodies.bone_lengths(poses.p_world_joint, bones)
     contents = (
         ("frames", _span(poses.times)),
         ("skeleton", f"{file.skeleton}, {len(poses.names)} joints, {len(file.dof_names)} angles"),
-        ("mode", file.mode or "not told"),
-        ("valid", f"{100 * float(poses.valid.mean()):.0f} % of the joints"),
+        ("mode", file.mode or "not stated"),
+        ("valid", f"{_percent(poses.valid)} of the joints"),
     )
-    checks = (bodies.check_size(poses.p_world_joint), *bodies.check_bone_lengths(lengths, bodies.RIGID_MM))
+    checks = _body_checks(poses.p_world_joint, lengths, bodies.RIGID_MM)
     return Inspection(path, "reconstructed motion", contents, checks, bone_lengths=lengths)
-
-
-def _bvh(path: Path) -> Inspection:
-    return _articulated(path, "BVH motion capture", read_bvh(path))
 
 
 def _amc(path: Path) -> Inspection:
@@ -204,7 +194,7 @@ def _amc(path: Path) -> Inspection:
 
 
 def _articulated(path: Path, title: str, motion: ArticulatedMotion) -> Inspection:
-    """A tree of joints in its own unit, which the length of its legs tells if its names are known."""
+    """Inspect motion capture, whose unit follows from the length of the legs if the joint names are known."""
     unit_m, notes = motion.unit_m or 1.0, []
     try:
         family = recognise_family(path, motion)
@@ -212,7 +202,7 @@ def _articulated(path: Path, title: str, motion: ArticulatedMotion) -> Inspectio
         known = f"known: {family.name}, 1 unit is {unit_m:.4g} m by the length of its legs"
     except FileFormatError as error:
         known = "not known"
-        notes.append(f"The skeleton cannot be carried over: {error}")
+        notes.append(f"The skeleton cannot be converted: {error}")
     p = unit_m * motion.forward_kinematics()[0]
     lengths = bodies.bone_lengths(p, bodies.skeleton_bones(motion.names, motion.parents))
     contents = (
@@ -220,74 +210,59 @@ def _articulated(path: Path, title: str, motion: ArticulatedMotion) -> Inspectio
         ("joints", f"{len(motion.names)}, root {motion.names[0]}"),
         ("skeleton", known),
     )
-    checks = (bodies.check_size(p), *bodies.check_bone_lengths(lengths, bodies.RIGID_MM))
+    checks = _body_checks(p, lengths, bodies.RIGID_MM)
     return Inspection(path, title, contents, checks, tuple(notes), bone_lengths=lengths)
-
-
-# --- markers, keypoints, cameras -----------------------------------------------------------------
-
-
-def _trc(path: Path) -> Inspection:
-    return _markers(path, "TRC markers", read_trc(path))
-
-
-def _c3d(path: Path) -> Inspection:
-    return _markers(path, "C3D points", read_c3d(path))
 
 
 def _markers(path: Path, title: str, markers: MarkerSequence) -> Inspection:
     lengths = bodies.bone_lengths(markers.p_world, bodies.limb_bones(markers.names))
-    seen = np.isfinite(markers.p_world).all(axis=-1)
+    names = ", ".join(markers.names[:8]) + (", ..." if len(markers.names) > 8 else "")
     contents = (
         ("frames", _span(markers.times)),
-        ("markers", f"{len(markers.names)}: {_listed(markers.names)}"),
-        ("seen", f"{100 * float(seen.mean()):.0f} % of them"),
+        ("markers", f"{len(markers.names)}: {names}"),
+        ("seen", f"{_percent(np.isfinite(markers.p_world).all(axis=-1))} of them"),
     )
-    checks = (bodies.check_size(markers.p_world), *bodies.check_bone_lengths(lengths, bodies.TRIANGULATED_MM))
-    notes = () if lengths else ("No two names tell a joint and a side, so no bone can be checked",)
+    checks = _body_checks(markers.p_world, lengths, bodies.TRIANGULATED_MM)
+    notes = () if lengths else ("No two names give a joint and a side, so no bone can be checked",)
     return Inspection(path, title, contents, checks, notes, bone_lengths=lengths)
 
 
 def _keypoints(path: Path) -> Inspection:
-    found: Detections = read_detector_file(path)
+    found = read_detector_file(path)
     T, P, K = found.confidence.shape
     confidence = np.median(found.confidence[found.confidence > 0])
     contents = [
         ("frames", str(T) if found.times is None else _span(found.times)),
-        ("people", f"up to {P}, somebody in {int(found.present.any(axis=1).sum())} frames"),
-        ("points", f"{K}, confidence {confidence:.2f} in the median"),
+        ("people", f"up to {P}, at least one in {int(found.present.any(axis=1).sum())} frames"),
+        ("points", f"{K}, median confidence {confidence:.2f}"),
     ]
+    notes = []
     try:
         layout = recognise(found.uv_px, found.confidence, found.names)
         contents.append(("layout", f"{layout.layout.name}; {layout.reason}"))
-        notes: tuple[str, ...] = ()
-    except ShapeError as error:
-        notes = (f"The layout is not recognised: {error}",)
-    return Inspection(path, "keypoints of a detector", tuple(contents), (), notes)
-
-
-def _toml(path: Path) -> Inspection:
-    return _cameras(path, "cameras in TOML", read_camera_toml(path))
+    except (InvalidInputError, ShapeError) as error:
+        notes.append(f"The layout is not recognised: {error}")
+    return Inspection(path, "keypoints of a detector", tuple(contents), notes=tuple(notes))
 
 
 def _yaml(path: Path) -> Inspection:
     title = "cameras in OpenCV's YAML"
     try:
         return _cameras(path, title, read_opencv_yaml(path))
-    except FileFormatError:  # perhaps for want of a pose: then the world is the camera's own axes
+    except FileFormatError:  # without a pose, the world has the axes of the camera
         found = _cameras(path, title, read_opencv_yaml(path, up="-y"))
         return replace(found, notes=(_NO_POSE,))
-
-
-def _cal(path: Path) -> Inspection:
-    cameras = {str(number): camera for number, camera in read_cameras(path).items()}
-    return _cameras(path, f"cameras of Total Capture, as in {CAMERA_FILE}", cameras)
 
 
 def _cameras(path: Path, title: str, cameras: Mapping[str, Camera]) -> Inspection:
     contents = tuple((f"camera {name}", _camera(camera)) for name, camera in cameras.items())
     checks = [check for name, camera in cameras.items() for check in bodies.check_camera(name, camera)]
     return Inspection(path, title, contents, tuple(checks))
+
+
+def _cal(path: Path) -> Inspection:
+    cameras = {str(number): camera for number, camera in read_cameras(path).items()}
+    return _cameras(path, f"cameras of Total Capture, as in {CAMERA_FILE}", cameras)
 
 
 def _camera(camera: Camera) -> str:
@@ -298,12 +273,16 @@ def _camera(camera: Camera) -> str:
     )
 
 
-def _listed(names: tuple[str, ...], most: int = 8) -> str:
-    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
-
-
-_BY_SUFFIX: dict[str, Callable[[Path], Inspection]] = {
-    ".bvh": _bvh, ".amc": _amc, ".trc": _trc, ".c3d": _c3d, ".toml": _toml, ".yml": _yaml,
-    ".yaml": _yaml, ".cal": _cal, ".json": _keypoints, ".npy": _keypoints,
-}  # fmt: skip
-"""Files whose ending says what they are; their readers make sure. `.csv` may be sensors or keypoints."""
+_BY_SUFFIX: Final[dict[str, Callable[[Path], Inspection]]] = {
+    ".bvh": lambda path: _articulated(path, "BVH motion capture", read_bvh(path)),
+    ".amc": _amc,
+    ".trc": lambda path: _markers(path, "TRC markers", read_trc(path)),
+    ".c3d": lambda path: _markers(path, "C3D points", read_c3d(path)),
+    ".toml": lambda path: _cameras(path, "cameras in TOML", read_camera_toml(path)),
+    ".yml": _yaml,
+    ".yaml": _yaml,
+    ".cal": _cal,
+    ".json": _keypoints,
+    ".npy": _keypoints,
+}
+"""By suffix; `.csv` may contain sensor data or keypoints."""

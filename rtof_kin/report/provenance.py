@@ -1,25 +1,27 @@
-"""What a reconstruction was made from, as plain data: a part of ``summary.json``."""
+"""Provenance of a reconstruction: its inputs as plain data, a part of ``summary.json``."""
 
 from __future__ import annotations
 
 from importlib.metadata import PackageNotFoundError, version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
 
-if TYPE_CHECKING:
-    from rtof_kin.reconstruction.result import Reconstruction
-
-Facts = dict[str, Any]
+Data = dict[str, Any]
 
 
-def facts(result: Reconstruction) -> Facts:
-    """Session, subject, camera, keypoints, sensors and calibration of a reconstruction.
+def input_provenance(result: Reconstruction) -> Data:
+    """Return session, subject, camera, keypoints, sensors and calibration of a reconstruction.
+
+    Args:
+        result: of `reconstruct`.
 
     Returns:
-        Plain data; units are in the names. None, or an empty list, is what there was not.
+        Plain data with units in the names; None or an empty list for missing inputs.
     """
     recording = result.recording
     return {
@@ -46,12 +48,12 @@ def _version() -> str:
         return "(not installed)"
 
 
-def _subject(recording: Recording) -> Facts:
+def _subject(recording: Recording) -> Data:
     bones = "proportions of the skeleton table"
     if recording.bone_lengths:
         bones = f"{len(recording.bone_lengths)} measured bone lengths, the others by the table"
     elif recording.height is not None:
-        bones = "proportions of the skeleton table, scaled by the height"
+        bones += ", scaled by the height"
     return {
         "height_m": recording.height,
         "skeleton_height_m": recording.skeleton.height,
@@ -61,8 +63,8 @@ def _subject(recording: Recording) -> Facts:
     }
 
 
-def _camera(result: Reconstruction) -> Facts | None:
-    """Of the keypoints as they were used; None where none were."""
+def _camera(result: Reconstruction) -> Data | None:
+    """Camera and keypoints that were used, or None."""
     keypoints = result.keypoints
     if keypoints is None:
         return None
@@ -75,33 +77,32 @@ def _camera(result: Reconstruction) -> Facts | None:
         "distorted": bool(np.any(camera.distortion)),
         "height_m": float(camera.center_world[2]),
         "distance_m": float(np.nanmedian(depth)) if np.isfinite(depth).any() else None,
-        "rate_hz": rate_of(keypoints.times),
+        "rate_hz": _rate(keypoints.times),
         "landmarks": list(keypoints.names),
         "seen_share": float(keypoints.seen.mean()),
     }
 
 
-def _sensors(recording: Recording) -> list[Facts]:
-    """Of the sensors as they were recorded; those without a calibration have no segment."""
+def _sensors(recording: Recording) -> list[Data]:
+    """All recorded sensors; those without a calibration have no segment."""
     imus, calibration = recording.imus, recording.calibration
-    if imus is None:
-        return []
     out = []
-    for s, name in enumerate(imus.names):
-        known = np.isfinite(imus.R_inertial_sensor[:, s]).all(axis=(1, 2))
+    for s, name in enumerate(imus.names if imus is not None else ()):
+        assert imus is not None
         force = np.abs(imus.f_sensor[:, s][np.isfinite(imus.f_sensor[:, s])])
-        place: Facts = {"segment": None, "lever_arm_m": None}
+        segment, lever = None, None
         if calibration is not None and name in calibration.sensors:
             own = calibration.sensors.index(name)
+            segment = calibration.joints[own]
             lever = [round(float(v), 4) for v in calibration.p_bone_sensor[own]]
-            place = {"segment": calibration.joints[own], "lever_arm_m": lever}
         out.append(
-            {"name": name, **place, "rate_hz": rate_of(imus.times), "known_share": float(known.mean()),
+            {"name": name, "segment": segment, "lever_arm_m": lever, "rate_hz": _rate(imus.times),
+             "known_share": float(np.isfinite(imus.R_inertial_sensor[:, s]).all(axis=(1, 2)).mean()),
              "largest_specific_force_m_s2": float(force.max()) if force.size else None}
         )  # fmt: skip
     return out
 
 
-def rate_of(times: np.ndarray[Any, Any]) -> float | None:
-    """Samples a second from the median step; None for a single one."""
+def _rate(times: NDArray[np.float64]) -> float | None:
+    """Sampling rate, Hz, from the median step; None for a single sample."""
     return float(1 / np.median(np.diff(times))) if len(times) > 1 else None

@@ -1,27 +1,25 @@
-"""What the motion that is written leaves unexplained of keypoints and sensors, sample by sample."""
+"""Residuals between the exported motion and the keypoints and sensor data."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
-
-if TYPE_CHECKING:
-    from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.result import Reconstruction
 
 Array = NDArray[np.float64]
 
 
 def reprojection_errors(result: Reconstruction) -> tuple[Array, float]:
-    """(T, L) px between keypoints and the motion's landmarks in the image, NaN where one is not known;
-    and the median height of the body there, px.
+    """Return reprojection errors (T, L) px, NaN where unknown, and the median height of the body, px.
+
+    Args:
+        result: with keypoints.
 
     Raises:
-        ShapeError: there are no keypoints.
+        InvalidInputError: there are no keypoints.
     """
     motion, keypoints = result.motion, result.keypoints or result.recording.video
     p, R = motion.poses.p_world_joint, motion.poses.R_world_bone
@@ -36,8 +34,12 @@ def reprojection_errors(result: Reconstruction) -> tuple[Array, float]:
 
 
 def orientation_residuals(result: Reconstruction) -> tuple[Array, Array]:
-    """(T, S) rad between each sensor's segment and the motion's: across its bone, and about it; of a
-    segment with several children or none, all of it is across.
+    """Return orientation residuals (T, S) rad across the bone and about it, NaN where unknown.
+
+    The residual of a segment with several children or none is all across.
+
+    Args:
+        result: with sensors.
     """
     skeleton, imus = result.motion.skeleton, result.bone_imus
     assert imus is not None
@@ -57,8 +59,11 @@ def orientation_residuals(result: Reconstruction) -> tuple[Array, Array]:
 
 
 def acceleration_residuals(result: Reconstruction) -> Array:
-    """(T, S) m/s^2 between each sensor's acceleration and the second difference of the motion at its
-    lever arm; NaN at the ends and where either is not known.
+    """Return residuals (T, S) m/s^2 between sensors and the second difference of the motion at their lever
+    arms; NaN at the ends and where unknown.
+
+    Args:
+        result: with sensors.
     """
     imus, poses = result.bone_imus, result.motion.poses
     assert imus is not None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.text import load_json
 from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import Finding
@@ -67,7 +67,7 @@ def read_summary(path: str | Path) -> Summary:
         if not (audit is None or isinstance(audit, list)):
             raise ShapeError("audit: no list")
         findings = None if audit is None else tuple(Finding.from_plain(entry) for entry in audit)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, f"{error}; reconstruct again") from error
     return Summary(**texts, session=session, inputs=inputs, findings=findings, settings=settings)
 

@@ -1,7 +1,7 @@
-"""Real motion capture as motion of the package's skeleton: single files, and a corpus of them.
+"""Motion capture files as motion of the package's skeleton: single files, and a corpus of them.
 
-A file's skeleton is recognised by its joint names (`simulation.mocap_families`) and carried over joint by
-joint (`simulation.mocap_mapping`).
+A file's skeleton is recognised by its joint names (`simulation.mocap_families`) and mapped joint by joint
+(`simulation.mocap_mapping`).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import io
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -35,16 +36,9 @@ from rtof_kin.simulation.mocap_families import (
 from rtof_kin.simulation.mocap_mapping import MocapClip, map_motion, resample_clip
 
 __all__ = [
-    "CORRECTIONS",
-    "NAMES",
-    "PARENTS",
-    "MocapClip",
-    "find_asf",
-    "read_corpus",
-    "read_mocap",
-    "resample_clip",
+    "NAMES", "PARENTS", "MocapClip", "find_asf", "read_corpus", "read_mocap", "resample_clip",
     "without_spikes",
-]
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
@@ -58,26 +52,20 @@ def read_mocap(
     asf: str | Path | None = None,
     names: Mapping[str, str] | None = None,
 ) -> MocapClip:
-    """Read a motion capture file of a known skeleton as motion of the package's.
+    """Read a motion capture file as motion of the package's skeleton, in world axes z up.
 
     Frames that a converter put before the motion are left out.
 
     Args:
-        path: a .bvh or .amc file.
-        rate_hz: frames per second, where the file is not to be believed; .amc does not say (120).
-        unit_m: metres per unit of the file; by default the one that gives a human leg.
-        output_rate_hz: frames per second of the result; None keeps those of the file. See
-            `resample_clip`.
-        asf: skeleton of an .amc file; by default the one that `find_asf` finds.
-        names: what joints of the file are called in a known family, for files of another vendor whose
-            skeleton is otherwise like that family's. Where no family is recognised, a beginning that all
-            names share ("mixamorig:") is left out too.
-
-    Returns:
-        The clip, its heights and headings as in the file, in world axes z up.
+        path: a .bvh or .amc file. asf: skeleton of an .amc file, by default `find_asf` of it.
+        rate_hz: sampling rate that replaces the file's, Hz; an .amc has none (120 Hz by default).
+        unit_m: length unit of the file, m; by default the one that gives a human leg.
+        output_rate_hz: sampling rate of the result, Hz; None keeps that of the file.
+        names: name of a joint in a known family by its name in the file. A common prefix of all names
+            ("mixamorig:") is removed where that makes the family known.
 
     Raises:
-        FileFormatError: the file is not there or broken, its skeleton unknown or not of human size.
+        FileFormatError: a missing or damaged file, an unknown skeleton or one that is not of human size.
         UnknownNameError: a joint in `names` is not in the file.
     """
     path = Path(path)
@@ -96,9 +84,10 @@ def read_mocap(
 
 
 def find_asf(path_amc: str | Path) -> Path:
-    """The skeleton beside an .amc file: of its name, without digits at the end, or up to a '_'.
+    """Return the skeleton file beside an .amc file.
 
-    ``16_21.amc`` belongs to ``16.asf``, ``gs_charleston2.amc`` to ``gs_charleston.asf``.
+    Args:
+        path_amc: ``16_21.amc`` belongs to ``16.asf``, ``gs_charleston2.amc`` to ``gs_charleston.asf``.
 
     Raises:
         FileFormatError: there is none.
@@ -114,30 +103,30 @@ def find_asf(path_amc: str | Path) -> Path:
 
 
 def _whole(rate_hz: float) -> float:
-    """The whole rate that a rounded frame time stands for (0.0083333 s is 120 Hz)."""
+    """Round a rate that was derived from a rounded frame time (0.0083333 s is 120 Hz)."""
     return float(round(rate_hz)) if abs(rate_hz - round(rate_hz)) < 2e-4 * rate_hz else rate_hz
 
 
 # --- the corpus: a folder of such files with index.csv -------------------------------------------
 
-SPIKE_SPEED = 15.0
-"""A joint faster than this, m/s, is a fault of the original."""
-SPIKE_JUMP = 10.0
-"""So is one whose velocity differs by more, m/s, from the median of the 7 steps around."""
-SPIKE_TURN = 60.0
-"""So is a segment that turns faster, rad/s; hands, which nothing hangs on, are not looked at."""
-ANKLE_TURN = np.radians(110.0)
-"""A foot turned further from its place on the shank is a fault too: CMU's solver flips some."""
-ANKLE_HEIGHT = 0.07
-"""The lower ankle's height over the floor in the lowest twentieth of a recording, m."""
-CORRECTIONS = {
+_SPIKE_SPEED: Final = 15.0
+"""Largest speed of a joint, m/s."""
+_SPIKE_JUMP: Final = 10.0
+"""Largest difference of a joint's velocity from the median of the 7 steps around, m/s."""
+_SPIKE_TURN: Final = 60.0
+"""Largest turning rate of a segment other than a hand, rad/s."""
+_ANKLE_TURN: Final = float(np.radians(110.0))
+"""Largest angle of a foot from its neutral position on the shank, rad."""
+ANKLE_HEIGHT: Final = 0.07
+"""Height of the lower ankle over the floor, 5th percentile over a recording, m."""
+_CORRECTIONS: Final = {
     "cmu_amc/gs_backflip.amc": {"fps": "60"},
     "cmu_amc/gs_lambada.amc": {"subject": "CMU055"},
     "cmu_amc/gs_pirouette.amc": {"subject": "CMU005"},
     "other_bvh/ad_cmu1_jumping_jacks.bvh": {"subject": "CMU014"},
 }
-"""What ``index.csv`` has wrong. The backflip falls with 9.81 m/s^2 at 60 Hz, not at 120; the
-skeletons of the others are, to the digit, those of these subjects (the jumping jacks are 14_14)."""
+"""Errors in ``index.csv``: the backflip falls with 9.81 m/s^2 at 60 Hz, not at 120; the other skeletons equal
+those of these subjects."""
 
 
 def read_corpus(
@@ -147,29 +136,23 @@ def read_corpus(
     output_rate_hz: float = 60.0,
     min_seconds: float = 0.5,
 ) -> Iterator[MocapClip]:
-    """Clips of a folder whose ``index.csv`` states subject, category and true rate of each file.
+    """Read the clips of a folder whose ``index.csv`` has subject, category and true rate of each file.
 
-    The index' rate stands above the file's (CMU's salsa was taken at 60 Hz, whatever its header
-    says), `CORRECTIONS` above the index. Heights are shifted file by file so that the floor, found
-    by `ANKLE_HEIGHT`, lies at z = 0; in the files it is off by up to 0.2 m. Glitches (spikes of one
-    or two frames in the originals, and legs that jump to another solution for a while) are cut out,
-    see `without_spikes`, and the clip goes on as another one; pieces shorter than `min_seconds`
-    between two of them are left out.
+    The rate of the index replaces that of the file. Heights are shifted so that the floor (`ANKLE_HEIGHT`)
+    lies at z = 0. Clips are cut at glitches, see `without_spikes`.
 
     Args:
-        root: the folder.
-        subjects: those wanted, as the index names them after correction; None for all.
-        output_rate_hz: frames per second of the clips.
-        min_seconds: length of the shortest piece of a cut clip that is kept.
+        root: the folder. subjects: names in the corrected index; None for all.
+        output_rate_hz: sampling rate of the clips, Hz.
+        min_seconds: shortest piece of a cut clip that is kept, s.
 
     Yields:
-        Clips with `subject`, `category` and `quality` of their file; pieces of a file that was cut
-        are named ``name[first:stop]``, in frames of the file after its artificial start.
+        Clips; pieces of a cut file are named ``name[first:stop]``, in frames of the file without its
+        artificial start.
 
     Raises:
         UnknownNameError: a subject is not in the index.
-        FileFormatError: there is no index, it lacks a column, has a rate that is none or names a file
-            outside the folder, or a file is broken.
+        FileFormatError: a damaged index or file, or a file outside the folder.
     """
     root = Path(root)
     rows = _index_rows(root / "index.csv")
@@ -191,7 +174,7 @@ def read_corpus(
 
 
 def _index_rows(path: Path) -> list[dict[str, str]]:
-    """Rows of motions (not of skeletons), corrected and checked for the columns that are used."""
+    """Read the corrected rows of motions (not of skeletons)."""
     columns = ("file", "subject", "tc_like", "fps", "quality")
     reader = csv.DictReader(io.StringIO(read_text(path, "a CSV file"), newline=""), restval="")
     try:
@@ -203,13 +186,13 @@ def _index_rows(path: Path) -> list[dict[str, str]]:
         raise FileFormatError(path, f"not a readable CSV file: {error}") from error
     for row in rows:
         if path_inside(path.parent, row["file"]) is None:
-            raise FileFormatError(path, f"{row['file'][:100]!r} is no file inside this folder")
+            raise FileFormatError(path, f"{row['file'][:100]!r} is not a file inside this folder")
     motions = [row for row in rows if row["tc_like"] != "skeleton"]
-    return [{**row, **CORRECTIONS.get(row["file"], {})} for row in motions]
+    return [{**row, **_CORRECTIONS.get(row["file"], {})} for row in motions]
 
 
 def _rate(root: Path, row: dict[str, str]) -> float:
-    """The index' frames per second."""
+    """Return the rate of the index, Hz."""
     try:
         rate_hz = float(row["fps"])
     except ValueError:
@@ -221,7 +204,7 @@ def _rate(root: Path, row: dict[str, str]) -> float:
 
 
 def _on_floor(clip: MocapClip) -> MocapClip:
-    """The clip shifted in height, the floor under its feet at z = 0."""
+    """Shift a clip in height so that the floor is at z = 0."""
     p = clip.poses.p_world_joint.copy()
     feet = [m for m, name in enumerate(NAMES) if name.endswith("Foot")]
     p[..., 2] -= np.percentile(p[:, feet, 2].min(axis=1), 5) - ANKLE_HEIGHT
@@ -229,10 +212,13 @@ def _on_floor(clip: MocapClip) -> MocapClip:
 
 
 def without_spikes(clip: MocapClip) -> list[MocapClip]:
-    """The clip itself, or the pieces between its spikes, each starting at time 0.
+    """Return a clip without glitches, or the pieces between them, each starting at time 0.
 
-    Where a step from one frame to the next exceeds `SPIKE_SPEED`, `SPIKE_JUMP` or `SPIKE_TURN`,
-    both frames and a neighbour on either side are cut out; so are frames beyond `ANKLE_TURN`.
+    Where a step between frames exceeds the limit of speed, velocity jump or turning rate, both frames and
+    a neighbour on either side are cut out; so are frames beyond the limit of the ankle.
+
+    Args:
+        clip: to cut.
     """
     poses = clip.poses
     good = ~_flipped(poses.R_world_bone)
@@ -252,21 +238,21 @@ def without_spikes(clip: MocapClip) -> list[MocapClip]:
 
 
 def _spikes(poses: PoseSequence) -> NDArray[np.bool_]:
-    """(T - 1,) whether the step to the next frame is a fault."""
+    """Return (T - 1,) whether the step to the next frame is a glitch."""
     v = np.diff(poses.p_world_joint, axis=0) * poses.rate_hz
     around = np.pad(v, ((3, 3), (0, 0), (0, 0)), mode="edge")
     jump = v - np.median(sliding_window_view(around, 7, axis=0), axis=-1)
     carrying = [m for m, name in enumerate(NAMES) if not name.endswith("Hand")]
     R = poses.R_world_bone[:, carrying]
     turn = so3.angle_between(R[1:], R[:-1]) * poses.rate_hz
-    fault = np.any(np.linalg.norm(v, axis=-1) > SPIKE_SPEED, axis=1)
-    fault |= np.any(np.linalg.norm(jump, axis=-1) > SPIKE_JUMP, axis=1)
-    return np.asarray(fault | np.any(turn > SPIKE_TURN, axis=1))
+    fault = np.any(np.linalg.norm(v, axis=-1) > _SPIKE_SPEED, axis=1)
+    fault |= np.any(np.linalg.norm(jump, axis=-1) > _SPIKE_JUMP, axis=1)
+    return np.asarray(fault | np.any(turn > _SPIKE_TURN, axis=1))
 
 
 def _flipped(R_world_bone: Array) -> NDArray[np.bool_]:
-    """(T,) whether a foot is turned beyond what an ankle can."""
+    """Return (T,) whether a foot is turned beyond the limit of the ankle."""
     feet = [m for m, name in enumerate(NAMES) if name.endswith("Foot")]
     shanks = [PARENTS[m] for m in feet]
     angle = so3.angle_between(R_world_bone[:, feet], R_world_bone[:, shanks])
-    return np.asarray(np.any(angle > ANKLE_TURN, axis=1))
+    return np.asarray(np.any(angle > _ANKLE_TURN, axis=1))

@@ -1,6 +1,6 @@
-"""Kinds of motion capture skeletons and how their joints become the package's own.
+"""Known skeletons of motion capture and the mapping of their joints to the package's.
 
-The knowledge is data, ``mocap_families.toml``, whose head explains the fields.
+The data are in ``mocap_families.toml``, whose head explains the fields.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from rtof_kin.formats.articulated import ArticulatedMotion
 
 Array = NDArray[np.float64]
 Between = tuple[str, str, float]
-"""Two source joints and a share of the way from the first to the second."""
+"""Two source joints and the share of the way from the first to the second."""
 
 TABLE = Path(__file__).with_name("mocap_families.toml")
 _SKELETON = read_skeleton_table(model_path("skeleton.toml"))
@@ -30,28 +30,28 @@ NAMES = _SKELETON.names
 PARENTS = _SKELETON.parents
 """Index of the parent of each joint; -1 for the root."""
 
-UNITS_M = (1.0, 0.01, 0.0254, 0.0254 / 0.45)
-"""Units of length that such files are written in, m: metre, centimetre, inch, CMU's own."""
-PLAUSIBLE_LEG_M = (0.6, 1.1)
-"""Thigh and shank together, m. Their ratio is smaller than that of any two of the units."""
+UNITS_M: Final = (1.0, 0.01, 0.0254, 0.0254 / 0.45)
+"""Length units of such files, m: metre, centimetre, inch, CMU's own."""
+_PLAUSIBLE_LEG: Final = (0.6, 1.1)
+"""Length of thigh and shank together, m. The ratio is smaller than that of any two units."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """How the joints of one kind of skeleton become the package's; see the table."""
+    """Mapping of the joints of one kind of skeleton to the package's; see the table."""
 
     name: str
     """Its name in the table."""
     recognise: frozenset[str]
-    """Source joints that only this family has together."""
+    """Source joints that identify the family."""
     at: tuple[Between, ...]
-    """Where each of `NAMES` begins in the source."""
+    """Position of each of `NAMES` in the source."""
     turns: tuple[Between, ...]
-    """Whose rotation each of `NAMES` has in the source."""
+    """Rotation of each of `NAMES` in the source."""
     aim: tuple[float, ...]
     """Share of the final turn of each of `NAMES` towards its child."""
     restore: dict[str, tuple[str, float]]
-    """Source joints without an offset, each with the one whose offset it gets and a factor."""
+    """Source joints without an offset, each with the joint whose offset it gets and a factor."""
     t_pose_deg: dict[str, tuple[float, float, float]]
     """Orientation of source joints in the T-pose, about x left, y up, z forward."""
     feet_go_with_shanks: bool
@@ -62,7 +62,7 @@ class Family:
 
 @cache
 def families() -> tuple[Family, ...]:
-    """The rows of the table of known skeletons."""
+    """Read the table of known skeletons."""
     table = tomllib.loads(TABLE.read_text(encoding="utf-8"))
     return tuple(_family(name, row, table) for name, row in table.items())
 
@@ -96,10 +96,13 @@ def _family(name: str, row: dict[str, Any], table: dict[str, Any]) -> Family:
 
 
 def recognise_family(path: str | Path, motion: ArticulatedMotion) -> Family:
-    """The family whose joints are all there.
+    """Return the family of a skeleton.
+
+    Args:
+        path: of the file, for errors. motion: its content.
 
     Raises:
-        FileFormatError: the skeleton of the file is not known, or lacks a joint of its family.
+        FileFormatError: an unknown skeleton, or one that lacks a joint of its family.
     """
     family = _candidate(motion)
     if family is None:
@@ -121,8 +124,11 @@ def _candidate(motion: ArticulatedMotion) -> Family | None:
 
 
 def without_character(motion: ArticulatedMotion) -> ArticulatedMotion:
-    """The motion without the character's name that software puts before the joints', up to a ':', '_' or
-    '|', where a family is recognised without it only.
+    """Remove the character's name before the joints' names, up to a ':', '_' or '|', if a family is known
+    without it only.
+
+    Args:
+        motion: content of a file.
     """
     root = motion.names[0]
     ends = (i + 1 for i, letter in enumerate(root) if letter in ":_|")
@@ -133,7 +139,11 @@ def without_character(motion: ArticulatedMotion) -> ArticulatedMotion:
 
 
 def lead_in(motion: ArticulatedMotion, family: Family) -> int:
-    """Number of artificial frames at the start: those of the family, and rest poses after them."""
+    """Return the number of artificial frames at the start: those of the family, and rest poses after them.
+
+    Args:
+        motion: content of a file. family: of its skeleton.
+    """
     if not family.lead_in:
         return 0
     at_rest = np.abs(motion.R_parent_joint - np.eye(3)).max(axis=(1, 2, 3)) < 1e-9
@@ -142,18 +152,25 @@ def lead_in(motion: ArticulatedMotion, family: Family) -> int:
 
 
 def restored_offsets(motion: ArticulatedMotion, family: Family) -> Array:
-    """Offsets (J, 3) in file units, with those put back that a converter lost."""
+    """Return the offsets (J, 3) in file units, with those restored that a converter lost.
+
+    Args:
+        motion: content of a file. family: of its skeleton.
+    """
     moving = motion.p_parent_joint
     given = motion.offsets if moving is None else np.median(moving, axis=0)
-    offsets = given.copy()
+    offsets = np.array(given)
     for joint, (of, factor) in family.restore.items():
         if not np.any(given[motion.index(joint)]):
             offsets[motion.index(joint)] = factor * given[motion.index(of)]
-    return np.asarray(offsets)
+    return offsets
 
 
 def recognise_unit(path: str | Path, motion: ArticulatedMotion, family: Family) -> float:
-    """Metres per unit of the file, the one of `UNITS_M` that makes the legs human.
+    """Return the one of `UNITS_M` that gives human legs, m.
+
+    Args:
+        path: of the file, for errors. motion: its content. family: of its skeleton.
 
     Raises:
         FileFormatError: none does.
@@ -163,7 +180,7 @@ def recognise_unit(path: str | Path, motion: ArticulatedMotion, family: Family) 
     joints = [motion.index(family.at[NAMES.index(joint)][0]) for joint in below_hip]
     leg = float(np.linalg.norm(offsets[joints], axis=-1).sum()) / 2
     for unit_m in UNITS_M:
-        if PLAUSIBLE_LEG_M[0] < leg * unit_m < PLAUSIBLE_LEG_M[1]:
+        if _PLAUSIBLE_LEG[0] < leg * unit_m < _PLAUSIBLE_LEG[1]:
             return unit_m
     units = ", ".join(f"{unit:.4g}" for unit in UNITS_M)
     raise FileFormatError(

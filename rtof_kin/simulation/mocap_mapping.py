@@ -1,12 +1,10 @@
-"""Carrying a motion over from one skeleton to the package's.
+"""Mapping of a motion from a source skeleton to the package's.
 
-* A segment's orientation is its source's turn against the T-pose, in axes x forward, y left, z up:
-  ``R_world_bone(t) = R_world_source(t) R_world_source(T-pose)^T``. All link frames are therefore
-  parallel in the T-pose. Where the file's rest pose spreads the legs or lowers the arms, a constant
-  minimal rotation first brings thighs and shanks to -z, arms to +-y.
-* Joint offsets are those of the T-pose, and constant: positions are forward kinematics. A segment
-  with one child is finally turned, by the smallest rotation or a share of it, towards where the
-  source has that child, so that joints which the source carries on another segment stay in place.
+* A segment's orientation is its source's rotation from the T-pose, in axes x forward, y left, z up:
+  ``R_world_bone(t) = R_world_source(t) R_world_source(T-pose)^T``. Where the file's rest pose spreads legs
+  or lowers arms, a constant minimal rotation first brings thighs and shanks to -z, arms to +-y.
+* Joint offsets are those of the T-pose, and constant: positions are forward kinematics. A segment with one
+  child is then turned, by the smallest rotation or a share of it, towards the source's child.
 """
 
 from __future__ import annotations
@@ -29,34 +27,28 @@ _R_WORLD_FILE = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Files are y up and face z in their rest pose; world is z up, and the T-pose faces x."""
 _DOWN, _LEFT = np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
 _CANONICAL = {
-    "RightUpLeg": _DOWN,
-    "RightLeg": _DOWN,
-    "LeftUpLeg": _DOWN,
-    "LeftLeg": _DOWN,
-    "RightArm": -_LEFT,
-    "RightForeArm": -_LEFT,
-    "LeftArm": _LEFT,
-    "LeftForeArm": _LEFT,
-}
-"""Direction in a segment's own link frame in which its child lies."""
+    "RightUpLeg": _DOWN, "RightLeg": _DOWN, "LeftUpLeg": _DOWN, "LeftLeg": _DOWN,
+    "RightArm": -_LEFT, "RightForeArm": -_LEFT, "LeftArm": _LEFT, "LeftForeArm": _LEFT,
+}  # fmt: skip
+"""Direction of a segment's child in its link frame."""
 
 
 @dataclass(frozen=True)
 class MocapClip:
-    """Motion of the package's skeleton, rigid to rounding."""
+    """Motion of the package's skeleton, with rigid bones."""
 
     name: str
-    """File name without its ending, with the range of source frames where only a piece is used."""
+    """File name without its ending, with the range of source frames if it is a piece."""
     poses: PoseSequence
     """Positions and orientations in world (z up, m), joints named `NAMES`; from time 0."""
     joint_offsets: Array
     """(J, 3) position of each joint in its parent's link frame, m; zero for the root."""
     subject: str = ""
-    """Who moves, where an index says so."""
+    """Name of the subject in an index."""
     category: str = ""
-    """walking, running, acting, freestyle, rom or other, where an index says so."""
+    """walking, running, acting, freestyle, rom or other, from an index."""
     quality: str = ""
-    """Remark of the index on the file; holds GLITCH where the original has spikes."""
+    """Remark of an index; contains GLITCH where the original has spikes."""
 
     def __post_init__(self) -> None:
         offsets = readonly("clip joint_offsets", self.joint_offsets, (len(self.poses.names), 3))
@@ -66,17 +58,11 @@ class MocapClip:
 def map_motion(
     motion: ArticulatedMotion, family: Family, unit_m: float, rate_hz: float, name: str
 ) -> MocapClip:
-    """Carry a motion over to the package's joints, frame by frame.
+    """Map a motion to the package's joints, at the source's rate.
 
     Args:
-        motion: source frames, artificial ones removed.
-        family: how its joints correspond.
-        unit_m: metres per unit of the source.
-        rate_hz: frames per second of the source.
-        name: of the clip.
-
-    Returns:
-        The clip at the source's rate.
+        motion: source frames without artificial ones. family: of its skeleton. name: of the clip.
+        unit_m: length unit of the source, m. rate_hz: its sampling rate, Hz.
     """
     offsets = restored_offsets(motion, family)
     rigid = replace(motion, offsets=offsets, p_parent_joint=None)
@@ -91,18 +77,14 @@ def map_motion(
     for m, parent in enumerate(PARENTS):
         if parent >= 0:
             joint_offsets[m] = R_canonical[parent] @ (p_rest[0, m] - p_rest[0, parent])
-    R_world_bone = R_turned @ _transposed(R_canonical @ R_rest)
+    R_world_bone = R_turned @ np.swapaxes(R_canonical @ R_rest, -1, -2)
     p, R = _aimed(R_world_bone, joint_offsets, p_wanted, family.aim)
     times = np.arange(len(motion)) / rate_hz
     return MocapClip(name, PoseSequence(times, p, R, NAMES), joint_offsets)
 
 
-def _transposed(R: Array) -> Array:
-    return np.swapaxes(R, -1, -2)
-
-
 def _t_pose(motion: ArticulatedMotion, family: Family, offsets: Array) -> tuple[Array, Array]:
-    """Source joints (1, J, 3) and frames (1, J, 3, 3) in the T-pose; all in world axes."""
+    """Return source joints (1, J, 3) and frames (1, J, 3, 3) in the T-pose, in world axes."""
     p = np.zeros((1, len(motion.names), 3))
     R = np.tile(np.eye(3), (1, len(motion.names), 1, 1))
     for j, (name, parent) in enumerate(zip(motion.names, motion.parents, strict=True)):
@@ -117,7 +99,7 @@ def _t_pose(motion: ArticulatedMotion, family: Family, offsets: Array) -> tuple[
 
 
 def _points(motion: ArticulatedMotion, at: tuple[Between, ...], p: Array) -> Array:
-    """Where the source has the package's joints: (T, J, 3) from its own positions."""
+    """Return the package's joints (T, J, 3) from the source's positions."""
     starts = p[:, [motion.index(start) for start, _, _ in at]]
     stops = p[:, [motion.index(stop) for _, stop, _ in at]]
     share = np.array([share for _, _, share in at])[:, None]
@@ -125,19 +107,19 @@ def _points(motion: ArticulatedMotion, at: tuple[Between, ...], p: Array) -> Arr
 
 
 def _turns(motion: ArticulatedMotion, turns: tuple[Between, ...], R: Array) -> Array:
-    """Source rotations (T, J, 3, 3) of the package's segments, from its own frames."""
+    """Return rotations (T, J, 3, 3) of the package's segments from the source's frames."""
     R_segment = R[:, [motion.index(start) for start, _, _ in turns]]
     for m, (_, stop, share) in enumerate(turns):
         if share:
-            step = _transposed(R_segment[:, m]) @ R[:, motion.index(stop)]
+            step = np.swapaxes(R_segment[:, m], -1, -2) @ R[:, motion.index(stop)]
             R_segment[:, m] = R_segment[:, m] @ so3.exp(share * so3.log(step))
     return R_segment
 
 
 def _canonical_rotations(family: Family, p_rest: Array) -> Array:
-    """(J, 3, 3) constant turns that bring the limbs in the file's T-pose (J, 3) to their axes.
+    """Return constant rotations (J, 3, 3) that bring the limbs of the T-pose (J, 3) to their axes.
 
-    A hand is turned like its forearm, a foot like its shank if the family says so.
+    A hand is turned like its forearm, and a foot like its shank in some families.
     """
     R = np.tile(np.eye(3), (len(NAMES), 1, 1))
     for joint, direction in _CANONICAL.items():
@@ -152,16 +134,9 @@ def _canonical_rotations(family: Family, p_rest: Array) -> Array:
 def _aimed(
     R_world_bone: Array, joint_offsets: Array, p_wanted: Array, aim: tuple[float, ...]
 ) -> tuple[Array, Array]:
-    """Forward kinematics in which segments with one child turn towards where that should be.
+    """Return positions and orientations in which segments with one child turn towards its wanted position.
 
-    Args:
-        R_world_bone: orientations (T, J, 3, 3).
-        joint_offsets: (J, 3) m.
-        p_wanted: joints (T, J, 3) of the source, m; the root's is kept.
-        aim: J shares of the smallest rotation that would point a segment at its only child.
-
-    Returns:
-        Positions (T, J, 3) and orientations (T, J, 3, 3), rigid to rounding.
+    `aim` has, by joint, the share of the smallest rotation that would point the segment at its child.
     """
     R, p = R_world_bone.copy(), p_wanted.copy()
     for m, parent in enumerate(PARENTS):
@@ -176,10 +151,13 @@ def _aimed(
 
 
 def resample_clip(clip: MocapClip, rate_hz: float) -> MocapClip:
-    """The clip at another rate; a whole ratio of rates takes every n-th frame.
+    """Resample a clip; an integer ratio of rates takes every n-th frame.
 
-    Otherwise the rotation of each segment in its parent's frame is interpolated on the geodesic,
-    the root's position linearly, and joint positions follow by forward kinematics.
+    Otherwise the rotation of each segment in its parent's frame is interpolated on the geodesic, the root's
+    position linearly, and joints follow by forward kinematics.
+
+    Args:
+        clip: to resample. rate_hz: new sampling rate, Hz.
     """
     poses = clip.poses
     ratio = poses.rate_hz / rate_hz

@@ -1,16 +1,16 @@
-"""What is wrong with a detector's keypoints and with an IMU, as random processes.
+"""Random errors of a detector's keypoints and of IMUs.
 
-Sizes come from measurements on real detectors and on one recording of thirteen real IMUs: errors of a
-detector are mostly a constant bias per joint and a slow drift, hardly white, and its confidence does
-not tell them; errors of an IMU's orientation are slow slip and a wobble with the soft tissue, mostly
-about the bone. Every parameter is drawn anew for each recording (log-normal, `parameter_spread`).
+The sizes were measured on real detectors and on one recording of thirteen IMUs. A detector's error is mostly
+a constant bias per joint and a slow drift, hardly white, and not correlated with its confidence. An IMU's
+orientation error is slow slip and soft-tissue motion, mostly about the bone. Every parameter is drawn for
+each recording from a log-normal distribution (`parameter_spread`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.random import Generator
@@ -22,18 +22,18 @@ from rtof_kin.core import signals
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ORIENTATION_MEDIAN_DEG = {
+ORIENTATION_MEDIAN_DEG: Final = {
     "Head": 2.0, "Hips": 3.0, "Spine3": 3.9, "LeftFoot": 2.2, "RightFoot": 8.4,
     "LeftArm": 5.3, "RightArm": 5.8, "LeftForeArm": 7.4, "RightForeArm": 10.0,
     "LeftUpLeg": 6.7, "RightUpLeg": 5.4, "LeftLeg": 4.6, "RightLeg": 5.8,
 }  # fmt: skip
-"""Median angle between a real IMU, under its best constant calibration, and the segment, degrees."""
-_OTHER_MEDIAN_DEG = 5.0
-_MEDIAN_NORM = 0.816
+"""Median angle between an IMU with its best constant calibration and the segment, deg."""
+_OTHER_MEDIAN_DEG: Final = 5.0
+_MEDIAN_NORM: Final = 0.816
 """Median norm of a normal vector with standard deviations 1, 0.3, 0.3."""
-_SWING_SHARE = 0.3
+_SWING_SHARE: Final = 0.3
 _POSTURE_SCALE, _RATE_SCALE = 0.3, 1.0
-"""Motion of a segment at which its wobble is as large as it gets, rad and rad/s."""
+"""Motion of a segment at which its soft-tissue error saturates, rad and rad/s."""
 _CYCLE = ((1, 2), (2, 0), (0, 1))
 _ARMS = ("LeftForeArm", "LeftHand", "RightForeArm", "RightHand")
 _LEGS = ("LeftLeg", "LeftFoot", "RightLeg", "RightFoot")
@@ -41,14 +41,14 @@ _WRISTS = ("LeftHand", "RightHand")
 
 
 def _varied(noise: Any, rng: Generator, fields: Sequence[str]) -> dict[str, Any]:
-    """The fields named, each times a log-normal factor."""
+    """Return the fields named, each times a log-normal factor."""
     factors = np.exp(noise.parameter_spread * rng.standard_normal(len(fields)))
     return {f: getattr(noise, f) * float(k) for f, k in zip(fields, factors, strict=True)}
 
 
 @dataclass(frozen=True)
 class KeypointNoise:
-    """Errors of a detector, in px for a person about 500 px tall (f = 1250 px, 4 m away)."""
+    """Errors of a detector, for a person about 500 px tall (f = 1250 px, 4 m away)."""
 
     bias_px: float = 6.0  # [px] per axis, constant per joint
     drift_px: float = 5.0  # [px] per axis, coloured
@@ -68,7 +68,7 @@ class KeypointNoise:
 
     @classmethod
     def perfect(cls) -> Self:
-        """Exact projections of everything in front of the camera."""
+        """Return no errors: exact projections of everything in front of the camera."""
         return cls(
             bias_px=0, drift_px=0, white_px=0, outlier_share=(0, 0), gap_duration=(0, 0),
             hides_outside=False, confidence=1, confidence_spread=0, parameter_spread=0,
@@ -76,34 +76,33 @@ class KeypointNoise:
 
     @classmethod
     def white(cls, sigma_px: float = 5.0) -> Self:
-        """Only independent normal errors on each coordinate."""
+        """Return independent normal errors of each coordinate only.
+
+        Args:
+            sigma_px: standard deviation, px.
+        """
         return replace(cls.perfect(), white_px=sigma_px, arms_factor=1.0, legs_factor=1.0)
 
-    @classmethod
-    def realistic(cls) -> Self:
-        """A detector as they are."""
-        return cls()
-
     def drawn(self, rng: Generator) -> Self:
-        """The same kind of detector with parameters of its own."""
+        """Return a detector with randomly drawn parameters.
+
+        Args:
+            rng: source of randomness.
+        """
         scales = ("bias_px", "drift_px", "drift_memory", "wrist_memory", "white_px", "arms_factor",
                   "legs_factor", "outlier_px", "confidence_spread")  # fmt: skip
         share = float(rng.uniform(*self.outlier_share))
         return replace(self, **_varied(self, rng, scales), outlier_share=(share, share))
 
-    def factor(self, joint: str) -> float:
-        """How much larger errors are at one joint."""
-        return self.arms_factor if joint in _ARMS else self.legs_factor if joint in _LEGS else 1.0
-
 
 @dataclass(frozen=True)
 class ImuNoise:
-    """Errors of IMUs on a body: `ORIENTATION_MEDIAN_DEG` scaled, and of the accelerometer."""
+    """Errors of IMUs on a body: of orientation (`ORIENTATION_MEDIAN_DEG`) and of the accelerometer."""
 
     misalignment_deg: float = 2.0  # [deg] per axis, constant per sensor
     orientation_factor: float = 1.0  # [-] on the medians of each segment; 0 for none
     drift_memory: float = 20.0  # [s] correlation time of the slip
-    wobble_share: float = 0.3  # [-] of the variance, that follows the segment's motion
+    wobble_share: float = 0.3  # [-] of the variance, correlated with the segment's motion
     white: float = 0.4  # [m/s^2] per axis and sample, at rest
     white_per_acceleration: float = 0.2  # [-] more of it, per m/s^2 of true acceleration
     coloured: float = 0.5  # [m/s^2] per axis
@@ -113,31 +112,26 @@ class ImuNoise:
 
     @classmethod
     def perfect(cls) -> Self:
-        """Sensors that tell the truth."""
+        """Return no errors."""
         return cls(
             misalignment_deg=0, orientation_factor=0, white=0, white_per_acceleration=0, coloured=0,
             bias=0, parameter_spread=0,
         )  # fmt: skip
 
-    @classmethod
-    def realistic(cls) -> Self:
-        """Sensors as they are."""
-        return cls()
-
     def drawn(self, rng: Generator) -> Self:
-        """The same kind of sensor with parameters of its own."""
+        """Return a sensor with randomly drawn parameters.
+
+        Args:
+            rng: source of randomness.
+        """
         scales = ("misalignment_deg", "orientation_factor", "drift_memory", "wobble_share", "white",
                   "white_per_acceleration", "coloured", "coloured_memory", "bias")  # fmt: skip
         drawn = replace(self, **_varied(self, rng, scales))
         return replace(drawn, wobble_share=min(drawn.wobble_share, 1.0))
 
 
-def coloured_noise(rng: Generator, times: Array, memory: ArrayLike, size: Sequence[int]) -> Array:
-    """A stationary Ornstein-Uhlenbeck process of unit variance, (T, *size), at given times.
-
-    Args:
-        memory: correlation time, s; a number, or one for each element (broadcasts to `size`).
-    """
+def _coloured_noise(rng: Generator, times: Array, memory: ArrayLike, size: Sequence[int]) -> Array:
+    """Return a stationary Ornstein-Uhlenbeck process (T, *size) of unit variance; `memory` in s."""
     steps = np.diff(times).reshape(-1, *(1 for _ in size))
     share = np.exp(-steps / np.asarray(memory, dtype=float))
     kicks = np.sqrt(1 - share**2)
@@ -150,8 +144,13 @@ def coloured_noise(rng: Generator, times: Array, memory: ArrayLike, size: Sequen
 def smooth_noise(
     rng: Generator, times: Array, memory: float, size: Sequence[int], smoothing: float = 0.5
 ) -> Array:
-    """`coloured_noise` of unit variance through a first-order low-pass of time `smoothing`, s."""
-    raw = coloured_noise(rng, times, memory, size)
+    """Return coloured noise (T, *size) of unit variance, low-pass filtered with a first-order filter.
+
+    Args:
+        rng: source of randomness. times: (T,) s. memory: correlation time, s. size: of one sample.
+        smoothing: time constant of the filter, s.
+    """
+    raw = _coloured_noise(rng, times, memory, size)
     share = np.exp(-np.diff(times) / smoothing)
     for t in range(1, len(times)):
         raw[t] = share[t - 1] * raw[t - 1] + (1 - share[t - 1]) * raw[t]
@@ -162,22 +161,27 @@ def smooth_noise(
 
 
 def keypoint_errors(rng: Generator, times: Array, joints: Sequence[str], noise: KeypointNoise) -> Array:
-    """Errors in px (T, L, 2) of landmarks that sit on the joints named; `noise` as drawn."""
+    """Return errors (T, L, 2) of landmarks, px.
+
+    Args:
+        rng: source of randomness. times: (T,) s. joints: of the L landmarks. noise: drawn parameters.
+    """
     T, L = len(times), len(joints)
     memory = [noise.wrist_memory if j in _WRISTS else noise.drift_memory for j in joints]
     bias = noise.bias_px * rng.standard_normal((L, 2))
-    drift = coloured_noise(rng, times, np.array(memory)[:, None], (L, 2))
+    drift = _coloured_noise(rng, times, np.array(memory)[:, None], (L, 2))
     white = noise.white_px * rng.standard_normal((T, L, 2))
-    factor = np.array([noise.factor(joint) for joint in joints])
+    factors = dict.fromkeys(_ARMS, noise.arms_factor) | dict.fromkeys(_LEGS, noise.legs_factor)
+    factor = np.array([factors.get(joint, 1.0) for joint in joints])
     errors = factor[:, None] * (bias + noise.drift_px * drift + white)
     return errors + _outliers(rng, times, L, noise)
 
 
 def _outliers(rng: Generator, times: Array, L: int, noise: KeypointNoise) -> Array:
-    """Constant displacements (T, L, 2), px, during episodes that cover a share of the frames.
+    """Return constant displacements (T, L, 2), px, in random episodes that cover a share of the frames.
 
-    Episodes start at random at the rate ``-log(1 - share) / mean duration`` and may overlap, which
-    covers exactly that share in expectation.
+    Episodes start at the rate ``-log(1 - share) / mean duration`` and may overlap, so that the expected
+    share is exact.
     """
     out = np.zeros((len(times), L, 2))
     shortest, longest = noise.outlier_duration
@@ -194,10 +198,13 @@ def _outliers(rng: Generator, times: Array, L: int, noise: KeypointNoise) -> Arr
 
 
 def unseen(rng: Generator, times: Array, inside: Mask, noise: KeypointNoise) -> Mask:
-    """Landmarks (T, L) that the detector does not find, from those that lie inside the image.
+    """Return which landmarks (T, L) the detector misses.
 
-    A landmark outside the image is unseen. When less than half of the person is inside, the detector
-    loses the person as a whole, for some time at least.
+    A landmark outside the image is missed. When less than half of the person is inside, the whole person is
+    lost for some time.
+
+    Args:
+        rng: source of randomness. times: (T,) s. inside: (T, L) inside the image. noise: drawn parameters.
     """
     if not noise.hides_outside:
         return np.zeros_like(inside)
@@ -210,8 +217,12 @@ def unseen(rng: Generator, times: Array, inside: Mask, noise: KeypointNoise) -> 
 
 
 def confidences(rng: Generator, times: Array, errors: Array, noise: KeypointNoise) -> Array:
-    """What the detector reports (T, L) in (0, 1]: mostly moods of its own."""
-    mood = coloured_noise(rng, times, noise.drift_memory, errors.shape[1:2])
+    """Return the confidences (T, L) in (0, 1] that the detector reports, mostly independent of its errors.
+
+    Args:
+        rng: source of randomness. times: (T,) s. errors: (T, L, 2) px. noise: drawn parameters.
+    """
+    mood = _coloured_noise(rng, times, noise.drift_memory, errors.shape[1:2])
     size = np.linalg.norm(errors, axis=-1) / noise.outlier_px
     spread = noise.confidence_spread
     reported = noise.confidence + spread * (mood - np.minimum(size, 1.0))
@@ -224,15 +235,12 @@ def confidences(rng: Generator, times: Array, errors: Array, noise: KeypointNois
 def mounting_errors(
     rng: Generator, times: Array, joint: str, axis: Array, R_parent_bone: Array, noise: ImuNoise
 ) -> Array:
-    """How a sensor sits turned against its usual place on a segment, as rotations (T, 3, 3).
+    """Return a sensor's rotation (T, 3, 3) from its usual mounting, in the link frame; of identity mean.
 
     Args:
-        axis: (3,) direction of the bone in its link frame, about which most of the slip happens.
-        R_parent_bone: (T, 3, 3) the segment against its parent, whose motion the wobble follows.
-        noise: as drawn.
-
-    Returns:
-        Rotations in the link frame; their mean over long times is the identity.
+        rng: source of randomness. times: (T,) s. joint: of the segment. noise: drawn parameters.
+        axis: (3,) direction of the bone in its link frame, the main axis of slip.
+        R_parent_bone: (T, 3, 3) segment in its parent's frame, with which soft-tissue errors correlate.
     """
     median_deg = ORIENTATION_MEDIAN_DEG.get(joint, _OTHER_MEDIAN_DEG) * noise.orientation_factor
     median_deg *= float(np.exp(noise.parameter_spread * rng.standard_normal()))
@@ -246,7 +254,7 @@ def mounting_errors(
 
 
 def _wobble(rng: Generator, times: Array, R_parent_bone: Array) -> Array:
-    """A random linear map (T, 3) of posture and turning rate; unit variance if there is motion."""
+    """Return a random linear map (T, 3) of posture and turning rate, of unit variance for large motion."""
     R_mean_bone = so3.nearest_rotation(R_parent_bone.mean(axis=0)).T @ R_parent_bone
     # The sine of the turn times its axis, which stays smooth through half a turn.
     posture = np.stack([R_mean_bone[:, k, j] - R_mean_bone[:, j, k] for j, k in _CYCLE], -1) / 2
@@ -261,11 +269,15 @@ def _wobble(rng: Generator, times: Array, R_parent_bone: Array) -> Array:
 
 
 def accelerometer_errors(rng: Generator, times: Array, a_world: Array, noise: ImuNoise) -> Array:
-    """Errors in sensor axes (T, 3), m/s^2, of a sensor that moves with a_world (T, 3)."""
+    """Return errors of an accelerometer in sensor axes (T, 3), m/s^2.
+
+    Args:
+        rng: source of randomness. times: (T,) s. a_world: (T, 3) acceleration, m/s^2. noise: drawn.
+    """
     size = np.linalg.norm(a_world, axis=-1, keepdims=True)
     white = noise.white + noise.white_per_acceleration * size
     return np.asarray(
         white * rng.standard_normal((len(times), 3))
-        + noise.coloured * coloured_noise(rng, times, noise.coloured_memory, (3,))
+        + noise.coloured * _coloured_noise(rng, times, noise.coloured_memory, (3,))
         + noise.bias * rng.standard_normal(3)
     )

@@ -1,16 +1,14 @@
 """Virtual IMUs on a moving body.
 
-A sensor sits at its usual place on its segment, turned at random, with a heading of its own. Its specific
-force is ``R_world_sensor^T (a - g)`` with a the second derivative of the cubic spline through ``p_joint +
-R_world_bone lever``: averaged over +-1 frame that is exactly the central second difference of the poses.
-Slip turns the sensor on the segment, so orientation and acceleration stay consistent in its own axes, as
-with real ones.
+A sensor has its usual place on its segment, a random mounting rotation and a random heading. Its specific
+force is ``R_world_sensor^T (a - g)``, a the second derivative of the cubic spline through ``p_joint +
+R_world_bone lever``. Slip rotates the sensor on the segment, so that orientation and acceleration stay
+consistent in sensor axes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
@@ -22,7 +20,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.checks import indices_of
-from rtof_kin.core.errors import ShapeError, UnitError
+from rtof_kin.core.errors import InvalidInputError, UnitError
 from rtof_kin.data.imu import GRAVITY_WORLD, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.poses import PoseSequence
@@ -40,18 +38,15 @@ def simulate_imus(
     times: Array,
     noise: ImuNoise,
 ) -> tuple[ImuSequence, ImuCalibration]:
-    """What sensors on a body measure, and the calibration that belongs to them.
+    """Simulate the samples of sensors on a body, and their calibration, exact but for the misalignment.
 
     Args:
-        rng: of everything random; a subset of the sensors has the same errors as the whole set.
-        sensors: names in the skeleton's table. times: (T',) s, inside the poses' times.
-        noise: parameters are drawn around these, for each sensor.
-
-    Returns:
-        Everything in the calibration is right but for the misalignment.
+        rng: source of randomness; a subset of the sensors has the same errors as the whole set.
+        poses: motion. skeleton: of the subject. sensors: names in the skeleton's table.
+        times: (T',) s, inside the poses' times. noise: parameters are drawn around these for each sensor.
 
     Raises:
-        ShapeError: the poses move as no body does. UnknownNameError: there is no such sensor.
+        InvalidInputError: implausibly fast motion. UnknownNameError: no such sensor.
     """
     known = list(skeleton.sensors)
     wanted = indices_of("sensor", sensors, known)
@@ -62,37 +57,23 @@ def simulate_imus(
     calibration = ImuCalibration(
         sensors=tuple(sensors),
         joints=tuple(joint for joint, _ in places),
-        R_world_inertial=np.stack([m.R_world_inertial for m in measured]),
-        R_sensor_bone=np.stack([m.R_sensor_bone for m in measured]),
+        R_world_inertial=np.stack([m["R_world_inertial"] for m in measured]),
+        R_sensor_bone=np.stack([m["R_sensor_bone"] for m in measured]),
         p_bone_sensor=np.stack([lever for _, lever in places]),
     )
     try:
         imus = ImuSequence(
             times=times,
-            R_inertial_sensor=np.stack([m.R_inertial_sensor for m in measured], axis=1),
-            f_sensor=np.stack([m.f_sensor for m in measured], axis=1),
+            R_inertial_sensor=np.stack([m["R_inertial_sensor"] for m in measured], axis=1),
+            f_sensor=np.stack([m["f_sensor"] for m in measured], axis=1),
             names=tuple(sensors),
         )
     except UnitError as error:
-        raise ShapeError(
+        raise InvalidInputError(
             f"simulation: no sensor would read what this motion makes it read ({error}); mocap that "
             "jitters needs `low_passed`, positions need metres"
         ) from error
     return imus, calibration
-
-
-@dataclass(frozen=True)
-class _Measured:
-    """What one sensor measured, and what its calibration says."""
-
-    R_inertial_sensor: Array
-    """(T', 3, 3)"""
-    f_sensor: Array
-    """(T', 3) m/s^2"""
-    R_world_inertial: Array
-    """(3, 3)"""
-    R_sensor_bone: Array
-    """(3, 3), misaligned"""
 
 
 def _measure(
@@ -103,7 +84,8 @@ def _measure(
     R_parent_bone: Array,
     times: Array,
     noise: ImuNoise,
-) -> _Measured:
+) -> dict[str, Array]:
+    """Return what one sensor measured and its calibration, by field of the two sequences."""
     joint, lever = skeleton.sensors[name]
     j = skeleton.index(joint)[0]
     noise = noise.drawn(rng)
@@ -120,16 +102,16 @@ def _measure(
     p_world_sensor = poses.p_world_joint[:, j] + poses.R_world_bone[:, j] @ lever
     a_world = CubicSpline(poses.times, p_world_sensor).derivative(2)(times)
     f_sensor = np.einsum("tji,tj->ti", R_world_sensor, a_world - GRAVITY_WORLD)
-    return _Measured(
-        R_inertial_sensor=R_world_inertial.T @ R_world_sensor,
-        f_sensor=f_sensor + noises.accelerometer_errors(rng, times, a_world, noise),
-        R_world_inertial=R_world_inertial,
-        R_sensor_bone=R_bone_sensor.T @ misalignment,
-    )
+    return {
+        "R_inertial_sensor": R_world_inertial.T @ R_world_sensor,
+        "f_sensor": f_sensor + noises.accelerometer_errors(rng, times, a_world, noise),
+        "R_world_inertial": R_world_inertial,
+        "R_sensor_bone": R_bone_sensor.T @ misalignment,
+    }
 
 
 def _at(poses: PoseSequence, R: Array, times: Array) -> Array:
-    """Rotations (T, 3, 3) of the poses at other times inside them."""
+    """Interpolate rotations (T, 3, 3) of the poses."""
     if np.array_equal(times, poses.times):
         return R
     return signals.interpolate_rotations(poses.times, R[:, None], times)[:, 0]

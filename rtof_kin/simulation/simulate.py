@@ -1,6 +1,6 @@
-"""Recordings from known motion: a virtual camera and virtual IMUs, with as much wrong as is asked for.
+"""Simulated recordings of known motion: a virtual camera and virtual IMUs with realistic errors.
 
-The clock is that of the poses and the IMUs. `rtof_kin.simulation.sensors` makes the IMUs' data,
+The clock is that of the poses and the IMUs. `rtof_kin.simulation.sensors` simulates the IMUs,
 `rtof_kin.simulation.noise` all the errors.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.random import Generator
@@ -21,7 +21,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.checks import indices_of
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
@@ -35,22 +35,21 @@ Array = NDArray[np.float64]
 LIMB_SENSORS = (
     "L_UpArm", "R_UpArm", "L_LowArm", "R_LowArm", "L_UpLeg", "R_UpLeg", "L_LowLeg", "R_LowLeg",
 )  # fmt: skip
-"""The paper's eight: upper arms, forearms, thighs, shanks."""
-CAMERA_DISTANCE = (3.0, 6.0)
-CAMERA_HEIGHT = (0.8, 2.6)
-_FURTHEST_CAMERA = 12.0
-_FOCAL_PX = 1250.0
-_IN_VIEW = 0.9
-_FEWEST_FRAMES = 4
+"""The eight sensors of the paper: upper arms, forearms, thighs, shanks."""
+_CAMERA_DISTANCE, _CAMERA_HEIGHT, _FURTHEST_CAMERA = (3.0, 6.0), (0.8, 2.6), 12.0
+"""Ranges and largest distance, m."""
+_FOCAL_PX: Final = 1250.0
+_IN_VIEW: Final = 0.9
+_FEWEST_FRAMES: Final = 4
 
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """What is recorded, and how badly."""
+    """Sensors, landmarks and errors of a simulated recording."""
 
     keypoints: KeypointNoise = field(default_factory=KeypointNoise)
     imu: ImuNoise = field(default_factory=ImuNoise)
-    # Of a pair, a value between the two is drawn.
+    # A pair is the range of a uniform distribution.
     imu_rate_hz: float = 60.0  # [Hz]
     imu_start_frames: tuple[float, float] = (0.0, 1.0)  # [samples] after the poses
     video_lag_frames: tuple[float, float] = (1.0, 4.0)  # [frames] video behind IMUs
@@ -59,22 +58,26 @@ class SimulationSettings:
 
     @classmethod
     def noiseless(cls) -> Self:
-        """Nothing is wrong with anything."""
+        """Return exact data of every kind."""
         return replace(cls.perfect(), imu=ImuNoise.perfect(), imu_start_frames=(0.0, 0.0))
 
     @classmethod
     def perfect(cls) -> Self:
-        """Exact 2D on the IMUs' clock, with real IMUs."""
+        """Return exact 2D on the IMUs' clock, with realistic IMUs."""
         return cls(keypoints=KeypointNoise.perfect(), video_lag_frames=(0.0, 0.0))
 
     @classmethod
     def white(cls, sigma_px: float = 5.0) -> Self:
-        """White noise on the 2D, on the IMUs' clock, with real IMUs."""
+        """Return white noise on the 2D, on the IMUs' clock, with realistic IMUs.
+
+        Args:
+            sigma_px: standard deviation, px.
+        """
         return replace(cls.perfect(), keypoints=KeypointNoise.white(sigma_px))
 
     @classmethod
     def realistic(cls) -> Self:
-        """2D as detectors give it, late by a few frames, with real IMUs."""
+        """Return a detector's 2D, late by a few frames, with realistic IMUs."""
         return cls()
 
 
@@ -89,23 +92,21 @@ def simulate(
     name: str = "simulated",
     acknowledgement: str = "",
 ) -> Recording:
-    """A recording of known motion. Equal arguments give equal recordings, bit for bit.
+    """Simulate a recording of known motion. Equal arguments give equal recordings, bit for bit.
 
     Args:
-        clip_poses: the motion, at the rate of the video; finite everywhere, four frames at least.
-        joint_offsets: (J, 3) m, those of the motion; the recording knows them exactly.
-        camera: who looks.
-        settings: what is wrong; its parameters are drawn for this recording.
-        seed: of everything random.
-        skeleton: names, landmarks and usual sensors; the 21-joint one where not given.
+        clip_poses: the motion, at the rate of the video; finite everywhere, at least four frames.
+        joint_offsets: (J, 3) m, of the motion and of the recording. camera: that films.
+        settings: errors; their parameters are drawn for this recording. seed: of everything random.
+        skeleton: names, landmarks and usual sensors; the 21-joint one by default.
+        name, acknowledgement: labels of the recording.
 
     Returns:
-        With the poses as truth. Where the video lags, frame k shows what happened a few frames
-        before its time stamp; frames that would show what was before the motion's start are left
-        out of the keypoints and of the truth, and `Recording.first_frame` says how many.
+        The recording with the poses as truth. Where the video lags, frame k shows an earlier instant;
+        frames from before the motion's start are left out, and `Recording.first_frame` counts them.
 
     Raises:
-        ShapeError: too few poses, poses that are not finite, or that move as no body does.
+        InvalidInputError: too few or unknown poses, or implausible motion.
         UnknownNameError: a sensor or landmark that the skeleton does not have.
     """
     skeleton = (skeleton or SkeletonModel.default()).with_offsets(joint_offsets)
@@ -114,7 +115,7 @@ def simulate(
     lag = float(draws.uniform(*settings.video_lag_frames)) / clip_poses.rate_hz
     cut = int(np.searchsorted(clip_poses.times, clip_poses.times[0] + lag - 1e-9))
     if len(clip_poses) - cut < _FEWEST_FRAMES:
-        raise ShapeError(f"simulation: {len(clip_poses)} poses are too few for a lag of {lag:g} s")
+        raise InvalidInputError(f"simulation: {len(clip_poses)} poses are too few for a lag of {lag:g} s")
     start = float(draws.uniform(*settings.imu_start_frames)) / settings.imu_rate_hz
     imus, calibration = None, None
     if settings.sensors:
@@ -148,15 +149,15 @@ def simulate_file(
     asf: str | Path | None = None,
     acknowledgement: str = "",
 ) -> Recording:
-    """A recording of a motion capture file (.bvh, .amc).
+    """Simulate a recording of a motion capture file (.bvh, .amc).
 
     Args:
         path, rate_hz, unit_m, asf: as for `rtof_kin.simulation.mocap.read_mocap`.
         settings, seed, acknowledgement: as for `simulate`.
-        camera: who looks, or which of `standard_cameras` of this seed (0 to 3); of those, the one that
-            sees the person for longest where not given.
-        video_rate_hz: frames per second of the recording.
-        smooth_hz: cut-off of `low_passed`, at the file's own rate; None takes the file as it is.
+        camera: that films, or the number of one of the `standard_cameras` of this seed (0 to 3); by
+            default the one of these that sees the person for longest.
+        video_rate_hz: frames per second of the recording, Hz.
+        smooth_hz: cutoff of `low_passed`, Hz; None does not filter.
     """
     clip = read_mocap(path, rate_hz=rate_hz, unit_m=unit_m, output_rate_hz=None, asf=asf)
     clip = resample_clip(clip if smooth_hz is None else low_passed(clip, smooth_hz), video_rate_hz)
@@ -174,17 +175,17 @@ def simulate_file(
 
 
 def low_passed(clip: MocapClip, cutoff_hz: float) -> MocapClip:
-    """A clip without the jitter of optical markers, which an IMU would turn into 20 m/s^2.
+    """Remove the jitter of optical markers, which would dominate an IMU's acceleration.
 
-    Orientations are low-passed element by element and brought back to the nearest rotation, the
-    root's position likewise (zero phase); joints follow by forward kinematics, so bones stay rigid.
+    Orientations are low-pass filtered by element (zero phase) and projected to the nearest rotation, the
+    root's position likewise; joints follow by forward kinematics.
 
     Args:
-        clip: at the rate of the file, before any frames are dropped. cutoff_hz: below half of it.
+        clip: at the rate of the file. cutoff_hz: -3 dB frequency, Hz, below half that rate.
     """
     poses = clip.poses
     if not 0 < cutoff_hz < poses.rate_hz / 2:
-        raise ShapeError(
+        raise InvalidInputError(
             f"low-pass: {cutoff_hz:g} Hz does not lie between 0 and half of {poses.rate_hz:g} Hz"
         )
     p_root = signals.low_pass(poses.p_world_joint[:, 0], poses.rate_hz, cutoff_hz)
@@ -194,10 +195,10 @@ def low_passed(clip: MocapClip, cutoff_hz: float) -> MocapClip:
 
 
 def standard_cameras(poses: PoseSequence, seed: int) -> list[Camera]:
-    """Four cameras of the benchmark around a motion.
+    """Return the benchmark's four cameras around a motion, about 90 degrees apart.
 
-    1920 x 1080, f = 1250 px, 0.8-2.6 m high, about 90 degrees apart, aimed at the middle of the
-    motion from 3-6 m away; further only where less than nine tenths of it would be in view.
+    1920 x 1080, f = 1250 px, 0.8-2.6 m high, aimed at the middle of the motion from 3-6 m away, or from
+    further where less than nine tenths of it would be in view.
 
     Args:
         poses: the motion. seed: of azimuths, heights and distances.
@@ -205,13 +206,13 @@ def standard_cameras(poses: PoseSequence, seed: int) -> list[Camera]:
     rng = np.random.default_rng(seed)
     p = poses.p_world_joint[np.isfinite(poses.p_world_joint).all(axis=(1, 2))]
     if len(p) == 0:
-        raise ShapeError("cameras: no frame of the motion is known as a whole")
+        raise InvalidInputError("cameras: no frame of the motion is complete")
     centre = (p.min(axis=(0, 1)) + p.max(axis=(0, 1))) / 2
     first = rng.uniform(0, 2 * np.pi)
     cameras = []
     for quarter in range(4):
         azimuth = first + quarter * np.pi / 2 + rng.uniform(-0.3, 0.3)
-        height, distance = rng.uniform(*CAMERA_HEIGHT), rng.uniform(*CAMERA_DISTANCE)
+        height, distance = rng.uniform(*_CAMERA_HEIGHT), rng.uniform(*_CAMERA_DISTANCE)
         direction = np.array([np.cos(azimuth), np.sin(azimuth)])
         cameras.append(_far_enough(p, centre, direction, float(height), float(distance)))
     return cameras
@@ -229,23 +230,23 @@ def _far_enough(p: Array, centre: Array, direction: Array, height: float, distan
 
 def _check(poses: PoseSequence, skeleton: SkeletonModel) -> None:
     if poses.names != skeleton.names:
-        raise ShapeError(
+        raise InvalidInputError(
             f"simulation: the poses' joints are not those of the skeleton {skeleton.name} in their "
             f"order; expected {', '.join(skeleton.names)}"
         )
     if len(poses) < _FEWEST_FRAMES:
-        raise ShapeError(f"simulation: {len(poses)} poses; {_FEWEST_FRAMES} at least are needed")
+        raise InvalidInputError(f"simulation: {len(poses)} poses; {_FEWEST_FRAMES} at least are needed")
     known = np.isfinite(poses.p_world_joint).all(axis=(1, 2))
     known &= np.isfinite(poses.R_world_bone).all(axis=(1, 2, 3))
     if not known.all():
-        raise ShapeError(
-            f"simulation: the pose of frame {int(np.flatnonzero(~known)[0])} is not known as a "
-            "whole; cut the motion into pieces without gaps"
+        raise InvalidInputError(
+            f"simulation: the pose of frame {int(np.flatnonzero(~known)[0])} is not "
+            "complete; cut the motion into pieces without gaps"
         )
 
 
 def _imu_times(pose_times: Array, start: float, rate_hz: float) -> Array:
-    """Even times from `start` after the first pose to the last one at most."""
+    """Return even times from `start` s after the first pose to at most the last one."""
     count = int(np.floor((pose_times[-1] - pose_times[0] - start) * rate_hz + 1e-6)) + 1
     times = pose_times[0] + start + np.arange(count) / rate_hz
     return np.asarray(np.minimum(times, pose_times[-1]))
@@ -268,7 +269,7 @@ def _simulate_keypoints(
     places = [skeleton.landmarks[known[i]] for i in indices_of("landmark", names, known)]
     joints = [joint for joint, _ in places]
     index, offsets = skeleton.index(*joints), np.array([offset for _, offset in places])
-    p = poses.p_world_joint[:, index] + _turned(poses.R_world_bone[:, index], offsets)
+    p = poses.p_world_joint[:, index] + np.einsum("tlij,lj->tli", poses.R_world_bone[:, index], offsets)
     times = poses.times[cut:]
     p = CubicSpline(poses.times, p)(times - lag) if lag > 0 else p
     noise = settings.keypoints.drawn(rng)
@@ -286,11 +287,6 @@ def _simulate_keypoints(
 
 
 def _inside(camera: Camera, uv_px: Array) -> NDArray[np.bool_]:
-    """Whether pixels (..., 2) lie inside the image; NaN does not."""
+    """Return whether pixels (..., 2) lie inside the image; NaN does not."""
     size = np.array([camera.width_px, camera.height_px])
     return np.asarray(((uv_px >= 0) & (uv_px <= size)).all(axis=-1))
-
-
-def _turned(R: Array, v: Array) -> Array:
-    """Vectors (L, 3) turned by rotations (T, L, 3, 3)."""
-    return np.asarray(np.einsum("tlij,lj->tli", R, v))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import load_json
 from rtof_kin.vision.detections import NO_IDENTITY, Detections, Person
 
@@ -164,7 +164,7 @@ def _detections(
         )  # fmt: skip
     try:
         return Detections.of_frames(frames, times, names)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
 

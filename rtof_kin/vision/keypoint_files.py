@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_csv, read_npy, read_npz
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.json_files import read_json, read_json_folder
@@ -57,7 +57,7 @@ def read_detector_file(
     path = Path(path)
     try:
         return _read(path).in_pixels(width_px, height_px)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
 

@@ -19,9 +19,9 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.landmark_regression import AdaptedPoints, Adapter
+from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks
 from rtof_kin.vision.recognise import Recognition, recognise
-from rtof_kin.vision.tracking import PersonTrack, follow
+from rtof_kin.vision.tracking import PersonTrack, track_person
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class DetectedKeypoints:
 
     keypoints: KeypointSequence
     """The skeleton's landmarks in the image."""
-    adapted: AdaptedPoints
+    landmarks: RegressedLandmarks
     """The same with the expected error of each."""
     recognition: Recognition
     """The layout, and why."""
@@ -88,12 +88,12 @@ def read_detector_keypoints(
     found = read_detector_file(path, camera.width_px, camera.height_px)
     try:
         times = _times(found, rate_hz) + start
-        return adapt(found, times, camera, layout, person, frame)
+        return keypoints_from_detections(found, times, camera, layout, person, frame)
     except ShapeError as error:
         raise FileFormatError(path, str(error)) from error
 
 
-def adapt(
+def keypoints_from_detections(
     found: Detections,
     times: Array,
     camera: Camera,
@@ -106,11 +106,11 @@ def adapt(
     Raises:
         ShapeError, UnknownNameError: as there.
     """
-    adapter = Adapter.default()
+    adapter = LandmarkRegression.default()
     found = found.in_pixels(camera.width_px, camera.height_px)
     recognition = recognise(found.uv_px, found.confidence, found.names, layout, adapter)
     found = found.ordered(recognition.order)
-    track = follow(found, times, person, frame, (camera.width_px, camera.height_px))
+    track = track_person(found, times, person, frame, (camera.width_px, camera.height_px))
     uv, confidence = track.of(found)
     _check_inside(uv, camera)
     adapted = adapter.apply(recognition.layout.name, uv, confidence)

@@ -1,6 +1,6 @@
 """From a detector's points to the skeleton's landmarks: any layout, any subset of its points.
 
-A joint centre is estimated from all points that are seen (`PointGaussian`), with the uncertainty that the
+A joint centre is estimated from all points that are seen (`PoseGaussian`), with the uncertainty that the
 motion it was fitted to shows; of people who lie or hang, in an image turned by quarters until they stand.
 Joints are those of the shipped skeleton: the best that can be done for a body whose skeleton has them
 elsewhere, as motion capture's have.
@@ -22,7 +22,7 @@ from rtof_kin.core.errors import FileFormatError, ShapeError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
 from rtof_kin.vision.layouts import DetectorTable, Layout, detector_table, own
-from rtof_kin.vision.pose_gaussian import FEWEST_POINTS, QUARTERS, PointGaussian
+from rtof_kin.vision.pose_gaussian import FEWEST_POINTS, QUARTERS, PoseGaussian
 from rtof_kin.vision.views import point_names
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ it would be a guess, three times further off than detections are."""
 
 
 @dataclass(frozen=True)
-class AdaptedPoints:
+class RegressedLandmarks:
     """Landmarks of the skeleton in an image."""
 
     names: tuple[str, ...]
@@ -49,14 +49,14 @@ class AdaptedPoints:
     """(T, L) expected error per axis, px; NaN where too little was seen."""
 
 
-class Adapter:
+class LandmarkRegression:
     """The fitted mapping of every layout.
 
     Attributes:
         table: the layouts. gaussian: how their points and the skeleton's landmarks lie to each other.
     """
 
-    def __init__(self, table: DetectorTable, gaussian: PointGaussian):
+    def __init__(self, table: DetectorTable, gaussian: PoseGaussian):
         """Check that the two belong to each other."""
         self.table, self.gaussian = table, gaussian
         self._skeleton = SkeletonModel.default()
@@ -64,7 +64,7 @@ class Adapter:
             raise ShapeError("adapter: fitted to other points than those of its table")
 
     @classmethod
-    def default(cls) -> Adapter:
+    def default(cls) -> LandmarkRegression:
         """The one that ships."""
         return _shipped()
 
@@ -75,7 +75,7 @@ class Adapter:
         order = list(self._skeleton.landmarks)
         return (*self._skeleton.names, *sorted(extra, key=order.index))
 
-    def apply(self, layout: str, uv_px: Array, confidence: Array) -> AdaptedPoints:
+    def apply(self, layout: str, uv_px: Array, confidence: Array) -> RegressedLandmarks:
         """Landmarks from detections of one person.
 
         Args:
@@ -90,7 +90,7 @@ class Adapter:
         uv, confidence, seen = checked_points(form, uv_px, confidence)
         if layout in ("joints", "landmarks"):
             sigma = np.where(seen, 0.0, np.nan)
-            return AdaptedPoints(form.names, uv, np.where(seen, confidence, 0.0), sigma)
+            return RegressedLandmarks(form.names, uv, np.where(seen, confidence, 0.0), sigma)
         names = self.landmarks(layout)
         out = np.full((len(uv), len(names), 2), np.nan)
         sigma, out_confidence = np.full(out.shape[:2], np.nan), np.zeros(out.shape[:2])
@@ -104,7 +104,7 @@ class Adapter:
                 f"least {FEWEST_POINTS} of its {len(form)} points with a confidence of "
                 f"{LEAST_CONFIDENCE:g} are needed"
             )
-        return AdaptedPoints(names, out, out_confidence, sigma)
+        return RegressedLandmarks(names, out, out_confidence, sigma)
 
     def _frames(
         self, form: Layout, names: Sequence[str], pattern: Mask, uv: Array, confidence: Array
@@ -127,7 +127,7 @@ class Adapter:
         points[:, share == 0] = np.nan
         return points, confidence @ regression.weight.T * share, sigma
 
-    def naive(self, layout: str, uv_px: Array, confidence: Array) -> AdaptedPoints:
+    def naive(self, layout: str, uv_px: Array, confidence: Array) -> RegressedLandmarks:
         """The plain mapping, for comparison: each joint at the nearest point, or between two."""
         form = self.table.layout(layout)
         uv, confidence, seen = checked_points(form, uv_px, confidence)
@@ -146,7 +146,7 @@ class Adapter:
         points = np.stack([at[name][0] for name in names], axis=1)
         known = np.isfinite(points).all(axis=-1)
         own_confidence = np.where(known, np.stack([at[name][1] for name in names], axis=1), 0.0)
-        return AdaptedPoints(names, points, own_confidence, np.full(known.shape, np.nan))
+        return RegressedLandmarks(names, points, own_confidence, np.full(known.shape, np.nan))
 
 
 def checked_points(form: Layout, uv_px: Array, confidence: Array) -> tuple[Array, Array, Mask]:
@@ -176,7 +176,7 @@ def patterns(seen: Mask) -> Iterator[tuple[Mask, NDArray[np.int64]]]:
             yield row, np.flatnonzero(index.ravel() == k)
 
 
-def read_gaussian(path: str | Path, table: DetectorTable) -> PointGaussian:
+def read_gaussian(path: str | Path, table: DetectorTable) -> PoseGaussian:
     """The normal distribution that ``models/build_adapters.py`` fitted to a table's points.
 
     Raises:
@@ -194,12 +194,12 @@ def read_gaussian(path: str | Path, table: DetectorTable) -> PointGaussian:
         )
     names = point_names(table, SkeletonModel.default())
     try:
-        return PointGaussian(names, arrays["mean"], arrays["covariance"], float(arrays["noise"]))
+        return PoseGaussian(names, arrays["mean"], arrays["covariance"], float(arrays["noise"]))
     except ShapeError as error:
         raise FileFormatError(path, f"{error}; build it again") from error
 
 
 @cache
-def _shipped() -> Adapter:
+def _shipped() -> LandmarkRegression:
     table = detector_table()
-    return Adapter(table, read_gaussian(model_path("detectors.npz"), table))
+    return LandmarkRegression(table, read_gaussian(model_path("detectors.npz"), table))

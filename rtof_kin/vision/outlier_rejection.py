@@ -36,7 +36,7 @@ _FEWEST_PAIRS = 2
 _LOWER = ("Leg", "Foot", "Toe", "Heel", "Hip", "Knee")
 
 
-def guarded_keypoints(keypoints: KeypointSequence) -> tuple[KeypointSequence, tuple[StreamFault, ...]]:
+def reject_keypoint_outliers(keypoints: KeypointSequence) -> tuple[KeypointSequence, tuple[StreamFault, ...]]:
     """Keypoints with sides exchanged back and without somebody else's, and what was found.
 
     What nothing is wrong with comes back as it is.

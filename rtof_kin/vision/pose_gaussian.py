@@ -59,7 +59,7 @@ class Likelihood:
 
 
 @dataclass(frozen=True)
-class PointGaussian:
+class PoseGaussian:
     """Mean and covariance of N points, and the noise of a detector."""
 
     names: tuple[str, ...]
@@ -77,9 +77,9 @@ class PointGaussian:
         covariance = readonly("covariance of points", self.covariance, (2 * N, 2 * N))
         object.__setattr__(self, "covariance", covariance)
 
-    def given(self, seen: Sequence[str]) -> GivenPoints:
+    def given(self, seen: Sequence[str]) -> ConditionedPose:
         """What points that are seen tell about the person and the others."""
-        return GivenPoints(self, seen)
+        return ConditionedPose(self, seen)
 
     @cached_property
     def _rows(self) -> dict[str, int]:
@@ -101,14 +101,14 @@ class PointGaussian:
         return np.asarray(self.covariance[np.ix_(rows, columns)] + anywhere)
 
 
-class GivenPoints:
+class ConditionedPose:
     """Persons of whom certain points are seen.
 
     Attributes:
         seen: K points.
     """
 
-    def __init__(self, gaussian: PointGaussian, seen: Sequence[str]):
+    def __init__(self, gaussian: PoseGaussian, seen: Sequence[str]):
         """Factorise once what every estimate needs."""
         self.seen = tuple(seen)
         self._gaussian = gaussian

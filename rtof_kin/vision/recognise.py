@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.vision.landmark_regression import LEAST_CONFIDENCE, Adapter
+from rtof_kin.vision.landmark_regression import LEAST_CONFIDENCE, LandmarkRegression
 from rtof_kin.vision.layouts import Layout
 from rtof_kin.vision.pose_gaussian import FEWEST_POINTS
 
@@ -55,7 +55,7 @@ def recognise(
     confidence: Array,
     names: Sequence[str] | None = None,
     layout: str | None = None,
-    adapter: Adapter | None = None,
+    adapter: LandmarkRegression | None = None,
 ) -> Recognition:
     """The layout of points of one or more people.
 
@@ -70,7 +70,7 @@ def recognise(
         ShapeError: the number or the names of the points are another layout's, they do not lie to each
             other as those of a person, or it cannot be told which of two layouts they are in.
     """
-    adapter = adapter or Adapter.default()
+    adapter = adapter or LandmarkRegression.default()
     table = adapter.table
     K = uv_px.shape[-2]
     wanted = [table.layout(layout)] if layout is not None else list(table.layouts.values())
@@ -118,7 +118,9 @@ def _no_such_names(names: Sequence[str], wanted: Sequence[Layout], layout: str |
     return f"layout {layout}: the points are named {said}; there is no {', '.join(lacking[:5])}"
 
 
-def _fits(adapter: Adapter, forms: Sequence[Layout], uv_px: Array, confidence: Array) -> list[_Fit]:
+def _fits(
+    adapter: LandmarkRegression, forms: Sequence[Layout], uv_px: Array, confidence: Array
+) -> list[_Fit]:
     """How well each layout fits, the best first.
 
     Raises:

@@ -77,7 +77,7 @@ class _Trail:
     identity: int = NO_IDENTITY
 
 
-def follow(
+def track_person(
     detections: Detections,
     times: Array,
     person: int | None = None,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.vision.detections import Detections, Person
 from rtof_kin.vision.detector_models import PersonDetector, library
@@ -76,7 +76,7 @@ def detect_video(
             raise
     try:
         return Detections.of_frames(frames, np.array(times))
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(_name(source), f"{error}") from error
 
 

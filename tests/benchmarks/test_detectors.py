@@ -8,13 +8,13 @@ from detector_support import walking
 
 from benchmarks.detectors import KINDS, measure, table
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.vision.landmark_regression import Adapter
+from rtof_kin.vision.landmark_regression import LandmarkRegression
 
 
 def test_the_adapter_is_better_in_every_row_and_layouts_are_recognised() -> None:
     motion = walking()
     clip = MocapClip("walk", motion.poses[::5], np.array(motion.skeleton.joint_offsets))
-    rows = measure([clip], Adapter.default())
+    rows = measure([clip], LandmarkRegression.default())
     assert len(rows) == 6 * len(KINDS)
     for row in rows:
         assert row["adapter_px"] < row["naive_px"]

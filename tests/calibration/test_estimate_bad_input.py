@@ -94,7 +94,7 @@ LONG_LEGS = {"LeftLeg": 0.55, "RightLeg": 0.55, "LeftFoot": 0.60, "RightFoot": 0
 
 
 def test_a_height_that_no_bone_lengths_fit_is_refused_and_both_are_named() -> None:
-    recording = replace(recorded(), joint_offsets=None, height=1.6, bone_lengths=LONG_LEGS)
+    recording = replace(recorded(), joint_offsets=np.empty((0, 3)), height=1.6, bone_lengths=LONG_LEGS)
     with pytest.raises(CalibrationError, match=r"told to be 1\.60 m, .* make a body 2\.06 m tall"):
         check_height(recording)
 

@@ -1,4 +1,4 @@
-"""Fragments that share unknowns: the profile against differences and against the compiled oracle."""
+"""Fragments that share unknowns: the profile against finite differences."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from rtof_kin.calibration.estimate import shared_fragments
 from rtof_kin.calibration.shared_fragments import SharedFragments
-from rtof_kin.solve.compiled.building import built_problem
 
 Array = NDArray[np.float64]
 
@@ -23,34 +22,6 @@ def fragments(*kinds: str, frames: int = 24, **more: float) -> SharedFragments:
     shared = cs.fragments(recording, truth.poses, cs.only(*kinds, **more))
     shared.begin()
     return shared
-
-
-def test_columns_and_corner_are_those_of_the_compiled_oracle() -> None:
-    shared = without_growth(fragments("heading", "mounting", frames=12))
-    data, s, x = shared.data, shared.data.settings, shared.states(0)
-    shape = replace(data.problem.energy.shape, unknowns=("heading", "mounting"))
-    oracle = built_problem(
-        data.skeleton.name, shape, data.space.names, cs.FRAMES, s.hinges, "never",
-        (s.jerk,) * (1 + len(data.space.names)), s.robust_acceleration,
-    )  # fmt: skip
-    y = np.zeros(len(shared.prior))
-    evidence = shared.corrected(y)
-    values = evidence.fragment(0, cs.FRAMES)
-    oracle.bind(replace(values, constant=values.constant | {"unknowns": y}))
-    oracle.linearise(x)
-    by_y, columns, corner = oracle.border()
-    border = shared.border(evidence, 0, x, y)
-    for ours, theirs in ((border.gradient, by_y), (border.columns, columns), (border.corner, corner)):
-        np.testing.assert_allclose(ours, theirs, atol=1e-8 * np.abs(theirs).max())
-
-
-def without_growth(shared: SharedFragments) -> SharedFragments:
-    """The same with headings that stay, as the oracle has them."""
-    heading, mounting = shared.unknowns
-    kinds = [replace(heading, sigma_drift=None), mounting]
-    other = SharedFragments(shared.data, shared.times, kinds, shared.worth)
-    other.begin()
-    return other
 
 
 @pytest.mark.parametrize("kinds", [("heading", "image bias"), ("bones",)])

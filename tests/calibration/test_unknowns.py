@@ -1,4 +1,4 @@
-"""Every kind of unknown: derivatives against finite differences, and against the compiled oracle."""
+"""Every kind of unknown: derivatives against finite differences."""
 
 from __future__ import annotations
 

@@ -10,10 +10,10 @@ from clinical_support import LEG, posture
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.clinical.angle_confidence import trusted_bands, trusted_turns, untrusted_note
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.clinical.range_of_motion import ranges_of_motion
-from rtof_kin.clinical.trust import trusted_bands, trusted_turns, untrusted_note
 from rtof_kin.core import rotations as so3
 
 Array = NDArray[np.float64]

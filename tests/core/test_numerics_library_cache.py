@@ -1,4 +1,4 @@
-"""What is loaded from the cache is what was compiled, by this user; else it is compiled again."""
+"""A library is loaded from the cache only if this user compiled it; else it is compiled again."""
 
 from __future__ import annotations
 
@@ -20,38 +20,32 @@ from rtof_kin.core.numerics import c_compiler as module
 from rtof_kin.core.numerics.c_compiler import built
 from rtof_kin.core.numerics.library_cache import trusted
 
-pytestmark = pytest.mark.skipif(
-    os.name != "posix" or not any(map(shutil.which, module.COMPILERS)), reason="no C compiler, or Windows"
-)
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty cache, and compilation turned on."""
-    folder = tmp_path / "cache"
-    monkeypatch.setenv("RTOF_KIN_CACHE", str(folder))
-    monkeypatch.delenv("RTOF_KIN_COMPILE", raising=False)
-    return folder
+pytestmark = [
+    pytest.mark.skipif(
+        os.name != "posix" or not any(map(shutil.which, module.COMPILERS)), reason="no C compiler, or Windows"
+    ),
+    pytest.mark.usefixtures("compile_cache"),
+]
 
 
 def make(number: int) -> Path:
-    """Compile a library that knows a number; it is not loaded."""
-    return Path(ask(number, lambda library: library))
+    """Compile a library of a number without loading it."""
+    return Path(build(number, lambda library: library))
 
 
 def answer(number: int) -> int:
-    """What the library for a number says."""
-    return int(ask(number, lambda library: ctypes.CDLL(str(library)).answer()))
+    """Load the library of a number and return it."""
+    return int(build(number, lambda library: ctypes.CDLL(str(library)).answer()))
 
 
-def ask(number: int, loaded: Callable[[Path], Any]) -> Any:
+def build(number: int, loaded: Callable[[Path], Any]) -> Any:
     text = f"int answer(void) {{ return {number}; }}"
     found = built(text, lambda: text, loaded, name="tiny")
     assert found is not None
     return found
 
 
-def is_what_its_record_says(library: Path) -> bool:
+def matches_record(library: Path) -> bool:
     record = json.loads(library.with_suffix(".json").read_text())
     return bool(record["sha256"] == hashlib.sha256(library.read_bytes()).hexdigest())
 
@@ -63,62 +57,55 @@ def others_may_write(path: Path) -> bool:
 # --- damage --------------------------------------------------------------------------------------
 
 
-def test_a_truncated_library_is_compiled_again() -> None:
+def test_truncated_library_is_compiled_again() -> None:
     library = make(1)
     whole = library.read_bytes()
     library.write_bytes(whole[: len(whole) // 2])
-    assert make(1).read_bytes() == whole
     assert answer(1) == 1
+    assert library.read_bytes() == whole
 
 
-def test_libraries_under_each_others_names_are_compiled_again() -> None:
-    one, two = make(2), make(3)
-    held = one.read_bytes()
-    one.write_bytes(two.read_bytes())
-    two.write_bytes(held)
-    assert (answer(2), answer(3)) == (2, 3)
-
-
-def test_a_library_and_its_record_under_anothers_name_are_compiled_again() -> None:
+@pytest.mark.parametrize("endings", [(".so",), (".so", ".json")])
+def test_library_exchanged_for_another_is_compiled_again(endings: tuple[str, ...]) -> None:
     one, two = make(4), make(5)
-    for ending in (".so", ".json"):
+    for ending in endings:
         shutil.copy(two.with_suffix(ending), one.with_suffix(ending))
     assert answer(4) == 4
-    assert is_what_its_record_says(one)
+    assert matches_record(one)
 
 
 @pytest.mark.parametrize("record", ["", "[]", "{}", None])
-def test_a_library_without_a_whole_record_is_compiled_again(record: str | None) -> None:
+def test_library_without_a_complete_record_is_compiled_again(record: str | None) -> None:
     library = make(6)
     library.with_suffix(".json").unlink()
     if record is not None:
         library.with_suffix(".json").write_text(record)
     library.write_bytes(b"something else")
     make(6)
-    assert is_what_its_record_says(library)
+    assert matches_record(library)
 
 
-def test_a_library_that_others_may_write_to_is_compiled_again() -> None:
+def test_library_that_others_may_write_to_is_compiled_again() -> None:
     library = make(7)
     library.chmod(0o777)
     assert not others_may_write(make(7))
 
 
-# --- who may write -------------------------------------------------------------------------------
+# --- permissions ---------------------------------------------------------------------------------
 
 
-def test_a_new_cache_is_the_users_alone(cache: Path) -> None:
+def test_new_cache_is_private_to_the_user(compile_cache: Path) -> None:
     make(8)
-    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
-    assert not any(map(others_may_write, cache.iterdir()))
+    assert stat.S_IMODE(compile_cache.stat().st_mode) == 0o700
+    assert not any(map(others_may_write, compile_cache.iterdir()))
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o770, 0o1777])
-def test_nothing_is_loaded_from_a_cache_that_others_may_write_to(
-    cache: Path, mode: int, caplog: pytest.LogCaptureFixture
+def test_cache_that_others_may_write_to_is_not_used(
+    compile_cache: Path, mode: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     planted = make(9)
-    cache.chmod(mode)
+    compile_cache.chmod(mode)
     caplog.clear()
     private = make(9)
     assert private.parent != planted.parent
@@ -126,39 +113,39 @@ def test_nothing_is_loaded_from_a_cache_that_others_may_write_to(
     assert answer(9) == 9
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
-    assert str(cache) in record.message
+    assert str(compile_cache) in record.message
     assert "RTOF_KIN_CACHE" in record.message
 
 
-def test_a_cache_in_a_folder_that_others_may_write_to_is_not_used(cache: Path) -> None:
-    cache.mkdir(mode=0o700)
-    cache.parent.chmod(0o777)
-    assert trusted(cache) != cache
-    cache.parent.chmod(0o1777)  # as /tmp: others cannot replace what is there
-    assert trusted(cache) == cache
+def test_cache_in_a_folder_that_others_may_write_to_is_not_used(compile_cache: Path) -> None:
+    compile_cache.mkdir(mode=0o700)
+    compile_cache.parent.chmod(0o777)
+    assert trusted(compile_cache) != compile_cache
+    compile_cache.parent.chmod(0o1777)  # like /tmp: others cannot replace its folders
+    assert trusted(compile_cache) == compile_cache
 
 
-def test_a_cache_of_another_user_is_not_used(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    cache.mkdir(mode=0o700)
-    assert trusted(cache) == cache
-    other = os.stat_result((*os.stat(cache)[:4], os.geteuid() + 1, *os.stat(cache)[5:10]))
+def test_cache_of_another_user_is_not_used(compile_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compile_cache.mkdir(mode=0o700)
+    assert trusted(compile_cache) == compile_cache
+    other = os.stat_result((*os.stat(compile_cache)[:4], os.geteuid() + 1, *os.stat(compile_cache)[5:10]))
     real = Path.stat
-    monkeypatch.setattr(Path, "stat", lambda p, **o: other if p == cache else real(p, **o))
-    assert trusted(cache) != cache
+    monkeypatch.setattr(Path, "stat", lambda p, **o: other if p == compile_cache else real(p, **o))
+    assert trusted(compile_cache) != compile_cache
 
 
 # --- builds --------------------------------------------------------------------------------------
 
 
-def test_what_killed_builds_left_is_removed_and_builds_going_on_are_left_alone(cache: Path) -> None:
+def test_leftovers_of_killed_builds_are_removed_and_running_builds_are_not(compile_cache: Path) -> None:
     library = make(10)
     library.unlink()
     killed, other, going_on = (
-        library.with_suffix(".build"), cache / "other.build", cache / "busy.build"
+        library.with_suffix(".build"), compile_cache / "other.build", compile_cache / "busy.build"
     )  # fmt: skip
     for folder in (killed, other, going_on):
         folder.mkdir()
         (folder / "energy.c").write_text("half of")
     with FileLock(going_on.with_suffix(".lock")):
         assert answer(10) == 10
-    assert [path.name for path in cache.glob("*.build")] == [going_on.name]
+    assert [path.name for path in compile_cache.glob("*.build")] == [going_on.name]

@@ -1,8 +1,7 @@
-"""Functions of several frames at once against CasADi's interpreter, one frame after the other."""
+"""SIMD functions of several frames against CasADi's interpreter, frame by frame."""
 
 from __future__ import annotations
 
-import logging
 import platform
 import shutil
 from pathlib import Path
@@ -15,35 +14,31 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.numerics import c_compiler as module
-from rtof_kin.core.numerics import simd as lanes
-from rtof_kin.core.numerics import simd_codegen as lane_code
-from rtof_kin.core.numerics.simd import Columns, Mapped, Over, in_lanes, whole
+from rtof_kin.core.numerics import simd, simd_codegen
+from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd, whole
 from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction
 
 Array = NDArray[np.float64]
 pytestmark = pytest.mark.skipif(not any(map(shutil.which, module.COMPILERS)), reason="there is no C compiler")
 VECTORS = [(), ("-mno-avx512f",), ("-mno-avx",)] if platform.machine() == "x86_64" else [()]
-"""Compiler options for all lengths of vectors that this machine has."""
+"""Compiler options for all vector lengths of this machine."""
 
 
 @pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty cache, and compilation turned on and quick."""
-    folder = tmp_path / "cache"
-    monkeypatch.setenv("RTOF_KIN_CACHE", str(folder))
-    monkeypatch.delenv("RTOF_KIN_COMPILE", raising=False)
-    monkeypatch.setattr(lanes, "_OPTIONS", ("-O1",))
-    return folder
+def cache(compile_cache: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache, and quick compilation."""
+    monkeypatch.setattr(simd, "_OPTIONS", ("-O1",))
+    return compile_cache
 
 
 @pytest.fixture(params=VECTORS, ids=str)
 def vectors(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Vectors of every length in turn."""
-    monkeypatch.setattr(lanes, "native", lambda: (*module.native(), *request.param))
+    """Each vector length in turn."""
+    monkeypatch.setattr(simd, "native", lambda: (*module.native(), *request.param))
 
 
 def everything() -> FrameFunction:
-    """Every operation there is, of inputs of which the second is shared."""
+    """A function of all operations; its second input is shared."""
     x, s = ca.SX.sym("x", 4), ca.SX.sym("s", 2)
     a, b = x[0], x[1]
     numbers = [
@@ -57,7 +52,7 @@ def everything() -> FrameFunction:
 
 
 def inputs(frames: int, size: int, seed: int = 0) -> Array:
-    """(T, n) with equal, negative and zero numbers among them."""
+    """(T, n) including equal, negative and zero numbers."""
     x = np.random.default_rng(seed).normal(size=(frames, size)) * 3
     x[::3, 1] = x[::3, 0]
     x[::2, 2:] = 0.0
@@ -70,7 +65,7 @@ def one_by_one(function: Any, x: Array, *shared: Array) -> list[Array]:
 
 
 def code_of(*given: FrameFunction) -> dict[str, Any]:
-    code = in_lanes(given)
+    code = compile_simd(given)
     assert code is not None
     return code
 
@@ -79,7 +74,7 @@ def code_of(*given: FrameFunction) -> dict[str, Any]:
 
 
 @pytest.mark.usefixtures("vectors")
-def test_every_operation_gives_what_the_interpreter_does() -> None:
+def test_every_operation_equals_the_interpreter() -> None:
     given, shared = everything(), np.array([0.7, -1.3])
     code = code_of(given)["everything"]
     for frames in (1, 2, 7, 8, 9, 21):
@@ -91,21 +86,21 @@ def test_every_operation_gives_what_the_interpreter_does() -> None:
 
 
 @pytest.mark.usefixtures("vectors")
-def test_a_long_function_is_the_same_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_function_is_split_into_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     x = ca.SX.sym("x", 6)
     values = [x[i] for i in range(6)]
-    for k in range(400):  # much is needed again much later
+    for k in range(400):  # many values are used again much later
         values.append(ca.sin(values[-1 - k % 5]) + 0.9 * values[k // 2] * values[(7 * k) % len(values)])
     given = FrameFunction(ca.Function("long", [x], [ca.vertcat(*values[-50:])]))
     rows = 0.3 * np.random.default_rng(0).normal(size=(11, 6))
     (expected,) = one_by_one(given.function, rows)
     for piece in (7, 100):
-        monkeypatch.setattr(lane_code, "_PIECE", piece)
+        monkeypatch.setattr(simd_codegen, "_PIECE", piece)
         (own,) = Mapped(code_of(given)["long"], given, len(rows))(rows)
         np.testing.assert_allclose(own, expected, rtol=1e-10, atol=1e-12)
 
 
-def test_neighbouring_frames_are_the_same_array_one_on_and_zero_beyond() -> None:
+def test_neighbouring_frames_are_the_shifted_array_and_zero_beyond() -> None:
     x, y = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
     given = FrameFunction(ca.Function("between", [x, y], [y - x]))
     columns = Columns(10)
@@ -116,10 +111,10 @@ def test_neighbouring_frames_are_the_same_array_one_on_and_zero_beyond() -> None
     np.testing.assert_array_equal(columns.rows(out), np.diff(rows, axis=0, prepend=0.0))
     Over(code, given, 9, [columns.at(here), columns.at(here, 1)], [columns.at(out)])()
     np.testing.assert_array_equal(columns.rows(out)[:9], np.diff(rows, axis=0))
-    assert not columns.rows(out)[9].any(), "what no frame gives is zero"
+    assert not columns.rows(out)[9].any()
 
 
-def test_frames_that_are_not_there_leave_no_number_that_is_none() -> None:
+def test_padding_frames_give_zero() -> None:
     x = ca.SX.sym("x", 1)
     given = FrameFunction(ca.Function("inverted", [x], [1 / x]))
     columns = Columns(5)
@@ -129,7 +124,7 @@ def test_frames_that_are_not_there_leave_no_number_that_is_none() -> None:
 
 
 @pytest.mark.usefixtures("vectors")
-def test_a_placed_output_goes_where_it_is_told_in_every_frame() -> None:
+def test_placed_output_is_scattered_in_every_frame() -> None:
     x = ca.SX.sym("x", 3)
     numbers = ca.vertcat(*(x[i % 3] * (i + 1) for i in range(3 * GROUP)))
     given = FrameFunction(ca.Function("placed", [x], [ca.sum1(x), numbers]), placed=True)
@@ -150,7 +145,7 @@ def test_a_placed_output_goes_where_it_is_told_in_every_frame() -> None:
 # --- arrays --------------------------------------------------------------------------------------
 
 
-def test_columns_begin_with_a_cache_line_and_keep_room_around_the_frames() -> None:
+def test_columns_are_aligned_and_padded() -> None:
     for frames in (1, 8, 50):
         columns = Columns(frames)
         array = columns.zeros(3)
@@ -162,7 +157,7 @@ def test_columns_begin_with_a_cache_line_and_keep_room_around_the_frames() -> No
     assert [whole(n) for n in (1, 8, 9)] == [8, 8, 16]
 
 
-def test_arrays_that_do_not_fit_are_refused() -> None:
+def test_arrays_of_wrong_shape_or_layout_are_refused() -> None:
     given, columns = everything(), Columns(9)
     code = code_of(given)["everything"]
     out = [columns.zeros(29), columns.zeros(4)]
@@ -186,7 +181,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         bind(out=out[:1])
 
 
-def test_places_that_do_not_fit_are_refused() -> None:
+def test_places_outside_the_rows_are_refused() -> None:
     x = ca.SX.sym("x", 1)
     given = FrameFunction(ca.Function("put", [x], [ca.repmat(x, GROUP, 1)]), placed=True)
     columns, code = Columns(4), code_of(given)["put"]
@@ -203,7 +198,7 @@ def test_places_that_do_not_fit_are_refused() -> None:
 # --- the library ---------------------------------------------------------------------------------
 
 
-def test_the_library_is_kept_and_told_from_others(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_library_is_cached_by_function_and_sharing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given = everything()
     code_of(given)
     assert len(list(cache.glob("*.so"))) == 1
@@ -213,22 +208,17 @@ def test_the_library_is_kept_and_told_from_others(cache: Path, monkeypatch: pyte
     assert set(code_of(given)) == {"everything"}
 
 
-def test_without_a_compiler_there_are_none(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("reason", ["compiler", "operation", "environment"])
+def test_functions_that_cannot_be_compiled_are_none(
+    reason: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(shutil, "which", lambda name: None)
-    with caplog.at_level(logging.WARNING):
-        assert in_lanes([everything()]) is None
-    assert "it is interpreted, which is slower" in caplog.text
-
-
-def test_an_operation_without_c_is_told_and_interpreted(caplog: pytest.LogCaptureFixture) -> None:
-    x = ca.SX.sym("x")
-    with caplog.at_level(logging.WARNING):
-        assert in_lanes([FrameFunction(ca.Function("curve", [x], [ca.erf(x)]))]) is None
-    assert "curve: no C is known for CasADi's operation" in caplog.text
-
-
-def test_the_environment_turns_them_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("RTOF_KIN_COMPILE", "never")
-    assert in_lanes([everything()]) is None
+    given, x = everything(), ca.SX.sym("x")
+    if reason == "compiler":
+        monkeypatch.setattr(shutil, "which", lambda name: None)
+    elif reason == "environment":
+        monkeypatch.setenv("RTOF_KIN_COMPILE", "never")
+    else:
+        given = FrameFunction(ca.Function("curve", [x], [ca.erf(x)]))
+    assert compile_simd([given]) is None
+    assert ("it is interpreted, which is slower" in caplog.text) == (reason != "environment")
+    assert ("curve: no C is known for CasADi's operation" in caplog.text) == (reason == "operation")

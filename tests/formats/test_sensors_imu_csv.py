@@ -43,7 +43,7 @@ def test_lost_samples_are_told(tmp_path: Path) -> None:
 def test_a_declaration_says_what_the_numbers_are(tmp_path: Path) -> None:
     path = written(tmp_path, "a_fx,a_fy,a_fz,a_wx,a_wy,a_wz", "0,0,1000,180,0,0", "0,0,1000,180,0,0")
     stream = read_imu_csv(path, acceleration_unit="mg", angular_unit="deg/s", rate_hz=10).streams[0]
-    np.testing.assert_allclose(stream.f_sensor, [[0, 0, 9.81]] * 2)
+    np.testing.assert_allclose(stream.f_sensor, [[0, 0, 9.80665]] * 2)
     np.testing.assert_allclose(stream.w_sensor, [[np.pi, 0, 0]] * 2)
     np.testing.assert_array_equal(stream.times, [0, 0.1])
 

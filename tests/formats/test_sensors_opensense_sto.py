@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from sensor_files import REAL, truth, write_csv, write_sto
 
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.opensense_sto import read_opensense_sto, write_opensense_sto
 
@@ -49,7 +49,7 @@ def test_a_log_that_the_format_cannot_hold_is_refused(tmp_path: Path) -> None:
         (replace(a, R_inertial_sensor=R), "00B40001 has no orientation in every sample"),
         (replace(a, times=a.times + 1), "00B40001 and 00B40002 were sampled at different times"),
     ):
-        with pytest.raises(ShapeError, match=message):
+        with pytest.raises(InvalidInputError, match=message):
             write_opensense_sto(tmp_path / "out.sto", replace(log, streams=(stream, b)))
     assert not (tmp_path / "out.sto").exists()
 

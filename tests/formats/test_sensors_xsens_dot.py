@@ -9,7 +9,7 @@ import pytest
 from sensor_files import REAL, dot_text, truth
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.formats.sensors.xsens_dot import is_xsens_dot, read_xsens_dot
+from rtof_kin.formats.sensors.xsens import is_xsens_dot, read_xsens_dot
 
 ONE = truth(4, T=20)
 STAMPS = 1_000_000 + 16667 * np.arange(20)

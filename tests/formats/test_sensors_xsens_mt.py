@@ -10,7 +10,7 @@ from sensor_files import REAL, Truth, mt_text, truth
 
 from rtof_kin.core.errors import FileFormatError, UnitError
 from rtof_kin.data.imu_stream import SensorStream
-from rtof_kin.formats.sensors.xsens_mt import is_xsens_mt, read_xsens_mt
+from rtof_kin.formats.sensors.xsens import is_xsens_mt, read_xsens_mt
 
 ONE = truth(3, T=20)
 COUNTERS = np.arange(20) + 600

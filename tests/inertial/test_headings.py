@@ -9,7 +9,7 @@ from inertial_support import free
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.inertial.headings import own_headings, shared_heading, wrapped
-from rtof_kin.inertial.likelihood import Evidence
+from rtof_kin.inertial.likelihood import MotionLikelihood
 from rtof_kin.inertial.poses import pose_rotations
 from rtof_kin.inertial.segment_motion import SegmentMotion, segment_motions
 
@@ -39,7 +39,7 @@ def test_one_heading_for_all_is_found(
     angle: float, truth: tuple[list[SegmentMotion], np.ndarray], skeleton: SkeletonModel
 ) -> None:
     motions = misread(*truth, np.full(3, angle))
-    found = shared_heading(Evidence(skeleton), motions, truth[1])
+    found = shared_heading(MotionLikelihood(skeleton), motions, truth[1])
     assert np.degrees(np.abs(wrapped(found.angles - angle))).max() < 10
     assert len(set(found.angles.tolist())) == 1
     assert found.margin > 10
@@ -49,7 +49,7 @@ def test_a_heading_for_each_is_found(
     truth: tuple[list[SegmentMotion], np.ndarray], skeleton: SkeletonModel
 ) -> None:
     angles = np.array([2.0, -1.0, 0.4])
-    found = own_headings(Evidence(skeleton), misread(*truth, angles), truth[1])
+    found = own_headings(MotionLikelihood(skeleton), misread(*truth, angles), truth[1])
     off = np.degrees(np.abs(wrapped(found.angles - angles)))
     assert off[:2].max() < 12
     assert off[2] < 30  # the pelvis: no hinge of its own

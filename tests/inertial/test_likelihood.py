@@ -11,7 +11,7 @@ from inertial_support import Worn, free, walking
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, ShapeError
-from rtof_kin.inertial.likelihood import Evidence
+from rtof_kin.inertial.likelihood import MotionLikelihood
 from rtof_kin.inertial.segment_motion import SegmentMotion, even_times, seen_bones, segment_motions
 
 SENSORS = ("L_UpLeg", "L_LowLeg", "Pelvis", "L_LowArm")
@@ -28,8 +28,8 @@ def motions(worn: Worn) -> dict[str, SegmentMotion]:
 
 
 @pytest.fixture(scope="module")
-def evidence(skeleton: SkeletonModel) -> Evidence:
-    return Evidence(skeleton)
+def evidence(skeleton: SkeletonModel) -> MotionLikelihood:
+    return MotionLikelihood(skeleton)
 
 
 def test_motions_are_those_of_the_segments_at_the_rate_of_the_evidence(worn: Worn) -> None:
@@ -41,14 +41,14 @@ def test_motions_are_those_of_the_segments_at_the_rate_of_the_evidence(worn: Wor
     np.testing.assert_allclose(first.R_world_bone, true, atol=1e-6)
 
 
-def test_the_tree_joins_each_segment_with_what_is_nearest(evidence: Evidence) -> None:
+def test_the_tree_joins_each_segment_with_what_is_nearest(evidence: MotionLikelihood) -> None:
     pairs = evidence.tree(["LeftLeg", "Hips", "LeftUpLeg", "LeftForeArm", "RightForeArm"])
     assert {("Hips", "LeftUpLeg"), ("LeftUpLeg", "LeftLeg")} <= set(pairs)
     assert len(pairs) == 4
 
 
 def test_pairs_say_the_same_whichever_way_the_world_is_turned(
-    evidence: Evidence, motions: dict[str, SegmentMotion]
+    evidence: MotionLikelihood, motions: dict[str, SegmentMotion]
 ) -> None:
     a, b = motions["LeftUpLeg"], motions["LeftLeg"]
     R = so3.about_axis("z", 1.3)
@@ -59,7 +59,7 @@ def test_pairs_say_the_same_whichever_way_the_world_is_turned(
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 @pytest.mark.parametrize("angle", [90, 180])
 def test_the_truth_is_likelier_than_a_sensor_turned(
-    axis: str, angle: int, evidence: Evidence, motions: dict[str, SegmentMotion]
+    axis: str, angle: int, evidence: MotionLikelihood, motions: dict[str, SegmentMotion]
 ) -> None:
     a, b = motions["LeftUpLeg"], motions["LeftLeg"]
     turn = so3.about_axis(axis, np.radians(angle))
@@ -68,7 +68,7 @@ def test_the_truth_is_likelier_than_a_sensor_turned(
 
 
 def test_a_held_posture_weighs_little_however_long_it_is_held(
-    evidence: Evidence, motions: dict[str, SegmentMotion]
+    evidence: MotionLikelihood, motions: dict[str, SegmentMotion]
 ) -> None:
     zero = np.zeros((600, 3))
     still = [
@@ -81,12 +81,12 @@ def test_a_held_posture_weighs_little_however_long_it_is_held(
 def test_accelerations_tell_a_shank_from_the_other_side(skeleton: SkeletonModel) -> None:
     walk = walking(sensors=("L_UpLeg", "L_LowLeg", "R_LowLeg"))
     thigh, left, right = segment_motions(walk.truth.apply(walk.imus))
-    evidence = Evidence(walk.skeleton)
+    evidence = MotionLikelihood(walk.skeleton)
     swapped = replace(right, joint="LeftLeg")
     assert evidence.pair(thigh, left) > evidence.pair(thigh, swapped) + 20
 
 
-def test_missing_data_are_passed_over(evidence: Evidence, motions: dict[str, SegmentMotion]) -> None:
+def test_missing_data_are_passed_over(evidence: MotionLikelihood, motions: dict[str, SegmentMotion]) -> None:
     a, b = motions["LeftUpLeg"], motions["LeftLeg"]
     R, w, acceleration = b.R_world_bone.copy(), b.w_world.copy(), b.a_world.copy()
     R[100:140], w[100:140], acceleration[:] = np.nan, np.nan, np.nan
@@ -102,13 +102,13 @@ def test_what_a_camera_saw_fits_the_truth_better_than_a_turned_world(
     seen = seen_bones(worn.poses, worn.skeleton, times)
     assert "LeftHand" not in seen
     np.testing.assert_allclose(np.linalg.norm(seen["Hips"], axis=-1), 1.0)
-    watching, thigh = Evidence(worn.skeleton, seen=seen), motions["Hips"]
+    watching, thigh = MotionLikelihood(worn.skeleton, seen=seen), motions["Hips"]
     turned = thigh.turned(so3.about_axis("z", np.pi / 2))
     assert watching.single(thigh) > watching.single(turned) + 1
 
 
 def test_without_a_prior_nothing_is_judged_and_a_moment_is_too_short(worn: Worn) -> None:
     with pytest.raises(CalibrationError, match="there is no pose prior of it"):
-        Evidence(SkeletonModel.human36m())
+        MotionLikelihood(SkeletonModel.human36m())
     with pytest.raises(ShapeError, match="0.32 s of sensor data are too short"):
         even_times(worn.truth.apply(worn.imus)[:20])

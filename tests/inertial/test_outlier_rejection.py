@@ -14,7 +14,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.inertial.outlier_rejection import disagreeing, guarded_imus, without
+from rtof_kin.inertial.outlier_rejection import find_disagreements, mask_faults, reject_imu_outliers
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -38,13 +38,13 @@ def stuck(own: ImuSequence, s: int, frames: slice) -> ImuSequence:
 
 def test_sensors_that_nothing_is_wrong_with_are_the_same_object() -> None:
     own = imus()
-    assert guarded_imus(own) == (own, ())
-    assert guarded_imus(own)[0] is own
+    assert reject_imu_outliers(own) == (own, ())
+    assert reject_imu_outliers(own)[0] is own
 
 
 def test_a_sensor_that_repeats_a_sample_is_left_out_after_it() -> None:
     own = imus()
-    mended, (fault,) = guarded_imus(stuck(own, 1, slice(60, 100)))
+    mended, (fault,) = reject_imu_outliers(stuck(own, 1, slice(60, 100)))
     assert fault == StreamFault(FaultKind.STUCK, "b", own.times[61], own.times[99])
     assert np.isnan(mended.R_inertial_sensor[61:100, 1]).all()
     assert np.isnan(mended.f_sensor[61:100, 1]).all()
@@ -54,12 +54,12 @@ def test_a_sensor_that_repeats_a_sample_is_left_out_after_it() -> None:
 
 def test_a_packet_that_came_twice_is_no_sensor_that_sticks() -> None:
     own = stuck(imus(), 1, slice(60, 64))
-    assert guarded_imus(own)[1] == ()
+    assert reject_imu_outliers(own)[1] == ()
 
 
 def test_a_sensor_that_never_changes_is_made_up_and_let_be() -> None:
-    assert guarded_imus(stuck(imus(), 2, slice(0, T)))[1] == ()
-    assert len(guarded_imus(stuck(imus(), 2, slice(0, T - 1)))[1]) == 1
+    assert reject_imu_outliers(stuck(imus(), 2, slice(0, T)))[1] == ()
+    assert len(reject_imu_outliers(stuck(imus(), 2, slice(0, T - 1)))[1]) == 1
 
 
 def test_a_sensor_that_stuck_in_a_blow_is_no_question_of_units() -> None:
@@ -67,7 +67,7 @@ def test_a_sensor_that_stuck_in_a_blow_is_no_question_of_units() -> None:
     f = own.f_sensor.copy()
     f[60, 1] = [60.0, 0.0, 0.0]
     blow = stuck(replace(own, f_sensor=f), 1, slice(60, T))
-    assert guarded_imus(blow)[1][0].start == own.times[61]
+    assert reject_imu_outliers(blow)[1][0].start == own.times[61]
 
 
 def test_accelerations_at_the_end_of_the_range_are_left_out_with_what_is_beside() -> None:
@@ -75,7 +75,7 @@ def test_accelerations_at_the_end_of_the_range_are_left_out_with_what_is_beside(
     f = own.f_sensor.copy()
     f[50:56, 0, 2] = 40.0
     f = np.clip(f, -30.0, 30.0)
-    mended, faults = guarded_imus(replace(own, f_sensor=f))
+    mended, faults = reject_imu_outliers(replace(own, f_sensor=f))
     assert {(x.kind, x.what) for x in faults} == {(FaultKind.SATURATED, "a")}
     gone = np.isnan(mended.f_sensor[:, 0]).all(axis=1)
     assert gone[46:60].all()
@@ -88,14 +88,14 @@ def test_accelerations_at_the_end_of_the_range_are_left_out_with_what_is_beside(
 @pytest.mark.parametrize("largest", [10.0, 14.0])
 def test_a_sensor_at_rest_is_not_at_the_end_of_its_range(largest: float) -> None:
     own = imus()
-    assert guarded_imus(replace(own, f_sensor=np.clip(own.f_sensor, -largest, largest)))[1] == ()
+    assert reject_imu_outliers(replace(own, f_sensor=np.clip(own.f_sensor, -largest, largest)))[1] == ()
 
 
 def test_a_single_largest_value_is_a_blow() -> None:
     own = imus()
     f = own.f_sensor.copy()
     f[[30, 60, 90], 0, 0] = 50.0
-    assert guarded_imus(replace(own, f_sensor=f))[1] == ()
+    assert reject_imu_outliers(replace(own, f_sensor=f))[1] == ()
 
 
 def sensors(degrees: float = 3.0) -> BoneImuSequence:
@@ -115,12 +115,12 @@ def across(joint: str, child: str, degrees: float) -> Array:
 
 
 def test_sensors_with_usual_errors_agree() -> None:
-    assert disagreeing(MOTION.poses, sensors(3.0), BODY) == ()
+    assert find_disagreements(MOTION.poses, sensors(3.0), BODY) == ()
 
 
 def test_a_sensor_that_differs_for_a_second_is_found_with_beginning_and_end() -> None:
     turn = across("LeftForeArm", "LeftHand", 25.0)
-    (fault,) = disagreeing(MOTION.poses, turned(sensors(), "LeftForeArm", slice(60, 120), turn), BODY)
+    (fault,) = find_disagreements(MOTION.poses, turned(sensors(), "LeftForeArm", slice(60, 120), turn), BODY)
     assert (fault.kind, fault.what) == (FaultKind.DISAGREES, "LeftForeArm")
     assert fault.start == pytest.approx(1.0, abs=0.1)
     assert fault.stop == pytest.approx(2.0, abs=0.1)
@@ -129,23 +129,23 @@ def test_a_sensor_that_differs_for_a_second_is_found_with_beginning_and_end() ->
 def test_a_turn_about_the_bone_is_soft_tissue() -> None:
     bone = so3.unit(BODY.joint_offsets[BODY.names.index("LeftHand")])
     own = turned(sensors(1.0), "LeftForeArm", slice(60, None), so3.exp(np.radians(40.0) * bone))
-    assert disagreeing(MOTION.poses, own, BODY) == ()
+    assert find_disagreements(MOTION.poses, own, BODY) == ()
 
 
 def test_a_difference_of_a_few_frames_is_none() -> None:
     own = turned(sensors(), "LeftLeg", slice(60, 70), across("LeftLeg", "LeftFoot", 60.0))
-    assert disagreeing(MOTION.poses, own, BODY) == ()
+    assert find_disagreements(MOTION.poses, own, BODY) == ()
 
 
 def test_sensors_that_say_nothing_differ_from_nothing() -> None:
     own = sensors()
     silent = replace(own, R_world_bone=np.full_like(own.R_world_bone, np.nan))
-    assert disagreeing(MOTION.poses, silent, BODY) == ()
+    assert find_disagreements(MOTION.poses, silent, BODY) == ()
 
 
 def test_left_out_is_what_a_sensor_said_meanwhile_and_nothing_else() -> None:
     own, fault = sensors(), StreamFault(FaultKind.DISAGREES, "LeftLeg", 1.0, 1.5)
-    less = without(own, [fault])
+    less = mask_faults(own, [fault])
     s = own.joints.index("LeftLeg")
     gone = np.zeros((T, len(own.joints)), dtype=bool)
     gone[60:91, s] = True

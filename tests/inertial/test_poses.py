@@ -8,7 +8,7 @@ import pytest
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import ShapeError, UnknownNameError
-from rtof_kin.inertial.poses import POSES, facing_of, flexion_axis, pose_rotations, turned_to
+from rtof_kin.inertial.poses import POSES, facing_of, pose_rotations, turned_to
 
 BACK, DOWN, AHEAD = [-1, 0, 0], [0, 0, -1], [1, 0, 0]
 
@@ -70,20 +70,3 @@ def test_poses_that_are_none_are_refused(skeleton: SkeletonModel) -> None:
     lying = np.tile(so3.about_axis("y", np.pi / 2), (21, 1, 1))
     with pytest.raises(ShapeError, match="faces nowhere"):
         facing_of(lying)
-
-
-@pytest.mark.parametrize(
-    ("joint", "goes"), [("LeftLeg", BACK), ("LeftUpLeg", AHEAD), ("RightForeArm", AHEAD), ("LeftArm", AHEAD)]
-)
-def test_flexion_moves_a_hanging_limb_where_it_does_in_people(
-    joint: str, goes: list[float], skeleton: SkeletonModel
-) -> None:
-    R_pose = pose_rotations("N", skeleton)
-    axis = flexion_axis(joint, skeleton, R_pose)
-    assert np.cross(axis, DOWN) @ np.array(goes) > 0.95
-
-
-def test_the_root_and_the_spine_bow(skeleton: SkeletonModel) -> None:
-    for joint in ("Hips", "Spine2"):
-        axis = flexion_axis(joint, skeleton, pose_rotations("N", skeleton))
-        assert np.cross(axis, [0, 0, 1]) @ np.array(AHEAD) > 0.95

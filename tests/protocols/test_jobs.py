@@ -1,8 +1,7 @@
-"""Jobs: each kept as soon as it is done, none stops the others, and no folder of others is touched."""
+"""Jobs: each result is kept as soon as it is done, failures are reported, foreign folders are not changed."""
 
 from __future__ import annotations
 
-import logging
 import multiprocessing
 import os
 import time
@@ -14,7 +13,7 @@ import pytest
 from protocol_orders import Order, calls, obey, orders, values
 from protocol_support import read_json
 
-from rtof_kin.core.errors import OutputExistsError, RtofError, ShapeError
+from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
 from rtof_kin.protocols.jobs import open_runs, run_jobs
 
 SETTINGS: dict[str, Any] = {"cameras": [1, 3], "noise_px": 0.0, "seed": 0}
@@ -32,59 +31,33 @@ def runs(tmp_path: Path) -> Path:
     return folder
 
 
-# --- what comes back -----------------------------------------------------------------------------
+# --- results and resuming ------------------------------------------------------------------------
 
 
-def test_facts_and_arrays_come_back_in_the_order_of_the_jobs(log: Path, runs: Path) -> None:
-    outcome = run_jobs(obey, orders(log, z="work", a="work", m="work"), runs, workers=1)
-    assert list(values(outcome.done).items()) == [("z", 0.0), ("a", 1.0), ("m", 2.0)]
-    assert outcome.failed == {}
+def test_results_keep_the_order_of_the_jobs_and_nan_becomes_null(log: Path, runs: Path) -> None:
+    fact = {"mean": float("nan"), "most": [1.5, (float("inf"), "text", None, 3)]}
+    jobs = {**orders(log, z="work", a="work"), "m": Order("m", log, fact=fact)}
+    outcome = run_jobs(obey, jobs, runs, workers=1)
+    expected = {"mean": None, "most": [1.5, [None, "text", None, 3]]}
+    assert list(values(outcome.done).items()) == [("z", 0.0), ("a", 1.0), ("m", expected)]
+    assert read_json(runs / "m.json")["fact"] == expected
     np.testing.assert_array_equal(outcome.arrays("m")["squares"], np.arange(4.0) ** 2 + 1 / 3)
-
-
-def test_no_jobs_are_no_work(runs: Path) -> None:
-    for workers in (1, 2, None):
-        outcome = run_jobs(obey, {}, runs, workers)
-        assert (outcome.done, outcome.failed) == ({}, {})
-
-
-def test_nan_and_infinity_become_null_because_json_has_neither(log: Path, runs: Path) -> None:
-    fact = {"mean": float("nan"), "most": [1.5, float("-inf"), (float("inf"), "text", None, 3)]}
-    log.mkdir()
-    outcome = run_jobs(obey, {"a": Order("a", log, fact=fact)}, runs, workers=1)
-    assert outcome.done["a"]["fact"] == {"mean": None, "most": [1.5, None, [None, "text", None, 3]]}
-    assert read_json(runs / "a.json")["fact"] == outcome.done["a"]["fact"]
-
-
-# --- going on ------------------------------------------------------------------------------------
-
-
-def test_a_job_that_is_done_is_not_run_again_and_one_that_failed_is(log: Path, runs: Path) -> None:
-    first = run_jobs(obey, orders(log, a="work", b="refuse", c="work"), runs, workers=1)
-    assert (list(first.done), list(first.failed)) == (["a", "c"], ["b"])
-    second = run_jobs(obey, orders(log, a="work", b="work", c="work"), runs, workers=1)
-    assert calls(log) == ["a", "b", "b", "c"]
-    assert (list(second.done), second.failed) == (["a", "b", "c"], {})
-    assert {key: second.done[key] for key in first.done} == first.done
+    assert run_jobs(obey, {}, runs).done == {}
 
 
 @pytest.mark.parametrize("damage", ["", '{"fact": 1', "[1, 2]", "\x00\x00"])
-def test_a_result_that_was_cut_off_counts_as_not_done(damage: str, log: Path, runs: Path) -> None:
-    run_jobs(obey, orders(log, a="work", b="work"), runs, workers=1)
-    (runs / "a.json").write_text(damage)
-    outcome = run_jobs(obey, orders(log, a="work", b="work"), runs, workers=1)
-    assert calls(log) == ["a", "a", "b"]
-    assert values(outcome.done) == {"a": 0.0, "b": 1.0}
+def test_only_missing_failed_and_damaged_results_are_run_again(damage: str, log: Path, runs: Path) -> None:
+    np.savez(runs / "a.npz", squares=np.zeros(4))  # arrays without facts are not a result
+    first = run_jobs(obey, orders(log, a="work", b="refuse", c="work", d="work"), runs, workers=1)
+    assert (list(first.done), list(first.failed)) == (["a", "c", "d"], ["b"])
+    (runs / "d.json").write_text(damage)
+    second = run_jobs(obey, orders(log, a="work", b="work", c="work", d="work"), runs, workers=1)
+    assert calls(log) == ["a", "b", "b", "c", "d", "d"]
+    assert values(second.done) == {"a": 0.0, "b": 1.0, "c": 2.0, "d": 3.0}
+    assert second.arrays("a")["squares"][3] == 9 + 1 / 3
 
 
-def test_arrays_without_facts_are_no_result(log: Path, runs: Path) -> None:
-    np.savez(runs / "a.npz", squares=np.zeros(4))
-    outcome = run_jobs(obey, orders(log, a="work"), runs, workers=1)
-    assert calls(log) == ["a"]
-    assert outcome.arrays("a")["squares"][3] == 9 + 1 / 3
-
-
-def test_an_interruption_leaves_what_is_done_and_the_next_run_goes_on(log: Path, runs: Path) -> None:
+def test_an_interrupted_run_resumes(log: Path, runs: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_jobs(obey, orders(log, a="work", b="interrupt", c="work"), runs, workers=1)
     assert sorted(path.name for path in runs.iterdir()) == ["a.json", "a.npz"]
@@ -93,61 +66,48 @@ def test_an_interruption_leaves_what_is_done_and_the_next_run_goes_on(log: Path,
     assert values(outcome.done) == {"a": 0.0, "b": 1.0, "c": 2.0}
 
 
-# --- what fails ----------------------------------------------------------------------------------
+# --- failures and progress -----------------------------------------------------------------------
 
 
-def test_neither_a_refusal_nor_a_crash_stops_the_others(
-    log: Path, runs: Path, caplog: pytest.LogCaptureFixture
+def test_failures_are_reported_by_job_and_do_not_stop_the_others(
+    log: Path, runs: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    jobs = orders(log, a="refuse", b="work", c="crash", d="work")
-    outcome = run_jobs(obey, jobs, runs, workers=1)
-    assert list(outcome.done) == ["b", "d"]
-    assert outcome.failed == {"a": "a: the take is too short", "c": "ZeroDivisionError: c divided by nothing"}
-    assert "Traceback" in caplog.text  # of the crash, for whoever must mend it
-    assert "a: a: the take is too short" in caplog.text
-    assert not list(runs.glob("[ac].*"))
-
-
-def test_what_cannot_be_written_fails_alone(log: Path, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = np.savez_compressed
 
     def full(path: Path, **arrays: Any) -> None:
-        if path.name == "a.npz":
+        if path.name == "d.npz":
             raise OSError(28, "No space left on device")
         whole(path, **arrays)
 
     monkeypatch.setattr(np, "savez_compressed", full)
-    jobs = orders(log, a="work", b="work") | {"c": Order("c", log, fact=Path("no value of JSON"))}
-    outcome = run_jobs(obey, jobs, runs, workers=1)
+    jobs = orders(log, a="refuse", b="work", c="crash", d="work")
+    outcome = run_jobs(obey, jobs | {"e": Order("e", log, fact=Path("not JSON"))}, runs, workers=1)
     assert list(outcome.done) == ["b"]
-    assert "No space left on device" in outcome.failed["a"]
-    assert "not JSON serializable" in outcome.failed["c"]
-    assert not (runs / "c.json").exists()
+    assert outcome.failed["a"] == "a: the take is too short"
+    assert outcome.failed["c"] == "ZeroDivisionError: c divided by nothing"
+    assert "No space left" in outcome.failed["d"]
+    assert "not JSON serializable" in outcome.failed["e"]
+    assert "Traceback" in caplog.text  # of the crash
+    assert "a: a: the take is too short" in caplog.text
+    assert not [path for path in runs.glob("*.json") if path.stem != "b"]
 
 
-def test_progress_hears_of_every_job_and_then_nothing_is_logged(
-    log: Path, runs: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_progress_is_called_after_every_job(log: Path, runs: Path, caplog: pytest.LogCaptureFixture) -> None:
     jobs = orders(log, a="work", b="refuse", c="work")
-    told: list[tuple[int, int, str]] = []
-    run_jobs(obey, jobs, runs, 1, lambda *report: told.append(report))
-    assert told == [(0, 3, ""), (1, 3, "a"), (2, 3, "b failed: b: the take is too short"), (3, 3, "c")]
-    assert not [r for r in caplog.records if r.levelno >= logging.WARNING]
-    told.clear()
-    run_jobs(obey, jobs, runs, 1, lambda *report: told.append(report))
-    assert told[0] == (2, 3, "2 of 3 were done before")
-
-
-@pytest.mark.parametrize("workers", [0, -2])
-def test_fewer_than_one_worker_is_refused(workers: int, log: Path, runs: Path) -> None:
-    with pytest.raises(ShapeError, match=f"workers: {workers} processes do no work"):
-        run_jobs(obey, orders(log, a="work"), runs, workers)
+    reports: list[tuple[int, int, str]] = []
+    run_jobs(obey, jobs, runs, 1, lambda *report: reports.append(report))
+    assert reports == [(0, 3, ""), (1, 3, "a"), (2, 3, "b failed: b: the take is too short"), (3, 3, "c")]
+    assert not caplog.records
+    run_jobs(obey, jobs, runs, 1, lambda *report: reports.append(report))
+    assert reports[4] == (2, 3, "2 of 3 were done before")
+    with pytest.raises(InvalidInputError, match="workers: 0"):
+        run_jobs(obey, jobs, runs, 0)
 
 
 # --- processes -----------------------------------------------------------------------------------
 
 
-def test_two_workers_are_new_processes_with_one_thread_each_and_change_no_result(
+def test_worker_processes_have_one_thread_each_and_change_no_result(
     log: Path, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
@@ -172,19 +132,16 @@ def test_two_workers_are_new_processes_with_one_thread_each_and_change_no_result
     assert (runs / "a.npz").read_bytes() == (alone / "a.npz").read_bytes()
 
 
-def test_a_killed_process_is_reported_and_takes_no_other_job_with_it(log: Path, runs: Path) -> None:
+def test_a_killed_process_fails_its_own_job_only(log: Path, runs: Path) -> None:
     jobs = orders(log, a="work", b="die", c="work", d="work")
     outcome = run_jobs(obey, jobs, runs, workers=2)
     assert list(outcome.done) == ["a", "c", "d"]
     assert list(outcome.failed) == ["b"]
     assert "its process was killed" in outcome.failed["b"]
-    before = [name for name in calls(log) if name != "b"]
-    again = run_jobs(obey, jobs, runs, workers=2)  # in a process of its own, though it is alone
-    assert list(again.failed) == ["b"]
-    assert [name for name in calls(log) if name != "b"] == before
+    assert list(run_jobs(obey, jobs, runs, workers=2).failed) == ["b"]  # also where it is the only one
 
 
-def test_an_interruption_ends_the_processes_at_once_and_only_those(log: Path, runs: Path) -> None:
+def test_an_interruption_terminates_the_worker_processes_only(log: Path, runs: Path) -> None:
     other = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
     other.start()
 
@@ -209,7 +166,7 @@ def test_an_interruption_ends_the_processes_at_once_and_only_those(log: Path, ru
     assert sorted(path.name for path in runs.iterdir()) == ["a.json", "a.npz"]
 
 
-# --- whose folder it is --------------------------------------------------------------------------
+# --- folders -------------------------------------------------------------------------------------
 
 
 def opened(folder: Path, overwrite: bool = False, save: Path | None = None, **changed: Any) -> Path:
@@ -225,72 +182,47 @@ def files_of(folder: Path) -> dict[str, bytes]:
     }
 
 
-def test_a_folder_is_made_and_gone_on_with_by_the_same_settings(tmp_path: Path) -> None:
-    runs = opened(tmp_path / "deep" / "out")
+def test_a_folder_is_reused_for_equal_settings_and_overwritten_for_others(tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "out"
+    runs = opened(out)
     (runs / "a.json").write_text("{}")
+    (out / "tables.md").write_text("")
     before = files_of(tmp_path)
-    assert opened(tmp_path / "deep" / "out") == runs
-    assert opened(tmp_path / "deep" / "out", overwrite=True) == runs
+    assert opened(out) == opened(out, overwrite=True) == runs
+    with pytest.raises(OutputExistsError, match=r"out: .*other settings \(cameras, seed, studies\)"):
+        opened(out, seed=1, cameras=[1], studies=True)
     assert files_of(tmp_path) == before
-
-
-def test_other_settings_are_refused_by_name_and_may_be_overwritten(tmp_path: Path) -> None:
-    runs = opened(tmp_path / "out")
-    (runs / "a.json").write_text("{}")
-    (tmp_path / "out" / "tables.md").write_text("")
-    before = files_of(tmp_path)
-    expected = r"out: holds results of other settings \(cameras, seed, studies\); name another"
-    with pytest.raises(OutputExistsError, match=expected):
-        opened(tmp_path / "out", seed=1, cameras=[1], studies=True)
-    assert files_of(tmp_path) == before
-    opened(tmp_path / "out", overwrite=True, seed=1)
+    opened(out, overwrite=True, seed=1)
     assert list(runs.iterdir()) == []
     with pytest.raises(OutputExistsError, match=r"\(seed\)"):
-        opened(tmp_path / "out")
+        opened(out)
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("mark", [None, "{}", '{"editor.tabSize": 4}', "[]", "{", "\x80"])
-def test_a_folder_with_other_things_is_never_touched(
-    mark: str | None, overwrite: bool, tmp_path: Path
-) -> None:
-    """Not even one with a settings.json of its own and results of somebody else in runs."""
+def test_a_folder_with_other_files_is_not_changed(mark: str | None, overwrite: bool, tmp_path: Path) -> None:
     project = tmp_path / "project"
     (project / "runs").mkdir(parents=True)
     (project / "runs" / "experiment.json").write_text("{}")
-    (project / "S5/acting3/cam1/rtof").mkdir(parents=True)
-    (project / "S5/acting3/cam1/rtof/motion.npz").write_text("mine")
     if mark is not None:
         (project / "settings.json").write_text(mark, encoding="latin-1")
+    opened(tmp_path / "out")
     before = files_of(tmp_path)
     with pytest.raises(OutputExistsError, match=r"project.*name a new folder"):
         opened(project, overwrite)
     with pytest.raises(OutputExistsError, match=r"project.*name a new folder"):
-        opened(tmp_path / "out", overwrite, save=project)
-    assert files_of(tmp_path) == before
-    assert not (tmp_path / "out").exists()
-
-
-def test_results_stay_where_the_folder_for_the_motions_is_refused(tmp_path: Path) -> None:
-    runs = opened(tmp_path / "out")
-    (runs / "a.json").write_text("{}")
-    foreign = tmp_path / "motions"
-    foreign.mkdir()
-    (foreign / "thesis.txt").write_text("")
-    before = files_of(tmp_path)
-    with pytest.raises(OutputExistsError, match="motions: holds other things"):
-        opened(tmp_path / "out", overwrite=True, save=foreign, seed=1)
+        opened(tmp_path / "out", True, save=project, seed=1)
     assert files_of(tmp_path) == before
 
 
-def test_overwriting_removes_the_motions_of_other_settings_and_nothing_else(tmp_path: Path) -> None:
+def test_overwriting_removes_motions_of_other_settings_only(tmp_path: Path) -> None:
     save = tmp_path / "motions"
     opened(tmp_path / "out", save=save)
     motion = save / "S1" / "walking2" / "cam1" / "lift" / "motion.npz"
     motion.parent.mkdir(parents=True)
     motion.write_text("")
     (save / "note.txt").write_text("")
-    opened(tmp_path / "other", save=save)  # of the same settings
+    opened(tmp_path / "other", save=save)
     assert motion.exists()
     with pytest.raises(OutputExistsError, match="motions: holds results of other settings"):
         opened(tmp_path / "third", save=save, seed=1)
@@ -300,26 +232,21 @@ def test_overwriting_removes_the_motions_of_other_settings_and_nothing_else(tmp_
     assert (save / "note.txt").exists()
 
 
-def test_a_file_where_a_folder_shall_be_is_said(tmp_path: Path) -> None:
+def test_a_file_in_place_of_a_folder_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for folder in (tmp_path / "file", tmp_path / "file" / "out"):
         with pytest.raises(RtofError, match="cannot be written .*; name another folder"):
             opened(folder)
-    assert (tmp_path / "file").read_text() == ""
 
 
-def test_a_job_whose_motions_are_wanted_now_is_run_again(tmp_path: Path, log: Path) -> None:
-    """But not for a method that it has not: no run would ever write that one's."""
+def test_a_job_runs_again_where_a_motion_it_measured_is_missing(tmp_path: Path, log: Path) -> None:
     out, save = tmp_path / "out", tmp_path / "motions"
     jobs = orders(log, a="work", b="work", c="work")
     run_jobs(obey, jobs, opened(out), workers=1)
-    there = tmp_path / "there.npz"
+    there, missing = tmp_path / "there.npz", save / "missing.npz"
     there.touch()
     files: dict[str, dict[str, Path | None]] = {
-        "a": {"a": save / "not there.npz"},
-        "b": {"a": there, "not measured": save / "not there.npz"},
-        "c": {"a": None},
-    }
-    runs = open_runs(out, SETTINGS, False, save, files)
-    run_jobs(obey, jobs, runs, workers=1)
+        "a": {"a": missing}, "b": {"a": there, "not measured": missing}, "c": {"a": None},
+    }  # fmt: skip
+    run_jobs(obey, jobs, open_runs(out, SETTINGS, False, save, files), workers=1)
     assert calls(log) == ["a", "a", "b", "c"]

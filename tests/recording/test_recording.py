@@ -1,4 +1,4 @@
-"""Recordings as folders: exact round trips, folders written by hand, and everything that can be wrong."""
+"""Recordings as folders: exact round trips, folders written by hand, and wrong input."""
 
 from __future__ import annotations
 
@@ -15,19 +15,17 @@ import numpy as np
 import planted
 import pytest
 
-import rtof_kin.recording.recording
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import (
     CalibrationError,
     FileFormatError,
+    InvalidInputError,
     OutputExistsError,
     RtofError,
-    ShapeError,
     UnitError,
     UnknownNameError,
 )
-from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.recording.recording import INDEX, Recording
 
@@ -143,31 +141,22 @@ def assert_same(a: object, b: object, where: str = "recording") -> None:
 # --- round trips ---------------------------------------------------------------------------------
 
 
-def test_a_full_recording_comes_back_to_the_last_bit(tmp_path: Path) -> None:
-    recording = full_recording()
+@pytest.mark.parametrize(("without", "names"), [
+    ((), [MANIFEST, "imus.npz", "keypoints.npz", INDEX, "truth.npz"]),
+    (("imus", "calibration", "truth"), [MANIFEST, "keypoints.npz", INDEX]),
+    (("keypoints",), [MANIFEST, "imus.npz", INDEX, "truth.npz"]),
+    (("imus",), [MANIFEST, "keypoints.npz", INDEX, "truth.npz"]),
+    (("calibration",), [MANIFEST, "imus.npz", "keypoints.npz", INDEX, "truth.npz"]),
+])  # fmt: skip
+def test_save_and_load_are_exact(tmp_path: Path, without: tuple[str, ...], names: list[str]) -> None:
+    recording = replace(full_recording(), **dict.fromkeys(without))  # type: ignore[arg-type]
     recording.save(tmp_path / "take")
     assert_same(Recording.load(tmp_path / "take"), recording)
+    assert sorted(p.name for p in (tmp_path / "take").iterdir()) == names
+    assert_same(pickle.loads(pickle.dumps(recording)), recording)
 
 
-def test_a_recording_without_imus_or_truth_comes_back_to_the_last_bit(tmp_path: Path) -> None:
-    recording = replace(full_recording(), imus=None, calibration=None, truth=None)
-    recording.save(tmp_path / "take")
-    assert_same(Recording.load(tmp_path / "take"), recording)
-    assert sorted(p.name for p in (tmp_path / "take").iterdir()) == [MANIFEST, "keypoints.npz", INDEX]
-
-
-def test_a_recording_that_nobody_filmed_comes_back_to_the_last_bit(tmp_path: Path) -> None:
-    recording = replace(full_recording(), keypoints=None)
-    recording.save(tmp_path / "take")
-    assert_same(Recording.load(tmp_path / "take"), recording)
-    names = sorted(p.name for p in (tmp_path / "take").iterdir())
-    assert names == [MANIFEST, "imus.npz", INDEX, "truth.npz"]
-    assert "[camera]" not in (tmp_path / "take" / INDEX).read_text(encoding="utf-8")
-    with pytest.raises(ShapeError, match="has no keypoints, as nobody filmed it"):
-        _ = recording.video
-
-
-def test_a_camera_without_keypoints_and_a_folder_with_neither_are_refused(tmp_path: Path) -> None:
+def test_camera_and_keypoints_are_needed_together(tmp_path: Path) -> None:
     full_recording().save(tmp_path / "take")
     path = tmp_path / "take" / INDEX
     text = path.read_text(encoding="utf-8")
@@ -180,24 +169,7 @@ def test_a_camera_without_keypoints_and_a_folder_with_neither_are_refused(tmp_pa
             Recording.load(tmp_path / "take")
 
 
-def test_a_floor_is_written_and_a_floor_at_no_height_is_refused(tmp_path: Path) -> None:
-    recording = replace(full_recording(), floor_height=0.25)
-    recording.save(tmp_path / "take")
-    index = (tmp_path / "take" / INDEX).read_text(encoding="utf-8")
-    assert "[scene]\nfloor_height_m = 0.25" in index
-    with pytest.raises(ShapeError, match="floor_height: not finite"):
-        replace(recording, floor_height=np.nan)
-
-
-def test_imus_without_calibration_and_calibration_without_imus_come_back(tmp_path: Path) -> None:
-    recording = full_recording()
-    for missing in ({"imus": None}, {"calibration": None}):
-        part = replace(recording, **missing)  # type: ignore[arg-type]
-        part.save(tmp_path / "take", overwrite=True)
-        assert_same(Recording.load(tmp_path / "take"), part)
-
-
-def test_a_human36m_recording_comes_back_with_its_17_joints(tmp_path: Path) -> None:
+def test_a_human36m_recording_is_saved_with_its_17_joints(tmp_path: Path) -> None:
     skeleton = SkeletonModel.human36m()
     moving = planted.moving(skeleton, T)
     recording = Recording("h", planted.keypoints(moving.poses), skeleton_table="human36m", truth=moving.poses)
@@ -207,15 +179,10 @@ def test_a_human36m_recording_comes_back_with_its_17_joints(tmp_path: Path) -> N
     assert loaded.skeleton.names == skeleton.names
 
 
-def test_a_recording_can_be_sent_to_another_process() -> None:
-    recording = full_recording()
-    assert_same(pickle.loads(pickle.dumps(recording)), recording)
-
-
 # --- folders written by hand ---------------------------------------------------------------------
 
 
-def test_a_folder_written_by_hand_says_what_its_author_meant(tmp_path: Path) -> None:
+def test_a_folder_written_by_hand_is_read(tmp_path: Path) -> None:
     recording = Recording.load(write(tmp_path))
     assert recording.name == "by hand"
     assert recording.acknowledgement == "Data by nobody."
@@ -236,13 +203,13 @@ def test_a_folder_written_by_hand_says_what_its_author_meant(tmp_path: Path) -> 
     )
     assert recording.calibration.joints == ("LeftArm", "RightLeg")
     np.testing.assert_allclose(recording.calibration.R_sensor_bone[0] @ [1, 0, 0], [0, 1, 0])
-    np.testing.assert_allclose(recording.calibration.p_bone_sensor[1], [0.05, 0.0, -0.16])
+    lever = SKELETON.with_height(1.80).sensors["L_UpArm"][1]  # the table's, scaled to the subject
+    np.testing.assert_allclose(recording.calibration.p_bone_sensor, [lever, [0.05, 0.0, -0.16]])
 
 
 def test_the_example_of_the_documentation_can_be_loaded(tmp_path: Path) -> None:
-    text = rtof_kin.recording.recording.__doc__ or ""
-    example = text[text.index("    schema_version") : text.index("Missing is NaN")]
-    (tmp_path / INDEX).write_text(textwrap.dedent(example))
+    text = (Path(__file__).parents[2] / "docs/recording.md").read_text(encoding="utf-8")
+    (tmp_path / INDEX).write_text(text.split("```toml\n")[1].split("```")[0])
     np.savez(tmp_path / "keypoints.npz", uv_px=UV[:, :3], confidence=np.ones((T, 3)))
     np.savez(tmp_path / "imus.npz", quat_wxyz=QUAT[:, :1], f_sensor=FORCE[:, :1])
     poses = planted.moving(SKELETON, T).poses
@@ -258,34 +225,21 @@ def test_the_example_of_the_documentation_can_be_loaded(tmp_path: Path) -> None:
     assert recording.truth is not None
 
 
-def test_the_usual_lever_arm_of_a_known_sensor_is_that_of_the_subject(tmp_path: Path) -> None:
-    recording = Recording.load(write(tmp_path))
-    assert recording.calibration is not None
-    joint, lever = SKELETON.with_height(1.80).sensors["L_UpArm"]
-    assert recording.calibration.joints[0] == joint
-    np.testing.assert_allclose(recording.calibration.p_bone_sensor[0], lever)
-
-
-def test_the_name_of_the_folder_serves_where_no_name_is_given(tmp_path: Path) -> None:
-    assert Recording.load(write(tmp_path, 'name = "by hand"')).name == tmp_path.name
-
-
-def test_times_in_the_file_are_shifted_by_the_start(tmp_path: Path) -> None:
+def test_points_without_a_name_are_left_out_and_times_are_shifted(tmp_path: Path) -> None:
     times = np.cumsum(np.random.default_rng(0).uniform(0.01, 0.02, T))
-    write(tmp_path, "rate_hz = 60.0\n", keypoints={**keypoint_arrays(), "times": times})
-    np.testing.assert_array_equal(Recording.load(tmp_path).keypoints.times, times + 0.5)
-
-
-def test_points_with_an_empty_name_are_left_out(tmp_path: Path) -> None:
-    arrays = {"uv_px": keypoint_arrays()["uv_px"][:, :3]}
-    write(tmp_path, 'layout = "joints"', 'landmarks = ["Nose", "", "LeftHand"]', arrays)
-    keypoints = Recording.load(tmp_path).keypoints
+    arrays = {"uv_px": keypoint_arrays()["uv_px"][:, :3], "times": times}
+    old, new = (
+        'rate_hz = 60.0\nstart_s = 0.5\nlayout = "joints"',
+        'start_s = 0.5\nlandmarks = ["Nose", "", "LeftHand"]',
+    )
+    keypoints = Recording.load(write(tmp_path, old, new, arrays)).video
     assert keypoints.names == ("Nose", "LeftHand")
     np.testing.assert_array_equal(keypoints.uv_px, arrays["uv_px"][:, [0, 2]])
     assert np.all(keypoints.confidence == 1)
+    np.testing.assert_array_equal(keypoints.times, times + 0.5)
 
 
-def test_bone_lengths_stand_above_the_height(tmp_path: Path) -> None:
+def test_bone_lengths_override_the_height(tmp_path: Path) -> None:
     write(tmp_path, "[camera]", "[skeleton]\nbone_lengths_m = {LeftLeg = 0.45}\n[camera]")
     recording = Recording.load(tmp_path)
     taller = SKELETON.with_height(1.80).bone_lengths
@@ -336,13 +290,13 @@ def test_csv_files_give_the_same_recording_as_arrays(tmp_path: Path) -> None:
 # --- in memory -----------------------------------------------------------------------------------
 
 
-def test_the_body_is_the_table_where_nothing_is_known() -> None:
+def test_the_default_body_is_the_table() -> None:
     recording = Recording("x", planted.keypoints(planted.moving(SKELETON, 4).poses))
     np.testing.assert_array_equal(recording.joint_offsets, SKELETON.joint_offsets)
     assert recording.bone_imus() is None
 
 
-def test_bone_imus_come_at_the_times_of_the_video_with_the_planted_orientation() -> None:
+def test_bone_imus_are_resampled_to_the_video() -> None:
     truth = planted.moving(SKELETON, 30)
     recording = planted.recording(truth)
     bones = recording.bone_imus()
@@ -352,7 +306,7 @@ def test_bone_imus_come_at_the_times_of_the_video_with_the_planted_orientation()
     assert so3.angle_between(bones.R_world_bone, truth.poses.R_world_bone[:, index]).max() < 1e-9
 
 
-def test_bone_imus_come_at_their_own_times_or_at_those_asked_for_where_nobody_filmed() -> None:
+def test_bone_imus_without_a_camera_have_their_own_or_given_times() -> None:
     recording = replace(full_recording(), keypoints=None)
     assert recording.imus is not None
     own = recording.bone_imus()
@@ -364,27 +318,33 @@ def test_bone_imus_come_at_their_own_times_or_at_those_asked_for_where_nobody_fi
     np.testing.assert_array_equal(asked.times, times)
 
 
-def test_a_recording_of_nothing_is_refused() -> None:
-    with pytest.raises(ShapeError, match="neither keypoints nor IMUs"):
+def test_what_a_recording_lacks_is_refused_when_used() -> None:
+    with pytest.raises(InvalidInputError, match="neither keypoints nor IMUs"):
         Recording("empty")
+    with pytest.raises(InvalidInputError, match="no keypoints"):
+        _ = replace(full_recording(), keypoints=None).video
+    with pytest.raises(CalibrationError, match=r"no calibration; add a table"):
+        replace(full_recording(), calibration=None).bone_imus()
 
 
-def test_imus_without_a_calibration_are_refused_when_they_are_used() -> None:
-    recording = replace(full_recording(), calibration=None)
-    with pytest.raises(CalibrationError, match=r"its IMUs have no calibration; add a table"):
-        recording.bone_imus()
+IMUS = full_recording().imus
+assert IMUS is not None
+IMUS_LATER = replace(IMUS, times=IMUS.times + 1.7e9)
 
 
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
         ({"skeleton_table": "total_captur"}, UnknownNameError, "Did you mean 'total_capture'"),
-        ({"bone_lengths": {"LeftLeg": 0.3}}, ShapeError, "but joint_offsets make it .* give only one"),
+        ({"bone_lengths": {"LeftLeg": 0.3}}, InvalidInputError, "but joint_offsets make it .* give only one"),
         ({"bone_lengths": {"LeftLegg": 0.3}}, UnknownNameError, "Did you mean 'LeftLeg'"),
-        ({"height": 170.0}, ShapeError, "height: 170 m, but the skeleton stands"),
-        ({"joint_offsets": np.zeros((20, 3))}, ShapeError, r"expected shape \(21, 3\)"),
-        ({"joint_offsets": np.full((21, 3), np.nan)}, ShapeError, "offset of Spine is not finite"),
-        ({"skeleton_table": "human36m", "joint_offsets": None, "height": None,
+        ({"height": 170.0}, InvalidInputError, "height: 170 m, but the skeleton stands"),
+        ({"joint_offsets": np.zeros((20, 3))}, InvalidInputError, r"expected shape \(21, 3\)"),
+        ({"joint_offsets": np.full((21, 3), np.nan)}, InvalidInputError, "offset of Spine is not finite"),
+        ({"floor_height": np.nan}, InvalidInputError, "floor_height: not finite"),
+        ({"imus": IMUS_LATER}, InvalidInputError, "IMU times run from .* shift them to one clock"),
+        ({"truth": planted.moving(SkeletonModel.human36m(), T).poses}, InvalidInputError, "truth"),
+        ({"skeleton_table": "human36m", "joint_offsets": np.empty((0, 3)), "height": None,
           "bone_lengths": None}, UnknownNameError, "unknown landmark"),
     ],
 )  # fmt: skip
@@ -393,20 +353,6 @@ def test_fields_that_contradict_each_other_are_refused(
 ) -> None:
     with pytest.raises(error, match=message):
         replace(full_recording(), **change)  # type: ignore[arg-type]
-
-
-def test_imus_on_another_clock_are_refused() -> None:
-    recording = full_recording()
-    assert recording.imus is not None
-    late = replace(recording.imus, times=recording.imus.times + 1.7e9)
-    with pytest.raises(ShapeError, match=r"IMU times run from 1\.7e\+09 .* shift them to one clock"):
-        replace(recording, imus=late)
-
-
-def test_truth_of_another_skeleton_is_refused() -> None:
-    other = planted.moving(SkeletonModel.human36m(), T).poses
-    with pytest.raises(ShapeError, match="truth: its joints are not those of the skeleton"):
-        replace(full_recording(), truth=other)
 
 
 # --- hostile folders: text -----------------------------------------------------------------------
@@ -421,38 +367,32 @@ def test_truth_of_another_skeleton_is_refused() -> None:
         ("width_px = 1920", "", FileFormatError, r"\[camera\] width_px: missing; add e\.g\."),
         ("width_px = 1920", "widht_px = 1920", FileFormatError,
          r"\[camera\] width_px: missing; there is 'widht_px', which may be misspelt"),
-        ("width_px = 1920", "width_px = 0", FileFormatError, "must be positive"),
         ("width_px = 1920", 'width_px = "a"', FileFormatError, "'a' is not a finite number"),
         ("width_px = 1920", "width_px = 19.5", FileFormatError, "not a whole number"),
         ("focal_px = 1250.0", "focal_px = nan", FileFormatError, "focal_px: nan is not a finite"),
-        ("focal_px = 1250.0", "focal_px = -3", FileFormatError, "positive focal lengths"),
         ("focal_px = 1250.0", "focal_px = 4.2", FileFormatError,
          r"\[camera\] focal_px: a focal length of 4\.2 px .* is it in mm\? Give px"),
         ("target_m = [0.0, 0.0, 1.0]", "", FileFormatError, "target_m: missing; add 3 numbers"),
         ("[0.0, 0.0, 1.0]", "[4.0, 0.6, 0.0]", FileFormatError, "target_m: straight above, below"),
         ("[0.0, 0.0, 1.0]", "[0.0, 1.0]", FileFormatError, r"expected 3 numbers, got shape \(2,\)"),
-        ("[0.0, 0.0, 1.0]", "[0.0, inf, 1.0]", FileFormatError, "holds a number that is not finite"),
         ("[camera]", "[camera]\ndistorsion = [0]", UnknownNameError, "Did you mean 'distortion'"),
         ("[subject]", "[subject]\nheigth_m = 1", UnknownNameError, r"\[subject\] 'heigth_m'"),
-        ("height_m = 1.80", "height_m = 180", FileFormatError, "no human height; give metres"),
-        ("mass_kg = 82.5", "mass_kg = 7e4", FileFormatError, "mass: 70000 kg is no person's; give"),
         ('sex = "male"', 'sex = "m"', FileFormatError, "male, female or None"),
         ('file = "keypoints.npz"', "", FileFormatError, r"\[keypoints\] file: missing"),
         ("keypoints.npz", "points.npz", FileFormatError, r"there is no file .*points\.npz"),
         ("keypoints.npz", "../keypoints.npz", FileFormatError, "leads out of the folder"),
-        ("keypoints.npz", "/etc/passwd", FileFormatError, "leads out of the folder"),
         ("rate_hz = 60.0\n", "", FileFormatError, r"\[keypoints\] rate_hz: missing, and .* no times"),
         ("rate_hz = 60.0", "rate_hz = 0", FileFormatError, "0 is not a positive number of samples"),
         ('layout = "joints"', "", FileFormatError, "landmarks: missing; list the names"),
         ('layout = "joints"', 'layout = "coco"', FileFormatError, "'coco' is not known; write"),
         ('"joints"', '"joints"\nlandmarks = []', FileFormatError, "layout: stands beside landmarks"),
+        ('layout = "joints"', f"landmarks = {[*SKELETON.names[:-1], 'LeftFot']}", UnknownNameError,
+         r"\[keypoints\] landmarks 'LeftFot'\. Did .*'LeftFoot'"),
         ('layout = "joints"', 'landmarks = ["Hips"]', FileFormatError, "1 names, but .* 21 points"),
-        ('layout = "joints"', "landmarks = 3", FileFormatError, "not a list of names"),
         ("[imus.sensors.strap]", "[imus.sensors]\nx = 3\n[imus.sensors.strap]", FileFormatError,
          r"\[imus\.sensors\] x: not a table"),
         ('joint = "RightLeg"', 'joint = "RightLag"', UnknownNameError,
          r"recording\.toml, \[imus\.sensors\.strap\] joint 'RightLag'\. Did you mean 'RightLeg'"),
-        ('joint = "RightLeg"', "", FileFormatError, r"\[imus\.sensors\.strap\] joint: missing"),
         ('joint = "RightLeg"', 'joint = "LeftArm"', FileFormatError, "LeftArm stands there more than"),
         ("lever_arm_m = [0.05, 0.0, -0.16]", "", FileFormatError, "lever_arm_m: missing; add 3"),
         ("[0.05, 0.0, -0.16]", "[50, 0, -160]", FileFormatError, "lever arm is .* longer than 1 m"),
@@ -476,7 +416,7 @@ def test_truth_of_another_skeleton_is_refused() -> None:
         ("[notes]", "[note]\n[notes]", UnknownNameError, "Did you mean 'notes'"),
     ],
 )  # fmt: skip
-def test_a_wrong_line_is_answered_with_file_field_and_remedy(
+def test_a_wrong_line_raises_with_file_field_and_remedy(
     tmp_path: Path, old: str, new: str, error: type[Exception], message: str
 ) -> None:
     write(tmp_path, old, new)
@@ -486,14 +426,7 @@ def test_a_wrong_line_is_answered_with_file_field_and_remedy(
     assert str(tmp_path) in str(caught.value)
 
 
-def test_an_unknown_landmark_is_answered_with_the_nearest_one(tmp_path: Path) -> None:
-    names = [*SKELETON.names[:-1], "LeftFot"]
-    write(tmp_path, 'layout = "joints"', f"landmarks = {names}")
-    with pytest.raises(UnknownNameError, match=r"\[keypoints\] landmarks 'LeftFot'\. Did .*'LeftFoot'"):
-        Recording.load(tmp_path)
-
-
-def test_a_folder_that_is_no_recording_is_named(tmp_path: Path) -> None:
+def test_a_folder_without_an_index_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=r"recording\.toml: there is no such file"):
         Recording.load(tmp_path)
     with pytest.raises(FileFormatError, match=r"nowhere.*there is no such file"):
@@ -537,7 +470,7 @@ BACKWARDS = with_value(np.arange(T) / 60, 5, 0.0)
         ({"times": np.arange(T) / 60}, FileFormatError, "rate_hz: .* has times of its own"),
     ],
 )
-def test_wrong_keypoint_arrays_are_answered_with_file_and_field(
+def test_wrong_keypoint_arrays_raise_with_file_and_field(
     tmp_path: Path, new: dict[str, object], error: type[Exception], message: str
 ) -> None:
     write(tmp_path, keypoints=changed(keypoint_arrays, **new))
@@ -555,7 +488,7 @@ def test_wrong_keypoint_arrays_are_answered_with_file_and_field(
         (np.ones((T, 2)), "keypoint times: expected shape"),
     ],
 )
-def test_wrong_times_are_answered_with_the_sample(tmp_path: Path, times: np.ndarray, message: str) -> None:
+def test_wrong_times_raise_with_the_sample(tmp_path: Path, times: np.ndarray, message: str) -> None:
     write(tmp_path, "rate_hz = 60.0\n", keypoints={**keypoint_arrays(), "times": times})
     with pytest.raises(FileFormatError, match=rf"keypoints\.npz: .*{message}"):
         Recording.load(tmp_path)
@@ -572,7 +505,7 @@ def test_wrong_times_are_answered_with_the_sample(tmp_path: Path, times: np.ndar
         ({"R_inertial_sensor": np.ones((40, S, 3, 3))}, FileFormatError, "give one of quat_wxyz"),
         ({"quat_wxyz": None, "R_inertial_sensor": np.ones((40, S, 3, 3))}, FileFormatError,
          r"imus\.npz: IMU R_inertial_sensor: not a rotation matrix at index \(0, 0\)"),
-        ({"f_sensor": FORCE / 9.81}, UnitError, r"imus\.npz: IMU L_UpArm: .* in g; multiply by 9\.81"),
+        ({"f_sensor": FORCE / 9.81}, UnitError, r"imus\.npz: IMU L_UpArm: .* in g; multiply"),
         ({"f_sensor": FORCE * 0}, UnitError, r"imus\.npz: .* gravity was removed"),
         ({"f_sensor": FORCE * 1000}, UnitError, r"imus\.npz: .* not milli-g or raw counts"),
         ({"f_sensor": with_value(FORCE, (3, 1), np.inf)}, FileFormatError, "infinite; write NaN"),
@@ -580,7 +513,7 @@ def test_wrong_times_are_answered_with_the_sample(tmp_path: Path, times: np.ndar
         ({"f_sensor": FORCE[:, :, :2]}, FileFormatError, r"IMU f_sensor: expected shape \(40, 2, 3\)"),
     ],
 )  # fmt: skip
-def test_wrong_imu_arrays_are_answered_with_file_and_field(
+def test_wrong_imu_arrays_raise_with_file_and_field(
     tmp_path: Path, new: dict[str, object], error: type[Exception], message: str
 ) -> None:
     write(tmp_path, imus=changed(imu_arrays, **new))
@@ -589,29 +522,15 @@ def test_wrong_imu_arrays_are_answered_with_file_and_field(
     assert str(tmp_path) in str(caught.value)
 
 
-def test_a_quaternion_off_by_less_than_a_thousandth_is_normalised(tmp_path: Path) -> None:
-    write(tmp_path, imus=changed(imu_arrays, quat_wxyz=QUAT * 1.0009))
-    imus = Recording.load(tmp_path).imus
+def test_quaternions_are_normalised_and_missing_ones_are_nan(tmp_path: Path) -> None:
+    quat = with_value(QUAT * 1.0009, (3, 1), np.nan)
+    imus = Recording.load(write(tmp_path, imus=changed(imu_arrays, quat_wxyz=quat))).imus
     assert imus is not None
-    np.testing.assert_allclose(imus.R_inertial_sensor, so3.from_quat_wxyz(QUAT), atol=1e-12)
-
-
-def test_missing_imu_samples_are_nan(tmp_path: Path) -> None:
-    write(tmp_path, imus=changed(imu_arrays, quat_wxyz=with_value(QUAT, (3, 1), np.nan)))
-    imus = Recording.load(tmp_path).imus
-    assert imus is not None
-    assert np.isnan(imus.R_inertial_sensor[3, 1]).all()
-    assert np.isfinite(imus.R_inertial_sensor).all(axis=(2, 3)).sum() == 40 * S - 1
+    expected = with_value(so3.from_quat_wxyz(QUAT), (3, 1), np.nan)
+    np.testing.assert_allclose(imus.R_inertial_sensor, expected, atol=1e-12)
 
 
 # --- hostile folders: bytes ----------------------------------------------------------------------
-
-
-class Bomb:
-    """Unpickling this would run a command."""
-
-    def __reduce__(self) -> tuple[object, tuple[str]]:
-        return (exec, ("raise SystemExit('unpickled')",))
 
 
 def npz_bytes(**members: bytes) -> bytes:
@@ -628,26 +547,15 @@ def npy_bytes(array: np.ndarray) -> bytes:
     return buffer.getvalue()
 
 
-def test_pickled_objects_are_refused_and_not_run(tmp_path: Path) -> None:
-    write(tmp_path, keypoints={"uv_px": np.array([Bomb()], dtype=object)})
-    with pytest.raises(FileFormatError, match=r"uv_px: holds object, .* objects are never read"):
-        Recording.load(tmp_path)
-
-
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
-def test_a_truncated_archive_is_said_to_be_damaged(tmp_path: Path, share: float) -> None:
+@pytest.mark.parametrize("damage", [
+    lambda content: content[: len(content) // 2],
+    lambda content: content[:-100],
+    lambda content: content[: len(content) // 2] + b"\x00\xff\x00" + content[len(content) // 2 + 3 :],
+])  # fmt: skip
+def test_a_damaged_archive_is_refused(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
     write(tmp_path)
     content = (tmp_path / "keypoints.npz").read_bytes()
-    (tmp_path / "keypoints.npz").write_bytes(content[: int(share * len(content))])
-    with pytest.raises(FileFormatError, match=r"keypoints\.npz: damaged, or no NPZ archive"):
-        Recording.load(tmp_path)
-
-
-def test_a_flipped_byte_in_an_archive_is_said_to_be_damaged(tmp_path: Path) -> None:
-    write(tmp_path)
-    content = bytearray((tmp_path / "keypoints.npz").read_bytes())
-    content[len(content) // 2] ^= 0xFF
-    (tmp_path / "keypoints.npz").write_bytes(bytes(content))
+    (tmp_path / "keypoints.npz").write_bytes(damage(content))
     with pytest.raises(FileFormatError, match=r"keypoints\.npz: damaged"):
         Recording.load(tmp_path)
 
@@ -662,22 +570,14 @@ def test_a_flipped_byte_in_an_archive_is_said_to_be_damaged(tmp_path: Path) -> N
         (npz_bytes(uv_px=npy_bytes(UV).replace(b"(12, 21, 2)", b"(92, 21, 2)")), "needs 30912 bytes"),
         (npz_bytes(uv_px=npy_bytes(UV) + bytes(8)), "uv_px: damaged, 4040 of 4032"),
         (npz_bytes(uv_px=npy_bytes(np.array(["a", "b"]))), "uv_px: holds <U1, not numbers"),
+        (npz_bytes(uv_px=npy_bytes(np.array([{}], dtype=object))), "uv_px: holds object"),
     ],
 )
-def test_bytes_that_are_no_archive_of_numbers_are_refused(
-    tmp_path: Path, content: bytes, message: str
-) -> None:
+def test_an_archive_without_numbers_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
     write(tmp_path)
     (tmp_path / "keypoints.npz").write_bytes(content)
     with pytest.raises(FileFormatError, match=message):
         Recording.load(tmp_path)
-
-
-def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> None:
-    np.savez_compressed(tmp_path / "zeros.npz", x=np.zeros(10**6))
-    assert len(read_npz(tmp_path / "zeros.npz")["x"]) == 10**6
-    with pytest.raises(FileFormatError, match="would fill more than 1 MiB of memory"):
-        read_npz(tmp_path / "zeros.npz", limit=2**20)
 
 
 @pytest.mark.parametrize(
@@ -685,6 +585,7 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> Non
     [
         ("", "line 1: empty; expected a CSV file; its first line names"),
         ("time;Hips_u_px;Hips_v_px\n", "line 1: separated by ';'"),
+        ("time,Nouse_u_px,Nouse_v_px\n0,1,2\n", " 'Nouse'. Did you mean 'Nose'"),
         ("time,Hips_u_px\n0,1\n", "line 1: the column 'Hips_v_px' is missing"),
         ("time,Hips_x,Hips_y\n0,1,2\n", "line 1: column 'Hips_x': expected 'time'"),
         ("time\n0\n", "line 1: no column ends in _u_px"),
@@ -695,26 +596,19 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> Non
         ("time,Hips_u_px,Hips_v_px\n", "times: empty"),
     ],
 )
-def test_a_wrong_csv_file_is_answered_with_line_and_column(tmp_path: Path, text: str, message: str) -> None:
+def test_a_wrong_csv_file_raises_with_line_and_column(tmp_path: Path, text: str, message: str) -> None:
     write(tmp_path, 'file = "keypoints.npz"\nrate_hz = 60.0', 'file = "keypoints.csv"')
     (tmp_path / "keypoints.csv").write_text(text)
     toml = (tmp_path / INDEX).read_text().replace('layout = "joints"\n', "")
     (tmp_path / INDEX).write_text(toml)
-    with pytest.raises(FileFormatError, match=rf"keypoints\.csv.*{message}"):
-        Recording.load(tmp_path)
-
-
-def test_an_unknown_landmark_in_a_csv_file_is_answered_with_the_file(tmp_path: Path) -> None:
-    write(tmp_path, 'file = "keypoints.npz"\nrate_hz = 60.0', 'file = "keypoints.csv"')
-    (tmp_path / "keypoints.csv").write_text("time,Nouse_u_px,Nouse_v_px\n0,1,2\n")
-    with pytest.raises(UnknownNameError, match=r"keypoints\.csv 'Nouse'\. Did you mean 'Nose'"):
+    with pytest.raises(RtofError, match=rf"keypoints\.csv.*{message}"):
         Recording.load(tmp_path)
 
 
 # --- writing -------------------------------------------------------------------------------------
 
 
-def test_an_existing_recording_is_only_replaced_when_asked(tmp_path: Path) -> None:
+def test_an_existing_recording_is_replaced_on_request_only(tmp_path: Path) -> None:
     recording = full_recording()
     recording.save(tmp_path / "take")
     with pytest.raises(OutputExistsError, match=r"take: is there already; .*overwrite=True"):
@@ -726,28 +620,20 @@ def test_an_existing_recording_is_only_replaced_when_asked(tmp_path: Path) -> No
     assert [p.name for p in tmp_path.iterdir()] == ["take"]
 
 
-def test_a_folder_that_is_no_recording_is_never_replaced(tmp_path: Path) -> None:
+def test_foreign_files_are_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.tex").write_text("three years")
     (tmp_path / "file").write_text("x")
-    for name in ("thesis", "file"):
-        with pytest.raises(OutputExistsError, match="name a"):
+    full_recording().save(tmp_path / "take")
+    (tmp_path / "take" / "video.mp4").write_text("the only copy")
+    for name, message in (("thesis", "name a"), ("file", "name a"), ("take", "holds .*video")):
+        with pytest.raises(OutputExistsError, match=message):
             full_recording().save(tmp_path / name, overwrite=True)
     assert (tmp_path / "thesis" / "thesis.tex").read_text() == "three years"
-
-
-def test_a_recording_with_somebody_elses_files_beside_it_is_not_replaced(tmp_path: Path) -> None:
-    recording = full_recording()
-    recording.save(tmp_path / "take")
-    (tmp_path / "take" / "video.mp4").write_text("the only copy")
-    with pytest.raises(OutputExistsError, match=r"take: holds .*: video\.mp4; move it"):
-        recording.save(tmp_path / "take", overwrite=True)
     assert (tmp_path / "take" / "video.mp4").exists()
 
 
-def test_a_failed_write_leaves_what_was_there_and_nothing_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_write_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recording = full_recording()
     recording.save(tmp_path / "take")
 
@@ -760,9 +646,3 @@ def test_a_failed_write_leaves_what_was_there_and_nothing_else(
             replace(recording, name="b").save(tmp_path / name, overwrite=True)
     assert Recording.load(tmp_path / "take").name == recording.name
     assert [p.name for p in tmp_path.iterdir()] == ["take"]
-
-
-def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("x")
-    with pytest.raises(RtofError, match=r"take: cannot be written .*; choose another folder"):
-        full_recording().save(tmp_path / "file" / "take")

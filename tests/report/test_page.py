@@ -200,7 +200,7 @@ def test_a_folder_without_an_audit_says_so(tmp_path: Path) -> None:
         ({"inputs": {"sensors": "none"}}, "inputs, sensors: no list"),
         ({"inputs": {"sensors": [{"rate_hz": "fast"}]}}, "inputs, sensors, rate_hz: 'fast' is not what"),
         ({"inputs": {"session": {"subject": ["a"]}}}, "inputs, session, subject: \"['a']\" is not what"),
-        ({"inputs": {"session": {"date": "soon"}}}, "session date: 'soon' is no day"),
+        ({"inputs": {"session": {"date": "soon"}}}, "session date: 'soon'"),
         ({"inputs": {"sensors": [{"lever_arm_m": "far"}]}}, "inputs, sensors, lever_arm_m: 'far'"),
         ({"inputs": {"sensors": [{"lever_arm_m": ["far"]}]}}, "inputs, sensors, lever_arm_m: "),
         ({"inputs": {"calibration": {"rows": 3}}}, "inputs, calibration, rows: no list"),

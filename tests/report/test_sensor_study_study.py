@@ -25,7 +25,7 @@ from rtof_kin.report.sensor_study.figures import error_by_number, write_study_fi
 from rtof_kin.report.sensor_study.files import NO_ERROR, sentences, study_facts, write_study
 from rtof_kin.report.sensor_study.sensor_sets import measured
 from rtof_kin.report.sensor_study.study import SensorStudy, number_of_runs, study_sensors
-from rtof_kin.solve.compiled import building
+from rtof_kin.solve.compiled import fragment_energy
 
 Array = NDArray[np.float64]
 NAMES = ("L_LowLeg", "R_LowLeg", "Sternum")
@@ -248,9 +248,9 @@ def test_a_study_of_two_sensors_goes_down_to_vision_alone() -> None:
     recording: Recording = replace(planted.recording(truth), joint_offsets=body.joint_offsets)
     assert recording.imus is not None
     recording = replace(recording, imus=recording.imus.select(recording.imus.names[:2]))
-    built = building._energy.cache_info().misses
+    built = fragment_energy._frame_energy.cache_info().misses
     study = study_sensors(recording, lifter=planted.PlantedLifter(truth))
-    assert building._energy.cache_info().misses <= built + 1, "all sets take one compiled problem"
+    assert fragment_energy._frame_energy.cache_info().misses <= built + 1, "all sets take one compiled problem"
     assert study.has_truth
     assert [len(found.sensors) for found in study.path] == [2, 1, 0]
     assert np.isfinite(study.full.error).any()

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics import c_compiler as compiled
-from rtof_kin.core.numerics import simd as lanes
+from rtof_kin.core.numerics import simd
 from rtof_kin.core.numerics.banded import Store
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.solve.compiled.building import built_problem
-from rtof_kin.solve.compiled.simd_problem import LaneFunctions, LaneProblem
+from rtof_kin.solve.compiled.fragment_energy import built_energy
+from rtof_kin.solve.compiled.simd_problem import SimdFunctions, SimdProblem
 from rtof_kin.solve.energy.frame_energy import FrameEnergy, Shape
 from rtof_kin.solve.energy.problem import JointProblem
 from rtof_kin.solve.energy.state import StateSpace
@@ -55,24 +55,24 @@ class Both:
     """A kind of body with its two problems of N frames."""
 
     def __init__(self, kind: str) -> None:
-        self.built, self._plain, self._lanes = KINDS[kind](), {}, {}  # type: ignore[var-annotated]
+        self.built, self._plain, self._simd = KINDS[kind](), {}, {}  # type: ignore[var-annotated]
         self.limits = Limits(self.built.space)
-        functions = LaneFunctions.compiled(self.built.energy, js.DELTA_ACCELERATION)
+        functions = SimdFunctions.compiled(self.built.energy, js.DELTA_ACCELERATION)
         assert functions is not None
         self.functions = functions
 
-    def problems(self, frames: int) -> tuple[JointProblem, LaneProblem]:
+    def problems(self, frames: int) -> tuple[JointProblem, SimdProblem]:
         if frames not in self._plain:
             b, sigma = self.built, js.sigma_jerk(self.built.space)
             self._plain[frames] = JointProblem(
                 b.space, b.energy.functions(), b.energy, frames, sigma, js.DELTA_ACCELERATION
             )
-            self._lanes[frames] = LaneProblem(self.functions, b.energy, frames, sigma)
-        return self._plain[frames], self._lanes[frames]
+            self._simd[frames] = SimdProblem(self.functions, b.energy, frames, sigma)
+        return self._plain[frames], self._simd[frames]
 
     def bound(
         self, frames: int = 11, step: float = 0.05, seed: int = 0
-    ) -> tuple[JointProblem, LaneProblem, Array]:
+    ) -> tuple[JointProblem, SimdProblem, Array]:
         """Both with the same data, and a state beside where those come from."""
         x = js.states(self.built.space, frames, seed, step)
         data = js.random_data(self.built, x, seed + 50)
@@ -89,7 +89,7 @@ def both(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RTOF_KIN_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.delenv("RTOF_KIN_COMPILE", raising=False)
-        patch.setattr(lanes, "_OPTIONS", ("-O1", "-fno-math-errno"))
+        patch.setattr(simd, "_OPTIONS", ("-O1", "-fno-math-errno"))
         if not Store.available():
             pytest.skip("banded systems are not compiled on this machine")
         yield Both(request.param)
@@ -240,5 +240,5 @@ def test_a_problem_without_code_is_the_one_on_whole_arrays(both: Both) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RTOF_KIN_COMPILE", "never")
         jerk = (1.25,) * (1 + len(StateSpace(js.BODY, MOVING, True).names))
-        made = built_problem(js.BODY.name, shape, MOVING, 8, True, "auto", jerk, 2.0)
+        made = built_energy(js.BODY.name, shape, MOVING, 8, True, "auto", jerk, 2.0)
     assert type(made) is JointProblem

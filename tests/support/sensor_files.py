@@ -11,8 +11,10 @@ import scipy.io
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from rtof_kin.data.imu import STANDARD_GRAVITY
+
 Array = NDArray[np.float64]
-G = 9.81
+G = STANDARD_GRAVITY
 RATE = 60.0
 REAL = Path(__file__).parents[1] / "fixtures" / "inertial"
 SERIALS = ("00B40001", "00B40002")

@@ -40,7 +40,7 @@ def take(
         name,
         motion(subject, name, frames, seed),
         body(subject, name),
-        noise=ImuNoise.realistic() if noisy else ImuNoise.perfect(),
+        noise=ImuNoise() if noisy else ImuNoise.perfect(),
         stamp=stamp,
         seed=seed,
     )

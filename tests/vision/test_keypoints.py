@@ -15,7 +15,7 @@ from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.keypoints import adapt, read_detector_keypoints
+from rtof_kin.vision.keypoints import keypoints_from_detections, read_detector_keypoints
 
 REAL = Path(__file__).parents[1] / "fixtures" / "detectors" / "two_people"
 REAL_CAMERA = Camera(
@@ -182,7 +182,7 @@ def test_a_file_outside_of_the_recording_is_refused(tmp_path: Path) -> None:
 def test_all_confidences_zero_is_a_clear_error(motion: MotionSequence, camera: Camera) -> None:
     uv = points_px("coco17", motion, camera)[:, None]
     with pytest.raises(ShapeError, match="nowhere are more than 0 of 17 points seen"):
-        adapt(Detections(uv, np.zeros(uv.shape[:3])), motion.times, camera, "coco17")
+        keypoints_from_detections(Detections(uv, np.zeros(uv.shape[:3])), motion.times, camera, "coco17")
 
 
 def test_a_landmark_never_seen_is_unseen_and_its_neighbours_are_not(
@@ -191,7 +191,7 @@ def test_a_landmark_never_seen_is_unseen_and_its_neighbours_are_not(
     uv = points_px("coco17", motion, camera)[:, None]
     confidence = np.full(uv.shape[:3], 0.9)
     confidence[..., 15] = 0.0  # the left ankle
-    found = adapt(Detections(uv, confidence), motion.times, camera)
+    found = keypoints_from_detections(Detections(uv, confidence), motion.times, camera)
     seen = dict(zip(found.keypoints.names, found.keypoints.seen.T, strict=True))
     assert not seen["LeftFoot"].any()
     assert seen["LeftLeg"].all()
@@ -203,7 +203,7 @@ def test_points_outside_of_the_cameras_image_mean_another_camera(
 ) -> None:
     uv = 3 * points_px("coco17", motion, camera)[:, None]
     with pytest.raises(ShapeError, match="% of the points lie outside of the camera's image of 1920 x 1080"):
-        adapt(Detections(uv, np.ones(uv.shape[:3])), motion.times, camera)
+        keypoints_from_detections(Detections(uv, np.ones(uv.shape[:3])), motion.times, camera)
 
 
 def test_times_and_a_rate_contradict_each_other(
@@ -221,6 +221,6 @@ def test_where_the_person_was_lost_is_said(motion: MotionSequence, camera: Camer
     uv = points_px("coco17", motion, camera)[:, None]
     confidence = np.full(uv.shape[:3], 0.9)
     confidence[10:14] = confidence[20] = 0.0
-    found = adapt(Detections(uv, confidence), motion.times, camera)
+    found = keypoints_from_detections(Detections(uv, confidence), motion.times, camera)
     assert found.summary.endswith("lost in 5 of 50 frames (10-13, 20)")
     assert not found.keypoints.seen[11].any()

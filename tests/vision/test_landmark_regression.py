@@ -13,10 +13,10 @@ from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
-from rtof_kin.vision.landmark_regression import LEAST_SHARE, Adapter, read_gaussian
+from rtof_kin.vision.landmark_regression import LEAST_SHARE, LandmarkRegression, read_gaussian
 from rtof_kin.vision.layouts import detector_table
 
-ADAPTER = Adapter.default()
+ADAPTER = LandmarkRegression.default()
 
 
 @pytest.fixture(scope="module")

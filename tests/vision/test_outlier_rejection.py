@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.stream_faults import FaultKind
-from rtof_kin.vision.outlier_rejection import guarded_keypoints
+from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -48,7 +48,7 @@ def at_rate(seen: KeypointSequence, every: int) -> KeypointSequence:
 
 def test_keypoints_that_nothing_is_wrong_with_are_the_same_object() -> None:
     for seen in (SEEN, at_rate(SEEN, 2), planted.keypoints(planted.moving(BODY, 60).poses)):
-        again, faults = guarded_keypoints(seen)
+        again, faults = reject_keypoint_outliers(seen)
         assert again is seen
         assert faults == ()
 
@@ -57,12 +57,12 @@ def test_keypoints_that_nothing_is_wrong_with_are_the_same_object() -> None:
 @pytest.mark.parametrize("sigma_px", [0.0, 5.0])
 def test_nothing_is_found_in_people_that_move(seed: int, sigma_px: float) -> None:
     seen = planted.keypoints(planted.human(BODY, 240, seed=10 * seed).poses, sigma_px, seed)
-    assert guarded_keypoints(seen) == (seen, ())
+    assert reject_keypoint_outliers(seen) == (seen, ())
 
 
 @pytest.mark.parametrize("frames", [slice(60, 90), slice(70, 71), slice(50, 160)])
 def test_sides_that_were_exchanged_for_some_time_are_exchanged_back(frames: slice) -> None:
-    mended, faults = guarded_keypoints(exchanged(SEEN, frames))
+    mended, faults = reject_keypoint_outliers(exchanged(SEEN, frames))
     np.testing.assert_array_equal(mended.uv_px, SEEN.uv_px)
     np.testing.assert_array_equal(mended.confidence, SEEN.confidence)
     assert {f.what for f in faults} == {"keypoints of legs", "keypoints of arms and head"}
@@ -74,7 +74,7 @@ def test_sides_that_were_exchanged_for_some_time_are_exchanged_back(frames: slic
 
 def test_legs_alone_may_be_exchanged_and_confidence_goes_with_them() -> None:
     own = replace(SEEN, confidence=np.linspace(0.5, 1.0, len(SEEN.names)) * np.ones((180, 1)))
-    mended, faults = guarded_keypoints(exchanged(own, slice(60, 90), LEGS))
+    mended, faults = reject_keypoint_outliers(exchanged(own, slice(60, 90), LEGS))
     np.testing.assert_array_equal(mended.uv_px, own.uv_px)
     np.testing.assert_array_equal(mended.confidence, own.confidence)
     assert [f.what for f in faults] == ["keypoints of legs"]
@@ -83,7 +83,7 @@ def test_legs_alone_may_be_exchanged_and_confidence_goes_with_them() -> None:
 def test_points_that_a_detector_never_or_seldom_sees_have_no_say_in_sides() -> None:
     seen = planted.unseen(SEEN, slice(None), BODY.index("LeftHand", "RightFoot"))
     seen = planted.unseen(seen, slice(0, None, 3), BODY.index("LeftForeArm"))
-    mended, faults = guarded_keypoints(exchanged(seen, slice(61, 91)))
+    mended, faults = reject_keypoint_outliers(exchanged(seen, slice(61, 91)))
     np.testing.assert_array_equal(mended.uv_px, seen.uv_px)
     assert {f.kind for f in faults} == {FaultKind.SIDES}
     assert len(faults) == 2
@@ -91,7 +91,7 @@ def test_points_that_a_detector_never_or_seldom_sees_have_no_say_in_sides() -> N
 
 def test_sides_at_30_hz_are_exchanged_back_too() -> None:
     slow = at_rate(SEEN, 2)
-    mended, faults = guarded_keypoints(exchanged(slow, slice(30, 50)))
+    mended, faults = reject_keypoint_outliers(exchanged(slow, slice(30, 50)))
     np.testing.assert_array_equal(mended.uv_px, slow.uv_px)
     assert len(faults) == 2
 
@@ -99,7 +99,7 @@ def test_sides_at_30_hz_are_exchanged_back_too() -> None:
 @pytest.mark.parametrize("frames", [slice(100, None), slice(30, 170)])
 def test_sides_whose_exchange_does_not_end_soon_are_left_and_told(frames: slice) -> None:
     wrong = exchanged(SEEN, frames)
-    mended, faults = guarded_keypoints(wrong)
+    mended, faults = reject_keypoint_outliers(wrong)
     np.testing.assert_array_equal(mended.uv_px, wrong.uv_px)
     assert faults
     assert all(f.kind is FaultKind.SIDES_IN_DOUBT for f in faults)
@@ -108,13 +108,13 @@ def test_sides_whose_exchange_does_not_end_soon_are_left_and_told(frames: slice)
 
 def test_sides_in_doubt_when_the_person_leaves_are_not_carried_over_the_gap() -> None:
     seen = planted.unseen(SEEN, slice(90, 120))
-    mended, faults = guarded_keypoints(exchanged(seen, slice(80, 90)))
+    mended, faults = reject_keypoint_outliers(exchanged(seen, slice(80, 90)))
     assert {f.kind for f in faults} == {FaultKind.SIDES_IN_DOUBT}
     np.testing.assert_array_equal(mended.uv_px[120:], SEEN.uv_px[120:])
 
 
 def test_somebody_else_for_half_a_second_is_left_out() -> None:
-    mended, (fault,) = guarded_keypoints(jumped(SEEN, slice(60, 90)))
+    mended, (fault,) = reject_keypoint_outliers(jumped(SEEN, slice(60, 90)))
     assert fault.kind is FaultKind.SOMEBODY_ELSE
     assert (fault.start, fault.stop) == (SEEN.times[60], SEEN.times[89])
     assert np.isnan(mended.uv_px[60:90]).all()
@@ -125,7 +125,7 @@ def test_somebody_else_for_half_a_second_is_left_out() -> None:
 
 def test_a_jump_without_return_is_told_and_nothing_left_out() -> None:
     wrong = jumped(SEEN, slice(90, None))
-    mended, (fault,) = guarded_keypoints(wrong)
+    mended, (fault,) = reject_keypoint_outliers(wrong)
     assert fault.kind is FaultKind.JUMP
     assert fault.start == SEEN.times[90]
     np.testing.assert_array_equal(mended.uv_px, wrong.uv_px)
@@ -135,25 +135,25 @@ def test_somebody_who_comes_back_elsewhere_after_a_second_did_not_jump() -> None
     uv = SEEN.uv_px.copy()
     uv[60:120] = np.nan
     uv[120:] += [300.0, 0.0]
-    assert guarded_keypoints(replace(SEEN, uv_px=uv))[1] == ()
+    assert reject_keypoint_outliers(replace(SEEN, uv_px=uv))[1] == ()
 
 
 def test_single_outliers_are_no_exchange_and_nobody_else() -> None:
     rng = np.random.default_rng(0)
     uv = SEEN.uv_px + 80 * rng.standard_normal(SEEN.uv_px.shape) * (rng.random((180, 21, 1)) < 0.1)
-    assert guarded_keypoints(replace(SEEN, uv_px=uv))[1] == ()
+    assert reject_keypoint_outliers(replace(SEEN, uv_px=uv))[1] == ()
 
 
 @pytest.mark.parametrize("frames", [1, 2, 5])
 def test_few_frames_and_unseen_people_are_nothing_to_look_at(frames: int) -> None:
     for seen in (SEEN[:frames], planted.unseen(SEEN[:frames], slice(None))):
-        assert guarded_keypoints(seen) == (seen, ())
+        assert reject_keypoint_outliers(seen) == (seen, ())
 
 
 def test_sides_of_human36m_are_known_by_a_letter() -> None:
     names = ("Hip", "LHip", "RHip", "LKnee", "RKnee", "LFoot", "RFoot", "Head", "Neck")
     legs = tuple(side + part for part in LEGS for side in ("Left", "Right"))
     seen = SEEN.select(("Hips", *legs, "Head", "Neck"))
-    mended, faults = guarded_keypoints(replace(exchanged(seen, slice(60, 90)), names=names))
+    mended, faults = reject_keypoint_outliers(replace(exchanged(seen, slice(60, 90)), names=names))
     np.testing.assert_array_equal(mended.uv_px, seen.uv_px)
     assert [f.what for f in faults] == ["keypoints of legs"]

@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
 from rtof_kin.core.errors import ShapeError, UnknownNameError
-from rtof_kin.vision.pose_gaussian import ANYWHERE, PointGaussian
+from rtof_kin.vision.pose_gaussian import ANYWHERE, PoseGaussian
 
 Array = NDArray[np.float64]
 NAMES = tuple("abcdefgh")
@@ -19,13 +19,13 @@ SEEN, WANTED = tuple("bcdfg"), tuple("ah")
 
 
 @pytest.fixture(scope="module")
-def gaussian() -> PointGaussian:
+def gaussian() -> PoseGaussian:
     rng = np.random.default_rng(0)
     root = rng.normal(size=(16, 16)) * 0.1
-    return PointGaussian(NAMES, rng.normal(size=(8, 2)), root @ root.T, noise=0.03)
+    return PoseGaussian(NAMES, rng.normal(size=(8, 2)), root @ root.T, noise=0.03)
 
 
-def drawn(gaussian: PointGaussian, count: int, seed: int = 1) -> Array:
+def drawn(gaussian: PoseGaussian, count: int, seed: int = 1) -> Array:
     """(count, 8, 2) persons, as they are."""
     rng = np.random.default_rng(seed)
     z = rng.multivariate_normal(gaussian.mean.ravel(), gaussian.covariance, count)
@@ -36,7 +36,7 @@ def observed(points: Array, names: tuple[str, ...]) -> Array:
     return points[:, [NAMES.index(name) for name in names]]
 
 
-def test_the_estimate_is_the_textbook_conditional_mean(gaussian: PointGaussian) -> None:
+def test_the_estimate_is_the_textbook_conditional_mean(gaussian: PoseGaussian) -> None:
     x = observed(drawn(gaussian, 3), SEEN)
     i = np.array([2 * NAMES.index(n) + k for n in SEEN for k in (0, 1)])
     j = np.array([2 * NAMES.index(n) + k for n in WANTED for k in (0, 1)])
@@ -49,7 +49,7 @@ def test_the_estimate_is_the_textbook_conditional_mean(gaussian: PointGaussian) 
     np.testing.assert_allclose(got.reshape(3, -1), want, atol=2e-5)  # the prior on place is nearly flat
 
 
-def test_estimates_move_and_scale_with_the_image(gaussian: PointGaussian) -> None:
+def test_estimates_move_and_scale_with_the_image(gaussian: PoseGaussian) -> None:
     x = observed(drawn(gaussian, 4), SEEN)
     regression = gaussian.given(SEEN).regression(WANTED)
     scale = gaussian.given(SEEN).likelihood(x).scale
@@ -61,7 +61,7 @@ def test_estimates_move_and_scale_with_the_image(gaussian: PointGaussian) -> Non
     np.testing.assert_allclose(there, 170.0 * here + np.array([900.0, -40.0]), atol=1e-2)
 
 
-def test_the_size_found_is_the_most_likely_one(gaussian: PointGaussian) -> None:
+def test_the_size_found_is_the_most_likely_one(gaussian: PoseGaussian) -> None:
     x = observed(drawn(gaussian, 1), SEEN) * 50.0
     i = np.array([2 * NAMES.index(n) + k for n in SEEN for k in (0, 1)])
     C = gaussian.covariance[np.ix_(i, i)] + ANYWHERE * np.tile(np.eye(2), (5, 5))
@@ -80,7 +80,7 @@ def test_the_size_found_is_the_most_likely_one(gaussian: PointGaussian) -> None:
     assert np.log(found) == pytest.approx(best.x, abs=1e-5)
 
 
-def test_the_errors_promised_are_the_errors_made(gaussian: PointGaussian) -> None:
+def test_the_errors_promised_are_the_errors_made(gaussian: PoseGaussian) -> None:
     regression = gaussian.given(SEEN).regression(WANTED)
     points = drawn(gaussian, 20000)
     noisy = points + gaussian.noise * np.random.default_rng(2).normal(size=points.shape)
@@ -93,7 +93,7 @@ def test_the_errors_promised_are_the_errors_made(gaussian: PointGaussian) -> Non
         np.testing.assert_allclose(made, promised, rtol=0.05)
 
 
-def test_the_misfit_of_its_own_persons_is_one_and_of_others_is_not(gaussian: PointGaussian) -> None:
+def test_the_misfit_of_its_own_persons_is_one_and_of_others_is_not(gaussian: PoseGaussian) -> None:
     points = drawn(gaussian, 2000)
     points = points + gaussian.noise * np.random.default_rng(3).normal(size=points.shape)
     right = gaussian.given(SEEN).likelihood(observed(points, SEEN))
@@ -103,14 +103,14 @@ def test_the_misfit_of_its_own_persons_is_one_and_of_others_is_not(gaussian: Poi
     assert np.mean(right.per_point > wrong.per_point) > 0.99
 
 
-def test_a_point_that_is_seen_is_estimated_from_itself_above_all(gaussian: PointGaussian) -> None:
+def test_a_point_that_is_seen_is_estimated_from_itself_above_all(gaussian: PoseGaussian) -> None:
     regression = gaussian.given(SEEN).regression(("b", "d"))
     np.testing.assert_allclose(regression.weight.sum(axis=1), 1.0)
     assert np.argmax(regression.weight[0]) == SEEN.index("b")
     assert np.argmax(regression.weight[1]) == SEEN.index("d")
 
 
-def test_more_points_never_tell_less(gaussian: PointGaussian) -> None:
+def test_more_points_never_tell_less(gaussian: PoseGaussian) -> None:
     def promised(seen: tuple[str, ...]) -> Array:
         regression = gaussian.given(seen).regression(WANTED)
         return regression.model_variance + regression.noise_variance
@@ -120,8 +120,8 @@ def test_more_points_never_tell_less(gaussian: PointGaussian) -> None:
         assert np.all(more <= few + 1e-9)
 
 
-def test_what_does_not_fit_together_is_refused(gaussian: PointGaussian) -> None:
+def test_what_does_not_fit_together_is_refused(gaussian: PoseGaussian) -> None:
     with pytest.raises(ShapeError, match="covariance of points: expected shape"):
-        PointGaussian(NAMES, gaussian.mean, gaussian.covariance[:4, :4], 0.03)
+        PoseGaussian(NAMES, gaussian.mean, gaussian.covariance[:4, :4], 0.03)
     with pytest.raises(UnknownNameError, match="point 'z'"):
         gaussian.given(("z",))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.tracking import NOBODY, follow
+from rtof_kin.vision.tracking import NOBODY, track_person
 
 Array = NDArray[np.float64]
 T = 90
@@ -41,7 +41,7 @@ def filmed(people: list[Array], seed: int = 0, hidden: Array | None = None) -> t
 
 def test_a_single_person_needs_no_following() -> None:
     found, _ = filmed([walker(400, 1500)])
-    track = follow(found, TIMES)
+    track = track_person(found, TIMES)
     np.testing.assert_array_equal(track.person, 0)
     assert track.people == 1
     assert not track.ambiguous.any()
@@ -50,7 +50,7 @@ def test_a_single_person_needs_no_following() -> None:
 
 def test_the_large_one_in_the_middle_is_followed_whatever_the_order() -> None:
     found, index = filmed([walker(700, 1200), walker(100, 300, 0.5), walker(1800, 1700, 0.8)])
-    track = follow(found, TIMES, image_px=IMAGE)
+    track = track_person(found, TIMES, image_px=IMAGE)
     np.testing.assert_array_equal(track.person, index)
     assert track.people == 3
     assert "of 3 people the largest" in track.reason
@@ -62,17 +62,17 @@ def test_the_large_one_in_the_middle_is_followed_whatever_the_order() -> None:
 def test_people_who_cross_keep_their_own_ways() -> None:
     there, back = walker(300, 1600), walker(1600, 300, height=640.0)
     found, index = filmed([there, back])
-    track = follow(found, TIMES, person=int(index[0]), frame=0)
+    track = track_person(found, TIMES, person=int(index[0]), frame=0)
     np.testing.assert_array_equal(track.person, index)
     assert track.reason == f"asked for: person {index[0]} in frame 0"
 
 
 def test_two_who_stand_in_each_others_place_are_called_ambiguous() -> None:
     found, index = filmed([walker(900, 1000), walker(900, 1000) + np.array([4.0, 2.0])])
-    track = follow(found, TIMES, image_px=IMAGE)
+    track = track_person(found, TIMES, image_px=IMAGE)
     assert track.ambiguous[1:].mean() > 0.9
     apart, _ = filmed([walker(300, 400), walker(1300, 1400)])
-    assert not follow(apart, TIMES, image_px=IMAGE).ambiguous.any()
+    assert not track_person(apart, TIMES, image_px=IMAGE).ambiguous.any()
     assert len(index) == T
 
 
@@ -80,7 +80,7 @@ def test_a_short_gap_is_bridged_and_called_lost() -> None:
     hidden = np.zeros((T, 2), dtype=bool)
     hidden[40:55, 0] = True  # half a second
     found, index = filmed([walker(700, 900), walker(1500, 1600, 0.6)], hidden=hidden)
-    track = follow(found, TIMES, image_px=IMAGE)
+    track = track_person(found, TIMES, image_px=IMAGE)
     np.testing.assert_array_equal(track.person, index)
     np.testing.assert_array_equal(np.flatnonzero(track.lost), np.arange(40, 55))
     uv, confidence = track.of(found)
@@ -93,7 +93,7 @@ def test_somebody_back_after_long_is_most_likely_the_same_and_marked_in_doubt() 
     hidden = np.zeros((T, 2), dtype=bool)
     hidden[20:70, 0] = True  # longer than a person is expected back
     found, index = filmed([walker(700, 900), walker(1500, 1600, 0.5)], hidden=hidden)
-    track = follow(found, TIMES, person=int(index[0]), frame=0)
+    track = track_person(found, TIMES, person=int(index[0]), frame=0)
     np.testing.assert_array_equal(track.person, index)
     np.testing.assert_array_equal(np.flatnonzero(track.ambiguous), [70])
     assert track.people == 2
@@ -104,7 +104,7 @@ def test_somebody_else_who_is_there_meanwhile_is_never_taken_instead() -> None:
     hidden[30:, 0] = True
     found, index = filmed([walker(800, 1000), walker(1100, 1300)], hidden=hidden)
     where = int(np.flatnonzero(index >= 0)[0])
-    track = follow(found, TIMES, person=int(index[where]), frame=where)
+    track = track_person(found, TIMES, person=int(index[where]), frame=where)
     np.testing.assert_array_equal(track.person, index)
     assert track.lost[30:].all()
 
@@ -113,7 +113,7 @@ def test_identities_of_a_tracker_stand_above_places() -> None:
     found, index = filmed([walker(900, 1000), walker(905, 1005)])
     identity = np.where(np.arange(2) == index[:, None], 7, 3)
     known = Detections(found.uv_px, found.confidence, identity=identity)
-    track = follow(known, TIMES, person=int(index[0]), frame=0)
+    track = track_person(known, TIMES, person=int(index[0]), frame=0)
     np.testing.assert_array_equal(track.person, index)
 
 
@@ -121,12 +121,12 @@ def test_identities_of_a_tracker_stand_above_places() -> None:
 def test_a_person_who_is_not_there_cannot_be_asked_for(person: int, frame: int | None) -> None:
     found, _ = filmed([walker(300, 400), walker(1300, 1400)])
     with pytest.raises(ShapeError, match=f"person {person} in frame .*there is no such person"):
-        follow(found, TIMES, person=person, frame=frame)
+        track_person(found, TIMES, person=person, frame=frame)
 
 
 def test_following_is_the_same_in_any_unit_of_length() -> None:
     found, index = filmed([walker(700, 1200), walker(1200, 700, 0.9)])
     small = Detections(found.uv_px * 0.2, found.confidence)
-    a, b = follow(found, TIMES), follow(small, TIMES)
+    a, b = track_person(found, TIMES), track_person(small, TIMES)
     np.testing.assert_array_equal(a.person, b.person)
     assert len(index) == T

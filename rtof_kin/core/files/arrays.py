@@ -1,7 +1,7 @@
-"""Named arrays in .npz files and tables of numbers in .csv files, read without trusting them.
+"""Named arrays in .npz files and tables of numbers in .csv files of untrusted origin.
 
-An .npz is parsed here and not by `numpy.load`: nothing is ever unpickled, and no memory is set aside
-before the size that a header claims has been compared with the bytes that are there.
+An .npz is parsed here, not by `numpy.load`: nothing is unpickled, and no memory is allocated before the size
+in a header has been compared with the bytes in the file.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import warnings
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from tokenize import TokenError
 from typing import IO, Any
@@ -27,78 +28,84 @@ from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable, rea
 
 Array = NDArray[np.float64]
 LARGEST_BYTES = 4 * 2**30
-"""Arrays that would fill more memory than this many bytes are refused."""
+"""Default limit of the total size of the arrays, bytes."""
 _LARGEST_CSV = 2**30
 _UNSUSPICIOUS_BYTES, _LARGEST_RATIO = 256 * 2**20, 100
-"""Arrays of more bytes that were packed to less than a hundredth are a trap."""
+"""Archives above this size with a higher compression ratio are refused."""
 
 
 def read_npz(path: Path, limit: int = LARGEST_BYTES) -> dict[str, Array]:
-    """All arrays of an .npz file as float64, by name.
+    """Return all arrays of an .npz file as float64, by name.
 
     Args:
-        limit: largest sum of the arrays' sizes, bytes.
+        path: file. limit: largest total size of the arrays, bytes.
 
     Raises:
-        FileFormatError: no such file, damaged, too large, or an array that is not of numbers, or of
-            numbers beyond all measure.
+        FileFormatError: no such file, damaged, too large, or numbers of another type or magnitude.
     """
     saved = read_npz_as_saved(path, limit)
-    return {name: _measured(path, name, array) for name, array in saved.items()}
+    return {name: _as_floats(path, name, array) for name, array in saved.items()}
 
 
 def read_npz_as_saved(path: Path, limit: int = LARGEST_BYTES, kinds: str = "fiub") -> dict[str, NDArray[Any]]:
-    """All arrays of an .npz file, read-only, of the types they were saved with, by name.
+    """Return all arrays of an .npz file, read-only, in their own types, by name.
 
     Args:
-        limit: largest sum of the arrays' sizes, bytes.
-        kinds: which types may be there, by NumPy's letters; U is text.
+        path: file. limit: largest total size of the arrays, bytes.
+        kinds: allowed types, by NumPy's letters; U is text.
 
     Raises:
         FileFormatError: no such file, damaged, too large, or an array of another kind.
     """
     arrays: dict[str, NDArray[Any]] = {}
-    try:
-        check_file(path, "an NPZ archive")
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            check_sizes(path, members, limit)
-            for member in members:
-                name = member.filename.removesuffix(".npy")
-                with archive.open(member) as stream:
-                    arrays[name] = _read_npy(path, name, stream, member.file_size, kinds)
-    except (
-        zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, MemoryError, ValueError
-    ) as error:  # fmt: skip
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError(
-            path, f"damaged, or no NPZ archive ({error}); write it again with numpy.savez"
-        ) from error
+    with _open_npz(path) as archive:
+        members = archive.infolist()
+        check_sizes(path, members, limit)
+        for member in members:
+            name = member.filename.removesuffix(".npy")
+            with archive.open(member) as stream:
+                arrays[name] = _read_npy(path, name, stream, member.file_size, kinds)
     return arrays
 
 
 def npz_names(path: Path) -> tuple[str, ...]:
-    """Names of the arrays in an .npz file; they are not read.
+    """Return the names of the arrays in an .npz file without reading them.
+
+    Args:
+        path: file.
 
     Raises:
-        FileFormatError: no such file, or no archive.
+        FileFormatError: no such file, or not an archive.
     """
+    with _open_npz(path) as archive:
+        return tuple(name.removesuffix(".npy") for name in archive.namelist())
+
+
+@contextmanager
+def _open_npz(path: Path) -> Iterator[zipfile.ZipFile]:
+    """Open an archive; all errors of reading it become `FileFormatError`."""
     try:
         check_file(path, "an NPZ archive")
         with zipfile.ZipFile(path) as archive:
-            return tuple(name.removesuffix(".npy") for name in archive.namelist())
-    except (zipfile.BadZipFile, OSError, RuntimeError, ValueError) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError(path, f"damaged, or no NPZ archive ({error})") from error
+            yield archive
+    except FileFormatError:
+        raise
+    except (
+        zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, MemoryError, ValueError
+    ) as error:  # fmt: skip
+        raise FileFormatError(
+            path, f"damaged, or no NPZ archive ({error}); write it again with numpy.savez"
+        ) from error
 
 
 def read_npy(path: Path, limit: int = LARGEST_BYTES) -> Array:
-    """The array of an .npy file as float64.
+    """Return the array of an .npy file as float64.
+
+    Args:
+        path: file. limit: largest size, bytes.
 
     Raises:
-        FileFormatError: as `read_npz`.
+        FileFormatError: see `read_npz`.
     """
     try:
         check_file(path, "an array", limit)
@@ -106,14 +113,17 @@ def read_npy(path: Path, limit: int = LARGEST_BYTES) -> Array:
             saved = _read_npy(path, "array", stream, path.stat().st_size, "fiub")
     except (OSError, MemoryError) as error:
         raise FileFormatError(path, f"cannot be read: {error}") from error
-    return _measured(path, "array", saved)
+    return _as_floats(path, "array", saved)
 
 
 def read_npy_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, whether in Fortran's order, and type of the array that a stream goes on with.
+    """Read the header of an .npy array: shape, whether in Fortran order, and type.
+
+    Args:
+        stream: at the start of the array.
 
     Raises:
-        ValueError: it goes on with no array.
+        ValueError: there is no array.
     """
     try:
         version = np.lib.format.read_magic(stream)
@@ -122,7 +132,7 @@ def read_npy_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[
             (2, 0): np.lib.format.read_array_header_2_0,
         }[version]
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of headers that Python 2 wrote
+            warnings.simplefilter("ignore", UserWarning)  # headers written by Python 2
             shape, fortran, dtype = reader(stream)
     except (
         ValueError, LookupError, TypeError, SyntaxError, RecursionError, OverflowError, TokenError,
@@ -132,13 +142,13 @@ def read_npy_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[
 
 
 def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: int) -> None:
-    """Refuse an archive that would fill the memory, and a small one that would fill much of it.
+    """Check that an archive does not exhaust the memory.
 
     Args:
-        members: those that will be unpacked. limit: of the sum of their sizes, bytes.
+        path: of the archive, for the error message. members: to be unpacked. limit: of their sizes, bytes.
 
     Raises:
-        FileFormatError: it is one.
+        FileFormatError: it is too large, or large and compressed beyond any recording.
     """
     full = sum(member.file_size for member in members)
     packed = sum(member.compress_size for member in members)
@@ -146,7 +156,7 @@ def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: int) -> N
         raise FileFormatError(path, f"would fill more than {limit / 2**20:.0f} MiB of memory")
     if full > _UNSUSPICIOUS_BYTES and full > _LARGEST_RATIO * packed:
         raise FileFormatError(
-            path, f"unpacks to {full} bytes from {packed}, as no recording of anything does; not opened"
+            path, f"unpacks to {full} bytes from {packed}, which no recording does; not opened"
         )
 
 
@@ -170,9 +180,9 @@ def _read_npy(path: Path, name: str, stream: IO[bytes], size: int, kinds: str) -
     return flat.reshape(shape, order="F" if fortran else "C")
 
 
-def _measured(path: Path, name: str, saved: NDArray[Any]) -> Array:
-    """Numbers as float64, none of them beyond all measure."""
-    with np.errstate(invalid="ignore"):  # some NaNs are said to be invalid when they are cast
+def _as_floats(path: Path, name: str, saved: NDArray[Any]) -> Array:
+    """Return numbers as float64 after checking their magnitude."""
+    with np.errstate(invalid="ignore"):  # casting a signalling NaN
         array: Array = saved.astype(np.float64)
     if not measurable(array):
         raise FileFormatError(path, f"{name}: holds a number beyond {LARGEST_NUMBER:g}")
@@ -180,10 +190,13 @@ def _measured(path: Path, name: str, saved: NDArray[Any]) -> Array:
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = False) -> None:
-    """Write arrays by name, compressed; `read_npz` gives the same numbers back.
+    """Write arrays to a compressed .npz file.
+
+    Args:
+        path: file. arrays: by name. overwrite: replace an existing file.
 
     Raises:
-        OutputExistsError: it exists and overwriting was not asked for. RtofError: it cannot be written.
+        OutputExistsError: it exists. WritingError: it cannot be written.
     """
     contents: dict[str, Any] = dict(arrays)
     with new_file(path, overwrite) as whole, whole.open("wb") as stream:
@@ -191,10 +204,13 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = 
 
 
 def read_csv(path: Path) -> dict[str, Array]:
-    """The columns of a comma-separated file with a header line; an empty cell or ``nan`` is NaN.
+    """Return the columns of a comma-separated file with a header line; an empty cell or ``nan`` is NaN.
+
+    Args:
+        path: file.
 
     Raises:
-        FileFormatError: no such file, no header, a line of another length, a cell that is no number.
+        FileFormatError: no such file, no header, a line of another length, a cell that is not a number.
     """
     text = read_text(path, "a CSV file; its first line names the columns", _LARGEST_CSV)
     try:
@@ -216,7 +232,7 @@ def _read_table(path: Path, stream: IO[str]) -> dict[str, Array]:
         raise FileFormatError(path, "separated by ';'; write commas and decimal points", 1)
     double = sorted(name for name, count in Counter(header).items() if count > 1)
     if double:
-        raise FileFormatError(path, f"column {double[0]!r} stands there more than once", 1)
+        raise FileFormatError(path, f"column {double[0]!r} occurs more than once", 1)
     rows = [_numbers(path, lines.line_num, header, cells) for cells in lines if cells]
     table = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
     return dict(zip(header, np.ascontiguousarray(table.T), strict=True))

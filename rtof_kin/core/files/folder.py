@@ -1,4 +1,4 @@
-"""Folders and files of output that appear whole or not at all, and never replace what the user made."""
+"""Atomic output: files and folders appear complete or not at all and never replace files of the user."""
 
 from __future__ import annotations
 
@@ -17,18 +17,20 @@ from rtof_kin.core.files.manifest import Contents, read_contents, sync, write_ma
 from rtof_kin.core.files.temporary import clear, temporary_folder
 
 _NAMED = 3
-"""So many of a folder's foreign files are named in an error."""
+"""Number of foreign files that an error message lists."""
 _NO_EXCHANGE = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP}
 _NO_LINKS = {errno.ENOSYS, errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP}
-"""Errors of systems and file systems that cannot exchange folders or link files."""
+"""Errors of file systems that cannot exchange folders or create hard links."""
 _HERE, _EXCHANGE = -100, 2
 """Linux's AT_FDCWD and RENAME_EXCHANGE."""
 _log = logging.getLogger(__name__)
 
 
 def path_inside(folder: Path, name: str) -> Path | None:
-    """The path that a file's field names inside a folder, either slash between its parts; None where it
-    leads out of it, as '..', absolute names and links do.
+    """Return the path of a name inside a folder; None if it leads out of it ('..', absolute names, links).
+
+    Args:
+        folder: containing folder. name: relative path with slashes or backslashes.
     """
     parts = PurePosixPath(name.replace("\\", "/"))
     if parts.is_absolute() or ".." in parts.parts or ":" in name or "\0" in name or not parts.parts:
@@ -36,7 +38,7 @@ def path_inside(folder: Path, name: str) -> Path | None:
     path = folder.joinpath(*parts.parts)
     try:
         return path if path.resolve().is_relative_to(folder.resolve()) else None
-    except (OSError, RuntimeError):  # a link that leads to itself
+    except (OSError, RuntimeError):  # a link to itself
         return None
 
 
@@ -45,16 +47,15 @@ def path_inside(folder: Path, name: str) -> Path | None:
 
 @contextmanager
 def new_folder(path: str | Path, marker: str, overwrite: bool = False) -> Iterator[Path]:
-    """A temporary folder beside `path` that takes its place at once when the block ends without an error.
+    """Yield a temporary folder that is renamed to `path` when the block ends without an error.
 
     Args:
-        path: where the folder shall stand in the end.
-        marker: name of a file that every folder of this kind holds.
-        overwrite: whether a folder of this kind may be replaced, see `check_replaceable`.
+        path: final folder. marker: name of a file that every folder of this kind contains.
+        overwrite: replace an earlier folder of this kind, see `check_replaceable`.
 
     Raises:
-        OutputExistsError: something stands there that may not be replaced, or appeared meanwhile.
-        WritingError: the place cannot be written to.
+        OutputExistsError: `path` exists, or appears meanwhile, and may not be replaced.
+        WritingError: it cannot be written.
     """
     path = Path(os.path.abspath(path))
     check_replaceable(path, marker, overwrite)
@@ -65,20 +66,26 @@ def new_folder(path: str | Path, marker: str, overwrite: bool = False) -> Iterat
             write_manifest(temporary, marker)
             _put_folder(temporary, path, marker, overwrite)
             sync(path.parent)
-    except WritingError as error:  # of a file in the temporary folder, whose name says nothing
+    except WritingError as error:  # of a file in the temporary folder: name the final one
         problem = error.__cause__ or error
         raise WritingError(f"{path}: cannot be written ({problem}); choose another folder") from error
-    except RtofError:  # some of them are OSErrors too
+    except RtofError:  # OutputExistsError is an OSError
         raise
     except OSError as error:
         raise WritingError(f"{path}: cannot be written ({error}); choose another folder") from error
 
 
 def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) -> None:
-    """Raise `OutputExistsError` if output may not go there; long work asks before it begins.
+    """Check that an output folder may be written. Long computations check before they start.
 
-    An empty folder may be filled. With `overwrite` a folder of the same kind may be replaced if there is
-    nothing in it but what this package wrote, unchanged (see `core.files.manifest`).
+    An empty folder may be filled. With `overwrite` a folder of the same kind may be replaced if it contains
+    only unchanged files of this package (see `core.files.manifest`).
+
+    Args:
+        path, marker, overwrite: see `new_folder`.
+
+    Raises:
+        OutputExistsError: it may not be replaced. WritingError: its parent cannot be written.
     """
     path = Path(path)
     if path.is_symlink() or path.is_mount():
@@ -98,7 +105,7 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
         more = len(found.foreign) - _NAMED
         names = ", ".join(found.foreign[:_NAMED]) + (f" and {more} more" if more > 0 else "")
         raise OutputExistsError(
-            f"{path}: holds what is not known to be written by this package and is never replaced: "
+            f"{path}: holds files that this package did not write and that are never replaced: "
             f"{names}; move it elsewhere or name another folder"
         )
     if found.kind != marker:
@@ -117,10 +124,10 @@ def _check_place(path: Path, remedy: str) -> None:
 
 
 def _put_folder(new: Path, path: Path, marker: str, overwrite: bool) -> None:
-    """Rename a folder, or exchange it with an earlier one, which is removed then."""
+    """Rename a folder, or exchange it with an earlier one and remove that."""
     while True:
         try:
-            os.rename(new, path)  # of what may stand there, only an empty folder gives way
+            os.rename(new, path)  # replaces only an empty folder
             return
         except OSError:
             if not (new.exists() and os.path.lexists(path)):
@@ -128,7 +135,7 @@ def _put_folder(new: Path, path: Path, marker: str, overwrite: bool) -> None:
         check_replaceable(path, marker, overwrite)
         with suppress(FileNotFoundError):  # another run is replacing it
             if not any(path.iterdir()):
-                path.rmdir()  # Windows renames to nothing that exists
+                path.rmdir()  # Windows does not rename over a folder
                 continue
             _exchange(new, path)
             _remove_replaced(new, path)
@@ -136,7 +143,7 @@ def _put_folder(new: Path, path: Path, marker: str, overwrite: bool) -> None:
 
 
 def _contents(path: Path) -> Contents:
-    """What is in a folder, of one and the same folder while other runs replace it."""
+    """Return the contents of one folder, even while other runs replace it."""
     while True:
         before = _identity(path)
         if before is None:
@@ -155,8 +162,8 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 
 def _exchange(new: Path, path: Path) -> None:
-    """Exchange two folders, in one step where the system can; else the old one is under a name of its own
-    for a moment, which says what it is should the process be killed then.
+    """Exchange two folders, atomically on Linux; elsewhere the old one is renamed to ``*.replaced-*`` for a
+    moment.
     """
     try:
         _exchange_at_once(new, path)
@@ -168,14 +175,14 @@ def _exchange(new: Path, path: Path) -> None:
             os.rename(path, aside)
             os.rename(new, path)
         except BaseException:
-            with suppress(OSError):  # where something stands now, the old one keeps its other name
+            with suppress(OSError):  # if `path` exists again, the old folder keeps its other name
                 os.rename(aside, path)
             raise
         os.rename(aside, new)
 
 
 def _exchange_at_once(first: Path, second: Path) -> None:
-    import ctypes  # only who replaces waits for it
+    import ctypes  # slow to import, rarely needed
 
     if sys.platform != "linux":
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
@@ -189,9 +196,9 @@ def _exchange_at_once(first: Path, second: Path) -> None:
 
 
 def _remove_replaced(old: Path, path: Path) -> None:
-    """Remove an earlier output; what somebody put into it at the last moment is kept."""
+    """Remove an earlier output but keep files that were added at the last moment."""
     clear(old)
-    with suppress(FileNotFoundError):  # all of it is gone, maybe by a run that took it for a leftover
+    with suppress(FileNotFoundError):  # removed completely, maybe by another run
         if read_contents(old).foreign:
             kept = _beside(path, "kept")
             os.rename(old, kept)
@@ -207,15 +214,13 @@ def _beside(path: Path, what: str) -> Path:
 
 @contextmanager
 def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
-    """A path of the same name in a temporary folder beside it; the file written there takes its place at
-    once when the block ends without an error.
+    """Yield a temporary file that is renamed to `path` when the block ends without an error.
 
     Args:
-        path: where the file shall stand; of a link, the file that it leads to is written.
-        overwrite: whether a file may be replaced.
+        path: final file; a link is followed. overwrite: replace an existing file.
 
     Raises:
-        OutputExistsError: something stands there that may not be replaced, or appeared meanwhile.
+        OutputExistsError: `path` exists, or appears meanwhile, and may not be replaced.
         WritingError: it cannot be written.
     """
     check_new_file(path, overwrite)
@@ -238,10 +243,13 @@ def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
 
 
 def check_new_file(path: str | Path, overwrite: bool) -> None:
-    """Refuse to replace a file unasked, and what is no file at all.
+    """Check that an output file may be written.
+
+    Args:
+        path, overwrite: see `new_file`.
 
     Raises:
-        OutputExistsError: something stands there. WritingError: nothing can be written there.
+        OutputExistsError: it exists. WritingError: its folder cannot be written.
     """
     path = Path(path)
     if path.exists() and not path.is_file():
@@ -259,9 +267,9 @@ def _put_file(new: Path, path: Path, overwrite: bool) -> None:
         os.replace(new, path)
         return
     try:
-        os.link(new, path)  # fails where something stands, which a renaming would replace
+        os.link(new, path)  # fails if `path` exists; a renaming would replace it
     except OSError as error:
         if error.errno not in _NO_LINKS:
             raise
-        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))  # the name is ours now
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))  # reserves the name
         os.replace(new, path)

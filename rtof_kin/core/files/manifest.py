@@ -1,7 +1,7 @@
-"""What this package wrote into a folder, kept in the folder itself: so much of it may be replaced.
+"""Manifest of an output folder: the files that this package wrote and may replace.
 
-``.rtof_kin.json`` names the folder's kind and has the SHA-256 of every file. What is not in that list,
-what was changed since, links, and everything in a folder without a list are the user's.
+``.rtof_kin.json`` has the kind of the folder and the SHA-256 of every file. Files that are not listed or have
+changed, links, and everything in a folder without a manifest belong to the user.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,21 +18,21 @@ MANIFEST = ".rtof_kin.json"
 
 @dataclass(frozen=True)
 class Contents:
-    """What is in a folder, by who it belongs to."""
+    """Contents of a folder by owner."""
 
     kind: str
-    """The file that tells the kind of folder this package wrote; '' where it wrote none."""
+    """Marker file of the kind of folder; '' without a manifest."""
     own: tuple[Path, ...]
-    """Files and folders as this package wrote them, a folder after what is in it; not the list itself."""
+    """Unchanged files and folders of this package without the manifest; a folder follows its contents."""
     foreign: tuple[str, ...]
-    """Names of all others, those of folders with a '/'."""
+    """Names of all others; names of folders end with '/'."""
 
 
 def write_manifest(folder: Path, kind: str) -> None:
-    """List all files of a folder that this package alone has written to, once they are on the disk.
+    """Sync all files of a new folder to the disk and list them in its manifest.
 
     Args:
-        kind: name of a file that every folder of this kind holds.
+        folder: contains only files of this package. kind: its marker file.
     """
     files = {}
     for path in sorted(folder.rglob("*")):
@@ -47,10 +47,13 @@ def write_manifest(folder: Path, kind: str) -> None:
 
 
 def read_contents(folder: Path) -> Contents:
-    """Compare a folder with its list; links are not followed.
+    """Compare a folder with its manifest; links are not followed.
+
+    Args:
+        folder: to be read.
 
     Raises:
-        OSError: something in it cannot be read.
+        OSError: a file cannot be read.
     """
     kind, files = _read_manifest(folder / MANIFEST)
     folders = {str(parent) for name in files for parent in Path(name).parents}
@@ -80,10 +83,14 @@ def read_contents(folder: Path) -> Contents:
 
 
 def remove_written(folder: Path) -> None:
-    """Remove what this package wrote, and the folder if nothing else is in it."""
+    """Remove the files of this package, and the folder if it is empty then.
+
+    Args:
+        folder: an earlier output.
+    """
     for path in read_contents(folder).own:
         if path.is_dir():
-            with suppress(OSError):  # something of the user is in it
+            with suppress(OSError):  # it contains files of the user
                 path.rmdir()
         else:
             path.unlink(missing_ok=True)
@@ -93,28 +100,25 @@ def remove_written(folder: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Wait until a file is on the disk, or a folder where the system can tell.
+    """Sync a file or folder to the disk.
+
+    Args:
+        path: file or folder; a folder is skipped where the system cannot sync it.
 
     Raises:
-        OSError: it cannot be written there, e.g. the disk is full.
+        OSError: it cannot be written, e.g. the disk is full.
     """
-    if path.is_dir():
-        with suppress(OSError):  # Windows opens no folders, some file systems do not sync them
-            _fsync(path, os.O_RDONLY)
-    else:
-        _fsync(path, os.O_RDWR)
-
-
-def _fsync(path: Path, how: int) -> None:
-    descriptor = os.open(path, how)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    folder = path.is_dir()
+    with suppress(OSError) if folder else nullcontext():  # Windows does not open folders
+        descriptor = os.open(path, os.O_RDONLY if folder else os.O_RDWR)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def _read_manifest(path: Path) -> tuple[str, dict[str, str]]:
-    """Kind and digests; nothing where there is no list, or none that this package wrote."""
+    """Return kind and digests; empty without a valid manifest."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         return str(content["kind"]), dict(content["sha256"])
@@ -123,7 +127,7 @@ def _read_manifest(path: Path) -> tuple[str, dict[str, str]]:
 
 
 def _digest(path: Path) -> str:
-    """SHA-256 of a regular file; '' of what is none."""
+    """Return the SHA-256 of a regular file; '' of anything else."""
     if not path.is_file():
         return ""
     with path.open("rb") as stream:

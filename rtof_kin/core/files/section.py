@@ -1,4 +1,4 @@
-"""One table of a TOML file, read field by field: every error names file, field and remedy."""
+"""A table of a TOML file, read field by field; every error names file, field and remedy."""
 
 from __future__ import annotations
 
@@ -17,33 +17,39 @@ Array = NDArray[np.float64]
 
 
 class Section:
-    """A table of a TOML file. Fields that nobody asked for are refused by `close`."""
+    """A table of a TOML file. `close` refuses fields that were not read.
+
+    Every method that reads a field raises `FileFormatError` if it is missing or of the wrong kind.
+    """
 
     def __init__(self, path: Path, data: dict[str, Any], name: str = ""):
-        """Wrap a table `data` called `name` (empty for the file's top level) of the file `path`."""
+        """Take the file, the table and its name ('' for the top level)."""
         self.path, self.name = path, name
         self._data = data
         self._asked: set[str] = set()
 
     @classmethod
     def of_file(cls, path: Path) -> Self:
-        """The top level of a file.
+        """Read the top level of a file.
+
+        Args:
+            path: TOML file.
 
         Raises:
-            FileFormatError: there is no such file, or it is not TOML.
+            FileFormatError: it does not exist or is not TOML.
         """
         return cls(path, load_toml(path))
 
     def where(self, field: str) -> str:
-        """How messages call a field, e.g. ``[camera] width_px``."""
+        """Return the name of a field in messages, e.g. ``[camera] width_px``."""
         return f"[{self.name}] {field}" if self.name else field
 
     def error(self, field: str, problem: str) -> FileFormatError:
-        """An error about one field."""
+        """Return an error about a field."""
         return FileFormatError(self.path, f"{self.where(field)}: {problem}")
 
     def has(self, field: str) -> bool:
-        """Whether a field is there; asking makes it a known one."""
+        """Return whether a field exists, and mark it as read."""
         self._asked.add(field)
         return field in self._data
 
@@ -51,7 +57,7 @@ class Section:
         return len(self._data)
 
     def keys(self) -> list[str]:
-        """Names of all fields, all of them known ones from now on."""
+        """Return the names of all fields, and mark them as read."""
         self._asked.update(self._data)
         return list(self._data)
 
@@ -66,7 +72,7 @@ class Section:
         return self._data[field]
 
     def text(self, field: str, default: str | None = None) -> str:
-        """A string; required where there is no default."""
+        """Return a string; required unless there is a default."""
         if default is not None and not self.has(field):
             return default
         value = self._value(field, f'add e.g. {field} = "..."')
@@ -75,11 +81,11 @@ class Section:
         return value
 
     def optional_text(self, field: str) -> str | None:
-        """A string, or None where the field is absent."""
+        """Return a string, or None if absent."""
         return self.text(field) if self.has(field) else None
 
     def number(self, field: str, default: float | None = None) -> float:
-        """A finite number; required where there is no default."""
+        """Return a finite number; required unless there is a default."""
         if default is not None and not self.has(field):
             return default
         value = self._value(field, f"add e.g. {field} = 1.0")
@@ -90,18 +96,18 @@ class Section:
         return float(value)
 
     def optional_number(self, field: str) -> float | None:
-        """A finite number, or None where the field is absent."""
+        """Return a finite number, or None if absent."""
         return self.number(field) if self.has(field) else None
 
     def integer(self, field: str, default: int | None = None) -> int:
-        """A whole number; required where there is no default."""
+        """Return a whole number; required unless there is a default."""
         value = self.number(field, None if default is None else float(default))
         if value != int(value):
             raise self.error(field, f"{value!r} is not a whole number")
         return int(value)
 
     def array(self, field: str, shape: Sequence[int]) -> Array:
-        """A required array of finite numbers of a given shape."""
+        """Return a required array of finite numbers of a given shape."""
         size = " x ".join(map(str, shape))
         value = self._value(field, f"add {size} numbers")
         try:
@@ -115,18 +121,18 @@ class Section:
         return array
 
     def numbers(self, field: str) -> Array:
-        """A required row of finite numbers, at least one."""
+        """Return a required row of one or more finite numbers."""
         value = self._value(field, "add one or more numbers in brackets")
         if not isinstance(value, list) or not value:
             raise self.error(field, "not a row of numbers in brackets")
         return self.array(field, (len(value),))
 
     def optional_array(self, field: str, shape: Sequence[int]) -> Array | None:
-        """An array of finite numbers, or None where the field is absent."""
+        """Return an array of finite numbers, or None if absent."""
         return self.array(field, shape) if self.has(field) else None
 
     def optional_names(self, field: str) -> tuple[str, ...] | None:
-        """A list of strings, or None where the field is absent."""
+        """Return a list of strings, or None if absent."""
         if not self.has(field):
             return None
         value = self._data[field]
@@ -135,7 +141,7 @@ class Section:
         return tuple(value)
 
     def table(self, field: str) -> Section:
-        """A table inside this one; empty where the field is absent."""
+        """Return a table inside this one; empty if absent."""
         value = self._data[field] if self.has(field) else {}
         name = f"{self.name}.{field}" if self.name else field
         if not isinstance(value, dict):
@@ -143,10 +149,10 @@ class Section:
         return Section(self.path, value, name)
 
     def close(self) -> None:
-        """Refuse fields that nobody asked for, which are misspelt or of another format.
+        """Refuse fields that were not read: they are misspelt or of another format.
 
         Raises:
-            UnknownNameError: names them, and the nearest one that exists.
+            UnknownNameError: names them and the nearest valid field.
         """
         unknown = [field for field in self._data if field not in self._asked]
         if unknown:

@@ -1,8 +1,7 @@
-"""Temporary folders beside what is being written; those of a run that was killed are removed by the next.
+"""Temporary folders beside the output; those of a killed process are removed by the next one.
 
-Their owner holds a lock on them that ends with its process: a folder that can be locked was left behind.
-Only those made on this machine are looked at, as locks need not be seen across machines. Systems without
-such locks leave them where they are.
+The owner locks its folder until its process ends, so an unlocked folder is a leftover. Only folders of this
+machine are removed, because locks may not work across machines; without file locks none are removed.
 """
 
 from __future__ import annotations
@@ -31,18 +30,21 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
-    """A new folder in `parent`, removed when the block ends; see `clear`.
+    """Yield a new folder that is removed when the block ends; see `clear`.
+
+    Args:
+        parent: its parent folder.
 
     Raises:
-        OSError: it cannot be made.
+        OSError: it cannot be created.
     """
     _remove_leftovers(parent)
     while True:
         folder = parent / f"{_PREFIX}{secrets.token_hex(6)}"
         folder.mkdir()
-        with _locked(folder) as held:
-            if held is False or not folder.exists():
-                continue  # another run took it for a leftover before it was locked
+        with _lock(folder) as locked:
+            if locked is False or not folder.exists():
+                continue  # another process removed it as a leftover before it was locked
             try:
                 yield folder
             finally:
@@ -51,28 +53,30 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[bool | None]:
-    """Hold a folder's lock: True; False: another does, or it is gone; None: there are no locks here."""
-    descriptor, held = None, None
+def _lock(folder: Path) -> Iterator[bool | None]:
+    """Lock a folder: True; False if another process has it locked or removed; None without file locks."""
+    descriptor, locked = None, None
     try:
         if fcntl is not None:
             descriptor = os.open(folder, os.O_RDONLY)
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            held = True
+            locked = True
     except (BlockingIOError, FileNotFoundError):
-        held = False
+        locked = False
     except OSError:  # a file system without locks
-        held = None
+        locked = None
     try:
-        yield held
+        yield locked
     finally:
         if descriptor is not None:
             os.close(descriptor)
 
 
 def clear(folder: Path) -> None:
-    """Remove a temporary folder. One with a manifest is an earlier output that was replaced: of that only
-    what this package wrote is removed.
+    """Remove a temporary folder; if it has a manifest (a replaced output), only files of this package.
+
+    Args:
+        folder: to be removed.
     """
     if os.path.lexists(folder / MANIFEST):
         with suppress(OSError):
@@ -85,12 +89,9 @@ def _remove_leftovers(parent: Path) -> None:
     with suppress(OSError):
         for entry in list(os.scandir(parent)):
             if _OWN.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False):
-                _remove_leftover(Path(entry.path))
-
-
-def _remove_leftover(folder: Path) -> None:
-    with _locked(folder) as held:
-        if held:
-            clear(folder)
-            if folder.exists():
-                _log.warning("%s: left by a run that was killed; holds files of yours", folder)
+                folder = Path(entry.path)
+                with _lock(folder) as locked:
+                    if locked:
+                        clear(folder)
+                        if folder.exists():
+                            _log.warning("%s: left by a killed process; contains files of yours", folder)

@@ -1,6 +1,4 @@
-"""Text files, TOML and JSON, read whole without trusting them; text, written without replacing anything
-unasked; and how large a number may be.
-"""
+"""Safe reading of text, TOML and JSON files of untrusted origin, and atomic writing of text."""
 
 from __future__ import annotations
 
@@ -18,24 +16,23 @@ from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.folder import new_file
 
 LARGEST_TEXT = 2**30
-"""Files of more bytes than this are refused."""
+"""Largest text file, bytes."""
 LARGEST_TOML = 32 * 2**20
-"""A TOML file of more bytes is not one that people or this package write."""
+"""Largest TOML file, bytes."""
 _BETWEEN_KEYS, _MOST_DOTS = re.compile(r"[^\w.\"' \t-]"), 1000
-"""What ends a key; tomllib takes memory with the square of the number of a key's parts."""
+"""Separator of keys, and most dots in a key: tomllib needs memory quadratic in the parts of a key."""
 LARGEST_NUMBER = 1e20
-"""Nothing that is measured counts further; squares of what is read stay finite."""
+"""Largest magnitude of a number in a file; its square is finite."""
 
 
 def check_file(path: str | Path, what: str, limit: float = math.inf) -> None:
-    """Refuse what is no file, and devices and pipes, which could go on for ever.
+    """Check that a path is a regular file, not a folder, device or pipe.
 
     Args:
-        what: as for `read_text`. limit: largest size, bytes.
+        path: to be checked. what: as for `read_text`. limit: largest size, bytes.
 
     Raises:
-        FileFormatError: it is not there, of another kind, or larger.
-        OSError: it cannot be looked at.
+        FileFormatError: it does not exist, is of another kind or larger. OSError: it is not accessible.
     """
     path = Path(path)
     if not path.is_file():
@@ -46,14 +43,14 @@ def check_file(path: str | Path, what: str, limit: float = math.inf) -> None:
 
 
 def read_text(path: str | Path, what: str, limit: int = LARGEST_TEXT) -> str:
-    """The text of a file in UTF-8, without a byte order mark.
+    """Return the text of a UTF-8 file without byte order mark.
 
     Args:
-        what: what the file should be, for the message, e.g. "a BVH file, which begins with HIERARCHY".
-        limit: largest size, bytes.
+        path: file. limit: largest size, bytes.
+        what: expected contents, for the error message, e.g. "a BVH file, which begins with HIERARCHY".
 
     Raises:
-        FileFormatError: no such file, unreadable, larger than the limit, not UTF-8, or empty.
+        FileFormatError: it does not exist, is unreadable, too large, not UTF-8 or empty.
     """
     path = Path(path)
     try:
@@ -69,10 +66,13 @@ def read_text(path: str | Path, what: str, limit: int = LARGEST_TEXT) -> str:
 
 
 def load_toml(path: str | Path) -> dict[str, Any]:
-    """What a TOML file holds.
+    """Return the contents of a TOML file.
+
+    Args:
+        path: file.
 
     Raises:
-        FileFormatError: as `read_text`, or not TOML.
+        FileFormatError: see `read_text`, or not TOML.
     """
     text = read_text(path, "TOML", LARGEST_TOML)
     if max(part.count(".") for part in _BETWEEN_KEYS.split(text)) > _MOST_DOTS:
@@ -84,10 +84,13 @@ def load_toml(path: str | Path) -> dict[str, Any]:
 
 
 def load_json(path: str | Path, limit: int = LARGEST_TEXT, what: str = "JSON") -> Any:
-    """What a JSON file holds; the arguments are those of `read_text`.
+    """Return the contents of a JSON file.
+
+    Args:
+        path, limit, what: see `read_text`.
 
     Raises:
-        FileFormatError: as `read_text`, or not JSON.
+        FileFormatError: see `read_text`, or not JSON.
     """
     text = read_text(path, what, limit)
     try:
@@ -99,16 +102,23 @@ def load_json(path: str | Path, limit: int = LARGEST_TEXT, what: str = "JSON") -
 
 
 def measurable(array: NDArray[np.float64]) -> bool:
-    """Whether an array's finite numbers are such as measurements have."""
+    """Return whether all finite numbers are within `LARGEST_NUMBER`.
+
+    Args:
+        array: any shape.
+    """
     with np.errstate(invalid="ignore"):
         return not np.any((np.abs(array) > LARGEST_NUMBER) & np.isfinite(array))
 
 
 def write_text(path: Path, text: str, overwrite: bool = False) -> None:
-    """Write a file in UTF-8, which appears whole or not at all.
+    """Write a UTF-8 file atomically.
+
+    Args:
+        path: file. text: contents. overwrite: replace an existing file.
 
     Raises:
-        OutputExistsError: it exists and overwriting was not asked for. RtofError: it cannot be written.
+        OutputExistsError: it exists. WritingError: it cannot be written.
     """
     with new_file(path, overwrite) as file:
         file.write_text(text, encoding="utf-8", newline="\n")

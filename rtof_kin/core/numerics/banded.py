@@ -1,8 +1,8 @@
-"""Symmetric systems that are banded in time: Cholesky factorisation, and parts of the inverse.
+"""Symmetric banded systems: Cholesky factorisation, and diagonal blocks of the inverse.
 
-`inverse_diagonal` walks from the last block column of the factor to the first and keeps of the inverse Z
-what the next step needs (Takahashi's equations by blocks; Rue & Held 2005, section 2.3.1). With
-G = L_below L_tt^-1, where L_below are the blocks of column t below the diagonal::
+`inverse_diagonal` is Takahashi's recursion by blocks (Rue & Held 2005, section 2.3.1) from the last block
+column of the factor to the first. With G = L_below L_tt^-1, where L_below are the blocks of column t below
+the diagonal, and Z_window the part of the inverse Z that couples with it::
 
     Z_below = -Z_window G             Z_tt = L_tt^-T L_tt^-1 - G^T Z_below
 """
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from rtof_kin.core.errors import ShapeError, SolverError
+from rtof_kin.core.errors import InvalidInputError, SolverError
 from rtof_kin.core.numerics.c_compiler import SWITCH, built, cache_folder, native
 
 Array = NDArray[np.float64]
@@ -28,15 +28,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Factor:
-    """A factorised system of n unknowns."""
+    """Cholesky factor of a system of n unknowns."""
 
     band: Array
+    """(w, n) in LAPACK's lower band storage."""
 
     def solve(self, right: Array) -> Array:
-        """The solution, of the shape of the right-hand side: n numbers in any shape.
+        """Return the solution in the shape of the right-hand side.
+
+        Args:
+            right: n numbers in any shape.
 
         Raises:
-            SolverError: the right-hand side has another number of numbers.
+            SolverError: `right` has another size.
         """
         if right.size != self.band.shape[1]:
             raise SolverError(f"{right.size} numbers for a system of {self.band.shape[1]}")
@@ -46,10 +50,13 @@ class Factor:
         return np.asarray(x.reshape(right.shape))
 
     def solve_columns(self, right: Array) -> Array:
-        """The solutions (n, k) for k right-hand sides (n, k).
+        """Return the solutions (n, k) of several right-hand sides.
+
+        Args:
+            right: (n, k).
 
         Raises:
-            SolverError: the right-hand sides have another number of rows.
+            SolverError: `right` has another number of rows.
         """
         if right.ndim != 2 or len(right) != self.band.shape[1]:
             raise SolverError(f"right-hand sides {right.shape} for a system of {self.band.shape[1]}")
@@ -61,17 +68,22 @@ class Factor:
         return np.asarray(x)
 
     def blocks(self, size: int, lags: int) -> Array:
-        """(N, lags, size, size) of the factor L, whose product with its transpose is the matrix.
+        """Return the blocks (N, lags, size, size) of the factor L; L L^T is the matrix.
 
-        The system consists of N blocks of `size` unknowns, each coupled with the next lags - 1. [t, k]
-        has the rows of block t + k and the columns of block t, 0 beyond the end.
+        Args:
+            size: unknowns of a block. lags: a block is coupled with the next lags - 1.
+
+        Returns:
+            Element [t, k] has the rows of block t + k and the columns of block t, 0 beyond the end.
         """
         return _blocks(self.band.ravel(order="F"), self.band.shape[0] - 1, self.band.shape, size, lags)
 
 
 def inverse_diagonal(factor: Array) -> Array:
-    """(N, D, D) diagonal blocks of the inverse of a matrix with this factor (N, lags, D, D), as
-    `Factor.blocks` gives it.
+    """Return the diagonal blocks (N, D, D) of the inverse of a matrix.
+
+    Args:
+        factor: (N, lags, D, D) from `Factor.blocks`.
     """
     N, lags, D, _ = factor.shape
     out, window = np.empty((N, D, D)), np.zeros(((lags - 1) * D,) * 2)
@@ -80,7 +92,7 @@ def inverse_diagonal(factor: Array) -> Array:
         G = factor[t, 1:].reshape(-1, D) @ inverse
         above = window @ G  # -Z_below
         own = inverse.T @ inverse + G.T @ above
-        out[t] = (own + own.T) / 2  # without this, rounding's asymmetry grows from frame to frame
+        out[t] = (own + own.T) / 2  # else rounding errors grow from frame to frame
         if lags > 1:
             window[D:, D:] = window[:-D, :-D]
             window[:D, :D], window[D:, :D] = out[t], -above[:-D]
@@ -89,10 +101,10 @@ def inverse_diagonal(factor: Array) -> Array:
 
 
 def factorise(band: Array) -> Factor:
-    """Factor of a positive definite matrix.
+    """Factorise a positive definite matrix.
 
     Args:
-        band: (n, w), row c holds column c of the matrix from its diagonal downwards; it is overwritten.
+        band: (n, w), row c is column c of the matrix from its diagonal downwards; it is overwritten.
 
     Raises:
         SolverError: the matrix is not positive definite.
@@ -104,23 +116,23 @@ def factorise(band: Array) -> Factor:
 
 
 class Store:
-    """A symmetric band of n unknowns as LAPACK stores it, and compiled code that factorises it.
+    """A symmetric banded matrix of n unknowns in LAPACK's storage, with compiled factorisation.
 
     Attributes:
-        entries: (n, step + 1), row c holds column c of the matrix from its diagonal downwards; what is
-            below the band or the last row stays zero.
-        step: so that entry (i, j) is ``flat[i + j * step]`` of all of them, one after the other.
+        entries: (n, step + 1), row c is column c of the matrix from its diagonal downwards; entries below
+            the band or the last row stay zero.
+        step: entry (i, j) of the matrix is element i + j * step of the flat storage.
     """
 
     def __init__(self, size: int, band: int) -> None:
-        """Room for a matrix with so many diagonals below the main one.
+        """Allocate a matrix of `size` unknowns with `band` diagonals below the main one.
 
         Raises:
-            ShapeError: there is no compiled code (`available`).
+            InvalidInputError: there is no compiled code (`available`).
         """
         code = _code()
         if code is None:
-            raise ShapeError("banded systems are not compiled here; use `factorise`")
+            raise InvalidInputError("banded systems are not compiled here; use `factorise`")
         self._code, self.size, self.band = code, size, band
         wide, tile = code.banded_wide(), code.banded_tile()
         self._blocked = -(-size // wide) * wide
@@ -133,11 +145,14 @@ class Store:
 
     @staticmethod
     def available() -> bool:
-        """Whether there is compiled code for this machine."""
+        """Return whether there is compiled code for this machine."""
         return _code() is not None
 
     def factorise(self, damping: float) -> StoredFactor:
-        """Factor of the matrix plus `damping` on its diagonal; the matrix stays.
+        """Factorise the matrix, which is kept.
+
+        Args:
+            damping: added to its diagonal.
 
         Raises:
             SolverError: it is not positive definite.
@@ -159,7 +174,7 @@ class Store:
 
 @dataclass(frozen=True)
 class StoredFactor:
-    """A factorised `Store`, of which it keeps nothing but the layout."""
+    """Cholesky factor of a `Store`; methods as those of `Factor`."""
 
     _factor: Array
     _size: int
@@ -168,13 +183,13 @@ class StoredFactor:
     _solved: Any
 
     def solve(self, right: Array) -> Array:
-        """As `Factor.solve`."""
+        """See `Factor.solve`."""
         if right.size != self._size:
             raise SolverError(f"{right.size} numbers for a system of {self._size}")
         return np.asarray(self._solved(self._factor, right.ravel()).reshape(right.shape))
 
     def solve_columns(self, right: Array) -> Array:
-        """As `Factor.solve_columns`."""
+        """See `Factor.solve_columns`."""
         if right.ndim != 2 or len(right) != self._size:
             raise SolverError(f"right-hand sides {right.shape} for a system of {self._size}")
         out = np.empty(right.shape[::-1])
@@ -183,16 +198,12 @@ class StoredFactor:
         return out.T
 
     def blocks(self, size: int, lags: int) -> Array:
-        """As `Factor.blocks`."""
+        """See `Factor.blocks`."""
         return _blocks(self._factor, self._step, (self._band + 1, self._size), size, lags)
 
 
 def _blocks(flat: Array, step: int, shape: tuple[int, ...], size: int, lags: int) -> Array:
-    """`Factor.blocks` of numbers of which ``flat[i + j * step]`` is entry (i, j).
-
-    Args:
-        shape: diagonals from the main one downwards that there are, and unknowns.
-    """
+    """Return `Factor.blocks`; entry (i, j) is ``flat[i + j * step]``, `shape` is (diagonals, unknowns)."""
     band, frames = shape[0] - 1, shape[1] // size
     if shape[1] % size or band >= lags * size:
         raise SolverError(f"{shape[1]} unknowns with a band of {band}: not {lags} blocks of {size}")
@@ -203,26 +214,27 @@ def _blocks(flat: Array, step: int, shape: tuple[int, ...], size: int, lags: int
             (size * (1 + step) * word, step * word, word),
         )  # fmt: skip
         out[: frames - k, k] = np.swapaxes(columns, 1, 2)
-    # What is above the diagonal or below the band was the store of other columns.
+    # Above the diagonal and below the band the view shows other columns.
     below = np.arange(lags * size).reshape(lags, size)[:, :, None] - np.arange(size)
     return np.where((below >= 0) & (below <= band), out, 0.0)
 
 
 def _aligned(count: int) -> Array:
-    """Numbers, not set, from the beginning of a cache line."""
+    """Return uninitialised numbers aligned to a cache line."""
     raw = np.empty(count + 8)
     first = -raw.ctypes.data // raw.itemsize % 8
     return raw[first : first + count]
 
 
 def _code() -> Any:
-    """``banded.c`` compiled for this machine; None where it cannot be, or would be slower than LAPACK."""
+    """Return ``banded.c`` compiled for this machine; None if impossible or slower than LAPACK."""
     return None if os.environ.get(SWITCH) == "never" else _opened(cache_folder())
 
 
 @lru_cache
 def _opened(cache: Path) -> Any:
-    """The same from one cache, tried once."""
+    """Return the library of one cache folder; tried once per folder."""
+    del cache  # the key of `lru_cache`
     text = Path(__file__).with_name("banded.c").read_text(encoding="utf-8")
 
     def loaded(library: Path) -> Any:

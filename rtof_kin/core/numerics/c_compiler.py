@@ -1,4 +1,4 @@
-"""CasADi functions as machine code, compiled once and kept; interpreted where there is no compiler."""
+"""CasADi functions as machine code in a cache; interpreted where there is no C compiler."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ _log = logging.getLogger(__name__)
 _OPTIONS = ("-O1", "-shared", "-fPIC")
 COMPILERS = ("cc", "gcc", "clang")
 SWITCH = "RTOF_KIN_COMPILE"
-"""Environment variable that turns compilation off where it is 'never'."""
+"""Environment variable; 'never' turns compilation off."""
 BUILDING = threading.RLock()
-"""Held while CasADi builds or compiles, and while IPOPT solves. CasADi lets other Python threads run
-meanwhile, but it counts references to the nodes of expressions as if there were one thread; MUMPS knows
-one alone too. Functions that are built may be evaluated by any thread, each with buffers of its own."""
+"""Lock for building and compiling with CasADi and solving with IPOPT: CasADi releases the GIL, but its
+reference counts of expression nodes and MUMPS are not thread-safe. Any thread may evaluate a function that is
+built, with buffers of its own."""
 
 
 def cache_folder() -> Path:
-    """Where compiled functions are kept: ``RTOF_KIN_CACHE``, or the user's cache folder."""
+    """Return the folder of compiled functions: ``RTOF_KIN_CACHE``, or in the user's cache folder."""
     given = os.environ.get("RTOF_KIN_CACHE")
     if given:
         return Path(given)
@@ -43,10 +43,11 @@ def cache_folder() -> Path:
 
 
 def compiled(functions: list[Any]) -> list[Any]:
-    """The same functions compiled together, from the cache where they are there.
+    """Compile functions together, or load them from the cache. A first compilation takes 10 to 30 s.
 
-    A first compilation takes 10 to 30 s. Where it cannot be done, or ``RTOF_KIN_COMPILE`` is 'never',
-    the functions come back as they are and are interpreted: the same numbers, several times slower.
+    Args:
+        functions: CasADi functions. They are returned as they are, to be interpreted (same numbers, several
+            times slower), if compilation is impossible or ``RTOF_KIN_COMPILE`` is 'never'.
     """
 
     def source() -> str:
@@ -66,12 +67,12 @@ def built(
     made_of: str, source: Callable[[], str], loaded: Callable[[Path], Built],
     options: tuple[str, ...] = (), name: str = "energy",
 ) -> Built | None:  # fmt: skip
-    """What a shared library holds, which is made where it is not in the cache; None where it cannot be.
+    """Return the contents of a shared library, compiled unless it is cached; None if impossible.
 
     Args:
-        made_of: what tells it from other libraries. source: its C. loaded: opens it.
-        options: for the compiler, beside the usual ones; those of one kind of processor are told apart.
-        name: of the library; that an energy is being compiled, which takes long, is told.
+        made_of: identity of the source. source: returns the C source. loaded: opens the library.
+        options: further compiler options; if any, the library is specific to this kind of processor.
+        name: of the library; compiling an 'energy', which takes long, is logged.
     """
     if os.environ.get(SWITCH) == "never":
         return None
@@ -87,13 +88,13 @@ def _loaded(
     identity: str, source: Callable[[], str], loaded: Callable[[Path], Built],
     options: tuple[str, ...], name: str,
 ) -> Built:  # fmt: skip
-    """What a library holds, made where it is not there or cannot be loaded."""
+    """Return the contents of a library, compiled if it is missing or cannot be loaded."""
     given = cache_folder().absolute()
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     if compiler is None and not given.is_dir():
         raise OSError("there is no C compiler")
     folder = trusted(given)
-    if compiler is None:  # one that any compiler made
+    if compiler is None:  # accept the library of any compiler
         there = sorted(folder.glob(f"{name}_{identity[:24]}_*.so"))
         if library := next((found for found in there if kept(found, identity)), None):
             return loaded(library)
@@ -111,19 +112,19 @@ def _loaded(
         make(library, origin, write)
     try:
         return loaded(library)
-    except (OSError, RuntimeError):  # of another machine
+    except (OSError, RuntimeError):  # built on another machine
         make(library, origin, write, again=True)
         return loaded(library)
 
 
 def native() -> tuple[str, ...]:
-    """Compiler options for the processor at hand, where its kind can be told from others'."""
+    """Return compiler options for this processor, if its kind can be identified."""
     return ("-march=native",) if _processor() else ()
 
 
 @lru_cache
 def _processor() -> str:
-    """What tells one kind of processor from another; empty where that is not known."""
+    """Return the identity of this kind of processor; empty if unknown."""
     path = Path("/proc/cpuinfo")
     if platform.system() != "Linux" or not path.is_file():
         return ""
@@ -134,20 +135,20 @@ def _processor() -> str:
 
 @lru_cache
 def _version(compiler: str) -> str:
-    """What tells a compiler from others."""
-    told = subprocess.run([compiler, "--version"], capture_output=True, text=True, timeout=60)
-    return f"{Path(compiler).name}: {told.stdout.partition(chr(10))[0]}"
+    """Return name and version of a compiler."""
+    answer = subprocess.run([compiler, "--version"], capture_output=True, text=True, timeout=60)
+    return f"{Path(compiler).name}: {answer.stdout.partition(chr(10))[0]}"
 
 
 def _identity(made_of: str, options: tuple[str, ...]) -> str:
-    """SHA-256 of what a library follows from, but for the compiler."""
+    """Return the SHA-256 of everything that determines a library except the compiler."""
     kind = _processor() if options else ""
     made = f"{ca.CasadiMeta.version()} {platform.system()} {platform.machine()} {kind}"
     return hashlib.sha256(f"{made} {_OPTIONS} {options} {made_of}".encode()).hexdigest()
 
 
 def _compile(source: str, library: Path, compiler: str, options: tuple[str, ...]) -> None:
-    """Make a shared library; its source stays beside it."""
+    """Compile a shared library; its source stays beside it."""
     written = library.with_name("energy.c")
     written.write_text(source, encoding="utf-8")
     subprocess.run(
@@ -157,7 +158,7 @@ def _compile(source: str, library: Path, compiler: str, options: tuple[str, ...]
 
 
 class Buffered:
-    """A CasADi function on buffers of its own: no conversions, no copies of what does not change."""
+    """A CasADi function with its own buffers, without conversions or copies of constant inputs."""
 
     def __init__(self, function: Any) -> None:
         self._buffer, self._evaluate = function.buffer()
@@ -170,7 +171,7 @@ class Buffered:
             self._buffer.set_res(i, memoryview(array))  # type: ignore[arg-type]
 
     def __call__(self, *values: Array) -> list[Array]:
-        """Evaluate with these as the first inputs; the outputs hold until the next call."""
+        """Evaluate with new first inputs; the outputs are valid until the next call."""
         for array, value in zip(self.inputs, values, strict=False):
             array[:] = value
         self._evaluate()

@@ -1,16 +1,15 @@
-"""The real-time solver: Levenberg-Marquardt on the banded system, limits by augmented Lagrangian.
+"""Real-time solver: Levenberg-Marquardt on a banded system, limits by augmented Lagrangian.
 
-Damping is absolute and small: one relative to the diagonal would freeze the root's depth, because jerk
-makes the diagonal huge. Where the last step came out as the model said it would, the next one uses the
-factor that is there (a gradient costs a quarter of a Hessian with its factor), also when multipliers or
-weights have changed meanwhile: the next step's outcome tells whether it still serves.
+Damping is absolute and small: relative to the diagonal, which jerk makes huge, it would freeze the root's
+depth. If the decrease of the last step was close to the predicted one, the next step reuses the factor (a
+gradient costs a quarter of a Hessian with its factor), even if multipliers or weights have changed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, cast, overload
+from typing import Final, Protocol, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,50 +18,52 @@ from rtof_kin.core.errors import SolverError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-_LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e6
-_TRUSTED = (0.5, 2.0)
-"""Actual over predicted decrease within which the factor is used once more."""
-_SLOW = 0.5
-"""Share of the decrease promised before that a step on an old factor may promise at most."""
-_STIFFNESS = 1 / np.radians(1.0) ** 2
-"""Of the limits' penalty, 1/rad^2; multipliers make them exact."""
-_USUAL_TOLERANCE, _LIMIT_TOLERANCE = 1e-4, np.radians(0.1)
-"""How far limits may be off where the energy's tolerance is the usual one; less with its square root."""
-_EARLY = 10.0
-"""Multipliers are updated when a step promises less than this many tolerances."""
+_LEAST_DAMPING: Final = 1e-6
+_MOST_DAMPING: Final = 1e6
+_TRUSTED: Final = (0.5, 2.0)
+"""Ratio of actual to predicted decrease within which the factor is reused."""
+_SLOW: Final = 0.5
+"""Largest ratio of predicted decreases, of a step with a reused factor to the step before."""
+_STIFFNESS: Final = 1 / np.radians(1.0) ** 2
+"""Penalty of the limits, 1/rad^2; multipliers make them exact."""
+_USUAL_TOLERANCE: Final = 1e-4
+_LIMIT_TOLERANCE: Final = np.radians(0.1)
+"""Violation of limits, rad, allowed at the usual tolerance of the energy; scales with its square root."""
+_EARLY: Final = 10.0
+"""Multipliers are updated if the predicted decrease is below this many tolerances."""
 
 
 class Factor(Protocol):
     """A factorised Hessian."""
 
     def solve(self, right: Array) -> Array:
-        """The step for a right-hand side."""
+        """Return the solution for a right-hand side."""
 
 
 class Problem(Protocol):
-    """An energy of some state, with its Hessian as a band."""
+    """An energy of a state x, with a banded Hessian."""
 
     def retract(self, x: Array, step: Array) -> Array:
-        """The state after a step."""
+        """Return the state after a step."""
 
     def total(self, x: Array) -> float:
-        """The energy."""
+        """Return the energy."""
 
     def gradient(self, x: Array) -> Array:
-        """Of the energy by a step from x."""
+        """Return the gradient by a step from x."""
 
     def linearise(self, x: Array) -> tuple[float, Array]:
-        """Energy and gradient; the Hessian is kept."""
+        """Return energy and gradient, and store the Hessian."""
 
     def factorise(self, damping: float) -> Factor:
-        """The Hessian kept, plus a damping on its diagonal."""
+        """Factorise the stored Hessian plus a damping on its diagonal."""
 
 
 class LimitedProblem(Problem, Protocol):
-    """One whose Hessian takes that of limits on top."""
+    """A problem whose Hessian can be extended by that of limits."""
 
     def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
-        """Add to entries of the Hessian kept, within frames."""
+        """Add to entries of the stored Hessian, within frames."""
 
 
 class Limits(Protocol):
@@ -71,35 +72,52 @@ class Limits(Protocol):
     names: tuple[str, ...]
 
     def values(self, x: Array) -> Array:
-        """(N, M)."""
+        """Return the angles (N, M), rad."""
 
     def excess(self, values: Array) -> Array:
-        """(N, M) by which they leave their limits."""
+        """Return the signed violations (N, M) of angles, rad."""
 
     def force(self, x: Array, push: Array) -> Array:
-        """Gradient of forces (N, M) on them."""
+        """Return the gradient of forces (N, M) on the angles."""
 
     def curvature(self, x: Array, pushed: NDArray[np.bool_]) -> tuple[Index, Index, Index, Array]:
-        """Entries of the Hessian of half the sum of squares of those chosen."""
+        """Return the Hessian entries of half the sum of squares of the selected angles (N, M)."""
 
 
 @dataclass(frozen=True)
 class Solved:
-    """Where a solver stopped."""
+    """Result of a minimisation."""
 
     x: Array
-    """(N, 3 + 4A) the state."""
+    """(N, 3 + 4A) state."""
     iterations: int
     converged: bool
-    """Whether the last predicted decrease was below the tolerance and the limits held."""
+    """True if the last predicted decrease was below the tolerance and the limits were satisfied."""
     multipliers: Array
     """(N, M) of the limits, positive at upper, negative at lower ones."""
     out_of_iterations: bool = False
-    """Whether it stopped at its iteration limit; not converged without, no step lowered the energy."""
+    """True if it stopped at its iteration limit. Neither this nor converged: no step lowers the energy."""
+
+
+@dataclass
+class _Run:
+    """State of a minimisation."""
+
+    x: Array
+    m: Array
+    """(N, M) multipliers."""
+    energy: float
+    damping: float = 1e-3
+    factor: Factor | None = None
+    """Factor to be reused; None if the Hessian has to be computed."""
+    updated: bool = False
+    """True if multipliers were updated since the last step."""
+    promised: float = np.inf
+    """Predicted decrease of the last step."""
 
 
 class LevenbergMarquardt:
-    """Solves one problem for any data bound to it. Keeps nothing from one call to the next."""
+    """Solver of one problem for any data bound to it; keeps no state between calls."""
 
     @overload
     def __init__(self, problem: Problem) -> None: ...
@@ -108,7 +126,7 @@ class LevenbergMarquardt:
     def __init__(self, problem: LimitedProblem, limits: Limits | None) -> None: ...
 
     def __init__(self, problem: Problem, limits: Limits | None = None) -> None:
-        """Take a problem, and the limits that its states shall keep."""
+        """Take a problem and the limits of its states."""
         self.problem, self.limits = problem, limits
         self._angles: tuple[Array, Array] | None = None
 
@@ -120,79 +138,81 @@ class LevenbergMarquardt:
         multipliers: Array | None = None,
         reweigh: Callable[[Array], bool] | None = None,
     ) -> Solved:
-        """Minimise from a state.
+        """Minimise from an initial state.
 
         Args:
-            tolerance: relative decrease of the energy, predicted for a step, below which it ends; limits
-                are kept to a tenth of a degree, and closer where it is below 1e-4.
-            multipliers: of an earlier solution, to go on with.
-            reweigh: called with the start and every new state; may change the problem's weights, and
+            x: (N, ...) initial state. max_iterations: limit of iterations.
+            tolerance: relative predicted decrease of the energy at which it stops; limits are satisfied to
+                0.1 degrees, and closer below 1e-4.
+            multipliers: (N, M) of an earlier solution.
+            reweigh: called with the initial and every new state; may change the weights of the problem, and
                 returns whether it did.
 
         Raises:
-            SolverError: the energy of the start is not finite, or no damping makes its Hessian positive
-                definite.
+            SolverError: the energy of the initial state is not finite, or no damping makes its Hessian
+                positive definite.
         """
-        problem, damping, factor, updated = self.problem, 1e-3, None, False
         M = 0 if self.limits is None else len(self.limits.names)
         m = np.zeros((len(x), M)) if multipliers is None else multipliers
-        promised = np.inf
-        allowed = _LIMIT_TOLERANCE * min(1.0, np.sqrt(tolerance / _USUAL_TOLERANCE))
         if reweigh is not None:
             reweigh(x)
-        energy = self._energy(x, m)
-        if not np.isfinite(energy):
+        run = _Run(x, m, self._energy(x, m))
+        if not np.isfinite(run.energy):
             raise SolverError("the energy of the starting state is not finite")
-        iteration, out_of_iterations = 0, False
         for iteration in range(max_iterations):
-            fresh = factor is None
-            gradient = self.linearise(x, m) if factor is None else self._gradient(x, m)
-            if factor is None:
-                try:
-                    factor = problem.factorise(damping)
-                except SolverError:  # not positive definite
-                    damping = max(damping, 1e-2) * 8
-                    if damping > _MOST_DAMPING:
-                        raise
-                    continue
-            step = factor.solve(-gradient)
-            predicted = -0.5 * float(np.sum(gradient * step))
-            small = predicted / (tolerance * (1 + abs(energy)) + 1e-300)
-            if small < _EARLY and not updated:
-                new, outside = self._updated(x, m)
-                if small < 1 and outside <= allowed:
-                    return Solved(x, iteration, True, new)
-                updated = outside > allowed
-                if updated:
-                    m, energy = new, self._energy(x, new)
-                    continue
-            candidate = problem.retract(x, step)
-            after = self._energy(candidate, m)
-            ratio = (energy - after) / predicted
-            if not ratio > 1e-3:
-                factor = None
-                if fresh:
-                    damping = max(damping, 1e-2) * 8
-                    if damping > _MOST_DAMPING:
-                        break
-                continue
-            x, energy, updated = candidate, after, False
-            if not _TRUSTED[0] < ratio < _TRUSTED[1] or (not fresh and predicted > _SLOW * promised):
-                factor = None
-            promised = predicted
-            if fresh and ratio > 0.5:
-                damping = max(damping / 10, _LEAST_DAMPING)
-            if reweigh is not None and reweigh(x):
-                factor, energy = None, self._energy(x, m)
-        else:
-            iteration, out_of_iterations = max_iterations, True
-        new, _ = self._updated(x, m)
-        return Solved(x, iteration, False, new, out_of_iterations)
+            converged = self._iterate(run, tolerance, reweigh)
+            if converged is not None:
+                return Solved(run.x, iteration, converged, self._updated(run.x, run.m)[0])
+        return Solved(run.x, max_iterations, False, self._updated(run.x, run.m)[0], True)
+
+    def _iterate(self, run: _Run, tolerance: float, reweigh: Callable[[Array], bool] | None) -> bool | None:
+        """Try one step; return True if converged, False if no step lowers the energy, else None."""
+        fresh = run.factor is None
+        gradient = self.linearise(run.x, run.m) if fresh else self._gradient(run.x, run.m)
+        factor = run.factor or self._factorise(run)
+        if factor is None:
+            return None
+        step = factor.solve(-gradient)
+        predicted = -0.5 * float(np.sum(gradient * step))
+        small = predicted / (tolerance * (1 + abs(run.energy)) + 1e-300)
+        if small < _EARLY and not run.updated:
+            new, outside = self._updated(run.x, run.m)
+            allowed = _LIMIT_TOLERANCE * min(1.0, np.sqrt(tolerance / _USUAL_TOLERANCE))
+            if small < 1 and outside <= allowed:
+                return True
+            run.updated = bool(outside > allowed)
+            if run.updated:
+                run.m, run.energy = new, self._energy(run.x, new)
+                return None
+        candidate = self.problem.retract(run.x, step)
+        after = self._energy(candidate, run.m)
+        ratio = (run.energy - after) / predicted
+        if not ratio > 1e-3:
+            run.factor = None
+            return False if fresh and not _increase_damping(run) else None
+        run.x, run.energy, run.updated = candidate, after, False
+        if not _TRUSTED[0] < ratio < _TRUSTED[1] or (not fresh and predicted > _SLOW * run.promised):
+            run.factor = None
+        run.promised = predicted
+        if fresh and ratio > 0.5:
+            run.damping = max(run.damping / 10, _LEAST_DAMPING)
+        if reweigh is not None and reweigh(run.x):
+            run.factor, run.energy = None, self._energy(run.x, run.m)
+        return None
+
+    def _factorise(self, run: _Run) -> Factor | None:
+        """Factorise the Hessian; if it is not positive definite, increase the damping and return None."""
+        try:
+            run.factor = self.problem.factorise(run.damping)
+        except SolverError:
+            if not _increase_damping(run):
+                raise
+        return run.factor
 
     # --- limits ----------------------------------------------------------------------------------
 
     def _pushed(self, x: Array, m: Array) -> Array:
-        """(N, M) excess of the angles shifted by the multipliers: what the penalty acts on."""
+        """Return the excess (N, M) of the angles shifted by the multipliers, on which the penalty acts."""
         assert self.limits is not None
         if self._angles is None or self._angles[0] is not x:
             self._angles = x, self.limits.values(x)
@@ -206,8 +226,10 @@ class LevenbergMarquardt:
         return energy + float(0.5 * _STIFFNESS * np.sum(pushed**2) - 0.5 / _STIFFNESS * np.sum(m**2))
 
     def linearise(self, x: Array, m: Array) -> Array:
-        """Gradient (N, D) with the limits' force at multipliers (N, M); the Hessian, with that of the
-        limits, is kept by the problem.
+        """Return the gradient (N, D) with the force of the limits; the problem stores the whole Hessian.
+
+        Args:
+            x: (N, ...) state. m: (N, M) multipliers.
         """
         _, gradient = self.problem.linearise(x)
         if self.limits is None or not (pushed := self._pushed(x, m)).any():
@@ -223,12 +245,18 @@ class LevenbergMarquardt:
         return np.asarray(gradient + _STIFFNESS * self.limits.force(x, pushed))
 
     def _updated(self, x: Array, m: Array) -> tuple[Array, float]:
-        """Multipliers after a minimisation, and how far limits or their multipliers are off, rad.
+        """Return updated multipliers, and the largest violation of a limit or of complementarity, rad.
 
-        A multiplier changes by the stiffness times the violation of its limit, or times the slack of a
-        limit that is not reached though it still pushes.
+        A multiplier changes by the stiffness times the violation of its limit, or times the slack of an
+        inactive limit with a multiplier.
         """
         if self.limits is None:
             return m, 0.0
         new = _STIFFNESS * self._pushed(x, m)
         return new, float(np.abs(new - m).max(initial=0.0)) / _STIFFNESS
+
+
+def _increase_damping(run: _Run) -> bool:
+    """Increase the damping; return False beyond its largest value."""
+    run.damping = max(run.damping, 1e-2) * 8
+    return run.damping <= _MOST_DAMPING

@@ -1,8 +1,8 @@
-"""Shared libraries kept in a folder: made once for all processes, loaded only as they were made.
+"""Cache folder of shared libraries, shared by all processes of a user.
 
-Beside each library lies a record: the SHA-256 of its bytes, and the source and the compiler that it was
-made from. A library that is not what its record says (cut off, exchanged, of another source) is made
-again. Nothing is loaded from where another user could have put it: `trusted` gives a private folder then.
+Beside each library is a record with the SHA-256 of its bytes, its source and its compiler. A library that
+differs from its record (truncated, exchanged, of another source) is compiled again. Nothing is loaded from a
+folder that another user could write to; `trusted` returns a private folder instead.
 """
 
 from __future__ import annotations
@@ -30,17 +30,19 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Origin:
-    """What a library is made from."""
+    """Source and compiler of a library."""
 
     source: str
-    """SHA-256 of what its C and the compiler's options follow from."""
+    """SHA-256 of everything that determines the C source and the options."""
     compiler: str
     """Name and version."""
 
 
 def trusted(folder: Path) -> Path:
-    """The folder, made where it is not there; a private one of this process, with a warning, where
-    others could write.
+    """Return the cache folder, created if missing; if others can write to it, a private one and a warning.
+
+    Args:
+        folder: of the cache.
     """
     if not folder.exists():
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -50,7 +52,11 @@ def trusted(folder: Path) -> Path:
 
 
 def kept(library: Path, source: str) -> bool:
-    """Whether a library is there and is what its record says, made from this source."""
+    """Return whether a library exists, matches its record and has this source.
+
+    Args:
+        library: file. source: see `Origin`.
+    """
     try:
         record = json.loads(_own_bytes(library.with_suffix(".json")))
         sha256 = hashlib.sha256(_own_bytes(library)).hexdigest()
@@ -60,10 +66,11 @@ def kept(library: Path, source: str) -> bool:
 
 
 def make(library: Path, origin: Origin, write: Callable[[Path], None], again: bool = False) -> None:
-    """Make a library and its record, unless another process has done so meanwhile.
+    """Build a library and its record, unless another process has done so meanwhile.
 
     Args:
-        write: makes the library at a path. again: also where it is what its record says.
+        library: file. origin: for the record. write: builds the library at a path.
+        again: build it even if it matches its record.
     """
     with _locked(library):
         if kept(library, origin.source) and not again:
@@ -79,13 +86,13 @@ def make(library: Path, origin: Origin, write: Callable[[Path], None], again: bo
             for new, place in ((made, library), (record, library.with_suffix(".json"))):
                 new.chmod(0o700)
                 sync(new)
-                new.replace(place)  # whole or not at all
+                new.replace(place)  # atomic
         finally:
             shutil.rmtree(build, ignore_errors=True)
 
 
 def _locked(library: Path) -> AbstractContextManager[object]:
-    """The lock of one library, taken; it is logged where that takes waiting."""
+    """Acquire the lock of a library; waiting is logged."""
     lock = FileLock(library.with_suffix(".lock"), mode=0o600)
     try:
         return lock.acquire(timeout=0)
@@ -95,9 +102,7 @@ def _locked(library: Path) -> AbstractContextManager[object]:
 
 
 def _remove_dead_builds(library: Path) -> None:
-    """Remove what killed builds left: those of other libraries that nobody holds the lock of, and of this
-    one, which is ours.
-    """
+    """Remove leftovers of killed builds: of this library, and of others that are not locked."""
     for left in library.parent.glob("*.build"):
         try:
             own = left.stem == library.stem
@@ -105,33 +110,29 @@ def _remove_dead_builds(library: Path) -> None:
             with nullcontext() if own else lock:
                 shutil.rmtree(left, ignore_errors=True)
         except Timeout:
-            pass  # it is being built
+            pass  # being built
 
 
 def _own_bytes(path: Path) -> bytes:
-    """A file's content.
-
-    Raises:
-        OSError: it cannot be read, or somebody else could have written it.
-    """
+    """Return the contents of a file; raise OSError if other users can write to it."""
     with path.open("rb") as file:
         if _writable_by_others(os.fstat(file.fileno())):
             raise PermissionError(f"{path}: others may write to it")
         return file.read()
 
 
-# --- whom a folder belongs to --------------------------------------------------------------------
+# --- permissions ---------------------------------------------------------------------------------
 
 
 def _writable_by_others(status: os.stat_result) -> bool:
-    """Whether somebody who is neither this user nor the administrator may write."""
-    if os.name != "posix":  # Windows: rights of the user's profile are not in these bits
+    """Return whether anyone except this user and root may write."""
+    if os.name != "posix":  # Windows: access rights are not in these bits
         return False
     return status.st_uid not in (0, os.geteuid()) or bool(status.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
 
 
 def _doubt(folder: Path) -> str | None:
-    """Who else could put a library there, as a clause; None where nobody could."""
+    """Return why another user could put a library there; None if not possible."""
     if _writable_by_others(folder.stat()):
         return f"others may write to {folder} (chmod 700 it after a look at what it holds, or delete it)"
     for parent in folder.parents:
@@ -143,9 +144,7 @@ def _doubt(folder: Path) -> str | None:
 
 
 def _of_own_group(status: os.stat_result) -> bool:
-    """Whether a folder is this user's, and the group that may write is this user alone, as many systems
-    set home folders up.
-    """
+    """Return whether a folder belongs to this user and its group has no other member."""
     import grp
     import pwd
 
@@ -160,7 +159,7 @@ def _of_own_group(status: os.stat_result) -> bool:
 
 @lru_cache
 def _private(folder: Path, doubt: str) -> Path:
-    """A folder of this process in place of one that is in doubt."""
+    """Return a folder of this process in place of an unsafe one."""
     private = Path(tempfile.mkdtemp(prefix="rtof_kin_"))
     atexit.register(shutil.rmtree, private, ignore_errors=True)
     _log.warning(

@@ -1,9 +1,8 @@
-"""CasADi functions as C that takes several frames at once, one in each lane of the processor's vectors.
+"""CasADi functions compiled to SIMD code that evaluates several frames at once, one per vector element.
 
-CasADi's own code goes through one frame after the other, a number at a time. Here the same expressions
-are written down with vectors in place of numbers: with eight lanes, eight frames take little longer than
-one. Arguments and results are arrays of columns (n, width), a number in each row and a frame in each
-column, so that what belongs to a vector lies together; a neighbouring frame is the same array, one on.
+CasADi's own code is scalar. Here the same expressions are generated with vectors in place of numbers, so
+eight frames take little longer than one. Arguments and results are arrays of columns (n, width), a number
+per row and a frame per column; the array of the next frame is the same array shifted by one column.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction, c_name, id
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 _OPTIONS = ("-O1", "-fexpensive-optimizations", "-fno-math-errno")
-"""The second lets GCC change between its kinds of vectors in time, which takes long otherwise."""
+"""The second avoids slow transitions between vector instruction sets with GCC."""
 
 
 class Over:
-    """A compiled function over the frames of some arrays, which it reads and writes where they are."""
+    """A compiled function bound to arrays, which it reads and writes in place for all frames."""
 
     def __init__(
         self, code: Any, given: FrameFunction, frames: int, inputs: Sequence[Array],
@@ -37,15 +36,14 @@ class Over:
         """Bind a function to arrays.
 
         Args:
-            code: the function in its library (`in_lanes`).
-            inputs: (n, >= `whole(frames)`) columns, or (n,) if shared. outputs: the same; columns after
-                the last frame, up to whole vectors, are set to zero. All columns lie equally far apart
-                from those of the next number.
-            places: of a placed output (frames, k), (groups,) where in a row of its array each group goes;
-                rows may reach into the next.
+            code: the function in its library (`compile_simd`). given: its source. frames: number of frames.
+            inputs: (n, >= `whole(frames)`) columns, or (n,) if shared. outputs: the same; columns after the
+                last frame, up to whole vectors, are set to zero. All columns have the same stride.
+            places: (groups,) of a placed output (frames, k): column of each group in the row of a frame;
+                rows may overlap.
 
         Raises:
-            ShapeError: an array has too few frames or numbers, or they do not lie as they have to.
+            ShapeError: an array has too few frames or numbers, or another memory layout.
         """
         f, ins, outs = given.function, list(inputs), list(outputs)
         if len(ins) != f.n_in() or len(outs) != f.n_out():
@@ -77,7 +75,7 @@ class Over:
 
     @staticmethod
     def _place(name: str, array: Array, frames: int, count: int, places: Index | None) -> None:
-        """Raise where a placed output does not fit."""
+        """Raise if a placed output does not fit."""
         if places is None or len(places) * GROUP != count:
             raise ShapeError(f"{name}: give a place for each group of {GROUP} of {count} numbers")
         least = int(places.max(initial=0)) + GROUP
@@ -88,10 +86,10 @@ class Over:
 
 
 class Columns:
-    """Arrays for functions over the same frames, with zeros before and after these.
+    """Column arrays for functions over the same frames, padded with zeros before and after.
 
     Attributes:
-        inside: of the frames themselves among the columns.
+        frames: number of frames. inside: slice of the frames among the columns.
     """
 
     def __init__(self, frames: int) -> None:
@@ -99,24 +97,24 @@ class Columns:
         self._width = whole(frames) + 2 * GROUP
 
     def zeros(self, numbers: int) -> Array:
-        """(n, width) at the beginning of a cache line."""
+        """Return zeros (numbers, width), aligned to a cache line."""
         count = numbers * self._width
         raw = np.zeros(count + GROUP)
         first = -raw.ctypes.data // raw.itemsize % GROUP
         return raw[first : first + count].reshape(numbers, self._width)
 
     def given(self, rows: Array) -> Array:
-        """Columns of (N, n)."""
+        """Return the columns of rows (N, n)."""
         out = self.zeros(rows.shape[1])
         out[:, self.inside] = rows.T
         return out
 
     def rows(self, columns: Array) -> Array:
-        """(N, n) of columns."""
+        """Return the rows (N, n) of columns."""
         return np.ascontiguousarray(columns[:, self.inside].T)
 
     def at(self, columns: Array, k: int = 0) -> Array:
-        """What is k frames later (at most `GROUP`, or as many earlier with k negative), as an input."""
+        """Return columns shifted by k frames, -`GROUP` <= k <= `GROUP`, as an input."""
         return columns[:, GROUP + k :]
 
 
@@ -135,7 +133,7 @@ class Mapped:
         self._over = Over(code, given, frames, inputs, [at(a) for a in self._outputs])
 
     def __call__(self, *values: Array) -> list[Array]:
-        """Outputs (N, n) for inputs (N, n), or (n,) where they are shared."""
+        """Return outputs (N, n) for inputs (N, n), or (n,) if shared."""
         for target, value in zip(self._targets, values, strict=True):
             target[:] = value
         self._over()
@@ -143,13 +141,19 @@ class Mapped:
 
 
 def whole(frames: int) -> int:
-    """How many frames are in whole vectors of any length."""
+    """Return the number of frames rounded up to whole vectors of any length.
+
+    Args:
+        frames: number of frames.
+    """
     return -(-frames // GROUP) * GROUP
 
 
-def in_lanes(functions: Sequence[FrameFunction]) -> dict[str, Any] | None:
-    """The functions compiled together, by name, from the cache where they are there; None where they
-    cannot be (`compiled.built`).
+def compile_simd(functions: Sequence[FrameFunction]) -> dict[str, Any] | None:
+    """Compile functions together, or load them from the cache, by name; None if impossible.
+
+    Args:
+        functions: to be compiled; see `c_compiler.built`.
     """
 
     def loaded(library: Path) -> dict[str, Any]:
@@ -164,7 +168,7 @@ def in_lanes(functions: Sequence[FrameFunction]) -> dict[str, Any] | None:
 
 
 def _check(name: str, array: Array, shape: tuple[int, ...], width: int) -> None:
-    """Raise where an array is not what a function reads or writes."""
+    """Raise if an array has another type, layout or shape than a function needs."""
     strides = (width, array.itemsize)[-array.ndim :]
     if array.dtype != np.float64 or (array.size and array.strides != strides):
         raise ShapeError(f"{name}: give columns of double precision, of one width with the others")

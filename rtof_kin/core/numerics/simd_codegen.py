@@ -1,7 +1,7 @@
-"""CasADi's SX functions as C on vectors: the same expressions, with one frame in each lane.
+"""C code with SIMD vectors for CasADi's SX functions: the same expressions, one frame per vector element.
 
-The instructions of a function are written down in pieces. What one piece needs of those before it stays
-in an array of vectors; inputs and constants are read again.
+The instructions are split into pieces, one C function each. Values that a later piece needs are kept in an
+array of vectors; inputs and constants are read again.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 import casadi as ca
 
 GROUP = 8
-"""Numbers of a placed output that stay together; no vector is longer."""
+"""Numbers of a placed output that are stored together; the longest vector."""
 _PIECE = 150
-"""Instructions of one C function: compilers take more than proportionally longer for longer ones."""
+"""Instructions per C function; compilation time grows faster than linearly with it."""
 _OPERATIONS = {
     ca.OP_ASSIGN: "{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
     ca.OP_DIV: "{0} / {1}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}",
@@ -29,7 +29,7 @@ _OPERATIONS = {
     ca.OP_SQRT: "each_sqrt({0})", ca.OP_FLOOR: "each_floor({0})", ca.OP_LOG: "each_log({0})",
     ca.OP_SIN: "each_sin({0})", ca.OP_COS: "each_cos({0})", ca.OP_ATAN2: "each_atan2({0}, {1})",
 }  # fmt: skip
-_HEAD = Path(__file__).with_name("lanes.h").read_text(encoding="utf-8")
+_HEAD = Path(__file__).with_name("simd.h").read_text(encoding="utf-8")
 _DRIVER = """
 void {name}(const double *const *in, double *const *out, const long long *place, double *spare,
             long long width, long long step, long long count) {{
@@ -50,34 +50,42 @@ _PIECE_OF = "static __attribute__((noinline)) void {name}(const Now *now, V *w) 
 
 @dataclass(frozen=True)
 class FrameFunction:
-    """A function of one frame, to be called for many."""
+    """A function of one frame, to be evaluated for many."""
 
     function: Any
-    """CasADi's, of SX; its inputs and outputs are dense."""
+    """CasADi SX function with dense inputs and outputs."""
     shared: tuple[int, ...] = ()
-    """Inputs that are the same for all frames."""
+    """Indices of inputs that are the same for all frames."""
     placed: bool = False
-    """Whether the last output goes, in groups of `GROUP` numbers, to places of its own."""
+    """True if the last output is scattered in groups of `GROUP` numbers."""
 
 
 def source(functions: Sequence[FrameFunction]) -> str:
-    """C of functions over frames, each by its `c_name`."""
+    """Return the C source of functions over frames, named by `c_name`.
+
+    Args:
+        functions: to be written.
+    """
     return "\n".join([_HEAD, *(_Writer(given).text() for given in functions)])
 
 
 def c_name(given: FrameFunction) -> str:
-    """In C, where some names are taken."""
+    """Return the name of a function in C."""
     return f"over_frames_{given.function.name()}"
 
 
 def identity(functions: Sequence[FrameFunction]) -> str:
-    """What tells their source from others'."""
+    """Return text that identifies the source of functions.
+
+    Args:
+        functions: as for `source`.
+    """
     made_of = "".join(f"{g.function.serialize()} {g.shared} {g.placed}" for g in functions)
     return f"{_HEAD} {_DRIVER} {_PIECE} {_OPERATIONS} {made_of}"
 
 
 class _Writer:
-    """Writes one function, piece by piece."""
+    """Writer of one function, piece by piece."""
 
     def __init__(self, given: FrameFunction) -> None:
         self._given, self._function = given, given.function
@@ -87,7 +95,7 @@ class _Writer:
         self._read()
 
     def _read(self) -> None:
-        """Instructions in static single assignment: v<k> is what line k gives."""
+        """Read the instructions in static single assignment: v<k> is the value of line k."""
         f, now, waiting = self._function, dict[int, int](), list[int]()
         for k in range(f.n_instructions()):
             operation, of = f.instruction_id(k), f.instruction_input(k)
@@ -128,7 +136,7 @@ class _Writer:
         self._used.append(used)
 
     def text(self) -> str:
-        """What is still needed in a later piece is kept in w, where it takes a free place."""
+        """Return the C source; values that a later piece needs are kept in free places of w."""
         name, count = c_name(self._given), len(self._lines)
         last = {value: k // _PIECE for k, used in enumerate(self._used) for value in used}
         slots, free, place = 0, list[int](), dict[int, int]()

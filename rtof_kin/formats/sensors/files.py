@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_stream import SensorLog
@@ -19,12 +19,11 @@ from rtof_kin.formats.sensors import (
     opensense_sto,
     total_capture_sensors,
     ximu3,
-    xsens_dot,
-    xsens_mt,
+    xsens,
 )
 
-_HEAD_BYTES = 2**14
-_MOST_FILES = 1000
+_HEAD_BYTES: Final = 2**14
+_MOST_FILES: Final = 1000
 
 
 @dataclass(frozen=True)
@@ -32,80 +31,65 @@ class Format:
     """One format of sensor files."""
 
     title: str
-    """What it is called."""
     looks: str
-    """What such a file looks like, in words."""
+    """Description of such a file."""
     recognise: Callable[[str], bool]
-    """Whether a file that begins with this text is one."""
+    """Whether a file that begins with this text is of the format."""
     read: Callable[..., SensorLog]
-    """From paths, or from one path where a file is a trial, and fields of `Declaration`."""
+    """Read a trial from paths, or from one path where `file_is_trial`; keyword arguments are fields of
+    `Declaration` that replace the format's own. Raises FileFormatError for anything unreadable,
+    incomplete, damaged or inconsistent, and UnknownNameError for an unknown field or value."""
     file_is_trial: bool = False
     """Whether a file holds all sensors of a trial."""
 
 
-FORMATS = (
-    Format(mvnx.TITLE, "XML whose root is <mvnx>", mvnx.is_mvnx, mvnx.read_mvnx, file_is_trial=True),
+FORMATS: Final = (
+    Format(mvnx.TITLE, "XML whose root is <mvnx>", mvnx.is_mvnx, mvnx.read_mvnx, True),
     Format(
-        imu_mat.TITLE,
-        "MATLAB v5 to v7: vector t, and for each sensor a struct of acc, gyr, mag, quat",
-        imu_mat.is_imu_mat,
-        imu_mat.read_imu_mat,
-        file_is_trial=True,
+        imu_mat.TITLE, "MATLAB v5 to v7: vector t, and for each sensor a struct of acc, gyr, mag, quat",
+        imu_mat.is_imu_mat, imu_mat.read_imu_mat, True,
     ),
     Format(
-        opensense_sto.TITLE,
-        "text with DataType=Quaternion before endheader; columns time and BODY_imu",
-        opensense_sto.is_opensense_sto,
-        opensense_sto.read_opensense_sto,
-        file_is_trial=True,
+        opensense_sto.TITLE, "text with DataType=Quaternion before endheader; columns time and BODY_imu",
+        opensense_sto.is_opensense_sto, opensense_sto.read_opensense_sto, True,
     ),
     Format(
         total_capture_sensors.TITLE,
         "text: numbers of sensors and frames; then blocks of a frame's number and a line for each sensor",
-        total_capture_sensors.is_total_capture,
-        total_capture_sensors.read_total_capture_sensors,
-        file_is_trial=True,
+        total_capture_sensors.is_total_capture, total_capture_sensors.read_total_capture_sensors, True,
     ),
     Format(
-        ximu3.TITLE,
-        "folders with Inertial.csv, ..., whose first column is 'Timestamp (us)'",
-        ximu3.is_ximu3,
-        ximu3.read_ximu3,
+        ximu3.TITLE, "folders with Inertial.csv, ..., whose first column is 'Timestamp (us)'",
+        ximu3.is_ximu3, ximu3.read_ximu3,
     ),
     Format(
-        xsens_dot.TITLE,
-        "CSV: lines 'DeviceTag:', ..., then columns PacketCounter, SampleTimeFine, Quat_W, ...",
-        xsens_dot.is_xsens_dot,
-        xsens_dot.read_xsens_dot,
+        xsens.DOT_TITLE, "CSV: lines 'DeviceTag:', ..., then columns PacketCounter, SampleTimeFine, ...",
+        xsens.is_xsens_dot, xsens.read_xsens_dot,
     ),
     Format(
-        xsens_mt.TITLE,
+        xsens.MT_TITLE,
         "text: lines of '//', then columns PacketCounter, Acc_X, ..., Quat_q0 or Mat[1][1], ...",
-        xsens_mt.is_xsens_mt,
-        xsens_mt.read_xsens_mt,
+        xsens.is_xsens_mt, xsens.read_xsens_mt,
     ),
     Format(
-        imu_csv.TITLE,
-        "columns time, NAME_fx, NAME_fy, NAME_fz, NAME_wx, ..., NAME_mx, ..., NAME_qw, ...",
-        imu_csv.is_imu_csv,
-        imu_csv.read_imu_csv,
-        file_is_trial=True,
+        imu_csv.TITLE, "columns time, NAME_fx, NAME_fy, NAME_fz, NAME_wx, ..., NAME_mx, ..., NAME_qw, ...",
+        imu_csv.is_imu_csv, imu_csv.read_imu_csv, True,
     ),
-)
-"""Every format that is read; the first that recognises a file has it."""
+)  # fmt: skip
+"""All formats; a file is of the first one that recognises it."""
 
 
 def read_sensor_log(path: str | Path | Sequence[str | Path], **declared: Any) -> SensorLog:
-    """The sensors of one trial, in SI units.
+    """Read the sensors of one trial, in SI units.
 
     Args:
         path: a file, several files, or a folder of files, all of one trial.
-        declared: fields of `Declaration` to set otherwise than the format does, e.g.
-            ``acceleration_unit="g"`` or ``rate_hz=60``.
+        declared: fields of `Declaration` that replace the format's own, e.g. ``acceleration_unit="g"``
+            or ``rate_hz=60``.
 
     Raises:
-        FileFormatError: nothing there that is known, files of two formats or two trials, or damaged.
-        UnknownNameError: there is no such field, or no such value.
+        FileFormatError: no known file, files of two formats or two trials, or damaged.
+        UnknownNameError: unknown field or value.
     """
     given = [path] if isinstance(path, str | Path) else list(path)
     if not given:
@@ -122,7 +106,6 @@ def read_sensor_log(path: str | Path | Sequence[str | Path], **declared: Any) ->
 
 
 def _read(found: Mapping[Path, Format], declared: Mapping[str, Any]) -> SensorLog:
-    """The one trial that these files are."""
     titles = list(dict.fromkeys(kind.title for kind in found.values()))
     first, kind = next(iter(found.items()))
     if len(titles) > 1:
@@ -139,9 +122,7 @@ def _read(found: Mapping[Path, Format], declared: Mapping[str, Any]) -> SensorLo
 
 
 def _recognised(path: Path) -> tuple[dict[Path, Format], list[Path]]:
-    """The files of known formats: a file itself, those in a folder, or those in its folders; and files
-    there with the same ending that are none.
-    """
+    """Return the known files at a path, in its folder or in its folders, and others of their suffixes."""
     if not path.is_dir():
         kind = _format_of(path)
         if kind is None:

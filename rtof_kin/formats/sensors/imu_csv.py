@@ -1,4 +1,4 @@
-"""The plain CSV of inertial sensors: for any logger, written with a few lines of code.
+"""Plain CSV of inertial sensors, for any logger.
 
 The first line names the columns, the others hold numbers; commas, decimal points, UTF-8; an empty cell
 or ``nan`` is a missing sample. ``time`` is in seconds and increases; without it the rate is declared, and
@@ -11,15 +11,14 @@ NAME_mx, NAME_my, NAME_mz              magnetic field, sensor axes, any unit
 NAME_qw, NAME_qx, NAME_qy, NAME_qz     unit quaternion from the sensor to a reference with z up
 =====================================  =============================================================
 
-Each sensor has one group or more, a group whole. Units, axes and order other than these can be declared
-when the file is read. Columns q and f are those that a recording's own CSV has.
+Each sensor has one or more complete groups. Other units, axes and order can be declared.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,63 +31,47 @@ from rtof_kin.formats.sensors.readings import Readings, sensor_log
 from rtof_kin.formats.sensors.sensor_text import SensorTable, cells, read_table
 
 Array = NDArray[np.float64]
-TITLE = "plain CSV"
-_TIME = "time"
-_GROUPS = {"f": "xyz", "w": "xyz", "m": "xyz", "q": "wxyz"}
-_PARTS = {f"_{kind}{axis}": kind for kind, axes in _GROUPS.items() for axis in axes}
+TITLE: Final = "plain CSV"
+_GROUPS: Final = {"f": "xyz", "w": "xyz", "m": "xyz", "q": "wxyz"}
+_ENDINGS: Final = tuple(f"_{kind}{axis}" for kind, axes in _GROUPS.items() for axis in axes)
 
 
 def _is_header(names: Sequence[str]) -> bool:
-    return any(name[-3:] in _PARTS for name in names)
+    return any(name[-3:] in _ENDINGS for name in names)
 
 
 def is_imu_csv(head: str) -> bool:
-    """Whether a file that begins so is such a file."""
+    """Implement `files.Format.recognise`."""
     return _is_header(cells(head.split("\n", 1)[0]))
 
 
 def read_imu_csv(path: Path, **declared: Any) -> SensorLog:
-    """The sensors of one file.
-
-    Args:
-        declared: fields of `Declaration` to set otherwise than the format does; `rate_hz` instead of
-            the column of times.
-
-    Raises:
-        FileFormatError: not such a file, a group that lacks a column, a column of no meaning, no times.
-    """
+    """Implement `files.Format.read`; a declared `rate_hz` replaces the column of times."""
     declaration = Declaration().changed(**declared)
     table = read_table(path, _is_header, lambda name: True)
-    groups = _groups(table)
+    columns = [name for name in table.names if name != "time"]
+    for column in columns:
+        if column[-3:] not in _ENDINGS or len(column) == 3:
+            known = "time, or a sensor's name and one of " + ", ".join(_ENDINGS)
+            raise FileFormatError(path, f"column {column!r}: expected {known}", 1)
     times = _times(table, declaration.rate_hz)
     readings = []
-    for name, kinds in groups.items():
-        found = {kind: table.columns(*(f"{name}_{kind}{axis}" for axis in _GROUPS[kind])) for kind in kinds}
-        readings.append(Readings(name, times, found.get("f"), found.get("w"), found.get("m"), found.get("q")))
+    for name in dict.fromkeys(column[:-3] for column in columns):
+        f, w, m, q = (_group(table, f"{name}_{kind}", axes) for kind, axes in _GROUPS.items())
+        readings.append(Readings(name, times, f, w, m, q))
     return sensor_log([path], TITLE, readings, declaration, (*table.notes, *lost(times)))
 
 
-def _groups(table: SensorTable) -> dict[str, list[str]]:
-    """Kinds of columns that each sensor has, in the file's order."""
-    found: dict[str, dict[str, list[str]]] = {}
-    for column in table.names:
-        name, ending = column[:-3], column[-3:]
-        if column == _TIME:
-            continue
-        if ending not in _PARTS or not name:
-            known = "time, or a sensor's name and one of " + ", ".join(_PARTS)
-            raise FileFormatError(table.path, f"column {column!r}: expected {known}", 1)
-        found.setdefault(name, {}).setdefault(_PARTS[ending], []).append(ending[-1])
-    for name, kinds in found.items():
-        for kind, axes in kinds.items():
-            lacking = [f"{name}_{kind}{axis}" for axis in _GROUPS[kind] if axis not in axes]
-            if lacking:
-                raise FileFormatError(table.path, f"there is no column {', '.join(lacking)}", 1)
-    return {name: list(kinds) for name, kinds in found.items()}
+def _group(table: SensorTable, start: str, axes: str) -> Array | None:
+    """Return the columns of one group; None where all of them are absent."""
+    lacking = [start + axis for axis in axes if start + axis not in table.names]
+    if 0 < len(lacking) < len(axes):
+        raise FileFormatError(table.path, f"there is no column {', '.join(lacking)}", 1)
+    return None if lacking else table.columns(*(start + axis for axis in axes))
 
 
 def _times(table: SensorTable, rate_hz: float | None) -> Array:
-    times = table.column(_TIME)
+    times = table.column("time")
     if rate_hz is not None:
         return np.arange(len(table.values)) / rate_hz
     if times is None:

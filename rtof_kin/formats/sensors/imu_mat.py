@@ -1,8 +1,8 @@
-"""MATLAB files (v5 to v7) with a struct for each sensor, as the ``qmt`` toolbox's recordings are.
+"""MATLAB files (v5 to v7) with a struct per sensor, as the recordings of the ``qmt`` toolbox.
 
 A vector ``t`` (or ``time``), s, and for each sensor a struct of its name with some of the fields ``acc``
 (T, 3) m/s^2 with gravity, ``gyr`` (T, 3) rad/s, ``mag`` (T, 3), all in sensor axes, and ``quat`` (T, 4),
-w x y z, from the sensor to a reference with z up. Anything else in the file is left aside.
+w x y z, from the sensor to a reference with z up. Other content is ignored.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import IO, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,37 +23,26 @@ from rtof_kin.formats.sensors.packets import lost
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
 Array = NDArray[np.float64]
-TITLE = "MATLAB structs"
+TITLE: Final = "MATLAB structs"
 LARGEST_BYTES = 2**30
-"""Files that hold more than this, uncompressed, are refused."""
-_FIELDS = {"acc": 3, "gyr": 3, "mag": 3, "quat": 4}
-_TIMES = ("t", "time")
-_HEADER_BYTES, _COMPRESSED, _PIECE = 128, 15, 2**16
-_NEWER = "MATLAB 7.3"
+"""Largest uncompressed content that is read, bytes."""
+_FIELDS: Final = {"acc": 3, "gyr": 3, "mag": 3, "quat": 4}
+_HEADER_BYTES: Final = 128
+_COMPRESSED: Final = 15
+_PIECE: Final = 2**16
+_NEWER: Final = "MATLAB 7.3"
 
 
 def is_imu_mat(head: str) -> bool:
-    """Whether a file that begins so is a MATLAB file."""
+    """Implement `files.Format.recognise`."""
     return head.startswith(("MATLAB 5.0 MAT-file", _NEWER))
 
 
 def read_imu_mat(path: Path, **declared: Any) -> SensorLog:
-    """The sensors of one file.
-
-    Args:
-        declared: fields of `Declaration` to set otherwise than the format does; `rate_hz` instead of
-            the vector of times.
-
-    Raises:
-        FileFormatError: damaged, of MATLAB 7.3 (HDF5), too large, without times or without sensors.
-    """
+    """Implement `files.Format.read`; a declared `rate_hz` replaces the vector of times."""
     declaration = Declaration().changed(**declared)
     variables = _variables(path)
-    found: dict[str, dict[str, Array]] = {}
-    for name, value in variables.items():
-        fields = _sensor(path, name, value)
-        if fields:
-            found[name] = fields
+    found = {name: fields for name, value in variables.items() if (fields := _sensor(path, name, value))}
     if not found:
         raise FileFormatError(path, f"no struct in it has a field {', '.join(_FIELDS)}")
     lengths = {len(values) for fields in found.values() for values in fields.values()}
@@ -68,7 +57,7 @@ def read_imu_mat(path: Path, **declared: Any) -> SensorLog:
 
 
 def _variables(path: Path) -> dict[str, Any]:
-    """Everything in the file, after counting how much that will be."""
+    """Load all variables after summing their uncompressed sizes."""
     try:
         with path.open("rb") as stream:
             if stream.read(len(_NEWER)) == _NEWER.encode():
@@ -85,39 +74,34 @@ def _variables(path: Path) -> dict[str, Any]:
         raise
     except FileNotFoundError as error:
         raise FileFormatError(path, "there is no such file") from error
-    except Exception as error:  # SciPy's reader raises whatever it stumbles over
+    except Exception as error:  # SciPy's reader raises errors of many types
         raise FileFormatError(path, f"damaged, or no MATLAB file ({error}); save it again") from error
 
 
 def _sizes(stream: IO[bytes]) -> Iterator[int]:
-    """Bytes of a file's elements, uncompressed, a piece at a time: a small file can hold gigabytes."""
+    """Yield uncompressed bytes of a file's elements, in pieces: a small file can hold gigabytes."""
     stream.seek(_HEADER_BYTES - 2)
     order: Literal["little", "big"] = "little" if stream.read(2) == b"IM" else "big"
     while len(tag := stream.read(8)) == 8:
         kind, size = (int.from_bytes(tag[i : i + 4], order) for i in (0, 4))
         end = stream.tell() + size
         if kind == _COMPRESSED:
-            yield from _inflated_sizes(stream, end)
+            inflate = zlib.decompressobj()
+            while not inflate.eof:
+                data = inflate.unconsumed_tail or stream.read(min(_PIECE, end - stream.tell()))
+                if not data:
+                    break
+                yield len(inflate.decompress(data, _PIECE))
         else:
             yield size
         stream.seek(end)
 
 
-def _inflated_sizes(stream: IO[bytes], end: int) -> Iterator[int]:
-    inflate, data = zlib.decompressobj(), b""
-    while not inflate.eof:
-        data = inflate.unconsumed_tail or stream.read(min(_PIECE, end - stream.tell()))
-        if not data:
-            return
-        yield len(inflate.decompress(data, _PIECE))
-
-
 def _sensor(path: Path, name: str, value: Any) -> dict[str, Array]:
-    """The fields of a struct that are a sensor's; none where it is something else."""
+    """Return the fields of a sensor's struct; none of another variable."""
     if not (isinstance(value, np.ndarray) and value.dtype == object and value.size == 1):
         return {}
-    struct = value.flat[0]
-    fields = {}
+    struct, fields = value.flat[0], {}
     for field, width in _FIELDS.items():
         if field not in getattr(struct, "_fieldnames", ()):
             continue
@@ -125,8 +109,7 @@ def _sensor(path: Path, name: str, value: Any) -> dict[str, Array]:
         if not (isinstance(array, np.ndarray) and array.dtype.kind in "fiu"):
             raise FileFormatError(path, f"{name}.{field} holds no numbers")
         if array.ndim != 2 or array.shape[1] != width:
-            problem = f"{name}.{field} has shape {array.shape}, not (T, {width})"
-            raise FileFormatError(path, problem)
+            raise FileFormatError(path, f"{name}.{field} has shape {array.shape}, not (T, {width})")
         fields[field] = array.astype(np.float64)
     return fields
 
@@ -134,9 +117,9 @@ def _sensor(path: Path, name: str, value: Any) -> dict[str, Array]:
 def _times(path: Path, variables: dict[str, Any], count: int, rate_hz: float | None) -> Array:
     if rate_hz is not None:
         return np.arange(count) / rate_hz
-    given = next((variables[name] for name in _TIMES if name in variables), None)
+    given = variables.get("t", variables.get("time"))
     if not isinstance(given, np.ndarray) or given.dtype.kind not in "fiu":
-        raise FileFormatError(path, f"no vector {' or '.join(_TIMES)}, s; add it, or declare rate_hz")
+        raise FileFormatError(path, "no vector t or time, s; add it, or declare rate_hz")
     if given.size != count:
         raise FileFormatError(path, f"{given.size} times for {count} samples")
     return given.astype(np.float64).ravel()

@@ -3,8 +3,8 @@
 Frames of calibration poses come first (``type`` identity, tpose, npose, ...) and are kept apart. Of the
 others these tags are read, each of which may be absent: sensorOrientation (quaternion w x y z from the
 sensor to MVN's world, z up), sensorFreeAcceleration (m/s^2, gravity removed, axes of MVN's world),
-sensorMagneticField (sensor axes); orientation and position (m) of segments in MVN's world. A sensor is
-named by the segment that carries it, as MVN does. There is no gyroscope.
+sensorMagneticField (sensor axes); orientation and position (m) of segments in MVN's world. A sensor has
+the name of the segment that carries it. There is no gyroscope.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Final
 from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
@@ -29,18 +29,18 @@ from rtof_kin.formats.sensors.packets import lost
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
 Array = NDArray[np.float64]
-TITLE = "Xsens MVNX"
+TITLE: Final = "Xsens MVNX"
 LARGEST_BYTES = 2**33
-"""Larger files are refused; an hour of MVN at 60 Hz with all its tags has about 4 GB."""
+"""Largest file that is read, bytes; an hour of MVN at 60 Hz with all its tags has about 4 GB."""
 LARGEST_FRAME = 2**24
-"""Bytes of one frame; MVN's have some 20 thousand."""
-_SENSOR_TAGS = {"sensorOrientation": 4, "sensorFreeAcceleration": 3, "sensorMagneticField": 3}
-_SEGMENT_TAGS = {"orientation": 4, "position": 3}
-_WIDTHS = _SENSOR_TAGS | _SEGMENT_TAGS
-"""Numbers of each sensor, or of each segment, in the tags that are read."""
-_RAW = {"sensorAcceleration", "sensorAngularVelocity"}
-_MOST = 1000
-"""Sensors or segments; more are none."""
+"""Largest frame, bytes; MVN's have some 20 thousand."""
+_SENSOR_TAGS: Final = {"sensorOrientation": 4, "sensorFreeAcceleration": 3, "sensorMagneticField": 3}
+_SEGMENT_TAGS: Final = {"orientation": 4, "position": 3}
+_WIDTHS: Final = _SENSOR_TAGS | _SEGMENT_TAGS
+"""Numbers per sensor, or per segment, in the tags that are read."""
+_RAW: Final = frozenset({"sensorAcceleration", "sensorAngularVelocity"})
+_MOST: Final = 1000
+"""Largest number of sensors, segments or poses."""
 
 
 @dataclass(frozen=True)
@@ -55,15 +55,15 @@ class MvnxPose:
 
 @dataclass(frozen=True)
 class Mvnx:
-    """What an MVNX file holds, in MVN's own frames; arrays are None where the file lacks them."""
+    """Content of an MVNX file in MVN's own frames; arrays are None where absent."""
 
     sensors: tuple[str, ...]
-    """S labels; a sensor is called by its segment."""
+    """S names."""
     segments: tuple[str, ...]
-    """G labels."""
+    """G names."""
     rate_hz: float
     index: NDArray[np.int64]
-    """(T,) numbers of the frames; those that are missing were not exported."""
+    """(T,) numbers of the frames; missing ones were not exported."""
     poses: Mapping[str, MvnxPose]
     """Calibration poses by their type, e.g. 'tpose'."""
     quat_world_sensor: Array | None
@@ -77,24 +77,16 @@ class Mvnx:
     p_world_segment: Array | None
     """(T, G, 3) m."""
     unread: tuple[str, ...] = ()
-    """Tags of raw sensor data, of old versions, that are there and are not read."""
+    """Tags of raw sensor data, of old versions, that are ignored."""
 
 
 def is_mvnx(head: str) -> bool:
-    """Whether a file that begins so is such a file."""
+    """Implement `files.Format.recognise`."""
     return "<mvnx" in head
 
 
 def read_mvnx(path: Path, **declared: Any) -> SensorLog:
-    """The sensors of one file.
-
-    Args:
-        declared: fields of `Declaration` to set otherwise than the format does; `rate_hz` instead of
-            the file's frameRate.
-
-    Raises:
-        FileFormatError: as `read_mvnx_file`; or there is nothing of a sensor in it.
-    """
+    """Implement `files.Format.read`; a declared `rate_hz` replaces the file's frameRate."""
     own = Declaration(gravity="removed", acceleration_axes="inertial")
     declaration = own.changed(**declared)
     mvnx = read_mvnx_file(path)
@@ -102,16 +94,14 @@ def read_mvnx(path: Path, **declared: Any) -> SensorLog:
     times = mvnx.index / rate
     if mvnx.quat_world_sensor is None and mvnx.a_world is None:
         raise FileFormatError(path, f"no frame has {' or '.join(list(_SENSOR_TAGS)[:2])}; export them")
+    a, m, quat = mvnx.a_world, mvnx.m_sensor, mvnx.quat_world_sensor
     sensors = [
         Readings(
-            name,
-            times,
-            acceleration=None if mvnx.a_world is None else mvnx.a_world[:, s],
-            magnetometer=None if mvnx.m_sensor is None else mvnx.m_sensor[:, s],
-            quaternions=None if mvnx.quat_world_sensor is None else mvnx.quat_world_sensor[:, s],
+            name, times, acceleration=None if a is None else a[:, s],
+            magnetometer=None if m is None else m[:, s], quaternions=None if quat is None else quat[:, s],
         )
         for s, name in enumerate(mvnx.sensors)
-    ]
+    ]  # fmt: skip
     notes = [*lost(times, rate)]
     if mvnx.poses:
         notes.append(f"calibration poses ({', '.join(mvnx.poses)}) are no samples; see read_mvnx_file")
@@ -121,11 +111,14 @@ def read_mvnx(path: Path, **declared: Any) -> SensorLog:
 
 
 def read_mvnx_file(path: Path) -> Mvnx:
-    """Sensors, segments and poses of a file, in MVN's own frames.
+    """Read sensors, segments and calibration poses of a file, in MVN's own frames.
+
+    Args:
+        path: the file.
 
     Raises:
-        FileFormatError: no such file, too large, broken XML, entities or a document type (which MVN does
-            not write, and which can be made to fill the memory), no frame, numbers that are none.
+        FileFormatError: no such file, too large, broken XML, entities or a document type (not written by
+            MVN, and usable to fill the memory), no frame, or invalid numbers.
     """
     content = _Content(path)
     try:
@@ -148,9 +141,7 @@ def read_mvnx_file(path: Path) -> Mvnx:
 
 
 def _elements(path: Path) -> Iterator[Element]:
-    """Each element when it ends, a frame whole and anything else without what it held: elements are
-    dropped as soon as they are used.
-    """
+    """Yield each element at its end, frames whole and others without children, and drop it after use."""
     above: list[Element] = []
     tags: list[str] = []
     with path.open("rb") as stream:
@@ -173,7 +164,7 @@ def _elements(path: Path) -> Iterator[Element]:
 
 @dataclass
 class _Bounded:
-    """A file that is not read on while what it gave cannot be dropped."""
+    """A file whose bytes since the last dropped element are limited to `LARGEST_FRAME`."""
 
     path: Path
     stream: IO[bytes]
@@ -188,13 +179,13 @@ class _Bounded:
 
 
 def _tag(element: Element) -> str:
-    """Its tag without the name space."""
+    """Return the tag without its name space."""
     return str(element.tag).rpartition("}")[2]
 
 
 @dataclass
 class _Content:
-    """What was read so far."""
+    """Content read so far."""
 
     path: Path
     rate_hz: float = np.nan
@@ -251,11 +242,10 @@ class _Content:
                 self.numbers[tag].extend([np.nan] * self._width(tag) if values is None else values)
 
     def _width(self, tag: str) -> int:
-        kind = "sensor" if tag in _SENSOR_TAGS else "segment"
-        return len(self.labels[kind]) * _WIDTHS[tag]
+        return len(self.labels["sensor" if tag in _SENSOR_TAGS else "segment"]) * _WIDTHS[tag]
 
     def _values(self, tag: str, children: dict[str, str | None], where: str) -> list[float] | None:
-        """The numbers of one tag of a frame; None where it is absent or empty."""
+        """Return the numbers of one tag of a frame; None where it is absent or empty."""
         words = (children.get(tag) or "").split()
         if not words:
             return None
@@ -278,18 +268,9 @@ class _Content:
         if not self.index or np.isnan(self.rate_hz):
             raise FileFormatError(self.path, "has no frame of a recording in a <subject>")
         T = len(self.index)
-        flat = {tag: self._shaped(tag, self.numbers.get(tag)) for tag in _WIDTHS}
-        of_tag = {tag: v if v is None else v.reshape(T, -1, v.shape[1]) for tag, v in flat.items()}
-        return Mvnx(
-            sensors=tuple(self.labels["sensor"]),
-            segments=tuple(self.labels["segment"]),
-            rate_hz=self.rate_hz,
-            index=readonly("index", self.index, ("T",), np.int64),
-            poses=self.poses,
-            quat_world_sensor=of_tag["sensorOrientation"],
-            a_world=of_tag["sensorFreeAcceleration"],
-            m_sensor=of_tag["sensorMagneticField"],
-            quat_world_segment=of_tag["orientation"],
-            p_world_segment=of_tag["position"],
-            unread=tuple(sorted(self.unread)),
-        )
+        flat = (self._shaped(tag, self.numbers.get(tag)) for tag in _WIDTHS)
+        quat, a, m, quat_segment, p = (v if v is None else v.reshape(T, -1, v.shape[1]) for v in flat)
+        sensors, segments = tuple(self.labels["sensor"]), tuple(self.labels["segment"])
+        index = readonly("index", self.index, ("T",), np.int64)
+        unread = tuple(sorted(self.unread))
+        return Mvnx(sensors, segments, self.rate_hz, index, self.poses, quat, a, m, quat_segment, p, unread)

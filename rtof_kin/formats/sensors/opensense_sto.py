@@ -1,20 +1,20 @@
 """OpenSense orientation tables (.sto) of OpenSim: orientation alone, all sensors at the same times.
 
 Header lines to ``endheader``, among them ``DataType=Quaternion``; then tab-separated columns ``time``
-and ``<body>_imu``, with cells ``w,x,y,z``: from the sensor to a reference that has z up as sensors
-give it, or y up where OpenSim's rotation was applied already; then declare ``inertial_axes="y up"``.
+and ``<body>_imu``, with cells ``w,x,y,z``: from the sensor to a reference with z up, or with y up where
+OpenSim's rotation was already applied; then declare ``inertial_axes="y up"``.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import write_text
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog
@@ -23,27 +23,19 @@ from rtof_kin.formats.sensors.readings import Readings, sensor_log
 from rtof_kin.formats.sensors.sensor_text import MOST_HEADER_LINES, text_lines
 
 Array = NDArray[np.float64]
-TITLE = "OpenSense .sto"
-_SUFFIX = "_imu"
-_END = "endheader"
+TITLE: Final = "OpenSense .sto"
+_SUFFIX: Final = "_imu"
+_END: Final = "endheader"
 
 
 def is_opensense_sto(head: str) -> bool:
-    """Whether a file that begins so is such a file."""
+    """Implement `files.Format.recognise`."""
     lines = [line.strip().lower().replace(" ", "") for line in head.splitlines()]
     return "datatype=quaternion" in lines and _END in lines
 
 
 def read_opensense_sto(path: Path, **declared: Any) -> SensorLog:
-    """Orientations of all sensors, named by the body without ``_imu``.
-
-    Args:
-        declared: fields of `Declaration` to set otherwise than the format does; `rate_hz` instead of
-            the column of times.
-
-    Raises:
-        FileFormatError: not such a file, a row of another length, a cell that is no quaternion.
-    """
+    """Implement `files.Format.read`; a declared `rate_hz` replaces the column of times."""
     declaration = Declaration().changed(**declared)
     rows = text_lines(path)
     for number, line in rows:
@@ -55,22 +47,18 @@ def read_opensense_sto(path: Path, **declared: Any) -> SensorLog:
     names = line.rstrip().split("\t")
     if names[0] != "time" or len(names) < 2:
         raise FileFormatError(path, f"expected time and sensors' names after {_END}", number)
-    times, quaternions = [], []
-    for number, line in rows:
-        if line.strip():
-            time, row = _row(path, number, line.rstrip().split("\t"), len(names))
-            times.append(time)
-            quaternions.append(row)
-    if not times:
+    table = [_row(path, n, line.rstrip().split("\t"), len(names)) for n, line in rows if line.strip()]
+    if not table:
         raise FileFormatError(path, "holds names and no row", number)
-    stamps = np.array(times)
+    times = np.array([time for time, _ in table])
+    quaternions = np.array([row for _, row in table]).transpose(1, 0, 2)
     if declaration.rate_hz is not None:
-        stamps = np.arange(len(times)) / declaration.rate_hz
+        times = np.arange(len(times)) / declaration.rate_hz
     sensors = [
-        Readings(name.removesuffix(_SUFFIX), stamps, quaternions=quat)
-        for name, quat in zip(names[1:], np.array(quaternions).transpose(1, 0, 2), strict=True)
+        Readings(name.removesuffix(_SUFFIX), times, quaternions=quat)
+        for name, quat in zip(names[1:], quaternions, strict=True)
     ]
-    return sensor_log([path], TITLE, sensors, declaration, lost(stamps))
+    return sensor_log([path], TITLE, sensors, declaration, lost(times))
 
 
 def _row(path: Path, line: int, cells: list[str], columns: int) -> tuple[float, list[list[float]]]:
@@ -86,22 +74,25 @@ def _row(path: Path, line: int, cells: list[str], columns: int) -> tuple[float, 
 
 
 def write_opensense_sto(path: str | Path, log: SensorLog) -> None:
-    """Orientations of sensors, R_inertial_sensor with z up, for OpenSim's OpenSense to read.
+    """Write orientations R_inertial_sensor, z up, for OpenSim's OpenSense.
 
-    A sensor should have the name of the body that carries it (`SensorLog.renamed`).
+    Args:
+        path: the file. log: its sensors should have the names of their bodies (`SensorLog.renamed`).
 
     Raises:
-        ShapeError: a sensor has no orientation, lacks it somewhere, or was sampled at other times.
+        InvalidInputError: a sensor lacks orientation or was sampled at other times.
     """
     times = log.streams[0].times
     columns = []
     for stream in log.streams:
         R = stream.R_inertial_sensor
         if R is None or np.isnan(R).any():
-            raise ShapeError(f"sensor {stream.name} has no orientation in every sample; cut or fill it")
+            raise InvalidInputError(
+                f"sensor {stream.name} has no orientation in every sample; cut or fill it"
+            )
         if not np.array_equal(stream.times, times):
             problem = f"sensors {log.names[0]} and {stream.name} were sampled at different times"
-            raise ShapeError(f"{problem}; resample one of them")
+            raise InvalidInputError(f"{problem}; resample one of them")
         columns.append([",".join(map(repr, quat)) for quat in so3.to_quat_wxyz(R).tolist()])
     rate = log.streams[0].rate_hz if len(times) > 1 else 1.0
     header = [f"DataRate={rate:.6f}", "DataType=Quaternion", "version=3", _END]

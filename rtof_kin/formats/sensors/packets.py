@@ -1,8 +1,8 @@
-"""Counters of packets: unwrapped, put in order, without what came twice; what was lost is counted.
+"""Packet counters: unwrapped and sorted, duplicates removed, losses counted.
 
-Radios lose packets and send some of them late or twice, and counters of 16 or 32 bits begin again at 0
-when they are full. Each of these is told in a sentence. A counter that starts anew for another reason
-is an error: two recordings in one file have no clock in common.
+Radios lose packets and send some late or twice, and counters of 16 or 32 bits restart at 0 when they are
+full. Each of these is reported in a sentence. A counter that restarts for another reason is an error: two
+recordings in one file have no clock in common.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,12 @@ from rtof_kin.core.errors import FileFormatError
 
 Array = NDArray[np.float64]
 Count = NDArray[np.int64]
-WRAP_16, WRAP_32 = 2**16, 2**32
-_LONGEST_ACROSS_WRAP = 16
+WRAP_16: Final = 2**16
+WRAP_32: Final = 2**32
+_LONGEST_ACROSS_WRAP: Final = 16
 """A counter that falls is taken to have wrapped where at most this fraction of its range was lost."""
-_MOST_AGAIN = 0.25
-"""No radio sends a larger share of its packets twice."""
+_MOST_AGAIN: Final = 0.25
+"""Largest plausible share of packets sent twice."""
 
 
 @dataclass(frozen=True)
@@ -32,24 +34,21 @@ class Packets:
     rows: Count
     """(T,) rows of the file to take."""
     count: Count
-    """(T,) their places on a counter that never wraps, strictly increasing."""
+    """(T,) their unwrapped counter, strictly increasing."""
     notes: tuple[str, ...] = ()
-    """What was met, in sentences without a subject."""
+    """What was corrected, in sentences without a subject."""
 
 
 def in_order(path: Path, counters: Array, lines: Sequence[int], wrap: int, late: int, what: str) -> Packets:
-    """Packets by a counter that wraps.
+    """Sort packets by a counter that wraps.
 
     Args:
-        path: the file, for messages.
-        counters: (N,) as they stand in the file.
-        lines: (N,) their lines in the file, for messages.
+        path: the file, for messages. counters: (N,) as in the file. lines: (N,) their lines.
         wrap: the first number that the counter cannot show, e.g. 2**16.
-        late: by so much a packet may come after its place.
-        what: the counter's name in the file.
+        late: largest delay of a packet, counts. what: the counter's name in the file.
 
     Raises:
-        FileFormatError: no whole number, out of range, does not count, or started anew; names the line.
+        FileFormatError: no whole number, out of range, not counting, or restarted; names the line.
     """
     wrong = ~((counters >= 0) & (counters < wrap) & (counters == np.round(counters)))
     if wrong.any():
@@ -90,11 +89,10 @@ def _counted(number: int, noun: str) -> str:
 
 
 def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
-    """A sentence about samples that are not there, by steps of more than 1.5 sampling periods.
+    """Return a sentence about missing samples, by steps of more than 1.5 sampling periods.
 
     Args:
-        times: (T,) s; nothing is said of those that do not increase.
-        rate_hz: samples per second; by the median step where not given.
+        times: (T,) s; no sentence where they do not increase. rate_hz: by default from the median step.
     """
     steps = np.diff(times)
     if len(steps) == 0 or not np.all((steps > 0) & (steps < np.inf)):
@@ -111,13 +109,10 @@ def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
 
 
 def aligned(first: Sequence[int], wrap: int) -> list[int]:
-    """What to add to each sensor's count so that all began within half a wrap of the first sensor.
-
-    A trial may begin just before the counters wrap: one sensor's file begins with 65535, another's
-    with 0.
+    """Return what to add to each sensor's counts so that all begin within half a wrap of the first one.
 
     Args:
-        first: count of each sensor's first packet.
+        first: count of each sensor's first packet; in one trial one may have 65535 and another 0.
         wrap: the first number that the counters cannot show.
     """
     return [wrap * round((first[0] - one) / wrap) for one in first]

@@ -1,5 +1,6 @@
-"""Tables of numbers in text as loggers of sensors write them: some lines about the device, a line of
-column names, then a line of numbers for each packet, separated by tabs, commas or semicolons.
+"""Text tables of sensor loggers: lines about the device, a line of column names, a line per packet.
+
+Cells are separated by tabs, commas or semicolons.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +19,10 @@ from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_declaration import LARGEST_NUMBER
 
 Array = NDArray[np.float64]
-LARGEST_BYTES = 2**30
-"""Files of more than this are refused: a day of one sensor at 100 Hz."""
-LONGEST_LINE = 2**16
-MOST_HEADER_LINES = 100
+LARGEST_BYTES: Final = 2**30
+"""Largest file that is read, bytes; a day of one sensor at 100 Hz."""
+LONGEST_LINE: Final = 2**16
+MOST_HEADER_LINES: Final = 100
 
 
 @dataclass(frozen=True)
@@ -31,32 +33,35 @@ class SensorTable:
     header: tuple[str, ...]
     """Lines above the column names."""
     names: tuple[str, ...]
-    """C column names, as they stand in the file."""
+    """C column names."""
     values: Array
     """(T, C); NaN where a cell is empty."""
     lines: Sequence[int]
-    """(T,) where each row stands in the file, from 1."""
+    """(T,) line of each row in the file, from 1."""
     notes: tuple[str, ...]
-    """What was met, in sentences."""
+    """What was left out, in sentences."""
 
     def columns(self, *names: str) -> Array | None:
-        """(T, len(names)) of the columns named, whatever their case; None where one is not there."""
+        """Return the named columns (T, len(names)), in any case of letters; None where one is absent."""
         at = {name.lower(): i for i, name in enumerate(self.names)}
         if not all(name.lower() in at for name in names):
             return None
         return self.values[:, [at[name.lower()] for name in names]]
 
     def column(self, name: str) -> Array | None:
-        """(T,) of one column, whatever its case; None where it is not there."""
+        """Return one column (T,), in any case of letters; None where absent."""
         found = self.columns(name)
         return None if found is None else found[:, 0]
 
 
 def text_lines(path: Path, limit: int = LARGEST_BYTES) -> Iterator[tuple[int, str]]:
-    """Lines of a text file with their numbers from 1, without holding more than one of them.
+    """Yield the lines of a text file with their numbers from 1, one at a time.
+
+    Args:
+        path: the file. limit: largest size, bytes.
 
     Raises:
-        FileFormatError: no such file, larger than `limit` bytes, binary, not UTF-8, or a line too long.
+        FileFormatError: no such file, too large, binary, not UTF-8, or a line too long.
     """
     try:
         if path.stat().st_size > limit:
@@ -68,43 +73,42 @@ def text_lines(path: Path, limit: int = LARGEST_BYTES) -> Iterator[tuple[int, st
                 if b"\0" in line:
                     problem = "holds NUL bytes: binary, damaged, or UTF-16; save it as UTF-8 text"
                     raise FileFormatError(path, problem, number)
-                yield number, _decoded(path, number, line)
+                try:
+                    yield number, line.decode("utf-8-sig" if number == 1 else "utf-8").rstrip("\r\n")
+                except UnicodeDecodeError as error:
+                    problem = f"byte {line[error.start]:#x} is not UTF-8 text; save the file as UTF-8"
+                    raise FileFormatError(path, problem, number) from error
     except FileNotFoundError as error:
         raise FileFormatError(path, "there is no such file") from error
     except OSError as error:
         raise FileFormatError(path, f"cannot be read: {error}") from error
 
 
-def _decoded(path: Path, number: int, line: bytes) -> str:
-    try:
-        return line.decode("utf-8-sig" if number == 1 else "utf-8").rstrip("\r\n")
-    except UnicodeDecodeError as error:
-        problem = f"byte {line[error.start]:#x} is not UTF-8 text; save the file as UTF-8"
-        raise FileFormatError(path, problem, number) from error
-
-
-def separator(line: str) -> str:
-    """What separates the cells of a line: the most frequent of tab, semicolon, comma."""
-    return max("\t;,", key=line.count)
-
-
 def cells(line: str, delimiter: str | None = None) -> list[str]:
-    """Cells of a line without the blanks around them."""
-    return [cell.strip() for cell in line.split(delimiter or separator(line))]
+    """Split a line into cells without surrounding blanks.
+
+    Args:
+        line: the line. delimiter: by default the most frequent of tab, semicolon, comma.
+    """
+    return [cell.strip() for cell in line.split(delimiter or _delimiter(line))]
+
+
+def _delimiter(line: str) -> str:
+    return max("\t;,", key=line.count)
 
 
 def read_table(
     path: Path, is_header: Callable[[list[str]], bool], wanted: Callable[[str], bool]
 ) -> SensorTable:
-    """The table of a text file.
+    """Read the table of a text file. A last line that was cut off is left out, with a note.
 
     Args:
-        is_header: whether the cells of a line are the column names.
-        wanted: whether the numbers of the column so named are read; others may hold anything.
+        path: the file. is_header: whether the cells of a line are the column names.
+        wanted: whether the column of a name is read; other columns may hold any text.
 
     Raises:
-        FileFormatError: unreadable, no line of column names, a name twice, no packet, a row of another
-            length, a cell that is no number. A last line that was cut off is left out, with a note.
+        FileFormatError: unreadable, no column names, a name twice, no packet, a row of another length,
+            or a cell that is no number; names the line.
     """
     rows = text_lines(path)
     header: list[str] = []
@@ -121,17 +125,20 @@ def read_table(
     if double:
         raise FileFormatError(path, f"column {double[0]!r} stands there more than once", number)
     taken = [i for i, name in enumerate(names) if name and wanted(name)]
-    return _read_rows(path, tuple(header), names, taken, separator(line), rows)
+    table, lines, cut = _read_rows(path, names, taken, _delimiter(line), rows)
+    huge = np.argwhere(np.abs(table) > LARGEST_NUMBER)
+    if len(huge):
+        row, column = huge[0]
+        problem = f"column {names[taken[column]]}: {table[row, column]:g} is no measurement"
+        raise FileFormatError(path, problem, lines[row])
+    notes = (f"line {cut} was cut off and is left out",) if cut is not None else ()
+    return SensorTable(path, tuple(header), tuple(names[i] for i in taken), table, lines, notes)
 
 
 def _read_rows(
-    path: Path,
-    header: tuple[str, ...],
-    names: list[str],
-    taken: list[int],
-    delimiter: str,
-    rows: Iterator[tuple[int, str]],
-) -> SensorTable:
+    path: Path, names: list[str], taken: list[int], delimiter: str, rows: Iterator[tuple[int, str]]
+) -> tuple[Array, array[int], int | None]:
+    """Return the taken columns (T, C), the lines of the rows, and the line of a cut last row."""
     values, lines = array("d"), array("q")
     cut: int | None = None
     for number, line in rows:
@@ -145,30 +152,15 @@ def _read_rows(
             continue
         if any(cell.strip() for cell in row[len(names) :]):
             raise FileFormatError(path, f"{len(row)} cells under {len(names)} column names", number)
-        try:
-            values.extend([float(row[i]) if row[i].strip() else math.nan for i in taken])
-        except ValueError as error:
-            raise _no_number(path, names, taken, row, number) from error
+        for i in taken:
+            try:
+                values.append(float(row[i]) if row[i].strip() else math.nan)
+            except ValueError as error:
+                hint = "write decimal points" if "," in row[i] else "leave a missing cell empty"
+                raise FileFormatError(
+                    path, f"column {names[i]}: {row[i].strip()[:40]!r} is not a number; {hint}", number
+                ) from error
         lines.append(number)
     if not lines:
         raise FileFormatError(path, "holds column names and no packet")
-    table = np.frombuffer(values).reshape(len(lines), len(taken))
-    huge = np.argwhere(np.abs(table) > LARGEST_NUMBER)
-    if len(huge):
-        row_of, column = huge[0]
-        problem = f"column {names[taken[column]]}: {table[row_of, column]:g} is no measurement"
-        raise FileFormatError(path, problem, lines[row_of])
-    notes = (f"line {cut} was cut off and is left out",) if cut is not None else ()
-    return SensorTable(path, header, tuple(names[i] for i in taken), table, lines, notes)
-
-
-def _no_number(path: Path, names: list[str], taken: list[int], row: list[str], line: int) -> FileFormatError:
-    for i in taken:
-        try:
-            float(row[i] or "nan")
-        except ValueError:
-            hint = "write decimal points" if "," in row[i] else "leave a missing cell empty"
-            return FileFormatError(
-                path, f"column {names[i]}: {row[i].strip()[:40]!r} is not a number; {hint}", line
-            )
-    return FileFormatError(path, "holds something else than numbers", line)
+    return np.frombuffer(values).reshape(len(lines), len(taken)), lines, cut

@@ -1,10 +1,10 @@
-"""Folders of x-io Technologies' x-IMU3: a folder for each sensor, a CSV for each kind of message.
+"""Folders of x-io Technologies' x-IMU3: a folder per sensor, a CSV per kind of message.
 
 Read are ``Inertial.csv`` (gyroscope deg/s, accelerometer g, gravity included, sensor axes),
 ``Quaternion.csv`` (W, X, Y, Z from the sensor to the earth, z up in its usual NWU) and
-``Magnetometer.csv``, each with time stamps of its own in us. ``Command.json`` names the sensor, else the
+``Magnetometer.csv``, each with its own time stamps in us. ``Command.json`` names the sensor, else the
 folder does. Orientation and magnetic field are interpolated to the inertial samples where their stamps
-differ. Clocks are those of the devices, which their maker's software synchronises.
+differ. Clocks are those of the devices, which the maker's software synchronises.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,50 +27,40 @@ from rtof_kin.formats.sensors.readings import Readings, sensor_log
 from rtof_kin.formats.sensors.sensor_text import cells, read_table
 
 Array = NDArray[np.float64]
-TITLE = "x-IMU3 folders"
-_STAMP = "Timestamp (us)"
-_GYROSCOPE = tuple(f"Gyroscope {axis} (deg/s)" for axis in "XYZ")
-_ACCELEROMETER = tuple(f"Accelerometer {axis} (g)" for axis in "XYZ")
-_OTHERS = {
+TITLE: Final = "x-IMU3 folders"
+_STAMP: Final = "Timestamp (us)"
+_GYROSCOPE: Final = tuple(f"Gyroscope {axis} (deg/s)" for axis in "XYZ")
+_ACCELEROMETER: Final = tuple(f"Accelerometer {axis} (g)" for axis in "XYZ")
+_OTHERS: Final = {
     "Quaternion": (("W", "X", "Y", "Z"), 0.1),
     "Magnetometer": (("X (a.u.)", "Y (a.u.)", "Z (a.u.)"), 0.5),
 }
-"""Columns of other messages, and the seconds across which they are not interpolated any more."""
-_WHOLE = 2**53
-_LATEST_US = 1_000_000
-_LARGEST_JSON = 2**20
+"""Columns of other messages, and the longest gap, s, that is interpolated."""
+_WHOLE: Final = 2**53
+_LATEST_US: Final = 1_000_000
+_LARGEST_JSON: Final = 2**20
 
 
 def is_ximu3(head: str) -> bool:
-    """Whether a file that begins so is one of such a folder."""
+    """Implement `files.Format.recognise`."""
     return cells(head.split("\n", 1)[0])[0] == _STAMP
 
 
 def read_ximu3(paths: Sequence[Path], **declared: Any) -> SensorLog:
-    """The sensors of one trial.
-
-    Args:
-        paths: the CSV files of all sensors, those of a sensor in one folder.
-        declared: fields of `Declaration` to set otherwise than the format does; `rate_hz` puts samples
-            at equal steps after the first stamp.
-
-    Raises:
-        FileFormatError: a folder without Inertial.csv, a damaged file, time stamps that started anew.
-    """
-    own = Declaration(acceleration_unit="g", angular_unit="deg/s")
-    declaration = own.changed(**declared)
+    """Implement `files.Format.read`; a declared `rate_hz` gives equal steps after the first stamp."""
+    declaration = Declaration(acceleration_unit="g", angular_unit="deg/s").changed(**declared)
     folders = list(dict.fromkeys(path.parent for path in paths))
     labels = [_label(folder) for folder in folders]
-    sensors = []
-    for folder, (name, serial) in zip(folders, labels, strict=True):
-        twice = [label for label, _ in labels].count(name) > 1
-        full = f"{name} {serial}" if twice else name
-        sensors.append(_sensor(folder, full, declaration.rate_hz))
+    names = [name for name, _ in labels]
+    sensors = [
+        _sensor(folder, f"{name} {serial}" if names.count(name) > 1 else name, declaration.rate_hz)
+        for folder, (name, serial) in zip(folders, labels, strict=True)
+    ]
     return sensor_log(paths if len(paths) == 1 else folders, TITLE, sensors, declaration)
 
 
 def _label(folder: Path) -> tuple[str, str]:
-    """Name and serial number of a sensor, by its Command.json, else by its folder's name."""
+    """Return a sensor's name and serial number, from Command.json, else from the folder's name."""
     try:
         with (folder / "Command.json").open("rb") as stream:
             commands = json.loads(stream.read(_LARGEST_JSON))
@@ -79,7 +69,7 @@ def _label(folder: Path) -> tuple[str, str]:
         if isinstance(name, str) and isinstance(serial, str) and name.strip():
             return name.strip(), serial
     except (OSError, ValueError, TypeError, KeyError, StopIteration, RecursionError):
-        pass  # not there, or not as devices write it: the folder's name says the same
+        pass  # absent, or not as devices write it: the folder's name has the same
     found = re.fullmatch(r"(.+?) ([0-9A-Fa-f]{8})( \(.*\))?", folder.name)
     return (found[1], found[2]) if found else (folder.name, "")
 
@@ -93,24 +83,22 @@ def _sensor(folder: Path, name: str, rate_hz: float | None) -> Readings:
     for kind, (columns, max_gap) in _OTHERS.items():
         found = _messages(folder / f"{kind}.csv", columns)
         if found is not None:
-            own, numbers, told = found
+            own, others[kind], remarks = found
             if not np.array_equal(own, stamps):
-                told.append(f"{len(own)} messages interpolated to the inertial samples")
-                numbers = _interpolated(own, numbers, stamps, max_gap * 1e6)
-            others[kind] = numbers
-            notes += [f"{kind}: {note}" for note in told]
+                remarks.append(f"{len(own)} messages interpolated to the inertial samples")
+                others[kind] = _interpolated(own, found[1], stamps, max_gap * 1e6)
+            notes += [f"{kind}: {note}" for note in remarks]
     times = stamps / 1e6
     if rate_hz is not None:
         times = times[0] + np.arange(len(times)) / rate_hz
     else:
         notes += lost(times)
     f, w = values[:, 3:], values[:, :3]
-    m, quaternions = others["Magnetometer"], others["Quaternion"]
-    return Readings(name, times, f, w, m, quaternions, notes=tuple(notes))
+    return Readings(name, times, f, w, others["Magnetometer"], others["Quaternion"], notes=tuple(notes))
 
 
 def _messages(path: Path, columns: Sequence[str]) -> tuple[Array, Array, list[str]] | None:
-    """Stamps (T,) us, numbers (T, C) and notes of one file, in order; None where there is none."""
+    """Return stamps (T,) us, numbers (T, C) and notes of one file, in order; None without the file."""
     if not path.exists():
         return None
     wanted = {_STAMP, *columns}
@@ -123,7 +111,7 @@ def _messages(path: Path, columns: Sequence[str]) -> tuple[Array, Array, list[st
 
 
 def _interpolated(stamps: Array, values: Array, at: Array, max_gap: float) -> Array:
-    """Vectors (T, 3), or quaternions (T, 4) whose signs may jump, at other instants."""
+    """Interpolate vectors (T, 3), or quaternions (T, 4) whose signs may jump."""
     if values.shape[1] == 4:  # a quaternion and its opposite are the same rotation
         turned = np.sum(values[1:] * values[:-1], axis=1) < 0
         values = values * np.cumprod(np.where([False, *turned], -1.0, 1.0))[:, None]

@@ -1,8 +1,8 @@
-"""The Hessian of a fragment as functions of a frame and its neighbours, to be compiled (`lanes`).
+"""Hessian of a fragment as functions of a frame t and its neighbours, for SIMD code.
 
-Columns of frame t have entries in the rows of its own and the three later frames. Listed are those that
-are not always zero: through the sensors' accelerations limbs meet only at the trunk, and what is three
-frames apart couples the axes of one joint alone. See `problem` and `jerk` for what they are made of.
+Columns of frame t have entries in the rows of frames t to t + 3. Only entries that are not always zero
+are computed: accelerations couple limbs only through the trunk, and frames three apart couple only the
+axes of one joint. `energy.problem` and `energy.jerk` have the same mathematics on whole arrays.
 """
 
 from __future__ import annotations
@@ -16,32 +16,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction
-from rtof_kin.solve.compiled.stencils import Around, balls, blocks, frame_inputs
+from rtof_kin.solve.compiled.stencils import OPTION, Neighbours, balls, blocks, frame_inputs
 from rtof_kin.solve.energy.frame_energy import FrameEnergy
 from rtof_kin.solve.energy.jerk import LAGS
 
 Index = NDArray[np.intp]
-_OPTION = {"cse": True}
 
 
 @dataclass(frozen=True)
-class PlacedColumns:
-    """A function that gives entries of the Hessian."""
+class HessianColumns:
+    """A function whose last output are entries of the Hessian."""
 
     frame: FrameFunction
-    """Its last output is placed: groups of `GROUP` entries, one below the other in a column."""
+    """Its last output is in groups of `GROUP` entries, one below the other in a column."""
     groups: Index
-    """(groups, 2) first row of each, counted from the frame's first, and column. Rows above the diagonal
-    are zero, whatever the matrix has there."""
+    """(groups, 2) first row, counted from the frame's first, and column. Rows above the diagonal are
+    zero, whatever the matrix has there."""
 
 
-def linear(energy: FrameEnergy) -> PlacedColumns:
-    """The gradient (D) at t, what changes of the sensors' Jacobian, and entries within the frame.
+def linear(energy: FrameEnergy) -> HessianColumns:
+    """Return the function of the gradient (D), of the varying entries of the sensors' Jacobian and of the
+    Hessian's entries within frame t.
 
-    State, observation, constant; `Around`'s inputs; slopes (S) of the accelerations of t - 1, t, t + 1;
-    coefficients of the jerk (12); its sigma (D); rate.
+    Inputs: state, observation, constant; those of `Neighbours`; slopes (S) of the accelerations of
+    frames t - 1, t, t + 1; coefficients of the jerk (12); its sigma (D); rate.
     """
-    around, frame, jerk = Around(energy), frame_inputs(energy), _Jerk(energy)
+    around, frame, jerk = Neighbours(energy), frame_inputs(energy), _JerkBlocks(energy)
     slopes = [ca.SX.sym(f"u{k}", len(energy.shape.sensors)) for k in range(3)]
     rate = ca.SX.sym("f")
     _, gradient, H, _, J, _ = energy.full(*frame)
@@ -54,18 +54,18 @@ def linear(energy: FrameEnergy) -> PlacedColumns:
     inputs = [*frame, *around.inputs(), *slopes, jerk.coefficients, jerk.sigma, rate]
     outputs = [ca.densify(v) for v in (gradient, changing, numbers)]
     shared = (2, len(inputs) - 2, len(inputs) - 1)
-    function = ca.Function("linear", inputs, outputs, _OPTION)
-    return PlacedColumns(FrameFunction(function, shared, placed=True), groups)
+    function = ca.Function("linear", inputs, outputs, OPTION)
+    return HessianColumns(FrameFunction(function, shared, placed=True), groups)
 
 
-def coupled(energy: FrameEnergy) -> PlacedColumns:
-    """Entries one to three frames later.
+def coupled(energy: FrameEnergy) -> HessianColumns:
+    """Return the function of the Hessian's entries one to three frames later.
 
-    Changing parts of the sensors' Jacobian of t, t + 1, t + 2; slopes of the accelerations of t and
-    t + 1; inverse right Jacobians of the steps of t - 1 to t + 2; coefficients of the jerk; its sigma;
-    rate.
+    Inputs: varying entries of the sensors' Jacobian of t, t + 1, t + 2; slopes of the accelerations of
+    frames t and t + 1; inverse right Jacobians of the steps t - 1 to t + 2; coefficients of the jerk; its
+    sigma; rate.
     """
-    J, jerk, rate = _SensorJacobian(energy), _Jerk(energy), ca.SX.sym("f")
+    J, jerk, rate = _SensorJacobian(energy), _JerkBlocks(energy), ca.SX.sym("f")
     changing = [ca.SX.sym(f"J{k}", len(J.at)) for k in range(3)]
     slopes = [ca.SX.sym(f"u{k}", len(energy.shape.sensors)) for k in range(2)]
     L = [ca.SX.sym(f"L{k}", 9 * len(balls(energy.space))) for k in range(LAGS)]
@@ -77,16 +77,16 @@ def coupled(energy: FrameEnergy) -> PlacedColumns:
         parts[k - 1] = parts[k - 1] + _product(A[k], weight, rate, A[0])
     groups, numbers = _grouped(parts, energy.space.size)
     inputs = [*changing, *slopes, *L, jerk.coefficients, jerk.sigma, rate]
-    function = ca.Function("coupled", inputs, [ca.densify(numbers)], _OPTION)
+    function = ca.Function("coupled", inputs, [ca.densify(numbers)], OPTION)
     shared = (len(inputs) - 2, len(inputs) - 1)
-    return PlacedColumns(FrameFunction(function, shared, placed=True), groups)
+    return HessianColumns(FrameFunction(function, shared, placed=True), groups)
 
 
 class _SensorJacobian:
-    """Of the sensors' positions by the tangent (3S, D): where it is not the same number in all states.
+    """Jacobian (3S, D) of the sensors' positions, split into constant and varying entries.
 
     Attributes:
-        at: places of those in the matrix by columns.
+        at: places of the varying entries in the matrix, column-major.
     """
 
     def __init__(self, energy: FrameEnergy) -> None:
@@ -97,18 +97,18 @@ class _SensorJacobian:
         self._fixed = ca.reshape(ca.SX(fixed), *J.shape) if fixed else ca.SX(*J.shape)
 
     def changing(self, J: Any) -> Any:
-        """Its entries that change, of a dense matrix."""
+        """Varying entries of a dense matrix."""
         return ca.vec(J)[self.at]
 
     def filled(self, changing: Any) -> Any:
-        """The matrix of those entries."""
+        """The matrix of varying entries."""
         J = ca.vec(ca.SX(self._fixed))
         J[self.at] = changing
         return ca.sparsify(ca.reshape(J, *self._fixed.shape))
 
 
-class _Jerk:
-    """Symbols for the jerk's coefficients (`jerk.Jerk.coefficients`) and sigma."""
+class _JerkBlocks:
+    """Symbols for the jerk's coefficients (`Jerk.coefficients`) and sigma, and its blocks."""
 
     def __init__(self, energy: FrameEnergy) -> None:
         self.space = energy.space
@@ -118,8 +118,8 @@ class _Jerk:
         """(D, D) rows of frame t + k, columns of t.
 
         Args:
-            own: inverse right Jacobians of the steps before and after t. later: the same of t + k; of
-                three frames later, those of the step before alone.
+            own: inverse right Jacobians of steps t - 1 and t. later: of steps t + k - 1 and t + k, the
+                second one unused three frames later.
         """
         c = ca.vertsplit(self.coefficients)
         H = ca.diag(c[2 * LAGS + k] / self.sigma**2)
@@ -139,11 +139,11 @@ def _product(A: Any, slopes: Any, rate: Any, B: Any) -> Any:
 
 
 def _grouped(parts: Sequence[Any], first: int) -> tuple[Index, Any]:
-    """Groups of `GROUP` entries, one below the other in a column, that hold all those of some blocks one
-    below the other; zero where there is none. (groups, 2) first row and column; and the entries.
+    """Nonzero entries of blocks one below the other, in groups of `GROUP` rows of a column padded with
+    zeros: (groups, 2) first row and column, and the entries.
 
     Args:
-        first: row of the first block's first, counted from the frame's own.
+        first: row of the first block, counted from the first row of the frame.
     """
     size = parts[0].shape[1]
     all_rows = ca.vertcat(*parts)

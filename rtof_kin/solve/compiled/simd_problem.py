@@ -1,7 +1,8 @@
-"""A fragment's energy as compiled code that takes several frames at once: the same numbers, sooner.
+"""Energy of a fragment from compiled code that takes several frames at once.
 
-`JointProblem` works on whole arrays and says what the numbers are; here the functions of a frame and its
-neighbours (`windows`, `couplings`) give them, and write the Hessian where it is factorised.
+The same numbers as `energy.problem.JointProblem`, which evaluates whole arrays; here functions of a frame
+and its neighbours (`stencils`, `hessian_columns`) write energies, gradient and the Hessian where it is
+factorised.
 """
 
 from __future__ import annotations
@@ -14,60 +15,62 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.numerics.banded import Store, StoredFactor
-from rtof_kin.core.numerics.simd import Columns, Mapped, Over, in_lanes
+from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd
 from rtof_kin.core.numerics.simd_codegen import FrameFunction
-from rtof_kin.solve.compiled import hessian_columns as couplings
-from rtof_kin.solve.compiled import stencils as windows
-from rtof_kin.solve.compiled.hessian_columns import PlacedColumns
+from rtof_kin.solve.compiled import hessian_columns, stencils
+from rtof_kin.solve.compiled.hessian_columns import HessianColumns
 from rtof_kin.solve.energy.frame_energy import FrameEnergy
 from rtof_kin.solve.energy.jerk import LAGS, Jerk
-from rtof_kin.solve.energy.problem import TERMS, FragmentData, JointProblem
+from rtof_kin.solve.energy.problem import BEYOND, TERMS, FragmentData
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-_BEYOND = 2
-"""Rows below the third block's diagonal that the axes of a joint reach."""
 
 
 @dataclass(frozen=True)
-class LaneFunctions:
-    """The functions of a frame that a `LaneProblem` calls, and their code."""
+class SimdFunctions:
+    """Functions of a frame that a `SimdProblem` calls, and their compiled code."""
 
     frames: Mapping[str, FrameFunction]
-    linear: PlacedColumns
-    coupled: PlacedColumns
+    linear: HessianColumns
+    coupled: HessianColumns
     code: Mapping[str, Any]
-    """By name of the function."""
+    """Name of the function -> code."""
 
     @classmethod
-    def compiled(cls, energy: FrameEnergy, robust: float) -> LaneFunctions | None:
-        """Those of an energy without unknowns, compiled; None where they cannot be.
+    def compiled(cls, energy: FrameEnergy, robust: float) -> SimdFunctions | None:
+        """Compile the functions of an energy; None where they cannot be.
 
         Args:
-            robust: `JointSpaceSettings.robust_acceleration`.
+            energy: of one frame. robust: `JointSpaceSettings.robust_acceleration`, sigmas.
         """
         space = energy.space
         simple = [
-            windows.retract(space), FrameFunction(energy.value, (2,)), windows.step(space),
-            windows.inverse(space), windows.motion(energy, robust), windows.pulled(energy),
+            stencils.retract(space), FrameFunction(energy.value, (2,)), stencils.step(space),
+            stencils.inverse(space), stencils.motion(energy, robust), stencils.pulled(energy),
         ]  # fmt: skip
-        linear, coupled = couplings.linear(energy), couplings.coupled(energy)
-        code = in_lanes([*simple, linear.frame, coupled.frame])
+        linear, coupled = hessian_columns.linear(energy), hessian_columns.coupled(energy)
+        code = compile_simd([*simple, linear.frame, coupled.frame])
         if code is None:
             return None
         return cls({given.function.name(): given for given in simple}, linear, coupled, code)
 
 
-class LaneProblem(JointProblem):
-    """A `JointProblem` without unknowns."""
+class SimdProblem:
+    """A `FragmentEnergy` of N frames that evaluates compiled SIMD code."""
 
-    def __init__(self, functions: LaneFunctions, energy: FrameEnergy, frames: int, sigma_jerk: Array) -> None:
-        """Bind the compiled functions to arrays for N frames."""
+    def __init__(self, functions: SimdFunctions, energy: FrameEnergy, frames: int, sigma_jerk: Array) -> None:
+        """Bind the compiled functions to arrays.
+
+        Args:
+            functions: those of `energy`. frames: N.
+            sigma_jerk: (D,) of every tangent coordinate, m/s^3 and rad/s^3.
+        """
         self.space, self.energy, self.frames, self.sigma_jerk = energy.space, energy, frames, sigma_jerk
         self._jerk = Jerk(energy.space, frames, sigma_jerk)
         self._functions, self._columns = functions, Columns(frames)
         size, S = energy.space.size, len(energy.shape.sensors)
-        self._matrix = Store(frames * size, (LAGS - 1) * size + _BEYOND)
+        self._matrix = Store(frames * size, (LAGS - 1) * size + BEYOND)
         zeros, shape = self._columns.zeros, energy.value.nnz_out
         self._x, self._observed = zeros(energy.value.nnz_in(0)), zeros(energy.value.nnz_in(1))
         self._constant, self._rate = np.zeros(energy.value.nnz_in(2)), np.zeros(1)
@@ -85,7 +88,7 @@ class LaneProblem(JointProblem):
         self._inverse_known = False
 
     def _bind_functions(self) -> None:
-        """Arrays to functions; frames are those of `windows`."""
+        """Bind arrays to functions; frames are numbered as in `stencils`."""
         N, at = self.frames, self._columns.at
         frame = [at(self._x), at(self._observed), self._constant]
         shared = [self._sigma, self._rate]
@@ -121,17 +124,15 @@ class LaneProblem(JointProblem):
         to = [self._columns.at(array) for array in outputs]
         return Over(functions.code[name], functions.frames[name], frames, inputs, to)
 
-    def _placed(self, given: PlacedColumns, inputs: list[Array], outputs: list[Array]) -> Over:
+    def _placed(self, given: HessianColumns, inputs: list[Array], outputs: list[Array]) -> Over:
         name, step = given.frame.function.name(), self._matrix.step
         band = self._matrix.entries.reshape(self.frames, -1)
         places = (given.groups[:, 0] + step * given.groups[:, 1]).astype(np.int64)
         code = self._functions.code[name]
         return Over(code, given.frame, self.frames, inputs, [*outputs, band], places)
 
-    # --- data ------------------------------------------------------------------------------------
-
     def bind(self, data: FragmentData) -> None:
-        """Take the data of the fragment that is asked about from now on."""
+        """Set the data of the fragment to be evaluated."""
         self._known, inside, N = None, self._columns.inside, self.frames
         rows = [data.observation[n].reshape(N, -1) for n in self.energy.observation]
         self._observed[:, inside] = np.concatenate(rows, axis=1).T
@@ -152,45 +153,35 @@ class LaneProblem(JointProblem):
         columns = weight.reshape(self.frames, -1).T
         self._observed[self.energy.rows[name], self._columns.inside] = columns
 
-    def set_unknowns(self, y: Array) -> None:
-        """There are none."""
-
-    # --- the energy ------------------------------------------------------------------------------
-
     def retract(self, x: Array, step: Array) -> Array:
-        """The state after a step (N, D)."""
+        """Return the state after a step (N, D)."""
         return self._retract(x, step)[0]
 
     def value(self, x: Array) -> tuple[dict[str, float], Array]:
-        """Energy per term, and the reprojection residuals (N, L, 2), px."""
+        """Return the energy per term and the reprojection residuals (N, L, 2), px."""
         terms = self._evaluated(x)
         residuals = self._columns.rows(self._residuals)
         return dict(zip(TERMS, terms, strict=True)), residuals.reshape(self.frames, -1, 2)
 
     def total(self, x: Array) -> float:
-        """The energy."""
+        """Return the energy."""
         return sum(self._evaluated(x))
 
-    def gradients(self, x: Array) -> tuple[Array, Array]:
-        """(N, D) of the energy in tangent coordinates at x, and by the unknowns: none."""
+    def gradient(self, x: Array) -> Array:
+        """Return the gradient (N, D) in tangent coordinates."""
         self._turned(x)
         self._run["pulled"]()
-        return self._columns.rows(self._gradient_now), np.zeros(0)
+        return self._columns.rows(self._gradient_now)
 
     def linearise(self, x: Array) -> tuple[float, Array]:
-        """Energy and gradient (N, D); the Hessian is kept for `factorise`."""
+        """Return energy and gradient (N, D); keep the Hessian."""
         terms = self._turned(x)
         self._run["linear"]()
         self._run["coupled"]()
         return sum(terms), self._columns.rows(self._gradient_now)
 
-    def border(self) -> tuple[Array, Array, Array]:
-        """Nothing borders the Hessian."""
-        size = self.frames, self.space.size
-        return np.zeros(0), np.zeros((*size, 0)), np.zeros((0, 0))
-
     def _evaluated(self, x: Array) -> list[float]:
-        """Energies at x as in `TERMS`: kept until another state or other data are asked about."""
+        """Energies at x as in `TERMS`, kept until another state or other data are given."""
         if self._known is None or self._known[0] is not x:
             self._x[:, self._columns.inside] = x.T
             for name in ("value", "step", "motion"):
@@ -200,17 +191,15 @@ class LaneProblem(JointProblem):
         return self._known[1]
 
     def _turned(self, x: Array) -> list[float]:
-        """The same, with the steps' inverse right Jacobians."""
+        """Energies at x, with the inverse right Jacobians of the steps."""
         terms = self._evaluated(x)
         if not self._inverse_known:
             self._run["inverse"]()
             self._inverse_known = True
         return terms
 
-    # --- the Hessian -----------------------------------------------------------------------------
-
     def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
-        """Add to entries of the diagonal blocks of the Hessian kept."""
+        """Add to entries of the diagonal blocks of the Hessian."""
         band = self._matrix.entries.reshape(-1)
         size, step = self.space.size, self._matrix.step
         places, lower = frames * size * (step + 1) + columns * step + rows, rows >= columns
@@ -220,7 +209,7 @@ class LaneProblem(JointProblem):
         np.add.at(band, places[chosen], values[chosen])
 
     def lower_block(self, k: int) -> Array:
-        """(N - k, D, D) blocks k frames below the diagonal of the Hessian kept: [t, r, c]."""
+        """Return the Hessian's blocks (N - k, D, D) k frames below the diagonal: [t, r, c]."""
         D, band, step = self.space.size, self._matrix.entries, self._matrix.step
         r, c = np.indices((D, D))
         place = k * D + r - c  # below the diagonal of the whole matrix
@@ -228,6 +217,6 @@ class LaneProblem(JointProblem):
         block = np.where((place >= 0) & (place <= self._matrix.band), rows, 0.0)
         return np.asarray(block + np.swapaxes(np.tril(block, -1), 1, 2) if k == 0 else block)
 
-    def factorise(self, damping: float) -> StoredFactor:  # type: ignore[override]
-        """Cholesky factor of the Hessian kept, plus `damping` on its diagonal."""
+    def factorise(self, damping: float) -> StoredFactor:
+        """Return the Cholesky factor of the Hessian plus `damping` on its diagonal."""
         return self._matrix.factorise(damping)

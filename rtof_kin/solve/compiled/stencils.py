@@ -1,13 +1,13 @@
-"""The energy of a fragment as functions of a frame and its neighbours, to be compiled (`lanes`).
+"""Energy of a fragment as functions of a frame t and its neighbours, for SIMD code.
 
-The same as `problem` and `jerk` do on whole arrays, for one frame t: from values of the frames around it,
-which are zero beyond the ends, to what is added at t. A step is that from t to t + 1, with its inverse
-right Jacobians; an acceleration is that of t + 1, a jerk that of t to t + 3.
+The same mathematics as `energy.problem` and `energy.jerk` on whole arrays: from values of the frames
+around t, which are zero beyond the ends, to the contribution at t. Step t leads from frame t to t + 1,
+with its inverse right Jacobian; acceleration t is that of frame t + 1, jerk t that of frames t to t + 3.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import casadi as ca
 
@@ -16,11 +16,11 @@ from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.energy.frame_energy import FrameEnergy
 from rtof_kin.solve.energy.state import StateSpace
 
-_OPTION = {"cse": True}
+OPTION: Final = {"cse": True}
 
 
 def retract(space: StateSpace) -> FrameFunction:
-    """State and tangent vector -> the state after the step."""
+    """Return the function (state, tangent) -> state after the step."""
     x, d = ca.SX.sym("x", 3 + 4 * len(space.joints)), ca.SX.sym("d", space.size)
     turns, parts = ca.DM(space.expand) @ d[3:], [x[:3] + d[:3]]
     for a in range(len(space.joints)):
@@ -36,7 +36,7 @@ def retract(space: StateSpace) -> FrameFunction:
 
 
 def step(space: StateSpace) -> FrameFunction:
-    """States of t and t + 1 -> the step between them (D)."""
+    """Return the function (states of t and t + 1) -> step between them (D)."""
     x, y = (ca.SX.sym(name, 3 + 4 * len(space.joints)) for name in "xy")
     parts = [y[:3] - x[:3]]
     for a in range(len(space.joints)):
@@ -52,7 +52,7 @@ def step(space: StateSpace) -> FrameFunction:
 
 
 def inverse(space: StateSpace) -> FrameFunction:
-    """A step -> the inverse right Jacobians (9 B) of its ball joints, each by columns."""
+    """Return the function (step) -> inverse right Jacobians (9 B) of its ball joints, column-major."""
     v, out = ca.SX.sym("v", space.size), []
     for columns in balls(space):
         turn = v[columns]
@@ -66,11 +66,11 @@ def inverse(space: StateSpace) -> FrameFunction:
 
 
 def motion(energy: FrameEnergy, robust: float) -> FrameFunction:
-    """What is known of the acceleration of t + 1 and the jerk of t to t + 3.
+    """Return the function of the acceleration of t + 1 and the jerk of t to t + 3.
 
-    Steps of t, t + 1, t + 2; the jerk's weight; sensors' positions at t, t + 1, t + 2; acceleration and
-    its weights; sigma (D) of the jerk; rate -> energies (2) of acceleration and jerk, slopes (S) of the
-    acceleration's loss, derivatives by second differences: of the steps (D) and of the positions (3S).
+    Inputs: steps t, t + 1, t + 2; weight of the jerk; sensors' positions at t, t + 1, t + 2; acceleration
+    and its weights; sigma (D) of the jerk; rate. Outputs: energies (2) of acceleration and jerk, slopes
+    (S) of the acceleration's loss, derivatives by second differences: of steps (D), of positions (3S).
     """
     size, S = energy.space.size, len(energy.shape.sensors)
     v, w_jerk = [ca.SX.sym(f"v{k}", size) for k in range(3)], ca.SX.sym("wj")
@@ -87,22 +87,22 @@ def motion(energy: FrameEnergy, robust: float) -> FrameFunction:
         slopes.append(w[s] * energies.pseudo_huber_weight(squared, robust))
         forces.append(slopes[-1] * r * rate**2)
     both = ca.vertcat(value, 0.5 * w_jerk * ca.sumsqr(jerk))
-    outputs = [both, stacked(slopes), w_jerk * jerk / sigma * rate**3, stacked(forces)]
+    outputs = [both, _stacked(slopes), w_jerk * jerk / sigma * rate**3, _stacked(forces)]
     return _function("motion", [*v, w_jerk, *p, a, w, sigma, rate], outputs, (9, 10))
 
 
 def pulled(energy: FrameEnergy) -> FrameFunction:
-    """State, observation, constant, `Around`'s inputs -> gradient (D)."""
-    around, frame = Around(energy), frame_inputs(energy)
+    """Return the function (state, observation, constant, inputs of `Neighbours`) -> gradient (D)."""
+    around, frame = Neighbours(energy), frame_inputs(energy)
     gradient = energy.gradient(*frame, around.force()) + around.jerk_gradient()
     return _function("pulled", [*frame, *around.inputs()], [gradient], (2,))
 
 
-class Around:
-    """Symbols for what frame t feels of its neighbours through acceleration and jerk.
+class Neighbours:
+    """Symbols for what frame t receives from its neighbours through acceleration and jerk.
 
     Attributes:
-        inverses: of the steps before and after t, 3 x 3 for each ball joint.
+        inverses: inverse right Jacobians of steps t - 1 and t, 3 x 3 for each ball joint.
     """
 
     def __init__(self, energy: FrameEnergy) -> None:
@@ -114,18 +114,18 @@ class Around:
         self.inverses = [blocks(v) for v in self._inverses]
 
     def inputs(self) -> list[Any]:
-        """Derivatives by second differences: of positions of t - 2, t - 1, t; of steps of t - 3 to t.
-        Inverse right Jacobians of the steps of t - 1 and t.
+        """Return the symbols: derivatives by second differences of positions t - 2 to t and of steps t - 3
+        to t, and the inverse right Jacobians of steps t - 1 and t.
         """
         return [*self._forces, *self._tensions, *self._inverses]
 
     def force(self) -> Any:
-        """(3S) on the sensors' positions at t."""
+        """Return the force (3S) on the sensors' positions at t."""
         f = self._forces
         return f[0] - 2 * f[1] + f[2]
 
     def jerk_gradient(self) -> Any:
-        """(D) of the jerk's energy: from the step before, of which t is the end, and the one after."""
+        """Return the gradient (D) of the jerk's energy, through steps t - 1 and t."""
         e = self._tensions
         before, after = (e[k] - 2 * e[k + 1] + e[k + 2] for k in range(2))
         out: Any = before - after
@@ -135,28 +135,27 @@ class Around:
 
 
 def frame_inputs(energy: FrameEnergy) -> list[Any]:
-    """Symbols for state, observation and constant of a frame."""
+    """Return symbols for state, observation and constant of a frame."""
     value = energy.value
     return [ca.SX.sym(name, value.nnz_in(i)) for i, name in enumerate(("x", "observed", "constant"))]
 
 
 def balls(space: StateSpace) -> list[slice]:
-    """Tangent coordinates of the ball joints."""
+    """Return the tangent coordinates of the ball joints."""
     first = space.first[space.hinge_axis < 0]
     return [slice(int(i), int(i) + 3) for i in first]
 
 
 def blocks(v: Any) -> list[Any]:
-    """3 x 3 matrices of a vector of their columns."""
+    """Return the 3 x 3 matrices of a vector (9 B) of their columns."""
     return [ca.reshape(v[9 * b : 9 * b + 9], 3, 3) for b in range(v.numel() // 9)]
 
 
-def stacked(parts: list[Any]) -> Any:
-    """One column, also of nothing."""
+def _stacked(parts: list[Any]) -> Any:
     return ca.vertcat(*parts) if parts else ca.SX(0, 1)
 
 
 def _function(
     name: str, inputs: list[Any], outputs: list[Any], shared: tuple[int, ...] = ()
 ) -> FrameFunction:
-    return FrameFunction(ca.Function(name, inputs, [ca.densify(v) for v in outputs], _OPTION), shared)
+    return FrameFunction(ca.Function(name, inputs, [ca.densify(v) for v in outputs], OPTION), shared)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.solve.energy.problem import JointProblem
+from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ class Annealing:
     """Weighs the landmarks by what is left of them, after every step that changes it."""
 
     def __init__(
-        self, settings: JointSpaceSettings, problem: JointProblem, confidence: Array,
+        self, settings: JointSpaceSettings, problem: FragmentEnergy, confidence: Array,
         observation: dict[str, Array],
     ) -> None:  # fmt: skip
         self._settings, self._problem, self._confidence = settings, problem, confidence

@@ -19,8 +19,8 @@ from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.banded import inverse_diagonal
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.data.confidence import WORLD, Confidence
+from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.energy.jerk import LAGS
-from rtof_kin.solve.energy.problem import JointProblem
 from rtof_kin.solve.energy.state import StateSpace
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ _NOWHERE = 3.0
 """[m] of a position whose standard deviation is larger, nobody knows anything."""
 
 
-def state_covariances(problem: JointProblem, solver: LevenbergMarquardt, solved: Solved) -> Array:
+def state_covariances(problem: FragmentEnergy, solver: LevenbergMarquardt, solved: Solved) -> Array:
     """(N, D, D) of the states' tangents in every frame; NaN where the Hessian does not tell."""
     N, D = len(solved.x), problem.space.size
     solver.linearise(solved.x, solved.multipliers)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core.numerics.c_compiler import BUILDING
 from rtof_kin.core.numerics.levenberg_marquardt import Solved
-from rtof_kin.solve.energy.problem import JointProblem
+from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.joint_space.limits import Limits
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ _METIS = 5
 class Ipopt:
     """Solves one problem for any data bound to it, as `LevenbergMarquardt` does."""
 
-    def __init__(self, problem: JointProblem, limits: Limits | None) -> None:
+    def __init__(self, problem: FragmentEnergy, limits: Limits | None) -> None:
         self.problem, self.limits = problem, limits
         names = ("nlp", "grad_f", "jac_g", "hess_lag")
         with BUILDING:
@@ -93,7 +93,7 @@ class Ipopt:
 class _Point:
     """Everything IPOPT asks about a step d, from the problem at the state it leads to."""
 
-    def __init__(self, problem: JointProblem, limits: Limits | None) -> None:
+    def __init__(self, problem: FragmentEnergy, limits: Limits | None) -> None:
         self.problem, self.limits = problem, limits
         rest = np.zeros((problem.frames, 3 + 4 * len(problem.space.joints)))
         rest[:, 3::4] = 1.0

@@ -19,9 +19,9 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import FEET, Footholds, standing_feet
-from rtof_kin.solve.compiled.building import built_problem
+from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy, built_energy
 from rtof_kin.solve.energy.frame_energy import TORSO, Shape
-from rtof_kin.solve.energy.problem import FragmentData, JointProblem
+from rtof_kin.solve.energy.problem import FragmentData
 from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.limits import Limits
@@ -117,17 +117,6 @@ class Observations:
             at_frames = None if bone_imus is None else bone_imus.resample(start.times)
             contacts = standing_feet(smooth, at_frames, skeleton)
             self.rows["w_floor"] = contacts.standing / s.sigma_floor**2
-        self.turned = [
-            self.space.low_passed(self._turned(start, yaw), start.rate_hz, s.smooth_start_hz)
-            for yaw in s.torso_yaws
-        ]
-
-    def _turned(self, start: PoseSequence, yaw: float) -> Array:
-        """States of the start with its trunk turned about the vertical, the limbs as they are."""
-        R = start.R_world_bone.copy()
-        trunk = [j for j, name in enumerate(start.names) if name not in sum(LIMBS, ())]
-        R[:, trunk] = so3.about_axis("z", yaw) @ R[:, trunk]
-        return self._states(start.p_world_joint[:, 0], R)
 
     def _states(self, p_root: Array, R_world_bone: Array) -> Array:
         """`StateSpace.from_poses`, where joints that are held lose their turn too."""
@@ -138,7 +127,7 @@ class Observations:
     def _built(
         self, moving: tuple[str, ...], names: tuple[str, ...], sensors: tuple[str, ...],
         standing: tuple[str, ...], jerk: tuple[float, ...],
-    ) -> JointProblem:  # fmt: skip
+    ) -> FragmentEnergy:  # fmt: skip
         """The problem for some moving joints, landmarks, sensors, joints that have footholds, and factors
         on the jerk.
         """
@@ -154,7 +143,7 @@ class Observations:
             floor_cutoff=s.floor_cutoff,
             contacts=tuple(map(index, standing)),
         )
-        return built_problem(
+        return built_energy(
             skeleton.name, shape, moving, self.frames, s.hinges, s.compile, jerk, s.robust_acceleration
         )  # fmt: skip
 

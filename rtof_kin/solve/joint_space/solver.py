@@ -172,7 +172,7 @@ class _Fragments:
         annealing = Annealing(self.settings, data.problem, data.confidence[index], values.observation)
         x, failed = data.start[index] if start is None else start, True
         try:
-            solved = self._from(x, annealing, index)
+            solved = self._from(x, annealing)
             failed = not np.isfinite(solved.x).all()
         except SolverError:
             pass  # the report says so
@@ -192,22 +192,15 @@ class _Fragments:
             return np.full((len(solved.x), D, D), np.nan)
         return state_covariances(self.data.problem, self._real_time, solved)
 
-    def _from(self, x: Array, annealing: Annealing, index: NDArray[np.intp]) -> Solved:
-        """The solution from a start: the lowest of several where there are more starts."""
+    def _from(self, x: Array, annealing: Annealing) -> Solved:
+        """The solution from a start."""
         s, solver = self.settings, self._real_time
         anneals = s.annealing if s.sigma_reprojection is None else 0
         if self._ipopt is not None:
             prepared = solver.solve(x, anneals, s.tolerance, None, annealing)
             solved = self._ipopt.solve(prepared.x, s.max_iterations, s.tolerance)
             return replace(solved, iterations=prepared.iterations + solved.iterations)
-        solved = solver.solve(x, anneals + s.max_iterations, s.tolerance, None, annealing)
-        total, iterations = self.data.problem.total, solved.iterations
-        for start in self.data.turned:  # with the weights that were found
-            other = solver.solve(start[index], s.max_iterations, s.tolerance)
-            iterations += other.iterations
-            if other.converged and total(other.x) < total(solved.x):
-                solved = other
-        return replace(solved, iterations=iterations)
+        return solver.solve(x, anneals + s.max_iterations, s.tolerance, None, annealing)
 
     def _report(
         self, solved: Solved, first: int, sigma: float, seconds: float, inside: NDArray[np.bool_]

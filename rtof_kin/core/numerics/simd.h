@@ -1,4 +1,4 @@
-/* What the functions of `lane_code` are written with: V has one frame in each lane. */
+/* Operations of the functions that `simd_codegen` writes: V has one frame per lane. */
 #include <math.h>
 #define GROUP 8
 #ifdef __AVX512F__
