@@ -1,73 +1,58 @@
-"""The lifting stage, with a lifter whose errors are planted."""
+"""The lifting stage."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import planted
 import pytest
-from reconstruction_support import BODY, FRAMES, TRUNK, run
+from reconstruction_support import BODY, FRAMES, TRUNK, TURN, Case
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.skeleton import MotionSequence
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.errors import ViewError
 from rtof_kin.data.poses import Provenance
 from rtof_kin.reconstruction.lift import lift
-from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.fragment_solver import SolverStatus
 
-TURN = so3.exp([0.1, -0.05, 0.15])
-"""Error of the planted orientations, in the segments' axes."""
 GAP = slice(15, 24)
 
 
 @pytest.fixture
-def occluded(recording: Recording) -> Recording:
+def occluded(case: Case) -> Case:
     """Without keypoints in the frames of `GAP`."""
-    return replace(recording, keypoints=planted.unseen(recording.video, GAP))
+    return case.changed(keypoints=planted.unseen(case.recording.video, GAP))
 
 
-def test_lifter_receives_keypoints_offsets_sensors_and_floor(
-    recording: Recording, truth: MotionSequence
-) -> None:
-    tall, lifter, sensors = BODY.with_height(1.9), planted.PlantedLifter(truth), recording.bone_imus()
-    lift(recording.video, tall, lifter, sensors, -0.4)
+def test_lifter_receives_keypoints_offsets_sensors_and_floor(case: Case) -> None:
+    tall, lifter, sensors = BODY.with_height(1.9), case.lifter(), case.recording.bone_imus()
+    lift(case.recording.video, tall, lifter, sensors, -0.4)
     ((keypoints, offsets),) = lifter.asked
-    assert keypoints is recording.video
+    assert keypoints is case.recording.video
     np.testing.assert_array_equal(offsets, tall.joint_offsets)
     assert lifter.sensors[0] is sensors
     assert lifter.floors == [-0.4]
 
 
-def test_lifted_orientations_and_uncertainties_are_kept(recording: Recording, truth: MotionSequence) -> None:
-    poses = lift(recording.video, BODY, planted.PlantedLifter(truth, turned=TURN, sigma_rad=0.2)).poses
-    np.testing.assert_allclose(poses.R_world_bone, truth.poses.R_world_bone @ TURN, atol=1e-9)
-    assert poses.sigma_rad is not None
-    assert np.all(poses.sigma_rad == 0.2)
-
-
-def test_bridged_frames_take_orientations_from_positions(occluded: Recording, truth: MotionSequence) -> None:
-    lifter = planted.PlantedLifter(truth, blind=GAP, turned=TURN)
-    poses = lift(occluded.video, BODY, lifter).poses
+def test_bridged_frames_take_orientations_from_positions(occluded: Case) -> None:
+    lifter = occluded.lifter(blind=GAP, turned=TURN, sigma_rad=0.2)
+    poses = occluded.lift(lifter).poses
     by_position = kinematics.rotations_from_positions(BODY.parents, BODY.joint_offsets, poses.p_world_joint)
     np.testing.assert_allclose(poses.R_world_bone[GAP], by_position[GAP], atol=1e-12)
+    by_lifter = occluded.truth.poses.R_world_bone @ TURN
+    seen = np.delete(np.arange(FRAMES), GAP)
+    np.testing.assert_allclose(poses.R_world_bone[seen], by_lifter[seen], atol=1e-9)
     assert poses.sigma_rad is not None
     assert np.isnan(poses.sigma_rad[GAP]).all()
-    seen = np.delete(np.arange(FRAMES), GAP)
-    np.testing.assert_allclose(poses.R_world_bone[seen], (truth.poses.R_world_bone @ TURN)[seen], atol=1e-9)
-    assert np.isfinite(poses.sigma_rad[seen]).all()
-    result = run(occluded, truth, lifter=lifter)
+    assert np.all(poses.sigma_rad[seen] == 0.2)
+    result = occluded.run(lifter=lifter)
     assert np.isfinite(result.motion.poses.R_world_bone).all()
     assert result.solution is not None
     assert result.solution.status is SolverStatus.CONVERGED
 
 
 @pytest.mark.parametrize("mode", CAMERA_MODES)
-def test_bridged_frames_are_finite_and_invalid(occluded: Recording, truth: MotionSequence, mode: str) -> None:
-    result = run(occluded, truth, mode, lifter=planted.PlantedLifter(truth, GAP))
+def test_bridged_frames_are_finite_and_invalid(occluded: Case, mode: str) -> None:
+    result = occluded.run(mode, lifter=occluded.lifter(blind=GAP))
     poses = result.motion.poses
     assert np.isfinite(poses.p_world_joint).all()
     np.testing.assert_array_equal(np.flatnonzero(~poses.valid.all(axis=1)), np.arange(FRAMES)[GAP])
@@ -79,28 +64,24 @@ def test_bridged_frames_are_finite_and_invalid(occluded: Recording, truth: Motio
     assert result.metrics["coverage"] == pytest.approx(1 - 9 / FRAMES)
 
 
-def test_bridged_frames_observe_no_pelvis_orientation(recording: Recording, truth: MotionSequence) -> None:
+def test_bridged_frames_observe_no_pelvis_orientation(case: Case) -> None:
     """Although the pelvis' own keypoints are there: they were too few for the lifter."""
-    observed = lift(recording.video, BODY, planted.PlantedLifter(truth, GAP)).poses.orientation_observed
+    observed = case.lift(case.lifter(blind=GAP)).poses.orientation_observed
     assert not observed[GAP].any()
     assert observed[:15, 0].all()
 
 
-def test_occluded_joint_of_a_lifted_frame_has_provenance_prior(
-    recording: Recording, truth: MotionSequence
-) -> None:
+def test_occluded_joint_of_a_lifted_frame_has_provenance_prior(case: Case) -> None:
     head, hand = BODY.index("Head", "LeftHand")
-    hidden = planted.unseen(recording.video, slice(5, 10), (head, hand))
-    poses = run(replace(recording, keypoints=hidden), truth, "sf2").motion.poses
+    hidden = planted.unseen(case.recording.video, slice(5, 10), (head, hand))
+    poses = case.changed(keypoints=hidden).run("sf2").motion.poses
     assert np.all(poses.provenance[5:10, head] == Provenance.PRIOR)
     assert np.all(poses.provenance[5:10, hand] == Provenance.IMU)
     assert poses.valid.all()
 
 
-def test_person_behind_the_camera_is_refused_with_the_frame(
-    recording: Recording, truth: MotionSequence
-) -> None:
-    lifter = planted.PlantedLifter(truth)
+def test_person_behind_the_camera_is_refused_with_the_frame(case: Case) -> None:
+    lifter = case.lifter()
     lifter.p[17] += [9.0, 0.0, 0.0]
     with pytest.raises(ViewError, match="frame 17 is behind the camera"):
-        run(recording, truth, lifter=lifter)
+        case.run(lifter=lifter)

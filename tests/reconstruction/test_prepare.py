@@ -12,60 +12,39 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
-from reconstruction_support import BODY, QUICK_PRIORS, SETTINGS, run
+from reconstruction_support import BODY, QUICK_PRIORS, SETTINGS, TURN, Case
 
-from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.choices import CAMERA_MODES, Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.stream_faults import FaultKind
-from rtof_kin.reconstruction.prepare import Prepared, evenly_spaced, prepare
-from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.recording.recording import Recording
+from rtof_kin.reconstruction.prepare import evenly_spaced
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import SolverStatus
-from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+from rtof_kin.solve.inertial_ik import InertialGuidedIK
 
 Array = NDArray[np.float64]
-
-
-def prepared(
-    recording: Recording, truth: MotionSequence, mode: Mode, turned: Array | None = None
-) -> Prepared:
-    lifter = planted.PlantedLifter(truth, turned=turned)
-    return prepare(recording, BODY, mode, lifter, SETTINGS, lambda *_: None)
-
-
-def with_turned_sensor(recording: Recording, degrees: float) -> Recording:
-    """One sensor turned about its bone's x axis after its calibration."""
-    assert recording.calibration is not None
-    R = np.array(recording.calibration.R_sensor_bone)
-    R[0] = R[0] @ so3.about_axis("x", np.radians(degrees))
-    return replace(recording, calibration=replace(recording.calibration, R_sensor_bone=R))
 
 
 # --- each thing once -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("mode", CAMERA_MODES)
-def test_video_is_lifted_once(recording: Recording, truth: MotionSequence, mode: Mode) -> None:
-    lifter = planted.PlantedLifter(truth)
-    run(recording, truth, mode, lifter=lifter)
+def test_video_is_lifted_once(case: Case, mode: Mode) -> None:
+    lifter = case.lifter()
+    case.run(mode, lifter=lifter)
     assert len(lifter.asked) == 1
 
 
-def test_video_is_lifted_twice_with_calibration(recording: Recording, truth: MotionSequence) -> None:
-    lifter = planted.PlantedLifter(truth)
-    result = run(recording, truth, lifter=lifter, calibrate=True, priors=QUICK_PRIORS)
-    assert result.calibration is not None
+def test_video_is_lifted_twice_with_calibration(case: Case) -> None:
+    lifter = case.lifter()
+    assert case.run(lifter=lifter, calibrate=True, priors=QUICK_PRIORS).calibration is not None
     assert len(lifter.asked) == 2
 
 
-def test_rejected_sensor_runs_sf2_again_on_the_same_lift(
-    recording: Recording, truth: MotionSequence, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rejected_sensor_runs_sf2_again_on_the_same_lift(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     """The diagnosis of the setup, which a rejected sensor causes, lifts once more, without sensors."""
     refined: list[Any] = []
     refine = InertialGuidedIK.refine
@@ -75,98 +54,75 @@ def test_rejected_sensor_runs_sf2_again_on_the_same_lift(
         return refine(self, lifted, *sensors)
 
     monkeypatch.setattr(InertialGuidedIK, "refine", counted)
-    lifter = planted.PlantedLifter(truth)
-    result = run(with_turned_sensor(recording, 60), truth, lifter=lifter)
+    calibration, lifter = case.recording.calibration, case.lifter()
+    assert calibration is not None
+    R = np.array(calibration.R_sensor_bone)
+    R[0] = R[0] @ so3.about_axis("x", np.radians(60))
+    result = case.changed(calibration=replace(calibration, R_sensor_bone=R)).run(lifter=lifter)
     (fault,) = result.faults
     assert fault.kind is FaultKind.DISAGREES
     assert fault.what == planted.LIMBS[0]
-    assert len(refined) == 2
-    assert refined[0] is refined[1] is result.stages["lift"]
-    of_stages = [sensors for sensors in lifter.sensors if sensors is not None]
-    assert len(of_stages) == 1
-    assert len(lifter.asked) == 2  # the other by the diagnosis
     assert result.bone_imus is not None
     assert np.isnan(result.bone_imus.R_world_bone[:, 0]).all()
+    assert len(refined) == 2
+    assert refined[0] is refined[1] is result.stages["lift"]
+    assert [sensors is not None for sensors in lifter.sensors] == [True, False]
 
 
+@pytest.mark.parametrize("mode", ["sf2", "rtof"])
 def test_sensors_are_resampled_to_the_frames_once(
-    recording: Recording, truth: MotionSequence, monkeypatch: pytest.MonkeyPatch
+    case: Case, monkeypatch: pytest.MonkeyPatch, mode: Mode
 ) -> None:
-    assert recording.imus is not None
-    times = recording.video.times
-    late = replace(
-        recording, keypoints=planted.unseen(recording.video, slice(5, 10)),
-        imus=replace(recording.imus, times=recording.imus.times + 1e-3),
-    )  # fmt: skip
+    imus, video = case.recording.imus, case.recording.video
+    assert imus is not None
     calls: list[bool] = []
     resample = BoneImuSequence.resample
 
-    def counted(self: BoneImuSequence, to: ArrayLike, max_gap: float = 0.1) -> BoneImuSequence:
-        calls.append(not np.array_equal(self.times, to) and np.array_equal(to, times))
-        return resample(self, to, max_gap)
+    def counted(self: BoneImuSequence, times: ArrayLike, max_gap: float = 0.1) -> BoneImuSequence:
+        calls.append(not np.array_equal(self.times, times) and np.array_equal(times, video.times))
+        return resample(self, times, max_gap)
 
     monkeypatch.setattr(BoneImuSequence, "resample", counted)
-    for mode in ("sf2", "rtof"):
-        calls.clear()
-        found = prepared(late, truth, mode)
-        assert found.guess.poses is not None
-        assert sum(calls) == 1
-        calls.clear()
-        run(late, truth, mode)
-        assert sum(calls) == 1
+    late = case.changed(
+        imus=replace(imus, times=imus.times + 1e-3), keypoints=planted.unseen(video, slice(5, 10))
+    )
+    assert late.prepare(mode).guess.poses is not None
+    assert sum(calls) == 1
+    late.run(mode)
+    assert sum(calls) == 2
 
 
 # --- what the lifter and the solver get ----------------------------------------------------------
 
 
-@pytest.mark.parametrize("mode, with_sensors, given_", [
+@pytest.mark.parametrize("mode, with_sensors, expected", [
     ("lift", True, False), ("rto", True, False), ("sf2", True, True), ("rtof", True, True),
     ("sf2", False, False),
 ])  # fmt: skip
 def test_lifter_gets_sensors_in_modes_that_use_them(
-    recording: Recording, truth: MotionSequence, mode: Mode, with_sensors: bool, given_: bool
+    case: Case, mode: Mode, with_sensors: bool, expected: bool
 ) -> None:
-    lifter = planted.PlantedLifter(truth)
-    chosen = replace(SETTINGS, lift_with_sensors=with_sensors)
-    found = prepare(recording, BODY, mode, lifter, chosen, lambda *_: None)
-    assert lifter.sensors == [found.bone_imus if given_ else None]
-    assert (lifter.sensors[0] is not None) == given_
+    lifter = case.lifter()
+    found = case.prepare(mode, lifter, replace(SETTINGS, lift_with_sensors=with_sensors))
+    assert (lifter.sensors[0] is not None) == expected
+    assert lifter.sensors == [found.bone_imus if expected else None]
     assert (found.bone_imus is not None) == (mode in ("sf2", "rtof"))
 
 
 @pytest.mark.parametrize("mode", ["sf2", "rto", "rtof"])
-@pytest.mark.parametrize("turned", [None, so3.exp([0.1, -0.05, 0.15])])
-def test_solver_starts_from_the_lift_corrected_by_sf2(
-    recording: Recording, truth: MotionSequence, mode: Mode, turned: Array | None
-) -> None:
-    """With the lifter's orientations where it has them, else with positions alone."""
-    found = prepared(recording, truth, mode, turned)
+@pytest.mark.parametrize("turned", [None, TURN], ids=["positions", "orientations"])
+def test_solver_starts_from_the_lift_corrected_by_sf2(case: Case, mode: Mode, turned: Array | None) -> None:
+    """With the lifter's orientations where it has them."""
+    lifter, idle = case.lifter(turned=turned), CartesianSettings(max_iterations=0, refit_root=False)
+    found = case.prepare(mode, lifter)
     lifted = found.stages["lift"]
     R = None if turned is None else lifted.R_world_bone
     refined = InertialGuidedIK(BODY).refine(lifted, found.bone_imus, R)
     np.testing.assert_allclose(found.start.p_world_joint, refined.p_world_joint, atol=1e-9)
     np.testing.assert_allclose(found.start.R_world_bone, refined.R_world_bone, atol=1e-9)
-    assert (found.start is found.stages.get("sf2")) == (mode != "rto")
-
-
-def test_solver_without_iterations_returns_the_start(recording: Recording, truth: MotionSequence) -> None:
-    idle = replace(SETTINGS, fragment=CartesianSettings(max_iterations=0, refit_root=False))
-    for mode in ("rto", "rtof"):
-        result = run(recording, truth, mode, settings=idle)
-        start = prepared(recording, truth, mode).start
-        assert result.solution is not None
-        np.testing.assert_allclose(
-            result.solution.poses.p_world_joint, start.p_world_joint, atol=1e-9, err_msg=mode
-        )
-
-
-def test_sf2_settings_reach_sf2(recording: Recording, truth: MotionSequence) -> None:
-    never = ReconstructionSettings(inertial_ik=InertialGuidedIKSettings(threshold=np.pi))
-    stages = run(recording, truth, "sf2", settings=never).stages
-    arm, hand = BODY.index("LeftForeArm", "LeftHand")
-    bones = [poses.p_world_joint[:, hand] - poses.p_world_joint[:, arm] for poses in stages.values()]
-    lifted, refined = (bone / np.linalg.norm(bone, axis=-1, keepdims=True) for bone in bones)
-    np.testing.assert_allclose(lifted, refined, atol=1e-9)
+    solution = case.run(mode, lifter=lifter, settings=replace(SETTINGS, fragment=idle)).solution
+    if solution is not None:
+        np.testing.assert_allclose(solution.poses.p_world_joint, refined.p_world_joint, atol=1e-9)
 
 
 # --- refused input -------------------------------------------------------------------------------
@@ -176,32 +132,24 @@ def test_sf2_settings_reach_sf2(recording: Recording, truth: MotionSequence) -> 
     (lambda k: replace(k, times=1000 * k.times), "seconds"),
     (lambda k: replace(k, uv_px=k.uv_px / 1920), "multiply x by its width"),
 ])  # fmt: skip
-def test_keypoints_in_another_unit_are_refused(
-    recording: Recording, truth: MotionSequence, change: Any, remedy: str
-) -> None:
+def test_keypoints_in_another_unit_are_refused(case: Case, change: Any, remedy: str) -> None:
     with pytest.raises(InvalidInputError, match=remedy):
-        prepared(replace(recording, keypoints=change(recording.video), imus=None), truth, "rto")
+        case.changed(keypoints=change(case.recording.video), imus=None).prepare("rto")
 
 
 @pytest.mark.parametrize("mode", ["sf2", "rtof"])
-def test_mode_with_sensors_refuses_a_recording_without(
-    recording: Recording, truth: MotionSequence, mode: Mode
-) -> None:
-    lifter = planted.PlantedLifter(truth)
-    camera_only = replace(recording, imus=None, calibration=None)
+def test_mode_with_sensors_refuses_a_recording_without(case: Case, mode: Mode) -> None:
+    lifter = case.lifter()
     with pytest.raises(InvalidInputError, match=f"mode {mode} needs IMUs .*'rto'"):
-        run(camera_only, truth, mode, lifter=lifter)
+        case.changed(imus=None, calibration=None).run(mode, lifter=lifter)
     assert not lifter.asked
-    assert run(camera_only, truth, "rto").metrics is not None
 
 
-def test_uncalibrated_sensors_are_refused_where_they_are_used(
-    recording: Recording, truth: MotionSequence
-) -> None:
-    uncalibrated = replace(recording, calibration=None)
+def test_uncalibrated_sensors_are_refused_where_they_are_used(case: Case) -> None:
+    uncalibrated = case.changed(calibration=None)
     with pytest.raises(CalibrationError, match="have no calibration"):
-        prepared(uncalibrated, truth, "rtof")
-    assert prepared(uncalibrated, truth, "lift").bone_imus is None
+        uncalibrated.run()
+    assert uncalibrated.run("lift").metrics is not None
 
 
 # --- uneven times --------------------------------------------------------------------------------
@@ -230,8 +178,7 @@ def test_even_times_are_kept(times: Array) -> None:
 def test_jittering_times_become_even_and_positions_are_interpolated(
     jitter: float, frames: int, rate: float, seed: int
 ) -> None:
-    rng = np.random.default_rng(seed)
-    times = (np.arange(frames) + rng.uniform(-jitter, jitter, frames)) / rate
+    times = (np.arange(frames) + np.random.default_rng(seed).uniform(-jitter, jitter, frames)) / rate
     keypoints = keypoints_at(times)
     even = evenly_spaced(keypoints)
     if even is not keypoints:
@@ -270,30 +217,19 @@ def test_dropped_frames_are_missing_and_all_others_kept(
 
 
 def test_missing_landmark_is_not_interpolated() -> None:
-    times = np.arange(30) / 60 + np.where(np.arange(30) % 2, 0.002, 0.0)
-    keypoints = keypoints_at(times)
-    uv = np.array(keypoints.uv_px)
-    uv[14] = np.nan
-    even = evenly_spaced(replace(keypoints, uv_px=uv))
-    missing = np.flatnonzero(~even.seen[:-1, 0])
+    keypoints = keypoints_at(np.arange(30) / 60 + np.where(np.arange(30) % 2, 0.002, 0.0))
+    missing = np.flatnonzero(~evenly_spaced(planted.unseen(keypoints, 14)).seen[:-1, 0])
     assert 1 <= len(missing) <= 2
     assert set(missing) <= {13, 14, 15}
 
 
 def test_video_with_jitter_and_dropped_frames_is_reconstructed() -> None:
-    long = planted.human(BODY, 120)
-    jitter = np.random.default_rng(1).uniform(-1.5e-3, 1.5e-3, 120)
-    frames = np.delete(np.arange(10, 100, 2), [20, 21])
-    video = planted.keypoints(long.poses)
-    video = replace(
-        video, times=(long.times + jitter)[frames], uv_px=video.uv_px[frames],
-        confidence=video.confidence[frames],
-    )  # fmt: skip
-    result = run(replace(planted.recording(long), keypoints=video), long)
-    assert result.keypoints is not None
-    assert len(result.keypoints) == 45
-    missing = set(np.flatnonzero(~result.keypoints.seen.any(axis=1)).tolist())
-    assert {20, 21} <= missing <= {19, 20, 21, 22}
+    truth = planted.human(BODY, 120)
+    times = truth.times + np.random.default_rng(1).uniform(-1.5e-3, 1.5e-3, 120)
+    k, kept = planted.keypoints(truth.poses), np.delete(np.arange(10, 100, 2), [20, 21])
+    video = replace(k, times=times[kept], uv_px=k.uv_px[kept], confidence=k.confidence[kept])
+    result = Case(truth, replace(planted.recording(truth), keypoints=video)).run()
+    assert len(result.motion.times) == 45
     assert np.ptp(np.diff(result.motion.times)) < 1e-9
     assert result.metrics is not None
     assert result.metrics["mpjpe_rr_mm"] < 30
