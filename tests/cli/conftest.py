@@ -1,4 +1,4 @@
-"""Commands run in this process, and excerpts of the demo."""
+"""Commands run in this process, and recordings and outputs for them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rtof_kin.cli import main
@@ -15,20 +16,15 @@ from rtof_kin.recording.recording import Recording
 
 @dataclass(frozen=True)
 class Done:
-    """A command that ended."""
+    """A command that ended; its texts have single spaces."""
 
     code: int
     out: str
-    """Standard output with single spaces."""
     err: str
-    """Standard error, likewise."""
-
-
-Cli = Callable[..., Done]
 
 
 @pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Done]:
     """Run the command line with arguments of any type."""
 
     def run(*arguments: object) -> Done:
@@ -44,16 +40,34 @@ def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
 
 
 @pytest.fixture(scope="session")
-def few_sensors() -> Recording:
-    """One second of the demo with two sensors and no truth."""
-    demo = Recording.load(model_path("demo"))
-    assert demo.imus is not None
-    imus = demo.imus.select(demo.imus.names[-2:])
-    return replace(demo, keypoints=demo.video[600:660], imus=imus, truth=None)
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("recordings")
 
 
 @pytest.fixture(scope="session")
-def few_sensors_folder(few_sensors: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("recordings") / "few sensors"
-    few_sensors.save(folder)
-    return folder
+def short(folder: Path) -> Path:
+    """Two seconds of the demo as a recording folder."""
+    demo = Recording.load(model_path("demo"))
+    replace(demo, keypoints=demo.video[600:720]).save(folder / "short")
+    return folder / "short"
+
+
+@pytest.fixture(scope="session")
+def reconstructed(short: Path, folder: Path) -> Path:
+    """The output folder of `reconstruct` on it."""
+    assert main(["reconstruct", str(short), "-o", str(folder / "out"), "--no-figures"]) == 0
+    return folder / "out"
+
+
+@pytest.fixture(scope="session")
+def stuck(folder: Path) -> Path:
+    """Half a second of the demo without truth; one of two sensors repeats a sample for most of it."""
+    demo = Recording.load(model_path("demo"))
+    assert demo.imus is not None
+    imus, keypoints = demo.imus.select(demo.imus.names[-2:]), demo.video[600:632]
+    repeated = np.flatnonzero((imus.times > keypoints.times[2]) & (imus.times < keypoints.times[-2]))
+    R, f = imus.R_inertial_sensor.copy(), imus.f_sensor.copy()
+    R[repeated, 0], f[repeated, 0] = R[repeated[0], 0], f[repeated[0], 0]
+    imus = replace(imus, R_inertial_sensor=R, f_sensor=f)
+    replace(demo, keypoints=keypoints, imus=imus, truth=None).save(folder / "stuck")
+    return folder / "stuck"
