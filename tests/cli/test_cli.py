@@ -185,7 +185,9 @@ def test_mode_imu_needs_no_keypoints(wrong: Path, tmp_path: Path, cli: Cli) -> N
     done = cli("reconstruct", recording, "-o", out, "--mode", "imu")
     assert done.code == 0
     assert (out / "figures" / "skeletons.png").is_file()
-    score = json.loads((out / "summary.json").read_text())["metrics"]["imu"]["mpjpe_rr_mm"]
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["root_drift_sigma_m"]["last_frame"] > 0
+    score = summary["metrics"]["imu"]["mpjpe_rr_mm"]
     for text in (done.out, cli("evaluate", out, "--truth", recording).out):
         assert re.search(rf"\bimu\W+{score:.1f}\b", text)
         assert BEGUN_TOGETHER in text

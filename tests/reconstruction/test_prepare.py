@@ -28,14 +28,16 @@ from rtof_kin.solve.inertial_ik import InertialGuidedIK
 Array = NDArray[np.float64]
 
 
-# --- each thing once -----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("mode", CAMERA_MODES)
-def test_video_is_lifted_once(case: Case, mode: Mode) -> None:
-    lifter = case.lifter()
-    case.run(mode, lifter=lifter)
-    assert len(lifter.asked) == 1
+@pytest.mark.parametrize("with_sensors", [True, False])
+def test_video_is_lifted_once_with_the_sensors_of_the_mode(
+    case: Case, mode: Mode, with_sensors: bool
+) -> None:
+    lifter, used = case.lifter(), mode in ("sf2", "rtof")
+    settings = replace(SETTINGS, lift_with_sensors=with_sensors)
+    result = case.run(mode, lifter=lifter, settings=settings)
+    assert (result.bone_imus is not None) == used
+    assert lifter.sensors == [result.bone_imus if used and with_sensors else None]
 
 
 def test_video_is_lifted_twice_with_calibration(case: Case) -> None:
@@ -92,23 +94,6 @@ def test_sensors_are_resampled_to_the_frames_once(
     assert sum(calls) == 2
 
 
-# --- what the lifter and the solver get ----------------------------------------------------------
-
-
-@pytest.mark.parametrize("mode, with_sensors, expected", [
-    ("lift", True, False), ("rto", True, False), ("sf2", True, True), ("rtof", True, True),
-    ("sf2", False, False),
-])  # fmt: skip
-def test_lifter_gets_sensors_in_modes_that_use_them(
-    case: Case, mode: Mode, with_sensors: bool, expected: bool
-) -> None:
-    lifter = case.lifter()
-    found = case.prepare(mode, lifter, replace(SETTINGS, lift_with_sensors=with_sensors))
-    assert (lifter.sensors[0] is not None) == expected
-    assert lifter.sensors == [found.bone_imus if expected else None]
-    assert (found.bone_imus is not None) == (mode in ("sf2", "rtof"))
-
-
 @pytest.mark.parametrize("mode", ["sf2", "rto", "rtof"])
 @pytest.mark.parametrize("turned", [None, TURN], ids=["positions", "orientations"])
 def test_solver_starts_from_the_lift_corrected_by_sf2(case: Case, mode: Mode, turned: Array | None) -> None:
@@ -138,18 +123,18 @@ def test_keypoints_in_another_unit_are_refused(case: Case, change: Any, remedy: 
 
 
 @pytest.mark.parametrize("mode", ["sf2", "rtof"])
-def test_mode_with_sensors_refuses_a_recording_without(case: Case, mode: Mode) -> None:
-    lifter = case.lifter()
-    with pytest.raises(InvalidInputError, match=f"mode {mode} needs IMUs .*'rto'"):
-        case.changed(imus=None, calibration=None).run(mode, lifter=lifter)
+@pytest.mark.parametrize("missing, error, named", [
+    (("imus", "calibration"), InvalidInputError, "needs IMUs .*'rto'"),
+    (("calibration",), CalibrationError, "have no calibration"),
+])  # fmt: skip
+def test_mode_with_sensors_needs_calibrated_sensors(
+    case: Case, mode: Mode, missing: tuple[str, ...], error: type[Exception], named: str
+) -> None:
+    lifter, without = case.lifter(), case.changed(**dict.fromkeys(missing))
+    with pytest.raises(error, match=named):
+        without.run(mode, lifter=lifter)
     assert not lifter.asked
-
-
-def test_uncalibrated_sensors_are_refused_where_they_are_used(case: Case) -> None:
-    uncalibrated = case.changed(calibration=None)
-    with pytest.raises(CalibrationError, match="have no calibration"):
-        uncalibrated.run()
-    assert uncalibrated.run("lift").metrics is not None
+    assert without.run("lift").metrics is not None
 
 
 # --- uneven times --------------------------------------------------------------------------------
