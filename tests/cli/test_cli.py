@@ -20,7 +20,6 @@ from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.formats.motion_npz import read_motion_npz
 from rtof_kin.recording.recording import Recording
 
-Cli = Any
 COMMANDS = (
     "demo", "reconstruct", "inspect", "calibrate", "analyse", "evaluate", "simulate", "train", "export",
     "report", "study",
@@ -61,10 +60,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-# --- all commands --------------------------------------------------------------------------------
-
-
-def test_help_lists_and_explains_every_command(cli: Cli) -> None:
+def test_help_lists_and_explains_every_command(cli: Any) -> None:
     listed = cli("--help").out.split()
     for command in COMMANDS:
         assert command in listed
@@ -107,7 +103,7 @@ def test_ctrl_c_exits_with_130_even_while_importing(module: str) -> None:
     ("report {motion} -o {out} --weight -3", "-3 kg"),
 ])  # fmt: skip
 def test_wrong_input_is_refused_in_one_line(
-    short: Path, reconstructed: Path, wrong: Path, tmp_path: Path, cli: Cli, command: str, named: str
+    short: Path, reconstructed: Path, wrong: Path, tmp_path: Path, cli: Any, command: str, named: str
 ) -> None:
     paths = {
         "short": short, "motion": reconstructed, "wrong": wrong, "mocap": MOCAP, "out": tmp_path / "out"
@@ -121,7 +117,7 @@ def test_wrong_input_is_refused_in_one_line(
 
 @pytest.mark.parametrize("command", ["reconstruct", "calibrate"])
 def test_unwritable_output_is_refused_before_the_work(
-    short: Path, wrong: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch, command: str
+    short: Path, wrong: Path, cli: Any, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     for work in ("reconstruct", "calibrate_recording"):
         monkeypatch.setattr(f"rtof_kin.reconstruction.pipeline.{work}", None)
@@ -137,7 +133,7 @@ def test_unwritable_output_is_refused_before_the_work(
     ("demo -o {out} --overwrite", OWN, "clinical/, notes.txt, report.html"),
 ])  # fmt: skip
 def test_files_of_the_user_and_of_other_commands_are_not_overwritten(
-    short: Path, reconstructed: Path, tmp_path: Path, cli: Cli, command: str, own: tuple[str, ...], named: str
+    short: Path, reconstructed: Path, tmp_path: Path, cli: Any, command: str, own: tuple[str, ...], named: str
 ) -> None:
     out = shutil.copytree(reconstructed, tmp_path / "out")
     for name in own:
@@ -148,9 +144,6 @@ def test_files_of_the_user_and_of_other_commands_are_not_overwritten(
     assert done.code == 2
     assert named in done.err
     assert contents(out) == before
-
-
-# --- reconstruct, calibrate, evaluate ------------------------------------------------------------
 
 
 def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
@@ -167,7 +160,7 @@ def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
 
 
 def test_calibrate_prints_a_table_and_writes_what_reconstruct_takes(
-    short: Path, tmp_path: Path, cli: Cli
+    short: Path, tmp_path: Path, cli: Any
 ) -> None:
     found, fixed = tmp_path / "found.toml", tmp_path / "fixed"
     command = ("calibrate", short, "-o", found, "--recording-output", fixed)
@@ -180,7 +173,7 @@ def test_calibrate_prints_a_table_and_writes_what_reconstruct_takes(
     assert cli("reconstruct", short, "-o", out, "--no-figures", "--calibration", found).code == 0
 
 
-def test_mode_imu_needs_no_keypoints(wrong: Path, tmp_path: Path, cli: Cli) -> None:
+def test_modes_lift_and_imu_need_one_stream(wrong: Path, tmp_path: Path, cli: Any) -> None:
     recording, out = wrong / "sensors_only", tmp_path / "out"
     done = cli("reconstruct", recording, "-o", out, "--mode", "imu")
     assert done.code == 0
@@ -191,14 +184,11 @@ def test_mode_imu_needs_no_keypoints(wrong: Path, tmp_path: Path, cli: Cli) -> N
     for text in (done.out, cli("evaluate", out, "--truth", recording).out):
         assert re.search(rf"\bimu\W+{score:.1f}\b", text)
         assert BEGUN_TOGETHER in text
-
-
-def test_mode_lift_needs_no_sensors(wrong: Path, tmp_path: Path, cli: Cli) -> None:
-    options = ("-o", tmp_path / "out", "--mode", "lift", "--no-figures")
+    options = ("-o", tmp_path / "lift", "--mode", "lift", "--no-figures")
     assert cli("reconstruct", wrong / "camera_only", *options).code == 0
 
 
-def test_evaluate_prints_the_stage_beside_zero_motion(short: Path, reconstructed: Path, cli: Cli) -> None:
+def test_evaluate_prints_the_stage_beside_zero_motion(short: Path, reconstructed: Path, cli: Any) -> None:
     done = cli("evaluate", reconstructed, "--truth", short)
     assert done.code == 0
     for text in ("rtof", "zero", "LeftForeArm", "[m/s2]"):
@@ -206,10 +196,7 @@ def test_evaluate_prints_the_stage_beside_zero_motion(short: Path, reconstructed
     assert "\u2026" not in done.out  # no heading is cut at 80 columns
 
 
-# --- export, simulate ----------------------------------------------------------------------------
-
-
-def test_export_writes_what_was_asked(reconstructed: Path, tmp_path: Path, cli: Cli) -> None:
+def test_export_writes_what_was_asked(reconstructed: Path, tmp_path: Path, cli: Any) -> None:
     ros, every = tmp_path / "ros", tmp_path / "all"
     assert cli("export", reconstructed, "-o", ros, "--to", "ros").code == 0
     assert names_in(ros) == {
@@ -227,7 +214,7 @@ def test_export_writes_what_was_asked(reconstructed: Path, tmp_path: Path, cli: 
     assert not (every / "motion.trc").exists()
 
 
-def test_simulate_writes_a_recording_with_the_sensors_asked_for(tmp_path: Path, cli: Cli) -> None:
+def test_simulate_writes_a_recording_with_the_sensors_asked_for(tmp_path: Path, cli: Any) -> None:
     folder = tmp_path / "r [mm] [red]x"  # brackets are no markup
     command = ("simulate", MOCAP, "-o", folder, "--keypoints", "perfect", "--sensors", "Pelvis,L_LowArm")
     done = cli(*command)

@@ -12,10 +12,8 @@ from report_support import Page
 
 from rtof_kin.core.files.manifest import MANIFEST
 
-Cli = Any
 
-
-def test_report_writes_one_page(reconstructed: Path, tmp_path: Path, cli: Cli) -> None:
+def test_report_writes_one_page(reconstructed: Path, tmp_path: Path, cli: Any) -> None:
     path = tmp_path / "page.html"
     labels = ("--subject", "P07", "--date", "2026-01-31", "--protocol", "jumps")
     done = cli("report", reconstructed, "-o", path, *labels)
@@ -32,7 +30,7 @@ def test_report_writes_one_page(reconstructed: Path, tmp_path: Path, cli: Cli) -
 
 
 def test_report_goes_beside_the_motion_and_overwrites_only_if_asked(
-    reconstructed: Path, tmp_path: Path, cli: Cli
+    reconstructed: Path, tmp_path: Path, cli: Any
 ) -> None:
     motion = shutil.copytree(reconstructed, tmp_path / "out")
     page = motion / "report.html"
@@ -52,7 +50,7 @@ def test_summary_has_the_audit(reconstructed: Path) -> None:
     assert [sensor["segment"] for sensor in summary["inputs"]["sensors"]] == summary["sensors"]
 
 
-def test_study_writes_the_contribution_of_each_sensor(stuck: Path, tmp_path: Path, cli: Cli) -> None:
+def test_study_writes_the_contribution_of_each_sensor(stuck: Path, tmp_path: Path, cli: Any) -> None:
     command = ("study", stuck, "-o", tmp_path / "study", "--path", "ranked")
     done = cli(*command)
     assert done.code == 0

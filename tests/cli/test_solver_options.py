@@ -18,10 +18,8 @@ from rtof_kin.reconstruction.result import _energy_name
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
-Cli = Any
 
-
-def summary_after(cli: Cli, recording: Path, out: Path, *options: str) -> tuple[dict[str, Any], str]:
+def summary_after(cli: Any, recording: Path, out: Path, *options: str) -> tuple[dict[str, Any], str]:
     """Summary and output of `reconstruct` with options."""
     done = cli("reconstruct", recording, "-o", out, "--no-figures", "--frames", "16", *options)
     assert done.code == 0
@@ -29,7 +27,7 @@ def summary_after(cli: Cli, recording: Path, out: Path, *options: str) -> tuple[
 
 
 def test_terminal_summary_and_page_agree_and_state_each_thing_once(
-    stuck: Path, tmp_path: Path, cli: Cli, caplog: pytest.LogCaptureFixture
+    stuck: Path, tmp_path: Path, cli: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     summary, text = summary_after(cli, stuck, tmp_path / "out", "--no-calibrate")
     settings, verdict = summary["settings"], summary["verdict"]
@@ -52,11 +50,9 @@ def test_terminal_summary_and_page_agree_and_state_each_thing_once(
     assert "joint space, realtime, energy: default; 16 frames" in page
 
 
-def test_paper_is_solved_in_cartesian_space(stuck: Path, tmp_path: Path, cli: Cli) -> None:
-    options = (
-        "--paper", "--no-calibrate", "--no-guards", "--no-lift-with-sensors", "--lifter", "causal"
-    )  # fmt: skip
-    summary, _ = summary_after(cli, stuck, tmp_path / "out", *options)
+def test_paper_is_solved_in_cartesian_space(stuck: Path, tmp_path: Path, cli: Any) -> None:
+    options = "--paper --no-calibrate --no-guards --no-lift-with-sensors --lifter causal"
+    summary, _ = summary_after(cli, stuck, tmp_path / "out", *options.split())
     found = summary["settings"]
     assert (found["space"], found["backend"], found["energy"]) == ("cartesian", "ipopt", "as printed")
     assert (found["fragment"]["k_V"], found["fragment"]["bone_lengths"]) == (0.9, "free")
@@ -66,7 +62,7 @@ def test_paper_is_solved_in_cartesian_space(stuck: Path, tmp_path: Path, cli: Cl
 
 
 def test_calibrated_recording_keeps_its_energy_with_another_backend(
-    stuck: Path, tmp_path: Path, cli: Cli
+    stuck: Path, tmp_path: Path, cli: Any
 ) -> None:
     summary, _ = summary_after(cli, stuck, tmp_path / "out", "--backend", "ipopt", "--space", "joint")
     found = summary["settings"]

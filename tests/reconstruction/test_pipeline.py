@@ -42,9 +42,6 @@ def floor_energy(result: Reconstruction) -> float:
     return result.solution.energy["floor"]
 
 
-# --- the modes -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("mode, stages", [
     ("lift", ["lift"]), ("sf2", ["lift", "sf2"]), ("rto", ["lift", "rto"]),
     ("rtof", ["lift", "sf2", "rtof"]),
@@ -163,9 +160,6 @@ def test_unknown_mode_is_refused_before_lifting(case: Case) -> None:
     assert not lifter.asked
 
 
-# --- what is given reaches the stages ------------------------------------------------------------
-
-
 def test_skeleton_is_the_one_given_else_that_of_the_recording(case: Case) -> None:
     tall = case.changed(joint_offsets=BODY.with_height(1.9).joint_offsets)
     offsets = tall.run("lift").motion.skeleton.joint_offsets
@@ -213,9 +207,6 @@ def test_sensors_without_samples_are_warned_of(case: Case) -> None:
     assert any("no sensor" in warning for warning in silent.run().warnings)
 
 
-# --- self-calibration ----------------------------------------------------------------------------
-
-
 def test_recording_is_calibrated_first_by_default() -> None:
     truth = planted.human(BODY, 60)
     given = planted.recording(truth, sigma_px=1.0)
@@ -254,8 +245,5 @@ def test_recording_that_cannot_be_calibrated_is_used_as_given_with_a_warning(cas
     assert "0.12 s in common" in result.warnings[0]
     with pytest.raises(CalibrationError, match=r"delay of 4\.00 s"):
         case.run(calibrate=True, priors=CalibrationPriors(sigma_delay=1.0))
-
-
-def test_calibration_needs_sensors(case: Case) -> None:
     with pytest.raises(CalibrationError, match="no IMUs.*'rto'"):
         calibrate_recording(replace(case.recording, imus=None, calibration=None))

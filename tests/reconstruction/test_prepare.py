@@ -110,9 +110,6 @@ def test_solver_starts_from_the_lift_corrected_by_sf2(case: Case, mode: Mode, tu
         np.testing.assert_allclose(solution.poses.p_world_joint, refined.p_world_joint, atol=1e-9)
 
 
-# --- refused input -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("change, remedy", [
     (lambda k: replace(k, times=1000 * k.times), "seconds"),
     (lambda k: replace(k, uv_px=k.uv_px / 1920), "multiply x by its width"),
@@ -135,9 +132,6 @@ def test_mode_with_sensors_needs_calibrated_sensors(
         without.run(mode, lifter=lifter)
     assert not lifter.asked
     assert without.run("lift").metrics is not None
-
-
-# --- uneven times --------------------------------------------------------------------------------
 
 
 def keypoints_at(times: Array) -> KeypointSequence:

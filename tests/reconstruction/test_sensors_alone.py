@@ -61,9 +61,6 @@ def walked(walk: MotionSequence) -> Reconstruction:
     return solved(recorded(walk))
 
 
-# --- planted truth -------------------------------------------------------------------------------
-
-
 def test_exact_sensors_recover_a_walk(walk: MotionSequence, walked: Reconstruction) -> None:
     assert walked.solution is not None
     assert walked.solution.status is SolverStatus.CONVERGED
@@ -110,9 +107,6 @@ def test_equal_calls_give_equal_motions_and_keypoints_are_ignored(
     again = solved(planted.recording(walk, joints=WHOLE))
     np.testing.assert_array_equal(again.motion.q, walked.motion.q)
     assert again.keypoints is None
-
-
-# --- what is reported ----------------------------------------------------------------------------
 
 
 def test_provenance_separates_sensors_from_prior(walked: Reconstruction) -> None:
@@ -198,9 +192,6 @@ def test_frame_times_are_even_at_the_lower_rate(walk: MotionSequence, asked: flo
     assert imus.times[-1] - 1 / expected < times[-1] <= imus.times[-1] + 1e-9
 
 
-# --- refused input -------------------------------------------------------------------------------
-
-
 def test_mode_names_the_input_that_it_lacks(walk: MotionSequence) -> None:
     recording = recorded(walk)
     for mode in CAMERA_MODES:
@@ -222,9 +213,6 @@ def test_fragment_solver_names_the_input_that_it_lacks(walked: Reconstruction) -
         FragmentSolver(BODY, 20).solve(start, None)
     with pytest.raises(SolverError, match="'cartesian' needs keypoints"):
         FragmentSolver(BODY, 20, space="cartesian", sensor_joints=WHOLE).solve(start, None, imus)
-
-
-# --- a real recording ----------------------------------------------------------------------------
 
 
 def squats() -> Recording:
