@@ -224,6 +224,4 @@ def test_simulate_writes_a_recording_with_the_sensors_asked_for(tmp_path: Path, 
     assert recording.imus is not None
     assert recording.imus.names == ("Pelvis", "L_LowArm")
     assert recording.truth is not None
-    again = cli(*command)
-    assert again.code == 2
-    assert str(folder) in again.err
+    assert str(folder) in cli(*command).err

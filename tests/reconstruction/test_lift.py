@@ -60,8 +60,7 @@ def test_bridged_frames_are_finite_and_invalid(occluded: Case, mode: str) -> Non
     assert np.all(poses.provenance[GAP, TRUNK] == Provenance.BRIDGED)
     by = Provenance.IMU if mode in ("sf2", "rtof") else Provenance.BRIDGED
     assert np.all(poses.provenance[GAP, BODY.index("LeftHand", "RightFoot")] == by)
-    assert result.metrics is not None
-    assert result.metrics["coverage"] == pytest.approx(1 - 9 / FRAMES)
+    assert result.stage_metrics[mode]["coverage"] == pytest.approx(1 - 9 / FRAMES)
 
 
 def test_bridged_frames_observe_no_pelvis_orientation(case: Case) -> None:
