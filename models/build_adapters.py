@@ -1,6 +1,6 @@
 """Make models/detectors.npz: how a person's points lie to each other in images.
 
-``python models/build_adapters.py CORPUS`` with CORPUS as in benchmarks/README.md. Fitted to the training
+``python -m models.build_adapters CORPUS`` with CORPUS as in benchmarks/README.md. Fitted to the training
 subjects' motion at 10 Hz, mirrored as often as not, on bodies of varied bone lengths, every frame seen by
 cameras all around; a third of the frames are tilted by up to 40 degrees, for what people do on the floor.
 """
@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.views import Views
 from lifting.splits import BENCHMARK_SPLIT, read_split
 from rtof_kin.simulation.mocap import read_corpus
 from rtof_kin.vision.layouts import detector_table
-from rtof_kin.vision.views import Views
 
 RATE_HZ, VIEWS, SEED = 10.0, 12, 0
 NOISE = 0.04

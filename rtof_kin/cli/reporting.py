@@ -34,7 +34,7 @@ def _report(options: argparse.Namespace) -> None:
     from rtof_kin.core.files.folder import check_new_file
     from rtof_kin.core.files.text import write_text
     from rtof_kin.recording.session import Session
-    from rtof_kin.report.writing import PAGE, report
+    from rtof_kin.report.page import PAGE, report
 
     folder = Path(options.motion)
     path = Path(options.output or folder / PAGE)

@@ -20,14 +20,11 @@ class MotionAnalysis:
     """Clinical angles of a motion, and the analyses made from them."""
 
     table: AngleTable
-    """Names, axes, signs and ranges of the angles."""
     angles: ClinicalAngles
     ranges: tuple[RangeOfMotion, ...]
-    """In the order of the angles."""
     gait: GaitAnalysis
     """Has no strides if none were detected."""
     curves: tuple[CycleCurves, ...]
-    """Angles over the gait cycle."""
     repetitions: RepetitionAnalysis | None
     """None if not requested."""
     torques: JointTorques | None

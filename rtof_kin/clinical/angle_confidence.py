@@ -11,7 +11,6 @@ excluded from ranges of motion, peaks and gait.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical import joint_coordinate_systems as jcs
-from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem
+from rtof_kin.clinical.angle_table import AngleTable, JointCoordinateSystem
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.data.confidence import BAND_95, Confidence
@@ -28,15 +27,12 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 UNIFORM_SIGMA: Final = np.pi / np.sqrt(3)
 """[rad] standard deviation of an angle uniformly distributed on the circle, the largest value reported."""
-_STEP: Final = 1e-5
-"""[rad] of the central differences."""
-WIDEST_BAND: Final = np.radians(30.0)
-"""[rad] largest half width of the 95 % band of a reliable sample."""
+_STEP: Final = 1e-5  # [rad] of the central differences
+WIDEST_BAND: Final = np.radians(30.0)  # [rad] largest half width of the 95 % band of a reliable sample
 FASTEST: Final = {"pelvis": 2000.0, "spine": 1200.0, "hip": 1200.0, "knee": 2500.0, "ankle": 2500.0}
 """[deg/s] upper bounds of angular speed: kicks reach 750 at the hip and 1,700 at the knee, throws 1,200
 between pelvis and upper trunk, spins 1,800 of the pelvis. Arms have no bound."""
-_MARGIN: Final = 0.1
-"""[s] before and after a sample that is too fast, excluded too."""
+_MARGIN: Final = 0.1  # [s] before and after a sample that is too fast, excluded too
 
 
 def angle_sigmas(
@@ -53,7 +49,7 @@ def angle_sigmas(
     for joint in table.joints:
         axes = frames[skeleton.names.index(joint.child)].T
         if joint.side == "left":  # rotation vectors are axial vectors
-            axes = -jcs.mirror_image(axes)
+            axes = -jcs.MIRROR[:, None] * axes
         covariance = confidence.turn(joint.parent, joint.child)
         known = np.asarray(np.isfinite(R[joint.name] + covariance).all(axis=(1, 2)))
         J = angle_rates(joint.sequence, R[joint.name][known]) @ axes
@@ -77,50 +73,42 @@ def angle_rates(sequence: str, R: Array) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def trusted_turns(joint: JointCoordinateSystem, times: Array, R: Array) -> Mask:
-    """Return a mask (T,) that excludes samples around turns that are too fast.
+def reliable_samples(
+    table: AngleTable, times: Array, R: dict[str, Array], sigma: Array | None, known: Mask
+) -> tuple[Mask, str]:
+    """Return a mask (T, A) of reliable samples, and a sentence on the others; empty if there are none.
 
     Args:
-        joint: whose bound applies. times: (T,) s. R: rotations (T, 3, 3), NaN where unknown.
+        table: of A angles. times: (T,) s. R: rotations (T, 3, 3) of each joint, NaN where unknown.
+        sigma: (T, A) rad; None if the motion has no confidence. known: (T, A) samples with a value.
     """
+    turns = [_plausible_turns(joint, times, R[joint.name]) for joint in table.joints]
+    reliable = np.repeat(np.stack(turns, axis=1), 3, axis=1)
+    if sigma is not None:
+        reliable &= ~(BAND_95 * sigma > WIDEST_BAND)
+    excluded = known & ~reliable
+    if not excluded.any():
+        return reliable, ""
+    share = excluded.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    worst = int(share.argmax())
+    spans = [f"{times[a]:.2f} to {times[b - 1]:.2f} s" for a, b in signals.runs(excluded[:, worst])]
+    more = f" and {len(spans) - 3} more" if len(spans) > 3 else ""
+    count = int(np.count_nonzero(excluded.any(axis=0)))
+    return reliable, (
+        f"{count} angles have unreliable samples, which are excluded from ranges, peaks and gait: 95 % bands "
+        f"beyond +-{np.degrees(WIDEST_BAND):.0f} deg, or implausibly fast rotation; most of "
+        f"{table.rows[worst].name}: {100 * share[worst]:.0f} % of them, at {', '.join(spans[:3])}{more}"
+    )
+
+
+def _plausible_turns(joint: JointCoordinateSystem, times: Array, R: Array) -> Mask:
+    """(T,) False around rotations (T, 3, 3) that change too fast."""
     fastest = next((v for name, v in FASTEST.items() if name in joint.name), np.inf)
     out = np.ones(len(R), dtype=np.bool_)
-    known = np.isfinite(R).all(axis=(1, 2))
+    known: Mask = np.asarray(np.isfinite(R).all(axis=(1, 2)))
     both = known[1:] & known[:-1]
     steps = np.zeros(both.shape)
     steps[both] = so3.angle_between(R[1:][both], R[:-1][both])
     for k in np.flatnonzero(np.degrees(steps) > fastest * np.diff(times)):
         out[(times >= times[k] - _MARGIN) & (times <= times[k + 1] + _MARGIN)] = False
     return out
-
-
-def trusted_bands(sigma: Array | None, shape: tuple[int, ...]) -> Mask:
-    """Return a mask (T, A) of standard deviations that are small enough, or unknown.
-
-    Args:
-        sigma: (T, A) rad, or None if the motion has none. shape: (T, A).
-    """
-    if sigma is None:
-        return np.ones(shape, dtype=np.bool_)
-    return np.asarray(~(BAND_95 * sigma > WIDEST_BAND))
-
-
-def untrusted_note(times: Array, rows: Sequence[AngleRow], known: Mask, trusted: Mask) -> str:
-    """Return a sentence on the samples that are excluded; empty if there are none.
-
-    Args:
-        times: (T,) s. rows: A angles. known, trusted: (T, A).
-    """
-    excluded = known & ~trusted
-    if not excluded.any():
-        return ""
-    share = excluded.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    worst = int(share.argmax())
-    spans = [f"{times[a]:.2f} to {times[b - 1]:.2f} s" for a, b in signals.runs(excluded[:, worst])]
-    more = f" and {len(spans) - 3} more" if len(spans) > 3 else ""
-    count = int(np.count_nonzero(excluded.any(axis=0)))
-    return (
-        f"{count} angles have unreliable samples, which are excluded from ranges, peaks and gait: 95 % bands "
-        f"beyond +-{np.degrees(WIDEST_BAND):.0f} deg, or implausibly fast rotation; most of "
-        f"{rows[worst].name}: {100 * share[worst]:.0f} % of its samples, at {', '.join(spans[:3])}{more}"
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -15,22 +16,11 @@ from rtof_kin.data.confidence import WORLD
 from rtof_kin.formats.joint_trajectory import BASE_TURN
 
 SIDES: Final = ("right", "left")
-_BOTH_DIRECTIONS: Final = {
-    "dorsiflexion": "dorsiflexion/plantarflexion",
-    "flexion": "flexion/extension",
-    "horizontal adduction": "horizontal adduction/abduction",
-    "adduction": "adduction/abduction",
-    "internal rotation": "internal/external rotation",
-    "inversion": "inversion/eversion",
-    "pronation": "pronation/supination",
-    "ulnar deviation": "ulnar/radial deviation",
-    "left bending": "left/right bending",
-    "left rotation": "left/right rotation",
-    "protraction": "protraction/retraction",
-    "backward rotation": "backward/forward rotation",
-    "clavicle elevation": "clavicle elevation/depression",
-}
-"""Movement -> the movement and its opposite."""
+_MOVEMENTS: Final = (
+    "dorsiflexion/plantarflexion", "flexion/extension", "adduction/abduction", "internal/external rotation",
+    "inversion/eversion", "pronation/supination", "ulnar/radial deviation", "left/right bending",
+    "left/right rotation", "protraction/retraction", "backward/forward rotation", "elevation/depression",
+)  # fmt: skip
 
 
 def clinical_name(skeleton: SkeletonTable, dof: str) -> str:
@@ -45,8 +35,11 @@ def clinical_name(skeleton: SkeletonTable, dof: str) -> str:
     names = {own.urdf: own.clinical.lstrip("-") for joint in skeleton.joints for own in joint.dofs}
     if not (name := names.get(dof)):
         return dof
-    movement = next((movement for movement in _BOTH_DIRECTIONS if name.endswith(movement)), "")
-    return f"{name.removesuffix(movement)}{_BOTH_DIRECTIONS.get(movement, '')} ({dof})"
+    for both in _MOVEMENTS:
+        positive = re.sub(r"/\w+", "", both)
+        if name.endswith(positive):
+            return f"{name.removesuffix(positive)}{both} ({dof})"
+    return f"{name} ({dof})"
 
 
 @dataclass(frozen=True)

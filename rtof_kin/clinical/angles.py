@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.observability import DIRECTION, WHOLE, segment_levels
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical import joint_coordinate_systems as jcs
-from rtof_kin.clinical.angle_confidence import angle_sigmas, trusted_bands, trusted_turns, untrusted_note
+from rtof_kin.clinical.angle_confidence import angle_sigmas, reliable_samples
 from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem, angle_table
 from rtof_kin.core import signals
 from rtof_kin.core.checks import checked_times, indices_of, readonly
@@ -40,6 +40,10 @@ from rtof_kin.data.poses import PoseSequence, Provenance
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Sources = NDArray[np.uint8]
+_ARRAYS: Final[dict[str, type]] = {
+    "values": np.float64, "provenance": np.uint8, "singular": np.bool_, "sigma": np.float64,
+    "trusted": np.bool_,
+}  # fmt: skip
 _NEEDS: Final = {"parent": (DIRECTION, WHOLE, WHOLE), "child": (DIRECTION, DIRECTION, WHOLE)}
 
 
@@ -59,27 +63,19 @@ class ClinicalAngles:
     rows: tuple[AngleRow, ...]
     """A rows of the table: name, sign, range, OpenSim coordinate."""
     notes: tuple[str, ...] = ()
-    """What could not be determined, and why."""
     sigma: Array | None = None
     """(T, A) rad, standard deviation, NaN where unknown; None if the motion has no confidence."""
     trusted: Mask | None = None
     """(T, A) whether a value is used for ranges, peaks and gait (`angle_confidence`); None for all."""
 
     def __post_init__(self) -> None:
-        def set_(name: str, shape: tuple[int, ...], dtype: type = np.float64) -> None:
-            object.__setattr__(self, name, readonly(f"angle {name}", getattr(self, name), shape, dtype))
-
         object.__setattr__(self, "times", checked_times("angle times", self.times))
         shape = (len(self.times), len(self.rows))
-        set_("values", shape)
-        set_("provenance", shape, np.uint8)
-        set_("singular", shape, np.bool_)
-        if self.sigma is not None:
-            set_("sigma", shape)
-            if np.any(self.sigma < 0) or np.isinf(self.sigma).any():
-                raise InvalidInputError("angle sigma: negative or infinite; use NaN where it is unknown")
-        if self.trusted is not None:
-            set_("trusted", shape, np.bool_)
+        for name, kind in _ARRAYS.items():
+            if (given := getattr(self, name)) is not None:
+                object.__setattr__(self, name, readonly(f"angle {name}", given, shape, kind))
+        if self.sigma is not None and (np.any(self.sigma < 0) or np.isinf(self.sigma).any()):
+            raise InvalidInputError("angle sigma: negative or infinite; use NaN where it is unknown")
 
     def __len__(self) -> int:
         return len(self.times)
@@ -115,15 +111,11 @@ class ClinicalAngles:
             names: of the angles, in the order wanted.
         """
         index = indices_of("clinical angle", names, self.names)
-        return replace(
-            self,
-            values=self.values[:, index],
-            provenance=self.provenance[:, index],
-            singular=self.singular[:, index],
-            rows=tuple(self.rows[i] for i in index),
-            sigma=None if self.sigma is None else self.sigma[:, index],
-            trusted=None if self.trusted is None else self.trusted[:, index],
-        )
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        chosen: dict[str, Any] = {
+            name: None if array is None else array[:, index] for name, array in arrays.items()
+        }
+        return replace(self, rows=tuple(self.rows[i] for i in index), **chosen)
 
 
 def clinical_angles(
@@ -158,12 +150,9 @@ def clinical_angles(
     sigma = None
     if isinstance(motion, MotionSequence) and motion.confidence is not None:
         sigma = np.where(np.isfinite(values), angle_sigmas(R, table, skeleton, motion.confidence), np.nan)
-    turns = [trusted_turns(joint, poses.times, R[joint.name]) for joint in table.joints]
-    trusted = trusted_bands(sigma, values.shape) & np.repeat(np.stack(turns, axis=1), 3, axis=1)
-    notes = _notes(table, values, provenance)
-    if note := untrusted_note(poses.times, table.rows, np.isfinite(values), trusted):
-        notes += (note,)
-    return ClinicalAngles(poses.times, values, provenance, singular, table.rows, notes, sigma, trusted)
+    reliable, note = reliable_samples(table, poses.times, R, sigma, np.isfinite(values))
+    notes = (*_notes(table, values, provenance), *([note] if note else []))
+    return ClinicalAngles(poses.times, values, provenance, singular, table.rows, notes, sigma, reliable)
 
 
 def all_observed(poses: PoseSequence) -> PoseSequence:

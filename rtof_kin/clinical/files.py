@@ -68,22 +68,18 @@ def write_analysis(analysis: MotionAnalysis, folder: str | Path) -> None:
     trusted = np.isfinite(angles.trusted_values).astype(int)
     _write_series(folder / "angles_trusted.csv", angles.names, angles.times, trusted)
     _write_ranges(folder / "range_of_motion.csv", analysis.ranges)
-    _write_json(folder / "gait.json", gait_data(analysis.gait))
+    _write_json(folder / "gait.json", _gait_data(analysis.gait))
     if analysis.curves:
         _write_cycles(folder / "gait_cycles.csv", analysis.curves)
     if analysis.repetitions is not None:
-        _write_json(folder / "repetitions.json", repetition_data(analysis.repetitions))
+        _write_json(folder / "repetitions.json", _repetition_data(analysis.repetitions))
     if analysis.torques is not None:
         _write_torques(folder / "torques.csv", analysis.torques)
     _write_json(folder / "notes.json", {part: list(notes) for part, notes in analysis.notes.items()})
 
 
-def gait_data(gait: GaitAnalysis) -> dict[str, Any]:
-    """Return events, strides and gait parameters as plain data.
-
-    Args:
-        gait: to write.
-    """
+def _gait_data(gait: GaitAnalysis) -> dict[str, Any]:
+    """Events, strides and gait parameters as plain data."""
     units = {"stride_time": "_s", "cadence": "_steps_per_min", "stride_length": "_m", "speed": "_m_per_s"}
     return {
         "events_s": {
@@ -107,12 +103,8 @@ def gait_data(gait: GaitAnalysis) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def repetition_data(found: RepetitionAnalysis) -> dict[str, Any]:
-    """Return repetitions as plain data.
-
-    Args:
-        found: to write.
-    """
+def _repetition_data(found: RepetitionAnalysis) -> dict[str, Any]:
+    """Repetitions as plain data."""
     return {
         "kind": found.kind,
         "count": len(found.repetitions),

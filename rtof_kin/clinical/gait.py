@@ -14,12 +14,9 @@ from rtof_kin.clinical.gait_events import GaitEvents
 from rtof_kin.core import signals
 
 Array = NDArray[np.float64]
-LONGEST_STRIDE: Final = 2.5
-"""[s] between two strikes; longer ones contain a pause or a gap."""
-UNSTEADY: Final = 0.15
-"""Coefficient of variation of stride times above which a note is given."""
-LEAST_STANCE: Final = 0.55
-"""Median stance share below which a note is given: walking has a double support."""
+LONGEST_STRIDE: Final = 2.5  # [s] between two strikes; longer ones contain a pause or a gap
+UNSTEADY: Final = 0.15  # coefficient of variation of stride times above which a note is given
+LEAST_STANCE: Final = 0.55  # median stance share below which a note is given: walking has a double support
 PHASES: Final = np.linspace(0.0, 1.0, 101)
 """Samples of a cycle, share of the time from heel strike to heel strike."""
 MEASURES: Final = ("stride_time", "cadence", "stride_length", "speed", "stance_share")
@@ -35,7 +32,6 @@ class Stride:
     start: float
     """[s] first strike."""
     toe_off: float
-    """[s]"""
     stop: float
     """[s] next strike."""
     stride_length: float
@@ -74,7 +70,6 @@ class GaitAnalysis:
     symmetry: dict[str, float]
     """Measure -> (right - left) / mean of both; 0 is symmetric. Empty if a side has no stride."""
     notes: tuple[str, ...]
-    """What could not be determined, and why."""
 
 
 @dataclass(frozen=True)

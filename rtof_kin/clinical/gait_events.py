@@ -22,14 +22,10 @@ from rtof_kin.core import signals
 from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
-CUTOFF_HZ: Final = 7.0
-"""Low-pass of the feet's path."""
-HEADING_CUTOFF_HZ: Final = 0.5
-"""Low-pass of the pelvis heading, which removes its rotation within a step."""
-LEAST_SWING: Final = 0.10
-"""[m] smallest prominence of an extremum of the heel's path."""
-LEAST_STRIDE: Final = 0.4
-"""[s] shortest time between two strikes of one foot."""
+CUTOFF_HZ: Final = 7.0  # low-pass of the feet's path
+HEADING_CUTOFF_HZ: Final = 0.5  # low-pass of the pelvis heading, which removes its rotation within a step
+LEAST_SWING: Final = 0.10  # [m] smallest prominence of an extremum of the heel's path
+LEAST_STRIDE: Final = 0.4  # [s] shortest time between two strikes of one foot
 LEAST_RATE_HZ: Final = 5.0
 """Lowest sampling rate: with two frames in a swing, stride times are accurate to 1 %."""
 
@@ -55,7 +51,6 @@ class GaitEvents:
     feet: dict[str, FootEvents]
     """'right' and 'left', if observed."""
     notes: tuple[str, ...]
-    """What could not be determined, and why."""
 
 
 def gait_events(poses: PoseSequence, skeleton: SkeletonModel) -> GaitEvents:

@@ -21,8 +21,7 @@ from rtof_kin.core import signals
 Array = NDArray[np.float64]
 R_ROS_ISB: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """ISB axes (x forward, y up, z right) in axes x forward, y left, z up."""
-_MIRROR: Final = np.array([1.0, 1.0, -1.0])
-"""Reflection in the sagittal plane, in ISB axes."""
+MIRROR: Final = np.array([1.0, 1.0, -1.0])  # reflection in the sagittal plane, in ISB axes
 
 
 def anatomical_posture(skeleton: SkeletonModel, table: AngleTable) -> Array:
@@ -48,15 +47,6 @@ def isb_frames(skeleton: SkeletonModel, table: AngleTable) -> Array:
         skeleton: whose segments. table: its clinical angles.
     """
     return np.asarray(np.swapaxes(anatomical_posture(skeleton, table), -1, -2) @ R_ROS_ISB)
-
-
-def mirror_image(v: Array) -> Array:
-    """Reflect vectors (3, ...) in ISB axes in the sagittal plane.
-
-    Args:
-        v: (3, ...).
-    """
-    return np.asarray((_MIRROR * v.T).T)
 
 
 def decompose(sequence: str, R: Array) -> Array:
@@ -125,5 +115,5 @@ def relative_rotations(R_world_bone: Array, skeleton: SkeletonModel, table: Angl
     for joint in table.joints:
         R_parent = R_world_isb[:, skeleton.index(joint.parent)[0]] if joint.urdf else R_ROS_ISB
         R = np.swapaxes(R_parent, -1, -2) @ R_world_isb[:, skeleton.index(joint.child)[0]]
-        out[joint.name] = _MIRROR[:, None] * R * _MIRROR if joint.side == "left" else R
+        out[joint.name] = MIRROR[:, None] * R * MIRROR if joint.side == "left" else R
     return out

@@ -12,8 +12,7 @@ from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.core import signals
 
 Array = NDArray[np.float64]
-CUTOFF_HZ: Final = 6.0
-"""Low-pass before differentiation (Winter, Biomechanics and Motor Control, 2009)."""
+CUTOFF_HZ: Final = 6.0  # low-pass before differentiation (Winter, Biomechanics and Motor Control, 2009)
 
 
 @dataclass(frozen=True)
@@ -44,30 +43,29 @@ class RangeOfMotion:
         return self.high - self.low
 
 
-def angular_velocity(angles: ClinicalAngles, cutoff_hz: float | None = CUTOFF_HZ) -> Array:
+def angular_velocity(angles: ClinicalAngles) -> Array:
     """Return time derivatives (T, A) of clinical angles, rad/s; NaN where singular, unknown or unreliable.
 
     Args:
-        angles: to differentiate; a stretch of a single frame between gaps has no velocity.
-        cutoff_hz: of the zero-phase low-pass, see `smoothed`.
+        angles: to smooth and differentiate; single frames between gaps have no velocity.
     """
     out = np.full_like(angles.values, np.nan)
     usable = np.where(angles.singular, np.nan, angles.trusted_values)
     for column, values in enumerate(usable.T):
         for start, stop in signals.runs(np.isfinite(values)):
             if stop - start > 1:
-                stretch = smoothed(values[start:stop], angles.rate_hz, cutoff_hz)
+                stretch = smoothed(values[start:stop], angles.rate_hz, CUTOFF_HZ)
                 out[start:stop, column] = np.gradient(stretch, angles.times[start:stop])
     return out
 
 
-def smoothed(values: Array, rate_hz: float, cutoff_hz: float | None) -> Array:
+def smoothed(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
     """Low-pass values; unchanged if the rate is too low or the stretch too short.
 
     Args:
-        values: (T, ...). rate_hz: sampling rate, Hz. cutoff_hz: -3 dB frequency, Hz; None for no filter.
+        values: (T, ...). rate_hz: sampling rate, Hz. cutoff_hz: -3 dB frequency, Hz.
     """
-    if cutoff_hz is None or cutoff_hz >= 0.45 * rate_hz or len(values) < rate_hz / cutoff_hz:
+    if cutoff_hz >= 0.45 * rate_hz or len(values) < rate_hz / cutoff_hz:
         return values
     return signals.low_pass(values, rate_hz, cutoff_hz)
 

@@ -21,12 +21,9 @@ Array = NDArray[np.float64]
 Interval = tuple[float, float]
 Kind = Literal["squat", "sit_to_stand"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
-CUTOFF_HZ: Final = 3.0
-"""Low-pass of the pelvis height."""
-LEAST_DROP: Final = 0.15
-"""Smallest descent of the pelvis, share of the leg's length."""
-AT_REST: Final = 0.05
-"""A movement lasts from 5 % to 95 % of its way, which excludes sway and settling."""
+CUTOFF_HZ: Final = 3.0  # low-pass of the pelvis height
+LEAST_DROP: Final = 0.15  # smallest descent of the pelvis, share of the leg's length
+AT_REST: Final = 0.05  # a movement lasts from 5 % to 95 % of its way, which excludes sway and settling
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,6 @@ class RepetitionAnalysis:
     kind: Kind
     repetitions: tuple[Repetition, ...]
     notes: tuple[str, ...]
-    """What could not be determined, and why."""
 
     @property
     def total_time(self) -> float:
@@ -132,7 +128,7 @@ def _pelvis_height(
     seen = [ankle for ankle in ankles if np.isfinite(ankle).any()]
     if not seen:
         notes.append("no ankle was observed: the height of the pelvis is that in world, and drifts with it")
-        return pelvis
+        return np.asarray(pelvis)
     if len(seen) == 1:
         notes.append("one ankle was never observed: the height of the pelvis is relative to the other")
     return np.asarray(pelvis - np.mean(seen, axis=0))

@@ -31,10 +31,8 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.formats.joint_trajectory import joint_velocities
 
 Array = NDArray[np.float64]
-UNKNOWN: Final = -1
-"""In `single_support`: both feet, none, or unknown."""
-SHORTEST: Final = 0.5
-"""[s] of the shortest stretch that is differentiated twice."""
+UNKNOWN: Final = -1  # in `single_support`: both feet, none, or unknown
+SHORTEST: Final = 0.5  # [s] of the shortest stretch that is differentiated twice
 NO_WEIGHT: Final = "not computed: no weight is given, and torques are proportional to it"
 _EDGE: Final = 0.1
 """[s] at either end of a stretch that are left NaN, where accelerations are one-sided differences."""
@@ -49,7 +47,6 @@ class JointTorques:
     torques: Array
     """(T, D) N m about the URDF's revolutes, positive along their axes; NaN where unknown."""
     dof_names: tuple[str, ...]
-    """D revolutes of the URDF."""
     root_wrench: Array
     """(T, 6) external force, N, and moment about the root, N m, in world axes."""
     unexplained: Array
@@ -57,7 +54,6 @@ class JointTorques:
     weight_kg: float
     """Body mass, kg."""
     notes: tuple[str, ...]
-    """Limitations of the torques."""
 
 
 def joint_torques(
@@ -87,7 +83,10 @@ def joint_torques(
     skeleton = motion.skeleton.with_mass(weight_kg, sex)
     notes = _notes(motion, height, support is None)
     T = len(motion.q)
-    carries = _checked_support(support, T)
+    given = np.full(T, UNKNOWN) if support is None else support
+    carries: NDArray[np.int_] = readonly("support", given, (T,), np.int_)
+    if not np.all(np.isin(carries, (UNKNOWN, *range(len(SIDES))))):
+        raise InvalidInputError(f"support: 0 is the {SIDES[0]} foot, 1 the {SIDES[1]}, {UNKNOWN} unknown")
     tau = np.full((T, skeleton.nv), np.nan)
     wrench, unexplained = np.full((T, 6), np.nan), np.full((T, 6), np.nan)
     short = 0
@@ -134,14 +133,6 @@ def single_support(gait: GaitAnalysis) -> NDArray[np.int_]:
     return out
 
 
-def _checked_support(support: NDArray[np.int_] | None, frames: int) -> NDArray[np.int_]:
-    given = np.full(frames, UNKNOWN) if support is None else support
-    carries: NDArray[np.int_] = readonly("support", given, (frames,), np.int_)
-    if not np.all(np.isin(carries, (UNKNOWN, *range(len(SIDES))))):
-        raise InvalidInputError(f"support: 0 is the {SIDES[0]} foot, 1 the {SIDES[1]}, {UNKNOWN} unknown")
-    return carries
-
-
 def _notes(motion: MotionSequence, height: float | None, no_support: bool) -> list[str]:
     """Notes on the size of the skeleton, on external forces and on unobserved degrees of freedom."""
     skeleton, notes = motion.skeleton, []
@@ -176,7 +167,7 @@ def _inverse_dynamics(
     a = np.gradient(v, times, axis=0)
     model, data = skeleton.model, skeleton.model.createData()
     table = angle_table(skeleton.table)
-    feet = [_last_joint(skeleton, table.segments[f"{side} foot"]) for side in SIDES]
+    feet = [_link_joint(skeleton, table.segments[f"{side} foot"]) for side in SIDES]
     root = model.getJointId("root_joint")
     tau, wrench, left = np.empty_like(v), np.empty((len(q), 6)), np.empty((len(q), 6))
     for t in range(len(q)):
@@ -193,7 +184,7 @@ def _inverse_dynamics(
     return tau, wrench, left
 
 
-def _last_joint(skeleton: SkeletonModel, name: str) -> int:
+def _link_joint(skeleton: SkeletonModel, name: str) -> int:
     """Pinocchio's index of the last of the three revolutes of a joint, which carries its link."""
     joint = skeleton.table.joints[skeleton.names.index(name)]
     return int(skeleton.model.getJointId(joint.dofs[-1].urdf))

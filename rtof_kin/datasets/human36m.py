@@ -1,20 +1,18 @@
 """Human3.6M (Ionescu et al., TPAMI 2014) as `Recording`s: 17 joints, 50 Hz, four cameras, no IMUs.
 
-The data are handed out by their owners for academic use; nothing of them is in this package. What is read
-are the archives that VideoPose3D (Pavllo et al., CVPR 2019) makes of them, in one folder::
+The data are available from their owners for academic use; this package has none of them. The archives that
+VideoPose3D (Pavllo et al., CVPR 2019) makes of them are read from one folder::
 
     data_3d_h36m.npz              positions_3d: subject -> action -> (T, 32, 3) m, world z up
     data_2d_h36m_<keypoints>.npz  positions_2d: subject -> action -> for each camera (T', 17, 2) px
                                   metadata: num_joints, keypoints_symmetry, layout_name
 
-where ``<keypoints>`` is ``gt`` (the positions projected), ``cpn_ft_h36m_dbb`` or ``detectron_ft_h36m``
-(detected), and one file of cameras, see `rtof_kin.datasets.human36m_cameras`. Both count frames from the
-first; the 2D may have some more, and a recording ends with the shorter.
+where ``<keypoints>`` is ``gt`` (projected), ``cpn_ft_h36m_dbb`` or ``detectron_ft_h36m`` (detected), and a
+file of cameras, see `rtof_kin.datasets.human36m_cameras`. A recording ends with the shorter of the two.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -24,13 +22,12 @@ from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import CalibrationError, FileFormatError, RtofError, UnitError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.datasets.human36m_body import bone_lengths, measured_offsets
-from rtof_kin.datasets.human36m_cameras import CAMERA_IDS
 from rtof_kin.datasets.human36m_files import Archives, by_number
 from rtof_kin.recording.recording import Recording
 
@@ -38,11 +35,9 @@ Array = NDArray[np.float64]
 SUBJECTS_TRAIN = ("S1", "S5", "S6", "S7", "S8")
 SUBJECTS_TEST = ("S9", "S11")
 RATE_HZ = 50.0
-"""Of positions and video alike."""
-ACTIONS = 30
-"""Actions of each subject; S11 has one less, whose video is corrupt."""
-LIMIT_GT_PX, LIMIT_DETECTED_PX = 3.0, 30.0
-"""The median reprojection error of a recording with projected and with detected keypoints."""
+"""Sampling rate of positions and video, Hz."""
+_LIMIT_GT_PX, _LIMIT_DETECTED_PX = 3.0, 30.0
+"""Largest median reprojection error of a recording with projected and with detected keypoints, px."""
 ACKNOWLEDGEMENT = (
     "Human3.6M: C. Ionescu, D. Papava, V. Olaru, C. Sminchisescu, 'Human3.6M: Large Scale Datasets and "
     "Predictive Methods for 3D Human Sensing in Natural Environments', IEEE TPAMI 36(7), 2014. Academic "
@@ -50,21 +45,24 @@ ACKNOWLEDGEMENT = (
 )
 _PLAUSIBLE_THIGH = (0.2, 0.7)
 _CHECKED_FRAMES = 20
+_FRAMES = 4000
+"""Number of frames, evenly spread, from which the shape of a segment is estimated."""
+_ROUNDS, _CONVERGED = 50, 1e-9
 _shipped = cache(SkeletonModel.human36m)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """One action of one subject, as far as the archive of positions describes it."""
+    """Positions of one action of one subject."""
 
     subject: str
     """'S1' to 'S11'."""
     action: str
-    """The archive's name for it, e.g. 'Directions 1'."""
+    """Name in the archive, e.g. 'Directions 1'."""
     p_world_joint: Array
-    """(T, 17, 3) m, world z up; NaN where the archive has no finite number."""
+    """(T, 17, 3) m, world z up; NaN where unknown."""
     joint_offsets: Array
-    """(17, 3) m, the same in all of the subject's actions; see `human36m_body.measured_offsets`."""
+    """(17, 3) m, the same in all of the subject's actions; see `measured_offsets`."""
     rate_hz: float = RATE_HZ
     """Frames per second."""
 
@@ -75,10 +73,10 @@ class Motion:
 
 
 class Human36M:
-    """The recordings of one folder. A file is read when something of it is first asked for.
+    """The recordings of one folder. Files are read when first needed.
 
     Attributes:
-        root: the folder. skeleton: the 17-joint skeleton as it is shipped.
+        root: the folder. skeleton: the 17-joint skeleton of the package.
     """
 
     def __init__(self, root: str | Path, cameras: str | Path | None = None, keypoints: str = "gt") -> None:
@@ -86,8 +84,7 @@ class Human36M:
 
         Args:
             root: folder with ``data_3d_h36m.npz`` and ``data_2d_h36m_<keypoints>.npz``.
-            cameras: file of cameras; where not given, ``camera-parameters.json`` or
-                ``h36m_dataset.py`` in `root`.
+            cameras: file of cameras; by default ``camera-parameters.json`` or ``h36m_dataset.py`` in `root`.
             keypoints: 'gt' for projected joints, else the detector's part of the file name.
         """
         self.root = Path(root)
@@ -97,53 +94,19 @@ class Human36M:
 
     @property
     def sequences(self) -> tuple[tuple[str, str], ...]:
-        """(subject, action) of every motion there is, subjects by number, actions by name."""
+        """(subject, action) of every motion, subjects by number, actions by name."""
         motions = self._archives.all_positions
         return tuple((subject, a) for subject in by_number(motions) for a in sorted(motions[subject]))
 
-    @property
-    def cameras(self) -> Mapping[str, Mapping[int, Camera]]:
-        """Cameras by subject and number, 0 to 3; world z up, m."""
-        return self._archives.all_cameras
-
-    def missing(self, subjects: Sequence[str] = SUBJECTS_TRAIN + SUBJECTS_TEST) -> list[str]:
-        """What keeps these subjects from being complete, one line each; empty where nothing does."""
-        unreadable = []
-        for part in ("all_positions", "all_keypoints", "all_cameras"):
-            try:
-                getattr(self._archives, part)
-            except RtofError as error:
-                unreadable.append(str(error))
-        return unreadable or [line for subject in subjects for line in self._missing_of(subject)]
-
-    def _missing_of(self, subject: str) -> Iterator[str]:
-        archives = self._archives
-        actions = archives.all_positions.get(subject, {})
-        expected = ACTIONS - (subject == "S11")
-        if len(actions) < expected:
-            yield f"{subject}: {len(actions)} of {expected} actions in {archives.path_3d.name}"
-        cameras = archives.all_cameras.get(subject, {})
-        lacking = ", ".join(str(i) for i in range(len(CAMERA_IDS)) if i not in cameras)
-        if lacking:
-            yield f"{subject}: no camera {lacking} in {archives.path_cameras.name}"
-        for action in sorted(actions):
-            try:
-                self.motion(subject, action)
-                for camera in range(len(CAMERA_IDS)):
-                    archives.keypoints(subject, action, camera)
-            except UnitError as error:  # of all of the subject's actions
-                yield str(error)
-                return
-            except RtofError as error:
-                yield str(error)
-
     def motion(self, subject: str, action: str) -> Motion:
-        """The positions of an action and the subject's body.
+        """Return the positions of an action and the subject's body.
+
+        Args:
+            subject, action: names in the archive.
 
         Raises:
-            UnknownNameError: the archive has no such subject or action.
-            FileFormatError: this action is corrupt; others may still be read.
-            UnitError: positions that are not in metres.
+            UnknownNameError: no such subject or action. FileFormatError: this action is corrupt.
+            UnitError: positions are not in metres.
         """
         p = self._archives.positions(subject, action)
         offsets = self._offsets_of(subject)
@@ -160,19 +123,17 @@ class Human36M:
         return Motion(subject, action, p, offsets)
 
     def recording(self, subject: str, action: str, camera: int) -> Recording:
-        """What one camera saw of an action, and the truth; both end with the shorter.
+        """Return an action seen by one camera, with the truth.
 
-        The truth is one of positions; orientations follow from them and the subject's offsets
-        (`kinematics.rotations_from_positions`). Where detected keypoints do not fit one sequence, though
-        they fit the subject's others with the same camera, its truth is kept and `notes` says so: a few
-        sequences of S9 are known for it.
+        Orientations follow from the positions and the subject's offsets
+        (`kinematics.rotations_from_positions`). Where detected keypoints do not fit this sequence but fit
+        the subject's others with the same camera, `notes` says so: a known fault of a few sequences of S9.
 
         Args:
-            camera: 0 to 3; the serial numbers are `human36m_cameras.CAMERA_IDS`.
+            subject, action: names in the archive. camera: 0 to 3, see `human36m_cameras.CAMERA_IDS`.
 
         Raises:
-            UnknownNameError: no such subject, action or camera.
-            FileFormatError: a corrupt entry.
+            UnknownNameError: no such subject, action or camera. FileFormatError: a corrupt entry.
             CalibrationError: the cameras do not belong to the keypoints and positions.
         """
         cam = self._archives.camera(subject, camera)
@@ -192,7 +153,7 @@ class Human36M:
         )
 
     def _poses(self, motion: Motion, frames: int) -> PoseSequence:
-        """The first frames of a motion, with orientations from the positions."""
+        """Return the first frames of a motion, with orientations from the positions."""
         p, parents = motion.p_world_joint[:frames], self.skeleton.parents
         return PoseSequence(
             times=np.arange(frames) / motion.rate_hz,
@@ -203,9 +164,9 @@ class Human36M:
         )
 
     def _remark(self, subject: str, action: str, camera: int, error_px: Array) -> str:
-        """What there is to say about reprojection errors; raises where the camera is a wrong one."""
+        """Return a note about large reprojection errors, or raise if the camera is wrong."""
         archives, projected = self._archives, self._archives.kind == "gt"
-        limit = LIMIT_GT_PX if projected else LIMIT_DETECTED_PX
+        limit = _LIMIT_GT_PX if projected else _LIMIT_DETECTED_PX
         median = _median(error_px)
         if median < limit:
             return ""
@@ -214,7 +175,7 @@ class Human36M:
         if others < limit:
             return (
                 f"{what} the keypoints (median), that of the subject's other actions {others:.1f} px: "
-                "this truth stands in the wrong place, and only errors relative to the root mean anything"
+                "this truth stands in the wrong place; use only errors relative to the root"
             )
         raise CalibrationError(
             f"{what} the keypoints in the median, more than {limit:g}: the cameras of "
@@ -223,7 +184,7 @@ class Human36M:
         )
 
     def _other_errors(self, subject: str, action: str, camera: int) -> Array:
-        """Reprojection errors, px, of the subject's other actions, a few frames of each."""
+        """Return reprojection errors, px, in a few frames of each of the subject's other actions."""
         cam, errors = self._archives.camera(subject, camera), [np.zeros(0)]
         for other in self._archives.all_positions[subject]:
             if other == action:
@@ -239,7 +200,7 @@ class Human36M:
         return np.concatenate(errors)
 
     def _offsets_of(self, subject: str) -> Array:
-        """Joint offsets from all of a subject's frames; actions that cannot be read are left out."""
+        """Return joint offsets from all of a subject's readable actions."""
         if subject not in self._offsets:
             parts = []
             for action in self._archives.all_positions[subject]:
@@ -260,16 +221,69 @@ class Human36M:
 
 
 def _whole(p: Array) -> Array:
-    """The frames (T, J, 3) in which all joints are finite."""
+    """Return the frames (T, J, 3) in which all joints are finite."""
     return np.asarray(p[np.isfinite(p).all(axis=(1, 2))])
 
 
 def _reprojection(camera: Camera, p: Array, uv_px: Array) -> Array:
-    """Pixels between projected joints and keypoints, where both are known."""
+    """Return reprojection errors, px, where joints and keypoints are known."""
     error_px = np.linalg.norm(camera.project(p) - uv_px, axis=-1)
     return np.asarray(error_px[np.isfinite(error_px)])
 
 
 def _median(values: Array) -> float:
-    """The median; infinite of nothing, as where every joint is behind the camera."""
+    """Return the median; infinity for no values."""
     return float(np.median(values)) if len(values) else np.inf
+
+
+# --- the body ------------------------------------------------------------------------------------
+
+
+def bone_lengths(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
+    """Return the median distance (J,) of each joint from its parent, m, 0 for the root.
+
+    Args:
+        skeleton: with the parents. p_world_joint: (T, J, 3) m, joints in its order, finite.
+    """
+    parents = np.maximum(skeleton.parents, 0)
+    distance = np.linalg.norm(p_world_joint - p_world_joint[:, parents], axis=-1)
+    return np.asarray(np.median(distance, axis=0))
+
+
+def measured_offsets(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
+    """Return the subject's joint offsets (J, 3) in the parents' link frames, m, 0 for the root.
+
+    Each bone has its median length. A segment with one child has the direction of the table. For one with
+    several (pelvis, thorax) the directions are those of the mean shape of its children: a Procrustes
+    analysis over the frames, without scale (Gower 1975), in axes nearest to the table's.
+
+    Args:
+        skeleton: with the table. p_world_joint: (T, J, 3) m, joints in its order, finite.
+
+    Raises:
+        InvalidInputError: a bone has no length.
+    """
+    lengths = bone_lengths(skeleton, p_world_joint)
+    named = dict(zip(skeleton.names[1:], lengths[1:].tolist(), strict=True))
+    offsets = np.array(skeleton.with_bone_lengths(named).joint_offsets)
+    p = p_world_joint[:: -(-len(p_world_joint) // _FRAMES)]
+    for joint in range(len(skeleton.names)):
+        children = kinematics.children_of(skeleton.parents, joint)
+        if len(children) > 1:
+            bones = p[:, children] - p[:, [joint]]
+            offsets[children] = _mean_shape(bones, offsets[children])
+    return offsets
+
+
+def _mean_shape(bones: Array, table: Array) -> Array:
+    """Return directions of bones (T, C, 3) in common axes, near those of a table (C, 3), with its lengths."""
+    lengths = np.linalg.norm(table, axis=-1, keepdims=True)
+    shape = table
+    for _ in range(_ROUNDS):
+        R = so3.nearest_rotation(np.einsum("tci,cj->tij", bones, shape))
+        turned = np.einsum("tji,tcj->tci", R, bones)
+        before, shape = shape, lengths * so3.unit(np.median(turned, axis=0))
+        if np.abs(shape - before).max() < _CONVERGED:
+            break
+    to_table = so3.nearest_rotation(np.einsum("ci,cj->ij", table, shape))
+    return np.asarray(shape @ to_table.T)

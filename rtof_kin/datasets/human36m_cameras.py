@@ -1,13 +1,12 @@
-"""Human3.6M's cameras, which the usual archives of its poses leave out, from one of two public files.
+"""Cameras of Human3.6M, which the archives of poses do not contain, from one of two public files.
 
 * A JSON file with ``intrinsics`` (camera: ``calibration_matrix``, ``distortion`` in OpenCV's order) and
   ``extrinsics`` (subject, camera: ``R``, ``t`` in mm; p_camera = R p_world + t).
-* VideoPose3D's source ``h36m_dataset.py``. Its two tables of literals are parsed; nothing of it is run.
-  ``orientation`` is a quaternion w x y z from camera to world, ``translation`` the camera's centre, mm.
+* VideoPose3D's source ``h36m_dataset.py``, parsed as literals and never run. ``orientation`` is a quaternion
+  w x y z from camera to world, ``translation`` the camera's centre, mm.
 
-Both describe four cameras a subject, the same in all of its actions. Human3.6M writes the two tangential
-coefficients the other way round than OpenCV, and halves some of their terms: its own projection and
-OpenCV's differ by 0.1 px where people stand, by up to 1.4 px in the corners of the image.
+Both have four cameras per subject. Human3.6M orders the two tangential coefficients the other way round than
+OpenCV and halves some terms: the projections differ by 0.1 px where people stand, by up to 1.4 px in corners.
 """
 
 from __future__ import annotations
@@ -28,23 +27,24 @@ from rtof_kin.data.camera import Camera
 
 Array = NDArray[np.float64]
 CAMERA_IDS = ("54138969", "55011271", "58860488", "60457274")
-"""The cameras' serial numbers, in the order in which the archives number them 0 to 3."""
+"""Serial numbers of cameras 0 to 3."""
 _SIZES_PX = ((1000, 1002), (1000, 1000), (1000, 1000), (1000, 1002))
-"""Width and height of their images."""
+"""Width and height of their images, px."""
 _TABLES = ("h36m_cameras_intrinsic_params", "h36m_cameras_extrinsic_params")
 _LARGEST_FILE = 2**22
 _PLAUSIBLE_DISTANCE = (1.0, 30.0)
-"""A camera stands that far from the world's origin, m."""
+"""Range of the distance of a camera from the world's origin, m."""
 
 
 def read_cameras(path: str | Path) -> dict[str, dict[int, Camera]]:
-    """Cameras by subject ('S9') and number (0 to 3), world z up, metres.
+    """Read the cameras in the file by subject ('S9') and number (0 to 3), world z up, m.
 
-    Subjects and cameras of which the file says nothing are left out.
+    Args:
+        path: of the .json or .py file.
 
     Raises:
-        FileFormatError: neither of the two kinds of file, or an entry that is missing or makes no camera.
-        UnitError: a camera that stands where none can: its position is not in millimetres.
+        FileFormatError: another kind of file, or a missing or invalid entry.
+        UnitError: an implausible position, not in millimetres.
     """
     path = Path(path)
     readers = {".json": _read_json, ".py": _read_source}
@@ -82,15 +82,11 @@ def _json_camera(path: Path, number: int, where: str, intrinsic: Any, extrinsic:
     intrinsic = _table(path, f"{where}: intrinsics", intrinsic)
     extrinsic = _table(path, f"{where}: extrinsics", extrinsic)
     t_mm = _array(path, where, extrinsic, "t")
-    return _camera(
-        path,
-        where,
-        K=_array(path, where, intrinsic, "calibration_matrix", (3, 3)),
-        R_camera_world=_array(path, where, extrinsic, "R", (3, 3)),
-        t_mm=t_mm[:, 0] if t_mm.shape == (3, 1) else t_mm,
-        distortion=_array(path, where, intrinsic, "distortion", (5,)),
-        size_px=_SIZES_PX[number],
-    )
+    K = _array(path, where, intrinsic, "calibration_matrix", (3, 3))
+    R = _array(path, where, extrinsic, "R", (3, 3))
+    t_mm = t_mm[:, 0] if t_mm.shape == (3, 1) else t_mm
+    distortion = _array(path, where, intrinsic, "distortion", (5,))
+    return _camera(path, where, K, R, t_mm, distortion, _SIZES_PX[number])
 
 
 # --- VideoPose3D's source ------------------------------------------------------------------------
@@ -120,7 +116,7 @@ def _read_source(path: Path) -> dict[str, dict[int, Camera]]:
 
 
 def _literal(path: Path, text: str, name: str) -> Any:
-    """The value that a module gives to a name at its top level, if that is written out in full."""
+    """Return the literal value of a name at a module's top level."""
     try:
         for statement in ast.parse(text).body:
             if isinstance(statement, ast.Assign) and any(
@@ -140,19 +136,14 @@ def _source_camera(path: Path, where: str, intrinsic: Mapping[str, Any], extrins
     quat_wxyz = _array(path, where, extrinsic, "orientation", (4,))
     if abs(np.linalg.norm(quat_wxyz) - 1) > 1e-3:
         raise FileFormatError(path, f"{where}: orientation is not a unit quaternion")
-    R_camera_world = so3.from_quat_wxyz(quat_wxyz).T
+    R = so3.from_quat_wxyz(quat_wxyz).T
     k1, k2, k3 = _array(path, where, intrinsic, "radial_distortion", (3,))
     p_x, p_y = _array(path, where, intrinsic, "tangential_distortion", (2,))
     width, height = (_array(path, where, intrinsic, field, ()) for field in ("res_w", "res_h"))
-    return _camera(
-        path,
-        where,
-        K=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
-        R_camera_world=R_camera_world,
-        t_mm=-R_camera_world @ _array(path, where, extrinsic, "translation", (3,)),
-        distortion=np.array([k1, k2, p_y, p_x, k3]),
-        size_px=(int(width), int(height)),
-    )
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    t_mm = -R @ _array(path, where, extrinsic, "translation", (3,))
+    distortion = np.array([k1, k2, p_y, p_x, k3])
+    return _camera(path, where, K, R, t_mm, distortion, (int(width), int(height)))
 
 
 # --- both ----------------------------------------------------------------------------------------
@@ -167,7 +158,7 @@ def _table(path: Path, where: str, value: Any) -> Mapping[str, Any]:
 def _array(
     path: Path, where: str, table: Mapping[str, Any], field: str, shape: tuple[int, ...] | None = None
 ) -> Array:
-    """A field's finite numbers, of that shape if one is given."""
+    """Return a field's finite numbers, of that shape if one is given."""
     try:
         array = np.array(table[field], dtype=np.float64)
     except KeyError as error:
@@ -181,18 +172,10 @@ def _array(
 
 
 def _camera(
-    path: Path,
-    where: str,
-    *,
-    K: Array,
-    R_camera_world: Array,
-    t_mm: Array,
-    distortion: Array,
-    size_px: tuple[int, int],
+    path: Path, where: str, K: Array, R: Array, t_mm: Array, distortion: Array, size_px: tuple[int, int]
 ) -> Camera:
     try:
-        t = readonly("t", t_mm, (3,)) / 1000
-        camera = Camera(K, R_camera_world, t, *size_px, distortion)
+        camera = Camera(K, R, readonly("t", t_mm, (3,)) / 1000, *size_px, distortion)
     except InvalidInputError as error:
         raise FileFormatError(path, f"{where}: {error}") from error
     distance = float(np.linalg.norm(camera.center_world))

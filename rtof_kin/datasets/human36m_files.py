@@ -1,11 +1,11 @@
-"""The archives that VideoPose3D makes of Human3.6M, entry by entry, each checked when it is asked for."""
+"""VideoPose3D's archives of Human3.6M, entry by entry, each checked when requested."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,14 @@ from rtof_kin.datasets.object_npz import read_object_npz
 
 Array = NDArray[np.float64]
 JOINTS_OF_32 = (0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27)
-"""Where the 17 joints of the skeleton table stand among the archive's 32, which repeat some."""
-CAMERA_FILES = ("camera-parameters.json", "h36m_dataset.py")
-"""Looked for beside the archives where no file of cameras is named."""
+"""Indices of the skeleton table's 17 joints among the archive's 32."""
+_CAMERA_FILES: Final = ("camera-parameters.json", "h36m_dataset.py")
+"""Default names of the file of cameras."""
 _SYMMETRY = [[4, 5, 6, 11, 12, 13], [1, 2, 3, 14, 15, 16]]
 
 
 class Archives:
-    """One folder of them. A file is read when something of it is first asked for.
+    """Archives of one folder, read when first needed.
 
     Attributes:
         path_3d, path_2d: of the archives of positions and keypoints.
@@ -40,14 +40,14 @@ class Archives:
 
     @property
     def path_cameras(self) -> Path:
-        """The file of cameras; raises `FileFormatError` where none was named and none is there."""
+        """File of cameras; raises `FileFormatError` where there is none."""
         if self._named_cameras is not None:
             return self._named_cameras
-        for name in CAMERA_FILES:
+        for name in _CAMERA_FILES:
             if (self.root / name).is_file():
                 return self.root / name
         raise FileFormatError(
-            self.root, f"neither {' nor '.join(CAMERA_FILES)} is in this folder; name the file of "
+            self.root, f"neither {' nor '.join(_CAMERA_FILES)} is in this folder; name the file of "
             "cameras, which the archives of poses do not hold"
         )  # fmt: skip
 
@@ -74,7 +74,11 @@ class Archives:
         return read_cameras(self.path_cameras)
 
     def positions(self, subject: str, action: str) -> Array:
-        """(T, 17, 3) m, world z up; NaN where not finite."""
+        """Return (T, 17, 3) m, world z up; NaN where not finite.
+
+        Args:
+            subject, action: names in the archive.
+        """
         actions = _entry(f"subject in {self.path_3d.name}", self.all_positions, subject)
         value = _entry(f"action of {subject} in {self.path_3d.name}", actions, action)
         p = _numbers(self.path_3d, f"{subject} {action!r}", value, (32, 3))[:, JOINTS_OF_32]
@@ -84,7 +88,11 @@ class Archives:
         return p
 
     def keypoints(self, subject: str, action: str, camera: int) -> Array:
-        """(T', 17, 2) px; NaN where not finite. T' may differ from T by some frames."""
+        """Return (T', 17, 2) px; NaN where not finite. T' may differ from T by some frames.
+
+        Args:
+            subject, action: names in the archive. camera: 0 to 3.
+        """
         actions = _entry(f"subject in {self.path_2d.name}", self.all_keypoints, subject)
         cameras = _entry(f"action of {subject} in {self.path_2d.name}", actions, action)
         if not isinstance(cameras, list | tuple) or len(cameras) != len(CAMERA_IDS):
@@ -97,7 +105,11 @@ class Archives:
         return uv
 
     def camera(self, subject: str, number: int) -> Camera:
-        """A subject's camera, 0 to 3."""
+        """Return a subject's camera.
+
+        Args:
+            subject: name in the file. number: 0 to 3.
+        """
         name = self.path_cameras.name
         cameras: Mapping[int, Camera] = _entry(f"subject in {name}", self.all_cameras, subject)
         if number not in cameras:
@@ -107,7 +119,11 @@ class Archives:
 
 
 def by_number(subjects: Iterable[str]) -> list[str]:
-    """Subjects in the order of their numbers: S9 before S11."""
+    """Return subjects in the order of their numbers: S9 before S11.
+
+    Args:
+        subjects: names.
+    """
     return sorted(subjects, key=lambda name: (len(name), name))
 
 
@@ -118,7 +134,7 @@ def _by_subject(path: Path, name: str, value: Any) -> Mapping[str, Mapping[str, 
 
 
 def _check_metadata(path: Path, metadata: Any) -> None:
-    """The 17 points are Human3.6M's joints and not, say, COCO's, of which there are 17 too."""
+    """Check that the 17 points are Human3.6M's joints and not, for example, COCO's."""
     given = metadata if isinstance(metadata, dict) else {}
     layout = given.get("layout_name", "h36m")
     try:
@@ -139,7 +155,7 @@ def _entry(kind: str, table: Mapping[str, Any], name: str) -> Any:
 
 
 def _numbers(path: Path, where: str, value: Any, shape: tuple[int, int]) -> Array:
-    """An array of T rows of that shape as float64, with NaN for what is not finite."""
+    """Return an array (T, *shape) of float64, NaN where not finite."""
     if not isinstance(value, np.ndarray) or value.ndim != 3 or value.shape[1:] != shape:
         have = getattr(value, "shape", type(value).__name__)
         raise FileFormatError(path, f"{where}: expected shape (T, {shape[0]}, {shape[1]}), got {have}")

@@ -1,7 +1,6 @@
 """Total Capture (Trumble et al., BMVC 2017): takes and cameras as `Recording`s, z up, metres, seconds.
 
-The data are handed out by their authors for research only; nothing of them is in this package. Facts
-about the files are those that their users and public loaders agree on::
+The data are available from their authors for research only; this package has none of them. Conventions::
 
     R_world_bone     = C . R_vicon_segment . M             world_of_vicon C, segment_of_bone M
     R_world_inertial = C . R_ref                           calib_imu_ref.txt
@@ -13,8 +12,9 @@ about the files are those that their users and public loaders agree on::
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -24,14 +24,16 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import indices_of
-from rtof_kin.core.errors import FileFormatError, UnknownNameError
-from rtof_kin.core.plausibility import Check
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.total_capture_files import (
     CAMERA_FILE,
     CAMERAS,
+    MISCALIBRATED,
     SUBJECTS,
     TEST,
     TRAIN,
@@ -39,18 +41,22 @@ from rtof_kin.datasets.total_capture_files import (
     find_files,
     only_one,
 )
-from rtof_kin.datasets.total_capture_take import ACKNOWLEDGEMENT, Take
 from rtof_kin.datasets.total_capture_truth import RATE_HZ, SEGMENT_OF_BONE, WORLD_OF_VICON, read_truth
 from rtof_kin.formats.total_capture import SensorTable, read_cameras, read_imu_calibration, read_sensors
 from rtof_kin.recording import files
+from rtof_kin.recording.recording import Recording
 
 __all__ = [
-    "ACKNOWLEDGEMENT", "CAMERAS", "SUBJECTS", "TEST", "TRAIN", "Check", "Take", "TotalCapture",
+    "ACKNOWLEDGEMENT", "CAMERAS", "SUBJECTS", "TEST", "TRAIN", "Take", "TotalCapture",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
+ACKNOWLEDGEMENT = (
+    "Total Capture: M. Trumble, A. Gilbert, C. Malleson, A. Hilton, J. Collomosse, 'Total Capture: 3D "
+    "Human Pose Estimation Fusing Video and Inertial Sensors', BMVC 2017. Research use only."
+)
 _STAMP_FRAMES = 10
-"""A foot may be stamped in these first frames while the pose stands still."""
+"""First frames, in which a foot may be stamped while the pose is constant."""
 _NEEDED = {
     "positions": "positions (gt_skel_gbl_pos.txt)",
     "orientations": "orientations (gt_skel_gbl_ori.txt)",
@@ -58,33 +64,152 @@ _NEEDED = {
     "calib_bone": "IMU calibration (*_calib_imu_bone.txt)",
     "calib_ref": "IMU calibration (*_calib_imu_ref.txt)",
 }
-"""What belongs to a complete take, by kind."""
+"""Files of a complete take, by kind."""
+
+
+@dataclass(frozen=True)
+class Take:
+    """One take: reference poses, sensors and cameras."""
+
+    subject: str
+    """S1 to S5."""
+    name: str
+    """Such as acting3."""
+    truth: PoseSequence
+    """Poses at 60 Hz from time 0; not `valid` where the reference has a known glitch."""
+    joint_offsets: Array
+    """(J, 3) each joint in its parent's link frame, m, measured in this take."""
+    spread_mm: float
+    """Largest standard deviation of an offset, mm; NaN where orientations were derived."""
+    imus: ImuSequence | None
+    """The calibrated sensors; None where there are none. The acceleration of the first ten frames, in which
+    a foot may be stamped, is NaN."""
+    calibration: ImuCalibration | None
+    """Calibration of those sensors, from the take's files; lever arms are those of the skeleton table."""
+    cameras: Mapping[int, Camera]
+    """By number, 1 to 8; empty without a camera calibration."""
+    missing: tuple[str, ...]
+    """Missing files."""
+    notes: tuple[str, ...]
+    """Derived, repaired and omitted data."""
+
+    @cached_property
+    def skeleton(self) -> SkeletonModel:
+        """The subject's skeleton in this take."""
+        return SkeletonModel.default().with_offsets(self.joint_offsets)
+
+    def recording(
+        self,
+        camera: int,
+        keypoints: KeypointSequence | None = None,
+        noise_px: float = 0.0,
+        seed: int = 0,
+        sensors: Sequence[str] | None = None,
+    ) -> Recording:
+        """Return the take as recorded by one camera and some sensors, with the truth.
+
+        Args:
+            camera: number, 1 to 8. sensors: names, by default all.
+            keypoints: a detector's, of this camera's video; by default the projected joints, also outside
+                the image. The recording ends with the shorter of keypoints and reference.
+            noise_px: standard deviation of white noise on projected joints, px per axis.
+            seed: of the noise; takes and cameras have different noise.
+
+        Raises:
+            UnknownNameError: no such camera or sensor. InvalidInputError: keypoints of other times, or
+                negative noise or noise on a detector's keypoints.
+        """
+        self.camera(camera)
+        if not noise_px >= 0 or not np.isfinite(noise_px):
+            raise InvalidInputError(f"noise_px: {noise_px:g} is not a standard deviation")
+        if seed < 0:
+            raise InvalidInputError(f"seed: {seed} is negative")
+        if noise_px and keypoints is not None:
+            raise InvalidInputError("noise_px: noise is added to true joints only, not to a detector's")
+        if keypoints is None:
+            keypoints = self._projected(camera, noise_px, seed)
+        truth = self._cut_to(keypoints)
+        imus, calibration = self._sensors(sensors)
+        notes = [*self.notes, *self.missing]
+        if len(keypoints) != len(self.truth):
+            notes.append(f"video of {len(keypoints)} frames, reference of {len(self.truth)}: cut")
+        if camera in MISCALIBRATED:
+            notes.append(MISCALIBRATED[camera])
+        return Recording(
+            name=f"{self.subject} {self.name} cam{camera}",
+            keypoints=keypoints[: len(truth)],
+            imus=imus,
+            calibration=calibration,
+            joint_offsets=self.joint_offsets,
+            truth=truth,
+            acknowledgement=ACKNOWLEDGEMENT,
+            notes="; ".join(notes),
+        )
+
+    def camera(self, number: int) -> Camera:
+        """Return a camera.
+
+        Args:
+            number: 1 to 8.
+
+        Raises:
+            UnknownNameError: no such camera, or no calibration of the cameras.
+        """
+        if number not in self.cameras:
+            known = [str(n) for n in self.cameras] or ["none, without calibration.cal"]
+            raise UnknownNameError("camera", [str(number)], known)
+        return self.cameras[number]
+
+    def _projected(self, number: int, noise_px: float, seed: int) -> KeypointSequence:
+        """Project the true joints and add white noise."""
+        camera = self.cameras[number]
+        uv = camera.project(self.truth.p_world_joint)
+        if noise_px:
+            own = zlib.crc32(f"{self.subject} {self.name} {number}".encode())
+            uv = uv + np.random.default_rng([seed, own]).normal(0, noise_px, uv.shape)
+        confidence = np.isfinite(uv).all(axis=-1).astype(float)
+        return KeypointSequence(camera, self.truth.times, uv, confidence, self.truth.names)
+
+    def _cut_to(self, keypoints: KeypointSequence) -> PoseSequence:
+        count = min(len(self.truth), len(keypoints))
+        if not np.allclose(self.truth.times[:count], keypoints.times[:count], atol=0.1 / RATE_HZ):
+            raise InvalidInputError(
+                f"{self.subject} {self.name}: keypoints must begin at time 0 and have {RATE_HZ:g} "
+                "samples a second, as the videos do"
+            )
+        return self.truth[:count]
+
+    def _sensors(self, names: Sequence[str] | None) -> tuple[ImuSequence | None, ImuCalibration | None]:
+        if names is not None and not names:
+            return None, None
+        if self.imus is None or self.calibration is None or names is None:
+            return self.imus, self.calibration
+        return self.imus.select(names), self.calibration.select(tuple(names))
 
 
 class TotalCapture:
-    """The dataset in somebody's folder. Files are looked for once, and read when a take is asked for."""
+    """The dataset in a folder. Files are searched once, and read when a take is requested."""
 
     def __init__(self, root: str | Path):
-        """Look for the files.
+        """Search for the files.
+
+        Args:
+            root: folder of the dataset.
 
         Raises:
-            FileFormatError: there is no such folder, or nothing of the dataset in it.
+            FileFormatError: there is no such folder, or no file of the dataset in it.
         """
         self.root = Path(root)
         self.index: FileIndex = find_files(self.root)
 
     @property
     def takes(self) -> tuple[tuple[str, str], ...]:
-        """Subject and name of every take of which anything was found."""
+        """Subject and name of every take with at least one file."""
         return tuple(sorted(self.index.files))
 
     @cached_property
     def cameras(self) -> dict[int, Camera]:
-        """The cameras in the z-up world by number; empty where there is no calibration file.
-
-        Raises:
-            FileFormatError: the file is damaged, or there are several different ones.
-        """
+        """Cameras in the z-up world by number; empty without a calibration file."""
         path = only_one(self.index.cameras)
         if path is None:
             return {}
@@ -92,20 +217,6 @@ class TotalCapture:
             number: replace(camera, R_camera_world=camera.R_camera_world @ WORLD_OF_VICON.T)
             for number, camera in read_cameras(path).items()
         }
-
-    def missing(self, takes: Iterable[tuple[str, str]] = (*TRAIN, *TEST)) -> list[str]:
-        """One line for every take that is not complete, and for files that cannot be assigned."""
-        lines = [] if self.index.cameras else [f"{CAMERA_FILE} (all takes): not found"]
-        for subject, name in takes:
-            what = self._missing_of((subject, name))
-            if what:
-                lines.append(f"{subject} {name}: no {', '.join(what)}")
-        lines += [
-            f"{path}: neither its name nor its folders tell subject and take; not used"
-            for path in self.index.unassigned
-        ]
-        lines += [f"{path}: cannot be read; not used" for path in self.index.unreadable]
-        return lines
 
     def _missing_of(self, take: tuple[str, str]) -> list[str]:
         have = set(self.index.files.get(take, ()))
@@ -118,9 +229,12 @@ class TotalCapture:
     def take(self, subject: str, name: str) -> Take:
         """Read a take.
 
+        Args:
+            subject: S1 to S5. name: such as acting3.
+
         Raises:
-            UnknownNameError: nothing of it was found. FileFormatError: no ground truth, or a file that
-                is damaged, or files that do not belong together.
+            UnknownNameError: no file of it was found. FileFormatError: no ground truth, a damaged file, or
+                files that do not belong together.
         """
         key = (subject.upper(), name.lower())
         if key not in self.index.files:
@@ -151,14 +265,14 @@ class TotalCapture:
         )
 
     def _others(self, take: tuple[str, str]) -> Iterator[tuple[str, Array]]:
-        """Name and joint offsets of the subject's other takes with orientations that can be read."""
+        """Yield name and joint offsets of the subject's other takes with readable orientations."""
         for other in self.takes:
             kinds = {"positions", "orientations"} & set(self.index.files[other])
             if other[0] != take[0] or other == take or len(kinds) < 2:
                 continue
             try:
                 truth = read_truth(other, partial(self.index.one, other), tuple)
-            except FileFormatError:  # said when that take is read
+            except FileFormatError:
                 continue
             if truth is not None and np.isfinite(truth.spread_mm):
                 yield " ".join(other), truth.joint_offsets
@@ -166,7 +280,7 @@ class TotalCapture:
     def _imus(
         self, take: tuple[str, str], frames: int, notes: list[str]
     ) -> tuple[ImuSequence | None, ImuCalibration | None]:
-        """The sensors that have data, a calibration and a place on the skeleton."""
+        """Read the sensors that have data, a calibration and a place on the skeleton."""
         path = self.index.one(take, "sensors")
         if path is None and (path := self.index.one(take, "aux_sensors")) is not None:
             notes.append(f"sensors from {path.name}, as there is no _Xsens.sensors")
@@ -199,7 +313,7 @@ class TotalCapture:
 
 
 def _sequence(path: Path, table: SensorTable, names: list[str], frames: int, notes: list[str]) -> ImuSequence:
-    """The sensors named, at times of their own."""
+    """Return the sensors named."""
     count = len(table.quat_wxyz)
     if count != frames:
         notes.append(f"{path.name} has {count} frames, the reference {frames}")
@@ -209,16 +323,16 @@ def _sequence(path: Path, table: SensorTable, names: list[str], frames: int, not
     dead = (f == 0).all(axis=-1)
     for sensor in np.flatnonzero(dead.any(axis=0)):
         lost = int(dead[:, sensor].sum())
-        notes.append(f"{names[sensor]}: no acceleration in {lost} frames, left open")
+        notes.append(f"{names[sensor]}: no acceleration in {lost} frames: unknown")
     f[dead] = np.nan
     f[:_STAMP_FRAMES] = np.nan
-    notes.append(f"accelerations of the first {_STAMP_FRAMES} frames left open: a foot may be stamped")
+    notes.append(f"accelerations of the first {_STAMP_FRAMES} frames are unknown: a foot may be stamped")
     with files.naming(path):
         return ImuSequence(np.arange(count) / RATE_HZ, R, f, tuple(names))
 
 
 def _sensor_rotations(path: Path, quat_wxyz: Array, names: list[str], notes: list[str]) -> Array:
-    """R_inertial_sensor (T, S, 3, 3), NaN where a sensor gives zeros."""
+    """Return R_inertial_sensor (T, S, 3, 3), NaN where a sensor has zeros."""
     norm = np.linalg.norm(quat_wxyz, axis=-1)
     absent = norm < 1e-6
     wrong = ~absent & (np.abs(norm - 1) > 0.01)
@@ -230,7 +344,7 @@ def _sensor_rotations(path: Path, quat_wxyz: Array, names: list[str], notes: lis
         )  # fmt: skip
     for sensor in np.flatnonzero(absent.any(axis=0)):
         lost = int(absent[:, sensor].sum())
-        notes.append(f"{names[sensor]}: no orientation in {lost} frames, left open")
+        notes.append(f"{names[sensor]}: no orientation in {lost} frames: unknown")
     R = so3.from_quat_wxyz(np.where(absent[..., None], [1.0, 0, 0, 0], quat_wxyz))
     R[absent] = np.nan
     return R

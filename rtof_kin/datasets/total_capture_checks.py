@@ -1,64 +1,45 @@
-"""Checks of a Total Capture take that need no estimate: does what its files say fit together?"""
+"""Consistency checks of the files of a Total Capture take, without a reconstruction."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Protocol
+from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.errors import UnknownNameError
 from rtof_kin.core.plausibility import Check
-from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu import BoneImuSequence, ImuSequence
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.poses import PoseSequence
+from rtof_kin.datasets.total_capture import Take
 from rtof_kin.datasets.total_capture_files import MISCALIBRATED
 from rtof_kin.datasets.total_capture_truth import RATE_HZ, RIGID_MM
 
 Array = NDArray[np.float64]
-T_POSE_DEG = 25.0
-"""A limb this far off its direction in the T-pose is in no T-pose; subjects stand up to 20 off."""
-FACING_DEG = 45.0
-HEIGHT, HEIGHT_RANGE = 1.7, 0.5
-"""Standing height of an adult, m, and how far one may be from it."""
-ACCELERATION = 0.5
-"""Largest mean of acceleration less gravity over a take, m/s^2."""
-IMU_DEG = 15.0
-"""Largest median angle between a sensor's segment and the reference's."""
-REPROJECTION_PX = 20.0
-BIAS_PX = {2: float(np.hypot(20, -8))}
-"""By how much detections on a miscalibrated camera's video are known to be off."""
+_T_POSE_DEG: Final = 25.0
+"""Largest angle of a limb from the T-pose, deg; subjects are up to 20 deg off."""
+_FACING_DEG: Final = 45.0
+_HEIGHT, _HEIGHT_RANGE = 1.7, 0.5
+"""Standing height of an adult and its largest deviation, m."""
+_ACCELERATION: Final = 0.5
+"""Largest mean over a take of acceleration minus gravity and the reference's, m/s^2."""
+_IMU_DEG: Final = 15.0
+"""Largest median angle between a sensor's segment and the reference's, deg."""
+_REPROJECTION_PX: Final = 20.0
+_BIAS_PX: Final = {2: float(np.hypot(20, -8))}
+"""Known error of detections on a miscalibrated camera's video, px."""
 _T_POSE_BONES = ("RightForeArm", "RightHand", "LeftForeArm", "LeftHand",
                  "RightLeg", "RightFoot", "LeftLeg", "LeftFoot")  # fmt: skip
 """Child joints of the limb bones that make a T-pose."""
 
 
-class Checkable(Protocol):
-    """What the checks look at of a take."""
+def check_take(take: Take) -> list[Check]:
+    """Check the T-pose and facing at frame 0, the body's size, rigidity, and every sensor.
 
-    @property
-    def truth(self) -> PoseSequence: ...
-    @property
-    def skeleton(self) -> SkeletonModel: ...
-    @property
-    def spread_mm(self) -> float: ...
-    @property
-    def imus(self) -> ImuSequence | None: ...
-    @property
-    def calibration(self) -> ImuCalibration | None: ...
-    @property
-    def cameras(self) -> Mapping[int, Camera]: ...
-
-
-def check_take(take: Checkable) -> list[Check]:
-    """T-pose and facing at frame 0, a body's size, a rigid skeleton, and every sensor against the
-    reference.
+    Args:
+        take: to check.
     """
     checks = [*_check_start(take), _check_size(take), _check_bones(take)]
     if take.imus is not None and take.calibration is not None:
@@ -69,43 +50,49 @@ def check_take(take: Checkable) -> list[Check]:
 
 
 def check_camera(camera: int) -> list[Check]:
-    """A failed check for a camera that is known to be miscalibrated; none for the others."""
+    """Return a failed check for a camera that is known to be miscalibrated, none for others.
+
+    Args:
+        camera: number, 1 to 8.
+    """
     if camera not in MISCALIBRATED:
         return []
     advice = f"{_sentence(MISCALIBRATED[camera])}; ground-truth 2D is not affected"
     return [
-        Check("known bias of the calibration", f"camera {camera}", BIAS_PX[camera], REPROJECTION_PX,
+        Check("known bias of the calibration", f"camera {camera}", _BIAS_PX[camera], _REPROJECTION_PX,
               "px", advice)
     ]  # fmt: skip
 
 
-def check_keypoints(take: Checkable, camera: int, keypoints: KeypointSequence) -> list[Check]:
-    """How far a detector's landmarks lie from the reference's joints in the picture.
+def check_keypoints(take: Take, camera: int, keypoints: KeypointSequence) -> list[Check]:
+    """Check the median reprojection error of the reference's joints.
+
+    Args:
+        take: with the reference. camera: number, 1 to 8. keypoints: detections on its video.
 
     Raises:
         UnknownNameError: the take has no such camera.
     """
-    if camera not in take.cameras:
-        raise UnknownNameError("camera", [str(camera)], list(map(str, take.cameras)))
+    seen_by = take.camera(camera)
     names = [name for name in keypoints.names if name in take.truth.names]
     count = min(len(take.truth), len(keypoints))
     index = [take.truth.names.index(name) for name in names]
-    true = take.cameras[camera].project(take.truth.p_world_joint[:count, index])
+    true = seen_by.project(take.truth.p_world_joint[:count, index])
     error = np.linalg.norm(keypoints.select(names).uv_px[:count] - true, axis=-1)
     advice = "Detections of another take, person or camera, or landmarks far from the joints?"
     if camera in MISCALIBRATED:
         advice = _sentence(MISCALIBRATED[camera])
     value = _median(error)
-    return [Check("median reprojection", f"camera {camera}", value, REPROJECTION_PX, "px", advice)]
+    return [Check("median reprojection", f"camera {camera}", value, _REPROJECTION_PX, "px", advice)]
 
 
-def _check_start(take: Checkable) -> Iterator[Check]:
-    """The first frame: a T-pose that faces +y of the z-up world (-Z of the dataset's)."""
+def _check_start(take: Take) -> Iterator[Check]:
+    """Check that frame 0 is a T-pose that faces +y of the z-up world (-Z of the dataset's)."""
     skeleton, p = take.skeleton, take.truth.p_world_joint[0]
     right = p[skeleton.index("RightUpLeg")[0]] - p[skeleton.index("LeftUpLeg")[0]]
     turned_deg = float(np.degrees(np.arctan2(right[1], right[0])))
     advice = "Is the take cut, or in another world frame?"
-    yield Check("turn from the usual facing at frame 0", "take", abs(turned_deg), FACING_DEG, "deg",
+    yield Check("turn from the usual facing at frame 0", "take", abs(turned_deg), _FACING_DEG, "deg",
                 advice)  # fmt: skip
     R_world_t_pose = so3.about_axis("z", np.radians(turned_deg + 90.0))
     children = skeleton.index(*_T_POSE_BONES)
@@ -117,19 +104,19 @@ def _check_start(take: Checkable) -> Iterator[Check]:
     bone = f"{skeleton.names[skeleton.parents[children[worst]]]} to {_T_POSE_BONES[worst]}"
     name = f"largest angle of a limb from the T-pose at frame 0 ({bone})"
     advice = "Takes begin in a T-pose: is this one cut?"
-    yield Check(name, "take", float(angles[worst]), T_POSE_DEG, "deg", advice)
+    yield Check(name, "take", float(angles[worst]), _T_POSE_DEG, "deg", advice)
 
 
-def _check_size(take: Checkable) -> Check:
-    """A body as tall as people are: positions are in inches."""
+def _check_size(take: Take) -> Check:
+    """Check the standing height, which is wrong if positions are not in inches."""
     height = take.skeleton.height
     advice = f"It stands {height:.3g} m tall: are the file's positions in inches, as the dataset's are?"
-    off = abs(height - HEIGHT)
-    return Check(f"standing height from {HEIGHT} m", "take", off, HEIGHT_RANGE, "m", advice)
+    off = abs(height - _HEIGHT)
+    return Check(f"standing height from {_HEIGHT} m", "take", off, _HEIGHT_RANGE, "m", advice)
 
 
-def _check_bones(take: Checkable) -> Check:
-    """A rigid skeleton; where orientations were derived, bones of constant length."""
+def _check_bones(take: Take) -> Check:
+    """Check that the skeleton is rigid; with derived orientations, that bones have constant length."""
     if np.isfinite(take.spread_mm):
         advice = "Do positions and orientations belong together?"
         return Check("spread of joints in their parents' frames", "take", take.spread_mm, RIGID_MM,
@@ -141,8 +128,8 @@ def _check_bones(take: Checkable) -> Check:
                  "The reference's bones are rigid: are the positions damaged?")  # fmt: skip
 
 
-def _check_orientations(take: Checkable, imus: BoneImuSequence, sensors: tuple[str, ...]) -> list[Check]:
-    """Median angle between the segment as a sensor and as the reference has it, where that is known."""
+def _check_orientations(take: Take, imus: BoneImuSequence, sensors: tuple[str, ...]) -> list[Check]:
+    """Check the median angle between a sensor's segment and the reference's, where that is known."""
     truth = take.truth
     count = min(len(truth), len(imus))
     medians_deg: dict[str, float] = {}
@@ -151,23 +138,20 @@ def _check_orientations(take: Checkable, imus: BoneImuSequence, sensors: tuple[s
         if truth.orientation_observed[:, j].any():
             angles = so3.angle_between(imus.R_world_bone[:count, s], truth.R_world_bone[:count, j])
             medians_deg[sensor] = float(np.degrees(_median(angles)))
-    failed = sum(not median <= IMU_DEG for median in medians_deg.values())
+    failed = sum(not median <= _IMU_DEG for median in medians_deg.values())
     advice = "Has the sensor slipped, or is this the calibration of another take?"
     if failed > len(medians_deg) / 2:
         share = f"{failed} of {len(medians_deg)} sensors"
         advice = f"{share} fail this: is it the calibration of another take?"
     return [
-        Check("median angle to the reference's segment", f"sensor {sensor}", value, IMU_DEG, "deg",
+        Check("median angle to the reference's segment", f"sensor {sensor}", value, _IMU_DEG, "deg",
               advice)
         for sensor, value in medians_deg.items()
     ]  # fmt: skip
 
 
-def _check_accelerations(take: Checkable, imus: BoneImuSequence, sensors: tuple[str, ...]) -> Iterator[Check]:
-    """Mean of a sensor's acceleration less gravity, and less what the reference has at its place.
-
-    Over a long take the reference's is nothing; over a short one it is the change of velocity.
-    """
+def _check_accelerations(take: Take, imus: BoneImuSequence, sensors: tuple[str, ...]) -> Iterator[Check]:
+    """Check the mean of a sensor's acceleration minus gravity and minus the reference's at its place."""
     truth = take.truth
     count = min(len(truth), len(imus))
     j = [truth.names.index(joint) for joint in imus.joints]
@@ -182,7 +166,7 @@ def _check_accelerations(take: Checkable, imus: BoneImuSequence, sensors: tuple[
     for s, sensor in enumerate(sensors):
         known = excess[np.isfinite(excess[:, s]).all(axis=-1), s]
         mean = float(np.linalg.norm(known.mean(axis=0))) if len(known) else float("nan")
-        yield Check(name, f"sensor {sensor}", mean, ACCELERATION, "m/s^2", advice)
+        yield Check(name, f"sensor {sensor}", mean, _ACCELERATION, "m/s^2", advice)
 
 
 def _median(values: Array) -> float:

@@ -1,13 +1,13 @@
-"""Which takes Total Capture has, and where their files lie in somebody's folder.
+"""Files of Total Capture in a folder.
 
-People unpack the archives in many ways, so files are found by name, case-insensitively, at any depth.
-Subject and take come from the file's own name, else from the nearest folder above that names them; a
-file of which neither says so is not used.
+Files are found by name, case-insensitively, at any depth. Subject and take are read from the file's name, or
+else from the nearest folder above that names them; a file without them is not used.
 """
 
 from __future__ import annotations
 
 import filecmp
+import logging
 import os
 import re
 from collections import Counter
@@ -20,14 +20,14 @@ from rtof_kin.core.errors import FileFormatError
 SUBJECTS = ("S1", "S2", "S3", "S4", "S5")
 CAMERAS = (1, 2, 3, 4, 5, 6, 7, 8)
 MISCALIBRATED = {2: "camera 2 is miscalibrated: detections on its video lie (+20, -8) px off"}
-"""Cameras whose calibration does not fit their video."""
+"""Cameras whose calibration does not fit their video, with the reason."""
 TRAIN = tuple(
     (subject, take)
     for subject in ("S1", "S2", "S3")
     for take in ("rom1", "rom2", "rom3", "walking1", "walking3", "freestyle1", "freestyle2",
                  "acting1", "acting2")
 )  # fmt: skip
-"""Takes of the paper's training set. (It lists a running take too; none was ever handed out.)"""
+"""Takes of the paper's training set, without a running take that is not in the dataset."""
 TEST = tuple((subject, take) for subject in SUBJECTS for take in ("walking2", "acting3", "freestyle3"))
 """Takes of the paper's test set."""
 KINDS = {
@@ -39,13 +39,14 @@ KINDS = {
     "calib_ref": "calib_imu_ref.txt",
     "bvh": "_blenderzxy_ymz.bvh",
 }
-"""How the names of a take's files end, by what they hold."""
+"""Endings of file names, by kind."""
 CAMERA_FILE = "calibration.cal"
+_log = logging.getLogger(__name__)
 _TAKE = re.compile(r"(?<![a-z])(acting|freestyle|rom|walking)_?([1-3])(?!\d)")
 _SUBJECT_IN_FILE = re.compile(r"(?:^|_)s([1-5])(?=_)")
 _SUBJECT_IN_FOLDER = re.compile(r"(?<![a-z0-9])s([1-5])(?![a-z0-9])")
 _NAMES_OF_A_FOLDER = 4
-"""Under so many paths a folder is looked into at most; more than one only by symbolic links."""
+"""Maximum number of paths (by symbolic links) under which a folder is searched."""
 
 Take = tuple[str, str]
 """Subject and take, e.g. ('S5', 'acting3')."""
@@ -53,7 +54,7 @@ Take = tuple[str, str]
 
 @dataclass(frozen=True)
 class FileIndex:
-    """Every file of the dataset that was found."""
+    """All files of the dataset that were found."""
 
     root: Path
     files: dict[Take, dict[str, list[Path]]] = field(default_factory=dict)
@@ -61,12 +62,13 @@ class FileIndex:
     cameras: list[Path] = field(default_factory=list)
     """Candidates for the camera calibration."""
     unassigned: list[Path] = field(default_factory=list)
-    """Files of the dataset's formats whose name and folders do not tell subject and take."""
-    unreadable: list[Path] = field(default_factory=list)
-    """Folders that cannot be looked into, and broken links."""
+    """Files whose name and folders do not give subject and take."""
 
     def one(self, take: Take, kind: str) -> Path | None:
-        """The file of a kind, or None.
+        """Return the file of a kind, or None.
+
+        Args:
+            take: subject and take. kind: one of `KINDS`.
 
         Raises:
             FileFormatError: there are several, and they differ.
@@ -75,7 +77,14 @@ class FileIndex:
 
 
 def only_one(candidates: list[Path]) -> Path | None:
-    """The first of several equal files, or None without any; `FileFormatError` if they differ."""
+    """Return the first of several equal files, or None without any.
+
+    Args:
+        candidates: paths.
+
+    Raises:
+        FileFormatError: they differ.
+    """
     if not candidates:
         return None
     first, *others = candidates
@@ -92,7 +101,10 @@ def only_one(candidates: list[Path]) -> Path | None:
 
 
 def find_files(root: str | Path) -> FileIndex:
-    """Look for the dataset's files below a folder.
+    """Search a folder for the dataset's files.
+
+    Args:
+        root: the folder.
 
     Raises:
         FileFormatError: there is no such folder, or none of the dataset's files in it.
@@ -100,15 +112,15 @@ def find_files(root: str | Path) -> FileIndex:
     root = Path(root)
     if not root.is_dir():
         raise FileFormatError(root, "there is no such folder; name the one the dataset lies in")
-    index = FileIndex(root)
-    for path in sorted(walk(root, index.unreadable)):
+    index, unreadable = FileIndex(root), list[Path]()
+    for path in sorted(walk(root, unreadable)):
         name = path.name.lower()
         kind = next((kind for kind, end in KINDS.items() if name.endswith(end)), None)
         if kind is None and name != CAMERA_FILE:
             continue
         take = _take_of(path, root)
         if not path.is_file():
-            index.unreadable.append(path)
+            unreadable.append(path)
         elif kind is None:
             index.cameras.append(path)
         elif take is None:
@@ -119,15 +131,21 @@ def find_files(root: str | Path) -> FileIndex:
     if not index.files:
         problem = "holds no file of Total Capture (such as S1/acting1/gt_skel_gbl_pos.txt)"
         if index.unassigned:
-            problem = f"subject and take of {index.unassigned[0]} are not to be told from its path"
+            problem = f"subject and take of {index.unassigned[0]} are not in its path"
         raise FileFormatError(
             root, f"{problem}; name the folder in which the dataset's archives were unpacked"
         )
+    for paths, reason in (
+        (unreadable, "cannot be read"),
+        (index.unassigned, "subject and take are not in the path"),
+    ):
+        for path in paths:
+            _log.warning("%s: %s; not used", path, reason)
     return index
 
 
 def _forget_second_names(index: FileIndex) -> None:
-    """What a link shows under a name that says nothing needs no word if another path says it."""
+    """Drop unassigned paths (of links) to files that were found under another path."""
     known = {
         os.path.realpath(path) for kinds in index.files.values() for paths in kinds.values() for path in paths
     }
@@ -135,12 +153,10 @@ def _forget_second_names(index: FileIndex) -> None:
 
 
 def walk(root: Path, unreadable: list[Path]) -> Iterator[Path]:
-    """Paths of files below a folder, without hidden ones and macOS's doubles.
-
-    Links to folders are followed, but never back into a folder that leads there.
+    """Yield the files below a folder, without hidden ones; links are followed, but not in circles.
 
     Args:
-        unreadable: folders that cannot be read are added to it.
+        root: the folder. unreadable: gets the folders that cannot be read.
     """
     folders: list[tuple[Path, tuple[str, ...]]] = [(root, ())]
     visits: Counter[str] = Counter()
@@ -166,7 +182,7 @@ def walk(root: Path, unreadable: list[Path]) -> Iterator[Path]:
 
 
 def _take_of(path: Path, root: Path) -> Take | None:
-    """Subject and take of a file, from its name or the nearest folder that says so."""
+    """Read subject and take from a file's name or the nearest folder that has them."""
     above = (root.resolve().name, root.absolute().name)
     folders = [part.lower() for part in (*above, *path.relative_to(root).parts[:-1])]
     name = path.name.lower()
@@ -182,6 +198,6 @@ def _nearest(pattern: re.Pattern[str], folders: list[str]) -> tuple[str, ...] | 
 
 
 def _only_match(pattern: re.Pattern[str], text: str) -> tuple[str, ...] | None:
-    """The groups of what a pattern finds; None where it finds nothing, or different things."""
+    """Return the groups of a pattern's matches if they are all equal, or None."""
     found = {match.groups() for match in pattern.finditer(text)}
     return found.pop() if len(found) == 1 else None

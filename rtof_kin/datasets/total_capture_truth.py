@@ -1,4 +1,4 @@
-"""Total Capture's ground truth in this package's frames, from whichever of its files there are.
+"""Ground truth of Total Capture in this package's frames.
 
 World: the dataset's is y up, ours is z up: (x, y, z) -> (x, -z, y). Segments: in the T-pose the dataset's
 are x to the subject's right, y backward, z down, ours x forward, y left, z up.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +25,15 @@ from rtof_kin.formats.total_capture import read_joints
 
 Array = NDArray[np.float64]
 RATE_HZ = 60.0
-INCH = 0.0254
+_INCH: Final = 0.0254
 WORLD_OF_VICON = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Rotation from the dataset's y-up world to the z-up one."""
 SEGMENT_OF_BONE = np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]])
 """Rotation from a bone (link) frame to the dataset's segment frame; its own inverse."""
 RIGID_MM = 1.0
-"""A skeleton whose offsets spread more than this was read wrongly."""
-LENGTH_DIFFERENCE = 5
-"""By so many frames files of one take may differ in length; then the shorter one counts."""
+"""Largest spread of joint offsets of a rigid skeleton, mm."""
+_LENGTH_DIFFERENCE: Final = 5
+"""Largest difference in length of files of one take, frames; the shorter one counts."""
 _SAME_MM = 5.0
 _SAME_BONES_MM = 1.0
 _QUARTER_TURNS_DEG = 10.0
@@ -41,21 +42,20 @@ _GLITCHES = {
     ("S4", "acting3"): ((655, 659), (2300, 2306)),
     ("S2", "acting2"): ((2124, 2129),),
 }
-"""Frames in which the reference itself jumps, first and last."""
+"""First and last frames of glitches of the reference, by take."""
 _MARGIN = 2
-"""Frames beside a glitch that are left out too, as differences reach across."""
+"""Frames beside a glitch that are invalid too."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """The ground truth of a take."""
+    """Ground truth of a take."""
 
     poses: PoseSequence
     joint_offsets: Array
-    """(J, 3) each joint in its parent's link frame, m, in this take."""
+    """(J, 3) each joint in its parent's link frame, m."""
     spread_mm: float
-    """Largest standard deviation of an offset over the take: 0 for a rigid skeleton; NaN if the
-    orientations were derived from the positions."""
+    """Largest standard deviation of an offset over the take, mm; NaN for derived orientations."""
     notes: tuple[str, ...]
 
 
@@ -64,22 +64,21 @@ def read_truth(
     find: Callable[[str], Path | None],
     others: Callable[[], Iterable[tuple[str, Array]]],
 ) -> Truth | None:
-    """Positions and orientations of a take; None where there are neither positions nor a BVH file.
+    """Read positions and orientations of a take; None without positions and a BVH file.
 
     Args:
-        take: subject and take. find: the take's file of a kind, or None.
-        others: name and joint offsets of other takes of the subject, for a take without orientations.
+        take: subject and take. find: returns the take's file of a kind, or None.
+        others: yields name and joint offsets of the subject's other takes, for a take without orientations.
 
     Raises:
-        FileFormatError: a file is damaged, its joints are wrong, files disagree, or the quaternions are
-            in another order than x y z w.
+        FileFormatError: damaged or contradicting files, wrong joints, or quaternions not in order x y z w.
     """
     skeleton = SkeletonModel.default()
     notes: list[str] = []
     p = R = bvh = None
     positions, orientations = find("positions"), find("orientations")
     if positions is not None:
-        p = INCH * _positions(positions, skeleton, notes) @ WORLD_OF_VICON.T
+        p = _INCH * _positions(positions, skeleton, notes) @ WORLD_OF_VICON.T
     if orientations is not None:
         R = _orientations(orientations, skeleton, notes)
     if p is None or R is None:
@@ -106,13 +105,13 @@ def read_truth(
     return Truth(poses, offsets, float(spread), tuple(notes))
 
 
-def bone_rotations(R_vicon_segment: Array) -> Array:
-    """R_world_bone (..., 3, 3) of the dataset's segment orientations."""
+def _bone_rotations(R_vicon_segment: Array) -> Array:
+    """Convert the dataset's segment orientations to R_world_bone (..., 3, 3)."""
     return np.asarray(WORLD_OF_VICON @ R_vicon_segment @ SEGMENT_OF_BONE)
 
 
 def _ordered(path: Path, width: int, skeleton: SkeletonModel, notes: list[str]) -> Array:
-    """A table's values (T, J, width) in the skeleton's order of joints."""
+    """Read a table's values (T, J, width) in the skeleton's order of joints."""
     table = read_joints(path, width)
     index = _indices(path, skeleton, table.names, 1)
     further = [name for name in table.names if name not in skeleton.names]
@@ -133,17 +132,17 @@ def _indices(
 
 
 def _positions(path: Path, skeleton: SkeletonModel, notes: list[str]) -> Array:
-    """(T, J, 3) as in the file, NaN in frames in which all joints are at its origin."""
+    """Read positions (T, J, 3), NaN in frames of zeros."""
     p = _ordered(path, 3, skeleton, notes).copy()
     absent = ~p.any(axis=(1, 2))
     if absent.any() and not absent.all():
-        notes.append(f"{int(absent.sum())} frames hold zeros alone in {path.name}: left open")
+        notes.append(f"{int(absent.sum())} frames of zeros in {path.name}: unknown")
         p[absent] = np.nan
     return p
 
 
 def _orientations(path: Path, skeleton: SkeletonModel, notes: list[str]) -> Array | None:
-    """R_world_bone (T, J, 3, 3), NaN where the file has zeros; None if it has nothing else."""
+    """Read R_world_bone (T, J, 3, 3), NaN where the file has zeros; None if it has only zeros."""
     quat_xyzw = _ordered(path, 4, skeleton, notes)
     norm = np.linalg.norm(quat_xyzw, axis=-1)
     absent = norm < 1e-6
@@ -159,15 +158,15 @@ def _orientations(path: Path, skeleton: SkeletonModel, notes: list[str]) -> Arra
         return None
     if absent.any():
         count = int(absent.any(axis=1).sum())
-        notes.append(f"{count} frames have joints without an orientation in {path.name}: left open")
+        notes.append(f"{count} frames have joints without an orientation in {path.name}: unknown")
     quat_wxyz = np.where(absent[..., None], [1.0, 0, 0, 0], np.roll(quat_xyzw, 1, axis=-1))
-    R = bone_rotations(so3.from_quat_wxyz(quat_wxyz))
+    R = _bone_rotations(so3.from_quat_wxyz(quat_wxyz))
     R[absent] = np.nan
     return R
 
 
 def _offsets(parents: tuple[int, ...], p: Array, R: Array) -> tuple[Array, float]:
-    """Mean of each joint in its parent's frame (J, 3), m, and the largest spread, mm."""
+    """Return the mean of each joint in its parent's frame (J, 3), m, and the largest spread, mm."""
     joints, above = np.arange(1, len(parents)), list(parents[1:])
     local = np.einsum("tjba,tjb->tja", R[:, above], p[:, joints] - p[:, above])
     known = np.isfinite(local).all(axis=-1, keepdims=True)
@@ -181,14 +180,14 @@ def _offsets(parents: tuple[int, ...], p: Array, R: Array) -> tuple[Array, float
 
 
 def _why_not_rigid(p: Array, R: Array, skeleton: SkeletonModel, spread_mm: float) -> str:
-    """The likely reason why joints do not keep their place in their parents' frames."""
+    """Return the likely reason why the skeleton is not rigid."""
     if np.isinf(spread_mm):
         return "there is no frame in which a joint's position and its parent's orientation are known"
     text = f"the skeleton is not rigid: joints move by {spread_mm:.3g} mm in their parents' frames. "
     known: NDArray[np.bool_] = np.asarray(np.isfinite(R).all(axis=(2, 3)))
     segment = WORLD_OF_VICON.T @ np.where(known[..., None, None], R, np.eye(3)) @ SEGMENT_OF_BONE
     quat_read = so3.to_quat_wxyz(segment)  # what stands in the file was read as x y z w
-    as_wxyz = bone_rotations(so3.from_quat_wxyz(np.roll(quat_read, -1, axis=-1)))
+    as_wxyz = _bone_rotations(so3.from_quat_wxyz(np.roll(quat_read, -1, axis=-1)))
     as_wxyz[~known] = np.nan
     if _offsets(skeleton.parents, p, as_wxyz)[1] < RIGID_MM:
         return text + ("This looks like quaternions w x y z, with which it is rigid; this file has x y z w")
@@ -196,10 +195,10 @@ def _why_not_rigid(p: Array, R: Array, skeleton: SkeletonModel, spread_mm: float
 
 
 def _same_length(path: Path, p: Array, R: Array, notes: list[str]) -> tuple[Array, Array]:
-    """Both cut to the shorter where they differ by a few frames."""
+    """Cut both to the shorter where they differ by a few frames."""
     if len(p) != len(R):
         text = f"{len(p)} frames of positions and {len(R)} of orientations"
-        if abs(len(p) - len(R)) > LENGTH_DIFFERENCE:
+        if abs(len(p) - len(R)) > _LENGTH_DIFFERENCE:
             raise FileFormatError(
                 path, f"{text}: one file is cut off or of another take; fetch and unpack both again"
             )
@@ -211,10 +210,10 @@ def _same_length(path: Path, p: Array, R: Array, notes: list[str]) -> tuple[Arra
 def _from_bvh(
     path: Path, p: Array | None, R: Array | None, skeleton: SkeletonModel, notes: list[str]
 ) -> tuple[Array, Array]:
-    """What is missing of positions and orientations, from the take's BVH file.
+    """Return positions and orientations, the missing ones from the take's BVH file.
 
-    The frames of its joints are one constant rotation away from ours: the one that brings its offsets
-    nearest to the skeleton's (for the dataset's own files, that of its segment frames).
+    The frames of its joints differ from ours by one constant rotation, the one that brings its offsets
+    nearest to the skeleton's.
     """
     motion = read_bvh(path)
     index = _indices(path, skeleton, motion.names)
@@ -227,7 +226,7 @@ def _from_bvh(
     if so3.is_rotation(quarter_turns) and off_deg < _QUARTER_TURNS_DEG:
         R_file_bone = quarter_turns
     p_file, R_file = motion.forward_kinematics()
-    p_bvh = INCH * p_file[:, index] @ WORLD_OF_VICON.T
+    p_bvh = _INCH * p_file[:, index] @ WORLD_OF_VICON.T
     if p is not None:
         count = min(len(p), len(p_bvh))
         apart_mm = 1000 * np.linalg.norm(p[:count] - p_bvh[:count], axis=-1)
@@ -248,7 +247,7 @@ def _from_bvh(
 def _offsets_by_length(
     p: Array, skeleton: SkeletonModel, others: Callable[[], Iterable[tuple[str, Array]]], notes: list[str]
 ) -> Array:
-    """Offsets for a take that has positions alone: another take's of equal bones, else scaled ones."""
+    """Return offsets for positions only: those of another take with equal bones, or else scaled ones."""
     lengths = np.median(np.linalg.norm(p[:, 1:] - p[:, list(skeleton.parents[1:])], axis=-1), axis=0)
     text = "no orientations: derived from the positions, twist unknown, with "
     for name, offsets in others():
@@ -262,7 +261,7 @@ def _offsets_by_length(
 
 
 def _valid(take: tuple[str, str], p: Array, notes: list[str]) -> NDArray[np.bool_]:
-    """(T, J) False where the reference is known to jump."""
+    """Return validity (T, J), False in known glitches."""
     valid: NDArray[np.bool_] = np.asarray(np.isfinite(p).all(axis=-1))
     for first, last in _GLITCHES.get(take, ()):
         valid[max(first - _MARGIN, 0) : last + _MARGIN + 1] = False

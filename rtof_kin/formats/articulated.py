@@ -1,31 +1,31 @@
-"""A motion as joint-rotation files carry it: a tree of joints, rest offsets, local rotations."""
+"""`ArticulatedMotion`: a tree of joints with rest offsets and local rotations, as in BVH and ASF files."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.checks import indices_of, readonly
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.checks import checked_names, indices_of, readonly
+from rtof_kin.core.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class ArticulatedMotion:
-    """A tree of joints in motion, in the axes and the length unit of its file.
+    """A moving tree of joints in the axes and the length unit of its file.
 
-    A joint's frame is that of the segment that begins at it. Before any rotation all frames of a
-    BVH or ASF file are parallel to the file's world.
+    A joint's frame is that of the segment that begins at it. Without any rotation all frames are parallel
+    to the file's world.
     """
 
     names: tuple[str, ...]
-    """J joint names; a parent stands before its children."""
+    """J joint names; parents before children."""
     parents: tuple[int, ...]
     """J indices of the parent joint; -1 for the root, which is first."""
     offsets: Array
@@ -35,46 +35,38 @@ class ArticulatedMotion:
     p_root: Array
     """(T, 3) position of the root joint in the file's world, file units."""
     rate_hz: float
-    """Frames per second, as the file says."""
+    """Frames per second."""
     unit_m: float | None = None
-    """Metres per unit of length; None where the format does not say."""
+    """Metres per unit of length; None where the format does not state it."""
     p_parent_joint: Array | None = None
-    """(T, J, 3) file units: where a file moves joints in their parent's frame; None where `offsets`
+    """(T, J, 3) file units: positions of joints that move in their parent's frame; None where `offsets`
     holds at all times."""
     end_parents: tuple[int, ...] = ()
     """E indices of the joints that end sites are fixed to."""
-    end_offsets: Array = None  # type: ignore[assignment]
+    end_offsets: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(E, 3) position of each end site in its joint's frame, file units."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        J, T = len(self.names), len(self.p_root)
-        set_(self, "names", tuple(self.names))
+        J, T, E = len(self.names), len(self.p_root), len(self.end_parents)
+        set_(self, "names", checked_names("motion names", self.names))
         set_(self, "parents", tuple(int(p) for p in self.parents))
-        self._check_tree()
-        set_(self, "offsets", readonly("motion offsets", self.offsets, (J, 3)))
-        set_(self, "p_root", readonly("motion p_root", self.p_root, (T, 3)))
-        R = readonly("motion R_parent_joint", self.R_parent_joint, (T, J, 3, 3))
-        set_(self, "R_parent_joint", R)
-        if not so3.is_rotation(R, tolerance=1e-5):
-            raise ShapeError("motion R_parent_joint: not rotation matrices; orthonormalise first")
-        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
-            raise ShapeError(f"motion rate_hz: {self.rate_hz} is not a positive number of frames/s")
-        if self.p_parent_joint is not None:
-            moving = readonly("motion p_parent_joint", self.p_parent_joint, (T, J, 3))
-            set_(self, "p_parent_joint", moving)
-        ends = np.zeros((0, 3)) if self.end_offsets is None else self.end_offsets
-        set_(self, "end_parents", tuple(int(p) for p in self.end_parents))
-        E = len(self.end_parents)
-        set_(self, "end_offsets", readonly("motion end_offsets", ends, (E, 3)))
-
-    def _check_tree(self) -> None:
-        if not self.names or len(self.parents) != len(self.names):
-            raise ShapeError("motion: as many parents as names are needed, and at least one joint")
-        if len(set(self.names)) < len(self.names):
-            raise ShapeError("motion names: a joint stands there more than once")
+        if J == 0 or len(self.parents) != J:
+            raise InvalidInputError("motion: needs at least one joint and as many parents as names")
         if self.parents[0] != -1 or any(not 0 <= p < j + 1 for j, p in enumerate(self.parents[1:])):
-            raise ShapeError("motion parents: the root comes first, then parents before children")
+            raise InvalidInputError("motion parents: the root comes first, then parents before children")
+        set_(self, "end_parents", tuple(int(p) for p in self.end_parents))
+        shapes: dict[str, tuple[int, ...]] = {
+            "offsets": (J, 3), "p_root": (T, 3), "R_parent_joint": (T, J, 3, 3), "end_offsets": (E, 3),
+        }  # fmt: skip
+        if self.p_parent_joint is not None:
+            shapes["p_parent_joint"] = (T, J, 3)
+        for name, shape in shapes.items():
+            set_(self, name, readonly(f"motion {name}", getattr(self, name), shape))
+        if not so3.is_rotation(self.R_parent_joint, tolerance=1e-5):
+            raise InvalidInputError("motion R_parent_joint: not rotation matrices; orthonormalise first")
+        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise InvalidInputError(f"motion rate_hz: {self.rate_hz} is not a positive number of frames/s")
 
     def __len__(self) -> int:
         return len(self.p_root)
@@ -89,24 +81,23 @@ class ArticulatedMotion:
         )
 
     def index(self, name: str) -> int:
-        """Index of a joint; `UnknownNameError` lists those that exist."""
+        """Return the index of a joint; `UnknownNameError` lists the existing ones."""
         return indices_of("joint", [name], self.names)[0]
 
     def renamed(self, names: Mapping[str, str]) -> Self:
-        """The same with other names for some joints.
+        """Return the motion with other names for some joints.
+
+        Args:
+            names: present name -> new name.
 
         Raises:
-            UnknownNameError: one is not there. ShapeError: two would have one name.
+            UnknownNameError: no such joint. InvalidInputError: two joints would have one name.
         """
         indices_of("joint", list(names), self.names)
         return replace(self, names=tuple(names.get(name, name) for name in self.names))
 
     def forward_kinematics(self) -> tuple[Array, Array]:
-        """Positions and orientations of all joints in the file's world.
-
-        Returns:
-            p_world_joint (T, J, 3) in file units and R_world_joint (T, J, 3, 3).
-        """
+        """Return p_world_joint (T, J, 3) in file units and R_world_joint (T, J, 3, 3) in the file's world."""
         R_world_joint = np.empty_like(self.R_parent_joint)
         p_world_joint = np.empty((len(self), len(self.names), 3))
         for j, parent in enumerate(self.parents):
@@ -121,7 +112,7 @@ class ArticulatedMotion:
         return p_world_joint, R_world_joint
 
     def end_positions(self) -> Array:
-        """Positions (T, E, 3) of the end sites in the file's world, file units."""
+        """Return positions (T, E, 3) of the end sites in the file's world, file units."""
         p_world_joint, R_world_joint = self.forward_kinematics()
         joints = list(self.end_parents)
         arms = np.einsum("teij,ej->tei", R_world_joint[:, joints], self.end_offsets)

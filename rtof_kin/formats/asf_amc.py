@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,14 +24,16 @@ from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
 from rtof_kin.formats.articulated import ArticulatedMotion
 
 Array = NDArray[np.float64]
-_INCH = 0.0254
-_ANGLE_UNITS = {"deg": np.pi / 180, "degrees": np.pi / 180, "rad": 1.0, "radians": 1.0}
-_ROOT = "root"
+Lines = list[tuple[int, str]]
+"""Numbered lines that are neither empty nor comments."""
+_INCH: Final = 0.0254
+_ANGLE_UNITS: Final = {"deg": np.pi / 180, "degrees": np.pi / 180, "rad": 1.0, "radians": 1.0}
+_ROOT: Final = "root"
 
 
 @dataclass
 class _Bone:
-    """A bone as its lines state it; angles still in the file's unit."""
+    """A bone; angles in the file's unit."""
 
     name: str
     line: int
@@ -48,6 +51,7 @@ class _Bone:
 
 @dataclass
 class _Skeleton:
+    path: Path
     length_unit: float = 1.0
     angle_unit: float = np.pi / 180
     root: _Bone = field(default_factory=lambda: _Bone(_ROOT, 0, [0.0, 0.0, 1.0], 0.0))
@@ -60,22 +64,19 @@ def read_asf_amc(path_asf: str | Path, path_amc: str | Path, rate_hz: float = 12
     """Read an Acclaim skeleton and a motion of it, in the file's axes and units.
 
     Args:
-        path_asf: the skeleton.
-        path_amc: the motion.
-        rate_hz: frames per second; the format does not state it. CMU recorded at 120, a few at 60.
+        path_asf: the skeleton. path_amc: the motion.
+        rate_hz: frames per second, which the format does not state; CMU's are 120, a few 60.
 
     Returns:
-        The motion. Joints carry the names of the bones that begin at them. ``unit_m`` comes from
+        The motion. Joints have the names of the bones that begin at them. ``unit_m`` comes from
         ``:units length``, which counts units per inch (CMU: 0.45, so 1 unit is 0.0564 m).
 
     Raises:
-        FileFormatError: a file is not there, or not complete, finite and consistent; the message names
-            the line.
+        FileFormatError: no such file, incomplete, inconsistent or not finite; names the line.
     """
     path_asf, path_amc = Path(path_asf), Path(path_amc)
     skeleton = _read_skeleton(path_asf)
-    order = [_ROOT, *_depth_first(path_asf, skeleton)]
-    bones = [skeleton.root, *(skeleton.bones[name] for name in order[1:])]
+    bones = [skeleton.root, *_depth_first(skeleton)]
     values, angle_unit = _read_frames(path_amc, bones, skeleton.angle_unit)
     return _assemble(skeleton, bones, values, angle_unit, rate_hz)
 
@@ -83,8 +84,7 @@ def read_asf_amc(path_asf: str | Path, path_amc: str | Path, rate_hz: float = 12
 # --- the lines of both files ----------------------------------------------------------------------
 
 
-def _text_lines(path: Path) -> list[tuple[int, str]]:
-    """Numbered lines that hold something, comments removed."""
+def _text_lines(path: Path) -> Lines:
     text = read_text(path, "an ASF or AMC file")
     numbered = enumerate((line.split("#")[0].strip() for line in text.splitlines()), 1)
     lines = [(number, line) for number, line in numbered if line]
@@ -94,7 +94,7 @@ def _text_lines(path: Path) -> list[tuple[int, str]]:
 
 
 def _numbers(path: Path, line: int, words: Sequence[str], count: int, what: str) -> list[float]:
-    """`count` finite numbers from the words of a line."""
+    """Return `count` finite numbers from the words of a line."""
     try:
         values = [float(word) for word in words]
     except ValueError:
@@ -106,10 +106,9 @@ def _numbers(path: Path, line: int, words: Sequence[str], count: int, what: str)
 
 
 def _axis_order(path: Path, line: int, word: str) -> str:
-    order = word.lower()
-    if sorted(order) != ["x", "y", "z"]:
+    if sorted(word.lower()) != ["x", "y", "z"]:
         raise FileFormatError(path, f"axis order {word[:40]!r} is not one like XYZ", line)
-    return order
+    return word.lower()
 
 
 # --- the skeleton ---------------------------------------------------------------------------------
@@ -117,26 +116,23 @@ def _axis_order(path: Path, line: int, word: str) -> str:
 
 def _read_skeleton(path: Path) -> _Skeleton:
     lines = _text_lines(path)
-    skeleton = _Skeleton()
-    sections = {
-        ":units": _read_units,
-        ":root": _read_root,
-        ":bonedata": _read_bones,
-        ":hierarchy": _read_hierarchy,
-    }
+    skeleton = _Skeleton(path)
+    readers = {
+        ":units": _read_units, ":root": _read_root, ":bonedata": _read_bones, ":hierarchy": _read_hierarchy,
+    }  # fmt: skip
     starts = [i for i, (_, text) in enumerate(lines) if text.startswith(":")]
-    seen = {lines[i][1].split()[0].lower() for i in starts}
+    sections = [lines[i][1].split()[0].lower() for i in starts]
     for name in (":root", ":bonedata", ":hierarchy"):
-        if name not in seen:
+        if name not in sections:
             raise FileFormatError(path, f"no {name} section; is the file cut off?", lines[-1][0])
-    for start, stop in zip(starts, [*starts[1:], len(lines)], strict=True):
-        read = sections.get(lines[start][1].split()[0].lower())
-        if read is not None:
-            read(path, lines[start + 1 : stop], skeleton)
+    for name, start, stop in zip(sections, starts, [*starts[1:], len(lines)], strict=True):
+        if name in readers:
+            readers[name](lines[start + 1 : stop], skeleton)
     return skeleton
 
 
-def _read_units(path: Path, lines: list[tuple[int, str]], skeleton: _Skeleton) -> None:
+def _read_units(lines: Lines, skeleton: _Skeleton) -> None:
+    path = skeleton.path
     for line, text in lines:
         key, *words = text.split()
         if key == "length":
@@ -149,8 +145,8 @@ def _read_units(path: Path, lines: list[tuple[int, str]], skeleton: _Skeleton) -
             skeleton.angle_unit = _ANGLE_UNITS[words[0].lower()]
 
 
-def _read_root(path: Path, lines: list[tuple[int, str]], skeleton: _Skeleton) -> None:
-    root = skeleton.root
+def _read_root(lines: Lines, skeleton: _Skeleton) -> None:
+    path, root = skeleton.path, skeleton.root
     order, angles = "xyz", [0.0, 0.0, 0.0]
     for line, text in lines:
         key, *words = text.split()
@@ -164,9 +160,8 @@ def _read_root(path: Path, lines: list[tuple[int, str]], skeleton: _Skeleton) ->
             angles = _numbers(path, line, words, 3, "root orientation")
     root.axis = (order, angles)
     if not root.dofs:
-        raise FileFormatError(
-            path, "the root has no 'order TX TY TZ RX RY RZ'", lines[0][0] if lines else None
-        )
+        line_of_root = lines[0][0] if lines else None
+        raise FileFormatError(path, "the root has no 'order TX TY TZ RX RY RZ'", line_of_root)
 
 
 def _read_dofs(path: Path, line: int, words: Sequence[str]) -> tuple[str, ...]:
@@ -177,8 +172,8 @@ def _read_dofs(path: Path, line: int, words: Sequence[str]) -> tuple[str, ...]:
     return dofs
 
 
-def _read_bones(path: Path, lines: list[tuple[int, str]], skeleton: _Skeleton) -> None:
-    bone: _Bone | None = None
+def _read_bones(lines: Lines, skeleton: _Skeleton) -> None:
+    path, bone = skeleton.path, None
     for line, text in lines:
         key, *words = text.split()
         if key == "begin":
@@ -188,7 +183,11 @@ def _read_bones(path: Path, lines: list[tuple[int, str]], skeleton: _Skeleton) -
         elif bone is None:
             raise FileFormatError(path, f"expected 'begin', found {text[:40]!r}", line)
         elif key == "end":
-            _add_bone(path, line, bone, skeleton)
+            if not bone.name or bone.name in skeleton.bones or bone.name == _ROOT:
+                raise FileFormatError(path, f"bone name {bone.name!r} is missing or taken", line)
+            if bone.length is None or not np.any(bone.direction):
+                raise FileFormatError(path, f"bone {bone.name!r} lacks a direction or a length", line)
+            skeleton.bones[bone.name] = bone
             bone = None
         else:
             _read_bone_line(path, line, bone, key, words)
@@ -210,15 +209,8 @@ def _read_bone_line(path: Path, line: int, bone: _Bone, key: str, words: list[st
         bone.dofs = _read_dofs(path, line, words)
 
 
-def _add_bone(path: Path, line: int, bone: _Bone, skeleton: _Skeleton) -> None:
-    if not bone.name or bone.name in skeleton.bones or bone.name == _ROOT:
-        raise FileFormatError(path, f"bone name {bone.name!r} is missing or taken", line)
-    if bone.length is None or not np.any(bone.direction):
-        raise FileFormatError(path, f"bone {bone.name!r} lacks a direction or a length", line)
-    skeleton.bones[bone.name] = bone
-
-
-def _read_hierarchy(path: Path, lines: list[tuple[int, str]], skeleton: _Skeleton) -> None:
+def _read_hierarchy(lines: Lines, skeleton: _Skeleton) -> None:
+    path = skeleton.path
     if not lines or lines[0][1] != "begin" or lines[-1][1] != "end":
         where = lines[-1][0] if lines else None
         raise FileFormatError(path, ":hierarchy is not enclosed in 'begin' and 'end'", where)
@@ -233,8 +225,8 @@ def _read_hierarchy(path: Path, lines: list[tuple[int, str]], skeleton: _Skeleto
             skeleton.parents[child] = parent
 
 
-def _depth_first(path: Path, skeleton: _Skeleton) -> Iterator[str]:
-    """Bones below the root, parents first, in the order of the hierarchy."""
+def _depth_first(skeleton: _Skeleton) -> Iterator[_Bone]:
+    """Yield the bones below the root, parents first, in the order of the hierarchy."""
     children: dict[str, list[str]] = {}
     for child, parent in skeleton.parents.items():
         children.setdefault(parent, []).append(child)
@@ -242,18 +234,18 @@ def _depth_first(path: Path, skeleton: _Skeleton) -> Iterator[str]:
     while stack:
         name = stack.pop()
         reached.add(name)
-        yield name
+        yield skeleton.bones[name]
         stack += children.get(name, [])[::-1]
     for name, bone in skeleton.bones.items():
         if name not in reached:
-            raise FileFormatError(path, f"{name!r} is not below the root in :hierarchy", bone.line)
+            raise FileFormatError(skeleton.path, f"{name!r} is not below the root in :hierarchy", bone.line)
 
 
 # --- the motion -----------------------------------------------------------------------------------
 
 
 def _read_frames(path: Path, bones: list[_Bone], angle_unit: float) -> tuple[list[Array], float]:
-    """Values (T, dofs) of each bone, and radians per written angle."""
+    """Return values (T, dofs) of each bone, and radians per unit of the file's angles."""
     lines = _text_lines(path)
     start = 0
     while start < len(lines) and not lines[start][1].isdigit():
@@ -263,52 +255,38 @@ def _read_frames(path: Path, bones: list[_Bone], angle_unit: float) -> tuple[lis
         angle_unit = _ANGLE_UNITS.get(text[1:].lower(), angle_unit)
         start += 1
     moving = {bone.name: bone for bone in bones if bone.dofs}
-    columns: dict[str, list[list[str]]] = {name: [] for name in moving}
+    rows: dict[str, list[list[float]]] = {name: [] for name in moving}
     frames = 0
+
+    def check_frame(line: int) -> None:
+        short = [name for name, values in rows.items() if len(values) < frames]
+        if short:
+            problem = f"frame {frames} ends without {', '.join(short[:5])}; is the file cut off?"
+            raise FileFormatError(path, problem, line)
+
     for line, text in lines[start:]:
         name, *words = text.split()
         if not words and name.isdigit():
-            _check_frame(path, line, columns, frames)
+            check_frame(line)
             frames += 1
             continue
         if name not in moving:
             raise FileFormatError(path, f"{name[:40]!r} is no moving bone of the skeleton", line)
-        if len(words) != len(moving[name].dofs) or len(columns[name]) != frames - 1:
-            wanted = f"{len(moving[name].dofs)} value(s) once a frame"
-            raise FileFormatError(path, f"{name}: expected {wanted}, found {text[:40]!r}", line)
-        columns[name].append(words)
-    _check_frame(path, lines[-1][0], columns, frames)
+        count = len(moving[name].dofs)
+        if len(words) != count or len(rows[name]) != frames - 1:
+            raise FileFormatError(
+                path, f"{name}: expected {count} value(s) once a frame, found {text[:40]!r}", line
+            )
+        rows[name].append(_numbers(path, line, words, count, name))
+    check_frame(lines[-1][0])
     if frames == 0:
         raise FileFormatError(path, "no frames", lines[-1][0])
     empty = np.zeros((frames, 0))
-    return [_column(path, lines, bone, columns) if bone.dofs else empty for bone in bones], angle_unit
-
-
-def _check_frame(path: Path, line: int, columns: dict[str, list[list[str]]], frames: int) -> None:
-    """Whether every bone has had its line in each frame so far."""
-    short = [name for name, rows in columns.items() if len(rows) < frames]
-    if short:
-        problem = f"frame {frames} ends without {', '.join(short[:5])}; is the file cut off?"
-        raise FileFormatError(path, problem, line)
-
-
-def _column(
-    path: Path, lines: list[tuple[int, str]], bone: _Bone, columns: dict[str, list[list[str]]]
-) -> Array:
-    try:
-        values = np.array(columns[bone.name], dtype=float)
-    except ValueError:
-        values = np.array([[np.nan]])
-    if np.all(np.abs(values) <= LARGEST_NUMBER):
-        return values
-    of_bone = ((line, text.split()[1:]) for line, text in lines if text.split()[0] == bone.name)
-    for line, words in of_bone:
-        _numbers(path, line, words, len(bone.dofs), bone.name)
-    raise FileFormatError(path, f"{bone.name}: a value is not a finite number")
+    return [np.array(rows[bone.name]) if bone.dofs else empty for bone in bones], angle_unit
 
 
 def _turn(order: str, angles: ArrayLike) -> Array:
-    """Rotation about fixed axes in the order given; angles (..., len(order)) in radians."""
+    """Return the rotation about fixed axes in an order; angles (..., len(order)) in radians."""
     angles = np.asarray(angles, dtype=float)
     R = np.broadcast_to(np.eye(3), (*angles.shape[:-1], 3, 3))
     for i, axis in enumerate(order):

@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.kinematics import children_of
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text, write_text
 from rtof_kin.formats.articulated import ArticulatedMotion
 
 Array = NDArray[np.float64]
+Row = tuple[int, str]
+"""Number of a line, from 1, and its text."""
 _CHANNELS = {f"{axis}{kind}": (kind, axis) for axis in "xyz" for kind in ("position", "rotation")}
 
 
@@ -30,24 +32,22 @@ class _Joint:
     line: int
     name: str
     parent: int
+    is_end: bool = False
     offset: list[float] = field(default_factory=list)
     channels: list[tuple[str, str]] = field(default_factory=list)
-    is_end: bool = False
 
 
 def read_bvh(path: str | Path, rate_hz: float | None = None) -> ArticulatedMotion:
     """Read a BVH file, in its own axes and length unit.
 
     Args:
-        path: the file.
-        rate_hz: frames per second, where the file does not say or is not to be believed.
+        path: the file. rate_hz: frames per second, where the file's are missing or wrong.
 
     Returns:
         The motion. `p_parent_joint` is set where joints other than the root move in their parent.
 
     Raises:
-        FileFormatError: no such file, or anything that is not a complete BVH file of finite numbers; the
-            message names the line.
+        FileFormatError: no such file, incomplete, inconsistent or not finite; names the line.
     """
     path = Path(path)
     lines = read_text(path, "a BVH file, which begins with HIERARCHY").splitlines()
@@ -65,12 +65,11 @@ class _Tokens:
     """Words of the hierarchy, each with its line."""
 
     def __init__(self, path: Path, lines: list[str]):
-        self.path, self.line = path, 1
+        self.path, self.line, self._last_line = path, 1, len(lines)
         self._words = self._walk(lines)
-        self._last_line = len(lines)
 
     @staticmethod
-    def _walk(lines: list[str]) -> Iterator[tuple[int, str]]:
+    def _walk(lines: list[str]) -> Iterator[Row]:
         for number, text in enumerate(lines, 1):
             for word in text.replace("{", " { ").replace("}", " } ").split():
                 yield number, word
@@ -79,12 +78,10 @@ class _Tokens:
         return FileFormatError(self.path, problem, self.line)
 
     def next(self, wanted: str) -> str:
-        """The next word; `wanted` says what should stand there, for the error message."""
-        try:
-            self.line, word = next(self._words)
-        except StopIteration:
-            self.line = self._last_line
-            raise self.fail(f"the file ends where {wanted} should stand") from None
+        """Return the next word; `wanted` is what the format has there, for messages."""
+        self.line, word = next(self._words, (self._last_line, ""))
+        if not word:
+            raise self.fail(f"the file ends where {wanted} should stand")
         return word
 
     def expect(self, literal: str) -> None:
@@ -93,18 +90,14 @@ class _Tokens:
             raise self.fail(f"expected {literal}, found {word[:40]!r}")
 
     def number(self, wanted: str) -> float:
-        """The next word as a finite number; `FileFormatError` names what was wanted otherwise."""
         word = self.next(wanted)
-        try:
-            value = float(word)
-        except ValueError:
-            value = np.nan
+        value = _float_or_nan(word)
         if not abs(value) <= LARGEST_NUMBER:
             raise self.fail(f"expected {wanted}, found {word[:40]!r}")
         return value
 
     def name(self, optional: bool = False) -> str:
-        """Words up to the opening brace, which is consumed."""
+        """Return the words up to the opening brace, which is consumed."""
         words: list[str] = []
         while (word := self.next("a joint name and {")) != "{":
             if word == "}" or len(words) > 8:
@@ -115,8 +108,15 @@ class _Tokens:
         return " ".join(words)
 
 
+def _float_or_nan(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return float("nan")
+
+
 def _read_hierarchy(tokens: _Tokens) -> list[_Joint]:
-    """All nodes, end sites among them, depth first; consumes the word MOTION."""
+    """Read all nodes with end sites, depth first, and the word MOTION."""
     tokens.expect("HIERARCHY")
     tokens.expect("ROOT")
     nodes = [_Joint(tokens.line, tokens.name(), -1)]
@@ -126,7 +126,8 @@ def _read_hierarchy(tokens: _Tokens) -> list[_Joint]:
         node = nodes[open_nodes[-1]]
         match word.upper():
             case "}":
-                _check_complete(tokens, node)
+                if not node.offset:
+                    raise tokens.fail(f"{node.name!r} (line {node.line}) has no OFFSET")
                 open_nodes.pop()
             case "OFFSET":
                 node.offset = [tokens.number("three offset numbers") for _ in range(3)]
@@ -134,8 +135,8 @@ def _read_hierarchy(tokens: _Tokens) -> list[_Joint]:
                 node.channels = _read_channels(tokens, 0 if node.is_end else 6)
             case "JOINT" | "END" | "ENDSITE" if not node.is_end:
                 is_end = word.upper() != "JOINT"
-                child = _Joint(tokens.line, tokens.name(is_end), open_nodes[-1], is_end=is_end)
-                if not child.is_end and child.name in {n.name for n in nodes if not n.is_end}:
+                child = _Joint(tokens.line, tokens.name(is_end), open_nodes[-1], is_end)
+                if not is_end and child.name in {n.name for n in nodes if not n.is_end}:
                     raise tokens.fail(f"a second joint is named {child.name!r}; rename one")
                 open_nodes.append(len(nodes))
                 nodes.append(child)
@@ -143,11 +144,6 @@ def _read_hierarchy(tokens: _Tokens) -> list[_Joint]:
                 raise tokens.fail(f"{word[:40]!r} does not belong in a joint; is a brace missing?")
     tokens.expect("MOTION")
     return nodes
-
-
-def _check_complete(tokens: _Tokens, node: _Joint) -> None:
-    if not node.offset:
-        raise tokens.fail(f"{node.name!r} (line {node.line}) has no OFFSET")
 
 
 def _read_channels(tokens: _Tokens, most: int) -> list[tuple[str, str]]:
@@ -169,74 +165,59 @@ def _read_channels(tokens: _Tokens, most: int) -> list[tuple[str, str]]:
 def _read_motion(
     path: Path, lines: list[str], start: int, width: int, rate_hz: float | None
 ) -> tuple[float, Array]:
-    """Rate in Hz and the channel values (T, width) of the lines after line `start`."""
+    """Read the rate in Hz and the channel values (T, width) of the lines after line `start`."""
     filled = [(n, text) for n, text in enumerate(lines[start:], start + 1) if text.strip()]
-    frames = _labelled_number(path, filled[:1], "Frames:", len(lines))
+    end = (len(lines), "")
+    line, frames = _labelled_number(path, filled[0] if filled else end, "Frames:")
     if frames < 1 or frames != int(frames):
-        raise FileFormatError(path, f"the number of frames is {frames:g}", filled[0][0])
+        raise FileFormatError(path, f"the number of frames is {frames:g}", line)
     has_time = bool(filled[1:]) and ":" in filled[1][1]
     if has_time or rate_hz is None:
-        step = _labelled_number(path, filled[1:2], "Frame Time:", len(lines))
+        line, step = _labelled_number(path, filled[1] if filled[1:] else end, "Frame Time:")
         if rate_hz is None and not 1e-6 < step < 1e6:
-            raise FileFormatError(
-                path, f"the frame time is {step:g} s; declare the rate, e.g. rate_hz=60", filled[1][0]
-            )
+            problem = f"the frame time is {step:g} s; declare the rate, e.g. rate_hz=60"
+            raise FileFormatError(path, problem, line)
         rate_hz = 1 / step if rate_hz is None else rate_hz
     rows = filled[1 + has_time :]
     if len(rows) != frames:
-        raise FileFormatError(
-            path, f"{frames:g} frames are announced, {len(rows)} lines of values follow", len(lines)
-        )
-    return rate_hz, _numbers(path, rows, width)
+        problem = f"{frames:g} frames are announced, {len(rows)} lines of values follow"
+        raise FileFormatError(path, problem, len(lines))
+    return rate_hz, _read_values(path, rows, width)
 
 
-def _labelled_number(path: Path, row: list[tuple[int, str]], label: str, last: int) -> float:
-    """The number after a label such as 'Frame Time:', whatever the spaces between."""
-    line, text = row[0] if row else (last, "")
+def _labelled_number(path: Path, row: Row, label: str) -> tuple[int, float]:
+    """Return the line and the number after a label such as 'Frame Time:', with any spaces between."""
+    line, text = row
     head, _, tail = text.partition(":")
     if " ".join(head.split()).lower() + ":" != label.lower():
         hint = "; declare the rate, e.g. rate_hz=60, if it is missing" if "Time" in label else ""
         raise FileFormatError(path, f"expected {label!r}, found {text.strip()[:40]!r}{hint}", line)
-    try:
-        value = float(tail)
-    except ValueError:
-        value = np.nan
+    value = _float_or_nan(tail)
     if not np.isfinite(value):
         raise FileFormatError(path, f"no number follows {label!r}", line)
-    return value
+    return line, value
 
 
-def _numbers(path: Path, rows: list[tuple[int, str]], width: int) -> Array:
-    """Values (T, width) of numbered lines; an error names the line."""
-    cells = [text.split() for _, text in rows]
-    for (line, _), row in zip(rows, cells, strict=True):
-        if len(row) != width:
-            raise FileFormatError(path, f"{len(row)} values, the channels are {width}", line)
-    try:
-        values = np.array(cells, dtype=float)
-    except ValueError:
-        values = np.array([[_float_or_nan(cell) for cell in row] for row in cells])
-    bad = ~(np.abs(values) <= LARGEST_NUMBER)
-    if bad.any():
-        t, column = np.argwhere(bad)[0]
-        raise FileFormatError(
-            path, f"value {column + 1} is {cells[t][column][:40]!r}, not a finite number", rows[t][0]
-        )
-    return values
-
-
-def _float_or_nan(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return float("nan")
+def _read_values(path: Path, rows: list[Row], width: int) -> Array:
+    """Read values (T, width) of numbered lines."""
+    table = []
+    for line, text in rows:
+        cells = text.split()
+        if len(cells) != width:
+            raise FileFormatError(path, f"{len(cells)} values, the channels are {width}", line)
+        row = list(map(_float_or_nan, cells))
+        for column, value in enumerate(row, 1):
+            if not abs(value) <= LARGEST_NUMBER:
+                found = cells[column - 1][:40]
+                raise FileFormatError(path, f"value {column} is {found!r}, not a finite number", line)
+        table.append(row)
+    return np.array(table).reshape(len(rows), width)
 
 
 def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> ArticulatedMotion:
     joints = [n for n in nodes if not n.is_end]
-    number = {id(n): j for j, n in enumerate(joints)}
-    parents = [-1 if n.parent < 0 else number[id(nodes[n.parent])] for n in joints]
     ends = [n for n in nodes if n.is_end]
+    number = {id(n): j for j, n in enumerate(joints)}
     T, J = len(values), len(joints)
     offsets = np.array([n.offset for n in joints])
     R = np.broadcast_to(np.eye(3), (T, J, 3, 3)).copy()
@@ -254,7 +235,7 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> Articulated
     moves = not np.array_equal(p[:, 1:], np.broadcast_to(offsets[1:], (T, J - 1, 3)))
     return ArticulatedMotion(
         names=tuple(n.name for n in joints),
-        parents=tuple(parents),
+        parents=tuple(-1 if n.parent < 0 else number[id(nodes[n.parent])] for n in joints),
         offsets=offsets,
         R_parent_joint=R,
         p_root=p[:, 0],
@@ -271,22 +252,23 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> Articulated
 def write_bvh(
     path: str | Path, motion: ArticulatedMotion, *, order: str = "zxy", overwrite: bool = False
 ) -> None:
-    """Write a motion that `read_bvh` reads back, in the axes and the length unit it has.
+    """Write a motion that `read_bvh` reads back, in its own axes and length unit.
 
     Args:
-        order: of the rotation channels, the same for all joints, since some readers take the first
-            joint's for all, and others z x y whatever the file says.
+        path: the file. motion: finite positions and rotations.
+        order: order of the rotation channels, the same for all joints, since some readers take the first
+            joint's for all, and others always z x y.
+        overwrite: whether an existing file is replaced.
 
     Raises:
-        ShapeError: no such order, a joint's name that ends a line or a block, or a value is not finite.
-        OutputExistsError: the file exists and overwriting was not asked for. RtofError: it cannot be
-            written.
+        InvalidInputError: no such order, a name with a line end or a brace, or a value that is not finite.
+        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
     if sorted(order) != ["x", "y", "z"]:
-        raise ShapeError(f"order: {order!r}; give x, y and z in some order")
+        raise InvalidInputError(f"order: {order!r}; give x, y and z in some order")
     odd = [n for n in motion.names if not n.strip() or set(n) & set("{}") or len(n.splitlines()) > 1]
     if odd:
-        raise ShapeError(f"joint name {odd[0]!r}: empty, or a brace or a line's end in it; rename it")
+        raise InvalidInputError(f"joint name {odd[0]!r}: empty, or a brace or a line's end in it; rename it")
     angles = np.rad2deg(so3.euler_continuous(so3.matrix_to_euler(order, motion.R_parent_joint)))
     moving, columns = motion.p_parent_joint, []
     for j in _depth_first(motion.parents, 0):
@@ -297,7 +279,7 @@ def write_bvh(
         columns.append(angles[:, j])
     values = np.concatenate(columns, axis=1)
     if not np.isfinite(values).all():
-        raise ShapeError("motion: a value is not finite; BVH has no gaps, write a file for each piece")
+        raise InvalidInputError("motion: a value is not finite; BVH has no gaps, write a file for each piece")
     lines = ["HIERARCHY", *_hierarchy(motion, order, 0, "")]
     lines += ["MOTION", f"Frames: {len(values)}", f"Frame Time: {1 / float(motion.rate_hz)!r}"]
     lines += [" ".join(f"{value:.9f}" for value in row) for row in values.tolist()]
@@ -305,13 +287,13 @@ def write_bvh(
 
 
 def _depth_first(parents: tuple[int, ...], joint: int) -> list[int]:
-    """A joint and all below it, in the order in which a file has them."""
+    """Return a joint and all below it, in the order of a file."""
     below = [_depth_first(parents, child) for child in children_of(parents, joint)]
     return [joint, *(j for branch in below for j in branch)]
 
 
 def _hierarchy(motion: ArticulatedMotion, order: str, joint: int, margin: str) -> list[str]:
-    """Lines of a joint and of all below it; one that has nothing below gets an end site."""
+    """Return the lines of a joint and of all below it; a leaf gets an end site."""
     places = joint == 0 or motion.p_parent_joint is not None
     channels = [f"{axis}position" for axis in "XYZ"] if places else []
     channels += [f"{axis.upper()}rotation" for axis in order]

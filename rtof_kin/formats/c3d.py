@@ -28,7 +28,8 @@ LARGEST_BYTES: Final = 2**31
 _BLOCK: Final = 512
 _LARGEST_HEAD: Final = 510 * _BLOCK
 """The first block of parameters and their number of blocks are stored in one byte each."""
-_PROCESSORS: Final = (84, 85, 86)
+_PROCESSORS: Final = (b"\x54", b"\x55", b"\x56")
+"""Intel, DEC (VAX) and MIPS (SGI)."""
 _DERIVED: Final = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 """Parameters of POINT that list points which a model derived and which are no positions."""
 _FRAMES_OF_16_BITS: Final = 0xFFFF
@@ -92,7 +93,8 @@ def _read_bytes(path: Path) -> bytes:
         raise FileFormatError(path, f"cannot be read: {error}") from error
     if len(data) < 2 * _BLOCK or data[1] != 0x50 or data[0] == 0:
         raise FileFormatError(path, "not a C3D file, which has a header and parameters")
-    if data[(data[0] - 1) * _BLOCK :][3:4] not in map(bytes, ([number] for number in _PROCESSORS)):
+    at = (data[0] - 1) * _BLOCK + 3
+    if data[at : at + 1] not in _PROCESSORS:
         raise FileFormatError(path, "its parameters are of no known processor; is it damaged?")
     return data
 

@@ -1,19 +1,19 @@
-"""How IMUs sit on their segments, as TOML: one table a sensor, in a file of its own or in a recording's.
+"""Calibration of IMUs on their segments as TOML: one table per sensor, in its own file or in a recording's.
 
     [sensors.L_UpArm]
-    joint = "LeftArm"                    # the segment's proximal joint; the usual one where absent
-    lever_arm_m = [0.03, 0.225, 0.012]   # the sensor in the bone's frame; the usual place where absent
+    joint = "LeftArm"                    # the segment's proximal joint
+    lever_arm_m = [0.03, 0.225, 0.012]   # the sensor's position in the bone's frame
     R_world_inertial = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]  # or quat_wxyz_world_inertial
     R_sensor_bone = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]     # or quat_wxyz_sensor_bone
 
-Usual are the segments and places of the skeleton table's sensors. `rtof_kin.data.imu_calibration` says what the
-rotations mean.
+`joint` and `lever_arm_m` default to those of the skeleton table's sensor of that name. The rotations are
+those of `rtof_kin.data.imu_calibration`.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import tomli_w
@@ -27,19 +27,18 @@ from rtof_kin.core.files.text import write_text
 from rtof_kin.data.imu_calibration import ImuCalibration
 
 Array = NDArray[np.float64]
-_QUATERNION_TOLERANCE = 1e-3
+_QUATERNION_TOLERANCE: Final = 1e-3
 
 
 def read_imu_calibration_toml(path: str | Path, skeleton: SkeletonModel) -> ImuCalibration:
-    """A calibration from a file.
+    """Read a calibration.
 
     Args:
-        path: the file.
-        skeleton: whose segments carry the sensors, and where they usually sit.
+        path: the file. skeleton: its segments carry the sensors; it has the default positions.
 
     Raises:
-        FileFormatError: no such file, no sensor in it, or a field is missing or wrong, which is named.
-        UnknownNameError: a field or segment that does not exist.
+        FileFormatError: no such file, no sensor in it, or a missing or invalid field, which is named.
+        UnknownNameError: unknown field or segment.
     """
     file = Section.of_file(Path(path))
     calibration = calibration_of(file.table("sensors"), skeleton)
@@ -52,18 +51,24 @@ def read_imu_calibration_toml(path: str | Path, skeleton: SkeletonModel) -> ImuC
 def write_imu_calibration_toml(
     path: str | Path, calibration: ImuCalibration, overwrite: bool = False
 ) -> None:
-    """Write what `read_imu_calibration_toml` reads back to the same bits.
+    """Write a calibration, which `read_imu_calibration_toml` reads back to the same bits.
+
+    Args:
+        path: the file. calibration: what is written. overwrite: whether an existing file is replaced.
 
     Raises:
-        OutputExistsError: the file exists and overwriting was not asked for.
-        RtofError: it cannot be written.
+        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
     content = {"sensors": calibration_table(calibration)}
     write_text(Path(path), tomli_w.dumps(content), overwrite)
 
 
 def calibration_of(sensors: Section, skeleton: SkeletonModel) -> ImuCalibration | None:
-    """The calibration in a table of sensors, here or in a recording; None where the table is empty."""
+    """Read the calibration in a table of sensors; None where the table is empty.
+
+    Args:
+        sensors: the table. skeleton: as for `read_imu_calibration_toml`, whose errors are raised.
+    """
     if len(sensors) == 0:
         return None
     joints, levers, R_world_inertial, R_sensor_bone = [], [], [], []
@@ -73,11 +78,9 @@ def calibration_of(sensors: Section, skeleton: SkeletonModel) -> ImuCalibration 
         joint = own.text("joint", usual_joint)
         if joint not in skeleton.names:
             raise UnknownNameError(f"joint in {own.path}, {own.where('joint')}", [joint], skeleton.names)
-        lever = own.optional_array("lever_arm_m", (3,))
-        if lever is None and usual_lever is not None and joint == usual_joint:
-            lever = usual_lever
+        usual = usual_lever is not None and joint == usual_joint and not own.has("lever_arm_m")
         joints.append(joint)
-        levers.append(own.array("lever_arm_m", (3,)) if lever is None else lever)
+        levers.append(usual_lever if usual else own.array("lever_arm_m", (3,)))
         R_world_inertial.append(_rotation(own, "world_inertial"))
         R_sensor_bone.append(_rotation(own, "sensor_bone"))
         own.close()
@@ -94,7 +97,7 @@ def calibration_of(sensors: Section, skeleton: SkeletonModel) -> ImuCalibration 
 
 
 def _rotation(section: Section, frames: str) -> Array:
-    """A rotation given as the matrix ``R_<frames>`` or as ``quat_wxyz_<frames>``."""
+    """Return a rotation from the matrix ``R_<frames>`` or from ``quat_wxyz_<frames>``."""
     matrix, quat = f"R_{frames}", f"quat_wxyz_{frames}"
     if section.has(matrix) == section.has(quat):
         raise section.error(matrix, f"give one of {matrix} (3 x 3) and {quat} (4 numbers)")
@@ -108,7 +111,7 @@ def _rotation(section: Section, frames: str) -> Array:
 
 
 def calibration_table(calibration: ImuCalibration) -> dict[str, Any]:
-    """The tables of the sensors, by name, that `calibration_of` reads back to the same bits."""
+    """Return the tables of the sensors, by name, which `calibration_of` reads back to the same bits."""
     return {
         name: {
             "joint": calibration.joints[s],

@@ -1,7 +1,7 @@
-"""URDF joint trajectories: CSV with a JSON sidecar of units, and ROS messages as JSON.
+"""Joint trajectories of the URDF: CSV with a JSON sidecar of units, and ROS messages as JSON.
 
-ROS's JointTrajectory knows single-degree joints only, so the free base is a stream of its own, a
-``trajectory_msgs/MultiDOFJointTrajectory``. JSON is YAML, which is what ROS's tools read.
+ROS's JointTrajectory has joints of one degree of freedom only, so the free base is a message of its own, a
+``trajectory_msgs/MultiDOFJointTrajectory``. JSON is YAML, which ROS's tools read.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import csv
 import json
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pinocchio as pin
@@ -25,15 +25,20 @@ from rtof_kin.core.files.text import write_text
 from rtof_kin.core.signals import runs
 
 Array = NDArray[np.float64]
-BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qx", "base_qy", "base_qz", "base_qw")
-BASE_TURN = "base_q"
-"""The base's orientation, where it has one name."""
+BASE_COLUMNS: Final = ("base_x", "base_y", "base_z", "base_qx", "base_qy", "base_qz", "base_qw")
+BASE_TURN: Final = "base_q"
+"""Name of the base's orientation as a whole."""
+_HEADER: Final = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "world"}
 
 
 def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
-    """(T, nv) velocities by central differences on the configuration manifold, one-sided at the ends.
+    """Central differences on the configuration manifold, one-sided at the ends.
 
-    Pinocchio's convention: base linear and angular velocity in the root's frame, then rad/s.
+    Args:
+        skeleton: the model. q: (T, nq) configurations. times: (T,) s.
+
+    Returns:
+        (T, nv) in Pinocchio's convention: base linear and angular velocity in the root's frame, then rad/s.
     """
     if len(q) < 2:
         return np.zeros((len(q), skeleton.nv))
@@ -44,8 +49,11 @@ def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
 
 
 def write_joint_trajectory_csv(path: str | Path, motion: MotionSequence) -> None:
-    """Named columns: time, base pose, one angle per revolute; then ``NAME_valid`` of the base's turn
-    and of each revolute, 0 where it was not observed. Units are in ``<name>.json`` beside it.
+    """Write named columns: time, base pose, an angle per revolute, and ``NAME_valid`` of the base's
+    orientation and of each revolute, 0 where unobserved. Units are in ``<name>.json`` beside the table.
+
+    Args:
+        path: the table; an existing file is replaced. motion: configurations and their observability.
     """
     path, skeleton = Path(path), motion.skeleton
     columns = ("time", *BASE_COLUMNS, *skeleton.dof_names, *_valid_columns(skeleton))
@@ -66,15 +74,14 @@ def _valid_columns(skeleton: SkeletonModel) -> list[str]:
 
 def _sidecar(path: Path, skeleton: SkeletonModel) -> dict[str, Any]:
     units = {"time": "s"} | dict.fromkeys(BASE_COLUMNS[:3], "m") | dict.fromkeys(BASE_COLUMNS[3:], "1")
+    units |= dict.fromkeys(skeleton.dof_names, "rad") | dict.fromkeys(_valid_columns(skeleton), "1")
     dofs = {dof.urdf: dof for joint in skeleton.table.joints for dof in joint.dofs}
     return {
         "file": path.name,
         "urdf": "skeleton.urdf",
         "frame": "world: z up, metres; base: pose of the root link in world, quaternion x y z w",
-        "units": units
-        | dict.fromkeys(skeleton.dof_names, "rad")
-        | dict.fromkeys(_valid_columns(skeleton), "1"),
-        "valid": "NAME_valid: 1 where somebody observed NAME, 0 where it is a prior's or the model's",
+        "units": units,
+        "valid": "NAME_valid: 1 where NAME was observed, 0 where it comes from a prior or the model",
         "names": {
             name: {"clinical": dofs[name].clinical, "opensim": dofs[name].opensim}
             for name in skeleton.dof_names
@@ -85,10 +92,13 @@ def _sidecar(path: Path, skeleton: SkeletonModel) -> dict[str, Any]:
 
 
 def read_joint_trajectory_csv(path: str | Path) -> tuple[tuple[str, ...], Array]:
-    """Column names and numbers (T, columns) of a trajectory written here.
+    """Read column names and numbers (T, columns) of a trajectory written here.
+
+    Args:
+        path: the table.
 
     Raises:
-        FileFormatError: missing, not a table of numbers with a `time` column.
+        FileFormatError: missing, or not a table of numbers whose first column is `time`.
     """
     columns = read_csv(Path(path))
     table = np.stack(list(columns.values()), axis=-1)
@@ -98,16 +108,18 @@ def read_joint_trajectory_csv(path: str | Path) -> tuple[tuple[str, ...], Array]
 
 
 def write_ros_trajectory(folder: str | Path, motion: MotionSequence) -> list[Path]:
-    """``ros_joint_trajectory.json`` (trajectory_msgs/JointTrajectory: angles and their velocities) and
+    """Write ``ros_joint_trajectory.json`` (trajectory_msgs/JointTrajectory: angles and velocities) and
     ``ros_base_trajectory.json`` (trajectory_msgs/MultiDOFJointTrajectory: pose of the root link).
 
-    Who plays a trajectory moves between its points, so it cannot have a gap. Where configurations are not
-    known it ends, and the next one is in a pair of files of its own: ``..._2.json``, the first one's
-    ``..._1.json``. Times are from the motion's first frame in all of them. Revolutes that were never
-    observed are left out, see `observation.never_observed`.
+    Players interpolate between points, so a trajectory cannot have a gap: each run of known configurations
+    is a pair of files, numbered ``..._1.json``, ``..._2.json`` where there are several. Times count from
+    the motion's first frame in all of them. Revolutes that were never observed are left out.
+
+    Args:
+        folder: where files of these names are replaced. motion: configurations, NaN where unknown.
 
     Returns:
-        The two paths, or those of all pairs.
+        The paths written.
     """
     folder, times, paths = Path(folder), motion.times - motion.times[0], []
     unseen = never_observed(motion)
@@ -123,9 +135,6 @@ def write_ros_trajectory(folder: str | Path, motion: MotionSequence) -> list[Pat
             paths.append(folder / f"ros_{kind}_trajectory{suffix}.json")
             write_text(paths[-1], json.dumps(message) + "\n", overwrite=True)
     return paths
-
-
-_HEADER = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "world"}
 
 
 def _joint_message(
@@ -145,22 +154,13 @@ def _joint_message(
 
 
 def _base_message(skeleton: SkeletonModel, q: Array, times: Array) -> dict[str, Any]:
-    return {
-        "header": _HEADER,
-        "joint_names": [skeleton.root],
-        "points": [
-            {
-                "transforms": [
-                    {
-                        "translation": dict(zip("xyz", row[:3], strict=True)),
-                        "rotation": dict(zip("xyzw", row[3:7], strict=True)),
-                    }
-                ],
-                "time_from_start": _duration(time),
-            }
-            for row, time in zip(q.tolist(), times, strict=True)
-        ],
-    }
+    points = []
+    for row, time in zip(q.tolist(), times, strict=True):
+        translation = dict(zip("xyz", row[:3], strict=True))
+        rotation = dict(zip("xyzw", row[3:7], strict=True))
+        transforms = [{"translation": translation, "rotation": rotation}]
+        points.append({"transforms": transforms, "time_from_start": _duration(time)})
+    return {"header": _HEADER, "joint_names": [skeleton.root], "points": points}
 
 
 def _duration(seconds: float) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""`MarkerSequence`: points in space over time, as TRC and C3D files hold them."""
+"""`MarkerSequence`: points in space over time, as in TRC and C3D files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.checks import checked_names, checked_times, readonly
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.text import measurable
 
 Array = NDArray[np.float64]
@@ -17,14 +17,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MarkerSequence:
-    """Where markers, or other named points, are in world."""
+    """Positions of markers, or of other named points, in world."""
 
     times: Array
     """(T,) seconds, strictly increasing."""
     names: tuple[str, ...]
     """M names."""
     p_world: Array
-    """(T, M, 3) m; NaN as a whole where a marker was not seen."""
+    """(T, M, 3) m; NaN as a whole where missing."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -33,7 +33,7 @@ class MarkerSequence:
         shape = len(self.times), len(self.names), 3
         p = np.array(readonly("markers p_world", self.p_world, shape))
         if np.any(np.isinf(p)) or not measurable(p):
-            raise ShapeError("markers p_world: infinite; write NaN where a marker was not seen")
+            raise InvalidInputError("markers p_world: infinite; write NaN where a marker was not seen")
         p[np.isnan(p).any(axis=-1)] = np.nan
         set_(self, "p_world", readonly("markers p_world", p, shape))
 

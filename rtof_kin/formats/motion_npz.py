@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +18,17 @@ from rtof_kin.core.files.text import LARGEST_NUMBER, measurable
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence
 
-SCHEMA_VERSION = 1
-_LARGEST_BYTES = 8 * 2**30
-_COVARIANCES = ("position_covariance", "relative_covariance", "turn_covariance")
-"""Fields of `Confidence` that the file has."""
+SCHEMA_VERSION: Final = 1
+_LARGEST_BYTES: Final = 8 * 2**30
+_POSES: Final = ("times", "p_world_joint", "R_world_bone", "valid", "provenance", "orientation_observed")
+"""Required fields of `PoseSequence` in the file."""
+_COVARIANCES: Final = ("position_covariance", "relative_covariance", "turn_covariance")
+"""Fields of `Confidence` in the file."""
 
 
 @dataclass(frozen=True)
 class MotionFile:
-    """What a ``motion.npz`` holds."""
+    """Content of a ``motion.npz``."""
 
     q: NDArray[np.float64]
     """(T, nq) configurations of the personalised URDF, Pinocchio's order."""
@@ -41,14 +43,14 @@ class MotionFile:
     first_frame: int
     """Number of the first frame in the video the recording was cut from."""
     mode: str
-    """How it was made: 'lift', 'sf2', 'rto' or 'rtof'."""
+    """Mode of the reconstruction: 'lift', 'sf2', 'rto' or 'rtof'."""
     skeleton: str
     """Name of the skeleton, see `SkeletonModel.named`."""
     confidence: Confidence | None = None
-    """How well the motion is known; None in files that do not say."""
+    """Covariances of the poses; None where absent."""
 
     def motion(self) -> MotionSequence:
-        """The motion of the subject's skeleton that the file describes."""
+        """Return the motion on the subject's skeleton."""
         skeleton = SkeletonModel.named(self.skeleton).with_offsets(self.joint_offsets)
         return MotionSequence(skeleton, self.q, self.poses, skeleton.check(self.q), self.confidence)
 
@@ -56,23 +58,20 @@ class MotionFile:
 def write_motion_npz(
     path: str | Path, motion: MotionSequence, *, first_frame: int = 0, mode: str = ""
 ) -> None:
-    """Write a motion over an earlier one; every array is named after its field in `MotionFile` and
-    `PoseSequence`, and ``dof_observed`` (T, D) after `observation.observed_dofs`, which makes it.
+    """Write a motion over an existing file. Arrays have the names of their fields in `MotionFile` and
+    `PoseSequence`; ``dof_observed`` (T, D) is that of `observability.observed_dofs`.
+
+    Args:
+        path: the file. motion: what is written. first_frame: number of the first frame in the video.
+        mode: mode of the reconstruction.
 
     Raises:
         RtofError: it cannot be written.
     """
-    poses = motion.poses
-    arrays = {
+    poses, confidence = motion.poses, motion.confidence
+    arrays = {name: getattr(poses, name) for name in (*_POSES, "direction_observed")} | {
         "schema_version": np.array(SCHEMA_VERSION),
-        "times": poses.times,
         "q": motion.q,
-        "p_world_joint": poses.p_world_joint,
-        "R_world_bone": poses.R_world_bone,
-        "valid": poses.valid,
-        "provenance": poses.provenance,
-        "orientation_observed": poses.orientation_observed,
-        "direction_observed": poses.direction_observed,
         "dof_observed": observed_dofs(motion),
         "singular": motion.report.singular,
         "names": np.array(poses.names),
@@ -82,14 +81,20 @@ def write_motion_npz(
         "mode": np.array(mode),
         "skeleton": np.array(motion.skeleton.name),
     }
-    write_npz(Path(path), arrays | _confidence_arrays(motion.confidence), overwrite=True)
+    if confidence is not None:
+        arrays["confidence_pairs"] = np.array(confidence.pairs)
+        arrays |= {name: getattr(confidence, name).astype(np.float32) for name in _COVARIANCES}
+    write_npz(Path(path), arrays, overwrite=True)
 
 
 def read_motion_npz(path: str | Path) -> MotionFile:
     """Read a motion; nothing in the file is executed.
 
+    Args:
+        path: the file.
+
     Raises:
-        FileFormatError: missing, damaged, of a newer schema, or an array is missing or of wrong shape.
+        FileFormatError: missing, damaged, of a newer schema, or an array is missing or has a wrong shape.
     """
     data = read_npz_as_saved(Path(path), _LARGEST_BYTES, kinds="fiubU")
     for name, array in data.items():
@@ -101,16 +106,10 @@ def read_motion_npz(path: str | Path) -> MotionFile:
             raise FileFormatError(
                 path, f"schema version {version} is newer than {SCHEMA_VERSION}; update rtof_kin"
             )
-        poses = PoseSequence(
-            times=data["times"],
-            p_world_joint=data["p_world_joint"],
-            R_world_bone=data["R_world_bone"],
-            names=_names("names", data["names"]),
-            provenance=data["provenance"],
-            valid=data["valid"],
-            orientation_observed=data["orientation_observed"],
-            direction_observed=data.get("direction_observed"),  # type: ignore[arg-type]
-        )
+        fields: dict[str, Any] = {name: data[name] for name in _POSES}
+        if "direction_observed" in data:
+            fields["direction_observed"] = data["direction_observed"]
+        poses = PoseSequence(names=_names("names", data["names"]), **fields)
         dof_names = _names("dof_names", data["dof_names"])
         T, J = len(poses), len(poses.names)
         return MotionFile(
@@ -130,14 +129,6 @@ def read_motion_npz(path: str | Path) -> MotionFile:
         if isinstance(error, FileFormatError):
             raise
         raise FileFormatError(path, str(error)) from error
-
-
-def _confidence_arrays(confidence: Confidence | None) -> dict[str, Any]:
-    """What the file holds of a confidence, in single precision; nothing where there is none."""
-    if confidence is None:
-        return {}
-    arrays = {name: getattr(confidence, name).astype(np.float32) for name in _COVARIANCES}
-    return {"confidence_pairs": np.array(confidence.pairs)} | arrays
 
 
 def _confidence(data: dict[str, NDArray[Any]], poses: PoseSequence) -> Confidence | None:

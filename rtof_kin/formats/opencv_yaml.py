@@ -1,20 +1,11 @@
 """Cameras in YAML or JSON, as OpenCV's FileStorage, ROS and people write them.
 
-    %YAML:1.0
-    ---
     image_width: 1920
     image_height: 1080
-    camera_matrix: !!opencv-matrix
-       rows: 3
-       cols: 3
-       dt: d
-       data: [ 1250., 0., 960., 0., 1250., 540., 0., 0., 1. ]
+    camera_matrix: !!opencv-matrix        # rows, cols, dt and data: [1250., 0., 960., ...]
     distortion_coefficients: !!opencv-matrix
-       ...
     R: !!opencv-matrix                    # world to camera: a matrix or a rotation vector, rad
-       ...
     T: !!opencv-matrix                    # p_camera = R p_world + T
-       ...
 
 `_NAMES` lists the other names of these entries; plain lists are accepted for matrices. A file holds one
 camera, a table for each of several, or a stereo pair (M1, D1, M2, D2, R, T), whose world is the first
@@ -96,7 +87,7 @@ def read_opencv_yaml(
         if R is None and up == "z":
             raise entries.error(
                 "R", "missing, so the world is this camera's own axes, and z is its viewing direction; "
-                "add R and T, or declare up='-y' if it was held level"
+                "add R and T, or declare up='-y' for a level camera"
             )  # fmt: skip
         R_camera_world = (np.eye(3) if R is None else R) @ R_world_file.T
         t = checked_distance(f"{path}: {name}, T", t, metres_per_unit)

@@ -1,15 +1,16 @@
-"""``.osim``: the skeleton as a model that OpenSim 4 loads, for its motions, markers and inverse dynamics.
+"""``.osim``: the skeleton as a model for OpenSim 4, for its motions, markers and inverse dynamics.
 
-Bodies are the URDF's segments, in the same link frames, with the same masses and without the light
-links between revolutes: a joint's three revolutes are one CustomJoint about the same axes in the same
-order. A marker stands at each landmark, under its name in the .trc. The joint of the root takes the world
-(z up) to OpenSim's ground (y up), and nothing else differs from the URDF.
+Bodies are the URDF's segments, with the same link frames and masses, without the light links between
+revolutes: a joint's three revolutes are one CustomJoint about the same axes in the same order. A marker
+stands at each landmark, under its name in the .trc. The joint of the root takes the world (z up) to
+OpenSim's ground (y up).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Final
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -20,13 +21,14 @@ from rtof_kin.body.skeleton_table import Joint, SkeletonTable
 from rtof_kin.body.urdf import segment_inertia
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.files.text import write_text
-from rtof_kin.formats.opensim_coordinates import Coordinate, coordinates
+from rtof_kin.data.imu import STANDARD_GRAVITY
+from rtof_kin.formats.opensim_mot import Coordinate, coordinates
 from rtof_kin.formats.world_axes import R_WORLD_GROUND
 
 Array = NDArray[np.float64]
-_VERSION = "40000"
-"""Of the format; every OpenSim 4 reads it."""
-_CREDITS = (
+_VERSION: Final = "40000"
+"""Version of the format; every OpenSim 4 reads it."""
+_CREDITS: Final = (
     "Bodies have the link frames of the URDF: x forward, y left, z up in the T-pose, where every "
     "coordinate is zero. Masses: de Leva (1996). Ground: x forward, y up, z right. A coordinate with "
     "a name of OpenSim has its sign; one called JOINT_AXIS is the URDF's revolute."
@@ -36,24 +38,28 @@ _CREDITS = (
 def write_osim(path: str | Path, skeleton: SkeletonModel, *, overwrite: bool = False) -> None:
     """Write a skeleton as an OpenSim model.
 
+    Args:
+        path: the file. skeleton: the body. overwrite: whether an existing file is replaced.
+
     Raises:
-        OutputExistsError: the file exists and overwriting was not asked for. RtofError: it cannot be
-            written.
+        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
     write_text(Path(path), to_osim(skeleton), overwrite)
 
 
 def to_osim(skeleton: SkeletonModel) -> str:
-    """The OpenSim model of a skeleton as XML text; its angles are `opensim_coordinates.coordinates`."""
+    """Return the OpenSim model of a skeleton, XML; its angles are `opensim_mot.coordinates`."""
     table = skeleton.table
     document = ET.Element("OpenSimDocument", Version=_VERSION)
     model = ET.SubElement(document, "Model", name=table.name)
     _leaf(model, "credits", _CREDITS)
-    _leaf(model, "gravity", _text([0, -9.81, 0]))
+    _leaf(model, "gravity", _text([0, -STANDARD_GRAVITY, 0]))
     _leaf(model, "length_units", "meters")
     _leaf(model, "force_units", "N")
-    bodies, joints = _set(model, "BodySet", "bodyset"), _set(model, "JointSet", "jointset")
-    markers = _set(model, "MarkerSet", "markerset")
+    bodies, joints, markers = (
+        ET.SubElement(ET.SubElement(model, kind, name=kind.lower()), "objects")
+        for kind in ("BodySet", "JointSet", "MarkerSet")
+    )
     every = coordinates(table)
     for joint in table.joints:
         _body(bodies, joint, table)
@@ -67,7 +73,7 @@ def to_osim(skeleton: SkeletonModel) -> str:
 
 
 def _body(bodies: ET.Element, joint: Joint, table: SkeletonTable) -> None:
-    """Inertia, and a cylinder from the joint to the far end of its segment, for the eye."""
+    """Add a body with its inertia and, for display, a cylinder along its segment."""
     mass_kg, center, matrix = segment_inertia(joint, table)
     body = ET.SubElement(bodies, "Body", name=joint.name)
     along = so3.minimal_rotation([0.0, 1.0, 0.0], joint.end)  # OpenSim's cylinders lie along y
@@ -98,33 +104,20 @@ def _custom_joint(joints: ET.Element, joint: Joint, moved_by: list[Coordinate]) 
     for kind in ("rotation", "translation"):
         own = [c for c in moved_by if c.is_rotation == (kind == "rotation")]
         for i in range(3):
-            axis = own[i].axis if own else np.eye(3)[i]
-            _transform_axis(transform, f"{kind}{i + 1}", own[i].name if own else "", axis)
-
-
-def _transform_axis(transform: ET.Element, place: str, coordinate: str, axis: Array) -> None:
-    element = ET.SubElement(transform, "TransformAxis", name=place)
-    _leaf(element, "coordinates", coordinate)
-    _leaf(element, "axis", _text(axis))
-    if coordinate:
-        function = ET.SubElement(element, "LinearFunction", name="function")
-        _leaf(function, "coefficients", "1 0")
-    else:
-        function = ET.SubElement(element, "Constant", name="function")
-        _leaf(function, "value", "0")
+            axis = ET.SubElement(transform, "TransformAxis", name=f"{kind}{i + 1}")
+            _leaf(axis, "coordinates", own[i].name if own else "")
+            _leaf(axis, "axis", _text(own[i].axis if own else np.eye(3)[i]))
+            function = ET.SubElement(axis, "LinearFunction" if own else "Constant", name="function")
+            _leaf(function, "coefficients" if own else "value", "1 0" if own else "0")
 
 
 def _frame(into: ET.Element, name: str, parent: str, p: Array, R_parent_frame: Array) -> ET.Element:
-    """A frame fixed in another; OpenSim's orientation is rotations about its own x, y and z, rad."""
+    """Add a frame fixed in another; OpenSim's orientation is rotations about its own x, y and z, rad."""
     frame = ET.SubElement(into, "PhysicalOffsetFrame", name=name)
     _leaf(frame, "socket_parent", parent)
     _leaf(frame, "translation", _text(p))
     _leaf(frame, "orientation", _text(so3.matrix_to_euler("xyz", R_parent_frame)))
     return frame
-
-
-def _set(model: ET.Element, kind: str, name: str) -> ET.Element:
-    return ET.SubElement(ET.SubElement(model, kind, name=name), "objects")
 
 
 def _leaf(into: ET.Element, tag: str, text: str) -> None:

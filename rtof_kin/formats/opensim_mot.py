@@ -1,56 +1,156 @@
-"""OpenSim's motions: ``.mot`` (coordinates in degrees) and ``.sto`` (states: values and speeds in rad).
+"""OpenSim's coordinates of a skeleton and its motions: ``.mot`` (degrees) and ``.sto`` (states, rad).
 
-Both are tables for the .osim that `formats.opensim_model` writes of the same skeleton: a header that ends with
-``endheader``, then columns that tabs separate, the first one time in s. Translations are in m. OpenSim
-wants even times and has no way to say that a number is not known: it takes a NaN for the end of the file.
-A motion with a gap becomes several files. A ``.mot`` lacks the coordinates that were never observed, for
-which OpenSim's tools take the model's zero; a ``.sto`` must have all states, so its header names them.
+The skeleton table has OpenSim's names. With a leading minus, as in ``-hip_flexion_r``, a coordinate turns
+about the opposite of the revolute's axis, so that its values have OpenSim's sign; a revolute without a name
+in OpenSim keeps the URDF's. Every angle is zero in the T-pose. The root has OpenSim's pelvis_tilt, _list,
+_rotation, _tx, _ty and _tz: rotations about z, x, y and translations along x, y, z of its ground, y up.
+
+Both files are tables for the .osim of the same skeleton: a header that ends with ``endheader``, then
+tab-separated columns, the first one time in s. OpenSim needs even times and takes a NaN for the end of the
+file, so a motion with gaps becomes several files. A ``.mot`` lacks the coordinates that were never
+observed, for which OpenSim's tools take the model's zero; a ``.sto`` must have all states, so its header
+names them.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.observability import never_observed
 from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton_table import SkeletonTable
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.checks import checked_names
 from rtof_kin.core.files.text import write_text
-from rtof_kin.formats.motion_views import dofs_from_prior, even_times, from_prior
-from rtof_kin.formats.opensim_coordinates import coordinate_values, coordinates
+from rtof_kin.formats.joint_trajectory import BASE_TURN
+from rtof_kin.formats.motion_views import check_known, dofs_from_prior, even_times, from_prior
+from rtof_kin.formats.world_axes import R_WORLD_GROUND
 
 Array = NDArray[np.float64]
+ROOT_AXES: Final = "yxz"
+"""Rotation axes of the root in world: z, x and y of OpenSim's ground, the first one reversed."""
+_ROOT_ROTATIONS: Final = ("-pelvis_tilt", "pelvis_list", "pelvis_rotation")
+_ROOT_TRANSLATIONS: Final = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
+_ROOT_RANGE_M: Final = 10.0
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One degree of freedom of an .osim."""
+
+    name: str
+    joint: str
+    """The joint of the skeleton that it moves."""
+    axis: Array
+    """(3,) axis of rotation or translation, in the joint's axes with all angles zero."""
+    is_rotation: bool
+    range: tuple[float, float]
+    """Radians or metres."""
+    urdf: str = ""
+    """Its URDF name; `BASE_TURN` for the root's rotations, empty for its translations."""
+
+    @property
+    def sign(self) -> float:
+        """-1 where the axis is the opposite of a link frame's, else 1."""
+        return float(np.sign(self.axis.sum()))
+
+
+def coordinates(table: SkeletonTable) -> tuple[Coordinate, ...]:
+    """Return all coordinates: three rotations and three translations of the root, then three rotations of
+    each joint in the order of its axes.
+
+    Args:
+        table: the skeleton.
+
+    Raises:
+        InvalidInputError: two would have one name.
+    """
+    root = table.names[0]
+    out = [
+        _rotation(root, axis, name, BASE_TURN, (-np.pi, np.pi))
+        for axis, name in zip(ROOT_AXES, _ROOT_ROTATIONS, strict=True)
+    ]
+    for name, axis in zip(_ROOT_TRANSLATIONS, R_WORLD_GROUND.T, strict=True):
+        out.append(Coordinate(name, root, axis, False, (-_ROOT_RANGE_M, _ROOT_RANGE_M)))
+    for joint in table.joints[1:]:
+        for axis, dof, (low, high) in zip(joint.axes, joint.dofs, joint.limits, strict=True):
+            out.append(_rotation(joint.name, axis, dof.opensim, dof.urdf, (low, high)))
+    checked_names("OpenSim coordinates", [c.name for c in out])
+    return tuple(out)
+
+
+def _rotation(joint: str, axis: str, opensim: str, urdf: str, limits: tuple[float, float]) -> Coordinate:
+    low, high = map(float, limits)
+    unit = np.eye(3)["xyz".index(axis)]
+    if opensim.startswith("-"):
+        return Coordinate(opensim[1:], joint, -unit, True, (-high, -low), urdf)
+    return Coordinate(opensim or urdf, joint, unit, True, (low, high), urdf)
+
+
+def coordinate_values(motion: MotionSequence) -> tuple[tuple[Coordinate, ...], Array]:
+    """Return the coordinates of a motion and their values (T, C), rad and m, continuous over time.
+
+    Args:
+        motion: its configurations must be known, see `formats.motion_views.pieces`.
+
+    Raises:
+        InvalidInputError: a configuration is unknown.
+    """
+    check_known(motion)
+    skeleton, R_world_root = motion.skeleton, motion.poses.R_world_bone[:, 0]
+    every = coordinates(skeleton.table)
+    index = [skeleton.dof_names.index(d.urdf) for j in skeleton.table.joints for d in j.dofs]
+    unsigned = [
+        so3.euler_continuous(so3.matrix_to_euler(ROOT_AXES, R_world_root)),
+        motion.q[:, :3] @ np.abs(R_WORLD_GROUND),
+        motion.q[:, 7:][:, index],
+    ]
+    return every, np.concatenate(unsigned, axis=1) * [c.sign for c in every]
+
+
+# --- files ---------------------------------------------------------------------------------------
 
 
 def write_mot(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
-    """Write coordinates, angles in degrees, for OpenSim's graphical program and its tools; without those
-    that were never observed (`observation.never_observed`).
+    """Write coordinates, angles in degrees, without those that were never observed.
+
+    Args:
+        path: the file. motion: known configurations at even times.
+        overwrite: whether an existing file is replaced.
 
     Raises:
-        ShapeError: a frame is not known, or times are uneven. OutputExistsError: the file exists and
-            overwriting was not asked for. RtofError: it cannot be written.
+        InvalidInputError: a frame is unknown, or times are uneven.
+        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
-    all_of_them, values = coordinate_values(motion)
-    unit = [180 / np.pi if c.is_rotation else 1.0 for c in all_of_them]
+    every, values = coordinate_values(motion)
+    unit = [180 / np.pi if c.is_rotation else 1.0 for c in every]
     unseen = never_observed(motion)
-    kept = [i for i, c in enumerate(all_of_them) if c.urdf not in unseen]
-    names = [all_of_them[i].name for i in kept]
+    kept = [i for i, c in enumerate(every) if c.urdf not in unseen]
+    names = [every[i].name for i in kept]
     _write_table(Path(path), motion, names, (values * unit)[:, kept], True, overwrite)
 
 
 def write_sto(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
-    """Write states, named by their paths in the model: values in rad and m, and speeds, which are central
-    differences (0 of a single frame), in rad/s and m/s.
+    """Write states under their paths in the model: values, rad and m, and speeds, rad/s and m/s, by central
+    differences (0 for a single frame).
+
+    Args:
+        path: the file. motion: known configurations at even times.
+        overwrite: whether an existing file is replaced.
 
     Raises:
         As `write_mot`.
     """
-    all_of_them, values = coordinate_values(motion)
+    every, values = coordinate_values(motion)
     speeds = np.zeros_like(values)
     if len(values) > 1:
         speeds = np.gradient(values, even_times(motion.times), axis=0)
-    names = [f"/jointset/{c.joint}/{c.name}/{kind}" for kind in ("value", "speed") for c in all_of_them]
+    names = [f"/jointset/{c.joint}/{c.name}/{kind}" for kind in ("value", "speed") for c in every]
     _write_table(Path(path), motion, names, np.hstack([values, speeds]), False, overwrite)
 
 
@@ -75,11 +175,11 @@ def _write_table(
 
 
 def _unseen(motion: MotionSequence) -> list[str]:
-    """Lines on the joints and coordinates that nobody saw, where there are any."""
+    """Return a line each on unobserved joints and coordinates, if any."""
     dofs = dofs_from_prior(motion)
     unseen = {c.name: dofs[c.urdf] for c in coordinates(motion.skeleton.table) if c.urdf in dofs}
     return [
-        f"Nobody saw these {what} in a share of the frames: "
+        f"Unobserved {what} and the share of the frames: "
         + ", ".join(f"{name} {100 * share:.3g} %" for name, share in shares.items()) + "."
         for what, shares in (("joints", from_prior(motion)), ("coordinates", unseen)) if shares
     ]  # fmt: skip

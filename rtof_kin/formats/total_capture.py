@@ -1,14 +1,15 @@
-"""The text formats of Total Capture (Trumble et al., BMVC 2017), as they stand in the files.
+"""Text formats of Total Capture (Trumble et al., BMVC 2017), in the files' own units and frames.
 
-Nothing is converted here: joint tables are in inches and x y z w, sensors in w x y z and m/s^2, cameras
-in metres and the dataset's y-up world. `rtof_kin.datasets.total_capture` brings all of it to this
-package's frames.
+Joint tables are in inches and x y z w, sensors at 60 Hz in w x y z and m/s^2, cameras in metres and the
+dataset's y-up world. `rtof_kin.datasets.total_capture` converts them to this package's frames.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,14 @@ from numpy.typing import NDArray
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu_declaration import Declaration
+from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
 Array = NDArray[np.float64]
-_AGAIN = "the download is probably incomplete; fetch and unpack the file again"
+TITLE: Final = "Total Capture .sensors"
+_RATE_HZ: Final = 60.0
+_AGAIN: Final = "the download is probably incomplete; fetch and unpack the file again"
 
 
 @dataclass(frozen=True)
@@ -44,10 +50,10 @@ class SensorTable:
 
 
 def read_joints(path: str | Path, width: int) -> JointTable:
-    """A table with a line of names and then a line for each frame.
+    """Read a table with a line of names and then a line for each frame.
 
     Args:
-        width: numbers in a cell: 3 for positions, 4 for orientations.
+        path: the file. width: numbers per joint: 3 for positions, 4 for orientations.
 
     Raises:
         FileFormatError: unreadable, cut off, or not such a table; names the line.
@@ -59,20 +65,29 @@ def read_joints(path: str | Path, width: int) -> JointTable:
         raise FileFormatError(path, "does not begin with a line of different joint names", 1)
     if not lines:
         raise FileFormatError(path, f"holds names but no frame; {_AGAIN}", 1)
-    values = _table(path, [line.split() for line in lines], len(names), width)
+    T, J = len(lines), len(names)
+    rows = [line.split() for line in lines]
+    values = _numbers(rows, J * width)
+    if values is None:
+        at = next(i for i, row in enumerate(rows) if _numbers([row], J * width) is None)
+        found = f"found {len(rows[at])} cells{_odd(rows[at])}"
+        if at == T - 1:
+            found += f": the file is cut off here; {at} frames before it are whole. {_AGAIN}"
+        raise FileFormatError(path, f"expected {J} joints of {width} numbers, {found}", at + 2)
     if lines[0].endswith("\t") and not lines[-1].endswith("\t"):
-        raise FileFormatError(
-            path, f"is cut off in the last number of this line; {len(lines) - 1} frames before it are "
-            f"whole. {_AGAIN}", len(lines) + 1,
-        )  # fmt: skip
-    return JointTable(names, values.reshape(len(lines), len(names), width))
+        problem = f"is cut off in the last number of this line; {T - 1} frames before it are whole"
+        raise FileFormatError(path, f"{problem}. {_AGAIN}", T + 1)
+    return JointTable(names, values.reshape(T, J, width))
 
 
 def read_sensors(path: str | Path) -> SensorTable:
-    """Orientation and specific force of all sensors; further columns (gyroscope, ...) are left out.
+    """Read orientation and specific force of all sensors; further columns (gyroscope, ...) are ignored.
+
+    Args:
+        path: the file.
 
     Raises:
-        FileFormatError: unreadable, cut off, other frames than the file announces, sensors that change.
+        FileFormatError: unreadable, cut off, other frames than announced, or sensors that change.
     """
     path = Path(path)
     first, *lines = _lines(path)
@@ -84,18 +99,17 @@ def read_sensors(path: str | Path) -> SensorTable:
         raise FileFormatError(path, f"announces {T} frames of {S} sensors", 1)
     rows = [line.split() for line in lines]
     names = _sensor_names(path, rows, S, T)
-    readings = [row[1:8] for i, row in enumerate(rows) if i % (S + 1)]
-    values = _numbers(readings, 7)
+    readings = [(i, row[1:8]) for i, row in enumerate(rows) if i % (S + 1)]
+    values = _numbers([cells for _, cells in readings], 7)
     if values is None:
-        at = next(i for i, row in enumerate(rows) if i % (S + 1) and _numbers([row[1:8]], 7) is None)
-        problem = f"expected a sensor's name and at least 7 numbers{_odd(rows[at][1:8])}"
-        raise FileFormatError(path, problem, at + 2)
+        i, cells = next((i, cells) for i, cells in readings if _numbers([cells], 7) is None)
+        raise FileFormatError(path, f"expected a sensor's name and at least 7 numbers{_odd(cells)}", i + 2)
     values = values.reshape(T, S, 7)
     return SensorTable(names, values[..., :4], values[..., 4:])
 
 
 def _sensor_names(path: Path, rows: list[list[str]], S: int, T: int) -> tuple[str, ...]:
-    """The sensors, after checking that T whole frames follow each other, all of the same sensors."""
+    """Return the sensors, after checking that T whole frames of the same sensors follow each other."""
     announced = f"announces {T} frames of {S} sensors"
     heads = [row[0] if row else "" for row in rows]
     names = tuple(heads[1 : S + 1])
@@ -114,17 +128,37 @@ def _sensor_names(path: Path, rows: list[list[str]], S: int, T: int) -> tuple[st
     if len(rows) % (S + 1) == 0 and rows and len(rows[-1]) < max(8, len(rows[1])):
         whole -= 1
     if whole < T:
-        raise FileFormatError(
-            path, f"{announced} and is cut off here: it holds {whole} whole ones. {_AGAIN}",
-            len(rows) + 1,
-        )  # fmt: skip
+        problem = f"{announced} and is cut off here: it holds {whole} whole ones. {_AGAIN}"
+        raise FileFormatError(path, problem, len(rows) + 1)
     if len(rows) > T * (S + 1):
         raise FileFormatError(path, f"{announced} and holds {whole} whole ones", T * (S + 1) + 2)
     return names
 
 
+def is_sensors(head: str) -> bool:
+    """Implement `sensors.files.Format.recognise`."""
+    rows = [line.split() for line in head.splitlines()[:3]]
+    counts = [len(row) for row in rows]
+    return len(rows) == 3 and counts[:2] == [2, 1] and counts[2] >= 8 and rows[1][0] == "1"
+
+
+def read_sensor_log(path: Path, **declared: Any) -> SensorLog:
+    """Implement `sensors.files.Format.read` for `read_sensors`; without the calibration of other files."""
+    declaration = Declaration(rate_hz=_RATE_HZ).changed(**declared)
+    table = read_sensors(path)
+    times = np.arange(len(table.f_sensor)) / (declaration.rate_hz or _RATE_HZ)
+    sensors = [
+        Readings(name, times, table.f_sensor[:, s], quaternions=table.quat_wxyz[:, s])
+        for s, name in enumerate(table.names)
+    ]
+    return sensor_log([path], TITLE, sensors, declaration)
+
+
 def read_imu_calibration(path: str | Path) -> dict[str, Array]:
-    """Quaternion x y z w by sensor, from ``calib_imu_ref.txt`` or ``calib_imu_bone.txt``.
+    """Read quaternions x y z w by sensor, from ``calib_imu_ref.txt`` or ``calib_imu_bone.txt``.
+
+    Args:
+        path: the file.
 
     Raises:
         FileFormatError: unreadable, cut off, or a quaternion that is not of unit norm.
@@ -147,14 +181,18 @@ def read_imu_calibration(path: str | Path) -> dict[str, Array]:
         if not abs(norm - 1) < 0.01:
             raise FileFormatError(path, f"the quaternion of {name} has norm {norm:.3g}, not 1", number)
         quaternions[name] = values[0] / norm
-    if len(quaternions) != int(first):
-        problem = f"announces {int(first)} sensors and holds {len(quaternions)}"
-        raise FileFormatError(path, problem + _cut(len(quaternions) < int(first)))
+    announced, found = int(first), len(quaternions)
+    if found != announced:
+        cut = f"; {_AGAIN}" if found < announced else ""
+        raise FileFormatError(path, f"announces {announced} sensors and holds {found}{cut}")
     return quaternions
 
 
 def read_cameras(path: str | Path) -> dict[int, Camera]:
-    """Cameras by number from 1, in the dataset's own world (y up, metres).
+    """Read cameras by number from 1, in the dataset's own world (y up, metres).
+
+    Args:
+        path: the file.
 
     Raises:
         FileFormatError: unreadable, cut off, or numbers that make no camera.
@@ -171,16 +209,17 @@ def read_cameras(path: str | Path) -> dict[int, Camera]:
     each = 4 + 4 + order + 9 + 3
     wanted = 2 + count * each
     if not (0 < count < 1000 and 0 <= order <= 3) or len(cells) != wanted:
+        cut = f"; {_AGAIN}" if len(cells) < wanted else ""
         raise FileFormatError(
             path, f"announces {count} cameras with {order} distortion terms, which take {wanted} "
-            f"numbers, and holds {len(cells)}{_cut(len(cells) < wanted)}",
+            f"numbers, and holds {len(cells)}{cut}",
         )  # fmt: skip
-    return {i + 1: _camera(path, i + 1, row, order) for i, row in
-            enumerate(numbers[0, 2:].reshape(count, each))}  # fmt: skip
+    rows = numbers[0, 2:].reshape(count, each)
+    return {i: _camera(path, i, row, order) for i, row in enumerate(rows, 1)}
 
 
 def _camera(path: Path, number: int, row: Array, order: int) -> Camera:
-    """min_row max_row min_col max_col, fx fy cx cy, distortion, three rows of R, t."""
+    """Make a camera of min_row max_row min_col max_col, fx fy cx cy, distortion, three rows of R, t."""
     fx, fy, cx, cy = row[4:8]
     distortion = np.zeros(5)
     distortion[[0, 1, 4][:order]] = row[8 : 8 + order]  # radial terms, in OpenCV's k1 k2 p1 p2 k3
@@ -196,28 +235,15 @@ def _camera(path: Path, number: int, row: Array, order: int) -> Camera:
 
 
 def _lines(path: Path) -> list[str]:
-    """The lines of a text file, at least one, without empty ones at the end."""
+    """Return the lines of a text file, at least one, without empty ones at the end."""
     lines = read_text(path, f"a table of Total Capture; {_AGAIN}").splitlines()
     while not lines[-1].strip():
         lines.pop()
     return lines
 
 
-def _table(path: Path, rows: list[list[str]], joints: int, width: int) -> Array:
-    """Numbers (T, joints * width) of the rows, of which the first stands in line 2."""
-    columns = joints * width
-    values = _numbers(rows, columns)
-    if values is not None:
-        return values
-    at = next(i for i, row in enumerate(rows) if _numbers([row], columns) is None)
-    found = f"found {len(rows[at])} cells{_odd(rows[at])}"
-    if at == len(rows) - 1:
-        found += f": the file is cut off here; {at} frames before it are whole. {_AGAIN}"
-    raise FileFormatError(path, f"expected {joints} joints of {width} numbers, {found}", at + 2)
-
-
-def _numbers(rows: list[list[str]], columns: int) -> Array | None:
-    """Numbers (len(rows), columns); None if a row has another length or a cell is no finite number."""
+def _numbers(rows: Sequence[Sequence[str]], columns: int) -> Array | None:
+    """Return numbers (len(rows), columns); None for a row of another length or a cell that is not finite."""
     try:
         values = np.array(rows, dtype=float)
     except ValueError:
@@ -231,18 +257,10 @@ def _is_count(text: str) -> bool:
 
 
 def _is_number(text: str) -> bool:
-    """Whether a word is a finite number: nothing else occurs in sound files."""
-    try:
-        return abs(float(text)) <= LARGEST_NUMBER
-    except ValueError:
-        return False
+    return _numbers([[text]], 1) is not None
 
 
-def _odd(cells: list[str]) -> str:
-    """What to say of the first of them that is no number, if there is one."""
+def _odd(cells: Sequence[str]) -> str:
+    """Return a phrase that quotes the first cell that is not a finite number."""
     odd = next((cell for cell in cells if not _is_number(cell)), None)
     return "" if odd is None else f", among them {odd[:40]!r}"
-
-
-def _cut(off: bool) -> str:
-    return f"; {_AGAIN}" if off else ""

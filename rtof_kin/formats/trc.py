@@ -2,29 +2,30 @@
 
 Cells are separated by tabs. After ``PathFileType`` come a line of keys and one of their values, a line
 with the name of a marker in every third cell, a line ``X1 Y1 Z1 X2 ...``, perhaps an empty one, and a
-line for each frame: its number, its time in s and three coordinates for each marker. A marker that was
-not seen has three empty cells; their tabs stay.
+line for each frame: its number, its time in s and three coordinates for each marker. A missing marker has
+three empty cells; their tabs stay.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text, write_text
 from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.formats.world_axes import METRES, R_WORLD_GROUND, world_of_file
 
 Array = NDArray[np.float64]
-_KEYS = (
+_KEYS: Final = (
     "DataRate", "CameraRate", "NumFrames", "NumMarkers",
     "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",
 )  # fmt: skip
-_HEADER = 5
+_HEADER: Final = 5
 """Lines above the first frame."""
 
 
@@ -33,13 +34,13 @@ def read_trc(path: str | Path, *, up: str = "y") -> MarkerSequence:
 
     Args:
         path: the file.
-        up: the axis of the file that points up, see `rtof_kin.formats.world_axes.UP`; the format does not
-            say. OpenSim's and Pose2Sim's files have y; "opensim" is y with the x axis kept, as files
-            that go with an .osim of this package have it (`R_WORLD_GROUND`).
+        up: the file's axis that points up, see `rtof_kin.formats.world_axes.UP`; y in OpenSim's and
+            Pose2Sim's files. "opensim" is y with the x axis kept, as in files that go with an .osim of
+            this package (`R_WORLD_GROUND`).
 
     Raises:
-        FileFormatError: no such file, or one that is not complete and consistent; the message names the
-            line. ShapeError: `up` is no axis.
+        FileFormatError: no such file, incomplete or inconsistent; names the line.
+        InvalidInputError: unknown `up`.
     """
     path, R_world_file = Path(path), _world_of_file(up)
     lines = read_text(path, "a TRC file, which begins with PathFileType").splitlines()
@@ -51,7 +52,7 @@ def read_trc(path: str | Path, *, up: str = "y") -> MarkerSequence:
             path, f"NumFrames announces {frames} frames and {len(rows)} follow; is the file cut off?",
             len(lines),
         )  # fmt: skip
-    table = np.array([_read_row(path, n, line, names) for n, line in rows])
+    table = np.array([_read_row(path, n, line, 2 + 3 * count) for n, line in rows])
     p_file = table[:, 1:].reshape(frames, count, 3) * metres
     try:
         return MarkerSequence(table[:, 0], names, p_file @ R_world_file.T)
@@ -64,7 +65,7 @@ def _world_of_file(up: str) -> Array:
 
 
 def _read_header(path: Path, lines: Sequence[str]) -> tuple[int, int, float]:
-    """Numbers of frames and of markers, and metres per unit."""
+    """Return numbers of frames and of markers, and metres per unit."""
     if not lines[0].startswith("PathFileType"):
         raise FileFormatError(path, f"expected PathFileType, found {lines[0][:40]!r}", 1)
     if len(lines) <= _HEADER:
@@ -76,34 +77,31 @@ def _read_header(path: Path, lines: Sequence[str]) -> tuple[int, int, float]:
     missing = [key for key in ("NumFrames", "NumMarkers", "Units") if key not in header]
     if missing:
         raise FileFormatError(path, f"the key {missing[0]} is missing", 2)
-    counts = []
     for key in ("NumFrames", "NumMarkers"):
         if not (header[key].isascii() and header[key].isdigit() and 0 < len(header[key]) < 10):
             raise FileFormatError(path, f"{key} is {header[key][:40]!r}, not a number of them", 3)
-        counts.append(int(header[key]))
-    if header["Units"].lower() not in METRES:
-        known = ", ".join(METRES)
-        raise FileFormatError(path, f"Units {header['Units'][:40]!r}; known: {known}", 3)
-    return counts[0], counts[1], METRES[header["Units"].lower()]
+    unit = header["Units"].lower()
+    if unit not in METRES:
+        raise FileFormatError(path, f"Units {header['Units'][:40]!r}; known: {', '.join(METRES)}", 3)
+    return int(header["NumFrames"]), int(header["NumMarkers"]), METRES[unit]
 
 
 def _read_names(path: Path, cells: list[str], count: int) -> tuple[str, ...]:
-    names = tuple(cell.strip() for cell in cells[2::3])
+    names = [cell.strip() for cell in cells[2::3]]
     while names and not names[-1]:
-        names = names[:-1]
+        names.pop()
     between = [cell for i, cell in enumerate(cells[2:]) if i % 3 and cell.strip()]
     if len(names) != count or not all(names) or between:
         found = f"found {len(names)}" + (f", and {between[0][:40]!r} between" if between else "")
         raise FileFormatError(
             path, f"expected Frame#, Time and {count} names, one in every third cell; {found}", 4
         )
-    return names
+    return tuple(names)
 
 
-def _read_row(path: Path, line: int, text: str, names: Sequence[str]) -> list[float]:
-    """Time and coordinates of a frame, NaN where a cell is empty."""
+def _read_row(path: Path, line: int, text: str, wanted: int) -> list[float]:
+    """Return time and coordinates of a frame, NaN where a cell is empty."""
     cells = text.split("\t")
-    wanted = 2 + 3 * len(names)
     if len(cells) < wanted or any(cell.strip() for cell in cells[wanted:]):
         raise FileFormatError(
             path, f"{len(cells)} cells where there are {wanted} columns; a marker that was not seen has "
@@ -121,23 +119,22 @@ def _read_row(path: Path, line: int, text: str, names: Sequence[str]) -> list[fl
 def write_trc(
     path: str | Path, markers: MarkerSequence, *, up: str = "y", unit: str = "m", overwrite: bool = False
 ) -> None:
-    """Write what `read_trc` reads back to 1e-9 units, and OpenSim too.
+    """Write markers, which `read_trc` reads back to 1e-9 units, and OpenSim too.
 
     Args:
-        up: the axis that shall point up in the file, as for `read_trc`; OpenSim wants y.
-        unit: of lengths in the file, m, cm or mm.
+        path: the file. markers: the points. up: as for `read_trc`; y for OpenSim.
+        unit: of lengths in the file, m, cm or mm. overwrite: whether an existing file is replaced.
 
     Raises:
-        OutputExistsError: the file exists and overwriting was not asked for.
-        ShapeError: no such axis or unit, or a name with a tab or a line's end in it.
-        RtofError: it cannot be written.
+        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
+        InvalidInputError: unknown axis or unit, or a name with a tab or a line end.
     """
     path, R_world_file = Path(path), _world_of_file(up)
     if unit not in METRES:
-        raise ShapeError(f"unit: {unit!r}; give one of {', '.join(METRES)}")
+        raise InvalidInputError(f"unit: {unit!r}; give one of {', '.join(METRES)}")
     odd = [n for n in markers.names if not n.strip() or "\t" in n or len(n.splitlines()) > 1]
     if odd:
-        raise ShapeError(f"marker name {odd[0]!r}: empty, or a tab or a line's end in it; rename it")
+        raise InvalidInputError(f"marker name {odd[0]!r}: empty, or a tab or a line's end in it; rename it")
     T, M, rate = len(markers), len(markers.names), f"{markers.rate_hz:.10g}"
     p_file = markers.p_world @ R_world_file / METRES[unit]
     lines = [
@@ -149,6 +146,6 @@ def write_trc(
     ]
     for number, (time, row) in enumerate(zip(markers.times, p_file, strict=True), 1):
         cells = ("" if np.isnan(value) else f"{value:.9f}" for value in row.ravel())
-        # A tab ends the line, as OpenSim writes it: without, it misses an empty cell in the last place.
+        # A tab ends the line as in OpenSim's files; without it OpenSim misses an empty last cell.
         lines.append([str(number), repr(float(time)), *cells, ""])
     write_text(path, "".join("\t".join(line) + "\n" for line in lines), overwrite)

@@ -1,25 +1,24 @@
-"""How well calibrated sensors fit a body: log-likelihoods of what they say in movement, in nats.
+"""Log-likelihoods, in nats, of calibrated sensors' motion under a model of the body.
 
-A sensor is read as sitting on some segment (`SegmentMotion`). What is looked at:
+A sensor's motion is read as that of a segment (`SegmentMotion`). The terms:
 
-- posture: the orientation of two segments against each other, under the pose prior of free motion
-  (`FreeMotion`) and the limits of the joint;
-- turning: the direction of their relative angular velocity in the axes of both, under the angular
-  central Gaussian (Tyler 1987) that the prior's movements have: a knee turns about its y axis;
-- upright: where up is in a segment's axes, for somebody who mostly stands;
-- seen: where a camera looked, the directions of the bones (where given);
-- joint centre: where one segment begins at the other, both sensors must find the same acceleration.
+- posture: relative orientation of two segments, under the pose prior and the limits of the joint;
+- turning: direction of their relative angular velocity in the axes of both, under an angular central
+  Gaussian (Tyler 1987) fitted to samples of the prior;
+- upright: direction of up in a segment's axes;
+- seen: directions of the bones from a camera, if given;
+- joint centre: equal accelerations from the two sensors beside a joint.
 
-All have heavy tails (Student's t), since people do what no prior has seen. Neighbouring instants say
-nearly the same: what an instant weighs is its duration over a correlation time, which grows with the
-number of joints between two segments. And it weighs little where nothing moves: a posture that is held
-for long is still one posture.
+All have heavy tails (Student's t). Samples are correlated: a sample is weighted by its duration over a
+correlation time, which grows with the number of joints between two segments, and little without movement.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -28,117 +27,220 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.special import gammaln
 
 from rtof_kin.body import kinematics
+from rtof_kin.body.pose_prior import has_prior, shipped_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.inertial.free_motion import FreeMotion, Pair
-from rtof_kin.inertial.segment_motion import RATE_HZ, SegmentMotion
+from rtof_kin.core import signals
+from rtof_kin.core.checks import readonly
+from rtof_kin.core.errors import CalibrationError, InvalidInputError
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
-_EVERY = 4
-"""Every so many instants are looked at, which say nearly as much as all."""
+RATE_HZ: Final = 60.0  # of motions
+_EVERY = 4  # sample used of so many, as neighbours are nearly equal
+_MISALIGNMENT_DEG = 12.0  # per axis, of a good calibration and soft tissue
+_TILT_DEG = 20.0  # per axis, of the root against upright
+_UP_SIGMA = 0.25  # [-] added to the spread of the direction of up
+_TURNING_FLOOR = 0.06  # [-] fraction of a rotation that is about any axis
+_LIMIT_DEG = 10.0  # beyond a joint's limits, with likelihood exp(-1/2)
+_SEEN_DEG = 20.0  # between a bone's direction from a camera and from its sensor
+_LEAST_TURNING = 0.7  # [rad/s] of relative rotations that are used
+_ACCELERATION, _ACCELERATION_SHARE = 1.5, 0.3  # [m/s^2] of a joint centre at rest, and [-] of its motion
+_SMOOTHING = 0.1  # [s] window of accelerations
+_POSTURE_MEMORY, _TURNING_MEMORY, _ACCELERATION_MEMORY = 1.0, 0.3, 0.3  # [s] correlation times
+_FREEDOM = 3.0  # degrees of freedom of Student's t
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentMotion:
+    """Motion of one sensor on a segment."""
+
+    joint: str
+    """Segment, by its proximal joint."""
+    R_world_bone: Array
+    """(T, 3, 3)."""
+    w_world: Array
+    """(T, 3) angular velocity, rad/s."""
+    a_world: Array
+    """(T, 3) acceleration of the sensor, m/s^2."""
+    p_bone_sensor: Array
+    """(3,) m."""
+
+    def moved(self, joint: str, R_bone_new: Array, p_bone_sensor: Array) -> SegmentMotion:
+        """Return the motion of the same sensor on another segment, or mounted otherwise.
+
+        Args:
+            joint: segment. R_bone_new: (3, 3) factor of R_world_bone. p_bone_sensor: (3,) m.
+        """
+        return SegmentMotion(joint, self.R_world_bone @ R_bone_new, self.w_world, self.a_world, p_bone_sensor)
+
+    def turned(self, R_world_new: Array) -> SegmentMotion:
+        """Return the motion with its reference rotated in world.
+
+        Args:
+            R_world_new: (3, 3) factor from the left.
+        """
+        R, w, a = R_world_new @ self.R_world_bone, self.w_world @ R_world_new.T, self.a_world @ R_world_new.T
+        return SegmentMotion(self.joint, R, w, a, self.p_bone_sensor)
+
+
+def even_times(bone_imus: BoneImuSequence) -> Array:
+    """Return times (T,), s, at `RATE_HZ` over the sensors' duration.
+
+    Args:
+        bone_imus: the sensors.
+
+    Raises:
+        InvalidInputError: less than a second.
+    """
+    start, stop = bone_imus.times[[0, -1]]
+    if stop - start < 1.0:
+        raise InvalidInputError(f"{stop - start:.2g} s of sensor data are too short to judge a movement by")
+    return np.asarray(np.arange(start, stop + 1e-9, 1 / RATE_HZ), dtype=np.float64)
+
+
+def segment_motions(bone_imus: BoneImuSequence) -> tuple[SegmentMotion, ...]:
+    """Return the motions of calibrated sensors at `even_times`.
+
+    Args:
+        bone_imus: the sensors.
+    """
+    times = even_times(bone_imus)
+    even = bone_imus.resample(times)
+    motions = []
+    for s, joint in enumerate(even.joints):
+        R = even.R_world_bone[:, s]
+        w_world = np.einsum("tij,tj->ti", R, orientation_rate(times, R))
+        motions.append(SegmentMotion(joint, R, w_world, even.a_world[:, s], even.p_bone_sensor[s]))
+    return tuple(motions)
+
+
+def seen_bones(poses: PoseSequence, skeleton: SkeletonModel, times: Array) -> dict[str, Array]:
+    """Return directions (T, C, 3) in world from each joint to its C children, from a camera's poses.
+
+    Args:
+        poses: of the skeleton. skeleton: the subject's. times: (T,) s.
+
+    Returns:
+        By joint, without those never seen.
+    """
+    skeleton.check_joints(poses.names)
+    p = signals.interpolate(poses.times, poses.p_world_joint, times, max_gap=0.2)
+    children = {j: kinematics.children_of(skeleton.parents, j) for j in range(len(skeleton.names))}
+    return {
+        skeleton.names[j]: so3.unit(p[:, own] - p[:, [j]])
+        for j, own in children.items()
+        if own and np.isfinite(p[:, [*own, j]]).all(axis=(1, 2)).any()
+    }
+
+
+def orientation_rate(times: Array, R: Array) -> Array:
+    """Differentiate orientations to angular velocity (T, 3), rad/s, in the rotating frame.
+
+    Central differences, ``log(R(t-1)^T R(t+1)) / (t(t+1) - t(t-1))``, one-sided at the ends.
+
+    Args:
+        times: (T,) s. R: (T, 3, 3); a rate is NaN where one of its two orientations is.
+    """
+    last = len(times) - 1
+    before, after = np.maximum(np.arange(last + 1) - 1, 0), np.minimum(np.arange(last + 1) + 1, last)
+    step = np.swapaxes(R[before], -1, -2) @ R[after]
+    known = np.isfinite(step).all(axis=(-2, -1))
+    out = np.full((last + 1, 3), np.nan)
+    out[known] = so3.log(step[known]) / (times[after] - times[before])[known, None]
+    return out
 
 
 @dataclass(frozen=True)
-class LikelihoodSettings:
-    """How much is believed of what."""
+class _Pair:
+    """Distribution of the orientation of segment b relative to segment a."""
 
-    limit_deg: float = 10.0  # [deg] by which a joint passes its limits with likelihood exp(-1/2)
-    seen_deg: float = 20.0  # [deg] between a bone as a camera saw it and as its sensor says
-    least_turning: float = 0.7  # [rad/s] slower relative turns say nothing
-    acceleration: float = 1.5  # [m/s^2] at rest, of a joint centre
-    acceleration_share: float = 0.3  # [-] and this share of it in movement
-    smoothing: float = 0.1  # [s] that accelerations are averaged over
-    posture_memory: float = 1.0  # [s] correlation times
-    turning_memory: float = 0.3  # [s]
-    acceleration_memory: float = 0.3  # [s]
-    degrees_of_freedom: float = 3.0  # [-] of Student's t
+    R_mean: Array  # (3, 3) mean of R_a_b
+    precision: Array  # (3, 3) of log(R_mean^T R_a_b), rad^-2
+    turning_a: Array  # (3, 3) inverse shape of the relative angular velocity in a's axes, determinant 1
+    turning_b: Array  # (3, 3) in b's axes
 
 
 class MotionLikelihood:
-    """Log-likelihoods of motions on one skeleton, in nats."""
+    """Log-likelihoods of motions on one skeleton, in nats.
 
-    def __init__(
-        self,
-        skeleton: SkeletonModel,
-        settings: LikelihoodSettings | None = None,
-        seen: Mapping[str, Array] | None = None,
-    ) -> None:
-        """For one skeleton; `seen`: `seen_bones` at the motions' times, where a camera looked.
+    Args:
+        skeleton: the subject's. seen: `seen_bones` at the motions' times.
 
-        Raises:
-            CalibrationError: there is no pose prior of this skeleton.
-        """
-        self.skeleton, self.settings = skeleton, settings or LikelihoodSettings()
-        self.free_motion, self.seen = FreeMotion(skeleton), seen or {}
+    Raises:
+        CalibrationError: there is no pose prior of this skeleton.
+    """
+
+    def __init__(self, skeleton: SkeletonModel, seen: Mapping[str, Array] | None = None) -> None:
+        if not has_prior(skeleton.name):
+            raise CalibrationError(
+                f"movement cannot be judged on the skeleton {skeleton.name}: there is no pose prior of "
+                "it; use the one with 21 joints, or give the headings"
+            )
+        self._skeleton, self._seen = skeleton, seen or {}
+        self._samples = _sampled_poses(skeleton.names, tuple(skeleton.parents))
+        self._pair, self._up = cache(self._make_pair), cache(self._make_up)
         self._accelerations: WeakKeyDictionary[SegmentMotion, dict[str, Array]] = WeakKeyDictionary()
 
     def tree(self, joints: Sequence[str]) -> list[tuple[str, str]]:
-        """Pairs of segments by which all are compared, each with what is nearest to it in the skeleton.
+        """Return the pairs of segments to compare: a minimum spanning tree of distances in the skeleton.
 
-        Of a pair the one nearer to the root stands first.
+        Args:
+            joints: segments.
+
+        Returns:
+            Pairs, the segment nearer to the root first.
         """
         distance = np.array([[self._apart(a, b) for b in joints] for a in joints], dtype=float)
         # Of equal distances the smaller indices, so that the tree does not depend on rounding.
         rows, columns = minimum_spanning_tree(np.triu(distance)).nonzero()
         pairs = [(joints[int(i)], joints[int(j)]) for i, j in zip(rows, columns, strict=True)]
-        order = self.skeleton.names.index
+        order = self._skeleton.names.index
         return [(a, b) if order(a) < order(b) else (b, a) for a, b in pairs]
 
     def single(self, motion: SegmentMotion) -> float:
-        """Of one sensor alone: where up is, and where a camera looked, whether the bones point so."""
-        mean, precision = self.free_motion.up(motion.joint)
-        values = self._student(motion.R_world_bone[:, 2, :] - mean, precision)
-        if motion.joint in self.seen:
-            own = kinematics.children_of(self.skeleton.parents, self.skeleton.names.index(motion.joint))
-            rest = so3.unit(self.skeleton.joint_offsets[own])
+        """Return the log-likelihood of one sensor: direction of up, and bones seen by a camera.
+
+        Args:
+            motion: of the sensor.
+        """
+        mean, precision = self._up(motion.joint)
+        values = _student(motion.R_world_bone[:, 2, :] - mean, precision)
+        if motion.joint in self._seen:
+            own = kinematics.children_of(self._skeleton.parents, self._index(motion.joint))
+            rest = so3.unit(self._skeleton.joint_offsets[own])
             expected = np.einsum("tij,cj->tci", motion.R_world_bone, rest)
-            square = np.sum((expected - self.seen[motion.joint]) ** 2, axis=-1).mean(axis=1)
-            values = values - self._tail(square / np.radians(self.settings.seen_deg) ** 2, 2)
-        return self._summed(values * self._moving(motion.w_world), self.settings.posture_memory)
+            square = np.sum((expected - self._seen[motion.joint]) ** 2, axis=-1).mean(axis=1)
+            values = values - _tail(square / np.radians(_SEEN_DEG) ** 2, 2)
+        return _summed(values * _moving(motion.w_world), _POSTURE_MEMORY)
 
     def pair(self, a: SegmentMotion, b: SegmentMotion) -> float:
-        """Of two sensors, a's segment nearer to the root: posture, turning, joint centre."""
-        prior = self.free_motion.pair(a.joint, b.joint)
+        """Return the log-likelihood of two sensors: posture, turning, joint centre.
+
+        Args:
+            a: of the segment nearer to the root. b: of the other.
+        """
+        prior = self._pair(a.joint, b.joint)
         R_a_b = np.swapaxes(a.R_world_bone, -1, -2) @ b.R_world_bone
         known = np.isfinite(R_a_b).all(axis=(-2, -1))
-        weight = self._moving(b.w_world - a.w_world)[known]
+        weight = _moving(b.w_world - a.w_world)[known]
         values = self._posture(a.joint, b.joint, prior, R_a_b[known][::_EVERY])
-        out = _EVERY * self._summed(values * weight[::_EVERY], self.settings.posture_memory)
-        out = (out + self._turning(prior, a, b)) / self._apart(a.joint, b.joint)
+        out = _EVERY * _summed(values * weight[::_EVERY], _POSTURE_MEMORY)
+        out = (out + _turning(prior, a, b)) / self._apart(a.joint, b.joint)
         return out + self._joint_centre(a, b) if self._neighbours(a.joint, b.joint) else out
 
-    # --- terms -----------------------------------------------------------------------------------
-
-    def _moving(self, w: Array) -> Array:
-        """(T,) how much instants weigh, 0 to 1, by angular velocities (T, 3)."""
-        speed = np.linalg.norm(w, axis=-1) / self.settings.least_turning
-        return np.asarray(np.minimum(speed, 1.0))
-
-    def _posture(self, a: str, b: str, prior: Pair, R_a_b: Array) -> Array:
-        """(T,) log densities of orientations (T, 3, 3) of one segment against another."""
-        off = so3.log(prior.R_mean.T @ R_a_b)
-        values = self._student(off, prior.precision)
+    def _posture(self, a: str, b: str, prior: _Pair, R_a_b: Array) -> Array:
+        """Return (T,) log densities of relative orientations (T, 3, 3)."""
+        values = _student(so3.log(prior.R_mean.T @ R_a_b), prior.precision)
         if self._neighbours(a, b):
-            joint = self.skeleton.table.joints[self.skeleton.names.index(b)]
+            joint = self._skeleton.table.joints[self._index(b)]
             low, high = joint.limits.T
             angles = so3.matrix_to_euler(joint.axes, R_a_b)
             angles = so3.euler_near(angles, np.broadcast_to((low + high) / 2, angles.shape))
             excess = np.maximum(np.maximum(low - angles, angles - high), 0.0)
-            off_limits = np.sum(excess**2, axis=-1) / np.radians(self.settings.limit_deg) ** 2
-            values -= self._tail(off_limits, 1)
+            values -= _tail(np.sum(excess**2, axis=-1) / np.radians(_LIMIT_DEG) ** 2, 1)
         return values
-
-    def _turning(self, prior: Pair, a: SegmentMotion, b: SegmentMotion) -> float:
-        w = (b.w_world - a.w_world)[::_EVERY]
-        enough = np.linalg.norm(w, axis=-1) > self.settings.least_turning
-        direction = so3.unit(w[enough])
-        out = 0.0
-        for shape, motion in ((prior.turning_a, a), (prior.turning_b, b)):
-            R = motion.R_world_bone[::_EVERY][enough]
-            own = np.einsum("tji,tj->ti", R, direction)
-            out -= np.sum(np.log(np.einsum("ti,ij,tj->t", own, shape, own)))
-        # Half of each: the two say much the same.
-        return float(1.5 * out / 2 * _EVERY / (RATE_HZ * self.settings.turning_memory))
 
     def _joint_centre(self, a: SegmentMotion, b: SegmentMotion) -> float:
         at_a, at_b = self._acceleration(a, b.joint), self._acceleration(b, b.joint)
@@ -146,59 +248,119 @@ class MotionLikelihood:
         if not known.any():
             return 0.0
         at_a, at_b = at_a[known], at_b[known]
-        s = self.settings
-        variance = s.acceleration**2 + s.acceleration_share**2 * np.mean(at_b**2)
+        variance = _ACCELERATION**2 + _ACCELERATION_SHARE**2 * np.mean(at_b**2)
         typical = variance + np.mean(at_b**2)
-        together = self._tail(np.sum((at_a - at_b) ** 2, axis=-1) / variance, 3)
-        apart = self._tail(np.sum(at_b**2, axis=-1) / typical, 3)
+        together = _tail(np.sum((at_a - at_b) ** 2, axis=-1) / variance, 3)
+        apart = _tail(np.sum(at_b**2, axis=-1) / typical, 3)
         gain = 1.5 * np.log(typical / variance) + apart - together
-        signal = np.sum(at_a**2 + at_b**2, axis=-1) / (6 * s.acceleration**2)
-        return self._summed(gain * signal / (1 + signal), s.acceleration_memory) * _EVERY
+        signal = np.sum(at_a**2 + at_b**2, axis=-1) / (6 * _ACCELERATION**2)
+        return _summed(gain * signal / (1 + signal), _ACCELERATION_MEMORY) * _EVERY
 
     def _acceleration(self, motion: SegmentMotion, joint: str) -> Array:
-        """(T / _EVERY, 3) m/s^2 in world of a joint at one end of the sensor's segment, smoothed.
+        """Return (T / _EVERY, 3), m/s^2, of a joint at one end of the sensor's segment, smoothed.
 
-        The sensor's own, and the second central difference of the arm from it to the joint, as
-        `BoneImuSequence.resample` averages the sensor's. NaN near gaps.
+        The sensor's own plus the second central difference of the arm to the joint, which averages as
+        `BoneImuSequence.resample` does. NaN near gaps.
         """
         known = self._accelerations.setdefault(motion, {})
         if joint not in known:
-            here = joint == motion.joint
-            at = 0.0 if here else self.skeleton.joint_offsets[self.skeleton.names.index(joint)]
+            at = 0.0 if joint == motion.joint else self._skeleton.joint_offsets[self._index(joint)]
             arm = motion.R_world_bone @ (at - motion.p_bone_sensor)
             a = motion.a_world[1:-1] + np.diff(arm, n=2, axis=0) * RATE_HZ**2
-            width = max(round(self.settings.smoothing * RATE_HZ), 1)
+            width = max(round(_SMOOTHING * RATE_HZ), 1)
             sums = [a[i : len(a) - width + 1 + i : 1][::_EVERY] for i in range(width)]
             known[joint] = np.sum(sums, axis=0) / width
         return known[joint]
 
-    # --- parts -----------------------------------------------------------------------------------
+    def _make_up(self, joint: str) -> tuple[Array, Array]:
+        """Return mean (3,) and precision (3, 3) of the direction of up in a segment's axes."""
+        up = self._samples[0][:, self._index(joint), 2, :]
+        spread = np.cov(up.T) + _UP_SIGMA**2 * np.eye(3)
+        return up.mean(axis=0), np.asarray(np.linalg.inv(spread))
 
-    def _student(self, off: Array, precision: Array) -> Array:
-        """(T,) log densities of a t distribution at deviations (T, d)."""
-        d, nu = off.shape[-1], self.settings.degrees_of_freedom
-        square = np.einsum("ti,ij,tj->t", off, precision, off)
-        constant = (
-            gammaln((nu + d) / 2) - gammaln(nu / 2) - d / 2 * np.log(nu * np.pi)
-            + np.linalg.slogdet(precision)[1] / 2
-        )  # fmt: skip
-        return np.asarray(constant - self._tail(square, d))
-
-    def _tail(self, square: Array, d: int) -> Array:
-        """Minus the log of a t density but for its constant, of squared deviations (T,) in d axes."""
-        nu = self.settings.degrees_of_freedom
-        return np.asarray((nu + d) / 2 * np.log1p(square / nu))
+    def _make_pair(self, a: str, b: str) -> _Pair:
+        i, j = self._skeleton.index(a, b)
+        now, soon = (np.swapaxes(R[:, i], -1, -2) @ R[:, j] for R in self._samples)
+        R_mean = so3.nearest_rotation(now.mean(axis=0))
+        off = so3.log(R_mean.T @ now)
+        spread = off.T @ off / len(off)
+        spread += 2 * np.radians(_MISALIGNMENT_DEG) ** 2 * np.eye(3)
+        w_b = so3.log(np.swapaxes(now, -1, -2) @ soon)
+        w_a = np.einsum("nij,nj->ni", now, w_b)
+        return _Pair(R_mean, np.asarray(np.linalg.inv(spread)), _inverse_shape(w_a), _inverse_shape(w_b))
 
     def _apart(self, a: str, b: str) -> int:
-        """Number of joints between two segments. So many times longer do they keep a posture: what
-        happens between limbs is habit, and what no sensor sees has to be guessed.
-        """
-        parents = self.skeleton.parents
-        lines = (kinematics.line_to_root(parents, j) for j in self.skeleton.index(a, b))
+        """Return the number of joints between two segments; the correlation time is proportional to it."""
+        parents = self._skeleton.parents
+        lines = (kinematics.line_to_root(parents, j) for j in self._skeleton.index(a, b))
         return len(set.symmetric_difference(*map(set, lines)))
 
-    def _neighbours(self, a: str, b: str) -> bool:
-        return self.skeleton.parents[self.skeleton.names.index(b)] == self.skeleton.names.index(a)
+    def _index(self, joint: str) -> int:
+        return self._skeleton.names.index(joint)
 
-    def _summed(self, values: Array, memory: float) -> float:
-        return float(np.nansum(values) / (RATE_HZ * memory))
+    def _neighbours(self, a: str, b: str) -> bool:
+        return self._skeleton.parents[self._index(b)] == self._index(a)
+
+
+def _moving(w: Array) -> Array:
+    """Return (T,) weights, 0 to 1, by angular velocity (T, 3)."""
+    return np.asarray(np.minimum(np.linalg.norm(w, axis=-1) / _LEAST_TURNING, 1.0))
+
+
+def _turning(prior: _Pair, a: SegmentMotion, b: SegmentMotion) -> float:
+    w = (b.w_world - a.w_world)[::_EVERY]
+    enough = np.linalg.norm(w, axis=-1) > _LEAST_TURNING
+    direction = so3.unit(w[enough])
+    out = 0.0
+    for shape, motion in ((prior.turning_a, a), (prior.turning_b, b)):
+        own = np.einsum("tji,tj->ti", motion.R_world_bone[::_EVERY][enough], direction)
+        out -= np.sum(np.log(np.einsum("ti,ij,tj->t", own, shape, own)))
+    # Half of each, as the two are nearly the same information.
+    return float(1.5 * out / 2 * _EVERY / (RATE_HZ * _TURNING_MEMORY))
+
+
+def _inverse_shape(w: Array) -> Array:
+    """Return the inverse matrix, of determinant 1, of an angular central Gaussian of velocities (N, 3)."""
+    shape = w.T @ w
+    shape = shape / np.trace(shape) + _TURNING_FLOOR * np.eye(3)
+    return np.asarray(np.linalg.inv(shape / np.cbrt(np.linalg.det(shape))))
+
+
+def _student(off: Array, precision: Array) -> Array:
+    """Return (T,) log densities of a t distribution at deviations (T, d)."""
+    d, nu = off.shape[-1], _FREEDOM
+    square = np.einsum("ti,ij,tj->t", off, precision, off)
+    constant = gammaln((nu + d) / 2) - gammaln(nu / 2) - d / 2 * np.log(nu * np.pi)
+    constant += np.linalg.slogdet(precision)[1] / 2
+    return np.asarray(constant - _tail(square, d))
+
+
+def _tail(square: Array, d: int) -> Array:
+    """Return minus the log of a t density, without its constant, at squared deviations (T,) in d axes."""
+    return np.asarray((_FREEDOM + d) / 2 * np.log1p(square / _FREEDOM))
+
+
+def _summed(values: Array, memory: float) -> float:
+    return float(np.nansum(values) / (RATE_HZ * memory))
+
+
+@cache
+def _sampled_poses(
+    names: tuple[str, ...], parents: tuple[int, ...], count: int = 4000
+) -> tuple[Array, Array]:
+    """Return R_world_bone (N, J, 3, 3) of poses of the prior with heading 0, and a moment later.
+
+    In that moment every joint moves by a hundredth of another draw from the prior.
+    """
+    prior = shipped_prior(names)
+    rng = np.random.default_rng(0)
+    size = len(prior.covariance)
+    root = np.linalg.cholesky(prior.covariance + 1e-9 * np.eye(size))
+    pose, velocity = rng.standard_normal((2, count, size)) @ root.T
+    tilt = rng.standard_normal((count, 1, 3)) * np.radians(_TILT_DEG) * np.array([1.0, 1.0, 0.0])
+    out = []
+    for off in (pose, pose + 0.01 * velocity):
+        local = so3.from_quat_wxyz(prior.mean_quat_wxyz) @ so3.exp(off.reshape(count, -1, 3))
+        R = kinematics.world_rotations(parents, np.concatenate([so3.exp(tilt), local], axis=1))
+        out.append(readonly("sampled poses", R, (count, len(names), 3, 3)))
+    return out[0], out[1]

@@ -1,7 +1,7 @@
-"""Sensors that stick, are at the end of their range, or disagree with everything else.
+"""Rejection of sensor samples that are stuck or saturated, or that disagree with the solved motion.
 
-The first two are seen in a sensor's own samples. A sensor that slipped, or whose heading a magnet turned,
-is at peace with itself; only the motion that image and all sensors agree on most tells.
+Stuck and saturated samples show in a sensor's own data. A sensor that slipped, or whose heading was turned by
+a magnet, is only found by comparison with the motion that image and all sensors determine.
 """
 
 from __future__ import annotations
@@ -24,33 +24,34 @@ from rtof_kin.data.stream_faults import FaultKind, StreamFault
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-STUCK = 0.25
-"""s over which a sensor that is alive never gives the same sample."""
+_STUCK = 0.25  # [s] over which a working sensor never repeats a sample
 _SAME = 1e-9
-LEAST_RANGE = 1.5 * STANDARD_GRAVITY
-"""m/s^2, below which no accelerometer's range ends."""
-_FEWEST_AT_END = 4
-"""Samples at the largest value of an axis that make it the end of its range."""
-_AROUND = 0.06
-"""s before and after a saturated sample that are left out with it: an average over them would be too
-small, and so would be what a gap is bridged with."""
+_LEAST_RANGE = 1.5 * STANDARD_GRAVITY  # [m/s^2] smallest range of an accelerometer
+_FEWEST_AT_END = 4  # samples at an axis' largest value that make it the end of the range
+_AROUND = 0.06  # [s] around a saturated sample that is rejected: averages over it are too small
 DISAGREES, _STILL_DISAGREES = np.radians(12.0), np.radians(6.0)
-"""rad by which a sensor may differ from the solved motion for long, and to which it must come back."""
-_LASTING = 0.5
-"""s of the running median of that difference."""
+"""Angle [rad] between sensor and motion at which a disagreement is found, and at which it begins and ends."""
+_WINDOW = 0.5  # [s] of the running median of that angle; faults closer than this are merged
 
 
 def reject_imu_outliers(imus: ImuSequence) -> tuple[ImuSequence, tuple[StreamFault, ...]]:
-    """Sensors without samples that only repeat one, or whose acceleration is at the end of its range.
+    """Set stuck samples and saturated accelerations to NaN.
+
+    Args:
+        imus: as recorded.
 
     Returns:
-        What is left out is NaN; sensors that nothing is wrong with come back as they are. And what was
-        found, by the sensors' names.
+        The sensors, unchanged if there are none, and the faults by sensor.
     """
     stuck = _stuck(imus)
     f = np.where(stuck[..., None], np.nan, imus.f_sensor)
     saturated = _saturated(f, imus.times)
-    faults = [*_told(FaultKind.STUCK, stuck, imus), *_told(FaultKind.SATURATED, saturated, imus)]
+    faults = [
+        fault
+        for kind, where in ((FaultKind.STUCK, stuck), (FaultKind.SATURATED, saturated))
+        for name, own in zip(imus.names, where.T, strict=True)
+        for fault in _faults(kind, name, own, imus.times)
+    ]
     if not faults:
         return imus, ()
     R = np.where(stuck[..., None, None], np.nan, imus.R_inertial_sensor)
@@ -58,30 +59,34 @@ def reject_imu_outliers(imus: ImuSequence) -> tuple[ImuSequence, tuple[StreamFau
     return replace(imus, R_inertial_sensor=R, f_sensor=f), tuple(faults)
 
 
-def _stuck(imus: ImuSequence) -> Mask:
-    """(T, S) which samples repeat the one before, in runs of at least `STUCK`.
+def repeated_samples(imus: ImuSequence) -> Mask:
+    """Return the mask (T - 1, S) of samples, from the second on, that repeat the one before.
 
-    A sensor that never says anything else did not begin to: it is made up, of a body that is still there.
+    Args:
+        imus: S sensors.
     """
     T, S = imus.f_sensor.shape[:2]
     values = np.concatenate([imus.R_inertial_sensor.reshape(T, S, 9), imus.f_sensor], axis=2)
     with np.errstate(invalid="ignore"):
-        same = np.asarray(np.all(np.abs(np.diff(values, axis=0)) < _SAME, axis=2))
-    stuck = np.zeros((T, S), dtype=np.bool_)
+        return np.asarray(np.all(np.abs(np.diff(values, axis=0)) < _SAME, axis=2))
+
+
+def _stuck(imus: ImuSequence) -> Mask:
+    """Return (T, S) samples that repeat one for at least `_STUCK`; constant sensors are simulated at rest."""
+    same = repeated_samples(imus)
+    stuck = np.zeros(imus.f_sensor.shape[:2], dtype=np.bool_)
     for s in np.flatnonzero(~same.all(axis=0)):
         for start, stop in signals.runs(same[:, s]):
-            if imus.times[stop] - imus.times[start] >= STUCK:
+            if imus.times[stop] - imus.times[start] >= _STUCK:
                 stuck[start + 1 : stop + 1, s] = True
     return stuck
 
 
 def _saturated(f_sensor: Array, times: Array) -> Mask:
-    """(T, S) samples at the end of an accelerometer's range or next to one: where an axis stays at its
-    largest value, which a signal that is not cut off hardly reaches twice.
-    """
+    """Return (T, S) samples near those where an axis stays at its largest value, the end of the range."""
     size = np.abs(np.nan_to_num(f_sensor))
     largest = size.max(axis=0)
-    at_end = (size >= largest * (1 - _SAME)) & (largest > LEAST_RANGE)
+    at_end = (size >= largest * (1 - _SAME)) & (largest > _LEAST_RANGE)
     stays = (at_end[1:] & at_end[:-1]).any(axis=0)
     at_end &= stays & (at_end.sum(axis=0) >= _FEWEST_AT_END)
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
@@ -89,37 +94,30 @@ def _saturated(f_sensor: Array, times: Array) -> Mask:
     return np.asarray(binary_dilation(at_end.any(axis=2), np.ones((wide, 1), dtype=np.bool_)))
 
 
-def _told(kind: FaultKind, where: Mask, imus: ImuSequence) -> Iterator[StreamFault]:
-    """Faults at samples (T, S), those less than `_LASTING` apart as one."""
-    for s, name in enumerate(imus.names):
-        yield from _spans(kind, name, where[:, s], imus.times)
-
-
-def _spans(kind: FaultKind, what: str, where: Mask, times: Array) -> Iterator[StreamFault]:
-    span: tuple[float, float] | None = None
+def _faults(kind: FaultKind, what: str, where: Mask, times: Array) -> Iterator[StreamFault]:
+    spans: list[tuple[float, float]] = []
     for start, stop in signals.runs(where):
         first, last = float(times[start]), float(times[stop - 1])
-        if span is not None and first - span[1] > _LASTING:
-            yield StreamFault(kind, what, *span)
-            span = None
-        span = (first if span is None else span[0], last)
-    if span is not None:
-        yield StreamFault(kind, what, *span)
+        if spans and first - spans[-1][1] <= _WINDOW:
+            spans[-1] = (spans[-1][0], last)
+        else:
+            spans.append((first, last))
+    return (StreamFault(kind, what, *span) for span in spans)
 
 
 def find_disagreements(
     poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel
 ) -> tuple[StreamFault, ...]:
-    """When sensors' orientations differ from a motion that was solved with all of them.
+    """Find intervals in which a sensor's orientation differs from the solved motion.
 
-    A robust solver follows a wrong sensor only so far. Of a bone the turn about it counts for nothing:
-    there soft tissue rolls. Where nobody was seen there is nothing to judge a sensor by.
+    Rotation about a bone without branches is ignored (soft tissue), as are frames without keypoints.
 
     Args:
-        poses: solved with these sensors, at their times.
+        poses: robust solution with these sensors, at their times.
+        bone_imus: calibrated sensors. skeleton: the subject's.
 
     Returns:
-        By the sensors' segments.
+        Faults by segment.
     """
     faults: list[StreamFault] = []
     for s, joint in enumerate(bone_imus.joints):
@@ -127,42 +125,46 @@ def find_disagreements(
         if not known.any():
             continue
         j = skeleton.names.index(joint)
-        R = bone_imus.R_world_bone[known, s]
-        off = so3.log(np.swapaxes(poses.R_world_bone[known, j], -1, -2) @ R)
+        off = so3.log(np.swapaxes(poses.R_world_bone[known, j], -1, -2) @ bone_imus.R_world_bone[known, s])
         children = kinematics.children_of(skeleton.parents, j)
         if len(children) == 1:
             bone = so3.unit(skeleton.joint_offsets[children[0]])
             off = off - (off @ bone)[:, None] * bone
-        usual = _running_median(np.linalg.norm(off, axis=1), round(_LASTING * poses.rate_hz))
-        wrong = np.zeros(len(usual), dtype=np.bool_)
-        for start, stop in signals.runs(usual > _STILL_DISAGREES):
-            wrong[start:stop] = usual[start:stop].max() > DISAGREES
-        faults += _spans(FaultKind.DISAGREES, joint, wrong, poses.times[known])
+        angle = _running_median(np.linalg.norm(off, axis=1), max(round(_WINDOW * poses.rate_hz), 1))
+        wrong = np.zeros(len(angle), dtype=np.bool_)
+        for start, stop in signals.runs(angle > _STILL_DISAGREES):
+            wrong[start:stop] = angle[start:stop].max() > DISAGREES
+        faults += _faults(FaultKind.DISAGREES, joint, wrong, poses.times[known])
     return tuple(faults)
 
 
 def _running_median(values: Array, width: int) -> Array:
-    """(T,) medians over `width` samples around each, the ends repeated."""
-    before = width // 2
-    padded = np.pad(values, (before, max(width, 1) - 1 - before), mode="edge")
-    return np.asarray(np.median(sliding_window_view(padded, max(width, 1)), axis=1))
+    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
+    return np.asarray(np.median(sliding_window_view(padded, width), axis=1))
 
 
 def merge_faults(faults: Iterable[StreamFault]) -> tuple[StreamFault, ...]:
-    """Faults of one kind and segment that overlap or nearly touch, as one."""
+    """Merge faults of one kind and sensor that overlap or nearly touch.
+
+    Args:
+        faults: in any order.
+    """
     out: list[StreamFault] = []
     for fault in sorted(faults, key=lambda f: (f.what, f.kind.name, f.start)):
-        before = out[-1] if out else None
-        same = before is not None and (before.what, before.kind) == (fault.what, fault.kind)
-        if before is not None and same and fault.start < before.stop + _LASTING:
-            out[-1] = replace(before, stop=max(before.stop, fault.stop))
+        last = out[-1] if out else None
+        if last and (last.what, last.kind) == (fault.what, fault.kind) and fault.start < last.stop + _WINDOW:
+            out[-1] = replace(last, stop=max(last.stop, fault.stop))
         else:
             out.append(fault)
     return tuple(out)
 
 
 def mask_faults(bone_imus: BoneImuSequence, faults: Iterable[StreamFault]) -> BoneImuSequence:
-    """The sensors without what they said during faults, which name their segments."""
+    """Return the sensors with NaN during faults.
+
+    Args:
+        bone_imus: calibrated sensors. faults: by segment.
+    """
     R, a = bone_imus.R_world_bone.copy(), bone_imus.a_world.copy()
     for fault in faults:
         during = (bone_imus.times >= fault.start) & (bone_imus.times <= fault.stop)

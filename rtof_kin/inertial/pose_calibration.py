@@ -1,49 +1,99 @@
-"""Calibration by a pose: somebody holds a T, N or seated pose, and from then on the sensors are aligned.
+"""Calibration of sensors by a pose (T, N, seated or measured) that is held for a second or more.
 
 In the pose the orientation of every segment is known, so
 
     R_sensor_bone = (R_world_inertial R_inertial_sensor)^T R_world_bone.
 
-**What a pose tells and what not.** It gives R_sensor_bone once R_world_inertial is known, and nothing
-about R_world_inertial: any heading fits the pose equally well, and what differs is how later movement is
-read (`rtof_kin.inertial.headings`). Inclination needs no assumption, gravity gives it. So one angle must
-come from elsewhere if the sensors share one reference (magnetometers, or sensors aligned with each other
-before they were put on): the direction the person faces in that reference. If each sensor has a heading
-of its own (no magnetometer), one angle a sensor must. Both can be told by the movement after the pose,
-where there is enough of it: bending and stretching of what carries the sensors. In a T-pose the elbows'
-axes are vertical and tell nothing of headings; prefer an N-pose or a seated one where they must be found.
+The pose gives R_sensor_bone for a known R_world_inertial. Its inclination is given by gravity, but any
+heading fits the pose equally well. Sensors with one reference (magnetometers, or aligned with each other
+before they were put on) leave one angle unobserved, the facing of the person in that reference; sensors
+with headings of their own leave one angle each. These are given, or estimated from the movement after the
+pose (`rtof_kin.inertial.headings`). In a T-pose the elbows' axes are vertical and do not determine headings:
+prefer an N-pose or a seated one.
 
-An error of the pose (an arm 10 degrees too low) becomes an error of the calibration, of the same size.
+An error of the pose becomes an error of the calibration, of the same size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import uniform_filter1d
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.checks import indices_of
-from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
-from rtof_kin.data.imu import ImuSequence
-from rtof_kin.data.imu_stream import SensorLog
-from rtof_kin.inertial.alignment import Held, PoseCalibration, calibrated, hold
+from rtof_kin.core import signals
+from rtof_kin.core.checks import indices_of, readonly
+from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
+from rtof_kin.data.imu import BoneImuSequence, ImuSequence
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.inertial.headings import Headings, own_headings, shared_heading, wrapped
-from rtof_kin.inertial.likelihood import MotionLikelihood
+from rtof_kin.inertial.likelihood import RATE_HZ, MotionLikelihood, orientation_rate, segment_motions
 from rtof_kin.inertial.poses import facing_of, pose_rotations, turned_to
-from rtof_kin.inertial.segment_motion import segment_motions
 
 Array = NDArray[np.float64]
-NAMED_POSE_DEG, MEASURED_POSE_DEG = 10.0, 3.0
-"""How far segments of people who hold a named pose are from it, and from a measured one."""
-LEAST_TURNING = 0.5
-"""Movement slower than this, rad/s, tells no heading."""
-LONGEST = 40.0
-"""So many seconds from the pose on are looked at."""
-_AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "-x": (0, -1.0), "-y": (1, -1.0), "-z": (2, -1.0)}
+_LEAST_MARGIN = 3.0  # [nats] of headings from movement over those more than 45 degrees away
+_RESTLESS_DEG = 5.0  # RMS angle during the pose that is warned of
+_NAMED_POSE_DEG, _MEASURED_POSE_DEG = 10.0, 3.0  # usual error of a segment in a named and a measured pose
+_LEAST_TURNING = 0.5  # [rad/s] of movement that determines headings
+_LONGEST = 40.0  # [s] of movement from the pose on
+_STILL_RATE = 0.2  # [rad/s] of a sensor on a person who stands still
+_STILL_SECONDS = 1.0  # [s]
+_GRID_HZ, _LONGEST_STEP = 50.0, 0.2  # [Hz], [s]
+_UNKNOWN_RATE = 100.0  # [rad/s] assumed in gaps
+_AXES = ("x", "y", "z", "-x", "-y", "-z")
+
+
+@dataclass(frozen=True)
+class SensorReport:
+    """Quality of one sensor's calibration."""
+
+    sensor: str
+    joint: str
+    """Segment of the sensor."""
+    spread_deg: float
+    """RMS angle of its orientation to the mean during the pose."""
+    heading_sigma_deg: float
+    """Standard deviation of its heading; 0 if given."""
+    expected_deg: float
+    """Expected error of the calibration, from pose, spread and heading."""
+
+
+@dataclass(frozen=True)
+class PoseCalibration:
+    """A calibration and its report."""
+
+    calibration: ImuCalibration
+    pose: str
+    """Name of the pose."""
+    still: tuple[float, float]
+    """(start, stop) s of the pose."""
+    facing: float
+    """Heading of the person in world during the pose, rad about z from x."""
+    sensors: tuple[SensorReport, ...]
+    heading_margin: float | None = None
+    """Log-likelihood ratio, nats, of headings from movement to those more than 45 degrees away."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Quality warnings."""
+        out = [
+            f"{report.sensor} turned by {report.spread_deg:.1f} degrees while the pose was held; hold it "
+            "still, or choose another moment with still=(start, stop)"
+            for report in self.sensors
+            if report.spread_deg > _RESTLESS_DEG
+        ]
+        if self.heading_margin is not None and self.heading_margin < _LEAST_MARGIN:
+            out.append(
+                f"the movement hardly determines the headings ({self.heading_margin:.1f} nats): a quarter or "
+                "half turn is possible; record more bending of knees, elbows and trunk, or give facing"
+            )
+        return tuple(out)
 
 
 def calibrate_by_pose(
@@ -58,96 +108,240 @@ def calibrate_by_pose(
     headings: Literal["shared", "own"] = "shared",
     levers: Mapping[str, ArrayLike] | None = None,
 ) -> PoseCalibration:
-    """How each sensor sits on its segment, from a pose that was held for a second or more.
+    """Calibrate sensors by a pose.
 
     Args:
-        imus: with orientation; more sensors than `joints` names are passed over.
+        imus: with orientation; sensors that `joints` does not name are ignored.
         joints: sensor -> segment that carries it, by its proximal joint.
-        pose: 'T', 'N', 'seated', or R_world_bone (J, 3, 3) measured while it was held.
-        facing: the direction in which the person faces in the sensors' shared reference: an angle, rad
-            about z from x; or a sensor and the axis of it that points forward, e.g. ('Pelvis', '-z');
-            None: told by the movement in `imus`. It cannot be given of sensors with own headings.
-        world_facing: heading of the person in the world that results, rad. By default with shared
-            headings the world is the sensors' reference; with own headings, or a measured pose, it is
-            the pose's (named ones face x).
-        still: (start, stop) s when the pose was held; None: the first second that all sensors are still.
-        headings: 'shared': one reference for all sensors. 'own': each has its own, told by the movement.
-        levers: sensor -> position of the sensor in the segment's frame (3,), m; by default the usual
-            place on that segment, or the middle of the segment where there is none.
+        pose: 'T', 'N', 'seated', or R_world_bone (J, 3, 3) measured during the pose.
+        skeleton: of the segments.
+        facing: direction of the person in the sensors' shared reference: an angle, rad about z from x, or
+            a sensor and its axis that points forward, e.g. ('Pelvis', '-z'); None: from the movement.
+        world_facing: heading of the person in the resulting world, rad. By default the world is the shared
+            reference; with own headings or a measured pose it is the pose's (named ones face x).
+        still: (start, stop) s of the pose; the first second without rotation if None.
+        headings: 'shared': one reference for all sensors. 'own': one each, estimated from the movement.
+        levers: sensor -> position (3,) in the segment's frame, m; by default the usual one.
 
     Raises:
-        UnknownNameError: a sensor, segment, pose or axis is not known.
-        CalibrationError: nobody is still, a sensor has no orientation then, two sensors sit on one
-            segment, or headings cannot be told because nobody moves.
+        UnknownNameError: unknown sensor, segment, pose or axis.
+        CalibrationError: nobody is still, a sensor has no orientation then, two sensors are on one
+            segment, or the movement is too small for headings.
     """
     if headings not in ("shared", "own"):
         raise UnknownNameError("kind of headings", [headings], ["shared", "own"])
     if headings == "own" and facing is not None:
-        raise CalibrationError(
-            "facing has no meaning for sensors with headings of their own: they share no reference; give "
-            "world_facing, or headings='shared'"
-        )
-    held = hold(imus, joints, skeleton, still, levers)
-    R_all = pose_rotations(pose, skeleton)
+        raise CalibrationError("facing needs headings='shared'; give world_facing for headings='own'")
+    held = _hold(imus, joints, skeleton, still, levers)
+    R_all, named = pose_rotations(pose, skeleton), isinstance(pose, str)
     faces = facing_of(R_all) if world_facing is None else world_facing
     R_pose = turned_to(R_all, faces)[skeleton.index(*held.joints)]
     if facing is None:
-        found = _told_by_movement(imus, held, R_pose, skeleton, headings)
+        found = _from_movement(imus, held, R_pose, skeleton, headings)
     else:
         given = np.full(len(held.joints), faces - _forward(facing, held))
         found = Headings(given, np.zeros(len(given)), np.inf)
-    angles, named = found.angles, isinstance(pose, str)
+    angles = found.angles
     if headings == "shared" and world_facing is None and named:
-        # The world is the sensors' own reference: not they are turned but the person.
+        # The world is the sensors' own reference: turn the person instead.
         faces, angles, R_pose = faces - angles[0], 0 * angles, so3.about_axis("z", -angles[0]) @ R_pose
+    pose_deg = _NAMED_POSE_DEG if named else _MEASURED_POSE_DEG
     return PoseCalibration(
         calibration=held.aligned(angles, R_pose),
         pose=str(pose) if named else "measured",
         still=held.still,
         facing=float(wrapped(faces)),
-        sensors=held.reports(np.degrees(found.sigmas), NAMED_POSE_DEG if named else MEASURED_POSE_DEG),
+        sensors=held.reports(np.degrees(found.sigmas), pose_deg),
         heading_margin=found.margin if facing is None else None,
     )
 
 
-# --- parts ---------------------------------------------------------------------------------------
-
-
-def _forward(facing: float | tuple[str, str], held: Held) -> float:
-    """Heading, rad, of the person in the sensors' shared reference."""
+def _forward(facing: float | tuple[str, str], held: _Held) -> float:
+    """Return the heading, rad, of the person in the sensors' shared reference."""
     if not isinstance(facing, tuple):
         if not np.isfinite(facing):
-            raise ShapeError(f"facing: {facing} is no angle; give radians about z from the x axis")
+            raise InvalidInputError(f"facing: {facing} is no angle; give radians about z from the x axis")
         return float(facing)
     sensor, axis = facing
-    s = indices_of("sensor of facing", [sensor], [stream.name for stream in held.streams])[0]
+    (s,) = indices_of("sensor of facing", [sensor], [stream.name for stream in held.streams])
     if axis not in _AXES:
         raise UnknownNameError("axis of facing", [axis], list(_AXES))
-    column, sign = _AXES[axis]
-    forward = sign * held.R_inertial_sensor[s][:, column]
+    forward = held.R_inertial_sensor[s][:, "xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0)
     if np.hypot(forward[0], forward[1]) < np.sin(np.radians(20.0)):
-        raise CalibrationError(
-            f"the axis {axis} of {sensor} is within 20 degrees of vertical in the pose, so it does not "
-            "point forward; name another axis"
-        )
+        problem = "is within 20 degrees of vertical in the pose; name another axis"
+        raise CalibrationError(f"the axis {axis} of {sensor} {problem}")
     return float(np.arctan2(forward[1], forward[0]))
 
 
-def _told_by_movement(
-    imus: ImuSequence | SensorLog, held: Held, R_pose: Array, skeleton: SkeletonModel, headings: str
+def _from_movement(
+    imus: ImuSequence | SensorLog, held: _Held, R_pose: Array, skeleton: SkeletonModel, headings: str
 ) -> Headings:
-    as_if_upright = held.aligned(np.zeros(len(held.joints)), R_pose)
-    bone_imus = calibrated(imus, as_if_upright)
-    first = max(bone_imus.times[0], min(held.still[0], bone_imus.times[-1] - LONGEST))
-    near = (bone_imus.times >= first) & (bone_imus.times <= first + LONGEST)
+    bone_imus = calibrated(imus, held.aligned(np.zeros(len(held.joints)), R_pose))
+    first = max(bone_imus.times[0], min(held.still[0], bone_imus.times[-1] - _LONGEST))
+    near = (bone_imus.times >= first) & (bone_imus.times <= first + _LONGEST)
     start, stop = (int(i) for i in np.flatnonzero(near)[[0, -1]])
     motions = segment_motions(bone_imus[start : stop + 1])
     fastest = max(float(np.nanmax(np.linalg.norm(m.w_world, axis=-1))) for m in motions)
-    if fastest < LEAST_TURNING:
+    if fastest < _LEAST_TURNING:
         raise CalibrationError(
-            f"headings cannot be told: no sensor turns faster than {fastest:.2g} rad/s, and a pose alone "
-            "does not tell them; record some bending and stretching after it"
-            + (", or give facing" if headings == "shared" else "")
+            f"headings are not observable: no sensor turns faster than {fastest:.2g} rad/s; record some "
+            f"bending and stretching after the pose{', or give facing' if headings == 'shared' else ''}"
         )
     search = own_headings if headings == "own" else shared_heading
     return search(MotionLikelihood(skeleton), motions, R_pose)
+
+
+def usual_lever(joint: str, skeleton: SkeletonModel) -> Array:
+    """Return the usual position (3,) of a sensor on a segment, m: from the skeleton's table, or its middle.
+
+    Args:
+        joint: segment. skeleton: its skeleton.
+    """
+    usual = {carrier: lever for carrier, lever in skeleton.sensors.values()}
+    return usual.get(joint, skeleton.table.joints[skeleton.index(joint)[0]].end / 2)
+
+
+def calibrated(imus: ImuSequence | SensorLog, calibration: ImuCalibration) -> BoneImuSequence:
+    """Apply a calibration to sensors on any times.
+
+    Args:
+        imus: the sensors. calibration: of some of them.
+
+    Returns:
+        The sensors at `RATE_HZ` over their common time; a_world is NaN without accelerometer.
+
+    Raises:
+        UnknownNameError: a sensor is missing. CalibrationError: one has no orientation.
+    """
+    streams = _selected(imus, calibration.sensors)
+    parts = []
+    for stream in streams:
+        f = np.full((len(stream), 3), np.nan) if stream.f_sensor is None else stream.f_sensor
+        imu = ImuSequence(stream.times, _orientations(stream)[:, None], f[:, None], (stream.name,))
+        parts.append(calibration.apply(imu))
+    start, stop = max(s.times[0] for s in streams), min(s.times[-1] for s in streams)
+    return BoneImuSequence.joined(parts, np.arange(start, stop + 1e-9, 1 / RATE_HZ))
+
+
+@dataclass(frozen=True)
+class _Held:
+    """S sensors on segments during a pose."""
+
+    streams: tuple[SensorStream, ...]
+    joints: tuple[str, ...]  # their segments
+    still: tuple[float, float]  # (start, stop) s
+    R_inertial_sensor: Array  # (S, 3, 3) mean orientations
+    spreads_deg: Array  # (S,) RMS angles to them
+    levers: Array  # (S, 3) m, positions of the sensors in the segments' frames
+
+    def aligned(self, headings: Array, R_pose: Array) -> ImuCalibration:
+        """Return the calibration for headings (S,), rad, under which R_world_bone is R_pose (S, 3, 3)."""
+        R_world_inertial = so3.about_axis("z", headings)
+        R_world_sensor = R_world_inertial @ self.R_inertial_sensor
+        R_sensor_bone = np.swapaxes(R_world_sensor, -1, -2) @ R_pose
+        sensors = tuple(stream.name for stream in self.streams)
+        return ImuCalibration(sensors, self.joints, R_world_inertial, R_sensor_bone, self.levers)
+
+    def reports(self, heading_sigmas_deg: Array, pose_deg: float) -> tuple[SensorReport, ...]:
+        expected = np.sqrt(self.spreads_deg**2 + heading_sigmas_deg**2 + pose_deg**2)
+        rows = np.stack([self.spreads_deg, heading_sigmas_deg, expected], axis=-1).tolist()
+        return tuple(
+            SensorReport(stream.name, joint, *row)
+            for stream, joint, row in zip(self.streams, self.joints, rows, strict=True)
+        )
+
+
+def _hold(
+    imus: ImuSequence | SensorLog, joints: Mapping[str, str], skeleton: SkeletonModel,
+    still: tuple[float, float] | None, levers: Mapping[str, ArrayLike] | None,
+) -> _Held:  # fmt: skip
+    """Average the orientations of sensors during the pose."""
+    if not joints:
+        raise CalibrationError("no sensor is mapped to a segment; give joints={sensor: segment, ...}")
+    segments = tuple(joints.values())
+    skeleton.index(*segments)
+    double = sorted({joint for joint in segments if segments.count(joint) > 1})
+    if double:
+        raise CalibrationError(f"several sensors are mapped to {', '.join(double)}; a segment takes one")
+    streams, given = _selected(imus, list(joints)), levers or {}
+    indices_of("sensor", list(given), list(joints))
+    still = _find_still(streams) if still is None else still
+    R, spreads = zip(*(_mean_orientation(stream, still) for stream in streams), strict=True)
+    places = [
+        readonly(f"lever arm of {s}", given[s], (3,)) if s in given else usual_lever(joint, skeleton)
+        for s, joint in joints.items()
+    ]
+    return _Held(streams, segments, still, np.array(R), np.array(spreads), np.array(places))
+
+
+def _streams_of(imus: ImuSequence | SensorLog) -> tuple[SensorStream, ...]:
+    if isinstance(imus, SensorLog):
+        return imus.streams
+    return tuple(
+        SensorStream(name, imus.times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
+        for s, name in enumerate(imus.names)
+    )
+
+
+def _selected(imus: ImuSequence | SensorLog, sensors: Sequence[str]) -> tuple[SensorStream, ...]:
+    streams = _streams_of(imus)
+    return tuple(streams[i] for i in indices_of("sensor", sensors, [stream.name for stream in streams]))
+
+
+def _orientations(stream: SensorStream) -> Array:
+    if stream.R_inertial_sensor is None:
+        problem = "has no orientation; estimate it first (rtof_kin.inertial.orientation)"
+        raise CalibrationError(f"sensor {stream.name} {problem}")
+    return stream.R_inertial_sensor
+
+
+def _mean_orientation(stream: SensorStream, still: tuple[float, float]) -> tuple[Array, float]:
+    """Return the mean orientation (3, 3) and the RMS angle to it, degrees."""
+    R = _orientations(stream)[(stream.times >= still[0]) & (stream.times <= still[1])]
+    R = R[np.isfinite(R).all(axis=(-2, -1))]
+    if not len(R):
+        raise CalibrationError(
+            f"sensor {stream.name} has no orientation between {still[0]:g} and {still[1]:g} s, when the "
+            f"pose was held; its samples are from {stream.times[0]:g} to {stream.times[-1]:g} s"
+        )
+    mean = so3.nearest_rotation(R.mean(axis=0))
+    return mean, float(np.degrees(np.sqrt(np.mean(so3.angle_between(R, mean) ** 2))))
+
+
+def _find_still(streams: Sequence[SensorStream]) -> tuple[float, float]:
+    """Return (start, stop), s, of the first second in which the mean rate of the fastest sensor is small."""
+    seconds = _STILL_SECONDS
+    start, stop = max(s.times[0] for s in streams), min(s.times[-1] for s in streams)
+    if stop - start < seconds:
+        raise CalibrationError(
+            f"the sensors have {max(stop - start, 0):.2g} s in common, too short for a pose held for "
+            f"{seconds:g} s; record the pose, with all sensors on one clock"
+        )
+    times = np.arange(start, stop + 1e-9, 1 / _GRID_HZ)
+    rates = np.stack([_rate(stream, times) for stream in streams])
+    width = min(round(seconds * _GRID_HZ) + 1, len(times))
+    inside = slice(width // 2, len(times) - (width - 1) // 2)
+    centres, mean = times[inside], uniform_filter1d(rates.max(axis=0), width)[inside]
+    still = signals.runs(mean < _STILL_RATE)
+    if not still:
+        best = int(np.argmin(mean))
+        restless = streams[int(np.argmax(rates[:, inside][:, best]))].name
+        raise CalibrationError(
+            f"nobody stands still for {seconds:g} s: even around {centres[best]:.2f} s sensors turn at "
+            f"{np.degrees(mean[best]):.0f} deg/s, {restless} most; hold the pose longer, or give its time "
+            "with still=(start, stop)"
+        )
+    first, end = still[0]
+    if centres[end - 1] - centres[first] >= seconds:
+        return float(centres[first]), float(centres[end - 1])
+    stillest = float(centres[first + int(np.argmin(mean[first:end]))])
+    return stillest - seconds / 2, stillest + seconds / 2
+
+
+def _rate(stream: SensorStream, times: Array) -> Array:
+    """Return the angular speed, rad/s, of the gyroscope or else of the orientation."""
+    w = stream.w_sensor
+    if w is None:
+        w = orientation_rate(stream.times, _orientations(stream))
+    on_grid = signals.interpolate(stream.times, np.linalg.norm(w, axis=-1), times, max_gap=_LONGEST_STEP)
+    return np.minimum(np.nan_to_num(on_grid, nan=_UNKNOWN_RATE), _UNKNOWN_RATE)

@@ -1,11 +1,10 @@
 """The root's path from standing feet and accelerations: linear least squares over a whole recording.
 
-With r the position of a joint or sensor relative to the root, known from the orientations, and p the
-root's: a standing foot does not move, ``d/dt (p + r_foot) = 0``; its ankle is at the floor's height; and
-every sensor accelerates as it measured, ``d2/dt2 (p + r_sensor) = a``. Steps of time couple three
-frames, so the normal equations are a band of two beside the diagonal. In flight, and from one foot to
-the other, accelerations alone carry the path. Where no foot stands for long, as in running, what keeps it
-from running away is the lower foot, which moves least: weakly, with Cauchy's loss (reweighted squares).
+With r the position of a joint or sensor relative to the root, from the orientations, and p the root's: a
+standing foot does not move, ``d/dt (p + r_foot) = 0``; its ankle is at the floor's height; every sensor
+accelerates as measured, ``d2/dt2 (p + r_sensor) = a``. Time steps couple three frames, so the normal
+equations are banded. In flight accelerations alone determine the path. Drift without contacts, as in
+running, is bounded by a weak velocity constraint on the lower foot with Cauchy's loss (reweighted squares).
 """
 
 from __future__ import annotations
@@ -20,62 +19,47 @@ from scipy.linalg import solveh_banded
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.checks import readonly
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Contacts, detect_contacts
 
 Array = NDArray[np.float64]
-_ROUNDS = 5
-"""Of reweighting the lower foot."""
-_ORIGIN = 1e-3
-"""[m] of the first frame's horizontal place about the origin."""
-_DIFFERENCES = ((1.0,), (-1.0, 1.0), (1.0, -2.0, 1.0))
-"""Of order 0 to 2, forward."""
+_ROUNDS = 5  # of reweighting the lower foot
+_ORIGIN = 1e-3  # [m] of the first frame's horizontal position about the origin
+_DIFFERENCES = ((1.0,), (-1.0, 1.0), (1.0, -2.0, 1.0))  # of order 0 to 2, forward
 
 
 @dataclass(frozen=True)
 class RootPathSettings:
-    """What is known of the root's path, and how well."""
+    """Standard deviations of the observations and of the drift."""
 
-    sigma_slip: float = 0.1
-    """[m/s] velocity of a standing ankle."""
-    sigma_floor: float = 0.02
-    """[m] height of a standing ankle."""
-    sigma_acceleration: float = 1.0
-    """[m/s^2] of a sensor on the root."""
-    share_of_motion: float = 0.2
-    """[1] of a sensor's acceleration relative to the root that its orientation's error makes wrong."""
-    sigma_lower: float = 0.5
-    """[m/s] velocity of the lower ankle, standing or not."""
-    sigma_lower_height: float = 0.5
-    """[m] height of the lower ankle over where it stands, standing or not."""
-    drift_per_metre: float = 0.05
-    """[1] standard deviation of the path by what was walked; measured, see benchmarks/README.md."""
-    sigma_flight: float = 0.5
-    """[m/s^2] error of the acceleration that carries the path while no foot stands."""
-    sigma_aloft: float = 0.3
-    """[m/s] error of the velocity that this grows to at most: then the lower foot knows better."""
-    sigma_seen: float = 0.3
-    """[m] of the root in every frame in which a camera saw it: errors last for many."""
-    sigma_edge: float = 0.05
-    """[m] of it in the mean, where a gap begins or ends."""
+    sigma_slip: float = 0.1  # [m/s] velocity of a standing ankle
+    sigma_floor: float = 0.02  # [m] height of a standing ankle
+    sigma_acceleration: float = 1.0  # [m/s^2] of a sensor on the root
+    share_of_motion: float = 0.2  # [-] error of a sensor's acceleration relative to the root
+    sigma_lower: float = 0.5  # [m/s] velocity of the lower ankle, standing or not
+    sigma_lower_height: float = 0.5  # [m] height of the lower ankle, standing or not
+    drift_per_metre: float = 0.05  # [-] of the distance walked; measured, see benchmarks/README.md
+    sigma_flight: float = 0.5  # [m/s^2] error of the acceleration while no foot stands
+    sigma_aloft: float = 0.3  # [m/s] largest error of the velocity from that
+    sigma_seen: float = 0.3  # [m] of the root in a frame with keypoints; errors are correlated
+    sigma_edge: float = 0.05  # [m] of the mean root where a gap begins or ends
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not 0 < value < np.inf:
-                raise ShapeError(f"{name} must be positive and finite")
+                raise InvalidInputError(f"{name} must be positive and finite")
 
 
 @dataclass(frozen=True)
 class RootPath:
-    """Where the root went, from above the origin on."""
+    """Path of the root from above the origin."""
 
     p_world: Array
     """(T, 3) m."""
     sigma: Array
-    """(T,) m, standard deviation of each horizontal coordinate since the first frame: it grows. NaN where
-    no sensor tells of the feet and the root just stays."""
+    """(T,) m, of each horizontal coordinate since the first frame; NaN without foot sensors."""
 
     def __post_init__(self) -> None:
         p = readonly("root path p_world", self.p_world, ("T", 3))
@@ -91,16 +75,16 @@ def root_path(
     ankle_height: float,
     settings: RootPathSettings | None = None,
 ) -> RootPath:
-    """The path that fits standing feet and accelerations best.
+    """Estimate the root's path from contacts and accelerations.
 
     Args:
         poses: (T, J) rigid, evenly spaced; its root may be anywhere.
-        bone_imus: the sensors at the poses' times. contacts: the same frames.
-        ankle_height: z in world of a standing ankle, m.
+        bone_imus: sensors at the poses' times. contacts: of the same frames. skeleton: the subject's.
+        ankle_height: z in world of a standing ankle, m. settings: standard deviations.
 
     Returns:
-        A path that begins over the origin. Where no sensor tells of the feet it stays there, with the
-        lowest joint of the first frame at that height.
+        A path that begins over the origin. Without foot sensors it stays there, with the lowest joint of
+        the first frame at that height.
     """
     settings, T = settings or RootPathSettings(), len(poses)
     relative = poses.p_world_joint - poses.p_world_joint[:, :1]
@@ -110,7 +94,7 @@ def root_path(
     system = _System(T, poses.rate_hz)
     system.add(0, np.array([0]), np.array([0.0, 0.0, np.nan]), _ORIGIN**-2)
     p = _walked(system, poses, bone_imus, contacts, skeleton, ankle_height, settings)
-    return RootPath(p, _drift(p, contacts, poses.rate_hz, settings))
+    return RootPath(p, _drift(p, np.asarray(~contacts.standing.any(axis=1)), poses.rate_hz, settings))
 
 
 def path_through_gaps(
@@ -120,17 +104,15 @@ def path_through_gaps(
     skeleton: SkeletonModel,
     settings: RootPathSettings | None = None,
 ) -> RootPath | None:
-    """The root's path where a camera saw somebody for a while only: elsewhere by feet and accelerations.
+    """Estimate the root's path in frames without keypoints from contacts and accelerations.
 
     Args:
-        poses: (T, J) rigid, evenly spaced; its root where a camera saw it is about right.
-        seen: (T,) whether it did.
-        bone_imus: the sensors at the poses' times.
+        poses: (T, J) rigid, evenly spaced. seen: (T,) frames with keypoints, where its root is valid.
+        bone_imus: sensors at the poses' times. skeleton: the subject's. settings: standard deviations.
 
     Returns:
-        The given root where it was seen, with a standard deviation of 0; between, and before and after,
-        the path that fits it, standing feet and accelerations best. None where no sensor tells of the
-        feet or nothing was seen.
+        The given root with a standard deviation of 0 where seen, else the estimate. None without foot
+        sensors or without keypoints.
     """
     settings, contacts = settings or RootPathSettings(), detect_contacts(poses, bone_imus, skeleton)
     ankles = poses.p_world_joint[:, skeleton.index(*contacts.joints), 2]
@@ -142,38 +124,36 @@ def path_through_gaps(
     system.add(0, np.flatnonzero(seen), root[seen], settings.sigma_seen**-2)
     height = float(np.median(ankles[standing]))
     p = _walked(system, poses, bone_imus, contacts, skeleton, height, settings)
-    sigma = np.zeros(len(poses))
+    sigma, flying = np.zeros(len(poses)), np.asarray(~contacts.standing.any(axis=1))
     for start, stop in signals.runs(~seen):
-        gap = slice(max(start - 1, 0), stop + 1)  # with what was seen at its ends
-        own = Contacts(contacts.joints, contacts.standing[gap])
-        p[gap] += _shift(root[gap] - p[gap], seen[gap])
-        drift = _drift_from(p[gap], seen[gap], own, poses.rate_hz, settings)
+        gap = slice(max(start - 1, 0), stop + 1)  # with the frames seen at its ends
+        first, last = seen[gap][[0, -1]]
+        off = root[gap] - p[gap]
+        share = np.linspace(0.0, 1.0, len(off))[:, None] if first and last else float(last)
+        p[gap] += (1 - share) * off[0] + share * off[-1]
+        drift = np.full(len(off), np.inf)  # since the nearer of the ends that were seen
+        if first:
+            drift = _drift(p[gap], flying[gap], poses.rate_hz, settings)
+        if last:
+            back = _drift(p[gap][::-1], flying[gap][::-1], poses.rate_hz, settings)[::-1]
+            drift = np.minimum(drift, back)
         sigma[gap] = np.hypot(settings.sigma_edge, drift)
     p[seen], sigma[seen] = root[seen], 0.0
     return RootPath(p, sigma)
 
 
-# --- parts ---------------------------------------------------------------------------------------
-
-
 class _System:
-    """Normal equations (T) of three coordinates, a band of two beside the diagonal."""
+    """Normal equations of three coordinates (T,), with two subdiagonals."""
 
     def __init__(self, frames: int, rate_hz: float) -> None:
         self.frames, self.rate_hz = frames, rate_hz
         self._band = np.zeros((3, 3, frames))  # coordinate, distance from the diagonal, column
         self._right = np.zeros((3, frames))
 
-    def copy(self) -> _System:
-        """One to add more to."""
-        return copy.deepcopy(self)
-
     def add(self, order: int, frames: NDArray[np.intp], target: Array, weight: Array | float) -> None:
-        """Derivatives of an order (0 to 2) of the path, by differences from each of some frames on.
+        """Observe derivatives of order 0 to 2 by forward differences from each frame (n,), none twice.
 
-        Args:
-            frames: (n,), none twice. target: (n, 3) or (3,), m/s^order; NaN where nothing is known.
-            weight: (n,) or one for all, inverse variances.
+        The target (n, 3) or (3,), m/s^order, may be NaN; the weight (n,) or () is an inverse variance.
         """
         target = np.broadcast_to(target, (len(frames), 3)).T
         weight = np.where(np.isfinite(target), weight, 0.0)
@@ -185,7 +165,7 @@ class _System:
                 self._band[:, b, frames + a] += left * right * weight
 
     def solve(self) -> Array:
-        """(T, 3) m."""
+        """Return the path (T, 3), m."""
         each = zip(self._band, self._right, strict=True)
         return np.stack([solveh_banded(band, right, lower=True) for band, right in each], axis=1)
 
@@ -194,51 +174,35 @@ def _walked(
     system: _System, poses: PoseSequence, bone_imus: BoneImuSequence, contacts: Contacts,
     skeleton: SkeletonModel, ankle_height: float, settings: RootPathSettings,
 ) -> Array:  # fmt: skip
-    """The path (T, 3) that feet and accelerations add to what a system has."""
+    """Add feet and accelerations to a system and return its path (T, 3)."""
+    rate, every = poses.rate_hz, np.arange(system.frames)
     relative = poses.p_world_joint - poses.p_world_joint[:, :1]
     feet = relative[:, skeleton.index(*contacts.joints)]
-    _add_feet(system, feet, contacts, ankle_height, settings)
-    index = skeleton.index(*bone_imus.joints)
-    turned = np.einsum("tsij,sj->tsi", poses.R_world_bone[:, index], bone_imus.p_bone_sensor)
-    _add_sensors(system, relative[:, index] + turned, bone_imus.a_world, settings)
-    return _with_lower_foot(system, feet, settings.sigma_lower)
-
-
-def _add_feet(
-    system: _System, feet: Array, contacts: Contacts, ankle_height: float, settings: RootPathSettings
-) -> None:
-    """Standing ankles (T, C, 3), relative to the root, do not move and are at a height; weakly, so is the
-    lower one always.
-    """
     heights = np.where([False, False, True], ankle_height - feet, np.nan)
-    every = np.arange(system.frames)
     lower = heights[every, feet[..., 2].argmin(axis=1)]
     system.add(0, every, lower, settings.sigma_lower_height**-2)
-    moves = -signals.derivative(feet, system.rate_hz, 1)
+    moves = -signals.derivative(feet, rate, 1)
     for i, stands in enumerate(contacts.standing.T):
         still = np.flatnonzero(stands[1:] & stands[:-1])
         system.add(1, still, moves[still, i], settings.sigma_slip**-2)
         system.add(0, np.flatnonzero(stands), heights[stands, i], settings.sigma_floor**-2)
-
-
-def _add_sensors(system: _System, sensors: Array, a_world: Array, settings: RootPathSettings) -> None:
-    """Sensors (T, S, 3), relative to the root, accelerate as measured; those that move much about it tell
-    less, for they do so by orientations that are off.
-    """
-    own = signals.derivative(sensors, system.rate_hz, 2)
+    index = skeleton.index(*bone_imus.joints)
+    turned = np.einsum("tsij,sj->tsi", poses.R_world_bone[:, index], bone_imus.p_bone_sensor)
+    own = signals.derivative(relative[:, index] + turned, rate, 2)
     wrong = settings.share_of_motion * np.linalg.norm(own, axis=2)
     weight = 1 / (settings.sigma_acceleration**2 + wrong**2)
-    for s in range(sensors.shape[1]):
-        system.add(2, np.arange(len(own)), a_world[1:-1, s] - own[:, s], weight[:, s])
+    for s in range(len(index)):
+        system.add(2, every[:-2], bone_imus.a_world[1:-1, s] - own[:, s], weight[:, s])
+    return _with_lower_foot(system, feet, settings.sigma_lower)
 
 
 def _with_lower_foot(system: _System, feet: Array, sigma: float) -> Array:
-    """The path (T, 3) with Cauchy's loss of the lower ankle's velocity, by reweighted least squares."""
+    """Return the path (T, 3) with Cauchy's loss on the lower ankle's velocity, by reweighting."""
     every = np.arange(system.frames - 1)
     moves = -signals.derivative(feet, system.rate_hz, 1)[every, feet[:-1, :, 2].argmin(axis=1)]
     weight = np.full(len(every), sigma**-2)
     for _ in range(_ROUNDS):
-        whole = system.copy()
+        whole = copy.deepcopy(system)
         whole.add(1, every, moves, weight)
         p = whole.solve()
         slip = np.linalg.norm(signals.derivative(p, system.rate_hz, 1) - moves, axis=1)
@@ -246,30 +210,12 @@ def _with_lower_foot(system: _System, feet: Array, sigma: float) -> Array:
     return p
 
 
-def _drift(p: Array, contacts: Contacts, rate_hz: float, settings: RootPathSettings) -> Array:
-    """(T,) m: by what was walked, and by flights, whose errors grow with the square of their length."""
+def _drift(p: Array, flying: NDArray[np.bool_], rate_hz: float, settings: RootPathSettings) -> Array:
+    """Return the drift (T,), m: by distance walked, and by flights with the square of their duration."""
     walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1))])
     flown = np.zeros(len(p))
-    for start, stop in signals.runs(~contacts.standing.any(axis=1)):
+    for start, stop in signals.runs(flying):
         since = np.minimum(np.arange(len(p)) - start, stop - start)[start:] / rate_hz
         slow = np.minimum(settings.sigma_flight * since / 2, settings.sigma_aloft)
         flown[start:] += (slow * since) ** 2
     return np.asarray(np.sqrt((settings.drift_per_metre * walked) ** 2 + flown))
-
-
-def _shift(off: Array, seen: NDArray[np.bool_]) -> Array:
-    """(n, 3) m: what the ends are off by, of those that were seen, and evenly from one to the other."""
-    share = np.linspace(0.0, 1.0, len(off))[:, None] if seen[0] and seen[-1] else float(seen[-1])
-    return np.asarray((1 - share) * off[0] + share * off[-1])
-
-
-def _drift_from(
-    p: Array, seen: NDArray[np.bool_], contacts: Contacts, rate_hz: float, settings: RootPathSettings
-) -> Array:
-    """(n,) m since the end that is nearer of those that were seen."""
-    back = Contacts(contacts.joints, contacts.standing[::-1])
-    ends = (
-        _drift(p, contacts, rate_hz, settings) if seen[0] else np.inf,
-        _drift(p[::-1], back, rate_hz, settings)[::-1] if seen[-1] else np.inf,
-    )
-    return np.asarray(np.minimum(*ends))

@@ -1,4 +1,4 @@
-"""Where a posed skeleton stands: its root from the rays of its landmarks."""
+"""Position of a posed skeleton's root from the rays of its landmarks."""
 
 from __future__ import annotations
 
@@ -20,17 +20,15 @@ def refit_root(
     sigma_depth: float = 0.1,
     iterations: int = 4,
 ) -> PoseSequence:
-    """Move every frame's pose so that it fits its keypoints, shape and orientation kept.
+    """Translate every frame's pose to minimise its reprojection error.
 
-    Gauss-Newton on each frame's reprojection error in the root's translation, with Cauchy weights against
-    outliers, and the pose's own root as a weak prior. (The linear equations with the observed rays in
-    the matrix are biased towards the camera: by 12 mm at 5 px and 4 m, by 50 mm at 10 px.)
+    Gauss-Newton on the root's translation with Cauchy weights and the given root as a weak prior. (Linear
+    equations in the rays would be biased towards the camera: by 12 mm at 5 px and 4 m, 50 mm at 10 px.)
 
     Args:
-        poses: (T, J) rigid poses. keypoints: the same frames; landmarks that are joints are used.
-        sigma_px: standard deviation of a landmark and of the pose that it is compared with, px.
-        sigma_depth: standard deviation of the given root, m.
-        iterations: Gauss-Newton steps, each with the weights of the one before.
+        poses: (T, J) rigid poses. keypoints: of the same frames; landmarks that are joints are used.
+        sigma_px: standard deviation of a landmark, px. sigma_depth: of the given root, m.
+        iterations: Gauss-Newton steps.
 
     Returns:
         The poses translated; frames without keypoints are unchanged.

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -25,27 +26,24 @@ from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.alignment import usual_lever
-from rtof_kin.inertial.likelihood import MotionLikelihood
+from rtof_kin.inertial.likelihood import (
+    MotionLikelihood,
+    SegmentMotion,
+    even_times,
+    seen_bones,
+    segment_motions,
+)
+from rtof_kin.inertial.pose_calibration import usual_lever
 from rtof_kin.inertial.poses import pose_rotations, turned_to
-from rtof_kin.inertial.segment_motion import SegmentMotion, even_times, seen_bones, segment_motions
 
 Array = NDArray[np.float64]
-LEAST_RATIO: Final = 10.0
-"""Log-likelihood ratio [nats] from which a fault is reported."""
-_LONE_FACTOR: Final = 2.5
-"""Multiple of `LEAST_RATIO` for sensors without one on a neighbouring segment."""
-_LONGEST: Final = 20.0
-"""Longer movements [s] are weighted as if they had this duration."""
-_SAME_RATIO: Final = 3.0
-"""Faults within this ratio [nats] of the likeliest one are listed as alternatives."""
-_MOST_ALTERNATIVES: Final = 3
-_QUARTERS_DEG: Final = {
-    90: "90 degrees to the left of", -90: "90 degrees to the right of", 180: "180 degrees from",
-}  # fmt: skip
-_NEAR: Final = 2
-"""Largest number of joints between segments that are confused with each other."""
-_SIDES: Final = ("Left", "Right")
+LEAST_RATIO: Final = 10.0  # [nats] log-likelihood ratio from which a fault is reported
+_LONE_FACTOR = 2.5  # multiple of it for sensors without one on a neighbouring segment
+_LONGEST = 20.0  # [s] longer movements have the weight of this duration
+_SAME_RATIO, _MOST_ALTERNATIVES = 3.0, 3  # [nats] to the likeliest fault, and number of alternatives
+_QUARTERS_DEG = {90: "90 degrees to the left of", -90: "90 degrees to the right of", 180: "180 degrees from"}
+_NEAR = 2  # joints between segments that are confused with each other
+_SIDES = ("Left", "Right")
 
 
 class FaultKind(Enum):
@@ -65,16 +63,11 @@ class FaultKind(Enum):
 class _Change:
     """Correction of one sensor's calibration."""
 
-    declared: str
-    """Declared segment."""
-    joint: str
-    """Actual segment."""
-    R_bone_new: Array
-    """(3, 3) factor of R_sensor_bone from the right."""
-    p_bone_sensor: Array
-    """(3,) lever arm on the actual segment, m."""
-    R_world_new: Array | None = None
-    """(3, 3) factor of R_world_inertial from the left."""
+    declared: str  # segment
+    joint: str  # actual segment
+    R_bone_new: Array  # (3, 3) factor of R_sensor_bone from the right
+    p_bone_sensor: Array  # (3,) m, lever arm on the actual segment
+    R_world_new: Array | None = None  # (3, 3) factor of R_world_inertial from the left
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +105,8 @@ class Fault:
         """
         missing = [c.declared for c in self.changes if c.declared not in calibration.joints]
         if missing:
-            raise CalibrationError(
-                f"the calibration has no sensor on {', '.join(missing)}, which the fault concerns; give "
-                "the calibration that was diagnosed"
-            )
+            problem = f"has no sensor on {', '.join(missing)}; give the one that was diagnosed"
+            raise CalibrationError(f"the calibration {problem}")
         joints, levers = list(calibration.joints), np.array(calibration.p_bone_sensor)
         R_sensor_bone, R_world_inertial = (
             calibration.R_sensor_bone.copy(),
@@ -131,12 +122,8 @@ class Fault:
                 R_world_inertial[s] = change.R_world_new @ R_world_inertial[s]
         return ImuCalibration(calibration.sensors, tuple(joints), R_world_inertial, R_sensor_bone, levers)
 
-    def read(self, motions: Sequence[SegmentMotion]) -> tuple[SegmentMotion, ...]:
-        """Return the motions under the corrected calibration.
-
-        Args:
-            motions: under the calibration as declared.
-        """
+    def _read(self, motions: Sequence[SegmentMotion]) -> tuple[SegmentMotion, ...]:
+        """Return the motions under the corrected calibration."""
         changes = {change.declared: change for change in self.changes}
         out = []
         for motion in motions:
@@ -181,7 +168,7 @@ def diagnose_setup(
         if fault is None:
             break
         found.append(fault)
-        motions = fault.read(motions)
+        motions = fault._read(motions)
         calibration = None if calibration is None else fault.corrected(calibration)
     return tuple(found)
 
@@ -191,7 +178,7 @@ def _likeliest(
 ) -> Fault | None:
     """Return the fault with the largest ratio above its threshold, with its alternatives."""
     base = scores.total(motions)
-    ratios = np.array([scores.total(fault.read(motions)) - base for fault in faults])
+    ratios = np.array([scores.total(fault._read(motions)) - base for fault in faults])
     least = [LEAST_RATIO * (_LONE_FACTOR if setup.is_lone(fault) else 1.0) for fault in faults]
     enough = np.flatnonzero(ratios >= least)
     if not len(enough):
@@ -227,10 +214,8 @@ class _Setup:
     """Sensors as declared, the calibration pose, and the faults that are possible."""
 
     skeleton: SkeletonModel
-    levers: dict[str, Array]
-    """Segment -> lever arm (3,), m, of each sensor."""
-    R_pose: Array
-    """(J, 3, 3) R_world_bone, facing x."""
+    levers: dict[str, Array]  # segment -> lever arm (3,), m, of each sensor
+    R_pose: Array  # (J, 3, 3) R_world_bone, facing x
     calibration: ImuCalibration | None
     index: dict[str, int] = field(init=False)
 
@@ -271,28 +256,20 @@ class _Setup:
 
     def _mountings(self) -> Iterator[Fault]:
         remedy = "Put it back as it was, or calibrate again as it sits now"
-        for joint in self.levers:
-            for axis in "xyz":
-                for angle in _QUARTERS_DEG:
-                    what = f"the sensor on {joint} sits turned by {angle} degrees about the segment's "
-                    what += f"{axis} axis against its calibration"
-                    change = self._turned(joint, so3.about_axis(axis, np.radians(angle)))
-                    yield Fault(FaultKind.MOUNTING, what, remedy, (change,))
+        for joint, axis, angle in product(self.levers, "xyz", _QUARTERS_DEG):
+            what = f"the sensor on {joint} sits turned by {angle} degrees about the segment's {axis} axis "
+            change = self._turned(joint, so3.about_axis(axis, np.radians(angle)))
+            yield Fault(FaultKind.MOUNTING, f"{what}against its calibration", remedy, (change,))
 
     def _swaps(self) -> Iterator[Fault]:
-        groups = [
-            (kind, what, [way for a, b in pairs for way in ((a, b), (b, a))])
-            for kind, what, pairs in self._groups()
-        ]
+        groups = [(kind, what, [*pairs, *((b, a) for a, b in pairs)]) for kind, what, pairs in self._groups()]
+        remedy = "Swap the two names, or the sensors, and calibrate again"
         for kind, what, ways in groups:
-            remedy = "Swap the two names, or the sensors, and calibrate again"
             yield Fault(kind, f"{what} are swapped", remedy, tuple(self._moved(*way) for way in ways))
-        if self.calibration is not None:
-            for _, what, ways in groups:
-                what = what.removeprefix("the sensors of ")
-                changes = tuple(self._refiled(self.calibration, *way) for way in ways)
-                remedy = "Swap the two names where the samples are filed"
-                yield Fault(FaultKind.STREAMS, f"the samples of {what} are swapped", remedy, changes)
+        remedy = "Swap the two names where the samples are filed"
+        for _, what, ways in groups if self.calibration is not None else ():
+            what = f"the samples of {what.removeprefix('the sensors of ')} are swapped"
+            yield Fault(FaultKind.STREAMS, what, remedy, tuple(self._refiled(*way) for way in ways))
 
     def _groups(self) -> Iterator[tuple[FaultKind, str, list[tuple[str, str]]]]:
         """Generate the pairs of segments whose sensors may be swapped together."""
@@ -308,20 +285,18 @@ class _Setup:
                 yield FaultKind.SIDES, f"all left and right sensors of {names}", group
         if len(limbs) > 1:
             yield FaultKind.SIDES, "all left and right sensors", pairs
-        for a in self.levers:
-            for b in self.levers:
-                if self.index[a] < self.index[b] and b != _mirrored(a):
-                    kind = FaultKind.NEIGHBOURS if self._near(a, b) else FaultKind.SWAPPED
-                    yield kind, f"the sensors of {a} and {b}", [(a, b)]
+        for a, b in product(self.levers, repeat=2):
+            if self.index[a] < self.index[b] and b != _mirrored(a):
+                kind = FaultKind.NEIGHBOURS if self._near(a, b) else FaultKind.SWAPPED
+                yield kind, f"the sensors of {a} and {b}", [(a, b)]
 
     def _elsewhere(self) -> Iterator[Fault]:
         carriers = {joint for joint, _ in self.skeleton.sensors.values()}
-        for a in self.levers:
-            for b in sorted(carriers - set(self.levers)):
-                if self._near(a, b) or b == _mirrored(a):
-                    what = f"the sensor declared on {a} sits on {b}"
-                    remedy = f"Declare it on {b}, or move it to {a}, and calibrate again"
-                    yield Fault(FaultKind.SEGMENT, what, remedy, (self._moved(a, b),))
+        for a, b in product(self.levers, sorted(carriers - set(self.levers))):
+            if self._near(a, b) or b == _mirrored(a):
+                what = f"the sensor declared on {a} sits on {b}"
+                remedy = f"Declare it on {b}, or move it to {a}, and calibrate again"
+                yield Fault(FaultKind.SEGMENT, what, remedy, (self._moved(a, b),))
 
     def _turned(self, joint: str, R_bone_new: Array) -> _Change:
         return _Change(joint, joint, R_bone_new, self.levers[joint])
@@ -333,8 +308,10 @@ class _Setup:
         lever = usual_lever(joint, self.skeleton) if lever is None else lever
         return _Change(declared, joint, R_declared.T @ R_joint, lever)
 
-    def _refiled(self, calibration: ImuCalibration, declared: str, joint: str) -> _Change:
+    def _refiled(self, declared: str, joint: str) -> _Change:
         """Read the samples of the sensor on `declared` with the calibration of the one on `joint`."""
+        calibration = self.calibration
+        assert calibration is not None
         a, b = (calibration.joints.index(name) for name in (declared, joint))
         R, W = calibration.R_sensor_bone, calibration.R_world_inertial
         return _Change(declared, joint, R[a].T @ R[b], self.levers[joint], W[b] @ W[a].T)

@@ -1,56 +1,56 @@
-"""The paper's protocol on Human3.6M: 17 joints, 50 Hz, vision alone, subjects S9 and S11."""
+"""The paper's protocol on Human3.6M: 17 joints, 50 Hz, vision only, subjects S9 and S11."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.choices import CAMERA_MODES
-from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.datasets.human36m import SUBJECTS_TEST, SUBJECTS_TRAIN, Human36M
 from rtof_kin.protocols import published
-from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
+from rtof_kin.protocols.jobs import Job, JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.protocols.measures import curves, provenance, reconstructions, rows_of, save_motion
 from rtof_kin.protocols.tables import Cell, Table, pooled
 
 CAMERAS = (0, 1, 2, 3)
-VISION = ("lift", "rto")
+_VISION: Final = ("lift", "rto")
 STILL = "no motion"
 
 
 @dataclass(frozen=True)
 class Human36MProtocol:
-    """What is measured."""
+    """Settings of the measurements."""
 
     root: Path
     """Folder of the archives."""
     lifter: Path
-    """A 17-joint lifter's file; those that are shipped, by name, have 21."""
+    """File of a 17-joint lifter; the shipped ones have 21 joints."""
     cameras_file: Path | None = None
-    """File of cameras; looked for in the folder where not given."""
+    """File of cameras; by default one in the folder."""
     keypoints: str = "gt"
     """'gt', or the detector's part of the archive's name."""
     subjects: tuple[str, ...] = SUBJECTS_TEST
     actions: tuple[str, ...] = ()
-    """Names such as 'Walking', with or without their number; all where empty."""
+    """Names such as 'Walking', with or without their number; empty for all."""
     cameras: tuple[int, ...] = CAMERAS
-    modes: tuple[str, ...] = VISION
+    modes: tuple[str, ...] = _VISION
     save: Path | None = None
-    """Folder for the motions."""
+    """Folder for the motions, if wanted."""
 
     def __post_init__(self) -> None:
         for name in ("subjects", "cameras", "modes"):
             if not getattr(self, name):
-                raise ShapeError(f"{name}: none are named, so there is nothing to measure")
+                raise InvalidInputError(f"{name}: none are named, so there is nothing to measure")
         indices_of("subject", self.subjects, SUBJECTS_TRAIN + SUBJECTS_TEST)
-        indices_of("mode without sensors", self.modes, VISION)
+        indices_of("mode without sensors", self.modes, _VISION)
         indices_of("camera", [str(c) for c in self.cameras], [str(c) for c in CAMERAS])
         try:
             lifter_path(self.lifter)
@@ -59,7 +59,7 @@ class Human36MProtocol:
             raise FileFormatError(self.lifter, problem) from error
 
     def settings(self) -> dict[str, Any]:
-        """Everything that the results depend on, as plain values."""
+        """Return everything that the results depend on, as plain values."""
         return provenance(self.lifter) | {
             "dataset": str(self.root.resolve()), "keypoints": self.keypoints,
             "cameras_file": str(self.cameras_file.resolve()) if self.cameras_file else "found",
@@ -68,7 +68,7 @@ class Human36MProtocol:
         }  # fmt: skip
 
     def jobs(self) -> dict[str, Job]:
-        """All measurements by key.
+        """Return all jobs by key.
 
         Raises:
             FileFormatError: the archive cannot be read, or has nothing of the subjects.
@@ -90,22 +90,6 @@ class Human36MProtocol:
             for camera in self.cameras
         }
 
-    def motion_file(self, job: Job, mode: str) -> Path | None:
-        """Where a mode's motion is saved, if it is."""
-        if self.save is None:
-            return None
-        return self.save / job.subject / job.action / f"cam{job.camera}" / mode / "motion.npz"
-
-
-@dataclass(frozen=True)
-class Job:
-    """One action seen by one camera."""
-
-    protocol: Human36MProtocol
-    subject: str
-    action: str
-    camera: int
-
 
 @lru_cache(maxsize=1)
 def _dataset(root: Path, cameras: Path | None, keypoints: str) -> Human36M:
@@ -120,40 +104,50 @@ def run(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Measure what has not been measured yet; see `rtof_kin.protocols.total_capture.run`."""
-    jobs, settings = protocol.jobs(), protocol.settings()
-    files = {
-        key: {mode: protocol.motion_file(job, mode) for mode in protocol.modes} for key, job in jobs.items()
-    }
-    runs = open_runs(folder, settings, overwrite, protocol.save, files)
+    """Run the jobs that have no result yet.
+
+    Args:
+        protocol, folder, overwrite, workers, progress: as for `rtof_kin.protocols.total_capture.run`.
+    """
+    jobs = protocol.jobs()
+    files = {key: {mode: job.motion_file(mode) for mode in protocol.modes} for key, job in jobs.items()}
+    runs = open_runs(folder, protocol.settings(), overwrite, protocol.save, files)
     return run_jobs(measure, jobs, runs, workers, progress)
 
 
 def measure(job: Job) -> JobResult:
-    """Both modes of one action seen by one camera, and the row of no motion."""
-    protocol = job.protocol
+    """Score the modes of one action seen by one camera, and the row of no motion.
+
+    Args:
+        job: the action and camera.
+    """
+    protocol: Human36MProtocol = job.protocol
     dataset = _dataset(protocol.root, protocol.cameras_file, protocol.keypoints)
-    recording = dataset.recording(job.subject, job.action, job.camera)
+    recording = dataset.recording(job.subject, job.take, job.camera or 0)
     truth, skeleton = recording.truth, recording.skeleton
     assert truth is not None
     results = reconstructions(recording, protocol.modes, protocol.lifter)
     scores = {STILL: evaluate(motionless(truth), truth, skeleton)}
     for mode, result in results.items():
         scores[mode] = result.stage_metrics[mode]
-        save_motion(result, mode, protocol.motion_file(job, mode))
+        save_motion(result, mode, job.motion_file(mode))
     methods = {
         name: dict(metrics) | {"frames": int(np.isfinite(metrics.over_time["mpjpe_mm"]).sum())}
         for name, metrics in scores.items()
     }
     return JobResult(
-        {"subject": job.subject, "take": job.action, "camera": job.camera, "methods": methods,
+        {"subject": job.subject, "take": job.take, "camera": job.camera, "methods": methods,
          "failed_checks": [], "notes": [recording.notes] if recording.notes else []},
         curves(recording, results, "RKnee"),
     )  # fmt: skip
 
 
 def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
-    """The paper's table beside ours, and what is missing or remarkable."""
+    """Return the paper's table with ours, and one of missing and suspicious data.
+
+    Args:
+        protocol: what was asked for. outcome: what was measured.
+    """
     rows = list(rows_of(outcome))
     printed: list[tuple[Cell, ...]] = [
         (name, mpjpe, mpjae, mpjje, None, None) for name, (mpjpe, mpjae, mpjje) in published.HUMAN36M.items()

@@ -38,6 +38,27 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
+class Job:
+    """One take of a protocol seen by one camera, or without a camera."""
+
+    protocol: Any
+    subject: str
+    take: str
+    camera: int | None
+
+    def motion_file(self, mode: str) -> Path | None:
+        """Return the path of a saved motion, or None if motions are not saved.
+
+        Args:
+            mode: of the motion.
+        """
+        save: Path | None = self.protocol.save
+        if save is None or self.camera is None:
+            return None
+        return save / self.subject / self.take / f"cam{self.camera}" / mode / "motion.npz"
+
+
+@dataclass(frozen=True)
 class JobResult:
     """Result of one job."""
 

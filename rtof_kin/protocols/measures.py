@@ -1,16 +1,16 @@
-"""What every protocol does with a recording: reconstruct it in several modes, score, keep the motions."""
+"""Steps of every protocol: reconstruct a recording in several modes, score, save the motions."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import rtof_kin
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.formats.motion_npz import write_motion_npz
@@ -31,15 +31,14 @@ def reconstructions(
     settings: ReconstructionSettings | None = None,
     calibrate: bool = False,
 ) -> dict[str, Reconstruction]:
-    """For every mode, in the order of `CAMERA_MODES`, a reconstruction that has it among its stages.
+    """Return, for every mode in the order of `CAMERA_MODES`, a reconstruction with it among its stages.
 
-    Modes that need sensors are left out where the recording has none. *lift* is that of the image alone,
-    not the lifter of those modes, which is told the sensors.
+    Modes that need sensors are omitted for a recording without them. Mode *lift* uses the image only, not the
+    lifter with sensors of the other modes.
 
     Args:
-        lifter: checkpoint; the shipped one where not given. settings: of the stages after it.
-        calibrate: whether recordings are calibrated from themselves, where the mode has sensors; the
-            papers take every calibration as it is given.
+        recording: to reconstruct. modes: names. lifter: checkpoint, by default the shipped one.
+        settings: of the stages after the lifter. calibrate: whether to self-calibrate modes with sensors.
     """
     from lifting.predict import Lifter
 
@@ -55,10 +54,10 @@ def reconstructions(
 
 
 def curves(recording: Recording, results: Mapping[str, Reconstruction], knee: str) -> dict[str, Array]:
-    """What `rtof_kin.protocols.pictures` draws: errors over time, and poses at a few instants.
+    """Return the data of `rtof_kin.protocols.pictures`: errors over time, and poses at a few instants.
 
     Args:
-        results: by mode, see `reconstructions`. knee: the joint whose flexion is drawn.
+        recording: with the truth. results: by mode, see `reconstructions`. knee: joint of the flexion.
     """
     truth = recording.truth
     assert truth is not None
@@ -77,7 +76,11 @@ def curves(recording: Recording, results: Mapping[str, Reconstruction], knee: st
 
 
 def save_motion(result: Reconstruction, mode: str, path: Path | None) -> None:
-    """Write one stage's motion to a file; nothing without a path."""
+    """Write the motion of one stage to a file.
+
+    Args:
+        result: with the stage. mode: of the stage. path: of the file; None writes nothing.
+    """
     if path is None:
         return
     motion = result.motion if mode == result.mode else result.motion.skeleton.motion(result.stages[mode])
@@ -85,22 +88,23 @@ def save_motion(result: Reconstruction, mode: str, path: Path | None) -> None:
 
 
 def provenance(lifter: str | Path | None) -> dict[str, Any]:
-    """What results depend on besides a protocol's settings: the lifter's weights, the version."""
+    """Return what results depend on besides settings: the lifter's weights and the version.
+
+    Args:
+        lifter: checkpoint, by default the shipped one.
+    """
     return {
         "lifter_sha256": hashlib.sha256(lifter_path(lifter).read_bytes()).hexdigest(),
-        "version": _version(),
+        "version": rtof_kin.__version__,
     }
 
 
-def _version() -> str:
-    try:
-        return version("rtof_kin")
-    except PackageNotFoundError:  # a clone that was not installed
-        return "0+unknown"
-
-
 def rows_of(outcome: Outcome) -> Iterator[dict[str, Any]]:
-    """One flat row for every take, camera and method that was measured."""
+    """Yield one flat row for every take, camera and method that was measured.
+
+    Args:
+        outcome: of a protocol.
+    """
     for facts in outcome.done.values():
         about = {name: facts[name] for name in ("subject", "take", "camera")}
         for method, figures in facts["methods"].items():

@@ -1,4 +1,4 @@
-"""The paper's figures: error curves of the baseline against the fusion, skeletons over the truth."""
+"""Figures of the paper: error curves of baseline and fusion, skeletons over the truth."""
 
 from __future__ import annotations
 
@@ -16,27 +16,23 @@ NAMES = {"lift": "baseline (lift)", "sf2": "sf2", "rto": "rto", "rtof": "rtof"}
 
 
 def write_pictures(outcome: Outcome, folder: Path, table: SkeletonTable, rate_hz: float) -> list[Path]:
-    """Draw what there is data for.
+    """Draw the figures and return their paths; none if no job has curves.
 
-    Returns:
-        The paths written; none where no job has curves.
+    Args:
+        outcome: of a protocol. folder: for the files. table: skeleton. rate_hz: frame rate, Hz.
     """
     keys = _characters(outcome)
     if not keys:
         return []
     figures = {
         "error_curves": error_curves(outcome, keys, rate_hz),
-        "skeletons": skeletons(outcome, keys[-1], table.parents, rate_hz),
+        "skeletons": _skeletons(outcome, keys[-1], table.parents, rate_hz),
     }
     return save_figures(figures, folder)
 
 
 def _characters(outcome: Outcome) -> list[str]:
-    """Jobs of two takes of different character: the steadiest and the liveliest that were measured.
-
-    Liveliness is the error of standing still in acceleration, where a take's own row has it; otherwise
-    the first job of each take in order.
-    """
+    """Return jobs of the takes with the least and the most motion, by the acceleration error of no motion."""
     first: dict[tuple[str, str], str] = {}
     lively: dict[tuple[str, str], float] = {}
     for key, facts in outcome.done.items():
@@ -51,9 +47,10 @@ def _characters(outcome: Outcome) -> list[str]:
 
 
 def error_curves(outcome: Outcome, keys: Sequence[str], rate_hz: float) -> Figure:
-    """Joint error (left) and the error of the right knee's rotation angle (right) over time.
+    """Plot joint error (left) and the error of the right knee's flexion (right) over time.
 
-    The knee's angle is its flexion: in the reference skeleton it turns about one axis.
+    Args:
+        outcome: of a protocol. keys: of jobs, one row each. rate_hz: frame rate, Hz.
     """
     figure = Figure(figsize=(13, 3.4 * len(keys)), layout="constrained")
     axes = figure.subplots(len(keys), 2, squeeze=False)
@@ -65,24 +62,19 @@ def error_curves(outcome: Outcome, keys: Sequence[str], rate_hz: float) -> Figur
             best = [mode for mode in ("rtof", "rto", "sf2") if f"{mode}_{suffix}" in arrays][:1]
             for mode in (["lift"] if f"lift_{suffix}" in arrays else []) + best:
                 curve = arrays[f"{mode}_{suffix}"]
-                mean = float(np.nanmean(curve))
-                text = f"{NAMES[mode]}: mean {mean:.1f}"
+                text = f"{NAMES[mode]}: mean {np.nanmean(curve):.1f}"
                 times = np.arange(len(curve)) / rate_hz
                 ax.plot(times, curve, color=STAGE_COLORS[mode], lw=0.9, label=text)
             ax.set_title(where, fontsize=10)
-            ax.set_xlabel("time [s]")
-            ax.set_ylabel(label)
+            ax.set(xlabel="time [s]", ylabel=label)
             ax.set_ylim(bottom=0)
             ax.grid(alpha=0.3)
             ax.legend(loc="upper right", fontsize=8)
     return figure
 
 
-def skeletons(outcome: Outcome, key: str, parents: Sequence[int], rate_hz: float) -> Figure:
-    """Each mode's skeleton over the truth (green) at a few instants of one job, root on root.
-
-    Seen from the camera's right, where errors in depth show.
-    """
+def _skeletons(outcome: Outcome, key: str, parents: Sequence[int], rate_hz: float) -> Figure:
+    """Plot each mode's skeleton over the truth (green) at a few instants, seen from the camera's right."""
     arrays, facts = outcome.arrays(key), outcome.done[key]
     view, label = views(arrays["R_camera_world"])[1]
     modes = [mode for mode in NAMES if f"{mode}_snapshots" in arrays]
@@ -95,14 +87,10 @@ def skeletons(outcome: Outcome, key: str, parents: Sequence[int], rate_hz: float
         ):
             for points, color in ((p_true, TRUTH), (p, STAGE_COLORS[mode])):
                 x, z = view @ (points - points[0]).T
-                for child, parent in enumerate(parents):
-                    if parent >= 0:
-                        ax.plot(x[[parent, child]], z[[parent, child]], color=color, lw=2, alpha=0.85)
-            ax.set_aspect("equal")
-            ax.set_xlim(-1.1, 1.1)
-            ax.set_ylim(-1.2, 1.0)
-            ax.set_xlabel(f"{label} [m]")
-            ax.set_ylabel(f"{NAMES[mode]}\nup [m]" if ax is row[0] else "")
+                bones = np.array([(parent, child) for child, parent in enumerate(parents) if parent >= 0]).T
+                ax.plot(x[bones], z[bones], color=color, lw=2, alpha=0.85)
+            up = f"{NAMES[mode]}\nup [m]" if ax is row[0] else ""
+            ax.set(aspect="equal", xlim=(-1.1, 1.1), ylim=(-1.2, 1.0), xlabel=f"{label} [m]", ylabel=up)
             ax.set_title(f"{frame / rate_hz:.1f} s", fontsize=9)
     where = f"{facts['subject']} {facts['take']}, camera {facts['camera']}"
     figure.suptitle(f"{where}: estimate over the truth (green), roots together")

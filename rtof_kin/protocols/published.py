@@ -1,15 +1,14 @@
-"""Published figures, as printed in the tables of the RTOF paper (Bao, Zhao, Qian, 2024).
+"""Published figures from the tables of the RTOF paper (Bao, Zhao, Qian, 2024).
 
-MPJPE in mm. MPJAE and MPJJE as the paper prints them: "per second" on Total Capture, "per frame" on
-Human3.6M; `TOTAL_CAPTURE_CAVEATS` says what is known of their units.
+MPJPE in mm. MPJAE and MPJJE as printed: "per second" on Total Capture, "per frame" on Human3.6M; see
+`TOTAL_CAPTURE_CAVEATS` for their units.
 """
 
 from __future__ import annotations
 
 NAMES_1 = ("seen W2", "seen A3", "seen FS3", "unseen W2", "unseen A3", "unseen FS3", "average")
-"""Columns of table 1. The average of the paper's own rows is over frames: their cells, weighted by the
-frames of the takes, give it (23.2; 33.64 for 33.7); a plain mean of the cells does not. Among the others
-IMUPVH's is a plain mean, and LSTM-AE's and VP3D's are neither."""
+"""Columns of table 1. The average of the paper's own rows is weighted by frames, that of IMUPVH is a plain
+mean, and those of LSTM-AE and VP3D are neither."""
 
 TABLE_1: dict[str, tuple[float | None, ...]] = {
     "LSTM-AE (4 cameras)": (13.0, 23.0, 47.0, 21.8, 40.9, 68.5, 34.1),
@@ -72,11 +71,11 @@ TOTAL_CAPTURE_CAVEATS = (
     "compare the rows of the truth itself, low-passed at 6 Hz, and of no motion at all, computed by the "
     "same code. The paper's 55.2 and 63.8 were taken on smoother ground truth, or normalised otherwise.",
 )
-"""What must be said under every table that has the paper's figures on Total Capture in it."""
+"""Notes under every table with the paper's figures on Total Capture."""
 
 HUMAN36M_CAVEATS = (
     "MPJPE after aligning the roots. MPJAE and MPJJE per frame: mm/frame2 and mm/frame3 at 50 Hz.",
     "The mean jerk error is at most twice the mean acceleration error per frame, so the paper's pairs "
     "(such as 2.03 and 11.25) cannot be these two figures of one method in one unit.",
 )
-"""What must be said under the table of Human3.6M."""
+"""Notes under the table of Human3.6M."""

@@ -16,17 +16,17 @@ from rtof_kin.core.files.text import write_text
 
 JSON = "tables.json"
 Cell = str | float | None
-"""Text, a figure, or nothing where there is none."""
+"""Text, a figure, or None."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Figures with what must be said about them."""
+    """A table of results with notes."""
 
     name: str
     """Short name, as in file names."""
     title: str
-    """What it shows."""
+    """Title."""
     columns: tuple[str, ...]
     """Heading of each column, with its unit."""
     digits: tuple[int, ...]
@@ -37,7 +37,7 @@ class Table:
     """Sentences under the table."""
 
     def text(self) -> list[list[str]]:
-        """The cells as text; '-' where there is nothing."""
+        """Return the cells as text; '-' for None."""
         return [
             [self._cell(cell, digits) for cell, digits in zip(row, self.digits, strict=True)]
             for row in self.rows
@@ -50,7 +50,7 @@ class Table:
         return "-" if cell is None or not np.isfinite(cell) else f"{cell:.{digits}f}"
 
     def markdown(self) -> str:
-        """The table with its title and notes as Markdown."""
+        """Return the table with its title and notes as Markdown."""
         lines = [f"### {self.title}", "", "| " + " | ".join(self.columns) + " |"]
         lines.append("|---" * len(self.columns) + "|")
         for row in self.text():  # a message may have lines and bars of its own
@@ -59,7 +59,7 @@ class Table:
         return "\n".join([*lines, "", *(f"- {note}" for note in self.notes)]) + "\n"
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; figures unrounded."""
+        """Return plain values for JSON; figures unrounded."""
         rows = [
             [None if isinstance(c, float) and not np.isfinite(c) else c for c in row] for row in self.rows
         ]
@@ -76,14 +76,14 @@ def write_tables(
     """Write ``tables.md`` and ``tables.json`` into a folder, and the JSON also elsewhere if asked.
 
     Args:
-        facts: whatever else the JSON shall carry (settings, rows).
-        overwrite: whether `json_file` may be replaced, see `check_json_file`; the folder's own files are.
+        folder: its own files are replaced. tables: to write. facts: further content of the JSON.
+        json_file: of the copy. overwrite: whether it may be replaced, see `check_json_file`.
 
     Returns:
         The paths written.
 
     Raises:
-        OutputExistsError: `json_file` is there already. RtofError: one of them cannot be written.
+        OutputExistsError: `json_file` exists already. RtofError: one of them cannot be written.
     """
     if json_file is not None:
         check_json_file(folder, json_file, overwrite)
@@ -97,10 +97,13 @@ def write_tables(
 
 
 def check_json_file(folder: Path, json_file: Path, overwrite: bool) -> None:
-    """Refuse to replace a file unasked that is no copy of the folder's own JSON.
+    """Check that a file may be written: it is new, a copy of the folder's own JSON, or may be replaced.
+
+    Args:
+        folder: with ``tables.json``. json_file: to write. overwrite: whether it may be replaced.
 
     Raises:
-        OutputExistsError: something else is there.
+        OutputExistsError: another file exists.
     """
     before = folder / JSON
     if not (json_file.is_file() and before.is_file() and filecmp.cmp(json_file, before, shallow=False)):
@@ -108,9 +111,10 @@ def check_json_file(folder: Path, json_file: Path, overwrite: bool) -> None:
 
 
 def pooled(rows: Sequence[dict[str, Any]], figure: str, weight: str = "frames") -> float | None:
-    """Mean of a figure over rows, weighted by frames: the mean over all frames of all rows.
+    """Return the mean of a figure over all frames of rows that have it; None without any.
 
-    Rows in which the figure is missing or NaN do not count; None where there is no other.
+    Args:
+        rows: see `rtof_kin.protocols.measures.rows_of`. figure: its name. weight: name of the frame count.
     """
     known = [
         (row[figure], row[weight])

@@ -1,8 +1,8 @@
-"""The paper's protocol on Total Capture: what is measured on every take and camera, and how.
+"""The paper's protocol on Total Capture.
 
-Every job is one take seen by one camera: all modes, and the studies of fragment length and k_V; beside
-them one job per take scores what needs no camera (no motion at all, the truth low-passed at 6 Hz) and
-checks the take's files. `rtof_kin.protocols.total_capture_tables` makes the tables of them.
+A job is one take seen by one camera: all modes, and the studies of fragment length and k_V. One more job per
+take scores what needs no camera (no motion, and the truth low-passed at 6 Hz) and checks the take's files.
+`rtof_kin.protocols.total_capture_tables` makes the tables.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +20,15 @@ from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.checks import indices_of
-from rtof_kin.core.choices import CAMERA_MODES, SPACES
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.choices import CAMERA_MODES, SPACES, Space
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.total_capture import SUBJECTS, TEST, TRAIN, Take, TotalCapture
 from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take
-from rtof_kin.protocols.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
+from rtof_kin.protocols.jobs import Job, JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.protocols.measures import curves, provenance, reconstructions, save_motion
 from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
 from rtof_kin.reconstruction.result import Reconstruction
@@ -42,29 +42,29 @@ from rtof_kin.vision.layouts import detector_table
 Array = NDArray[np.float64]
 TEST_TAKES = ("walking2", "acting3", "freestyle3")
 CAMERAS = (1, 3, 4, 5, 6, 7, 8)
-"""All but camera 2, which is miscalibrated."""
+"""All cameras but the miscalibrated camera 2."""
 SENSOR_SETS = {
     "8": LIMB_SENSORS,
     "10": (*LIMB_SENSORS, "Pelvis", "Sternum"),
     "13": (*LIMB_SENSORS, "Pelvis", "Sternum", "Head", "L_Foot", "R_Foot"),
 }
-"""Sets of sensors by their usual names: the paper's eight on the limbs, with the trunk, all."""
+"""Sets of sensors: the paper's eight on the limbs, with the trunk, all."""
 SIXTEEN = (
     "Hips", "RightUpLeg", "RightLeg", "RightFoot", "LeftUpLeg", "LeftLeg", "LeftFoot", "Spine", "Neck",
     "Head", "LeftArm", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm", "RightHand",
 )  # fmt: skip
 """Joints of the multi-view papers (GeoFuse and those after it)."""
 SIXTEEN_CAMERAS, SIXTEEN_STEP = (1, 3, 5, 7), 16
-"""Their cameras; they score every 16th frame."""
-LOW_PASS_HZ = 6.0
-STILL, LOW_PASSED = "no motion", f"truth low-passed at {LOW_PASS_HZ:g} Hz"
+"""Cameras of the multi-view papers, and their step between scored frames."""
+_LOW_PASS_HZ: Final = 6.0
+STILL, LOW_PASSED = "no motion", f"truth low-passed at {_LOW_PASS_HZ:g} Hz"
 """Names of the calibration rows."""
-KNEE = "RightLeg"
+_KNEE: Final = "RightLeg"
 
 
 @dataclass(frozen=True)
 class TotalCaptureProtocol:
-    """What is measured."""
+    """Settings of the measurements."""
 
     root: Path
     """Folder of the dataset."""
@@ -72,30 +72,30 @@ class TotalCaptureProtocol:
     takes: tuple[str, ...] = TEST_TAKES
     cameras: tuple[int, ...] = CAMERAS
     keypoints: Path | None = None
-    """Folder with a detector's 2D; ground-truth 2D where not given."""
+    """Folder with a detector's 2D; by default ground-truth 2D."""
     layout: str | None = None
-    """Of the detector's points, or `RECOGNISE`; landmarks of the skeleton where not given."""
+    """Layout of the detector's points, or `RECOGNISE`; by default landmarks of the skeleton."""
     noise_px: float = 0.0
     """Standard deviation of white noise added to ground-truth 2D, px per axis."""
     sensors: tuple[str, ...] = LIMB_SENSORS
-    space: str = SPACES[0]
-    """Of the fragment solver, one of `SPACES`; the studies are as printed in any case."""
+    space: Space = SPACES[0]
+    """Variables of the fragment solver; the studies use those of the paper."""
     modes: tuple[str, ...] = CAMERA_MODES
     lifter: Path | None = None
-    """A file, or the name of a shipped one; the default of these where not given."""
+    """A file, or the name of a shipped one; the shipped default where not given."""
     calibrate: bool = False
-    """Whether every take is calibrated from itself first; the paper takes its files as they are."""
+    """Whether every take is self-calibrated first; the paper does not."""
     studies: bool = True
-    """Whether fragment length and k_V are varied as well."""
+    """Whether fragment length and k_V are varied too."""
     seed: int = 0
-    """Of the noise."""
+    """Seed of the noise."""
     save: Path | None = None
-    """Folder for the motions of every take, camera and mode."""
+    """Folder for the motions of every take, camera and mode, if wanted."""
 
     def __post_init__(self) -> None:
         for name in ("subjects", "takes", "cameras", "modes"):
             if not getattr(self, name):
-                raise ShapeError(f"{name}: none are named, so there is nothing to measure")
+                raise InvalidInputError(f"{name}: none are named, so there is nothing to measure")
         indices_of("subject", self.subjects, SUBJECTS)
         indices_of("take", self.takes, sorted({take for _, take in (*TRAIN, *TEST)}))
         indices_of("mode", self.modes, CAMERA_MODES)
@@ -103,23 +103,25 @@ class TotalCaptureProtocol:
         indices_of("sensor", self.sensors, list(SkeletonModel.default().sensors))
         indices_of("camera", [str(c) for c in self.cameras], [str(c) for c in range(1, 9)])
         if not self.sensors and {"sf2", "rtof"} & set(self.modes):
-            raise ShapeError("modes sf2 and rtof need sensors; name some, or only lift and rto")
+            raise InvalidInputError("modes sf2 and rtof need sensors; name some, or only lift and rto")
         if self.keypoints is not None and self.noise_px:
-            raise ShapeError("noise is added to ground-truth 2D only, not to a detector's")
+            raise InvalidInputError("noise is added to ground-truth 2D only, not to a detector's")
         if not 0 <= self.noise_px < np.inf:
-            raise ShapeError(f"noise_px: {self.noise_px:g} is not a standard deviation")
+            raise InvalidInputError(f"noise_px: {self.noise_px:g} is not a standard deviation")
         if self.seed < 0:
-            raise ShapeError(f"seed: {self.seed} is negative")
+            raise InvalidInputError(f"seed: {self.seed} is negative")
         if self.keypoints is not None and not self.keypoints.is_dir():
             raise FileFormatError(self.keypoints, "there is no such folder of detections")
         lifter_path(self.lifter)
         if self.layout is not None:
             indices_of("layout", [self.layout], (RECOGNISE, *detector_table().layouts))
             if self.keypoints is None:
-                raise ShapeError("layout is that of a detector's points; name their folder as keypoints")
+                raise InvalidInputError(
+                    "layout is that of a detector's points; name their folder as keypoints"
+                )
 
     def settings(self) -> dict[str, Any]:
-        """Everything that the results depend on, as plain values."""
+        """Return everything that the results depend on, as plain values."""
         return provenance(self.lifter) | {
             "dataset": str(self.root.resolve()),
             "subjects": list(self.subjects), "takes": list(self.takes), "cameras": list(self.cameras),
@@ -130,7 +132,7 @@ class TotalCaptureProtocol:
         }  # fmt: skip
 
     def jobs(self) -> dict[str, Job]:
-        """All measurements by key, take by take."""
+        """Return all jobs by key, take by take."""
         return {
             f"{subject}_{take}" + (f"_cam{camera}" if camera else ""): Job(self, subject, take, camera)
             for subject, take in self.pairs()
@@ -138,24 +140,8 @@ class TotalCaptureProtocol:
         }
 
     def pairs(self) -> list[tuple[str, str]]:
-        """Subject and take of everything asked for."""
+        """Return subject and name of every take."""
         return [(subject, take) for subject in self.subjects for take in self.takes]
-
-    def motion_file(self, job: Job, mode: str) -> Path | None:
-        """Where a mode's motion is saved, if it is."""
-        if self.save is None:
-            return None
-        return self.save / job.subject / job.take / f"cam{job.camera}" / mode / "motion.npz"
-
-
-@dataclass(frozen=True)
-class Job:
-    """One take seen by one camera, or by none."""
-
-    protocol: TotalCaptureProtocol
-    subject: str
-    take: str
-    camera: int | None
 
 
 def run(
@@ -166,42 +152,43 @@ def run(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Measure what has not been measured yet.
+    """Run the jobs that have no result yet.
 
     Args:
-        folder: for the results; goes on where an earlier run of the same settings stopped.
+        protocol: what to measure. folder: for the results; a run of the same settings is resumed.
         overwrite: whether results of other settings may be replaced.
+        workers, progress: see `run_jobs`.
 
     Raises:
         FileFormatError: there is no such dataset. OutputExistsError: see `open_runs`.
     """
-    TotalCapture(protocol.root)  # says at once when there is nothing
+    TotalCapture(protocol.root)  # fails early without a dataset
     jobs = protocol.jobs()
-    files = {
-        key: {mode: protocol.motion_file(job, mode) for mode in protocol.modes}
-        for key, job in jobs.items()
-        if job.camera
-    }
+    files = {key: {mode: job.motion_file(mode) for mode in protocol.modes} for key, job in jobs.items()}
     runs = open_runs(folder, protocol.settings(), overwrite, protocol.save, files)
     return run_jobs(measure, jobs, runs, workers, progress)
 
 
 def measure(job: Job) -> JobResult:
-    """Everything about one take seen by one camera."""
+    """Run one job.
+
+    Args:
+        job: one take seen by one camera, or without a camera.
+    """
     take = _take(job.protocol.root, job.subject, job.take)
     return _reference(take) if job.camera is None else _seen_by(take, job, job.camera)
 
 
 @lru_cache(maxsize=1)
 def _take(root: Path, subject: str, name: str) -> Take:
-    """Jobs come take by take, so the last one is kept."""
+    """Read a take; jobs are ordered by take, so one is cached."""
     return TotalCapture(root).take(subject, name)
 
 
 def _reference(take: Take) -> JobResult:
-    """The rows that calibrate acceleration and jerk errors, and the state of the files."""
+    """Score the calibration rows and check the files of a take."""
     truth, skeleton = take.truth, take.skeleton
-    smooth = signals.low_pass(_without_glitches(truth), truth.rate_hz, LOW_PASS_HZ)
+    smooth = signals.low_pass(_without_glitches(truth), truth.rate_hz, _LOW_PASS_HZ)
     low_passed = _scores(replace(truth, p_world_joint=smooth), truth, skeleton)
     rows = {
         STILL: _scores(motionless(truth), truth, skeleton),
@@ -215,7 +202,7 @@ def _reference(take: Take) -> JobResult:
 
 
 def _without_glitches(truth: PoseSequence) -> Array:
-    """Positions (T, J, 3) m, interpolated where they are not valid: a filter would smear them."""
+    """Return positions (T, J, 3) m, interpolated where invalid, as a filter would spread glitches."""
     p = np.array(truth.p_world_joint)
     for j, valid in enumerate(truth.valid.T):
         for i in range(3 if valid.any() else 0):
@@ -243,7 +230,7 @@ def _seen_by(take: Take, job: Job, number: int) -> JobResult:
     methods: dict[str, Any] = {}
     for mode, result in results.items():
         methods[mode] = _scores(result.stages[mode], truth, skeleton)
-        save_motion(result, mode, protocol.motion_file(job, mode))
+        save_motion(result, mode, job.motion_file(mode))
     if protocol.studies and "rtof" in results:
         methods |= _studies(results["rtof"], truth)
     checks = check_camera(number)
@@ -253,7 +240,7 @@ def _seen_by(take: Take, job: Job, number: int) -> JobResult:
     return JobResult(
         {"subject": take.subject, "take": take.name, "camera": number, "methods": methods,
          "failed_checks": failed, "notes": notes},
-        curves(recording, results, KNEE),
+        curves(recording, results, _KNEE),
     )  # fmt: skip
 
 
@@ -266,7 +253,7 @@ def _detected(take: Take, job: Job, number: int) -> KeypointSequence | None:
 
 
 def _studies(result: Reconstruction, truth: PoseSequence) -> dict[str, dict[str, Any]]:
-    """The energy as printed, from SF2's poses, at other fragment lengths and weights k_V."""
+    """Solve the energy of the paper from SF2's poses with other fragment lengths and weights k_V."""
     printed = CartesianSettings.paper()
     variants = {length_name(N): (N, printed) for N in FRAGMENT_LENGTH}
     for k_V in VISUAL_WEIGHT:
@@ -283,17 +270,25 @@ def _studies(result: Reconstruction, truth: PoseSequence) -> dict[str, dict[str,
 
 
 def length_name(N: int) -> str:
-    """Name of the method that solves fragments of N frames with the energy as printed."""
+    """Return the name of the method with the energy of the paper and fragments of N frames.
+
+    Args:
+        N: frames in a fragment.
+    """
     return f"as printed, N = {N}"
 
 
 def weight_name(k_V: float) -> str:
-    """Name of the method that weighs the visual term with k_V in the energy as printed."""
+    """Return the name of the method with the energy of the paper and another visual weight.
+
+    Args:
+        k_V: weight of the visual term.
+    """
     return length_name(50) if k_V == CartesianSettings.paper().k_V else f"as printed, k_V = {k_V:g}"
 
 
 def _scores(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> dict[str, Any]:
-    """Every figure, the number of frames scored, and the multi-view papers' error."""
+    """Return every figure, the number of scored frames, and the error of the multi-view papers."""
     metrics = evaluate(estimate, truth, skeleton)
     error = metrics.over_time["joint_mm"]
     sixteen = error[::SIXTEEN_STEP, skeleton.index(*SIXTEEN)]

@@ -33,8 +33,7 @@ from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import detector_table
 
 Array = NDArray[np.float64]
-OWN_LAYOUT: Final = "joints"
-"""Layout of keypoints that are the skeleton's joints in their order."""
+_OWN_LAYOUT: Final = "joints"
 RECOGNISE: Final = "auto"
 """Layout of a detector that is to be recognised."""
 _SHORTEST_FOCAL: Final = 0.1
@@ -185,29 +184,23 @@ def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) ->
     Args:
         section: table ``[keypoints]``. camera: that saw them. skeleton: that has the landmarks.
     """
-    if section.text("layout", OWN_LAYOUT) != OWN_LAYOUT:
+    if section.text("layout", _OWN_LAYOUT) != _OWN_LAYOUT:
         return _read_detected(section, camera, skeleton)
     path = _data_path(section)
     is_csv = path.suffix.lower() == ".csv"
+    if is_csv and section.has("layout"):
+        raise section.error("layout", "a .csv names its points itself; leave the layout out")
     names, arrays = read_keypoint_csv(path) if is_csv else _keypoint_npz(section, path, skeleton)
     unknown = [name for name in names if name and name not in skeleton.landmarks]
     if unknown:
         where = str(path) if is_csv else f"{section.path}, {section.where('landmarks')}"
         raise UnknownNameError(f"landmark in {where}", unknown, list(skeleton.landmarks))
-    if is_csv and section.has("layout"):
-        raise section.error("layout", "a .csv names its points itself; leave the layout out")
     kept = [i for i, name in enumerate(names) if name]
     with naming(path):
         uv, confidence = keypoint_arrays(arrays)
-        sequence = KeypointSequence(
-            camera=camera,
-            times=_times(section, path, arrays, len(uv)),
-            uv_px=uv[:, kept],
-            confidence=confidence[:, kept],
-            names=tuple(names[i] for i in kept),
-        )
-    section.close()
-    return sequence
+        times, named = _times(section, path, arrays, len(uv)), tuple(names[i] for i in kept)
+        section.close()
+        return KeypointSequence(camera, times, uv[:, kept], confidence[:, kept], named)
 
 
 def keypoint_arrays(arrays: dict[str, Array]) -> tuple[Array, Array]:
@@ -256,7 +249,7 @@ def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) ->
     if skeleton.name != "total_capture":
         raise section.error(
             "layout", f"{layout!r} is for the skeleton total_capture, not {skeleton.name}; list the "
-            f"names of the points in landmarks, or write {OWN_LAYOUT!r} for its joints in their order"
+            f"names of the points in landmarks, or write {_OWN_LAYOUT!r} for its joints in their order"
         )  # fmt: skip
     found = read_detector_keypoints(
         _data_path(section, or_folder=True),

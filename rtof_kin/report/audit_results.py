@@ -28,8 +28,7 @@ SECTIONS: Final = {
 FAILED_FRAGMENTS: Final = "share of fragments that failed"
 UNOBSERVED_FRAGMENTS: Final = "share of fragments in which nothing was seen"
 """Names of the figures about frames without a measurement, as they are stored in summary.json."""
-_NAMED: Final = 5
-"""Largest number of similar results that are named beside the worst."""
+_NAMED: Final = 5  # largest number of similar results that are named beside the worst
 
 
 class Grade(Enum):
@@ -69,7 +68,6 @@ class AuditResult:
     fail: float = math.inf
     """The figure fails above this limit."""
     source: str = ""
-    """Origin of the limits."""
     note: str = ""
     """Possible cause of a value above its limits, or why there is no value."""
     at: float = math.nan

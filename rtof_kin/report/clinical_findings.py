@@ -14,8 +14,7 @@ from rtof_kin.report.audit_results import AuditResult
 
 SECOND_PELVIS: Final = "pelvis_opensim"
 """Prefix of the pelvis angles in OpenSim's sequence, which a report omits."""
-WIDEST: Final = (10.0, 30.0)
-"""[deg] half widths of the 95 % band of an angle that warn and fail."""
+WIDEST: Final = (10.0, 30.0)  # [deg] half widths of the 95 % band of an angle that warn and fail
 NO_BANDS: Final = "this mode of reconstruction provides no standard deviations"
 _USER: Final = "a convention of this report"
 
@@ -42,14 +41,15 @@ def _angles(analysis: MotionAnalysis) -> Iterator[AuditResult]:
             )  # fmt: skip
     if angles.sigma is None:
         yield AuditResult.not_checked("angles", "95 % bands", NO_BANDS)
-    for a in shown if angles.sigma is not None else ():
-        sigma = angles.sigma[angles.known[:, a], a]
-        if np.isfinite(sigma).any():
-            half = float(BAND_95 * np.degrees(np.nanmedian(sigma)))
-            yield AuditResult(
-                "angles", "half width of the 95 % band, median", angles.rows[a].label, half, "deg", *WIDEST,
-                _USER, "low accuracy; a sensor on each of its two segments would improve it",
-            )  # fmt: skip
+    else:
+        sigma = np.where(angles.known, angles.sigma, np.nan)
+        for a in shown:
+            if np.isfinite(sigma[:, a]).any():
+                half = float(BAND_95 * np.degrees(np.nanmedian(sigma[:, a])))
+                yield AuditResult(
+                    "angles", "half width of the 95 % band, median", angles.rows[a].label, half, "deg",
+                    *WIDEST, _USER, "low accuracy; a sensor on each of its two segments would improve it",
+                )  # fmt: skip
     for note in analysis.notes["angles"]:
         yield AuditResult.not_checked("angles", "angles", note)
 

@@ -182,7 +182,9 @@ def _plot_skeleton(ax: Any, points: Array, parents: Sequence[int], color: str, l
 def _truth_at(result: Reconstruction) -> Array | None:
     """Reference joint positions (T, J, 3) at the motion's times, or None."""
     truth = result.recording.truth
-    return truth and signals.interpolate(truth.times, truth.p_world_joint, result.motion.times)
+    if truth is None:
+        return None
+    return signals.interpolate(truth.times, truth.p_world_joint, result.motion.times)
 
 
 def _shade_gaps(ax: Any, result: Reconstruction) -> None:

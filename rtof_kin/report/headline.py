@@ -22,8 +22,7 @@ from rtof_kin.report.audit_results import (
     section_verdict,
 )
 
-_NAMED: Final = 3
-"""Largest number of unchecked things that are named."""
+_NAMED: Final = 3  # largest number of unchecked things that are named
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,6 @@ class Headline:
     text: str
     """One line, without the grade."""
     sections: tuple[SectionVerdict, ...]
-    """Verdicts on the sections of the audit."""
 
     @property
     def line(self) -> str:

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import npz_names
 from rtof_kin.core.plausibility import Check
 from rtof_kin.core.signals import interpolate
@@ -42,6 +42,7 @@ from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.recognise import recognise
 
 Array = NDArray[np.float64]
+Bones = Mapping[str, tuple[int, int]]
 _NO_POSE: Final = "There is no pose: the camera is assumed to be level, at the origin"
 _SIGNALS: Final = {
     "f_sensor": "acceleration", "w_sensor": "gyroscope", "m_sensor": "magnetometer",
@@ -55,15 +56,11 @@ class Inspection:
 
     path: Path
     title: str
-    """Type of the file."""
     contents: tuple[tuple[str, str], ...]
     """Rows of a name and a value."""
     checks: tuple[Check, ...] = ()
-    """All checks that apply."""
     notes: tuple[str, ...] = ()
-    """Further remarks, in sentences."""
     log: SensorLog | None = None
-    """Sensor data, if any."""
     bone_lengths: Mapping[str, Array] = field(default_factory=dict)
     """Bone -> its length (T,) over the frames, m, if the file contains bodies."""
 
@@ -135,8 +132,11 @@ def _percent(seen: NDArray[np.bool_]) -> str:
     return f"{100 * float(seen.mean()):.0f} %"
 
 
-def _body_checks(p: Array, lengths: Mapping[str, Array], limit_mm: float) -> tuple[Check, ...]:
-    return (bodies.check_size(p), *bodies.check_bone_lengths(lengths, limit_mm))
+def _with_body(found: Inspection, p: Array, bones: Bones, limit_mm: float = bodies.RIGID_MM) -> Inspection:
+    """Add the checks of a body with joints or markers (T, J, 3)."""
+    lengths = bodies.bone_lengths(p, bones)
+    checks = (*found.checks, bodies.check_size(p), *bodies.check_bone_lengths(lengths, limit_mm))
+    return replace(found, checks=checks, bone_lengths=lengths)
 
 
 def _recording(path: Path) -> Inspection:
@@ -145,7 +145,6 @@ def _recording(path: Path) -> Inspection:
     keypoints, truth, imus = recording.keypoints, recording.truth, recording.imus
     contents: list[tuple[str, str]] = []
     checks: list[Check] = []
-    lengths: Mapping[str, Array] = {}
     log = None
     if keypoints is not None:
         contents += [
@@ -164,28 +163,27 @@ def _recording(path: Path) -> Inspection:
         checks += check_log(log)
     if truth is not None:
         contents.append(("truth", f"{_span(truth.times)}: {len(truth.names)} joints"))
-        bones = bodies.skeleton_bones(truth.names, recording.skeleton.parents)
-        lengths = bodies.bone_lengths(truth.p_world_joint, bones)
         if keypoints is not None:
             at = interpolate(truth.times, truth.p_world_joint, keypoints.times)
             checks.append(bodies.check_reprojection(keypoints, at, truth.names))
-        checks += _body_checks(truth.p_world_joint, lengths, bodies.RIGID_MM)
-    return Inspection(path, "recording", tuple(contents), tuple(checks), log=log, bone_lengths=lengths)
+    found = Inspection(path, "recording", tuple(contents), tuple(checks), log=log)
+    if truth is None:
+        return found
+    bones = bodies.skeleton_bones(truth.names, recording.skeleton.parents)
+    return _with_body(found, truth.p_world_joint, bones)
 
 
 def _motion(path: Path) -> Inspection:
     file = read_motion_npz(path)
     poses = file.poses
     bones = bodies.skeleton_bones(poses.names, file.motion().skeleton.parents)
-    lengths = bodies.bone_lengths(poses.p_world_joint, bones)
     contents = (
         ("frames", _span(poses.times)),
         ("skeleton", f"{file.skeleton}, {len(poses.names)} joints, {len(file.dof_names)} angles"),
         ("mode", file.mode or "not stated"),
         ("valid", f"{_percent(poses.valid)} of the joints"),
     )
-    checks = _body_checks(poses.p_world_joint, lengths, bodies.RIGID_MM)
-    return Inspection(path, "reconstructed motion", contents, checks, bone_lengths=lengths)
+    return _with_body(Inspection(path, "reconstructed motion", contents), poses.p_world_joint, bones)
 
 
 def _amc(path: Path) -> Inspection:
@@ -204,27 +202,27 @@ def _articulated(path: Path, title: str, motion: ArticulatedMotion) -> Inspectio
         known = "not known"
         notes.append(f"The skeleton cannot be converted: {error}")
     p = unit_m * motion.forward_kinematics()[0]
-    lengths = bodies.bone_lengths(p, bodies.skeleton_bones(motion.names, motion.parents))
     contents = (
         ("frames", _span(np.arange(len(motion)) / motion.rate_hz)),
         ("joints", f"{len(motion.names)}, root {motion.names[0]}"),
         ("skeleton", known),
     )
-    checks = _body_checks(p, lengths, bodies.RIGID_MM)
-    return Inspection(path, title, contents, checks, tuple(notes), bone_lengths=lengths)
+    bones = bodies.skeleton_bones(motion.names, motion.parents)
+    return _with_body(Inspection(path, title, contents, notes=tuple(notes)), p, bones)
 
 
 def _markers(path: Path, title: str, markers: MarkerSequence) -> Inspection:
-    lengths = bodies.bone_lengths(markers.p_world, bodies.limb_bones(markers.names))
+    bones = bodies.limb_bones(markers.names)
     names = ", ".join(markers.names[:8]) + (", ..." if len(markers.names) > 8 else "")
+    seen = np.asarray(np.isfinite(markers.p_world).all(axis=-1))
     contents = (
         ("frames", _span(markers.times)),
         ("markers", f"{len(markers.names)}: {names}"),
-        ("seen", f"{_percent(np.isfinite(markers.p_world).all(axis=-1))} of them"),
+        ("seen", f"{_percent(seen)} of them"),
     )
-    checks = _body_checks(markers.p_world, lengths, bodies.TRIANGULATED_MM)
-    notes = () if lengths else ("No two names give a joint and a side, so no bone can be checked",)
-    return Inspection(path, title, contents, checks, notes, bone_lengths=lengths)
+    notes = () if bones else ("No two names give a joint and a side, so no bone can be checked",)
+    found = Inspection(path, title, contents, notes=notes)
+    return _with_body(found, markers.p_world, bones, bodies.TRIANGULATED_MM)
 
 
 def _keypoints(path: Path) -> Inspection:
@@ -240,7 +238,7 @@ def _keypoints(path: Path) -> Inspection:
     try:
         layout = recognise(found.uv_px, found.confidence, found.names)
         contents.append(("layout", f"{layout.layout.name}; {layout.reason}"))
-    except (InvalidInputError, ShapeError) as error:
+    except InvalidInputError as error:
         notes.append(f"The layout is not recognised: {error}")
     return Inspection(path, "keypoints of a detector", tuple(contents), notes=tuple(notes))
 

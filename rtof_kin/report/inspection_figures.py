@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from rtof_kin.core.signals import runs
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.data.imu_stream import SensorStream
-from rtof_kin.inertial.gravity import at_rest
-from rtof_kin.inertial.turning import rates_of_orientation
+from rtof_kin.inertial.laws import at_rest, rates_of_orientation
 from rtof_kin.report.figures import ESTIMATE, TRUTH
 from rtof_kin.report.inspection import Inspection
 

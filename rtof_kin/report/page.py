@@ -1,203 +1,266 @@
-"""Everything that a report shows, as one structure of plain data: `page_data`.
-
-``rtof_kin.report.html`` turns it into a page. What a reader reads is text and tables, made here; what is
-drawn is ``rtof_kin.report.plot_data``'s.
-"""
+"""Report of a reconstruction as one HTML page; its plots are from `rtof_kin.report.plot_data`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from datetime import date
+from html import escape
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.body.skeleton_table import SkeletonTable
-from rtof_kin.clinical.analysis import MotionAnalysis
-from rtof_kin.clinical.gait import MEASURES
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
+from rtof_kin.clinical.angle_table import clinical_name
+from rtof_kin.clinical.gait import MEASURES, GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
+from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques
 from rtof_kin.core.signals import runs
+from rtof_kin.formats.motion_npz import read_motion_npz
 from rtof_kin.recording.session import Session
-from rtof_kin.report.audit_results import SECTIONS, Finding, Grade, section_verdict
-from rtof_kin.report.clinical_findings import SECOND_PELVIS, outcomes
+from rtof_kin.report.audit_results import SECTIONS, AuditResult, Grade, SectionVerdict, section_verdict
+from rtof_kin.report.clinical_findings import NO_BANDS, SECOND_PELVIS, clinical_findings
 from rtof_kin.report.headline import Headline, headline
-from rtof_kin.report.isb import CITATION, isb_items
+from rtof_kin.report.html import badge, bullets, definitions, fill_template, table
+from rtof_kin.report.isb import CITATION, Items, isb_items
 from rtof_kin.report.plot_data import (
-    Data,
     angle_curves,
-    cycle_drawings,
+    cycle_curves_data,
     player_data,
     shown_frames,
     side_and_name,
 )
-from rtof_kin.report.summary_file import Summary
+from rtof_kin.report.summary_file import SUMMARY, Summary, read_summary
 
-_GAIT_UNITS = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
-NO_AUDIT = "an earlier version of rtof_kin wrote the folder, without an audit: reconstruct again"
+PAGE: Final = "report.html"
+_GAIT_UNITS: Final = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
+_BANDS: Final = "Bands are 95 % intervals of the motion's confidence."
+_NO_AUDIT: Final = "an earlier version of rtof_kin wrote the folder, without an audit: reconstruct again"
 
 
-def page_data(
-    motion: MotionSequence, analysis: MotionAnalysis, summary: Summary, session: Session, made: str
-) -> Data:
-    """Everything on the page.
+def report(
+    folder: str | Path,
+    session: Session | None = None,
+    weight_kg: float | None = None,
+    sex: str | None = None,
+    made: date | None = None,
+) -> str:
+    """Return the self-contained HTML page of a reconstruction.
 
     Args:
-        motion: as reconstructed. analysis: of it. summary: what was written beside it.
-        session: who, by whom, when. made: the day the report is made.
+        folder: written by `export`. session: labels that replace those of the recording.
+        weight_kg, sex: of the subject, if not in the recording; there are no torques without a weight.
+        made: date of the report; today by default.
 
-    Returns:
-        Plain data: JSON knows all of it.
+    Raises:
+        FileFormatError: the folder's files are missing or damaged.
+        InvalidInputError: an implausible weight.
     """
-    of_motion = outcomes(analysis)
-    findings = (*(summary.findings or ()), *of_motion)
-    first = Headline(Grade.UNTOLD, NO_AUDIT, ())
-    if summary.findings is not None:
-        first = headline(summary.findings)
-    shown = shown_frames(motion.times)
-    verdicts = [section_verdict(section, findings) for section in SECTIONS]
-    if not any(finding.section == "truth" for finding in findings):
-        verdicts = [verdict for verdict in verdicts if verdict.section != "truth"]
+    folder = Path(folder)
+    summary = read_summary(folder / SUMMARY)
+    motion = read_motion_npz(folder / "motion.npz").motion()
+    weight_kg = weight_kg or summary.subject.get("mass_kg")
+    sex = sex or summary.subject.get("sex")
+    analysis = analyse_motion(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
+    labels = summary.session.updated(session or Session())
+    subject = {**summary.subject, "mass_kg": weight_kg, "sex": sex}
+    summary = replace(summary, inputs=summary.inputs | {"subject": subject})
+    return _page(motion, analysis, summary, labels, (made or date.today()).isoformat())
+
+
+def _page(
+    motion: MotionSequence, analysis: MotionAnalysis, summary: Summary, session: Session, made: str
+) -> str:
+    clinical = clinical_findings(analysis)
+    results = (*(summary.results or ()), *clinical)
+    overall = Headline(Grade.NOT_CHECKED, _NO_AUDIT, ())
+    if summary.results is not None:
+        overall = headline(summary.results)
+    checked = [s for s in SECTIONS if s != "truth" or any(result.section == s for result in results)]
+    own = [section_verdict(section, clinical) for section in ("angles", "gait", "torques")]
     bands = analysis.angles.sigma is not None
     inputs = summary.inputs | {"session": session.plain()}
-    return {
-        "title": f"{session.subject or summary.recording}: motion report",
-        "headline": {"grade": first.grade.value, "text": first.text},
-        "read_from_it": _read_from_it(of_motion),
-        "header": _header(motion, summary, session, made),
-        "verdicts": [
-            {"section": v.section, "title": v.title, "grade": v.grade.value, "reasons": list(v.reasons)}
-            for v in verdicts
-        ],
-        "findings": [finding.plain() for finding in findings],
-        "calibration": inputs.get("calibration"),
-        "ranges": _ranges(analysis),
-        "gait": _gait(analysis),
-        "torques": _torques(analysis, motion.skeleton.table),
+    shown = shown_frames(motion.times)
+    parts = {
+        "title": escape(f"{session.subject or summary.recording}: motion report"),
+        "headline": f"{badge(overall.grade)} {escape(overall.text)}",
+        "clinical_verdicts": ", ".join(f"{v.title.lower()}: {v.grade.value}" for v in own),
+        "header": definitions(_header(motion, summary, session, made)),
+        "verdicts": _verdicts(section_verdict(section, results) for section in checked),
+        "ranges": _ranges(analysis.ranges),
+        "bands": _BANDS if bands else f"There are no bands: {NO_BANDS}.",
+        "plotted_hz": f"{motion.poses[shown].rate_hz:.3g}",
+        "gait": _gait(analysis.gait),
+        "torques": _torques(analysis.torques, motion.skeleton.table),
+        "calibration": _calibration(inputs.get("calibration")),
+        "audit": _audit(results),
+        "isb": _isb(isb_items(inputs, summary.mode, bands, _gaps_text(motion))),
+        "citation": escape(CITATION),
+        "acknowledgement": escape(summary.acknowledgement),
+    }
+    plots = {
         "angles": angle_curves(analysis, shown),
-        "cycles": cycle_drawings(analysis),
-        "bands": bands,
+        "cycles": cycle_curves_data(analysis),
         "player": player_data(motion, shown, inputs.get("floor_height_m")),
-        "isb": [{"topic": i.topic, "name": i.name, "known": i.known}
-                for i in isb_items(inputs, summary.mode, bands, _gaps_text(motion))],
-        "citation": CITATION,
-        "acknowledgement": summary.acknowledgement,
-        "drawn_hz": motion.poses[shown].rate_hz,
-    }  # fmt: skip
-
-
-# --- text and tables -----------------------------------------------------------------------------
+        "bands": bands,
+    }
+    return fill_template(parts, plots)
 
 
 def _header(motion: MotionSequence, summary: Summary, session: Session, made: str) -> list[list[str]]:
-    times, inputs = motion.times, summary.inputs
-    subject = inputs.get("subject") or {}
-    body = [f"{subject['height_m']:g} m" if subject.get("height_m") else "height not given",
-            f"{subject['mass_kg']:g} kg" if subject.get("mass_kg") else "weight not given"]  # fmt: skip
-    sensors = inputs.get("sensors") or []
-    camera = inputs.get("camera")
-    seen = "none"
-    if camera:
-        size, rate = f"{camera.get('width_px')} x {camera.get('height_px')} px", camera.get("rate_hz")
-        seen = f"{size}, {rate:.4g} Hz" if rate else size
+    times, inputs, subject = motion.times, summary.inputs, summary.subject
+    height = f"{subject['height_m']:g} m" if subject.get("height_m") else "height not given"
+    weight = f"{subject['mass_kg']:g} kg" if subject.get("mass_kg") else "weight not given"
+    sensors, camera = inputs.get("sensors") or [], inputs.get("camera")
+    image = f"{camera.get('width_px')} x {camera.get('height_px')} px" if camera else "none"
+    if camera and camera.get("rate_hz"):
+        image += f", {camera['rate_hz']:.4g} Hz"
+    labels = ("subject", "operator", "date", "place", "protocol")
     rows = [
-        ["Subject", session.subject or "not stated"],
-        ["Operator", session.operator or "not stated"],
-        ["Date", session.date or "not stated"],
-        ["Place", session.place or "not stated"],
-        ["Protocol", session.protocol or "not stated"],
+        *([label.title(), getattr(session, label) or "not stated"] for label in labels),
         ["Recording", summary.recording],
-        ["Body", ", ".join(body)],
+        ["Body", f"{height}, {weight}"],
         ["Length", f"{len(times)} frames, {times[-1] - times[0]:.1f} s, {motion.poses.rate_hz:.4g} Hz"],
-        ["Camera", seen],
+        ["Camera", image],
         ["Sensors", ", ".join(str(s.get("segment") or s.get("name")) for s in sensors) or "none"],
         ["Mode", summary.mode],
-        *_choices(summary.settings or {}),
+        *_settings(summary.settings or {}),
         ["Report made", f"{made}, {inputs.get('software', 'rtof_kin')}"],
     ]
     return [*rows, ["Notes", str(inputs["notes"])]] if inputs.get("notes") else rows
 
 
-def _choices(settings: Data) -> list[list[str]]:
-    """How it was made; nothing where the summary does not say."""
+def _settings(settings: dict[str, Any]) -> list[list[str]]:
+    """Settings of the reconstruction; none if the summary has none."""
     if not settings:
         return []
-    rows = [["Calibrated from itself", str(settings.get("calibrate"))]]
-    if settings.get("known_of_another_recording"):
-        rows[0][1] += ", with what another recording said of the person"
-    if settings.get("lifter"):
-        told = "" if settings.get("lift_with_sensors") else ", from the image alone"
-        rows.insert(0, ["Lifter", f"{settings['lifter']}{told}"])
+    rows = []
     if settings.get("space"):
         solver = f"{settings['space']} space, {settings.get('backend')}, energy: {settings.get('energy')}"
-        rows.insert(0, ["Solver", f"{solver}; {settings.get('frames')} frames a fragment"])
-    guards = "looked through" if settings.get("guard_streams") else "taken as they are"
-    return [*rows, ["Streams", guards], ["Threads", str(settings.get("threads") or "not limited")]]
-
-
-def _read_from_it(of_motion: Sequence[Finding]) -> str:
-    """What the angles, the gait and the torques come to, which the headline does not tell."""
-    verdicts = [section_verdict(section, of_motion) for section in ("angles", "gait", "torques")]
-    return ", ".join(f"{verdict.title.lower()}: {verdict.grade.value}" for verdict in verdicts)
+        rows.append(["Solver", f"{solver}; {settings.get('frames')} frames a fragment"])
+    if settings.get("lifter"):
+        source = "" if settings.get("lift_with_sensors") else ", from the image alone"
+        rows.append(["Lifter", f"{settings['lifter']}{source}"])
+    prior = ", starting from another recording" if settings.get("known_of_another_recording") else ""
+    return [
+        *rows,
+        ["Self-calibration", f"{settings.get('calibrate')}{prior}"],
+        ["Outlier rejection", "on" if settings.get("guard_streams") else "off"],
+        ["Threads", str(settings.get("threads") or "not limited")],
+    ]
 
 
 def _gaps_text(motion: MotionSequence) -> str:
-    """When nobody saw where the person was."""
+    """Intervals in which the person was not observed."""
     times = motion.times
     gaps = runs(~motion.poses.valid.any(axis=1))
     if not gaps:
-        return "no frame in which nobody saw the person; missing samples: see What was recorded"
+        return f"no frame without an observation; missing samples: see {SECTIONS['streams']}"
     spans = ", ".join(f"{times[start]:.2f} to {times[stop - 1]:.2f} s" for start, stop in gaps[:8])
     more = f" and {len(gaps) - 8} more" if len(gaps) > 8 else ""
-    return f"nobody saw the person at {spans}{more}; bridged there, and marked as such"
+    return f"the person was not observed at {spans}{more}; interpolated, and marked as such"
 
 
-def _ranges(analysis: MotionAnalysis) -> list[Data]:
-    """A row for each angle without its side: low, high, range, peak velocity of right and left."""
-    rows: dict[str, Data] = {}
-    for found in analysis.ranges:
-        if not found.known_share > 0 or found.name.startswith(SECOND_PELVIS):
-            continue
+def _verdicts(verdicts: Iterable[SectionVerdict]) -> str:
+    within = "all figures are within their limits"
+    rows = ((escape(v.title), badge(v.grade), bullets(v.reasons) or within) for v in verdicts)
+    return table(("section", "verdict", "why"), rows, "verdicts")
+
+
+def _audit(results: Iterable[AuditResult]) -> str:
+    def figure(value: float, unit: str) -> str:
+        return escape(f"{value:.3g} {unit}".rstrip()) if math.isfinite(value) else ""
+
+    def limit(value: float, unit: str) -> str:
+        return "any" if value < 0 else figure(value, unit) or "no limit"
+
+    rows = (
+        (escape(r.section), escape(r.subject), escape(r.name), figure(r.value, r.unit),
+         limit(r.warn, r.unit), limit(r.fail, r.unit), badge(r.grade),
+         escape(r.note if r.grade is not Grade.PASS else ""), escape(r.source))
+        for r in results
+    )  # fmt: skip
+    columns = ("section", "subject", "figure", "value", "warns above", "fails above", "", "note", "limits")
+    return table(columns, rows, "audit")
+
+
+def _calibration(found: Any) -> str:
+    if not isinstance(found, dict):
+        return "<p>Nothing was estimated from the recording: all parameters are used as given.</p>"
+    rows = ((escape(str(cell)) for cell in row) for row in found.get("rows", []))
+    return table(map(str, found.get("columns", [])), rows)
+
+
+def _ranges(ranges: Iterable[RangeOfMotion]) -> str:
+    def whole(radians: float) -> str:
+        return f"{np.degrees(radians):.0f}" if math.isfinite(radians) else ""
+
+    def cells(found: RangeOfMotion | None) -> tuple[str, ...]:
+        if found is None:
+            return ("", "", "")
+        span = f"{whole(found.low)} to {whole(found.high)}" if math.isfinite(found.low) else ""
+        share = f" <small>observed {100 * found.known_share:.0f} %</small>"
+        share = share if found.known_share < 0.995 else ""
+        return span, f"<b>{whole(found.range)}</b>{share}", whole(found.peak_velocity)
+
+    rows: dict[str, dict[str, RangeOfMotion]] = {}
+    for found in ranges:
         side, name = side_and_name(found.name)
-        rows.setdefault(name, {"name": name.replace("_", " ")})[side or "both"] = _range(found)
-    return list(rows.values())
+        if found.known_share > 0 and not name.startswith(SECOND_PELVIS):
+            rows.setdefault(name, {})[side] = found
+    out = []
+    for name, own in rows.items():
+        right, left = own.get("right", own.get("")), own.get("left")
+        difference = math.degrees(right.range - left.range) if right and left else math.nan
+        last = f"{round(difference):+d}" if math.isfinite(difference) else ""
+        out.append((escape(name.replace("_", " ")), *cells(right), *cells(left), last))
+    columns = ("angle [deg]", "right: from, to", "range", "peak deg/s", "left: from, to", "range",
+               "peak deg/s", "range right - left")  # fmt: skip
+    return table(columns, out, "ranges") if out else "<p>No angle was observed.</p>"
 
 
-def _range(found: RangeOfMotion) -> Data:
-    figures = (found.low, found.high, found.range, found.peak_velocity)
-    low, high, extent, speed = (_rounded(np.degrees(v)) for v in figures)
-    return {"low": low, "high": high, "range": extent, "speed": speed, "known": float(found.known_share)}
+def _gait(gait: GaitAnalysis) -> str:
+    if not gait.summary:
+        return "<p>No gait cycle was found.</p>" + bullets(gait.notes)
 
+    def cell(side: str, name: str) -> str:
+        if side not in gait.summary:
+            return ""
+        mean, sd, strides = gait.summary[side][name]
+        return f"{mean:.3g}" + (f" &plusmn; {sd:.2g}" if math.isfinite(sd) else "") + f" ({strides})"
 
-def _gait(analysis: MotionAnalysis) -> Data:
-    gait = analysis.gait
     rows = []
     for name in MEASURES:
-        own = {side: measures[name] for side, measures in gait.summary.items()}
-        if own:
-            row: Data = {"name": name.replace("_", " "), "unit": _GAIT_UNITS.get(name, ""),
-                         "symmetry": _rounded(100 * gait.symmetry.get(name, np.nan))}  # fmt: skip
-            for side, (mean, sd, n) in own.items():
-                row[side] = {"mean": _rounded(mean, 3), "sd": _rounded(sd, 3), "n": n}
-            rows.append(row)
-    return {"rows": rows, "notes": list(gait.notes)}
+        symmetry = 100 * gait.symmetry.get(name, math.nan)
+        text = f"{symmetry:+.1f} %" if math.isfinite(symmetry) else ""
+        label = f"{name.replace('_', ' ')} {_GAIT_UNITS.get(name, '')}"
+        rows.append((label, cell("right", name), cell("left", name), text))
+    header = ("mean, standard deviation (strides)", "right", "left", "(right - left) / mean")
+    return table(header, rows) + bullets(gait.notes)
 
 
-def _torques(analysis: MotionAnalysis, table: SkeletonTable) -> list[Data]:
-    torques = analysis.torques
+def _torques(torques: JointTorques | None, skeleton: SkeletonTable) -> str:
     if torques is None:
-        return []
-    clinical = {dof.urdf: dof.clinical.lstrip("-") for joint in table.joints for dof in joint.dofs}
-    out = []
+        return f"<p>{NO_WEIGHT.capitalize()}.</p>"
+    rows = []
     for name, column in zip(torques.dof_names, torques.torques.T, strict=True):
-        if np.isfinite(column).any():
-            peak = float(np.nanmax(np.abs(column)))
-            per_kg = _rounded(peak / torques.weight_kg, 2)
-            known = float(np.isfinite(column).mean())
-            out.append({"name": name, "clinical": clinical[name], "peak": _rounded(peak),
-                        "per_kg": per_kg, "known": known})  # fmt: skip
-    return out
+        known = np.isfinite(column)
+        if known.any():
+            peak = np.abs(column[known]).max()
+            figures = (f"{peak:.3g}", f"{peak / torques.weight_kg:.2g}", f"{100 * known.mean():.0f} %")
+            rows.append((escape(clinical_name(skeleton, name)), *figures))
+    return table(("degree of freedom", "peak N m", "peak N m/kg", "known"), rows)
 
 
-def _rounded(value: Any, digits: int = 1) -> float | None:
-    """JSON knows no NaN: a figure that there is no data for is null."""
-    return round(float(value), digits) if np.isfinite(value) else None
+def _isb(topics: Mapping[str, Items]) -> str:
+    blank = '<span class="blank">to be filled in:</span>'
+    rows = []
+    for topic, items in topics.items():
+        for number, (name, known) in enumerate(items.items()):
+            text = blank if known is None else escape(known) + (f" {blank}" if known.endswith(":") else "")
+            rows.append((escape(topic) if number == 0 else "", escape(name), text))
+    return table(("", "item", "in this recording"), rows, "isb")

@@ -1,10 +1,9 @@
-"""What a report draws: curves and a skeleton, quantised and packed as 16-bit numbers."""
+"""Plot data of a report: curves and skeleton positions, packed as 16-bit numbers."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,22 +19,27 @@ from rtof_kin.report.clinical_findings import SECOND_PELVIS
 
 Array = NDArray[np.float64]
 Data = dict[str, Any]
-SHOWN_HZ = 30.0
-"""Frames a second that are drawn at most; every figure is of all frames."""
-MOST_SHOWN = 6000
-"""Frames that are drawn at most, as long as that leaves 10 a second."""
-MISSING = -32768
-"""What stands for NaN among packed numbers."""
+SHOWN_HZ: Final = 30.0  # highest frame rate of plots; all figures are computed from all frames
+MOST_SHOWN: Final = 6000  # largest number of plotted frames, unless that is fewer than 10 per second
+MISSING: Final = -32768  # NaN among packed numbers
 
 
 def side_and_name(name: str) -> tuple[str, str]:
-    """'right', 'left' or '', and an angle's name without it."""
+    """Split the name of an angle into 'right', 'left' or '', and the rest.
+
+    Args:
+        name: of the angle.
+    """
     side = next((side for side in SIDES if name.startswith(f"{side}_")), "")
-    return side, name.removeprefix(f"{side}_") if side else name
+    return side, name.removeprefix(f"{side}_")
 
 
 def shown_frames(times: Array) -> slice:
-    """The frames that are drawn."""
+    """Return the frames to plot.
+
+    Args:
+        times: (T,) s.
+    """
     rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else SHOWN_HZ
     step = max(1, round(rate / SHOWN_HZ))
     slowest = max(step, int(rate / 10))
@@ -43,43 +47,51 @@ def shown_frames(times: Array) -> slice:
 
 
 def angle_curves(analysis: MotionAnalysis, shown: slice) -> Data:
-    """Curves over time, both sides of an angle together."""
+    """Return angles over time in groups of both sides.
+
+    Args:
+        analysis: of the motion. shown: frames to plot.
+    """
     angles = analysis.angles
     groups: dict[str, Data] = {}
     for a, row in enumerate(angles.rows):
         if not angles.known[:, a].any() or row.name.startswith(SECOND_PELVIS):
             continue
         side, name = side_and_name(row.name)
-        own = groups.setdefault(
-            name, {"name": name.replace("_", " "), "positive": row.positive, "series": []}
-        )
+        group = {"name": name.replace("_", " "), "positive": row.positive, "series": []}
         series = {"side": side, "y": packed(np.degrees(angles.values[shown, a]), 10)}
         if angles.sigma is not None:
             series["half"] = packed(BAND_95 * np.degrees(angles.sigma[shown, a]), 10)
-        own["series"].append(series)
+        groups.setdefault(name, group)["series"].append(series)
     return {"times": _times(angles.times[shown]), "groups": list(groups.values())}
 
 
-def cycle_drawings(analysis: MotionAnalysis) -> Data:
-    """Mean and standard deviation over the gait cycle, right against left."""
+def cycle_curves_data(analysis: MotionAnalysis) -> Data:
+    """Return mean and standard deviation of angles over the gait cycle, in groups of both sides.
+
+    Args:
+        analysis: of the motion.
+    """
     groups: dict[str, Data] = {}
     for curve in analysis.curves:
         name = side_and_name(curve.name)[1]
-        if name.startswith(SECOND_PELVIS):
-            continue
-        own = groups.setdefault(name, {"name": name.replace("_", " "), "series": []})
-        own["series"].append(
-            {"side": curve.side, "n": len(curve.curves), "y": packed(np.degrees(curve.mean), 10),
-             "half": packed(np.degrees(curve.sd), 10)}
-        )  # fmt: skip
+        if not name.startswith(SECOND_PELVIS):
+            group = groups.setdefault(name, {"name": name.replace("_", " "), "series": []})
+            group["series"].append(
+                {"side": curve.side, "n": len(curve.curves), "y": packed(np.degrees(curve.mean), 10),
+                 "half": packed(np.degrees(curve.sd), 10)}
+            )  # fmt: skip
     stance = {side: float(m["stance_share"][0]) for side, m in analysis.gait.summary.items()}
-    return {"phase": [round(100 * float(p), 2) for p in PHASES], "stance": stance,
-            "groups": list(groups.values())}  # fmt: skip
+    phase = [round(100 * float(p), 2) for p in PHASES]
+    return {"phase": phase, "stance": stance, "groups": list(groups.values())}
 
 
 def player_data(motion: MotionSequence, shown: slice, floor: Any) -> Data:
-    """The skeleton's positions, from the middle of its way; of each joint, frames [first, stop) in which
-    nobody saw the bone that leads to it.
+    """Return joint positions relative to the middle of the root's path, and frames [first, stop) in which
+    the bone that leads to a joint is unobserved.
+
+    Args:
+        motion: to plot. shown: frames to plot. floor: its height, m; None if unknown.
     """
     poses, skeleton = motion.poses, motion.skeleton
     p = poses.p_world_joint[shown]
@@ -106,18 +118,13 @@ def _times(times: Array) -> list[float]:
 
 
 def packed(values: Array, scale: int) -> str:
-    """Numbers times `scale`, rounded, as base64 of little-endian 16-bit integers; NaN is `MISSING`.
+    """Return numbers as base64 of little-endian 16-bit integers; NaN and overflow are `MISSING`.
 
-    What lies outside is `MISSING` too: it could not be drawn beside the rest.
+    Args:
+        values: any shape. scale: multiplied before rounding.
     """
     with np.errstate(invalid="ignore"):
         whole = np.round(np.asarray(values, dtype=float) * scale)
         inside = np.abs(whole) <= -MISSING - 1
-    numbers = np.where(inside, np.nan_to_num(np.where(inside, whole, 0.0)), MISSING).astype("<i2")
+    numbers = np.where(inside, whole, MISSING).astype("<i2")
     return base64.b64encode(numbers.tobytes()).decode("ascii")
-
-
-def unpacked(text: str, scale: int, shape: Sequence[int] = (-1,)) -> Array:
-    """What `packed` packed, to its precision."""
-    numbers = np.frombuffer(base64.b64decode(text), dtype="<i2").astype(float)
-    return np.asarray(np.where(numbers == MISSING, np.nan, numbers / scale).reshape(shape))

@@ -24,12 +24,23 @@ def input_provenance(result: Reconstruction) -> Data:
         Plain data with units in the names; None or an empty list for missing inputs.
     """
     recording = result.recording
+    bones = "proportions of the skeleton table"
+    if recording.bone_lengths:
+        bones = f"{len(recording.bone_lengths)} measured bone lengths, the others by the table"
+    elif recording.height is not None:
+        bones += ", scaled by the height"
     return {
         "software": f"rtof_kin {_version()}",
         "session": recording.session.plain(),
         "notes": recording.notes,
         "first_frame": recording.first_frame,
-        "subject": _subject(recording),
+        "subject": {
+            "height_m": recording.height,
+            "skeleton_height_m": recording.skeleton.height,
+            "mass_kg": recording.mass_kg,
+            "sex": recording.sex,
+            "bones": bones,
+        },
         "floor_height_m": recording.floor_height,
         "camera": _camera(result),
         "sensors": _sensors(recording),
@@ -46,21 +57,6 @@ def _version() -> str:
         return version("rtof_kin")
     except PackageNotFoundError:  # a clone that was not installed
         return "(not installed)"
-
-
-def _subject(recording: Recording) -> Data:
-    bones = "proportions of the skeleton table"
-    if recording.bone_lengths:
-        bones = f"{len(recording.bone_lengths)} measured bone lengths, the others by the table"
-    elif recording.height is not None:
-        bones += ", scaled by the height"
-    return {
-        "height_m": recording.height,
-        "skeleton_height_m": recording.skeleton.height,
-        "mass_kg": recording.mass_kg,
-        "sex": recording.sex,
-        "bones": bones,
-    }
 
 
 def _camera(result: Reconstruction) -> Data | None:

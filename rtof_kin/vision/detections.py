@@ -1,64 +1,60 @@
-"""`Detections`: what a detector found in a video, everybody in it, in its own layout."""
+"""`Detections`: the keypoints of all people that a detector found in a video, in the detector's layout."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.checks import checked_times, readonly
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError, ShapeError
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-NO_IDENTITY = -1
-SHARES_UP_TO = 3.0
-"""Coordinates none of which is larger are shares of the image's size; no person is so few pixels."""
-_MOST_PEOPLE = 500
-_MOST_NUMBERS = 2**27
+NO_IDENTITY: Final = -1
+_LARGEST_RELATIVE = 3.0  # coordinates of which none is larger are fractions of the image size
+_MOST_PEOPLE, _MOST_NUMBERS = 500, 2**27
 _HIGHEST_CONFIDENCE = 10.0
 
 
 @dataclass(frozen=True)
 class Person:
-    """One person in one frame, as a file has them."""
+    """One person in one frame."""
 
     points: Array
     """(K, 3) x, y, confidence."""
     identity: int = NO_IDENTITY
-    """What a tracker calls them; -1 where there is none."""
+    """Number given by a tracker, -1 without one."""
 
 
 @dataclass(frozen=True)
 class Detections:
-    """The points of up to P people in T frames."""
+    """Points of up to P people in T frames; the order of people may change between frames."""
 
     uv_px: Array
-    """(T, P, K, 2); NaN where unseen. The order of people may change from frame to frame."""
+    """(T, P, K, 2); NaN where not detected."""
     confidence: Array
-    """(T, P, K) in [0, 1]; 0 where unseen."""
+    """(T, P, K) in [0, 1]; 0 where not detected."""
     times: Array | None = None
-    """(T,) s, where the file has them."""
+    """(T,) s, if the file has them."""
     names: tuple[str, ...] | None = None
-    """K names of the points in the file's words, where it has them."""
+    """K names of the points in the file, if it has them."""
     identity: Ints | None = None
-    """(T, P) what a tracker calls each person, -1 for nobody; None where there was no tracker."""
+    """(T, P) numbers given by a tracker, -1 where nobody is; None without a tracker."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
         uv = np.array(readonly("detections uv_px", self.uv_px, ("T", "P", "K", 2)))
         confidence = np.array(readonly("detections confidence", self.confidence, uv.shape[:3]))
         if 0 in uv.shape:
-            raise ShapeError("there is nobody in any frame; look at the detector's own output")
-        highest = float(np.nanmax(confidence, initial=0.0))
-        if highest > _HIGHEST_CONFIDENCE or np.nanmin(confidence, initial=0.0) < 0:
-            raise ShapeError(
-                f"detections confidence: reaches from {np.nanmin(confidence):g} to {highest:g}; give "
-                "values from 0 to 1, divided by the detector's maximum"
-            )
+            raise InvalidInputError("there is nobody in any frame; check the detector's output")
+        low, high = float(np.nanmin(confidence, initial=0.0)), float(np.nanmax(confidence, initial=0.0))
+        if high > _HIGHEST_CONFIDENCE or low < 0:
+            problem = f"ranges from {low:g} to {high:g}; give values from 0 to 1"
+            raise InvalidInputError(f"detections confidence: {problem}")
         confidence = np.clip(np.nan_to_num(confidence), 0.0, 1.0)
         missing = ~np.isfinite(uv).all(axis=-1) | (confidence == 0)
         uv[missing], confidence[missing] = np.nan, 0.0
@@ -66,9 +62,9 @@ class Detections:
         set_(self, "confidence", readonly("detections confidence", confidence, uv.shape[:3]))
         if self.times is not None:
             times = checked_times("detections times", self.times)
+            set_(self, "times", times)
             if len(times) != len(uv):
                 raise ShapeError(f"detections times: {len(times)}, but there are {len(uv)} frames")
-            set_(self, "times", times)
         if self.names is not None and len(self.names) != uv.shape[2]:
             raise ShapeError(f"detections: {len(self.names)} names for {uv.shape[2]} points")
         if self.identity is not None:
@@ -78,34 +74,34 @@ class Detections:
     @classmethod
     def of_frames(
         cls,
-        frames: Sequence[Sequence[Person]] | Mapping[int, Sequence[Person]],
+        frames: Mapping[int, Sequence[Person]],
         times: Array | None = None,
         names: tuple[str, ...] | None = None,
     ) -> Self:
-        """From lists of people, frame by frame, or by the frame's number where some are left out.
+        """Create detections from the people of each frame.
+
+        Args:
+            frames: frame number -> people; frames without an entry are empty.
+            times: (T,) s. names: K names of the points.
 
         Raises:
-            ShapeError: nobody is in any frame, their numbers of points differ, or it is far too much.
+            InvalidInputError: no people, different numbers of points, or too much data.
         """
-        numbered = frames if isinstance(frames, Mapping) else dict(enumerate(frames))
-        everybody = [person for people in numbered.values() for person in people]
-        if not everybody:
-            raise ShapeError("there is nobody in any frame; look at the detector's own output")
-        K = len(everybody[0].points)
-        for number, people in numbered.items():
-            for person in people:
-                if len(person.points) != K:
-                    raise ShapeError(
-                        f"frame {number}: a person has {len(person.points)} points, others have {K}; "
-                        "all must be in one layout"
-                    )
-        T, P = max(numbered) + 1, max(map(len, numbered.values()))
+        sizes = {number: {len(p.points) for p in people} for number, people in frames.items()}
+        K = next((size for some in sizes.values() for size in some), None)
+        if K is None:
+            raise InvalidInputError("there is nobody in any frame; check the detector's output")
+        for number, some in sizes.items():
+            if some - {K}:
+                problem = f"a person has {max(some - {K})} points, others have {K}; use one layout"
+                raise InvalidInputError(f"frame {number}: {problem}")
+        T, P = max(frames) + 1, max(map(len, frames.values()))
         if P > _MOST_PEOPLE or T * P * K > _MOST_NUMBERS:
-            raise ShapeError(
-                f"{T} frames of up to {P} people with {K} points are too much; cut the recording into parts"
+            raise InvalidInputError(
+                f"{T} frames of up to {P} people with {K} points are too much; split the recording"
             )
         points, identity = np.zeros((T, P, K, 3)), np.full((T, P), NO_IDENTITY)
-        for number, people in numbered.items():
+        for number, people in frames.items():
             for p, person in enumerate(people):
                 points[number, p], identity[number, p] = person.points, person.identity
         tracked = np.any(identity != NO_IDENTITY)
@@ -116,29 +112,24 @@ class Detections:
 
     @property
     def present(self) -> NDArray[np.bool_]:
-        """(T, P) whether there is a person."""
+        """(T, P) True where a person was detected."""
         return np.asarray((self.confidence > 0).any(axis=-1))
 
-    def ordered(self, order: Iterable[int]) -> Self:
-        """The points in another order; those not in it are left out."""
-        index = list(order)
-        names = None if self.names is None else tuple(self.names[i] for i in index)
-        return replace(
-            self, uv_px=self.uv_px[:, :, index], confidence=self.confidence[:, :, index], names=names
-        )
-
     def in_pixels(self, width_px: int | None, height_px: int | None) -> Self:
-        """The same in pixels, where coordinates are shares of the image's width and height.
+        """Return detections in pixels; coordinates up to 3 are taken as fractions of the image size.
+
+        Args:
+            width_px, height_px: image size, required for fractions.
 
         Raises:
-            ShapeError: they are shares, and the size of the image is not given.
+            InvalidInputError: the image size is missing.
         """
         largest = float(np.nanmax(np.abs(self.uv_px), initial=0.0))
-        if largest > SHARES_UP_TO:
+        if largest > _LARGEST_RELATIVE:
             return self
         if width_px is None or height_px is None:
-            raise ShapeError(
-                f"the coordinates are shares of the image (the largest is {largest:.2g}), so its "
+            raise InvalidInputError(
+                f"the coordinates are fractions of the image (the largest is {largest:.2g}), so its "
                 "width_px and height_px are needed"
             )
         return replace(self, uv_px=self.uv_px * [width_px, height_px])

@@ -1,4 +1,4 @@
-"""Detectors' files: a folder or a file of JSON, arrays in .npz or .npy, columns in .csv.
+"""Readers of detectors' files: a folder or a file of JSON, arrays in .npz or .npy, columns in .csv.
 
 ==========================  ====================================================================
 OpenPose                    folder of ``*_keypoints.json``, one a frame, or one JSON with many
@@ -14,22 +14,25 @@ NPZ                         ``uv_px`` or ``keypoints`` (T, K, 2 or 3) or (T, P, 
 NPY                         one array like that
 ==========================  ====================================================================
 
-Coordinates that are shares of the image need its size. Confidences above 1, which some detectors give,
-count as 1; where a file has none, every point with finite coordinates counts as seen.
+Coordinates that are fractions of the image need its size. Confidences above 1, which some detectors give,
+are clipped to 1; without confidences every point with finite coordinates has confidence 1.
 """
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_csv, read_npy, read_npz
-from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.json_files import read_json, read_json_folder
+from rtof_kin.core.files.text import load_json
+from rtof_kin.vision.detections import NO_IDENTITY, Detections, Person
 
 Array = NDArray[np.float64]
 FORMATS = (".json", ".npz", ".npy", ".csv")
@@ -40,19 +43,26 @@ _ENDINGS = {
 _NUMBERED = re.compile(r"(x|y|z|v|c|visibility|confidence|score|presence)_?(\d{1,4})")
 _TIMES = {"time": 1.0, "time_s": 1.0, "timestamp": 1.0, "timestamp_ms": 1e-3}
 _NO_POINTS = {"frame", "frame_id", "index", ""}
+_LARGEST_JSON = 256 * 2**20  # bytes
+_WHAT = "JSON of moderate size; write one file a frame, or .npz"
+_PEOPLE = ("people", "bodies", "instances")
+_POINTS = ("pose_keypoints_2d", "pose_keypoints", "joints", "keypoints", "pose_landmarks", "landmarks")
+_SCORES = ("keypoint_scores", "visibility", "confidence", "score", "presence")
+_IDENTITY = ("idx", "track_id", "person_id", "instance_id")
+_MOST_FRAMES_EACH = 100  # largest mean distance between frame numbers
 
 
 def read_detector_file(
     path: str | Path, width_px: int | None = None, height_px: int | None = None
 ) -> Detections:
-    """Everybody that a detector found in a video.
+    """Read the detections of all people in a video.
 
     Args:
         path: a file or folder of one of the formats above.
-        width_px, height_px: size of the image, for coordinates that are shares of it.
+        width_px, height_px: size of the image, for coordinates that are fractions of it.
 
     Raises:
-        FileFormatError: none of the formats, damaged, or without anybody in it; the message says where.
+        FileFormatError: unknown format, damaged, or without people.
     """
     path = Path(path)
     try:
@@ -63,7 +73,7 @@ def read_detector_file(
 
 def _read(path: Path) -> Detections:
     if path.is_dir():
-        return read_json_folder(path)
+        return _read_json_folder(path)
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise FileFormatError(
@@ -72,13 +82,10 @@ def _read(path: Path) -> Detections:
     if not path.is_file():
         raise FileFormatError(path, "there is no such file or folder")
     if suffix == ".json":
-        return read_json(path)
+        return _read_json(path)
     if suffix == ".csv":
         return _of_columns(path)
     return _of_arrays(path, {"keypoints": read_npy(path)} if suffix == ".npy" else read_npz(path))
-
-
-# --- arrays --------------------------------------------------------------------------------------
 
 
 def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:
@@ -87,13 +94,12 @@ def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:
         have = ", ".join(arrays) or "nothing"
         raise FileFormatError(path, f"no array uv_px or keypoints of shape (T, K, 3); there is {have}")
     if points.ndim not in (3, 4) or points.shape[-1] not in (2, 3):
-        raise FileFormatError(
-            path, f"keypoints: shape {points.shape} is neither (T, K, 2 or 3) nor (T, P, K, 2 or 3)"
-        )
+        shapes = "neither (T, K, 2 or 3) nor (T, P, K, 2 or 3)"
+        raise FileFormatError(path, f"keypoints: shape {points.shape} is {shapes}")
     uv = points[..., :2]
-    seen: Array = np.asarray(np.isfinite(uv).all(axis=-1), dtype=np.float64)
-    given = _one_of(path, arrays, ("confidence", "scores", "keypoint_scores"))
-    confidence = given if given is not None else points[..., 2] if points.shape[-1] == 3 else seen
+    confidence = _one_of(path, arrays, ("confidence", "scores", "keypoint_scores"))
+    if confidence is None:
+        confidence = points[..., 2] if points.shape[-1] == 3 else np.isfinite(uv).all(axis=-1).astype(float)
     if confidence.shape != uv.shape[:-1]:
         raise FileFormatError(path, f"confidence: expected shape {uv.shape[:-1]}, got {confidence.shape}")
     if points.ndim == 3:
@@ -106,9 +112,6 @@ def _one_of(path: Path, arrays: dict[str, Array], names: tuple[str, ...]) -> Arr
     if len(found) > 1:
         raise FileFormatError(path, f"has {' and '.join(found)}; leave only one of them")
     return arrays[found[0]] if found else None
-
-
-# --- columns -------------------------------------------------------------------------------------
 
 
 def _of_columns(path: Path) -> Detections:
@@ -132,17 +135,17 @@ def _of_columns(path: Path) -> Detections:
             other = "y" if "x" in has else "x"
             raise FileFormatError(path, f"point {name}: has no column of {other}", 1)
     names = list(points)
-    if all(name.isdigit() for name in names):
+    numbered = all(name.isdigit() for name in names)
+    if numbered:
         names.sort(key=int)
     uv = np.stack([[points[n]["x"], points[n]["y"]] for n in names]).transpose(2, 0, 1)
-    seen: Array = np.asarray(np.isfinite(uv).all(axis=-1), dtype=np.float64)
+    seen = np.isfinite(uv).all(axis=-1).astype(float)
     confidence = np.stack([points[n].get("c", seen[:, i]) for i, n in enumerate(names)], axis=1)
-    named = None if all(name.isdigit() for name in names) else tuple(names)
-    return Detections(uv[:, None], confidence[:, None], times, named)
+    return Detections(uv[:, None], confidence[:, None], times, None if numbered else tuple(names))
 
 
 def _meaning(path: Path, header: str) -> tuple[str, str]:
-    """Which point a column is of, and which part of it: x, y, c, or '' for what is not used."""
+    """Return the point of a column and its part: x, y, c, or '' if unused."""
     numbered = _NUMBERED.fullmatch(header.strip().lower())
     if numbered:
         part = numbered[1]
@@ -150,6 +153,213 @@ def _meaning(path: Path, header: str) -> tuple[str, str]:
     for ending, part in _ENDINGS.items():
         if header.strip().lower().endswith(ending):
             return header.strip()[: -len(ending)], part
-    raise FileFormatError(
-        path, f"column {header!r}: expected time, or a point's name and one of {', '.join(_ENDINGS)}", 1
-    )
+    known = f"time, or a point's name and one of {', '.join(_ENDINGS)}"
+    raise FileFormatError(path, f"column {header!r}: expected {known}", 1)
+
+
+def _read_json_folder(folder: Path) -> Detections:
+    """Read one file per frame, numbered by the last number in their names, from the first file on."""
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".json")
+    if not paths:
+        raise FileFormatError(folder, "there is no .json file in this folder")
+    frames: dict[int, list[Person]] = {}
+    for path in paths:
+        number = _number(path.stem)
+        if number is None or number in frames:
+            problem = "its name has no frame number, or another file has the same; keep one video's files in"
+            raise FileFormatError(path, f"{problem} a folder, named e.g. walk_000000000012_keypoints.json")
+        frames[number] = _people(path, load_json(path, _LARGEST_JSON, _WHAT), "frame")
+    first = min(frames)
+    return _detections(folder, {number - first: people for number, people in frames.items()})
+
+
+def _read_json(path: Path) -> Detections:
+    """Read a file with one or many frames, whose format is recognised from its structure."""
+    data = load_json(path, _LARGEST_JSON, _WHAT)
+    if isinstance(data, list) and data and all(isinstance(e, dict) and "image_id" in e for e in data):
+        return _by_image(path, data, {})
+    if isinstance(data, list):
+        return _of_list(path, data)
+    if not isinstance(data, dict):
+        raise FileFormatError(path, f"holds {_kind(data)}, not people's keypoints")
+    if isinstance(data.get("annotations"), list):
+        return _by_image(path, data["annotations"], data)
+    for key in ("instance_info", "frames"):
+        if isinstance(data.get(key), list):
+            return _of_list(path, data[key])
+    if any(key in data for key in (*_PEOPLE, *_POINTS)):
+        return _detections(path, {0: _people(path, data, "frame 0")})
+    return _by_name(path, data)
+
+
+def _of_list(path: Path, entries: Sequence[Any]) -> Detections:
+    frames = {i: _people(path, entry, f"frame {i}") for i, entry in enumerate(entries)}
+    stamps = [_time(entry) for entry in entries]
+    return _detections(path, frames, None if None in stamps else np.array(stamps, dtype=np.float64))
+
+
+def _time(frame: Any) -> float | None:
+    """Return the time of a frame, s, if it has one."""
+    for key, unit in _TIMES.items() if isinstance(frame, dict) else ():
+        value = frame.get(key)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value) * unit
+    return None
+
+
+def _by_name(path: Path, data: Mapping[str, Any]) -> Detections:
+    """Read frames keyed by the names of their images, e.g. ``{"0.jpg": {"people": [...]}}``."""
+    frames: dict[int, list[Person]] = {}
+    for name, frame in data.items():
+        number = _number(Path(name).stem)
+        if number is None or number in frames:
+            known = ", ".join((*_PEOPLE, "annotations", "instance_info", "frames"))
+            raise FileFormatError(path, f"{name!r} is no name of a frame with a unique number, nor {known}")
+        frames[number] = _people(path, frame, f"frame {name}")
+    return _detections(path, frames)
+
+
+def _by_image(path: Path, entries: Sequence[Any], data: Mapping[str, Any]) -> Detections:
+    """Read a list of people with the image of each: AlphaPose and COCO.
+
+    Frames are numbered by the list of images, if `data` has one, else by the images' names.
+    """
+    images, order = data.get("images"), None
+    if isinstance(images, list):
+        ids = [image["id"] for image in images if isinstance(image, dict) and "id" in image]
+        order = {image: i for i, image in enumerate(ids) if isinstance(image, int | str)}
+    frames: dict[int, list[Person]] = {}
+    for i, entry in enumerate(entries):
+        if not isinstance(entry, dict) or "image_id" not in entry:
+            raise FileFormatError(path, f"entry {i}: not a person with image_id and keypoints")
+        image = entry["image_id"]
+        number = _image_number(image) if order is None else order.get(image)
+        if number is None:
+            raise FileFormatError(path, f"entry {i}: image_id {image!r} has no number, so no frame")
+        people = frames.setdefault(number, [])
+        if "keypoints" in entry:
+            people.append(_person(path, entry, f"entry {i}"))
+    return _detections(path, frames, names=_category_names(data.get("categories")))
+
+
+def _category_names(categories: Any) -> tuple[str, ...] | None:
+    if isinstance(categories, list) and len(categories) == 1 and isinstance(categories[0], dict):
+        names = categories[0].get("keypoints")
+        if isinstance(names, list) and all(isinstance(name, str) for name in names):
+            return tuple(names)
+    return None
+
+
+def _image_number(image: Any) -> int | None:
+    if isinstance(image, int) and not isinstance(image, bool):
+        return image
+    return _number(Path(image).stem) if isinstance(image, str) else None
+
+
+def _number(stem: str) -> int | None:
+    """Return the last number in a file name."""
+    found = re.findall(r"\d+", stem)
+    return int(found[-1][:18]) if found else None
+
+
+def _detections(
+    path: Path, frames: Mapping[int, Sequence[Person]], times: Array | None = None,
+    names: tuple[str, ...] | None = None,
+) -> Detections:  # fmt: skip
+    if frames and (min(frames) < 0 or max(frames) > _MOST_FRAMES_EACH * len(frames) + 1000):
+        numbers = f"numbered from {min(frames)} to {max(frames)}; number them as in the video, from 0"
+        raise FileFormatError(path, f"its {len(frames)} frames are {numbers}")
+    try:
+        return Detections.of_frames(frames, times, names)
+    except InvalidInputError as error:
+        raise FileFormatError(path, str(error)) from error
+
+
+def _people(path: Path, frame: Any, where: str) -> list[Person]:
+    """Return the people of a frame in any of the structures."""
+    if frame is None:
+        return []
+    if isinstance(frame, dict):
+        for key in _PEOPLE:
+            if key in frame:
+                return _people_listed(path, frame[key], f"{where}, {key}")
+        found = next((frame[key] for key in _POINTS if key in frame), None)
+        if not found and any(key in frame for key in _POINTS):
+            return []
+        several = isinstance(found, list) and isinstance(found[0], list) and not _is_person(found)
+        return _people_listed(path, found, where) if several else [_person(path, frame, where)]
+    if isinstance(frame, list):
+        return _people_listed(path, [frame] if _is_person(frame) else frame, where)
+    raise FileFormatError(path, f"{where}: holds {_kind(frame)}, not people")
+
+
+def _people_listed(path: Path, entries: Any, where: str) -> list[Person]:
+    """Return the listed people without those of whom no points were detected."""
+    if not isinstance(entries, list):
+        raise FileFormatError(path, f"{where}: holds {_kind(entries)}, not a list of people")
+    entries = [{"keypoints": entry} if isinstance(entry, list) else entry for entry in entries]
+    return [
+        _person(path, entry, f"{where}, person {i}")
+        for i, entry in enumerate(entries)
+        if not isinstance(entry, dict) or any(entry.get(key) for key in _POINTS)
+    ]
+
+
+def _is_person(values: Sequence[Any]) -> bool:
+    """Return whether a list is one person's points: numbers, rows of two or three, or tables with x."""
+    first = values[0] if values else None
+    if isinstance(first, list):
+        return len(first) in (2, 3) and all(isinstance(value, int | float) for value in first)
+    return isinstance(first, int | float) or (isinstance(first, dict) and "x" in first)
+
+
+def _person(path: Path, entry: Any, where: str) -> Person:
+    if not isinstance(entry, dict):
+        raise FileFormatError(path, f"{where}: holds {_kind(entry)}, not a person")
+    values = next((entry[key] for key in _POINTS if key in entry), None)
+    if not isinstance(values, list) or not values:
+        raise FileFormatError(path, f"{where}: has no field {', '.join(_POINTS)} with a list of points")
+    try:
+        points = _points(values, entry)
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
+        raise FileFormatError(path, f"{where}: its points are not numbers ({error})") from error
+    if points is None:
+        raise FileFormatError(path, f"{where}: {len(values)} numbers are not x, y, confidence for each point")
+    return Person(points, _identity(entry))
+
+
+def _points(values: Sequence[Any], entry: Mapping[str, Any]) -> Array | None:
+    """Return (K, 3) x, y, confidence, or None if their number does not fit."""
+    if isinstance(values[0], dict):
+        return np.array([[float(v["x"]), float(v["y"]), _score(v)] for v in values])
+    array = np.array(values, dtype=np.float64)
+    if array.ndim == 1 and len(array) % 3 == 0:
+        array = array.reshape(-1, 3)
+        flags = array[:, 2]
+        if np.any(flags == 2) and np.all(np.isin(flags, (0, 1, 2))):
+            array[:, 2] = np.minimum(flags, 1)  # COCO annotations: 1 is hidden, 2 is visible
+    if array.ndim != 2 or array.shape[1] not in (2, 3):
+        return None
+    if array.shape[1] == 3:
+        return array
+    scores = np.array(entry.get("keypoint_scores", np.ones(len(array))), dtype=np.float64)
+    return None if scores.shape != (len(array),) else np.column_stack([array, scores])
+
+
+def _score(point: Mapping[str, Any]) -> float:
+    return float(next((point[key] for key in _SCORES if point.get(key) is not None), 1.0))
+
+
+def _identity(entry: Mapping[str, Any]) -> int:
+    for key in _IDENTITY:
+        value = entry.get(key)
+        if isinstance(value, list) and len(value) == 1:
+            value = value[0]
+        if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+            return int(value) if 0 <= value < 2**53 else NO_IDENTITY
+    return NO_IDENTITY
+
+
+def _kind(value: Any) -> str:
+    names = {dict: "a table", list: "a list", str: "text", type(None): "nothing", bool: "true or false"}
+    return names.get(type(value), "a number")

@@ -1,20 +1,21 @@
-"""From a detector's file to keypoints of one person, named as the skeleton's landmarks.
+"""Keypoints of one person from a detector's file, named as the skeleton's landmarks.
 
 found = read_detector_keypoints("walk_json", camera, rate_hz=60.0)
-found.keypoints            # what a Recording is made of
-print(found.summary)       # which layout and why, whom of how many, where in doubt and where lost
+found.keypoints            # input of a Recording
+print(found.summary)       # detected layout, which person was tracked, ambiguous and lost frames
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core import signals
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.vision.detections import Detections
@@ -25,38 +26,34 @@ from rtof_kin.vision.tracking import PersonTrack, track_person
 
 Array = NDArray[np.float64]
 
-MOST_OUTSIDE = 0.5
-"""Share of the points seen that may lie outside of the image."""
+MOST_OUTSIDE: Final = 0.5  # [-] largest fraction of the detected points that may lie outside the image
 
 
 @dataclass(frozen=True)
 class DetectedKeypoints:
-    """Keypoints of one person, and how they came about."""
+    """Keypoints of one person with their provenance."""
 
     keypoints: KeypointSequence
     """The skeleton's landmarks in the image."""
     landmarks: RegressedLandmarks
-    """The same with the expected error of each."""
+    """The same with expected errors."""
     recognition: Recognition
-    """The layout, and why."""
+    """Layout of the detector."""
     track: PersonTrack
-    """Which of the people in each frame, where in doubt and where lost."""
+    """Index of the person in each frame."""
 
     @property
     def summary(self) -> str:
-        """What was done, in a few sentences."""
+        """Layout, tracked person, ambiguous and lost frames as text."""
         track, T = self.track, len(self.track.person)
-        said = [f"layout {self.recognition.layout.name}, {self.recognition.reason}"]
+        parts = [f"layout {self.recognition.layout.name}, {self.recognition.reason}"]
         if track.people > 1:
-            numbers = sorted({int(p) for p in track.person if p >= 0})
-            said.append(
-                f"{track.people} people; followed the one who is number "
-                f"{', '.join(map(str, numbers))} in the frames, {track.reason}"
-            )
-        for what, frames in (("in doubt", track.ambiguous), ("lost", track.lost)):
+            numbers = ", ".join(str(p) for p in np.unique(track.person[~track.lost]))
+            parts.append(f"{track.people} people; followed number {numbers} in the frames, {track.reason}")
+        for what, frames in (("ambiguous", track.ambiguous), ("lost", track.lost)):
             if frames.any():
-                said.append(f"{what} in {frames.sum()} of {T} frames ({_runs(frames)})")
-        return "; ".join(said)
+                parts.append(f"{what} in {frames.sum()} of {T} frames ({_runs(frames)})")
+        return "; ".join(parts)
 
 
 def read_detector_keypoints(
@@ -69,27 +66,26 @@ def read_detector_keypoints(
     person: int | None = None,
     frame: int | None = None,
 ) -> DetectedKeypoints:
-    """Keypoints of one person from a detector's file or folder.
+    """Read keypoints of one person from a detector's file or folder.
 
     Args:
         path: see `rtof_kin.vision.keypoint_files`.
-        camera: the camera; its image's size is needed where coordinates are shares of it.
-        layout: name of the points' layout; recognised where not given, confirmed where given.
-        rate_hz: frames per second, where the file has no times. start: s, added to all times.
-        person: number of the person to follow among the people of `frame`; picked where not given.
-        frame: the frame in which `person` is that number; the first with anybody where not given.
+        camera: camera of the video; its image size scales fractions of the image to pixels.
+        layout: name of the points' layout; recognised if None, else verified.
+        rate_hz: frame rate, for files without times. start: s, added to all times.
+        person: index of the person among those of `frame`; chosen automatically if None.
+        frame: frame of `person`; the first with people if None.
 
     Raises:
-        FileFormatError: the file is damaged or of no known format, its points are not in that layout or
-            in none, nobody is in it, or it says nothing about time and no rate is given.
-        UnknownNameError: there is no such layout.
+        FileFormatError: damaged, unknown format or layout, no people, or neither times nor a rate.
+        UnknownNameError: unknown `layout`.
     """
     path = Path(path)
     found = read_detector_file(path, camera.width_px, camera.height_px)
     try:
         times = _times(found, rate_hz) + start
         return keypoints_from_detections(found, times, camera, layout, person, frame)
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
 
@@ -101,48 +97,54 @@ def keypoints_from_detections(
     person: int | None = None,
     frame: int | None = None,
 ) -> DetectedKeypoints:
-    """Keypoints of one person from detections in memory; arguments as of `read_detector_keypoints`.
+    """Compute keypoints of one person from detections in memory.
+
+    Args:
+        found: all people. times: (T,) s.
+        camera, layout, person, frame: as in `read_detector_keypoints`.
 
     Raises:
-        ShapeError, UnknownNameError: as there.
+        InvalidInputError: unrecognised layout, no such person, or points outside the camera's image.
+        UnknownNameError: unknown `layout`.
     """
-    adapter = LandmarkRegression.default()
+    regression = LandmarkRegression.default()
     found = found.in_pixels(camera.width_px, camera.height_px)
-    recognition = recognise(found.uv_px, found.confidence, found.names, layout, adapter)
-    found = found.ordered(recognition.order)
+    recognition = recognise(found.uv_px, found.confidence, found.names, layout, regression)
+    uv, confidence = (array[:, :, recognition.order] for array in (found.uv_px, found.confidence))
+    found = Detections(uv, confidence, identity=found.identity)
     track = track_person(found, times, person, frame, (camera.width_px, camera.height_px))
     uv, confidence = track.of(found)
     _check_inside(uv, camera)
-    adapted = adapter.apply(recognition.layout.name, uv, confidence)
-    keypoints = KeypointSequence(camera, times, adapted.uv_px, adapted.confidence, adapted.names)
-    return DetectedKeypoints(keypoints, adapted, recognition, track)
+    landmarks = regression.apply(recognition.layout.name, uv, confidence)
+    keypoints = KeypointSequence(camera, times, landmarks.uv_px, landmarks.confidence, landmarks.names)
+    return DetectedKeypoints(keypoints, landmarks, recognition, track)
 
 
 def _check_inside(uv: Array, camera: Camera) -> None:
-    """Refuse points that are mostly outside of the camera's image: it is another image's camera."""
+    """Refuse points that lie mostly outside the image: the camera belongs to another video."""
     seen = np.isfinite(uv).all(axis=-1)
     outside = np.any((uv < 0) | (uv > [camera.width_px, camera.height_px]), axis=-1)[seen]
     if len(outside) and outside.mean() > MOST_OUTSIDE:
         right, down = np.nanmax(uv, axis=(0, 1))
-        raise ShapeError(
+        raise InvalidInputError(
             f"{100 * outside.mean():.0f} % of the points lie outside of the camera's image of "
             f"{camera.width_px} x {camera.height_px} px (they reach to {right:.0f}, {down:.0f}); give "
-            "the camera that belongs to this video, for its size"
+            "the camera that belongs to this video"
         )
 
 
 def _times(found: Detections, rate_hz: float | None) -> Array:
     if found.times is not None:
         if rate_hz is not None:
-            raise ShapeError("has times of its own; leave rate_hz out, or the times")
+            raise InvalidInputError("has times of its own; leave rate_hz out, or the times")
         return found.times
     if rate_hz is None or not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise ShapeError("has no times; give rate_hz, the video's frames per second")
+        raise InvalidInputError("has no times; give rate_hz, the video's frames per second")
     return np.arange(len(found)) / rate_hz
 
 
 def _runs(frames: NDArray[np.bool_]) -> str:
-    """Frames in words: the first three runs."""
+    """Format the first three runs of frames."""
     runs = list(signals.runs(frames))
     text = [f"{start}-{stop - 1}" if stop - start > 1 else str(start) for start, stop in runs[:3]]
     return ", ".join(text) + (", ..." if len(runs) > 3 else "")

@@ -1,9 +1,8 @@
-"""From a detector's points to the skeleton's landmarks: any layout, any subset of its points.
+"""Linear regression of the skeleton's landmarks from a detector's points, for any subset of the points.
 
-A joint centre is estimated from all points that are seen (`PoseGaussian`), with the uncertainty that the
-motion it was fitted to shows; of people who lie or hang, in an image turned by quarters until they stand.
-Joints are those of the shipped skeleton: the best that can be done for a body whose skeleton has them
-elsewhere, as motion capture's have.
+A joint centre is estimated from all detected points by the conditional mean of a normal distribution
+(`PoseGaussian`), with the expected error. Points of people who lie or hang are rotated upright first, by
+quarter turns. Joints are those of the shipped skeleton.
 """
 
 from __future__ import annotations
@@ -12,26 +11,23 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.checks import readonly
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
-from rtof_kin.vision.layouts import DetectorTable, Layout, detector_table, own
+from rtof_kin.vision.layouts import DetectorTable, Layout, detector_table, own, point_names
 from rtof_kin.vision.pose_gaussian import FEWEST_POINTS, QUARTERS, PoseGaussian
-from rtof_kin.vision.views import point_names
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-LEAST_CONFIDENCE = 0.1
-"""A detector's point below this confidence counts as unseen."""
-LEAST_SHARE = 0.1
-"""A joint counts as unseen where less than this share of its expected square error is the detector's own:
-it would be a guess, three times further off than detections are."""
+LEAST_CONFIDENCE: Final = 0.1  # [-] of a detected point
+LEAST_SHARE: Final = 0.1  # [-] of an observed landmark's expected square error that is detector noise
 
 
 @dataclass(frozen=True)
@@ -39,137 +35,110 @@ class RegressedLandmarks:
     """Landmarks of the skeleton in an image."""
 
     names: tuple[str, ...]
-    """L landmarks: all joints, then those that the detector has a point for."""
+    """L landmarks: all joints, then those that the layout shows."""
     uv_px: Array
-    """(T, L, 2); NaN where too little was seen."""
+    """(T, L, 2); NaN where unobserved."""
     confidence: Array
-    """(T, L) the detector's own, of the points that tell most about the landmark, times the share of the
-    expected square error that is the detector's own; 0 where too little was seen."""
+    """(T, L) weighted mean confidence of the points times the detector's fraction of the expected square
+    error; 0 where unobserved."""
     sigma_px: Array
-    """(T, L) expected error per axis, px; NaN where too little was seen."""
+    """(T, L) expected error per axis, px; NaN where unobserved."""
 
 
 class LandmarkRegression:
-    """The fitted mapping of every layout.
+    """The regressions of all layouts.
 
-    Attributes:
-        table: the layouts. gaussian: how their points and the skeleton's landmarks lie to each other.
+    Args:
+        table: the layouts. gaussian: distribution of their points and the skeleton's landmarks.
+
+    Raises:
+        InvalidInputError: the distribution is of other points.
     """
 
     def __init__(self, table: DetectorTable, gaussian: PoseGaussian):
-        """Check that the two belong to each other."""
         self.table, self.gaussian = table, gaussian
         self._skeleton = SkeletonModel.default()
         if gaussian.names != point_names(table, self._skeleton):
-            raise ShapeError("adapter: fitted to other points than those of its table")
+            raise InvalidInputError("landmark regression: fitted to other points than those of its table")
 
     @classmethod
     def default(cls) -> LandmarkRegression:
-        """The one that ships."""
+        """Return the shipped one."""
         return _shipped()
 
-    def landmarks(self, layout: str) -> tuple[str, ...]:
-        """The landmarks that a layout gives: all joints, then those it has a point for."""
-        points = set(self.table.layout(layout).points)
-        extra = [name for name, seen_by in self.table.seen_by.items() if points & set(seen_by)]
-        order = list(self._skeleton.landmarks)
-        return (*self._skeleton.names, *sorted(extra, key=order.index))
-
     def apply(self, layout: str, uv_px: Array, confidence: Array) -> RegressedLandmarks:
-        """Landmarks from detections of one person.
+        """Estimate the landmarks of one person.
 
         Args:
-            layout: name of the layout; the skeleton's own, 'joints' and 'landmarks', stay as they are.
-            uv_px: (T, K, 2) pixels, NaN where unseen. confidence: (T, K) in [0, 1], 0 where unseen.
+            layout: name of the layout; points of 'joints' and 'landmarks' are returned unchanged.
+            uv_px: (T, K, 2) px, NaN where not detected. confidence: (T, K) in [0, 1], 0 where not detected.
 
         Raises:
-            UnknownNameError: no such layout.
-            ShapeError: another number of points than the layout has, or nothing was ever seen.
+            UnknownNameError: unknown layout.
+            InvalidInputError: wrong number of points, or too few detected in every frame.
         """
         form = self.table.layout(layout)
-        uv, confidence, seen = checked_points(form, uv_px, confidence)
+        uv, confidence, seen = _checked(form, uv_px, confidence)
         if layout in ("joints", "landmarks"):
             sigma = np.where(seen, 0.0, np.nan)
             return RegressedLandmarks(form.names, uv, np.where(seen, confidence, 0.0), sigma)
-        names = self.landmarks(layout)
+        names = self._landmarks(form)
         out = np.full((len(uv), len(names), 2), np.nan)
         sigma, out_confidence = np.full(out.shape[:2], np.nan), np.zeros(out.shape[:2])
-        for pattern, frames in patterns(seen):
+        for pattern, frames in _patterns(seen):
             out[frames], out_confidence[frames], sigma[frames] = self._frames(
                 form, names, pattern, uv[frames][:, pattern], confidence[frames][:, pattern]
             )
         if not np.any(out_confidence > 0):
-            raise ShapeError(
-                f"keypoints in layout {layout}: in no frame are enough points seen to tell a joint; at "
+            raise InvalidInputError(
+                f"keypoints in layout {layout}: in no frame are enough points detected for a joint; at "
                 f"least {FEWEST_POINTS} of its {len(form)} points with a confidence of "
                 f"{LEAST_CONFIDENCE:g} are needed"
             )
         return RegressedLandmarks(names, out, out_confidence, sigma)
 
+    def _landmarks(self, form: Layout) -> tuple[str, ...]:
+        """Return all joints and the landmarks that a layout shows."""
+        shown = {name for name, points in self.table.seen_by.items() if set(points) & set(form.points)}
+        return (*self._skeleton.names, *(name for name in self._skeleton.landmarks if name in shown))
+
     def _frames(
         self, form: Layout, names: Sequence[str], pattern: Mask, uv: Array, confidence: Array
     ) -> tuple[Array, Array, Array]:
-        """Landmarks, their confidence and error in frames in which the same points are seen."""
+        """Return landmarks, confidence and error of frames in which the same points are detected."""
         seen = [point for point, is_seen in zip(form.points, pattern, strict=True) if is_seen]
-        wanted = [own(name) for name in names]
-        given = self.gaussian.given(seen)
-        regression = given.regression(wanted)
-        turn, fit = given.turned_upright(uv)
-        scale, R_turned_image = fit.scale, np.array(QUARTERS)[turn]
+        conditioned = self.gaussian.given(seen)
+        regression = conditioned.regression([own(name) for name in names])
+        turn, fit = conditioned.turned_upright(uv)
+        R_turned_image = np.array(QUARTERS)[turn]
         turned = uv @ np.swapaxes(R_turned_image, -1, -2)
-        points = given.estimate(regression, turned, scale) @ R_turned_image
+        points = conditioned.estimate(regression, turned, fit.scale) @ R_turned_image
         share = self.gaussian.noise**2 / (self.gaussian.noise**2 + regression.model_variance)
-        shown = [name in self._skeleton.names or bool(set(self.table.seen_by[name]) & set(seen))
-                 for name in names]  # fmt: skip
+        joints, seen_by = self._skeleton.names, self.table.seen_by
+        shown = [name in joints or not set(seen_by[name]).isdisjoint(seen) for name in names]
         share = np.where(np.array(shown) & (share >= LEAST_SHARE), share, 0.0)
         error = np.sqrt(regression.model_variance + regression.noise_variance)
-        sigma = np.where(share > 0, error / scale[:, None], np.nan)
+        sigma = np.where(share > 0, error / fit.scale[:, None], np.nan)
         points[:, share == 0] = np.nan
         return points, confidence @ regression.weight.T * share, sigma
 
-    def naive(self, layout: str, uv_px: Array, confidence: Array) -> RegressedLandmarks:
-        """The plain mapping, for comparison: each joint at the nearest point, or between two."""
-        form = self.table.layout(layout)
-        uv, confidence, seen = checked_points(form, uv_px, confidence)
-        uv = np.where(seen[..., None], uv, np.nan)
-        at: dict[str, tuple[Array, Array]] = {}
-        for joint, lists in self.table.naive.items():
-            nearest = next((p for p in lists if set(p) <= set(form.points)), None)
-            if nearest is not None:
-                index = [form.points.index(p) for p in nearest]
-                at[joint] = uv[:, index].mean(axis=1), confidence[:, index].min(axis=1)
-        for joint, (start, stop, share) in self.table.naive_between.items():
-            if start in at and stop in at:
-                middle = (1 - share) * at[start][0] + share * at[stop][0]
-                at[joint] = middle, np.minimum(at[start][1], at[stop][1])
-        names = tuple(name for name in self._skeleton.names if name in at)
-        points = np.stack([at[name][0] for name in names], axis=1)
-        known = np.isfinite(points).all(axis=-1)
-        own_confidence = np.where(known, np.stack([at[name][1] for name in names], axis=1), 0.0)
-        return RegressedLandmarks(names, points, own_confidence, np.full(known.shape, np.nan))
 
-
-def checked_points(form: Layout, uv_px: Array, confidence: Array) -> tuple[Array, Array, Mask]:
-    """Points, their confidence, and which of them count as seen.
-
-    Raises:
-        ShapeError: the shapes do not fit the layout, or no point is ever seen.
-    """
+def _checked(form: Layout, uv_px: Array, confidence: Array) -> tuple[Array, Array, Mask]:
+    """Return points, confidence and the mask of detected points, with shapes checked."""
     uv: Array = readonly(f"keypoints in layout {form.name}", uv_px, ("T", len(form), 2))
     confidence = readonly(f"confidence in layout {form.name}", confidence, uv.shape[:2])
     seen = np.isfinite(uv).all(axis=-1) & (confidence >= LEAST_CONFIDENCE)
     if not seen.any():
         highest = float(np.nanmax(confidence, initial=0.0))
-        raise ShapeError(
-            f"keypoints in layout {form.name}: no point is seen in any of the {len(uv)} frames (the "
-            f"highest confidence is {highest:g}, {LEAST_CONFIDENCE:g} is needed); look at the detector's "
-            "own output first"
+        raise InvalidInputError(
+            f"keypoints in layout {form.name}: no point is detected in any of the {len(uv)} frames (the "
+            f"highest confidence is {highest:g}, {LEAST_CONFIDENCE:g} is needed); check the detector's output"
         )
     return uv, confidence, seen
 
 
-def patterns(seen: Mask) -> Iterator[tuple[Mask, NDArray[np.int64]]]:
-    """Which points are seen together, and in which frames; those with too few are left out."""
+def _patterns(seen: Mask) -> Iterator[tuple[Mask, NDArray[np.int64]]]:
+    """Generate each set of detected points with its frames; sets with too few points are skipped."""
     rows, index = np.unique(seen, axis=0, return_inverse=True)
     for k, row in enumerate(rows):
         if row.sum() >= FEWEST_POINTS:
@@ -177,10 +146,13 @@ def patterns(seen: Mask) -> Iterator[tuple[Mask, NDArray[np.int64]]]:
 
 
 def read_gaussian(path: str | Path, table: DetectorTable) -> PoseGaussian:
-    """The normal distribution that ``models/build_adapters.py`` fitted to a table's points.
+    """Read the distribution that ``models/build_adapters.py`` fitted to a table's points.
+
+    Args:
+        path: .npz file. table: of the layouts.
 
     Raises:
-        FileFormatError: no such file, damaged, or fitted to points that lie elsewhere.
+        FileFormatError: no such file, damaged, or fitted to other points.
     """
     arrays = read_npz(Path(path))
     lacking = {"mean", "covariance", "noise", "offsets"} - set(arrays)
@@ -190,12 +162,12 @@ def read_gaussian(path: str | Path, table: DetectorTable) -> PoseGaussian:
     fitted = arrays["offsets"]
     if fitted.shape != offsets.shape or not np.allclose(fitted, offsets, atol=1e-9):
         raise FileFormatError(
-            path, f"fitted to points that lie elsewhere than in {table.path}; build it again"
+            path, f"fitted to points that differ from those in {table.path}; build it again"
         )
     names = point_names(table, SkeletonModel.default())
     try:
         return PoseGaussian(names, arrays["mean"], arrays["covariance"], float(arrays["noise"]))
-    except ShapeError as error:
+    except InvalidInputError as error:
         raise FileFormatError(path, f"{error}; build it again") from error
 
 

@@ -1,13 +1,13 @@
-"""Detectors' layouts (``models/detectors.toml``): their points, and where in the body each lies.
+"""Detectors' layouts (``models/detectors.toml``): their points and the place of each in the body.
 
-A detector's point is no joint centre: it is a landmark of its own in a segment's link frame.
+A detector's point is no joint centre but a landmark of its own, fixed in a segment's link frame.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,103 +22,121 @@ from rtof_kin.core.resources import model_path
 
 _SIDES = {"l": "Left", "left": "Left", "r": "Right", "right": "Right"}
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
-Share = tuple[str, str, float]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The points of one kind of detector."""
+    """Points of one kind of detector."""
 
     name: str
-    """How settings and files call it, e.g. 'halpe26'."""
+    """Identifier in settings and files, e.g. 'halpe26'."""
     title: str
-    """What people call it."""
+    """Name for people."""
     names: tuple[str, ...]
-    """K names of its points in its own words, in its order."""
+    """K names of the points in the detector's own words and order."""
     points: tuple[str, ...]
-    """K names of what these are: points of `DetectorTable` or landmarks of the skeleton."""
+    """K points of `DetectorTable` or landmarks of the skeleton (`own`)."""
 
     def __len__(self) -> int:
         return len(self.names)
 
     def order(self, names: Sequence[str]) -> list[int] | None:
-        """Where this layout's K points stand among names in any order and spelling (``LBigToe``,
-        ``left_big_toe``); None where one of them is not among those.
+        """Return the index of each of the K points among names, or None if one is missing.
+
+        Args:
+            names: in any order and spelling (``LBigToe``, ``left_big_toe``).
         """
-        given = [canonical(name).lower() for name in names]
-        wanted = [canonical(name).lower() for name in self.names]
+        given = [_canonical(name).lower() for name in names]
+        wanted = [_canonical(name).lower() for name in self.names]
         return [given.index(name) for name in wanted] if set(wanted) <= set(given) else None
 
 
 @dataclass(frozen=True)
 class DetectorTable:
-    """All layouts, and the body's points that they are made of."""
+    """All layouts and the body's points that they consist of."""
 
     path: Path
-    """The file it was read from."""
+    """File of the table."""
     points: tuple[Landmark, ...]
-    """U points, each in the link frame of its segment, in the size of the shipped skeleton."""
+    """U points in the link frames of the shipped skeleton."""
     layouts: Mapping[str, Layout]
-    """By name; the skeleton's own, 'joints' and 'landmarks', are among them."""
+    """By name; includes the skeleton's own, 'joints' and 'landmarks'."""
     seen_by: Mapping[str, tuple[str, ...]]
-    """Landmark of the skeleton that is no joint -> points that show it; itself is one."""
-    naive: Mapping[str, tuple[tuple[str, ...], ...]]
-    """Joint -> lists of points, of which the mean of the first that a layout has is nearest to it."""
-    naive_between: Mapping[str, Share]
-    """Joint -> (from, to, share): where the plain mapping puts joints that no point is near."""
+    """Landmark of the skeleton that is no joint -> points that show it, itself included."""
 
     def layout(self, name: str) -> Layout:
-        """One layout by name; `UnknownNameError` lists those there are."""
+        """Return a layout.
+
+        Args:
+            name: of the layout.
+
+        Raises:
+            UnknownNameError: there is none; the message lists those known.
+        """
         if name not in self.layouts:
             raise UnknownNameError("layout of keypoints", [name], list(self.layouts))
         return self.layouts[name]
 
-    def points_on(self, skeleton: SkeletonModel) -> tuple[Landmark, ...]:
-        """The U points on a body of the shipped skeleton's joints; they scale as its landmarks do."""
-        bare = replace(SkeletonModel.default().table, landmarks=self.points)
-        return bare.scaled_to(skeleton.joint_offsets).landmarks
 
-
-def canonical(name: str) -> str:
-    """A point's name in one spelling, side first: ``LBigToe`` and ``left_big_toe`` are LeftBigToe."""
+def _canonical(name: str) -> str:
+    """Return a point's name in one spelling, side first: ``left_big_toe`` and ``LBigToe`` are LeftBigToe."""
     words = [word.lower() for word in _WORDS.findall(name)]
     sides = [_SIDES[word] for word in words if word in _SIDES]
     return "".join([*sides[:1], *(word.capitalize() for word in words if word not in _SIDES)])
 
 
 def mirrored(name: str) -> str:
-    """The name of the same point on the other side; a point in the middle is its own."""
+    """Return the name of the same point on the other side, or the name if it has no side.
+
+    Args:
+        name: with the side first.
+    """
     for side, other in (("Right", "Left"), ("Left", "Right")):
         if name.startswith(side):
             return other + name.removeprefix(side)
     return name
 
 
+def own(landmark: str) -> str:
+    """Return the name of a landmark of the skeleton in layouts, distinct from detectors' points.
+
+    Args:
+        landmark: of the skeleton.
+    """
+    return f"skeleton:{landmark}"
+
+
+def point_names(table: DetectorTable, skeleton: SkeletonModel) -> tuple[str, ...]:
+    """Return the N points of a view: the skeleton's landmarks, then the detectors' points.
+
+    Args:
+        table: of the layouts. skeleton: with the landmarks.
+    """
+    return (*map(own, skeleton.landmarks), *(point.name for point in table.points))
+
+
 @cache
 def detector_table() -> DetectorTable:
-    """The table that ships."""
+    """Return the shipped table."""
     return read_detector_table(model_path("detectors.toml"))
 
 
 def read_detector_table(path: str | Path) -> DetectorTable:
     """Read and check a table of detectors' layouts.
 
+    Args:
+        path: .toml file.
+
     Raises:
-        FileFormatError: not TOML, a field missing or of the wrong kind, a name that stands twice.
-        UnknownNameError: a point, or a joint or landmark of the shipped skeleton, that there is not.
+        FileFormatError: not TOML, a field missing or of the wrong kind, a duplicate name.
+        UnknownNameError: unknown point, or unknown joint or landmark of the shipped skeleton.
     """
     path = Path(path)
     data = load_toml(path)
     try:
         points = tuple(point for entry in data["point"] for point in _point(entry))
-        table = DetectorTable(
-            path=path,
-            points=points,
-            layouts={e["name"]: _layout(e) for e in data["layout"]} | _own_layouts(),
-            seen_by=_seen_by(data["seen_by"]),
-            naive=_naive(data["naive"]),
-            naive_between=_between(data["naive_between"]),
-        )
+        layouts = {e["name"]: _layout(e) for e in data["layout"]} | _own_layouts()
+        table = DetectorTable(path, points, layouts, _seen_by(data["seen_by"]))
     except KeyError as error:
         raise FileFormatError(path, f"the field {error} is missing") from error
     except (AttributeError, TypeError, ValueError) as error:
@@ -128,34 +146,28 @@ def read_detector_table(path: str | Path) -> DetectorTable:
 
 
 def _point(entry: Mapping[str, Any]) -> list[Landmark]:
-    """A point and, where it has a side, its mirror image."""
+    """Return a point and, if it has a side, its mirror image."""
     name, joint = str(entry["name"]), str(entry["joint"])
     offset = np.array(entry["offset_mm"], dtype=float) / 1000
     if offset.shape != (3,) or not np.all(np.isfinite(offset)):
         raise ValueError(f"{entry['offset_mm']} is no point x, y, z")
+    point = Landmark(name, joint, offset)
     if mirrored(name) == name:
-        return [Landmark(name, joint, offset)]
-    image = Landmark(mirrored(name), mirrored(joint), offset * [1.0, -1.0, 1.0])
-    return [Landmark(name, joint, offset), image]
+        return [point]
+    return [point, Landmark(mirrored(name), mirrored(joint), offset * [1.0, -1.0, 1.0])]
 
 
 def _layout(entry: Mapping[str, Any]) -> Layout:
     names, renamed = tuple(map(str, entry["names"])), entry.get("points", {})
-    points = tuple(str(renamed.get(name, canonical(name))) for name in names)
+    points = tuple(str(renamed.get(name, _canonical(name))) for name in names)
     return Layout(str(entry["name"]), str(entry["title"]), names, points)
 
 
 def _own_layouts() -> dict[str, Layout]:
-    """The shipped skeleton's joints, and all its landmarks, as layouts: nothing to adapt."""
+    """Return the shipped skeleton's joints, and all its landmarks, as layouts."""
     skeleton = SkeletonModel.default()
     named = {"joints": skeleton.names, "landmarks": tuple(skeleton.landmarks)}
-    title = "the skeleton's own {}"
-    return {k: Layout(k, title.format(k), n, tuple(map(own, n))) for k, n in named.items()}
-
-
-def own(landmark: str) -> str:
-    """How layouts call a landmark of the skeleton, which a detector's point may be a namesake of."""
-    return f"skeleton:{landmark}"
+    return {k: Layout(k, f"the skeleton's own {k}", n, tuple(map(own, n))) for k, n in named.items()}
 
 
 def _seen_by(of_right: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
@@ -166,41 +178,19 @@ def _seen_by(of_right: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]
     return both
 
 
-def _naive(of_right: Mapping[str, Sequence[Sequence[str]]]) -> dict[str, tuple[tuple[str, ...], ...]]:
-    both: dict[str, tuple[tuple[str, ...], ...]] = {}
-    for joint, lists in of_right.items():
-        both[joint] = tuple(tuple(map(str, points)) for points in lists)
-        both[mirrored(joint)] = tuple(tuple(mirrored(str(p)) for p in points) for points in lists)
-    return both
-
-
-def _between(of_right: Mapping[str, Mapping[str, Any]]) -> dict[str, Share]:
-    both: dict[str, Share] = {}
-    for joint, entry in of_right.items():
-        start, stop, share = str(entry["from"]), str(entry["to"]), float(entry["share"])
-        both[joint] = (start, stop, share)
-        both[mirrored(joint)] = (mirrored(start), mirrored(stop), share)
-    return both
-
-
 def _check(table: DetectorTable) -> None:
-    """Every name that the table uses is there, and none twice."""
+    """Check that every name is known and none stands twice."""
     skeleton = SkeletonModel.default()
     points = [point.name for point in table.points]
-    known = [*points, *map(own, skeleton.landmarks)]
     for where, names in {"points": points, **{n: la.points for n, la in table.layouts.items()}}.items():
         double = [name for name in names if list(names).count(name) > 1]
         if double:
             raise FileFormatError(table.path, f"{where}: {double[0]} stands there twice")
-    joints = [*table.naive, *table.naive_between]
-    joints += [n for start, stop, _ in table.naive_between.values() for n in (start, stop)]
+    used = [name for layout in table.layouts.values() for name in layout.points]
+    used += [name for names in table.seen_by.values() for name in names]
     _check_known(table, "joint", (p.joint for p in table.points), skeleton.names)
-    _check_known(table, "joint", joints, skeleton.names)
     _check_known(table, "landmark", table.seen_by, tuple(skeleton.landmarks))
-    used = [n for layout in table.layouts.values() for n in layout.points]
-    used += [n for names in table.seen_by.values() for n in names]
-    used += [n for lists in table.naive.values() for names in lists for n in names]
-    _check_known(table, "point", used, known)
+    _check_known(table, "point", used, [*points, *map(own, skeleton.landmarks)])
 
 
 def _check_known(table: DetectorTable, kind: str, used: Iterable[str], known: Sequence[str]) -> None:

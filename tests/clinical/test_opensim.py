@@ -1,4 +1,4 @@
-"""OpenSim as a peer: a model of its joints in the ISB order, posed by itself in a process of its own."""
+"""Comparison with OpenSim: a model of its joints in the ISB order, posed by OpenSim in a separate process."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ CHAINS = {
     "hand_r": ("forearm_r", ("wrist_flex_r", "wrist_dev_r", "hand_rotation_r"), "zxy"),
     "hand_l": ("forearm_l", ("wrist_flex_l", "wrist_dev_l", "hand_rotation_l"), "zXY"),
 }
-"""Body -> parent, coordinates, axes in order; a capital is an axis turned round, as on OpenSim's left."""
+"""Body -> parent, coordinates, axes in order; a capital is a negative axis, as on OpenSim's left."""
 SEGMENTS = {
     "pelvis": "pelvis", "torso": "thorax", "femur": "thigh", "tibia": "shank", "foot": "foot",
     "humerus": "upper_arm", "forearm": "forearm", "hand": "hand",
@@ -48,13 +48,13 @@ OWN_NAMES = {
     "arm_plane_{}": "{}_shoulder_plane_of_elevation", "arm_elevation_{}": "-{}_shoulder_elevation",
     "arm_rot_{}": "{}_shoulder_axial_rotation", "elbow_carry_{}": "-{}_elbow_carrying_angle",
 }  # fmt: skip
-"""Coordinates of this test that Rajagopal2016 has not, by the angle each must be."""
+"""Coordinates that Rajagopal2016 does not have -> the clinical angle."""
 POSE = """
 import json, os, sys
 import opensim as osim
 chains, poses = json.load(sys.stdin)
 model = osim.Model()
-bodies, kept = {"ground": model.getGround()}, []  # what Python lets go of, OpenSim loses too
+bodies, kept = {"ground": model.getGround()}, []  # references that keep OpenSim objects alive
 vectors = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 def add(name, parent, coordinates, axes):
@@ -75,7 +75,7 @@ def add(name, parent, coordinates, axes):
     bodies[name] = body
 
 for name, (parent, coordinates, axes) in chains.items():
-    if axes[0] == axes[2]:  # OpenSim wants a body between the two turns about one axis
+    if axes[0] == axes[2]:  # OpenSim needs a body between two rotations about one axis
         add(name + "_between", parent, coordinates[:2], axes[:2] + "z")
         add(name, name + "_between", coordinates[2:], axes[2] + axes[1] + "z")
     else:
@@ -91,7 +91,7 @@ for pose in poses:
         R = model.getBodySet().get(name).getTransformInGround(state).R()
         out[-1][name] = [[R.get(i, j) for j in range(3)] for i in range(3)]
 print("RESULT" + json.dumps(out), flush=True)
-os._exit(0)  # both Python and OpenSim would free the same objects
+os._exit(0)  # avoids a double free by Python and OpenSim
 """
 
 
@@ -106,7 +106,7 @@ def posed_by_opensim(poses: list[dict[str, float]]) -> list[dict[str, Any]]:
     return found
 
 
-def drawn_pose(rng: np.random.Generator) -> dict[str, float]:
+def random_pose(rng: np.random.Generator) -> dict[str, float]:
     """Coordinates of a body: hinges bend one way, arms are raised by 10 to 170 degrees, others +-60."""
     one_way = ("knee_angle", "elbow_flex", "pro_sup")
     pose = {}
@@ -135,12 +135,12 @@ def as_segments(found: list[dict[str, Any]]) -> PoseSequence:
 
 
 @pytest.mark.skipif(importlib.util.find_spec("opensim") is None, reason="OpenSim is not installed")
-def test_opensims_coordinates_come_back_as_clinical_angles() -> None:
+def test_clinical_angles_equal_opensim_coordinates() -> None:
     rng = np.random.default_rng(0)
-    poses = [drawn_pose(rng) for _ in range(40)]
+    poses = [random_pose(rng) for _ in range(40)]
     poses.append(dict.fromkeys(poses[0], 0.0) | {"knee_angle_r": np.pi / 2, "hip_flexion_r": np.pi / 2})
     segments = as_segments(posed_by_opensim(poses))
-    # One by one: over time an angle is continuous, and these poses are not.
+    # One by one, because continuity over time does not apply to random poses.
     each = [clinical_angles(segments[i : i + 1], BODY) for i in range(len(poses))]
     angles = replace(
         each[0], times=segments.times,

@@ -1,4 +1,4 @@
-"""Repetitions: planted squats and rises from a seat, counted, timed, and refused where there are none."""
+"""Repetitions of planted squats and rises from a seat."""
 
 from __future__ import annotations
 
@@ -25,10 +25,7 @@ LEG = 0.792
 
 
 def knees(*phases: tuple[float, float]) -> PoseSequence:
-    """Somebody whose knees bend to a given angle in degrees within so many seconds, one after another.
-
-    Thighs go forward by half of it and shanks back by half; the pelvis sinks so that ankles stay put.
-    """
+    """Knees that bend to angles in degrees, each within so many seconds, above fixed ankles."""
     bend = [np.zeros(1)]
     for angle, seconds in phases:
         share = (1 - np.cos(np.linspace(0, np.pi, round(60 * seconds) + 1)[1:])) / 2
@@ -46,7 +43,7 @@ def knees(*phases: tuple[float, float]) -> PoseSequence:
 _half = np.radians(55) * (1 - np.cos(np.linspace(0, np.pi, 1001))) / 2
 _way = (1 - np.cos(_half)) / (1 - np.cos(_half[-1]))
 MOVING = float(np.mean((_way > 0.05) & (_way < 0.95)))
-"""Share of the time of a way down in which the pelvis is between 5 and 95 % of it."""
+"""Share of the time of a descent in which the pelvis is between 5 and 95 % of it."""
 AT_THE_BOTTOM = float(np.mean(_way >= 0.95))
 
 
@@ -73,12 +70,7 @@ def test_squats_are_counted_with_their_depth_and_tempo() -> None:
     assert analysis.total_time == pytest.approx(8.5 + 2.5 * (MOVING + AT_THE_BOTTOM), abs=0.06)
 
 
-def test_a_deeper_squat_is_deeper() -> None:
-    shallow, deep = (found(knees((0, 1), (angle, 1), (0, 1), (0, 1))).repetitions[0] for angle in (75, 130))
-    assert deep.depth > 2 * shallow.depth
-
-
-def test_rises_from_a_seat_count_although_nobody_saw_one_sit_down() -> None:
+def test_rises_count_without_a_recorded_descent() -> None:
     sit = ((95.0, 1.2), (95.0, 1.0), (0.0, 1.0), (0.0, 0.8))
     poses = knees((95, 1), (95, 1), (0, 1.0), (0, 0.8), *sit, *sit)[60:]
     analysis = found(poses, "sit_to_stand")
@@ -89,21 +81,21 @@ def test_rises_from_a_seat_count_although_nobody_saw_one_sit_down() -> None:
     assert analysis.total_time == pytest.approx(9.0, abs=0.4)
     squats = found(poses, "squat")
     assert len(squats.repetitions) == 2
-    assert "1 movement(s) cut by a gap or an end are not counted" in squats.notes
+    assert any("1 movement(s) cut by a gap or an end" in note for note in squats.notes)
 
 
-def test_walking_and_standing_are_no_squats_and_it_is_said_why() -> None:
+def test_walking_and_standing_are_no_squats() -> None:
     motion = walk()
     for poses, skeleton in (
         (motion.poses, motion.skeleton), (planted.standing(BODY, 120).poses, BODY),
     ):  # fmt: skip
         analysis = found(poses, "squat", skeleton)
         assert analysis.repetitions == ()
-        assert "the pelvis never sinks by 15 % of the leg's length" in analysis.notes[0]
+        assert "15 %" in analysis.notes[0]
         assert np.isnan(analysis.total_time)
 
 
-def test_noise_and_sway_add_no_repetition() -> None:
+def test_noise_and_sway_add_no_repetitions() -> None:
     poses = knees((0, 1), *SQUAT, *SQUAT)
     noise = planted.smooth_noise(1, (len(poses), 1, 3), 10, 0.01)
     rough = np.random.default_rng(0).normal(0, 0.004, poses.p_world_joint.shape)
@@ -120,18 +112,18 @@ def test_a_repetition_cut_by_a_gap_is_not_counted() -> None:
     assert any("cut by a gap" in note for note in analysis.notes)
 
 
-def test_with_one_leg_unseen_squats_are_counted_by_the_other() -> None:
+def test_squats_are_counted_with_one_leg_unobserved() -> None:
     poses = knees((0, 1), *SQUAT)
     provenance = np.full(poses.valid.shape, Provenance.CAMERA, dtype=np.uint8)
     provenance[:, BODY.index("LeftLeg", "LeftFoot")] = Provenance.PRIOR
     observed = ~np.isin(BODY.names, ("LeftLeg", "LeftFoot"))
     analysis = found(replace(poses, provenance=provenance, orientation_observed=observed))
     assert len(analysis.repetitions) == 1
-    assert "one ankle was never seen: the pelvis' height is over the other" in analysis.notes
+    assert any("one ankle was never observed" in note for note in analysis.notes)
     assert np.isnan(analysis.repetitions[0].knee_flexion["left"])
     assert np.degrees(analysis.repetitions[0].knee_flexion["right"]) == pytest.approx(110, abs=1)
 
 
-def test_another_kind_of_repetition_is_refused_by_name() -> None:
-    with pytest.raises(UnknownNameError, match="kind of repetition 'squats'. Did you mean 'squat'"):
+def test_unknown_kinds_of_repetition_are_rejected() -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'squat'"):
         found(knees((0, 1)), "squats")

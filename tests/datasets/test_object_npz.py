@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.datasets import object_npz
 from rtof_kin.datasets.object_npz import read_object_npz
 
 DATA = {
@@ -151,11 +150,6 @@ def test_a_command_is_refused_and_not_run(path: Path, place: Callable[[Any], Any
     assert mark.exists()  # an ordinary reader would have run it
 
 
-def test_members_that_were_not_asked_for_are_not_read(path: Path) -> None:
-    write(path, good=pickled_array(DATA), bad=pickled_array(Harm(os.system, "true")))
-    assert_same(read_object_npz(path, ["good"])["good"], DATA)
-
-
 @pytest.mark.parametrize("content, name", [
     (Harm(eval, "1/0"), r"builtins\.eval"), (Harm(getattr, "", "join"), r"builtins\.getattr"),
     (Harm(np.load, "/etc/passwd", None, True), r"numpy.*\.load"),
@@ -208,13 +202,6 @@ def test_a_pickle_that_does_anything_else_is_refused(path: Path, content: bytes,
         copyreg.remove_extension("os", "system", 77)
 
 
-def test_a_pickle_of_too_many_operations_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(object_npz, "LARGEST_STEPS", 1000)
-    assert read(path, pickled_array([None] * 900)) == [None] * 900
-    with pytest.raises(FileFormatError, match="more than 1000 operations"):
-        read(path, pickled_array([None] * 1001))
-
-
 # --- damaged archives ----------------------------------------------------------------------------
 
 
@@ -232,6 +219,8 @@ def test_a_truncated_or_foreign_member_is_refused(path: Path, data: bytes, messa
 
 
 def test_a_missing_packed_or_oversized_member_is_refused(path: Path) -> None:
+    write(path, a=pickled_array(DATA), bad=pickled_array(Harm(os.system, "true")))
+    assert_same(read_object_npz(path, ["a"])["a"], DATA)  # others are not read
     write(path, a=pickled_array(np.random.default_rng(0).normal(size=1000)))
     with pytest.raises(FileFormatError, match="no member 'c'; there is a"):
         read_object_npz(path, ["a", "c"])
@@ -250,17 +239,3 @@ def test_a_damaged_archive_is_refused(path: Path, damage: Callable[[bytes], byte
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(FileFormatError, match=r"data\.npz: damaged"):
         read_object_npz(path, ["a"])
-
-
-def test_flipped_bytes_raise_only_the_error_of_the_format(path: Path) -> None:
-    data, rng = pickled_array(DATA), np.random.default_rng(0)
-    refused = 0
-    for _ in range(300):
-        damaged = bytearray(data)
-        for at in rng.integers(80, len(data), rng.integers(1, 6)):
-            damaged[at] = int(rng.integers(256))
-        try:
-            read(path, bytes(damaged))
-        except FileFormatError:
-            refused += 1
-    assert 100 < refused < 300

@@ -1,8 +1,7 @@
-"""A take checks itself, its cameras and a detector's keypoints, and says what it was made from."""
+"""A take of Total Capture: conversions by hand, checks of itself, of cameras and of keypoints, refusals."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,9 +13,10 @@ import total_capture_support as support
 from benchmarks import total_capture_files as files
 from rtof_kin.body.kinematics import positions
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.datasets.total_capture import CAMERAS, Take, TotalCapture
+from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take
 from rtof_kin.simulation.mocap import NAMES, PARENTS
 
 ONE = ("S5", "acting3")
@@ -34,7 +34,7 @@ def take(root: Path) -> Take:
     return TotalCapture(root).take(*ONE)
 
 
-def failed(checks: tuple[Check, ...]) -> list[Check]:
+def failed(checks: list[Check]) -> list[Check]:
     return [check for check in checks if not check.passed]
 
 
@@ -53,7 +53,7 @@ def test_a_sensor_written_by_hand_gives_its_bone_and_no_acceleration(tmp_path: P
     files.write_joints(folder / "gt_skel_gbl_ori.txt", np.tile([half, 0, 0, half], (T, 21, 1)))
     # The inertial frame is Rot_x(-90) from the world, the sensor Rot_z(90) from its segment. So
     # R_imu = Rot_x(180) Rot_z(90), w x y z = (0, h, -h, 0), and up is -z in the sensor.
-    frames = [f"{k}\nPelvis\t0\t{half}\t{-half}\t0\t0\t0\t-9.81\n" for k in range(1, T + 1)]
+    frames = [f"{k}\nPelvis\t0\t{half}\t{-half}\t0\t0\t0\t-9.80665\n" for k in range(1, T + 1)]
     (folder / "s1_walking1_Xsens.sensors").write_text(f"1\t{T}\n" + "".join(frames))
     (folder / "s1_walking1_calib_imu_ref.txt").write_text(f"1\nPelvis {-half} 0 0 {half}\n")
     (folder / "s1_walking1_calib_imu_bone.txt").write_text(f"1\nPelvis 0 0 {half} {half}\n")
@@ -72,58 +72,45 @@ def test_a_sensor_written_by_hand_gives_its_bone_and_no_acceleration(tmp_path: P
 # --- checks --------------------------------------------------------------------------------------
 
 
-def test_a_take_checks_itself_and_what_it_is_given(take: Take) -> None:
-    own = take.check()
-    assert not failed(own)
-    assert {check.subject for check in own} == {"take", *(f"sensor {n}" for n in take.imus.names)}  # type: ignore[union-attr]
-    more = take.check(1, take.recording(1, noise_px=3.0).keypoints)
-    assert not failed(more)
-    (added,) = more[len(own) :]
-    assert (added.subject, added.unit, added.limit) == ("camera 1", "px", 20)
-    assert added.value == pytest.approx(3 * np.sqrt(2 * np.log(2)), rel=0.05)
+def test_noisy_keypoints_pass_the_reprojection_check(take: Take) -> None:
+    (check,) = check_keypoints(take, 1, take.recording(1, noise_px=3.0).video)
+    assert check.passed
+    assert (check.subject, check.unit, check.limit) == ("camera 1", "px", 20)
+    assert check.value == pytest.approx(3 * np.sqrt(2 * np.log(2)), rel=0.05)
 
 
-def test_camera_2_is_warned_of_even_without_keypoints(take: Take) -> None:
+def test_camera_2_fails_its_check_without_keypoints(take: Take) -> None:
     for camera in CAMERAS:
-        bad = failed(take.check(camera))
+        bad = failed(check_camera(camera))
         assert [check.subject for check in bad] == (["camera 2"] if camera == 2 else [])
         assert ("miscalibrated" in take.recording(camera).notes) == (camera == 2)
-    (bad_2,) = failed(take.check(2))
+    (bad_2,) = failed(check_camera(2))
     assert "(+20, -8) px" in bad_2.message
     assert "ground-truth 2D is not affected" in bad_2.message
 
 
-def test_a_camera_that_is_not_there_and_keypoints_of_no_camera_are_refused(take: Take) -> None:
-    with pytest.raises(UnknownNameError, match=r"camera '9'.*1, 2, 3"):
-        take.check(9)
-    with pytest.raises(ShapeError, match="name the camera"):
-        take.check(keypoints=take.recording(1).keypoints)
-    with pytest.raises(UnknownNameError, match=r"camera '1'.*calibration\.cal"):
-        replace(take, cameras={}).recording(1)
-
-
-def test_one_sensor_that_slipped_is_told_from_the_calibration_of_another_take(take: Take) -> None:
+def test_a_slipped_sensor_is_distinguished_from_the_calibration_of_another_take(take: Take) -> None:
     assert take.calibration is not None
     R = np.array(take.calibration.R_sensor_bone)
     turn = so3.about_axis("x", np.radians(30))
     R[4] = R[4] @ turn
-    (bad,) = failed(replace(take, calibration=replace(take.calibration, R_sensor_bone=R)).check())
+    (bad,) = failed(check_take(replace(take, calibration=replace(take.calibration, R_sensor_bone=R))))
     assert bad.subject == f"sensor {take.calibration.sensors[4]}"
     assert bad.value == pytest.approx(30, abs=0.01)
     assert "slipped" in bad.message
     R[:9] = R[:9] @ turn
-    bads = failed(replace(take, calibration=replace(take.calibration, R_sensor_bone=R)).check())
+    bads = failed(check_take(replace(take, calibration=replace(take.calibration, R_sensor_bone=R))))
     assert len(bads) == 9
     assert all("9 of 13 sensors fail this: is it the calibration of another take?" in b.message for b in bads)
 
 
-def test_the_limb_that_is_in_no_t_pose_is_named(take: Take) -> None:
+def test_the_limb_that_is_not_in_the_t_pose_is_named(take: Take) -> None:
     R = np.array(take.truth.R_world_bone)
     arm = [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")]
     R[:, arm] = R[:, arm] @ so3.about_axis("z", np.radians(40))
     p = positions(PARENTS, take.joint_offsets, take.truth.p_world_joint[:, 0], R)
     bent = replace(take.truth, p_world_joint=p, R_world_bone=R)
-    (bad,) = failed(replace(take, truth=bent, imus=None, calibration=None).check())
+    (bad,) = failed(check_take(replace(take, truth=bent, imus=None, calibration=None)))
     assert "(LeftForeArm to LeftHand)" in bad.message
     assert bad.value == pytest.approx(40, abs=6)
 
@@ -132,88 +119,43 @@ def test_bones_of_a_take_without_orientations_are_checked_by_their_length(tmp_pa
     paths = support.dataset(tmp_path, orientations=False, bvh=False)
     found = TotalCapture(tmp_path).take(*ONE)
     assert not found.truth.orientation_observed.any()
-    (bones,) = [check for check in found.check() if "bone lengths" in check.name]
+    (bones,) = [check for check in check_take(found) if "bone lengths" in check.name]
     assert bones.passed
     p = files.tc_positions(support.motion().p_world_joint)
     p[::2, NAMES.index("Head")] += 1.0
     files.write_joints(paths["positions"], p)
-    assert any("bone lengths" in check.name for check in failed(TotalCapture(tmp_path).take(*ONE).check()))
+    assert any(
+        "bone lengths" in check.name for check in failed(check_take(TotalCapture(tmp_path).take(*ONE)))
+    )
 
 
-def test_what_is_not_known_does_not_pass() -> None:
-    check = Check("figure", "take", float("nan"), 1.0, "mm", "Nothing was there")
-    assert not check.passed
-    assert check.message == "take: figure is nan mm (limit 1). Nothing was there"
+# --- refusals ------------------------------------------------------------------------------------
 
 
-# --- recordings ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"noise_px": -1.0}, "noise_px: -1 is not a standard deviation"),
-        ({"noise_px": np.nan}, "noise_px: nan"),
-        ({"noise_px": 2.0, "seed": -1}, "seed: -1 is negative"),
-    ],
-)
-def test_noise_that_is_none_is_refused(options: dict[str, Any], message: str, take: Take) -> None:
-    with pytest.raises(ShapeError, match=message):
-        take.recording(1, **options)
-
-
-def test_noise_is_not_added_to_a_detector_s_keypoints(take: Take) -> None:
-    with pytest.raises(ShapeError, match="not to a detector's"):
-        take.recording(1, take.recording(1).keypoints, noise_px=2.0)
-
-
-def test_a_recording_says_that_the_video_is_shorter(take: Take) -> None:
-    whole = len(take.truth)
-    notes = take.recording(1, take.recording(1).keypoints[: whole - 20]).notes
-    assert f"video of {whole - 20} frames, reference of {whole}" in notes
-
-
-# --- files that do not fit -----------------------------------------------------------------------
-
-
-def bvh_at_120_hz(paths: dict[str, Path]) -> None:
-    support.edit(paths["bvh"], "Frame Time: 0.0166667", "Frame Time: 0.0083333")
-
-
-def orientations_scaled(paths: dict[str, Path]) -> None:
-    quat = files.quat_xyzw(files.tc_rotations(support.motion().R_world_bone))
-    quat[7, 3] *= 1.1
-    files.write_joints(paths["orientations"], quat)
-
-
-def no_orientation_of_the_root(paths: dict[str, Path]) -> None:
-    quat = files.quat_xyzw(files.tc_rotations(support.motion().R_world_bone))
-    quat[:, 0] = 0
-    files.write_joints(paths["orientations"], quat)
-
-
-@pytest.mark.parametrize(
-    ("spoil", "gone", "message"),
-    [
-        (bvh_at_120_hz, "orientations", r"ZXY_YmZ.bvh: has 120 frames a second, not 60"),
-        (orientations_scaled, "aux", r"ori.txt, line 9: the quaternion of Spine2 has norm 1.1"),
-        (no_orientation_of_the_root, "aux", r"ori.txt: there is no frame in which"),
-    ],
-)
-def test_files_that_do_not_fit_are_refused(
-    spoil: Callable[[dict[str, Path]], None], gone: str, message: str, tmp_path: Path
+@pytest.mark.parametrize(("options", "error", "message"), [
+    ({"camera": 9}, UnknownNameError, r"camera '9'.*1, 2, 3"),
+    ({"sensors": ("L_Hand",)}, UnknownNameError, r"sensor.*'L_Hand'.*Head"),
+    ({"noise_px": -1.0}, InvalidInputError, "noise_px: -1"),
+    ({"noise_px": np.nan}, InvalidInputError, "noise_px: nan"),
+    ({"noise_px": 2.0, "seed": -1}, InvalidInputError, "seed: -1 is negative"),
+])  # fmt: skip
+def test_wrong_options_are_refused(
+    options: dict[str, Any], error: type[Exception], message: str, take: Take, root: Path
 ) -> None:
-    paths = support.dataset(tmp_path)
-    spoil(paths)
-    paths[gone].unlink()
-    with pytest.raises(FileFormatError, match=message):
-        TotalCapture(tmp_path).take(*ONE)
+    with pytest.raises(error, match=message):
+        take.recording(**{"camera": 1} | options)
+    with pytest.raises(UnknownNameError, match="'S4 acting3'"):
+        TotalCapture(root).take("S4", "acting3")
 
 
-def test_a_file_of_zeros_alone_is_as_good_as_none(tmp_path: Path) -> None:
-    paths = support.dataset(tmp_path)
-    files.write_joints(paths["orientations"], np.zeros((len(support.motion()), 21, 4)))
-    found = TotalCapture(tmp_path).take(*ONE)
-    assert support.degrees_apart(found.truth.R_world_bone, support.motion().R_world_bone) < 0.01
-    assert any("gt_skel_gbl_ori.txt holds no orientation" in note for note in found.notes)
-    assert any("taken from acting3_BlenderZXY_YmZ.bvh" in note for note in found.notes)
+def test_keypoints_need_their_camera_and_get_no_noise(take: Take) -> None:
+    keypoints = take.recording(1).video
+    with pytest.raises(UnknownNameError, match=r"camera '9'.*1, 2, 3"):
+        check_keypoints(take, 9, keypoints)
+    with pytest.raises(InvalidInputError, match="not to a detector's"):
+        take.recording(1, keypoints, noise_px=2.0)
+    with pytest.raises(UnknownNameError, match=r"camera '1'.*calibration\.cal"):
+        replace(take, cameras={}).recording(1)
+    whole = len(take.truth)
+    notes = take.recording(1, keypoints[: whole - 20]).notes
+    assert f"video of {whole - 20} frames, reference of {whole}" in notes

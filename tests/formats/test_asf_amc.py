@@ -1,4 +1,4 @@
-"""Reading .asf and .amc files: conventions, and files that are broken in every way."""
+"""ASF and AMC files: conventions and broken files."""
 
 from pathlib import Path
 
@@ -76,7 +76,7 @@ def fixed_axes(order, angles, degrees=True):
     return Rotation.from_euler(order, angles, degrees=degrees)
 
 
-def test_a_bone_turns_by_its_degrees_of_freedom_about_its_own_axes(read):
+def test_bone_turns_about_its_own_axes(read):
     motion = read()
     C = fixed_axes("xyz", [10, 20, 30])
     thigh = C * fixed_axes("xz", [40, 50]) * C.inv()
@@ -95,7 +95,7 @@ def test_bones_are_chained_end_to_end_from_the_root(read):
     np.testing.assert_allclose(motion.end_positions()[1, 0], end, atol=1e-12)
 
 
-def test_the_unit_is_an_inch_divided_by_what_the_file_says(read):
+def test_unit_is_an_inch_divided_by_the_stated_length(read):
     assert read().unit_m == pytest.approx(0.0254 / 0.45)
     assert read(ASF.replace("length 0.45", "length 1.0")).unit_m == pytest.approx(0.0254)
 
@@ -111,7 +111,7 @@ def test_angles_may_be_radians_in_either_file(read):
     np.testing.assert_allclose(both.R_parent_joint[1, 1], turned.as_matrix(), atol=1e-12)
 
 
-def test_the_root_takes_its_channels_in_the_order_listed(read):
+def test_root_channels_have_the_order_listed(read):
     swapped = ASF.replace("order TX TY TZ RX RY RZ", "order RZ RY RX TX TY TZ")
     amc = AMC.replace("root 1 2 3 15 25 35", "root 15 25 35 1 2 3")
     motion = read(swapped, amc)
@@ -120,14 +120,14 @@ def test_the_root_takes_its_channels_in_the_order_listed(read):
     np.testing.assert_allclose(motion.R_parent_joint[1, 0], root, atol=1e-12)
 
 
-def test_a_bone_that_slides_moves_its_joint_in_its_parent(read):
+def test_sliding_bone_moves_its_joint_in_its_parent(read):
     motion = read(ASF.replace("dof ry", "dof ry ty"), AMC.replace("shank 60", "shank 60 0.5")
                   .replace("shank 0", "shank 0 0"))  # fmt: skip
     p, R = motion.forward_kinematics()
     np.testing.assert_allclose(p[1, 2], p[1, 1] + R[1, 1] @ [0, -7.0, 0], atol=1e-12)
 
 
-def test_a_recording_of_cmu_has_human_proportions():
+def test_recording_of_cmu_has_human_proportions():
     motion = read_asf_amc(DATA / "16.asf", DATA / "16_15.amc", rate_hz=3)
     p, _ = motion.forward_kinematics()
     p = p * motion.unit_m
@@ -160,10 +160,10 @@ def test_a_recording_of_cmu_has_human_proportions():
         ("    thigh shank\n  end\n", "", 33, "not enclosed in 'begin' and 'end'"),
     ],
 )
-def test_a_broken_skeleton_is_named_with_its_line(read, tmp_path, old, new, line, says):
+def test_broken_skeleton_is_named_with_its_line(read, tmp_path, old, new, line, says):
     with pytest.raises(FileFormatError) as caught:
         read(ASF.replace(old, new, 1))
-    assert str(caught.value).startswith(f"{tmp_path / 'a.asf'}, line {line}: ")
+    assert (caught.value.path, caught.value.line) == (tmp_path / "a.asf", line)
     assert says in str(caught.value)
 
 
@@ -178,29 +178,19 @@ def test_a_broken_skeleton_is_named_with_its_line(read, tmp_path, old, new, line
         ("shank 60", "shank 60\nshank 60", 11, "shank: expected 1 value(s) once a frame"),
         ("shank 0\n", "", 6, "frame 1 ends without shank"),
         ("shank 60\n", "", 9, "frame 2 ends without shank; is the file cut off?"),
+        (AMC, ":FULLY-SPECIFIED\n:DEGREES\n", 2, "no frames"),
     ],
 )
-def test_a_broken_motion_is_named_with_its_line(read, tmp_path, old, new, line, says):
+def test_broken_motion_is_named_with_its_line(read, tmp_path, old, new, line, says):
     with pytest.raises(FileFormatError) as caught:
         read(amc=AMC.replace(old, new, 1))
-    assert str(caught.value).startswith(f"{tmp_path / 'a.amc'}, line {line}: ")
+    assert (caught.value.path, caught.value.line) == (tmp_path / "a.amc", line)
     assert says in str(caught.value)
 
 
 @pytest.mark.parametrize("content", [b"", b"\n# only a comment\n", b"\xff\xfe\x00\x01", b"\x00" * 9])
-def test_what_is_no_such_file_at_all_is_refused(read, content):
+def test_other_content_is_refused(read, content):
     with pytest.raises(FileFormatError):
         read(asf=content)
     with pytest.raises(FileFormatError):
         read(amc=content)
-
-
-def test_a_motion_without_frames_is_refused(read):
-    with pytest.raises(FileFormatError, match="no frames"):
-        read(amc=":FULLY-SPECIFIED\n:DEGREES\n")
-
-
-def test_a_skeleton_cut_off_anywhere_is_refused(read):
-    for length in range(0, len(ASF.rstrip()) - 2, 3):
-        with pytest.raises(FileFormatError):
-            read(asf=ASF[:length])

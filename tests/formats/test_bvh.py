@@ -1,14 +1,13 @@
-"""Reading .bvh files: peers, conventions, and files that are broken in every way."""
+"""BVH files: conventions, broken files, and round trips."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, UnknownNameError
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.formats.bvh import read_bvh, write_bvh
 
@@ -46,28 +45,21 @@ def write(tmp_path):
     return write_file
 
 
-def test_positions_agree_with_a_chain_of_scipy_rotations(write):
+def test_joints_are_chains_of_scipy_rotations(write):
     motion = read_bvh(write(TWO_JOINTS))
+    assert (motion.names, motion.parents, motion.end_parents) == (("Base", "Upper Arm"), (-1, 0), (1,))
+    assert motion.rate_hz == pytest.approx(50)
+    assert motion.p_parent_joint is None
     p, R = motion.forward_kinematics()
     base = Rotation.from_euler("YXZ", [40, -50, 60], degrees=True)
     upper = base * Rotation.from_euler("ZXY", [70, 15, -25], degrees=True)
     np.testing.assert_allclose(p[1, 1] - [10, 20, 30], base.apply([0, 5, 0]), atol=1e-12)
     np.testing.assert_allclose(R[1, 1], upper.as_matrix(), atol=1e-12)
     end = p[1, 1] + upper.apply([0, 0, 2])
-    np.testing.assert_allclose(motion.end_positions()[1, 0], end, atol=1e-12)
+    np.testing.assert_allclose(motion[1:].end_positions()[0, 0], end, atol=1e-12)
 
 
-def test_names_tree_and_rate_are_those_of_the_file(write):
-    motion = read_bvh(write(TWO_JOINTS))
-    assert motion.names == ("Base", "Upper Arm")
-    assert motion.parents == (-1, 0)
-    assert motion.end_parents == (1,)
-    assert motion.rate_hz == pytest.approx(50)
-    assert motion.p_parent_joint is None
-    assert len(motion[1:]) == 1
-
-
-def test_position_channels_replace_the_offset_at_every_joint(write):
+def test_position_channels_replace_the_offset(write):
     text = TWO_JOINTS.replace(
         "CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS 3 Xposition Yposition Zrotation"
     )
@@ -77,13 +69,13 @@ def test_position_channels_replace_the_offset_at_every_joint(write):
     np.testing.assert_allclose(motion.offsets[1], [0, 5, 0])
 
 
-def test_a_root_without_position_channels_stays_at_its_offset(write):
+def test_root_without_position_channels_stays_at_its_offset(write):
     text = TWO_JOINTS.replace("6 Xposition Yposition Zposition", "3")
     text = text.replace("0 0 0 0 0 0 0 0 0", "0 0 0 0 0 0").replace("10 20 30 40", "40")
     np.testing.assert_allclose(read_bvh(write(text)).p_root, [[1, 2, 3], [1, 2, 3]])
 
 
-def test_joints_whose_position_channels_are_all_zero_stay_at_their_offsets(write):
+def test_joint_with_zero_position_channels_stays_at_its_offset(write):
     text = TWO_JOINTS.replace("CHANNELS 3 Z", "CHANNELS 6 Xposition Yposition Zposition Z")
     text = text.replace("0 0 0 0 0 0 0 0 0", " ".join("0" * 12)).replace(" 70 15", " 0 0 0 70 15")
     motion, plain = read_bvh(write(text)), read_bvh(write(TWO_JOINTS))
@@ -101,10 +93,12 @@ def test_joints_whose_position_channels_are_all_zero_stay_at_their_offsets(write
         ("OFFSET 0.0 5.0 0.0\n    CHANNELS 3 Zrotation Xrotation Yrotation",
          "CHANNELS 3 ZROTATION xrotation Yrotation\n\tOFFSET\t0.0\t5.0\t0.0"),
         ("\n", "\r"),
+        ("\n", "\r\n"),
+        ("HIERARCHY\nROOT Base\n{", "\ufeffHIERARCHY\nroot Base {"),
         ("Frames: 2\nFrame Time: 0.02", "FRAMES:2\nFRAME TIME:\t2.0E-2"),
     ],
 )  # fmt: skip
-def test_other_programs_ways_to_write_the_same_file_are_read_alike(write, old, new):
+def test_spellings_of_other_programs(write, old, new):
     assert old in TWO_JOINTS
     plain, other = read_bvh(write(TWO_JOINTS)), read_bvh(write(TWO_JOINTS.replace(old, new)))
     np.testing.assert_array_equal(other.R_parent_joint, plain.R_parent_joint)
@@ -113,30 +107,14 @@ def test_other_programs_ways_to_write_the_same_file_are_read_alike(write, old, n
 
 
 @pytest.mark.parametrize("line", ["", "Frame Time: 0\n"])
-def test_a_file_without_a_frame_time_needs_a_declared_rate(write, line):
+def test_file_without_a_frame_time_needs_a_declared_rate(write, line):
     path = write(TWO_JOINTS.replace("Frame Time: 0.02\n", line))
-    with pytest.raises(FileFormatError, match="declare the rate, e.g. rate_hz=60"):
+    with pytest.raises(FileFormatError, match="declare the rate"):
         read_bvh(path)
     assert read_bvh(path, rate_hz=50).rate_hz == 50
     assert len(read_bvh(path, rate_hz=50)) == 2
-    with pytest.raises(FileFormatError, match="motion.bvh: motion rate_hz: -1 is not a positive"):
+    with pytest.raises(FileFormatError, match="motion.bvh: .*rate_hz: -1"):
         read_bvh(path, rate_hz=-1)
-
-
-def test_bones_of_a_recording_keep_their_length():
-    motion = read_bvh(EXCERPT)
-    p, _ = motion.forward_kinematics()
-    for j, parent in enumerate(motion.parents[1:], 1):
-        length = np.linalg.norm(p[:, j] - p[:, parent], axis=-1)
-        np.testing.assert_allclose(length, np.linalg.norm(motion.offsets[j]), atol=1e-9)
-
-
-def test_windows_line_ends_a_byte_order_mark_and_loose_spacing_do_not_matter(write):
-    plain = read_bvh(write(TWO_JOINTS))
-    text = TWO_JOINTS.replace("ROOT Base\n{", "root Base {").replace("Frames: 2", "Frames:\t2 ")
-    loose = read_bvh(write(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode() + b"\r\n\r\n"))
-    np.testing.assert_array_equal(loose.R_parent_joint, plain.R_parent_joint)
-    assert loose.names == plain.names
 
 
 @pytest.mark.parametrize(
@@ -146,7 +124,6 @@ def test_windows_line_ends_a_byte_order_mark_and_loose_spacing_do_not_matter(wri
         ("ROOT Base", "JOINT Base", 2, "expected ROOT"),
         ("ROOT Base", "ROOT", 3, "no name"),
         ("1.0 2.0 3.0", "1.0 2.0", 5, "three offset numbers, found 'CHANNELS'"),
-        ("1.0 2.0 3.0", "1.0 2.0 nan", 4, "three offset numbers"),
         ("  OFFSET 1.0 2.0 3.0\n", "", 14, "'Base' (line 2) has no OFFSET"),
         ("CHANNELS 3 Z", "CHANNELS 4 Z", 10, "unknown channel 'End'"),
         ("CHANNELS 3 Z", "CHANNELS 2 Z", 9, "'Yrotation' does not belong"),
@@ -156,95 +133,79 @@ def test_windows_line_ends_a_byte_order_mark_and_loose_spacing_do_not_matter(wri
         ("3 Zrotation X", "3 Yrotation X", 9, "twice"),
         ("JOINT Upper Arm", "JOINT Base", 7, "second joint is named 'Base'"),
         ("    }\n  }\n}", "    }\n}", 15, "is a brace missing?"),
-        ("MOTION", "MOTIONS", 16, "expected MOTION"),
         ("Frames: 2", "Frames: two", 17, "no number follows 'Frames:'"),
         ("Frames: 2", "Frames: 0", 17, "number of frames is 0"),
         ("Frames: 2", "Frames: 3", 20, "3 frames are announced, 2 lines"),
-        ("Frames: 2", "Frames: 1", 20, "1 frames are announced, 2 lines"),
         ("Frame Time: 0.02", "Frame Time: 0", 18, "frame time is 0 s"),
         ("Frame Time: 0.02", "Frame Tim: 0.02", 18, "expected 'Frame Time:'"),
         ("10 20 30", "10 20", 20, "8 values, the channels are 9"),
-        ("40 -50", "40 NaN", 20, "value 5 is 'NaN'"),
         ("40 -50", "1e999 -50", 20, "value 4 is '1e999'"),
         ("40 -50", "40 x", 20, "value 5 is 'x'"),
     ],
 )
-def test_a_broken_file_is_named_with_its_line(write, old, new, line, says):
+def test_broken_file_is_named_with_its_line(write, old, new, line, says):
     path = write(TWO_JOINTS.replace(old, new, 1))
     with pytest.raises(FileFormatError) as caught:
         read_bvh(path)
-    assert str(caught.value).startswith(f"{path}, line {line}: ")
+    assert (caught.value.path, caught.value.line) == (path, line)
     assert says in str(caught.value)
 
 
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (b"", "empty"),
         (b" \n\n", "empty"),
         (b"\x89PNG\r\n\x1a\n\xff\xfe\x00", "not a text file"),
         (b"\x00" * 64, "expected HIERARCHY"),
         (b"HIERARCHY\n" + b"ROOT a {\n" * 9, "does not belong"),
     ],
 )
-def test_what_is_no_bvh_file_at_all_is_refused(write, content, says):
+def test_other_content_is_refused(write, content, says):
     with pytest.raises(FileFormatError, match=says):
         read_bvh(write(content))
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(FileFormatError, match=r"none.bvh: there is no such file"):
-        read_bvh(tmp_path / "none.bvh")
-
-
-def test_a_file_cut_off_anywhere_is_refused(write):
+def test_file_cut_off_anywhere_is_refused(write):
     whole = TWO_JOINTS.rstrip()
-    for length in range(len(whole) - 3):
+    for length in range(0, len(whole) - 3, 3):
         with pytest.raises(FileFormatError):
             read_bvh(write(whole[:length]))
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, len(TWO_JOINTS) - 1), st.binary(min_size=1, max_size=3))
-def test_damage_is_refused_or_leaves_a_valid_motion(tmp_path_factory, at, junk):
-    path = tmp_path_factory.mktemp("damaged") / "motion.bvh"
-    path.write_bytes(TWO_JOINTS[:at].encode() + junk + TWO_JOINTS[at + 1 :].encode())
-    try:
-        motion = read_bvh(path)
-    except FileFormatError:
-        return
-    assert np.isfinite(motion.R_parent_joint).all()
+GOOD = dict(
+    names=("a", "b"),
+    parents=(-1, 0),
+    offsets=np.zeros((2, 3)),
+    R_parent_joint=np.tile(np.eye(3), (4, 2, 1, 1)),
+    p_root=np.zeros((4, 3)),
+    rate_hz=30.0,
+)
 
 
-def test_a_motion_whose_parts_do_not_fit_together_is_refused():
-    good = dict(
-        names=("a", "b"),
-        parents=(-1, 0),
-        offsets=np.zeros((2, 3)),
-        R_parent_joint=np.tile(np.eye(3), (4, 2, 1, 1)),
-        p_root=np.zeros((4, 3)),
-        rate_hz=30.0,
-    )
-    assert len(ArticulatedMotion(**good)) == 4
-    with pytest.raises(ShapeError, match="parents before children"):
-        ArticulatedMotion(**{**good, "parents": (-1, 1)})
-    with pytest.raises(ShapeError, match=r"expected shape \(4, 2, 3, 3\)"):
-        ArticulatedMotion(**{**good, "R_parent_joint": np.tile(np.eye(3), (3, 2, 1, 1))})
-    with pytest.raises(ShapeError, match="not rotation matrices"):
-        ArticulatedMotion(**{**good, "R_parent_joint": np.ones((4, 2, 3, 3))})
-    with pytest.raises(ShapeError, match="more than once"):
-        ArticulatedMotion(**{**good, "names": ("a", "a")})
-    with pytest.raises(ShapeError, match="rate_hz"):
-        ArticulatedMotion(**{**good, "rate_hz": 0.0})
-    with pytest.raises(UnknownNameError, match="unknown joint 'c'"):
-        ArticulatedMotion(**good).index("c")
+@pytest.mark.parametrize(
+    ("field", "value", "says"),
+    [
+        ("parents", (-1, 1), "parents before children"),
+        ("parents", (-1,), "as many parents"),
+        ("R_parent_joint", np.tile(np.eye(3), (3, 2, 1, 1)), r"expected shape \(4, 2, 3, 3\)"),
+        ("R_parent_joint", np.ones((4, 2, 3, 3)), "not rotation matrices"),
+        ("names", ("a", "a"), "more than once"),
+        ("rate_hz", 0.0, "rate_hz"),
+    ],
+)
+def test_inconsistent_motion_is_refused(field, value, says):
+    assert len(ArticulatedMotion(**GOOD)) == 4
+    with pytest.raises(InvalidInputError, match=says):
+        ArticulatedMotion(**GOOD | {field: value})
+    with pytest.raises(UnknownNameError, match="'c'"):
+        ArticulatedMotion(**GOOD).index("c")
 
 
 # --- writing -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("order", ["zxy", "xzy", "yxz"])
-def test_what_is_written_is_read_back(tmp_path, order):
+def test_written_motion_is_read_back(tmp_path, order):
     motion = read_bvh(EXCERPT)[:20]
     write_bvh(tmp_path / "out.bvh", motion, order=order)
     again = read_bvh(tmp_path / "out.bvh")
@@ -267,7 +228,7 @@ def a_motion(names, parents, moving=False):
 
 
 @pytest.mark.parametrize("moving", [False, True])
-def test_joints_that_do_not_stand_branch_by_branch_are_written_so(tmp_path, moving):
+def test_joints_are_written_depth_first(tmp_path, moving):
     motion = a_motion(("root", "left", "right", "left end"), (-1, 0, 0, 1), moving)
     write_bvh(tmp_path / "out.bvh", motion)
     again = read_bvh(tmp_path / "out.bvh")
@@ -283,33 +244,30 @@ def test_joints_that_do_not_stand_branch_by_branch_are_written_so(tmp_path, movi
 @pytest.mark.parametrize(
     ("name", "order", "says"),
     [
-        ("a{b", "zxy", "joint name 'a{b': empty, or a brace"),
+        ("a{b", "zxy", "joint name 'a{b'"),
         (" ", "zxy", "joint name ' ': empty"),
-        ("a\nb", "zxy", "a line's end in it; rename it"),
-        ("a", "zxz", "order: 'zxz'; give x, y and z in some order"),
+        ("a\nb", "zxy", "rename it"),
+        ("a", "zxz", "order: 'zxz'"),
     ],
 )
-def test_what_a_file_could_not_say_is_not_written(tmp_path, name, order, says):
-    with pytest.raises(ShapeError, match=says):
+def test_invalid_names_and_orders_are_not_written(tmp_path, name, order, says):
+    with pytest.raises(InvalidInputError, match=says):
         write_bvh(tmp_path / "out.bvh", a_motion((name,), (-1,)), order=order)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_that_exists_is_replaced_only_when_asked(tmp_path):
+def test_existing_file_is_replaced_only_when_asked(tmp_path):
     motion, path = a_motion(("root",), (-1,)), tmp_path / "out.bvh"
     write_bvh(path, motion)
-    with pytest.raises(OutputExistsError, match=r"out\.bvh: is there already; ask to overwrite"):
+    with pytest.raises(OutputExistsError, match=r"out\.bvh"):
         write_bvh(path, motion)
     write_bvh(path, motion[:2], overwrite=True)
     assert len(read_bvh(path)) == 2
-    with pytest.raises(RtofError, match="cannot be written"):
-        write_bvh(tmp_path / "out.bvh" / "deep.bvh", motion)
 
 
-def test_a_position_that_is_not_known_is_refused(tmp_path):
+def test_unknown_position_is_not_written(tmp_path):
     motion = a_motion(("root",), (-1,))
     p = np.array(motion.p_root)
     p[3] = np.nan
-    unknown = ArticulatedMotion(("root",), (-1,), motion.offsets, motion.R_parent_joint, p, 50.0)
-    with pytest.raises(ShapeError, match="BVH has no gaps, write a file for each piece"):
-        write_bvh(tmp_path / "out.bvh", unknown)
+    with pytest.raises(InvalidInputError, match="BVH has no gaps"):
+        write_bvh(tmp_path / "out.bvh", replace(motion, p_root=p))

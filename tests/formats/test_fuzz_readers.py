@@ -1,8 +1,8 @@
-"""Every reader against damaged and hostile files: a clear error or a valid answer, soon and in little
-memory, and nothing that a file holds is ever run.
+"""Every reader against damaged and hostile files: a clear error or a valid result, within bounds of time
+and memory, and no content of a file is executed.
 
 Examples are the same in every run. ``RTOF_KIN_FUZZ=2000`` draws that many new ones for each file instead
-of 40; what breaks a reader is left in the folder that pytest names.
+of 40; the file that breaks a reader is left in the folder that pytest names.
 """
 
 from __future__ import annotations
@@ -43,42 +43,43 @@ SMALL_BYTES = 64 * 2**20
 """No hostile file of a few kilobytes may cost more memory."""
 
 
-def read_or_refuse(reader: Reader, folder: Path) -> None:
-    """Read; nothing may be raised but an error of this package that says which file it is about."""
-    message = str(folder)
+def message_or_folder(reader: Reader, folder: Path) -> str:
+    """Message of the error that a reader raises; the folder where it reads something valid."""
     try:
         with bounded():
             assert reader.read(folder) is not None
     except RtofError as error:
-        message = str(error)
-    assert str(folder) in message, f"does not name the file: {message}"
+        return str(error)
+    return str(folder)
 
 
-def survive(reader: Reader, folder: Path, name: str, content: bytes) -> None:
+def message_and_peak(reader: Reader, folder: Path) -> tuple[str, int]:
+    """The same, and the bytes that reading took at its peak."""
+    tracemalloc.start()
+    try:
+        return message_or_folder(reader, folder), tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def damage(reader: Reader, folder: Path, name: str, content: bytes) -> None:
     @FUZZ
     @given(damaged(content))
-    def damage(bad: bytes) -> None:
+    def refused_or_valid(bad: bytes) -> None:
         (folder / name).write_bytes(bad)
-        read_or_refuse(reader, folder)
+        assert str(folder) in message_or_folder(reader, folder)
 
-    damage()
+    refused_or_valid()
 
 
 @pytest.mark.parametrize("reader", READERS, ids=str)
-def test_the_example_of_each_reader_is_valid(reader: Reader, tmp_path: Path) -> None:
+def test_damaged_file_is_refused_by_name_or_read_as_something_valid(reader: Reader, tmp_path: Path) -> None:
     write_files(tmp_path, reader.files)
     assert reader.read(tmp_path) is not None
-
-
-@pytest.mark.parametrize("reader", READERS, ids=str)
-def test_damage_is_refused_with_the_files_name_or_leaves_something_valid(
-    reader: Reader, tmp_path: Path
-) -> None:
-    files = reader.files
-    write_files(tmp_path, files)
-    for name, content in files.items():
-        survive(reader, tmp_path, name, content)
+    for name, content in reader.files.items():
+        damage(reader, tmp_path, name, content)
         (tmp_path / name).write_bytes(content)
+    assert reader.read(tmp_path) is not None
 
 
 # --- files made to do harm -----------------------------------------------------------------------
@@ -110,7 +111,7 @@ def zipped(member: bytes, names: tuple[str, ...]) -> bytes:
 
 
 def zip_bomb(name: bytes, packed: bytes) -> bytes:
-    """An archive of one member, half a gigabyte that was packed to half a megabyte, as it says itself."""
+    """An archive of one member, half a gigabyte that was packed to half a megabyte, by its own header."""
     sizes = struct.pack("<3I", 0, len(packed), BOMB_BYTES)
     stamp = struct.pack("<5H", 20, 0, zipfile.ZIP_DEFLATED, 0, 0) + sizes + struct.pack("<H", len(name))
     local = b"PK\3\4" + stamp + bytes(2) + name + packed
@@ -174,36 +175,27 @@ def readers_of(*suffixes: str) -> list[Any]:
     ]
 
 
-def refused_cheaply(reader: Reader, folder: Path) -> None:
-    tracemalloc.start()
-    try:
-        read_or_refuse(reader, folder)
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert peak < SMALL_BYTES
-
-
 @pytest.mark.parametrize("reader, name", readers_of(*TEXTS))
-def test_texts_that_grow_are_refused_soon_and_in_little_memory(
-    reader: Reader, name: str, tmp_path: Path
-) -> None:
+def test_growing_text_is_refused_within_time_and_memory(reader: Reader, name: str, tmp_path: Path) -> None:
     write_files(tmp_path, reader.files)
     for text in TEXTS[Path(name).suffix]:
         (tmp_path / name).write_text(text)
-        refused_cheaply(reader, tmp_path)
+        message, peak = message_and_peak(reader, tmp_path)
+        assert str(tmp_path) in message
+        assert peak < SMALL_BYTES
 
 
 @pytest.mark.parametrize("reader, name", readers_of(".npz", ".npy"))
-def test_arrays_that_claim_what_they_are_not_are_refused_in_little_memory(
+def test_array_with_a_false_header_is_refused_within_memory(
     reader: Reader, name: str, tmp_path: Path
 ) -> None:
-    files = reader.files
-    write_files(tmp_path, files)
+    write_files(tmp_path, reader.files)
     for array in ARRAYS.values():
-        hostile = zipped(array, members(files[name])) if name.endswith("z") else array
+        hostile = zipped(array, members(reader.files[name])) if name.endswith("z") else array
         (tmp_path / name).write_bytes(hostile)
-        refused_cheaply(reader, tmp_path)
+        message, peak = message_and_peak(reader, tmp_path)
+        assert str(tmp_path) in message
+        assert peak < SMALL_BYTES
 
 
 @pytest.fixture(scope="module")
@@ -216,46 +208,44 @@ def packed_array() -> bytes:
 
 
 @pytest.mark.parametrize("reader, name", readers_of(".npz", ".pt"))
-def test_zip_bombs_are_not_unpacked(reader: Reader, name: str, tmp_path: Path, packed_array: bytes) -> None:
-    files = reader.files
-    write_files(tmp_path, files)
-    bomb = zip_bomb(members(files[name])[0].encode(), packed_array)
+def test_zip_bomb_is_not_unpacked(reader: Reader, name: str, tmp_path: Path, packed_array: bytes) -> None:
+    write_files(tmp_path, reader.files)
+    bomb = zip_bomb(members(reader.files[name])[0].encode(), packed_array)
     (tmp_path / name).write_bytes(bomb)
     assert len(bomb) < 2**20
-    refused_cheaply(reader, tmp_path)
-    with pytest.raises(FileFormatError, match="as no recording of anything does; not opened"):
-        reader.read(tmp_path)
+    message, peak = message_and_peak(reader, tmp_path)
+    assert "not opened" in message
+    assert peak < SMALL_BYTES
 
 
 @pytest.mark.parametrize("reader, name", readers_of(".npz", ".npy", ".pt", ".py", ".yml", ".json"))
 def test_code_in_a_file_is_never_run(reader: Reader, name: str, tmp_path: Path) -> None:
-    files, canary = reader.files, tmp_path / "canary"
-    write_files(tmp_path, files)
+    canary = tmp_path / "canary"
+    write_files(tmp_path, reader.files)
     program = pickle.dumps(Canary(canary))
     hostile = [program]
+    if name.endswith((".npz", ".pt")):
+        hostile.append(zipped(program, members(reader.files[name])))
     if name.endswith(".npz"):
         objects = np.array(Canary(canary), dtype=object)
-        hostile += [npz(**{Path(n).stem: objects for n in members(files[name])})]
-        hostile += [zipped(program, members(files[name]))]
+        hostile.append(npz(**{Path(n).stem: objects for n in members(reader.files[name])}))
     elif name.endswith(".npy"):
-        hostile += [made_by(lambda d: np.save(d / "a.npy", np.array([Canary(canary)])))["a.npy"]]
+        hostile.append(made_by(lambda d: np.save(d / "a.npy", np.array([Canary(canary)])))["a.npy"])
     elif name.endswith(".pt"):
-        hostile += [made_by(lambda d: torch.save({"weights": Canary(canary)}, d / "a.pt"))["a.pt"]]
-        hostile += [zipped(program, members(files[name]))]
+        hostile.append(made_by(lambda d: torch.save({"weights": Canary(canary)}, d / "a.pt"))["a.pt"])
     else:
-        call = f"open({str(canary)!r}, 'w')"
-        hostile += [f"h36m_cameras_intrinsic_params = {call}\n".encode()]
-        hostile += [f"K: !!python/object/apply:builtins.open [{str(canary)!r}, w]\n".encode()]
+        hostile.append(f"h36m_cameras_intrinsic_params = open({str(canary)!r}, 'w')\n".encode())
+        hostile.append(f"K: !!python/object/apply:builtins.open [{str(canary)!r}, w]\n".encode())
     for content in hostile:
         (tmp_path / name).write_bytes(content)
-        read_or_refuse(reader, tmp_path)
+        assert str(tmp_path) in message_or_folder(reader, tmp_path)
         assert not canary.exists()
     pickle.loads(program).close()
-    assert canary.exists()  # so that a canary that cannot sing does not pass for silence
+    assert canary.exists()  # the canary works
 
 
 @pytest.mark.parametrize("file", ["../secret.npz", "/etc/passwd", "..\\secret.npz", "link.npz", "C:x"])
-def test_a_recording_reads_nothing_outside_its_folder(file: str, tmp_path: Path) -> None:
+def test_recording_reads_nothing_outside_its_folder(file: str, tmp_path: Path) -> None:
     write_files(tmp_path, made_by(recording))
     take = tmp_path / "take"
     (take / "keypoints.npz").rename(tmp_path / "secret.npz")
@@ -263,36 +253,36 @@ def test_a_recording_reads_nothing_outside_its_folder(file: str, tmp_path: Path)
     index = (take / "recording.toml").read_text()
     assert '"keypoints.npz"' in index
     (take / "recording.toml").write_text(index.replace('"keypoints.npz"', f"'{file}'"))
-    with pytest.raises(FileFormatError, match="leads out of the folder; name a file inside it"):
+    with pytest.raises(FileFormatError, match="name a file inside it"):
         Recording.load(take)
 
 
 @pytest.mark.parametrize("file", ["../a.bvh", "/etc/passwd", "link.bvh", ""])
-def test_a_corpus_of_motion_reads_nothing_outside_its_folder(file: str, tmp_path: Path) -> None:
+def test_corpus_of_motion_reads_nothing_outside_its_folder(file: str, tmp_path: Path) -> None:
     folder = tmp_path / "corpus"
     folder.mkdir()
     (tmp_path / "a.bvh").write_text("HIERARCHY")
     (folder / "link.bvh").symlink_to(tmp_path / "a.bvh")
     (folder / "index.csv").write_text(f"file,subject,tc_like,fps,quality\n{file},A,walk,60,ok\n")
-    with pytest.raises(FileFormatError, match="is no file inside this folder"):
+    with pytest.raises(FileFormatError, match="inside this folder"):
         list(read_corpus(folder))
 
 
 @pytest.mark.parametrize("reader", [r for r in READERS if len(r.files) == 1], ids=str)
-def test_a_folder_a_device_and_a_file_that_is_not_there_are_refused(reader: Reader, tmp_path: Path) -> None:
+def test_folder_device_and_missing_file_are_refused(reader: Reader, tmp_path: Path) -> None:
     (name,) = reader.files
     path = tmp_path / name
     if not reader.name.startswith(("sensors", "OpenPose")):  # those look for files in a folder
-        read_or_refuse(reader, tmp_path)
+        assert name in message_or_folder(reader, tmp_path)
         path.mkdir()
-        read_or_refuse(reader, tmp_path)
+        assert name in message_or_folder(reader, tmp_path)
         path.rmdir()
     path.parent.mkdir(exist_ok=True)
     path.symlink_to("/dev/zero")
-    read_or_refuse(reader, tmp_path)
+    assert str(tmp_path) in message_or_folder(reader, tmp_path)
 
 
-def test_an_alias_bomb_says_what_is_wrong_with_it(tmp_path: Path) -> None:
+def test_alias_bomb_is_refused_with_its_line(tmp_path: Path) -> None:
     (tmp_path / "a.yml").write_text(ALIASES)
-    with pytest.raises(FileFormatError, match="line 2: an alias; write the value out"):
+    with pytest.raises(FileFormatError, match="line 2: an alias"):
         read_opencv_yaml(tmp_path / "a.yml")

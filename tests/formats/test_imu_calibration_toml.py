@@ -1,4 +1,4 @@
-"""Calibrations of IMUs in TOML: a round trip, and what is refused."""
+"""Calibrations of IMUs in TOML: round trip, and what is refused."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, OutputExistsError, UnknownNameError
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.formats.imu_calibration_toml import read_imu_calibration_toml, write_imu_calibration_toml
 
@@ -31,7 +31,7 @@ def calibration() -> ImuCalibration:
     )
 
 
-def test_what_is_written_is_read_back_to_the_same_bits(tmp_path: Path, skeleton: SkeletonModel) -> None:
+def test_written_calibration_is_read_back_to_the_same_bits(tmp_path: Path, skeleton: SkeletonModel) -> None:
     path = tmp_path / "calibration.toml"
     write_imu_calibration_toml(path, calibration())
     back = read_imu_calibration_toml(path, skeleton)
@@ -40,18 +40,16 @@ def test_what_is_written_is_read_back_to_the_same_bits(tmp_path: Path, skeleton:
         np.testing.assert_array_equal(getattr(back, field), getattr(calibration(), field))
 
 
-def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
+def test_existing_file_is_kept_unless_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
     path.write_text("mine")
-    with pytest.raises(OutputExistsError, match="is there already"):
+    with pytest.raises(OutputExistsError, match="calibration.toml"):
         write_imu_calibration_toml(path, calibration())
     assert path.read_text() == "mine"
     write_imu_calibration_toml(path, calibration(), overwrite=True)
-    with pytest.raises(RtofError, match="cannot be written"):
-        write_imu_calibration_toml(path / "such.toml", calibration())
 
 
-def test_a_usual_sensor_needs_no_segment_and_no_place(tmp_path: Path, skeleton: SkeletonModel) -> None:
+def test_known_sensor_has_default_segment_and_position(tmp_path: Path, skeleton: SkeletonModel) -> None:
     path = tmp_path / "calibration.toml"
     path.write_text(ONE)
     read = read_imu_calibration_toml(path, skeleton)
@@ -62,12 +60,12 @@ def test_a_usual_sensor_needs_no_segment_and_no_place(tmp_path: Path, skeleton: 
 @pytest.mark.parametrize(
     ("text", "error", "message"),
     [
-        ("", FileFormatError, "empty; expected TOML"),
+        ("", FileFormatError, "empty"),
         ("[sensors]", FileFormatError, r"no table \[sensors.NAME\]"),
         (ONE.replace("UpArm", "UpperArm"), FileFormatError, r"\[sensors.L_UpperArm\] joint: missing"),
         (ONE + 'joint = "LeftArmm"', UnknownNameError, "Did you mean 'LeftArm'"),
         (ONE + "lever = [0, 0, 0]", UnknownNameError, "unknown field .* 'lever'"),
-        (ONE + "lever_arm_m = [30, 225, 12]", FileFormatError, "longer than 1 m; give metres"),
+        (ONE + "lever_arm_m = [30, 225, 12]", FileFormatError, "give metres"),
         (ONE + "quat_wxyz_sensor_bone = [1, 0, 0, 0]", FileFormatError, "give one of R_sensor_bone"),
         (ONE.replace("[1, 0, 0, 0]", "[2, 0, 0, 0]"), FileFormatError, "has norm 2, not 1"),
         (ONE.replace("[0, 0, 1]]", "[0, 0, 2]]"), FileFormatError, "R_sensor_bone is not a rotation"),
@@ -77,7 +75,7 @@ def test_a_usual_sensor_needs_no_segment_and_no_place(tmp_path: Path, skeleton: 
         ("= [", FileFormatError, "not readable as TOML"),
     ],
 )  # fmt: skip
-def test_a_broken_file_is_refused_with_what_is_wrong(
+def test_invalid_file_is_refused_with_the_field(
     text: str, error: type[Exception], message: str, tmp_path: Path, skeleton: SkeletonModel
 ) -> None:
     path = tmp_path / "calibration.toml"

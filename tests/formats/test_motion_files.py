@@ -1,16 +1,15 @@
-"""One real motion with gaps in every format: other people's readers find the same motion in each."""
+"""One real motion with gaps in every format, read by other programs' readers."""
 
 from __future__ import annotations
 
 import csv
 import json
 import sys
-import warnings
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import c3d as pure_python_c3d
 import ezc3d
 import numpy as np
 import pinocchio as pin
@@ -21,13 +20,12 @@ from opensim_support import read_by_opensim
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.core.errors import RtofError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.core.rotations import angle_between
 from rtof_kin.data.poses import Provenance
-from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.formats.c3d import read_c3d
+from rtof_kin.formats.joint_trajectory import BASE_COLUMNS
 from rtof_kin.formats.motion_files import DEFAULT, FORMATS, write_motion_files
-from rtof_kin.formats.trc import read_trc
 from rtof_kin.simulation.mocap import read_mocap
 
 Array = NDArray[np.float64]
@@ -48,8 +46,8 @@ R_BVH_WORLD = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
 
 @pytest.fixture(scope="module")
 def motion() -> MotionSequence:
-    """A second of walking, bridged once, lost once, a hand and a leg out of the picture for a moment;
-    nobody ever sees the other hand turn."""
+    """A second of walking: bridged once, unknown once, a hand and a leg unobserved for a while, and the
+    orientation of the other hand unobserved throughout."""
     clip = read_mocap(WALK)
     poses = replace(clip.poses[:T], times=START + np.arange(T) / 60)
     p, R = np.array(poses.p_world_joint), np.array(poses.R_world_bone)
@@ -79,7 +77,7 @@ def opensim(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
 
 
 def landmarks(motion: MotionSequence, only_seen: bool = True) -> Array:
-    """(T, L, 3) in world; NaN where nobody saw the joint that carries them, or it turn."""
+    """(T, L, 3) in world; NaN where unobserved."""
     skeleton, poses = motion.skeleton, motion.poses
     p = np.array(skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone))
     if only_seen:
@@ -97,7 +95,7 @@ def assert_near(found: Any, expected: Array, tolerance: float = METRES) -> None:
 
 
 @pytest.mark.parametrize(("number", "piece"), PIECES)
-def test_opensim_poses_the_model_by_the_motion_where_the_markers_and_bones_are(
+def test_opensim_poses_markers_and_bodies_by_the_mot(
     motion: MotionSequence, opensim: dict[str, Array], number: int, piece: tuple[int, int]
 ) -> None:
     frames, name = slice(*piece), f"motion_{number}.mot"
@@ -116,7 +114,7 @@ def test_opensim_poses_the_model_by_the_motion_where_the_markers_and_bones_are(
 
 
 @pytest.mark.parametrize(("number", "piece"), PIECES)
-def test_opensim_takes_the_states_as_a_trajectory_with_its_velocities(
+def test_opensim_reads_states_with_velocities(
     motion: MotionSequence, opensim: dict[str, Array], number: int, piece: tuple[int, int]
 ) -> None:
     frames, name = slice(*piece), f"motion_{number}.sto"
@@ -128,9 +126,7 @@ def test_opensim_takes_the_states_as_a_trajectory_with_its_velocities(
     assert np.abs(off).max() < 0.03 * np.abs(velocities).max()  # both are central differences
 
 
-def test_opensim_reads_the_markers_and_a_gap_as_missing(
-    motion: MotionSequence, opensim: dict[str, Array]
-) -> None:
+def test_opensim_reads_markers_and_gaps(motion: MotionSequence, opensim: dict[str, Array]) -> None:
     assert list(opensim["motion.trc/names"]) == list(motion.skeleton.landmarks)
     assert_near(opensim["motion.trc/times"], motion.times, 1e-9)
     found = opensim["motion.trc/markers"]
@@ -142,51 +138,39 @@ def test_opensim_reads_the_markers_and_a_gap_as_missing(
     assert np.isfinite(found[HAND_UNSEEN, 0]).all()
 
 
-def test_a_marker_that_was_not_seen_leaves_its_tabs(folder: Path, motion: MotionSequence) -> None:
+def test_unobserved_marker_leaves_its_tabs(folder: Path, motion: MotionSequence) -> None:
     rows = (folder / "motion.trc").read_text().splitlines()[5:]
     assert {row.count("\t") for row in rows} == {2 + 3 * len(motion.skeleton.landmarks)}
-    assert rows[UNKNOWN.start].split("\t")[2:] == [""] * (1 + 3 * len(motion.skeleton.landmarks))
 
 
-def test_coordinates_say_above_them_which_joints_nobody_saw(folder: Path) -> None:
-    for ending in ("mot", "sto"):
-        head, _ = (folder / f"motion_2.{ending}").read_text().split("endheader")
-        assert "Nobody saw these joints" in head
-        assert "LeftLeg 71.4 %, LeftFoot 71.4 %." in head
-        assert "knee_angle_l 71.4 %" in head
-        last, _ = (folder / f"motion_3.{ending}").read_text().split("endheader")
-        assert "Nobody saw these joints" not in last
-        assert "Nobody saw these coordinates" in last
-        assert "LeftHand_y 100 %, wrist_flex_l 100 %, wrist_dev_l 100 %." in last
+@pytest.mark.parametrize("ending", ["mot", "sto"])
+def test_header_names_unobserved_joints_and_coordinates(folder: Path, ending: str) -> None:
+    head, _ = (folder / f"motion_2.{ending}").read_text().split("endheader")
+    assert "Unobserved joints" in head
+    assert "LeftLeg 71.4 %, LeftFoot 71.4 %." in head
+    assert "knee_angle_l 71.4 %" in head
+    last, _ = (folder / f"motion_3.{ending}").read_text().split("endheader")
+    assert "Unobserved joints" not in last
+    assert "Unobserved coordinates" in last
+    assert "LeftHand_y 100 %, wrist_flex_l 100 %, wrist_dev_l 100 %." in last
 
 
 # --- C3D and BVH ---------------------------------------------------------------------------------
 
 
-def test_ezc3d_reads_the_points_with_residual_minus_one_in_gaps(folder: Path, motion: MotionSequence) -> None:
+def test_ezc3d_reads_points_with_residual_minus_one_in_gaps(folder: Path, motion: MotionSequence) -> None:
     file = ezc3d.c3d(str(folder / "motion.c3d"))
     point = file["parameters"]["POINT"]
     assert point["UNITS"]["value"] == ["mm"]
     assert list(point["LABELS"]["value"]) == list(motion.skeleton.landmarks)
     assert_near(file["data"]["points"][:3].transpose(2, 1, 0) / 1000, landmarks(motion))
     residual = file["data"]["meta_points"]["residuals"][0].T
-    assert set(residual.ravel()) == {0.0, -1.0}
-    np.testing.assert_array_equal(residual < 0, np.isnan(landmarks(motion)[..., 0]))
+    np.testing.assert_array_equal(residual == -1, np.isnan(landmarks(motion)[..., 0]))
     assert file["header"]["points"]["first_frame"] == round(START * 60)
 
 
-def test_a_second_reader_of_c3d_finds_the_same(folder: Path, motion: MotionSequence) -> None:
-    with (folder / "motion.c3d").open("rb") as stream, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        frames = np.array([p for _, p, _ in pure_python_c3d.Reader(stream).read_frames()])
-    p = landmarks(motion)
-    seen = np.isfinite(p[..., 0])
-    assert_near(frames[seen][:, :3] / 1000, p[seen])
-    np.testing.assert_array_equal(frames[..., 3] == -1, ~seen)
-
-
 @pytest.mark.parametrize(("number", "piece"), PIECES)
-def test_a_second_reader_of_bvh_finds_the_same_joints(
+def test_another_bvh_reader_finds_the_same_joints(
     folder: Path, motion: MotionSequence, number: int, piece: tuple[int, int]
 ) -> None:
     bvh = pytest.importorskip("bvh", reason="of the extra dev")
@@ -211,35 +195,16 @@ def test_a_second_reader_of_bvh_finds_the_same_joints(
         assert angle_between(R_world_bone, poses.R_world_bone[:, j]).max() < RADIANS
 
 
-def test_this_packages_own_readers_agree(folder: Path, motion: MotionSequence) -> None:
-    for markers in (read_trc(folder / "motion.trc", up="opensim"), read_c3d(folder / "motion.c3d")):
-        assert markers.names == tuple(motion.skeleton.landmarks)
-        assert_near(markers.times, motion.times, 1e-6)
-        assert_near(markers.p_world, landmarks(motion))
-    for number, (start, stop) in enumerate(SEEN, 1):
-        file = read_bvh(folder / f"motion_{number}.bvh")
-        p, _ = file.forward_kinematics()
-        assert_near(p / 100 @ R_BVH_WORLD, motion.poses.p_world_joint[start:stop])
-        ends = dict(zip((file.names[e] for e in file.end_parents), file.end_offsets, strict=True))
-        assert_near(ends["Head"] / 100 @ R_BVH_WORLD, motion.skeleton.landmarks["HeadTop"][1])
-
-
 # --- tables, URDF and ROS ------------------------------------------------------------------------
 
 
-def test_any_spreadsheet_finds_the_numbers_under_names_with_units(
-    folder: Path, motion: MotionSequence
-) -> None:
+def test_csv_has_numbers_under_names_with_units(folder: Path, motion: MotionSequence) -> None:
     with (folder / "motion.csv").open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     units = [name.partition(" ")[2] for name in rows[0]]
     assert set(units) == {"[s]", "[m]", "[1]", "[rad]", ""}
     assert_near([float(row["LeftLeg_y [rad]"] or "nan") for row in rows],
                 motion.q[:, 7 + motion.skeleton.dof_names.index("LeftLeg_y")], 0)  # fmt: skip
-    everywhere = landmarks(motion, only_seen=False)
-    for i, name in enumerate(motion.skeleton.landmarks):
-        p = [[float(row[f"p_{name}_{axis} [m]"] or "nan") for axis in "xyz"] for row in rows]
-        assert_near(p, everywhere[:, i], 0)
     assert [row["Hips_seen_by"] for row in rows[18:22]] == ["camera"] * 2 + ["bridged"] * 2
     assert [row["RightHand_valid"] for row in rows[4:6]] == ["1", "0"]
     unknown = {name for name, cell in rows[UNKNOWN.start].items() if cell}
@@ -248,32 +213,28 @@ def test_any_spreadsheet_finds_the_numbers_under_names_with_units(
     assert [row["LeftLeg_y_valid"] for row in rows[27:39]] == ["1", *"0" * 10, "1"]
 
 
-def test_a_data_frame_finds_units_names_and_nulls(folder: Path, motion: MotionSequence) -> None:
+def test_data_frame_has_units_names_and_nulls(folder: Path, motion: MotionSequence) -> None:
     table = pq.read_table(folder / "motion.parquet")
     assert b"z up" in table.schema.metadata[b"convention"]
     offsets = json.loads(table.schema.metadata[b"joint_offsets_m"])
     assert_near(list(offsets.values()), motion.skeleton.joint_offsets, 0)
-    knee = table.schema.field("LeftLeg_y")
-    assert knee.metadata == {
+    assert table.schema.field("LeftLeg_y").metadata == {
         b"unit": b"rad", b"clinical": b"left knee flexion", b"opensim": b"knee_angle_l"
     }  # fmt: skip
-    names = ["base_x", "base_y", "base_z", "base_qx", "base_qy", "base_qz", "base_qw"]
-    columns = [table[name] for name in [*names, *motion.skeleton.dof_names]]
-    assert {column.null_count for column in columns} == {UNKNOWN.stop - UNKNOWN.start}
-    q = np.stack([column.to_numpy(zero_copy_only=False) for column in columns], axis=-1)
-    assert_near(q, motion.q, 0)
+
+    def values(names: Iterable[str]) -> Array:
+        return np.stack([table[name].to_numpy(zero_copy_only=False) for name in names], axis=-1)
+
+    names = [*BASE_COLUMNS, *motion.skeleton.dof_names]
+    assert {table[name].null_count for name in names} == {UNKNOWN.stop - UNKNOWN.start}
+    assert_near(values(names), motion.q, 0)
     everywhere = landmarks(motion, only_seen=False)
     for i, name in enumerate(motion.skeleton.landmarks):
-        p = [table[f"p_{name}_{axis}"].to_numpy(zero_copy_only=False) for axis in "xyz"]
-        assert_near(np.stack(p, axis=-1), everywhere[:, i], 0)
-    valid = np.stack([table[f"{name}_valid"].to_numpy(zero_copy_only=False)
-                      for name in motion.skeleton.names], axis=-1)  # fmt: skip
-    np.testing.assert_array_equal(valid, motion.poses.valid)
+        assert_near(values(f"p_{name}_{axis}" for axis in "xyz"), everywhere[:, i], 0)
+    np.testing.assert_array_equal(values(f"{n}_valid" for n in motion.skeleton.names), motion.poses.valid)
 
 
-def test_a_robot_that_plays_the_ros_messages_on_the_urdf_stands_where_the_person_did(
-    folder: Path, motion: MotionSequence
-) -> None:
+def test_ros_messages_on_the_urdf_reproduce_the_motion(folder: Path, motion: MotionSequence) -> None:
     model = pin.buildModelFromUrdf(str(folder / "skeleton.urdf"), pin.JointModelFreeFlyer())
     data, played = model.createData(), []
     for number in (1, 2):  # bridged frames are played, unknown ones end the first message
@@ -301,7 +262,7 @@ def test_a_robot_that_plays_the_ros_messages_on_the_urdf_stands_where_the_person
 # --- the index -----------------------------------------------------------------------------------
 
 
-def test_the_index_says_of_every_file_what_it_is(folder: Path, motion: MotionSequence) -> None:
+def test_index_describes_every_file(folder: Path, motion: MotionSequence) -> None:
     index = json.loads((folder / "files.json").read_text())
     written = {path.name for path in folder.iterdir()} - {"files.json", "joint_trajectory.json"}
     assert set(index["files"]) == written
@@ -322,11 +283,10 @@ def test_the_index_says_of_every_file_what_it_is(folder: Path, motion: MotionSeq
         }
         assert index["files"][f"motion_3.{ending}"]["from_prior"] == {}
         assert index["files"][f"motion_3.{ending}"]["dofs_from_prior"] == dict.fromkeys(WRIST, 1.0)
-    assert index["landmarks_from_prior"]["LeftHandEnd"] == 1.0
-    assert index["landmarks_from_prior"]["LeftToe"] == pytest.approx(10 / 51)
-    assert index["dofs_from_prior"]["LeftHand_x"] == 1.0
-    assert index["dofs_from_prior"]["LeftLeg_y"] == pytest.approx(10 / 51)
-    assert "LeftArm_x" not in index["dofs_from_prior"]
+    unseen = index["landmarks_from_prior"] | index["dofs_from_prior"]
+    assert unseen["LeftHandEnd"] == unseen["LeftHand_x"] == 1.0
+    assert unseen["LeftToe"] == unseen["LeftLeg_y"] == pytest.approx(10 / 51)
+    assert "LeftArm_x" not in unseen
     for name in ("motion_2.mot", "ros_joint_trajectory_1.json"):
         assert set(index["files"][name]["left_out"]) == WRIST
     assert "left_out" not in index["files"]["motion_2.sto"]
@@ -334,7 +294,7 @@ def test_the_index_says_of_every_file_what_it_is(folder: Path, motion: MotionSeq
     assert index["landmarks"]["RightHeel"] == "RightFoot"
 
 
-def test_a_motion_without_gaps_is_one_file_of_each_format(motion: MotionSequence, tmp_path: Path) -> None:
+def test_motion_without_gaps_is_one_file_of_each_format(motion: MotionSequence, tmp_path: Path) -> None:
     write_motion_files(tmp_path, motion[:20], ("mot", "sto", "bvh", "ros"))
     assert {path.name for path in tmp_path.iterdir()} == {
         "files.json", "skeleton.urdf", "motion.mot", "motion.sto", "motion.bvh",
@@ -342,7 +302,7 @@ def test_a_motion_without_gaps_is_one_file_of_each_format(motion: MotionSequence
     }  # fmt: skip
 
 
-def test_a_c3d_that_begins_between_frames_or_before_zero_says_by_how_much(
+def test_c3d_that_begins_between_frames_or_before_zero_states_its_offset(
     motion: MotionSequence, tmp_path: Path
 ) -> None:
     for start in (0.0252, -3.0, 1.7e9):
@@ -357,25 +317,23 @@ def test_a_c3d_that_begins_between_frames_or_before_zero_says_by_how_much(
 # --- what cannot be written ----------------------------------------------------------------------
 
 
-def test_an_unknown_format_is_named_with_those_that_exist(motion: MotionSequence, tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match="unknown format 'mott'. Did you mean 'mot'.*parquet"):
+def test_unknown_format_is_named_with_the_known_ones(motion: MotionSequence, tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="'mott'. Did you mean 'mot'.*parquet"):
         write_motion_files(tmp_path, motion, ["csv", "mott"])
     assert not list(tmp_path.iterdir())
 
 
-def test_uneven_times_are_refused_where_a_format_has_none_of_its_own(
-    motion: MotionSequence, tmp_path: Path
-) -> None:
+def test_uneven_times_are_refused_by_formats_without_times(motion: MotionSequence, tmp_path: Path) -> None:
     times = np.array(motion.times)
     times[7] += 0.004
     uneven = replace(motion, poses=replace(motion.poses, times=times))
     write_motion_files(tmp_path, uneven, DEFAULT)
-    with pytest.raises(ShapeError, match="frame 7 is 4.0 ms beside even times.*resample"):
+    with pytest.raises(InvalidInputError, match="frame 7 is 4.0 ms .*resample"):
         write_motion_files(tmp_path, uneven, ["trc"])
 
 
-def test_a_motion_that_nobody_saw_is_no_motion_for_opensim(motion: MotionSequence, tmp_path: Path) -> None:
-    with pytest.raises(ShapeError, match="nobody saw where the person was in any .* nothing for .mot"):
+def test_bridged_motion_has_nothing_for_opensim(motion: MotionSequence, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match=r"nothing for \.mot"):
         write_motion_files(tmp_path, motion[BRIDGED], ["mot"])
 
 
@@ -383,5 +341,5 @@ def test_parquet_without_pyarrow_names_the_extra(
     motion: MotionSequence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(RtofError, match=r"Parquet needs pyarrow: install the extra, .*\[parquet\]"):
+    with pytest.raises(RtofError, match=r"\[parquet\]"):
         write_motion_files(tmp_path, motion, ["parquet"])

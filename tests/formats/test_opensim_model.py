@@ -1,4 +1,4 @@
-"""OpenSim's own word on the models written for it."""
+"""Models as OpenSim loads them."""
 
 from __future__ import annotations
 
@@ -13,20 +13,19 @@ from opensim_support import read_by_opensim
 from rtof_kin.body import urdf
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import OutputExistsError
-from rtof_kin.formats.opensim_coordinates import coordinates
 from rtof_kin.formats.opensim_model import to_osim, write_osim
-from rtof_kin.formats.opensim_mot import write_mot
+from rtof_kin.formats.opensim_mot import coordinates, write_mot
 
 R_GROUND_WORLD = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 
 @pytest.fixture
 def body(any_skeleton: SkeletonModel) -> SkeletonModel:
-    """Somebody in particular, on either skeleton."""
+    """A person of given height and mass, on either skeleton."""
     return any_skeleton.with_height(1.83).with_mass(68, "female")
 
 
-def test_opensim_loads_a_body_with_the_weight_and_inertia_that_the_urdf_has(
+def test_opensim_finds_the_mass_and_inertia_of_the_urdf(
     body: SkeletonModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_osim(tmp_path / "skeleton.osim", body)
@@ -52,7 +51,7 @@ def test_opensim_loads_a_body_with_the_weight_and_inertia_that_the_urdf_has(
     np.testing.assert_allclose(found["mass_matrix"][np.ix_(theirs, theirs)], expected, atol=1e-9)
 
 
-def test_opensim_knows_the_coordinates_and_their_ranges(body: SkeletonModel, tmp_path: Path) -> None:
+def test_opensim_finds_the_coordinates_and_their_ranges(body: SkeletonModel, tmp_path: Path) -> None:
     write_osim(tmp_path / "skeleton.osim", body)
     found = read_by_opensim(tmp_path, tmp_path / "found.npz")
     expected = {c.name: c.range for c in coordinates(body.table)}
@@ -61,7 +60,7 @@ def test_opensim_knows_the_coordinates_and_their_ranges(body: SkeletonModel, tmp
         np.testing.assert_allclose(limits, expected[name])
 
 
-def test_opensim_moves_either_skeleton_to_where_it_is(body: SkeletonModel, tmp_path: Path) -> None:
+def test_opensim_reproduces_the_motion_of_either_skeleton(body: SkeletonModel, tmp_path: Path) -> None:
     motion = planted.seen(body, 12)
     write_osim(tmp_path / "skeleton.osim", body)
     write_mot(tmp_path / "motion.mot", motion)
@@ -70,16 +69,17 @@ def test_opensim_moves_either_skeleton_to_where_it_is(body: SkeletonModel, tmp_p
     np.testing.assert_allclose(found["motion.mot/markers"], p @ R_GROUND_WORLD.T, atol=1e-9)
 
 
-def test_the_file_says_what_its_axes_and_its_zero_are(skeleton: SkeletonModel) -> None:
+def test_file_states_axes_zero_and_standard_gravity(skeleton: SkeletonModel) -> None:
     text = to_osim(skeleton)
     assert "x forward, y left, z up in the T-pose, where every coordinate is zero" in text
+    assert "<gravity>0.0 -9.80665 0.0</gravity>" in text
     assert "nan" not in text.lower()
 
 
-def test_a_model_that_exists_is_replaced_only_when_asked(skeleton: SkeletonModel, tmp_path: Path) -> None:
+def test_existing_model_is_replaced_only_when_asked(skeleton: SkeletonModel, tmp_path: Path) -> None:
     path = tmp_path / "skeleton.osim"
     write_osim(path, skeleton)
-    with pytest.raises(OutputExistsError, match=r"skeleton\.osim: is there already"):
+    with pytest.raises(OutputExistsError, match=r"skeleton\.osim"):
         write_osim(path, skeleton)
     write_osim(path, skeleton.with_height(1.5), overwrite=True)
     assert path.read_text() == to_osim(skeleton.with_height(1.5))

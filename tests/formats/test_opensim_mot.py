@@ -1,4 +1,4 @@
-"""The tables of coordinates and states; `test_motion_files` has OpenSim move the model by them."""
+"""OpenSim's coordinates, .mot and .sto; in `test_motion_files` OpenSim moves the model by them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,84 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rtof_kin.body.skeleton import MotionSequence
-from rtof_kin.core.errors import OutputExistsError, ShapeError
-from rtof_kin.formats.opensim_coordinates import coordinate_values
-from rtof_kin.formats.opensim_mot import write_mot, write_sto
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import InvalidInputError, OutputExistsError
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.formats.opensim_mot import coordinate_values, coordinates, write_mot, write_sto
+
+# --- coordinates ---------------------------------------------------------------------------------
+
+
+def values_of(skeleton: SkeletonModel, q: np.ndarray | None = None, **angles: float) -> dict[str, float]:
+    """Coordinates of a configuration, by default the T-pose with some revolutes turned, rad."""
+    q = skeleton.t_pose() if q is None else q
+    for name, angle in angles.items():
+        q[7 + skeleton.dof_names.index(name)] = angle
+    found, values = coordinate_values(moving(skeleton, q[None]))
+    return {c.name: v for c, v in zip(found, values[0].tolist(), strict=True)}
+
+
+def moving(skeleton: SkeletonModel, q: np.ndarray) -> MotionSequence:
+    p, R = skeleton.forward_kinematics(q)
+    poses = PoseSequence(np.arange(len(q)) / 60, p, R, skeleton.names)
+    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+
+
+def test_every_degree_of_freedom_has_a_name(any_skeleton: SkeletonModel) -> None:
+    found = coordinates(any_skeleton.table)
+    assert len({c.name for c in found}) == len(found) == any_skeleton.nv
+    assert [c.name for c in found[:6]] == [
+        "pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz"
+    ]  # fmt: skip
+    assert {c.joint for c in found} == set(any_skeleton.names)
+    assert all(c.range[0] < 0 < c.range[1] for c in found)
+
+
+def test_signs_are_opensims(skeleton: SkeletonModel) -> None:
+    assert values_of(skeleton, RightUpLeg_y=-0.5)["hip_flexion_r"] == 0.5
+    assert values_of(skeleton, LeftUpLeg_x=-0.2)["hip_adduction_l"] == 0.2
+    assert values_of(skeleton, RightLeg_y=1.1)["knee_angle_r"] == 1.1
+    assert values_of(skeleton, LeftForeArm_z=-1.3)["elbow_flex_l"] == 1.3
+    assert values_of(skeleton, Spine_y=0.3)["lumbar_extension"] == -0.3
+    assert values_of(skeleton, RightArm_x=0.4)["RightArm_x"] == 0.4  # OpenSim has no such angle
+
+
+def test_range_is_reversed_with_the_sign(skeleton: SkeletonModel) -> None:
+    found = {c.name: c for c in coordinates(skeleton.table)}
+    np.testing.assert_allclose(np.degrees(found["hip_flexion_r"].range), [-60, 140])
+    np.testing.assert_allclose(np.degrees(found["knee_angle_r"].range), [-10, 165])
+
+
+def test_pelvis_is_in_a_ground_with_y_up_and_z_on_the_right(skeleton: SkeletonModel) -> None:
+    q = skeleton.t_pose()
+    q[:3] = [1.0, 2.0, 3.0]
+    found = values_of(skeleton, q)
+    assert (found["pelvis_tx"], found["pelvis_ty"], found["pelvis_tz"]) == (1.0, 3.0, -2.0)
+    for axis, angle, name in (("y", 0.3, "pelvis_tilt"), ("x", 0.2, "pelvis_list"),
+                              ("z", 0.4, "pelvis_rotation")):  # fmt: skip
+        q[3:7] = np.roll(so3.to_quat_wxyz(so3.about_axis(axis, angle)), -1)
+        # Bending forward turns about y, the left; OpenSim's tilt is positive backward.
+        assert values_of(skeleton, q)[name] == pytest.approx(-angle if axis == "y" else angle)
+
+
+def test_heading_is_continuous_over_turns(skeleton: SkeletonModel) -> None:
+    q = np.tile(skeleton.t_pose(), (200, 1))
+    heading = np.linspace(0, 15, 200)
+    q[:, 3:7] = np.roll(so3.to_quat_wxyz(so3.about_axis("z", heading)), -1, axis=-1)
+    _, values = coordinate_values(moving(skeleton, q))
+    np.testing.assert_allclose(values[:, 2], heading, atol=1e-9)
+
+
+def test_duplicate_name_is_refused(skeleton: SkeletonModel) -> None:
+    joints = list(skeleton.table.joints)
+    joints[2] = replace(joints[2], dofs=joints[1].dofs)
+    table = replace(skeleton.table, joints=tuple(joints))
+    with pytest.raises(InvalidInputError, match="lumbar_bending"):
+        coordinates(table)
+
+
+# --- files ---------------------------------------------------------------------------------------
 
 
 def read(path: Path) -> tuple[list[str], list[str], np.ndarray]:
@@ -22,7 +96,7 @@ def read(path: Path) -> tuple[list[str], list[str], np.ndarray]:
     return lines[:end], lines[end + 1].split("\t"), np.array(rows)
 
 
-def test_a_mot_has_degrees_metres_and_the_counts_it_announces(motion: MotionSequence, tmp_path: Path) -> None:
+def test_mot_has_degrees_metres_and_the_announced_counts(motion: MotionSequence, tmp_path: Path) -> None:
     write_mot(tmp_path / "walk.mot", motion)
     header, names, table = read(tmp_path / "walk.mot")
     assert header[:5] == ["walk", "version=1", "nRows=60", "nColumns=67", "inDegrees=yes"]
@@ -34,7 +108,7 @@ def test_a_mot_has_degrees_metres_and_the_counts_it_announces(motion: MotionSequ
     np.testing.assert_array_equal(table[:, names.index("pelvis_ty")], motion.q[:, 2])
 
 
-def test_a_sto_has_radians_speeds_and_the_paths_of_states(motion: MotionSequence, tmp_path: Path) -> None:
+def test_sto_has_radians_speeds_and_state_paths(motion: MotionSequence, tmp_path: Path) -> None:
     write_sto(tmp_path / "walk.sto", motion)
     header, names, table = read(tmp_path / "walk.sto")
     assert header[2:5] == ["nRows=60", "nColumns=133", "inDegrees=no"]
@@ -46,7 +120,7 @@ def test_a_sto_has_radians_speeds_and_the_paths_of_states(motion: MotionSequence
     np.testing.assert_allclose(table[1:-1, 67:], central, atol=1e-9)
 
 
-def test_a_single_frame_stands_still(motion: MotionSequence, tmp_path: Path) -> None:
+def test_single_frame_has_no_speed(motion: MotionSequence, tmp_path: Path) -> None:
     write_sto(tmp_path / "one.sto", motion[:1])
     assert not read(tmp_path / "one.sto")[2][:, 67:].any()
 
@@ -58,15 +132,15 @@ def test_gaps_uneven_times_and_existing_files_are_refused(
     assert callable(write)
     q = np.array(motion.q)
     q[7] = np.nan
-    with pytest.raises(ShapeError, match="frame 7 is not known"):
+    with pytest.raises(InvalidInputError, match="frame 7"):
         write(tmp_path / "a.mot", replace(motion, q=q))
     times = np.array(motion.times)
     times[30:] += 0.1
-    with pytest.raises(ShapeError, match="ms beside even times"):
+    with pytest.raises(InvalidInputError, match="even times"):
         write(tmp_path / "a.mot", replace(motion, poses=replace(motion.poses, times=times)))
     assert not (tmp_path / "a.mot").exists()
     write(tmp_path / "a.mot", motion)
-    with pytest.raises(OutputExistsError, match=r"a\.mot: is there already"):
+    with pytest.raises(OutputExistsError, match=r"a\.mot"):
         write(tmp_path / "a.mot", motion)
     write(tmp_path / "a.mot", motion[:9], overwrite=True)
     assert len(read(tmp_path / "a.mot")[2]) == 9

@@ -1,4 +1,4 @@
-"""Every format is recognised by its content and gives the motion that was written, or a clear error."""
+"""Every format is recognised by its content and read in SI units; `test_fuzz_readers` damages files."""
 
 from __future__ import annotations
 
@@ -8,37 +8,31 @@ import numpy as np
 import pytest
 from sensor_files import REAL, SERIALS, WRITERS, truth, write_csv, write_dot, write_mt
 
-from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.data.imu_declaration import CHOICES
 from rtof_kin.formats.sensors.files import FORMATS, read_sensor_log
 
 TRUTHS = [truth(1), truth(2)]
 
 
-def test_the_table_has_every_format_that_is_tested_here() -> None:
-    assert {kind.title for kind in FORMATS} == set(WRITERS)
-
-
-@pytest.mark.parametrize("title", WRITERS)
-def test_what_was_written_is_read_in_si_units(title: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("title", [kind.title for kind in FORMATS])
+def test_written_file_is_read_in_si_units(title: str, tmp_path: Path) -> None:
     log = read_sensor_log(WRITERS[title](tmp_path, TRUTHS))
     assert log.format == title
     assert [name.removeprefix("s") for name in log.names] == list(SERIALS)
     for stream, true in zip(log.streams, TRUTHS, strict=True):
-        assert stream.R_inertial_sensor is not None
         np.testing.assert_allclose(stream.R_inertial_sensor, true.R.as_matrix(), atol=1e-9)
         for name, value in (("f_sensor", true.f), ("w_sensor", true.w), ("m_sensor", true.m)):
-            got = getattr(stream, name)
-            if got is not None:
-                np.testing.assert_allclose(got, value, atol=1e-8)
+            if name in stream.holds:
+                np.testing.assert_allclose(getattr(stream, name), value, atol=1e-8)
         assert stream.rate_hz == pytest.approx(60, rel=1e-4)
         assert len(stream) == 40
     if "f_sensor" in log.streams[0].holds:
-        assert len(log.imus()) == 1  # the same times, so they leave together
+        assert len(log.imus()) == 1  # the same times make one sequence
 
 
 @pytest.mark.parametrize("title", WRITERS)
-def test_only_one_format_recognises_a_file(title: str, tmp_path: Path) -> None:
+def test_one_format_recognises_a_file(title: str, tmp_path: Path) -> None:
     place = WRITERS[title](tmp_path, TRUTHS)
     files = [place] if place.is_file() else [one for one in place.rglob("*") if one.is_file()]
     for path in files:
@@ -47,52 +41,26 @@ def test_only_one_format_recognises_a_file(title: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("title", [kind.title for kind in FORMATS if kind.file_is_trial])
-def test_the_ending_does_not_matter(title: str, tmp_path: Path) -> None:
+def test_suffix_does_not_matter(title: str, tmp_path: Path) -> None:
     place = WRITERS[title](tmp_path, TRUTHS)
-    other = place.rename(place.with_suffix(".data"))
-    assert read_sensor_log(other).format == title
+    assert read_sensor_log(place.rename(place.with_suffix(".data"))).format == title
 
 
 @pytest.mark.parametrize("title", WRITERS)
-def test_every_field_of_a_declaration_can_be_set_otherwise(title: str, tmp_path: Path) -> None:
+def test_declaration_can_be_changed(title: str, tmp_path: Path) -> None:
     place = WRITERS[title](tmp_path, TRUTHS)
     usual = read_sensor_log(place)
     log = read_sensor_log(place, rate_hz=50, inertial_axes="z down", acceleration_unit=None)
     assert log.declaration.inertial_axes == "z down"
     assert log.declaration.acceleration_unit == usual.declaration.acceleration_unit
     assert log.streams[0].rate_hz == pytest.approx(50)
-    R, turned = usual.streams[0].R_inertial_sensor, log.streams[0].R_inertial_sensor
-    assert R is not None
-    assert turned is not None
-    np.testing.assert_allclose(turned, np.diag([1, -1, -1]) @ R, atol=1e-12)
-    with pytest.raises(UnknownNameError, match="field of a declaration 'units'"):
+    R = usual.streams[0].R_inertial_sensor
+    np.testing.assert_allclose(log.streams[0].R_inertial_sensor, np.diag([1, -1, -1]) @ R, atol=1e-12)
+    with pytest.raises(UnknownNameError, match="'units'"):
         read_sensor_log(place, units="g")
 
 
-@pytest.mark.parametrize("title", WRITERS)
-def test_damage_is_an_error_of_this_package_or_harmless(title: str, tmp_path: Path) -> None:
-    """Files cut off anywhere, with a byte changed, or with a piece left out."""
-    place = WRITERS[title](tmp_path, [truth(1, T=6), truth(2, T=6)])
-    path = place if place.is_file() else sorted(one for one in place.rglob("*") if one.is_file())[0]
-    whole, rng = path.read_bytes(), np.random.default_rng(5)
-    for trial in range(60):
-        at, end = sorted(rng.integers(0, len(whole), 2).tolist())
-        damaged = (
-            whole[:at],
-            whole[:at] + rng.bytes(1) + whole[at + 1 :],
-            whole[:at] + whole[end:],
-            whole[:end] + whole[at:],
-        )[trial % 4]
-        path.write_bytes(damaged)
-        problem = str(path.parent)
-        try:
-            read_sensor_log(place)
-        except RtofError as error:
-            problem = str(error)
-        assert str(path.parent) in problem
-
-
-def test_a_trial_is_a_folder_several_files_or_one(tmp_path: Path) -> None:
+def test_trial_is_a_folder_several_files_or_one(tmp_path: Path) -> None:
     folder = write_mt(tmp_path, TRUTHS)
     (folder / "readme.md").write_text("hello")
     (folder / "subjects.txt").write_text("hello")
@@ -102,13 +70,13 @@ def test_a_trial_is_a_folder_several_files_or_one(tmp_path: Path) -> None:
     assert read_sensor_log(folder).notes == ("left aside, as no files of sensors: subjects.txt",)
 
 
-def test_a_folder_of_two_trials_is_refused(tmp_path: Path) -> None:
+def test_folder_of_two_trials_is_refused(tmp_path: Path) -> None:
     write_csv(tmp_path, TRUTHS)
     (tmp_path / "again.csv").write_bytes((tmp_path / "trial.csv").read_bytes())
-    with pytest.raises(FileFormatError, match=r"there are 2 trials \(again.csv, trial.csv\); name one"):
+    with pytest.raises(FileFormatError, match=r"2 trials \(again.csv, trial.csv\); name one"):
         read_sensor_log(tmp_path)
     write_dot(tmp_path, TRUTHS)
-    with pytest.raises(FileFormatError, match=r"files of Movella DOT CSV and of plain CSV"):
+    with pytest.raises(FileFormatError, match="Movella DOT CSV and of plain CSV"):
         read_sensor_log(tmp_path)
 
 
@@ -120,8 +88,8 @@ def test_one_sensor_in_two_files_is_refused(tmp_path: Path) -> None:
         read_sensor_log(tmp_path)
 
 
-@pytest.mark.parametrize("content", [b"", b"\0\0\0", b"hello\n", b"a,b\n1,2\n", b"\xff\xfe", b"\n" * 99])
-def test_what_is_not_known_is_told_the_formats(content: bytes, tmp_path: Path) -> None:
+@pytest.mark.parametrize("content", [b"", b"hello\n", b"a,b\n1,2\n", b"\xff\xfe"])
+def test_unknown_file_error_lists_the_formats(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "walk.csv"
     path.write_bytes(content)
     for place in (path, tmp_path):
@@ -131,13 +99,12 @@ def test_what_is_not_known_is_told_the_formats(content: bytes, tmp_path: Path) -
         assert all(kind.title in str(caught.value) for kind in FORMATS)
 
 
-def test_nothing_there_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="there is no such file or folder"):
-        read_sensor_log(tmp_path / "walk.csv")
-    with pytest.raises(FileFormatError, match="no file of sensors that is known in this folder"):
-        read_sensor_log(tmp_path)
-    with pytest.raises(FileFormatError, match="no file was named"):
-        read_sensor_log([])
+@pytest.mark.parametrize(
+    "name, says", [("walk.csv", "no such file"), ("", "in this folder"), (None, "named")]
+)
+def test_missing_file_is_an_error(name: str | None, says: str, tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match=says):
+        read_sensor_log([] if name is None else tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +117,7 @@ def test_nothing_there_is_an_error(tmp_path: Path) -> None:
         ("qmt_fullbody_16imu", "MATLAB structs", ("hip", "foot_left"), 100, 150),
     ],
 )
-def test_real_recordings_load_and_read_one_gravity_upwards(
+def test_real_recordings_measure_gravity_upwards(
     name: str, title: str, sensors: tuple[str, ...], rate: float, samples: int
 ) -> None:
     log = read_sensor_log(REAL / name)
@@ -160,14 +127,13 @@ def test_real_recordings_load_and_read_one_gravity_upwards(
     assert stream.rate_hz == pytest.approx(rate, rel=0.01)
     f, R = stream.f_sensor, stream.R_inertial_sensor
     assert f is not None
-    assert R is not None
     assert np.median(np.linalg.norm(f, axis=1)) == pytest.approx(9.81, abs=0.4)
     if name != "qmt_fullbody_16imu":  # whose quaternions are not the sensors'
         up = np.mean(np.einsum("tij,tj->ti", R, f), axis=0)
         np.testing.assert_allclose(up, [0, 0, 9.81], atol=0.5)
 
 
-def test_the_documentation_names_every_format_and_field_and_its_example_is_read(tmp_path: Path) -> None:
+def test_documentation_has_every_format_and_field_and_a_valid_example(tmp_path: Path) -> None:
     text = (Path(__file__).parents[2] / "docs" / "sensors.md").read_text(encoding="utf-8")
     plain = text.replace("`", "")
     assert all(f"| {kind.title}" in plain for kind in FORMATS)

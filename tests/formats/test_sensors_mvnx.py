@@ -1,4 +1,4 @@
-"""MVNX: what MVN writes, versions that lack tags, and XML that is made to harm."""
+"""MVNX: files of MVN, versions without some tags, and hostile XML."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def orientations(count: int = 2) -> str:
     return f"<sensorOrientation>{'1 0 0 0 ' * count}</sensorOrientation>"
 
 
-def test_sensors_segments_and_calibration_poses_are_kept_apart(tmp_path: Path) -> None:
+def test_sensors_segments_and_calibration_poses(tmp_path: Path) -> None:
     path = written(tmp_path, mvnx_text(TRUTHS))
     content = read_mvnx_file(path)
     assert content.sensors == ("00B40001", "00B40002")
@@ -47,7 +47,7 @@ def test_sensors_segments_and_calibration_poses_are_kept_apart(tmp_path: Path) -
     np.testing.assert_allclose(log.streams[1].times, np.arange(6) / 60)
 
 
-def test_a_tag_may_be_absent_everywhere_or_in_some_frames(tmp_path: Path) -> None:
+def test_tag_may_be_absent_in_some_or_all_frames(tmp_path: Path) -> None:
     field = f"<sensorMagneticField>{'1 2 3 ' * 2}</sensorMagneticField>"
     frames = "".join(frame(i, orientations() + (field if i else "")) for i in range(3))
     log = read_mvnx(written(tmp_path, mvnx_text(TRUTHS, frames)))
@@ -55,13 +55,13 @@ def test_a_tag_may_be_absent_everywhere_or_in_some_frames(tmp_path: Path) -> Non
     np.testing.assert_array_equal(log.streams[1].m_sensor, [[np.nan] * 3, [1, 2, 3], [1, 2, 3]])
 
 
-def test_tags_of_old_versions_are_named_and_not_read(tmp_path: Path) -> None:
+def test_raw_tags_of_old_versions_are_reported(tmp_path: Path) -> None:
     old = "<sensorAcceleration>1 2 3 4 5 6</sensorAcceleration>"
     log = read_mvnx(written(tmp_path, mvnx_text(TRUTHS, frame(0, orientations() + old))))
     assert log.notes == ("not read, as their axes differ between versions: sensorAcceleration",)
 
 
-def test_frames_that_were_not_exported_are_a_gap(tmp_path: Path) -> None:
+def test_missing_frames_are_a_gap(tmp_path: Path) -> None:
     frames = "".join(frame(i, orientations()) for i in (10, 11, 12, 15))
     stream = read_mvnx(written(tmp_path, mvnx_text(TRUTHS, frames)))
     np.testing.assert_allclose(stream.streams[0].times, np.array([10, 11, 12, 15]) / 60)
@@ -77,8 +77,8 @@ ONE_FRAME = mvnx_text(TRUTHS, frame(0, orientations()))
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (BOMB, "holds what no MVNX file needs and is refused: DTDForbidden"),
-        (EXTERNAL, "refused: DTDForbidden"),
+        (BOMB, "DTDForbidden"),
+        (EXTERNAL, "DTDForbidden"),
         ('<!DOCTYPE mvnx SYSTEM "http://x/y"><mvnx/>', "refused: DTDForbidden"),
         ("<mvnx>", "line 1: broken XML"),
         ("<html><mvnx/></html>", "its root is <html>, not <mvnx>"),
@@ -105,7 +105,7 @@ ONE_FRAME = mvnx_text(TRUTHS, frame(0, orientations()))
         (ONE_FRAME.replace('"UTF-8"', '"wrong-8"'), "broken XML|cannot be read"),
     ],
 )  # fmt: skip
-def test_damaged_and_harmful_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_damaged_and_hostile_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
     path = written(tmp_path, text)
     with pytest.raises(FileFormatError, match=message) as caught:
         read_mvnx(path)
@@ -115,39 +115,35 @@ def test_damaged_and_harmful_files_are_refused(tmp_path: Path, text: str, messag
 @pytest.mark.parametrize(
     "frames",
     [
-        "<frame index='0'>" + "<x/>" * 30000,  # never ends
+        "<frame index='0'>" + "<x/>" * 30000,  # without end
         "<a>" * 30000,  # nested
         f"<frame index='0'><position>{'1 ' * 60000}",  # one long text
         f"<a b='{'1' * 120000}'/>",  # one long attribute
     ],
 )
-def test_what_cannot_be_dropped_does_not_grow_without_bound(
+def test_element_of_unbounded_size_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: str
 ) -> None:
     monkeypatch.setattr(mvnx, "LARGEST_FRAME", 2**14)
-    path = written(tmp_path, mvnx_text(TRUTHS, frames))
-    with pytest.raises(FileFormatError, match="an element in it is larger than"):
-        read_mvnx(path)
+    with pytest.raises(FileFormatError, match="an element in it is larger"):
+        read_mvnx(written(tmp_path, mvnx_text(TRUTHS, frames)))
 
 
-def test_a_file_that_is_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_large_and_missing_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mvnx, "LARGEST_BYTES", 100)
-    with pytest.raises(FileFormatError, match="larger than 0 GiB; split it"):
+    with pytest.raises(FileFormatError, match="split it"):
         read_mvnx(written(tmp_path, ONE_FRAME))
-    with pytest.raises(FileFormatError, match="there is no such file"):
+    with pytest.raises(FileFormatError, match="no such file"):
         read_mvnx(tmp_path / "other.mvnx")
 
 
-def test_many_frames_are_read_within_bounds_and_frames_are_dropped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The whole is larger than what may be held at a time."""
+def test_frames_are_dropped_after_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mvnx, "LARGEST_FRAME", 2**18)
     path = written(tmp_path, mvnx_text(TRUTHS, "".join(frame(i, orientations()) for i in range(4000))))
     assert path.stat().st_size > 2**18
     assert len(read_mvnx(path).streams[0]) == 4000
 
 
-def test_it_is_recognised_by_its_root() -> None:
+def test_file_is_recognised_by_its_root() -> None:
     assert is_mvnx(ONE_FRAME[:200])
     assert not is_mvnx("<html>")

@@ -23,7 +23,7 @@ def table(tmp_path: Path, content: str | bytes) -> SensorTable:
 @pytest.mark.parametrize("delimiter", ["\t", ",", ";"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
-def test_separators_ends_of_lines_and_marks_make_no_difference(
+def test_separators_line_ends_and_byte_order_marks(
     tmp_path: Path, delimiter: str, end: str, mark: bytes
 ) -> None:
     lines = ["// © made here", "t,x,Status", "1, 2.5 ,ok", "", "2,,", "3,-4e-1,bad,", ""]
@@ -38,7 +38,7 @@ def test_separators_ends_of_lines_and_marks_make_no_difference(
     assert got.notes == ()
 
 
-def test_a_last_line_that_was_cut_off_is_left_out_and_told(tmp_path: Path) -> None:
+def test_cut_last_line_is_left_out_with_a_note(tmp_path: Path) -> None:
     got = table(tmp_path, HEAD + "1,2,ok\n2,3")
     assert got.values.tolist() == [[1, 2]]
     assert got.notes == ("line 5 was cut off and is left out",)
@@ -64,7 +64,7 @@ def test_a_last_line_that_was_cut_off_is_left_out_and_told(tmp_path: Path) -> No
         (HEAD + "1," + "2" * 70000 + ",ok\n", 4, "longer than 65536 bytes"),
     ],
 )
-def test_a_damaged_table_is_an_error_with_its_line(
+def test_damaged_table_is_an_error_with_its_line(
     tmp_path: Path, content: str | bytes, line: int | None, message: str
 ) -> None:
     with pytest.raises(FileFormatError, match=message) as caught:
@@ -73,11 +73,11 @@ def test_a_damaged_table_is_an_error_with_its_line(
     assert "walk.csv" in str(caught.value)
 
 
-def test_what_is_not_read_may_hold_anything(tmp_path: Path) -> None:
+def test_ignored_column_may_hold_anything(tmp_path: Path) -> None:
     assert table(tmp_path, HEAD + "1,2,1e999\n").values.tolist() == [[1, 2]]
 
 
-def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -> None:
+def test_unreadable_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "walk.csv"
     path.write_text("t,x\n1,2\n")
     with pytest.raises(FileFormatError, match="larger than 0 MiB"):

@@ -1,4 +1,4 @@
-"""The text formats of Total Capture: what was planted comes back, and broken files say what is wrong."""
+"""Text formats of Total Capture: planted values, spellings, and what is refused."""
 
 from __future__ import annotations
 
@@ -7,14 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import total_capture_support as support
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from benchmarks import total_capture_files as files
 from benchmarks.total_capture_motion import cameras
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.data.camera import Camera
 from rtof_kin.formats.total_capture import read_cameras, read_imu_calibration, read_joints, read_sensors
 from rtof_kin.simulation.mocap import NAMES
 
@@ -43,7 +39,7 @@ def write(path: Path, text: str) -> Path:
 # --- joints --------------------------------------------------------------------------------------
 
 
-def test_positions_and_orientations_come_back_as_written(paths: dict[str, Path]) -> None:
+def test_written_positions_and_orientations_are_read(paths: dict[str, Path]) -> None:
     poses = support.motion()
     positions = read_joints(paths["positions"], 3)
     assert positions.names == NAMES
@@ -54,17 +50,10 @@ def test_positions_and_orientations_come_back_as_written(paths: dict[str, Path])
     np.testing.assert_allclose(orientations.values, expected, rtol=6e-6, atol=1e-9)
 
 
-def test_a_table_by_hand_with_tabs_at_the_ends_and_numbers_in_scientific_notation(tmp_path: Path) -> None:
-    path = write(tmp_path / "p.txt", "Hips\tSpine\t\n1 -9.1e-05 3\t4 5.5E+1 -6\t\n7 8 9\t0 0 1e-12\t\n")
-    table = read_joints(path, 3)
-    assert table.names == ("Hips", "Spine")
-    np.testing.assert_array_equal(table.values, [[[1, -9.1e-05, 3], [4, 55, -6]], [[7, 8, 9], [0, 0, 1e-12]]])
-
-
 @pytest.mark.parametrize(
     "text",
     [
-        "Hips\tSpine\n1 2 3\t4 5 6\n",
+        "Hips\tSpine\n1 2 3\t4 5.0E+0 6\n",
         "Hips\tSpine\t\r\n1 2 3\t4 5 6\t\r\n",
         "Hips\tSpine\t\n1 2 3\t4 5 6\t\n\n\n",
         "Hips\tSpine\t\n1 2 3\t4 5 6\t",
@@ -72,38 +61,19 @@ def test_a_table_by_hand_with_tabs_at_the_ends_and_numbers_in_scientific_notatio
     ],
     ids=["no tab at the end", "CRLF", "blank lines at the end", "no newline at the end", "spaces"],
 )
-def test_every_spacing_of_a_table_is_the_same(text: str, tmp_path: Path) -> None:
+def test_every_spacing_of_a_joint_table(text: str, tmp_path: Path) -> None:
     table = read_joints(write(tmp_path / "p.txt", text), 3)
     assert table.names == ("Hips", "Spine")
     np.testing.assert_array_equal(table.values, [[[1, 2, 3], [4, 5, 6]]])
 
 
-@given(arrays(float, (3, 21, 3), elements=st.floats(-1e4, 1e4, allow_subnormal=False)))
-def test_whatever_is_written_is_read_to_six_digits(
-    tmp_path_factory: pytest.TempPathFactory, values: np.ndarray
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "any.txt"
-    files.write_joints(path, values)
-    np.testing.assert_allclose(read_joints(path, 3).values, values, rtol=6e-6)
-
-
-def test_a_table_of_another_width_is_refused_with_its_line(paths: dict[str, Path]) -> None:
-    wrong = r"gt_skel_gbl_ori.txt, line 2: .*21 joints of 3.*84"
-    with pytest.raises(FileFormatError, match=wrong) as caught:
+def test_invalid_joint_tables_are_refused_with_their_line(paths: dict[str, Path]) -> None:
+    with pytest.raises(FileFormatError, match=r"gt_skel_gbl_ori.txt, line 2: .*21 joints of 3.*84"):
         read_joints(paths["orientations"], 3)
-    assert caught.value.line == 2
-
-
-def test_a_table_cut_in_a_line_says_how_many_frames_are_whole_and_what_to_do(paths: dict[str, Path]) -> None:
     rows = support.lines(paths["positions"])
     write(paths["positions"], "".join(rows[:6]) + rows[6][:200])
-    with pytest.raises(FileFormatError, match=r"line 7: .*\b5\b.*(again|download)") as caught:
+    with pytest.raises(FileFormatError, match=r"line 7: .*\b5\b.*again"):
         read_joints(paths["positions"], 3)
-    assert caught.value.line == 7
-
-
-def test_what_is_no_number_is_quoted_with_its_line(paths: dict[str, Path]) -> None:
-    rows = support.lines(paths["positions"])
     rows[4] = rows[4].replace(rows[4].split()[10], "1,25")
     write(paths["positions"], "".join(rows))
     with pytest.raises(FileFormatError, match="line 5: .*1,25"):
@@ -114,7 +84,7 @@ def test_what_is_no_number_is_quoted_with_its_line(paths: dict[str, Path]) -> No
 
 
 @pytest.mark.parametrize("kind", ["sensors", "aux"])
-def test_sensors_come_back_as_written_from_both_kinds_of_file(kind: str, paths: dict[str, Path]) -> None:
+def test_written_sensors_are_read_from_both_kinds_of_file(kind: str, paths: dict[str, Path]) -> None:
     imus = support.take().imus
     table = read_sensors(paths[kind])
     assert table.names == imus.names
@@ -123,7 +93,7 @@ def test_sensors_come_back_as_written_from_both_kinds_of_file(kind: str, paths: 
     np.testing.assert_allclose(table.f_sensor, imus.f_sensor, rtol=6e-6, atol=1e-9)
 
 
-def test_sensors_by_hand_with_spaces_in_the_head(tmp_path: Path) -> None:
+def test_sensors_by_hand_with_mixed_spacing(tmp_path: Path) -> None:
     text = "2 2\n1\nHead\t1 0 0 0 0.1 0.2 9.8\nPelvis\t0 1 0 0 1 2 3\n"
     text += "2\r\nHead\t0\t0\t1\t0\t4\t5\t6\r\nPelvis 0 0 0 1 7 8 9e0\r\n\r\n"
     table = read_sensors(write(tmp_path / "x.sensors", text))
@@ -132,57 +102,37 @@ def test_sensors_by_hand_with_spaces_in_the_head(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.f_sensor[:, 1], [[1, 2, 3], [7, 8, 9]])
 
 
-def test_a_sensors_file_cut_in_a_frame_says_how_many_are_whole_and_what_to_do(paths: dict[str, Path]) -> None:
+@pytest.mark.parametrize("rest", ["", "Pelvis\t0.1"], ids=["between frames", "in a frame"])
+def test_cut_sensors_file_states_the_whole_frames(rest: str, paths: dict[str, Path]) -> None:
     rows = support.lines(paths["sensors"])
-    write(paths["sensors"], "".join(rows[: 1 + 14 * 20 + 5]) + rows[1 + 14 * 20 + 5][:9])
-    with pytest.raises(FileFormatError, match=r"\b20\b.*(again|download)"):
-        read_sensors(paths["sensors"])
-
-
-def test_a_sensors_file_that_ends_between_two_frames_is_short_of_its_head(paths: dict[str, Path]) -> None:
-    rows = support.lines(paths["sensors"])
-    announced = int(rows[0].split()[1])
-    write(paths["sensors"], "".join(rows[: 1 + 14 * 20]))
-    with pytest.raises(FileFormatError, match=rf"{announced}.*\b20\b|\b20\b.*{announced}"):
+    write(paths["sensors"], "".join(rows[: 1 + 14 * 20]) + rest)
+    with pytest.raises(FileFormatError, match=r"announces 90 frames.*\b20\b.*again"):
         read_sensors(paths["sensors"])
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("old", "new", "count", "message"),
     [
-        ("13\t", "thirteen\t", "line 1"),
-        ("\n2\n", "\n3\n", "line 16"),
-        ("Pelvis\t", "Pelvic\t", "line"),
-        ("Pelvis\t", "Pelvis\tx", "line 5"),
-        ("Pelvis\t", "Head\t", "line"),
+        ("13\t", "thirteen\t", 1, "line 1"),
+        ("\n2\n", "\n3\n", 1, "line 16"),
+        ("Pelvis\t", "Pelvic\t", 1, "line"),
+        ("Pelvis\t", "Pelvis\tx", 1, "line 5"),
+        ("Pelvis\t", "Head\t", 1, "line"),
+        ("Pelvis", "Head", -1, "line 3: .*twice"),
+        ("13\t90", "13\t80", 1, "line .*announces 80 frames of 13 .* holds 90"),
+        ("13\t90", "12\t90", 1, "line .*90 frames of 12 sensors"),
     ],
-    ids=["no count", "frame number", "one sensor renamed once", "no number", "twice"],
+    ids=["count", "frame number", "renamed once", "no number", "twice once", "twice", "frames", "sensors"],
 )
-def test_a_spoiled_sensors_file_is_refused_where_it_is_spoiled(
-    old: str, new: str, message: str, paths: dict[str, Path]
+def test_invalid_sensors_file_is_refused_with_its_line(
+    old: str, new: str, count: int, message: str, paths: dict[str, Path]
 ) -> None:
-    support.edit(paths["sensors"], old, new)
+    support.edit(paths["sensors"], old, new, count=count)
     with pytest.raises(FileFormatError, match=rf"Xsens.sensors, {message}"):
         read_sensors(paths["sensors"])
 
 
-def test_a_sensor_that_stands_twice_in_every_frame_is_refused(paths: dict[str, Path]) -> None:
-    support.edit(paths["sensors"], "Pelvis", "Head", count=-1)
-    with pytest.raises(FileFormatError, match="line 3: .*twice"):
-        read_sensors(paths["sensors"])
-
-
-def test_a_sensors_file_with_more_than_it_announces_is_not_called_incomplete(paths: dict[str, Path]) -> None:
-    support.edit(paths["sensors"], "13\t90", "13\t80")
-    with pytest.raises(FileFormatError, match="announces 80 frames of 13 .* holds 90") as caught:
-        read_sensors(paths["sensors"])
-    assert "again" not in str(caught.value)
-    support.edit(paths["sensors"], "13\t80", "12\t90")
-    with pytest.raises(FileFormatError, match="90 frames of 12 sensors"):
-        read_sensors(paths["sensors"])
-
-
-def test_columns_that_are_missing_from_a_line_are_an_error_with_the_line(paths: dict[str, Path]) -> None:
+def test_missing_columns_are_an_error_with_the_line(paths: dict[str, Path]) -> None:
     rows = support.lines(paths["sensors"])
     rows[20] = "\t".join(rows[20].split("\t")[:6]) + "\n"
     write(paths["sensors"], "".join(rows))
@@ -193,19 +143,7 @@ def test_columns_that_are_missing_from_a_line_are_an_error_with_the_line(paths: 
 # --- calibration of the IMUs ---------------------------------------------------------------------
 
 
-def test_calibrations_come_back_by_name_whatever_their_order(paths: dict[str, Path]) -> None:
-    calibration = support.take().calibration
-    ref, bone = read_imu_calibration(paths["ref"]), read_imu_calibration(paths["bone"])
-    assert set(ref) == set(bone) == set(calibration.sensors)
-    assert list(ref) != list(bone)
-    for s, name in enumerate(calibration.sensors):
-        w_last = np.roll(ref[name], 1)
-        R_ref = files.so3.from_quat_wxyz(w_last)
-        expected = files.C_WORLD_TC.T @ calibration.R_world_inertial[s]
-        assert support.degrees_apart(R_ref, expected) < 1e-3
-
-
-def test_a_calibration_by_hand_is_x_y_z_w(tmp_path: Path) -> None:
+def test_calibration_by_hand_is_x_y_z_w(tmp_path: Path) -> None:
     text = "2\r\nHead -0.698693 -0.000693276 0.030256 0.714781 \r\n\r\nPelvis\t0 0 0 1\r\n"
     found = read_imu_calibration(write(tmp_path / "ref.txt", text))
     assert list(found) == ["Head", "Pelvis"]
@@ -227,7 +165,7 @@ def test_a_calibration_by_hand_is_x_y_z_w(tmp_path: Path) -> None:
         ("1\nHead nan 0 0 1\n", "line 2"),
     ],
 )
-def test_a_spoiled_calibration_says_what_is_wrong(text: str, message: str, tmp_path: Path) -> None:
+def test_invalid_calibration_is_refused(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=rf"ref.txt.*{message}"):
         read_imu_calibration(write(tmp_path / "ref.txt", text))
 
@@ -235,7 +173,7 @@ def test_a_spoiled_calibration_says_what_is_wrong(text: str, message: str, tmp_p
 # --- cameras -------------------------------------------------------------------------------------
 
 
-def test_cameras_come_back_in_the_file_s_own_world(paths: dict[str, Path]) -> None:
+def test_written_cameras_are_read_in_the_files_world(paths: dict[str, Path]) -> None:
     found = read_cameras(paths["cameras"])
     assert sorted(found) == list(range(1, 9))
     for number, planted in cameras().items():
@@ -255,23 +193,15 @@ def one_camera(**changed: str) -> str:
     return "".join(f"{row} \r\n" for row in (rows | changed).values())
 
 
-def test_a_camera_by_hand(tmp_path: Path) -> None:
+def test_camera_by_hand(tmp_path: Path) -> None:
     (camera,) = read_cameras(write(tmp_path / "c.cal", one_camera())).values()
-    assert isinstance(camera, Camera)
     assert camera.center_world == pytest.approx([1, 2, 5])
+    (other,) = read_cameras(write(tmp_path / "c.cal", "\t".join(one_camera().split()))).values()
+    np.testing.assert_array_equal(other.R_camera_world, camera.R_camera_world)
     # Half a metre right of and below the axis, two metres away: r2 = 0.125.
     x = 0.25 * (1 + 0.5 * 0.125)
     expected = [1200 * x + 959.5, 1210 * x + 539.5]
     np.testing.assert_allclose(camera.project([1.5, 1.5, 3.0]), expected)
-
-
-def test_line_ends_and_breaks_between_numbers_do_not_matter(tmp_path: Path) -> None:
-    text = one_camera()
-    one = read_cameras(write(tmp_path / "a.cal", text))
-    for other in (text.replace("\r\n", "\n"), " ".join(text.split()), text.replace(" ", "\t") + "\r\n"):
-        two = read_cameras(write(tmp_path / "b.cal", other))
-        np.testing.assert_array_equal(one[1].R_camera_world, two[1].R_camera_world)
-        np.testing.assert_array_equal(one[1].t_camera_world, two[1].t_camera_world)
 
 
 @pytest.mark.parametrize(
@@ -289,59 +219,37 @@ def test_line_ends_and_breaks_between_numbers_do_not_matter(tmp_path: Path) -> N
         ({"head": "1.5 1"}, "numbers of cameras"),
     ],
 )
-def test_a_spoiled_camera_file_says_what_is_wrong(
-    changed: dict[str, str], message: str, tmp_path: Path
-) -> None:
+def test_invalid_camera_file_is_refused(changed: dict[str, str], message: str, tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=f"c.cal.*({message})"):
         read_cameras(write(tmp_path / "c.cal", one_camera(**changed)))
-
-
-def test_a_camera_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
-    words = one_camera(head="1 1").split()
-    for count in range(len(words)):
-        with pytest.raises(FileFormatError):
-            read_cameras(write(tmp_path / "c.cal", " ".join(words[:count])))
 
 
 # --- all of them ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", READERS)
-@pytest.mark.parametrize(
-    "content",
-    [b"", b" \r\n\r\n", b"\x00\xff\xfe\x80" * 50, b"<!DOCTYPE html>\n<html>login</html>\n", b"13\n"],
-    ids=["empty", "blank", "bytes", "a web page", "a number"],
-)
-def test_what_is_no_such_file_at_all_is_refused_by_name(kind: str, content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / f"{kind}.txt"
-    path.write_bytes(content)
-    with pytest.raises(FileFormatError, match=rf"{kind}\.txt"):
-        READERS[kind](path)
-
-
-@pytest.mark.parametrize("kind", READERS)
-def test_a_file_that_is_not_there_or_a_folder_is_an_error_with_its_name(kind: str, tmp_path: Path) -> None:
-    (tmp_path / "folder.txt").mkdir()
-    for name in ("folder.txt", "gone.txt"):
-        with pytest.raises((FileFormatError, OSError), match=name.replace(".", r"\.")):
-            READERS[kind](tmp_path / name)
+def test_other_content_is_refused_by_name(kind: str, tmp_path: Path) -> None:
+    for content in (b" \r\n\r\n", b"\x00\xff\xfe\x80" * 50, b"<!DOCTYPE html>\n<html/>\n", b"13\n"):
+        path = tmp_path / f"{kind}.txt"
+        path.write_bytes(content)
+        with pytest.raises(FileFormatError, match=rf"{kind}\.txt"):
+            READERS[kind](path)
 
 
 @pytest.mark.parametrize("kind", ["positions", "orientations", "sensors", "aux", "cameras"])
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.77, 0.97])
-def test_a_download_that_was_cut_anywhere_is_noticed(kind: str, share: float, paths: dict[str, Path]) -> None:
+def test_incomplete_download_is_refused(kind: str, paths: dict[str, Path]) -> None:
     data = paths[kind].read_bytes()
-    paths[kind].write_bytes(data[: int(share * len(data)) - 3])
-    with pytest.raises(FileFormatError, match=paths[kind].name):
-        READERS[kind](paths[kind])
+    for share in (0.02, 0.3, 0.77, 0.97):
+        paths[kind].write_bytes(data[: int(share * len(data)) - 3])
+        with pytest.raises(FileFormatError, match=paths[kind].name):
+            READERS[kind](paths[kind])
 
 
 @pytest.mark.parametrize("kind", ["positions", "orientations", "sensors"])
-@pytest.mark.parametrize("word", ["inf", "nan", "1e999"])
-def test_numbers_that_are_not_finite_are_refused(kind: str, word: str, paths: dict[str, Path]) -> None:
+def test_numbers_that_are_not_finite_are_refused(kind: str, paths: dict[str, Path]) -> None:
     rows = support.lines(paths[kind])
-    old = rows[3].split()[2]
-    rows[3] = rows[3].replace(old, word, 1)
-    write(paths[kind], "".join(rows))
-    with pytest.raises(FileFormatError, match=f"{paths[kind].name}, line 4: .*{word}"):
-        READERS[kind](paths[kind])
+    for word in ("inf", "nan", "1e999"):
+        changed = [*rows[:3], rows[3].replace(rows[3].split()[2], word, 1), *rows[4:]]
+        write(paths[kind], "".join(changed))
+        with pytest.raises(FileFormatError, match=f"{paths[kind].name}, line 4: .*{word}"):
+            READERS[kind](paths[kind])

@@ -1,4 +1,4 @@
-"""Headings of sensors' references, planted and told by movement."""
+"""Planted headings of sensors' references are estimated from movement."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from inertial_support import free
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.inertial.headings import own_headings, shared_heading, wrapped
-from rtof_kin.inertial.likelihood import MotionLikelihood
+from rtof_kin.inertial.likelihood import MotionLikelihood, SegmentMotion, segment_motions
 from rtof_kin.inertial.poses import pose_rotations
-from rtof_kin.inertial.segment_motion import SegmentMotion, segment_motions
 
 SENSORS = ("L_UpLeg", "L_LowLeg", "Pelvis")
 
@@ -25,7 +24,7 @@ def truth() -> tuple[list[SegmentMotion], np.ndarray]:
 
 
 def misread(motions: list[SegmentMotion], R_pose: np.ndarray, angles: np.ndarray) -> list[SegmentMotion]:
-    """As they are read if references' headings are off by so much, though all was right in the pose."""
+    """The motions with wrong headings but a correct pose."""
     out = []
     for motion, R, angle in zip(motions, R_pose, angles, strict=True):
         turn = so3.about_axis("z", -angle)

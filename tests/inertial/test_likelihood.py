@@ -1,4 +1,4 @@
-"""What movement says of sensors: properties that must hold whatever the prior is."""
+"""Properties of the likelihood that hold for any prior."""
 
 from __future__ import annotations
 
@@ -10,9 +10,14 @@ from inertial_support import Worn, free, walking
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import CalibrationError, ShapeError
-from rtof_kin.inertial.likelihood import MotionLikelihood
-from rtof_kin.inertial.segment_motion import SegmentMotion, even_times, seen_bones, segment_motions
+from rtof_kin.core.errors import CalibrationError, InvalidInputError
+from rtof_kin.inertial.likelihood import (
+    MotionLikelihood,
+    SegmentMotion,
+    even_times,
+    seen_bones,
+    segment_motions,
+)
 
 SENSORS = ("L_UpLeg", "L_LowLeg", "Pelvis", "L_LowArm")
 
@@ -28,76 +33,65 @@ def motions(worn: Worn) -> dict[str, SegmentMotion]:
 
 
 @pytest.fixture(scope="module")
-def evidence(skeleton: SkeletonModel) -> MotionLikelihood:
+def likelihood(skeleton: SkeletonModel) -> MotionLikelihood:
     return MotionLikelihood(skeleton)
 
 
-def test_motions_are_those_of_the_segments_at_the_rate_of_the_evidence(worn: Worn) -> None:
-    times = even_times(worn.truth.apply(worn.imus))
-    first = segment_motions(worn.truth.apply(worn.imus))[0]
-    assert first.joint == "LeftUpLeg"
-    assert len(first.w_world) == len(times) == len(worn.poses)
-    true = worn.poses.R_world_bone[:, worn.skeleton.index("LeftUpLeg")[0]]
-    np.testing.assert_allclose(first.R_world_bone, true, atol=1e-6)
-
-
-def test_the_tree_joins_each_segment_with_what_is_nearest(evidence: MotionLikelihood) -> None:
-    pairs = evidence.tree(["LeftLeg", "Hips", "LeftUpLeg", "LeftForeArm", "RightForeArm"])
+def test_the_tree_joins_near_segments(likelihood: MotionLikelihood) -> None:
+    pairs = likelihood.tree(["LeftLeg", "Hips", "LeftUpLeg", "LeftForeArm", "RightForeArm"])
     assert {("Hips", "LeftUpLeg"), ("LeftUpLeg", "LeftLeg")} <= set(pairs)
     assert len(pairs) == 4
 
 
-def test_pairs_say_the_same_whichever_way_the_world_is_turned(
-    evidence: MotionLikelihood, motions: dict[str, SegmentMotion]
+def test_heading_of_the_world_is_irrelevant(
+    likelihood: MotionLikelihood, motions: dict[str, SegmentMotion]
 ) -> None:
     a, b = motions["LeftUpLeg"], motions["LeftLeg"]
     R = so3.about_axis("z", 1.3)
-    assert evidence.pair(a.turned(R), b.turned(R)) == pytest.approx(evidence.pair(a, b))
-    assert evidence.single(a.turned(R)) == pytest.approx(evidence.single(a))
+    assert likelihood.pair(a.turned(R), b.turned(R)) == pytest.approx(likelihood.pair(a, b))
+    assert likelihood.single(a.turned(R)) == pytest.approx(likelihood.single(a))
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 @pytest.mark.parametrize("angle", [90, 180])
-def test_the_truth_is_likelier_than_a_sensor_turned(
-    axis: str, angle: int, evidence: MotionLikelihood, motions: dict[str, SegmentMotion]
+def test_turned_sensors_are_less_likely(
+    axis: str, angle: int, likelihood: MotionLikelihood, motions: dict[str, SegmentMotion]
 ) -> None:
     a, b = motions["LeftUpLeg"], motions["LeftLeg"]
     turn = so3.about_axis(axis, np.radians(angle))
     wrong = b.moved("LeftLeg", turn, b.p_bone_sensor)
-    assert evidence.pair(a, b) > evidence.pair(a, wrong) + 10
+    assert likelihood.pair(a, b) > likelihood.pair(a, wrong) + 10
 
 
-def test_a_held_posture_weighs_little_however_long_it_is_held(
-    evidence: MotionLikelihood, motions: dict[str, SegmentMotion]
+def test_a_static_posture_has_little_weight(
+    likelihood: MotionLikelihood, motions: dict[str, SegmentMotion]
 ) -> None:
     zero = np.zeros((600, 3))
     still = [
         SegmentMotion(m.joint, np.tile(m.R_world_bone[:1], (600, 1, 1)), zero, zero, m.p_bone_sensor)
         for m in (motions["LeftUpLeg"], motions["LeftLeg"])
     ]
-    assert evidence.pair(still[0], still[1]) == pytest.approx(0.0, abs=0.5)
+    assert likelihood.pair(still[0], still[1]) == pytest.approx(0.0, abs=0.5)
 
 
-def test_accelerations_tell_a_shank_from_the_other_side(skeleton: SkeletonModel) -> None:
+def test_accelerations_distinguish_the_shanks(skeleton: SkeletonModel) -> None:
     walk = walking(sensors=("L_UpLeg", "L_LowLeg", "R_LowLeg"))
     thigh, left, right = segment_motions(walk.truth.apply(walk.imus))
-    evidence = MotionLikelihood(walk.skeleton)
+    likelihood = MotionLikelihood(walk.skeleton)
     swapped = replace(right, joint="LeftLeg")
-    assert evidence.pair(thigh, left) > evidence.pair(thigh, swapped) + 20
+    assert likelihood.pair(thigh, left) > likelihood.pair(thigh, swapped) + 20
 
 
-def test_missing_data_are_passed_over(evidence: MotionLikelihood, motions: dict[str, SegmentMotion]) -> None:
+def test_missing_data_are_ignored(likelihood: MotionLikelihood, motions: dict[str, SegmentMotion]) -> None:
     a, b = motions["LeftUpLeg"], motions["LeftLeg"]
     R, w, acceleration = b.R_world_bone.copy(), b.w_world.copy(), b.a_world.copy()
     R[100:140], w[100:140], acceleration[:] = np.nan, np.nan, np.nan
     holed = SegmentMotion(b.joint, R, w, acceleration, b.p_bone_sensor)
-    assert np.isfinite(evidence.pair(a, holed))
-    assert np.isfinite(evidence.single(holed))
+    assert np.isfinite(likelihood.pair(a, holed))
+    assert np.isfinite(likelihood.single(holed))
 
 
-def test_what_a_camera_saw_fits_the_truth_better_than_a_turned_world(
-    worn: Worn, motions: dict[str, SegmentMotion]
-) -> None:
+def test_a_camera_determines_the_heading_of_the_world(worn: Worn, motions: dict[str, SegmentMotion]) -> None:
     times = even_times(worn.truth.apply(worn.imus))
     seen = seen_bones(worn.poses, worn.skeleton, times)
     assert "LeftHand" not in seen
@@ -107,8 +101,8 @@ def test_what_a_camera_saw_fits_the_truth_better_than_a_turned_world(
     assert watching.single(thigh) > watching.single(turned) + 1
 
 
-def test_without_a_prior_nothing_is_judged_and_a_moment_is_too_short(worn: Worn) -> None:
+def test_a_prior_and_a_second_of_data_are_required(worn: Worn) -> None:
     with pytest.raises(CalibrationError, match="there is no pose prior of it"):
         MotionLikelihood(SkeletonModel.human36m())
-    with pytest.raises(ShapeError, match="0.32 s of sensor data are too short"):
+    with pytest.raises(InvalidInputError, match="0.32 s of sensor data are too short"):
         even_times(worn.truth.apply(worn.imus)[:20])

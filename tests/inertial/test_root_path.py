@@ -1,4 +1,4 @@
-"""The root's path: planted walks come back, jumps fly, and nothing known means nothing moves."""
+"""The root's path of planted walks and jumps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.inertial.contacts import Contacts, detect_contacts
 from rtof_kin.inertial.root_path import RootPath, RootPathSettings, root_path
 
@@ -26,7 +26,7 @@ def errors(path: RootPath, p_root: Array) -> Array:
     return np.asarray((path.p_world - path.p_world[0]) - (p_root - p_root[0]))
 
 
-def test_a_walk_of_known_length_comes_back_from_its_planted_feet() -> None:
+def test_planted_feet_give_the_path_of_a_walk() -> None:
     imus = planted.bone_imus(BODY, WALK.poses, LEGS)
     path = root_path(WALK.poses, imus, Contacts(FEET, STANDS), BODY, 0.08)
     assert np.abs(errors(path, WALK.poses.p_world_joint[:, 0])).max() < 0.005
@@ -35,7 +35,7 @@ def test_a_walk_of_known_length_comes_back_from_its_planted_feet() -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
-def test_a_walk_drifts_by_little_of_its_length_with_the_feet_that_are_found(noise: float) -> None:
+def test_detected_feet_give_a_path_with_little_drift(noise: float) -> None:
     imus = planted.bone_imus(BODY, WALK.poses, LEGS, acceleration=noise)
     contacts = detect_contacts(WALK.poses, imus, BODY)
     path = root_path(WALK.poses, imus, contacts, BODY, 0.08)
@@ -43,7 +43,7 @@ def test_a_walk_drifts_by_little_of_its_length_with_the_feet_that_are_found(nois
     assert np.linalg.norm(errors(path, WALK.poses.p_world_joint[:, 0])[-1]) < 0.02 * walked
 
 
-def test_in_flight_accelerations_carry_the_root() -> None:
+def test_accelerations_determine_the_path_in_flight() -> None:
     """A jump forward: 0.6 m in half a second, 0.3 m high."""
     poses = planted.upright(BODY, 120).poses
     t = np.arange(120) / 60 - 0.75
@@ -57,7 +57,7 @@ def test_in_flight_accelerations_carry_the_root() -> None:
     assert np.abs(errors(path, there.p_world_joint[:, 0])).max() < 0.02
 
 
-def test_where_no_sensor_tells_of_the_feet_the_root_stays_over_the_origin_and_on_the_floor() -> None:
+def test_without_foot_sensors_the_root_stays_over_the_origin() -> None:
     poses = WALK.poses
     imus = planted.bone_imus(BODY, poses, LEGS)
     path = root_path(poses, imus, Contacts((), np.zeros((len(poses), 0))), BODY, 0.5)
@@ -68,7 +68,7 @@ def test_where_no_sensor_tells_of_the_feet_the_root_stays_over_the_origin_and_on
     assert path.p_world[0, 2] + lowest == pytest.approx(0.5)
 
 
-def test_without_any_contact_the_lower_foot_and_accelerations_lead_the_right_way() -> None:
+def test_without_contacts_the_lower_foot_bounds_the_drift() -> None:
     imus = planted.bone_imus(BODY, WALK.poses, LEGS)
     path = root_path(WALK.poses, imus, Contacts(FEET, 0 * STANDS), BODY, 0.08)
     error = errors(path, WALK.poses.p_world_joint[:, 0])
@@ -77,7 +77,7 @@ def test_without_any_contact_the_lower_foot_and_accelerations_lead_the_right_way
     assert path.sigma[-1] < 3.0  # decimetres a second, not metres
 
 
-def test_the_drift_grows_with_what_is_walked_and_with_the_square_of_flights() -> None:
+def test_drift_grows_with_distance_and_with_squared_flight_time() -> None:
     imus = planted.bone_imus(BODY, WALK.poses, LEGS)
     settings = RootPathSettings(drift_per_metre=0.1)
     path = root_path(WALK.poses, imus, Contacts(FEET, STANDS), BODY, 0.08, settings)
@@ -93,14 +93,11 @@ def test_the_drift_grows_with_what_is_walked_and_with_the_square_of_flights() ->
         assert found.sigma[-1] == pytest.approx(expected, rel=0.1)
 
 
-def test_missing_accelerations_are_left_out() -> None:
+def test_missing_accelerations_are_ignored() -> None:
     imus = planted.bone_imus(BODY, WALK.poses, LEGS)
     a = np.array(imus.a_world)
     a[50:80, 1] = np.nan
     path = root_path(WALK.poses, replace(imus, a_world=a), Contacts(FEET, STANDS), BODY, 0.08)
     assert np.abs(errors(path, WALK.poses.p_world_joint[:, 0])).max() < 0.01
-
-
-def test_settings_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(ShapeError, match="sigma_slip must be positive"):
+    with pytest.raises(InvalidInputError, match="sigma_slip"):
         RootPathSettings(sigma_slip=-1.0)

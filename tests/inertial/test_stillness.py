@@ -1,89 +1,73 @@
-"""When nobody turns, and how fast sensors do."""
+"""Angular velocity from orientations, and the interval in which a calibration pose is held."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import CalibrationError, ShapeError
-from rtof_kin.data.imu import ImuSequence
-from rtof_kin.data.imu_stream import SensorStream
-from rtof_kin.inertial.stillness import angular_velocity, find_still, orientation_rate, streams_of
+from rtof_kin.core.errors import CalibrationError
+from rtof_kin.data.imu_declaration import Declaration
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.inertial.likelihood import orientation_rate
+from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 
 Array = NDArray[np.float64]
+SEGMENTS = ("LeftLeg", "Hips")
 
 
-def stream(name: str, still: tuple[float, float], seconds: float = 10.0, rate: float = 100.0) -> SensorStream:
-    """A sensor that turns by 1 rad/s about its z axis but for one period."""
-    times = np.arange(0, seconds, 1 / rate)
+def stream(
+    still: tuple[float, float], rate: float = 100.0, gyroscope: bool = True, first: float = 0.0
+) -> SensorStream:
+    """A sensor that rotates by 1 rad/s about its z axis except in one interval."""
+    times = first + np.arange(0, 10, 1 / rate)
     speed = np.where((times >= still[0]) & (times < still[1]), 0.0, 1.0)
-    w = np.stack([0 * times, 0 * times, speed], axis=-1)
-    return SensorStream(name, times, w_sensor=w)
+    R = so3.about_axis("z", np.cumsum(speed) / rate)
+    return SensorStream("s", times, None, R, speed[:, None] * [0, 0, 1] if gyroscope else None)
 
 
-def test_the_rate_of_an_orientation_is_the_angular_velocity_that_made_it() -> None:
+def held(*streams: SensorStream) -> tuple[float, float]:
+    """Interval in which the pose is held."""
+    named = tuple(
+        SensorStream(name, s.times, None, s.R_inertial_sensor, s.w_sensor)
+        for name, s in zip("ab", streams, strict=False)
+    )
+    log = SensorLog(Path("log"), "planted", named, Declaration())
+    joints = dict(zip("ab", SEGMENTS[: len(streams)], strict=False))
+    return calibrate_by_pose(log, joints, "N", SkeletonModel.default(), facing=0.0).still
+
+
+def test_the_rate_of_an_orientation_is_its_angular_velocity() -> None:
     rng = np.random.default_rng(0)
     times = np.cumsum(rng.uniform(0.005, 0.015, 500))
     w = np.array([0.4, -1.1, 2.0])
     R = so3.exp(rng.standard_normal(3)) @ so3.exp(times[:, None] * w)
     np.testing.assert_allclose(orientation_rate(times, R), np.tile(w, (500, 1)), atol=1e-9)
-
-
-def test_a_missing_orientation_makes_its_neighbours_rates_missing_and_no_more() -> None:
-    times = np.arange(9) / 60
-    R = so3.exp(times[:, None] * np.array([0.0, 0.0, 3.0]))
     R[4] = np.nan
     known = np.isfinite(orientation_rate(times, R)).all(axis=1)
-    assert known.tolist() == [True] * 3 + [False, True, False] + [True] * 3
+    assert np.flatnonzero(~known).tolist() == [3, 5]
 
 
-def test_the_gyroscope_stands_above_the_orientation() -> None:
-    times, w = np.arange(5) / 100, np.ones((5, 3))
-    both = SensorStream("a", times, R_inertial_sensor=np.tile(np.eye(3), (5, 1, 1)), w_sensor=w)
-    np.testing.assert_array_equal(angular_velocity(both), w)
-
-
-def test_a_sensor_with_neither_has_no_angular_velocity() -> None:
-    with pytest.raises(ShapeError, match="sensor a: no angular velocity and no orientation"):
-        angular_velocity(SensorStream("a", np.arange(5.0)))
-
-
-def test_the_first_second_in_which_all_are_still_is_found() -> None:
-    streams = [stream("a", (2.0, 6.0)), stream("b", (3.0, 8.0), rate=61.0)]
-    start, stop = find_still(streams)
+@pytest.mark.parametrize("gyroscope", [True, False])
+def test_the_first_second_in_which_all_are_still_is_found(gyroscope: bool) -> None:
+    start, stop = held(stream((2.0, 6.0), gyroscope=gyroscope), stream((3.0, 8.0), 61.0, gyroscope))
     assert start == pytest.approx(3.3, abs=0.1)
     assert stop == pytest.approx(5.7, abs=0.1)
-
-
-def test_a_shorter_pause_is_passed_over() -> None:
-    with pytest.raises(CalibrationError, match=r"even around 4\.\d\d s sensors turn at .* deg/s, a most"):
-        find_still([stream("a", (4.0, 4.6)), stream("b", (0.0, 10.0))])
-
-
-def test_sensors_that_share_too_little_time_are_refused() -> None:
-    late = SensorStream("late", np.arange(100, 110, 0.01), w_sensor=np.zeros((1000, 3)))
-    with pytest.raises(CalibrationError, match="have 0 s in common"):
-        find_still([stream("a", (0.0, 10.0)), late])
-
-
-def test_of_a_short_hold_the_stillest_second_is_taken() -> None:
-    start, stop = find_still([stream("a", (4.0, 5.1))])
+    start, stop = held(stream((4.0, 5.1), gyroscope=gyroscope))
     assert (start, stop) == (pytest.approx(4.05, abs=0.06), pytest.approx(5.05, abs=0.06))
 
 
-def test_a_gap_is_not_taken_for_stillness() -> None:
-    whole = stream("a", (20.0, 30.0))
+def test_gaps_short_pauses_and_separate_sensors_are_refused() -> None:
+    with pytest.raises(CalibrationError, match=r"even around 4\.\d\d s sensors turn at .* deg/s, a most"):
+        held(stream((4.0, 4.6)), stream((0.0, 10.0)))
+    with pytest.raises(CalibrationError, match="have 0 s in common"):
+        held(stream((0.0, 10.0)), stream((100.0, 110.0), first=100.0))
+    whole = stream((20.0, 30.0), gyroscope=False)
     keep = (whole.times < 4) | (whole.times > 7)
-    holed = SensorStream("a", whole.times[keep], w_sensor=whole.w_sensor[keep])  # type: ignore[index]
+    assert whole.R_inertial_sensor is not None
     with pytest.raises(CalibrationError, match="nobody stands still"):
-        find_still([holed])
-
-
-def test_a_sequence_becomes_a_stream_per_sensor() -> None:
-    R = np.tile(np.eye(3), (4, 2, 1, 1))
-    f = np.tile([0.0, 0.0, 9.81], (4, 2, 1))
-    streams = streams_of(ImuSequence(np.arange(4.0), R, f, ("a", "b")))
-    assert [s.name for s in streams] == ["a", "b"]
-    np.testing.assert_array_equal(streams[1].f_sensor, f[:, 1])
+        held(SensorStream("a", whole.times[keep], None, whole.R_inertial_sensor[keep]))

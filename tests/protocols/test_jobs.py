@@ -192,6 +192,8 @@ def test_a_folder_is_reused_for_equal_settings_and_overwritten_for_others(tmp_pa
     with pytest.raises(OutputExistsError, match=r"out: .*other settings \(cameras, seed, studies\)"):
         opened(out, seed=1, cameras=[1], studies=True)
     assert files_of(tmp_path) == before
+    with pytest.raises(RtofError, match="cannot be written .*; name another folder"):
+        opened(out / "tables.md")
     opened(out, overwrite=True, seed=1)
     assert list(runs.iterdir()) == []
     with pytest.raises(OutputExistsError, match=r"\(seed\)"):
@@ -230,13 +232,6 @@ def test_overwriting_removes_motions_of_other_settings_only(tmp_path: Path) -> N
     opened(tmp_path / "third", overwrite=True, save=save, seed=1)
     assert not motion.exists()
     assert (save / "note.txt").exists()
-
-
-def test_a_file_in_place_of_a_folder_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    for folder in (tmp_path / "file", tmp_path / "file" / "out"):
-        with pytest.raises(RtofError, match="cannot be written .*; name another folder"):
-            opened(folder)
 
 
 def test_a_job_runs_again_where_a_motion_it_measured_is_missing(tmp_path: Path, log: Path) -> None:

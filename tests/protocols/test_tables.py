@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib.image
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,7 +15,7 @@ from protocol_support import cells_of, read_json, row
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import RtofError
-from rtof_kin.protocols import human36m, pictures, published
+from rtof_kin.protocols import pictures, published
 from rtof_kin.protocols.jobs import Outcome
 from rtof_kin.protocols.pictures import error_curves, write_pictures
 from rtof_kin.protocols.tables import Table, pooled, write_tables
@@ -74,37 +73,20 @@ def tables_of(
 # --- the paper's figures -------------------------------------------------------------------------
 
 
-def test_the_published_figures_are_the_papers() -> None:
-    assert published.TABLE_1["RTOF-GT, the paper's (1 camera + IMUs)"] == (
-        10.8, 13.9, 32.6, 16.9, 34.8, 41.5, 23.2,
-    )  # fmt: skip
-    assert published.TABLE_1["RTOF-SN, the paper's (1 camera + IMUs)"] == (
-        15.7, 20.1, 47.3, 24.5, 50.5, 60.2, 33.7,
-    )  # fmt: skip
-    assert published.TABLE_1["VP3D-SN, the paper's baseline (1 camera)"][5] == 123.6
-    assert published.TABLE_1["VIP (1 camera + IMUs)"] == (None,) * 6 + (26.0,)
-    assert published.ABLATION == {
-        "lift": (53.7, 2.70, 87.3),
-        "sf2": (34.5, 3.96, 185.4),
-        "rto": (40.6, 1.79, 55.2),
-        "rtof": (23.2, 1.54, 63.8),
-    }
+def test_the_published_figures_are_those_of_the_paper() -> None:
+    table = published.TABLE_1
+    assert table["RTOF-GT, the paper's (1 camera + IMUs)"] == (10.8, 13.9, 32.6, 16.9, 34.8, 41.5, 23.2)
+    assert table["RTOF-SN, the paper's (1 camera + IMUs)"] == (15.7, 20.1, 47.3, 24.5, 50.5, 60.2, 33.7)
+    assert table["VIP (1 camera + IMUs)"] == (None,) * 6 + (26.0,)
+    assert {len(cells) for cells in table.values()} == {len(published.NAMES_1)}
+    assert published.ABLATION["rtof"] == (23.2, 1.54, 63.8)
     assert published.INERTIAL_ONLY["TransPose (6 IMUs)"] == (54.2, 77.2)
-    assert published.INERTIAL_ONLY["RTOF-SN, the paper's (8 IMUs + 1 camera)"] == (33.7, 63.8)
     assert published.FRAGMENT_LENGTH[20] == (1256, 23.19, 77.31)
     assert published.FRAGMENT_LENGTH[50][1:] == published.VISUAL_WEIGHT[0.9]
-    assert published.VISUAL_WEIGHT[1.0] == (23.29, 104.9)
     assert published.HUMAN36M["RTO-SN, the paper's"] == (46.1, 2.03, 11.25)
 
 
-def test_every_published_row_has_its_columns() -> None:
-    assert {len(cells) for cells in published.TABLE_1.values()} == {len(published.NAMES_1)}
-    assert (len(published.TABLE_1), len(published.HUMAN36M)) == (10, 3)
-    assert list(published.FRAGMENT_LENGTH) == [200, 100, 50, 20]
-    assert list(published.VISUAL_WEIGHT) == [1.0, 0.9, 0.8, 0.7, 0.6]
-
-
-def test_our_average_over_frames_gives_the_papers_from_its_own_cells() -> None:
+def test_an_average_over_frames_reproduces_that_of_the_paper() -> None:
     """So the paper's average is one over frames; its takes have 51,127 of them."""
     assert sum(map(sum, FRAMES.values())) == 51127
     names = {"RTOF-GT, the paper's (1 camera + IMUs)": 23.2,
@@ -126,12 +108,6 @@ def test_our_average_over_frames_gives_the_papers_from_its_own_cells() -> None:
         assert abs(plain - average) > 1
 
 
-def test_no_method_can_have_the_papers_pairs_on_human36m_in_one_unit() -> None:
-    for _, mpjae, mpjje in published.HUMAN36M.values():
-        assert mpjje > 2 * mpjae
-    assert any("2.03 and 11.25" in note for note in published.HUMAN36M_CAVEATS)
-
-
 # --- pooling -------------------------------------------------------------------------------------
 
 
@@ -146,12 +122,6 @@ def test_the_pooled_figure_is_the_mean_over_all_frames(parts: list[tuple[float |
     frames = np.concatenate([[], *values])
     expected = pytest.approx(frames.mean(), rel=1e-9, abs=1e-9) if len(frames) else None
     assert pooled(rows, "error") == expected
-
-
-def test_a_row_without_the_figure_does_not_count() -> None:
-    rows = [{"a": 1.0, "frames": 3}, {"frames": 5}, {"a": 5.0, "frames": 1}]
-    assert pooled(rows, "a") == 2.0
-    assert pooled(rows, "b") is None
 
 
 # --- one table -----------------------------------------------------------------------------------
@@ -189,9 +159,6 @@ def test_json_has_the_figures_unrounded_and_null_where_there_is_none(tmp_path: P
     }
     assert asked.read_bytes() == (tmp_path / "out" / "tables.json").read_bytes()
     assert len(write_tables(tmp_path / "out", [PLAIN, PLAIN], {})) == 2
-
-
-def test_a_table_that_cannot_be_written_is_an_error_of_the_package(tmp_path: Path) -> None:
     with pytest.raises(RtofError, match=f"{tmp_path}: is a folder; name a file"):
         write_tables(tmp_path / "out", [PLAIN], {}, tmp_path)
 
@@ -207,7 +174,7 @@ def complete(cameras: Iterable[int] = (1, 3), modes: Sequence[str] = MODES, **fi
     return done
 
 
-def test_the_subjects_seen_and_unseen_and_the_takes_have_columns_of_their_own() -> None:
+def test_table_1_has_columns_for_seen_and_unseen_subjects() -> None:
     done = measured("S1", "walking2", 1, lift=scores(10, 100), rtof=scores(1, 100))
     done |= measured("S3", "walking2", 1, lift=scores(40, 200), rtof=scores(4, 200))
     done |= measured("S4", "walking2", 1, lift=scores(70, 100, mpjpe_mm=700))
@@ -222,19 +189,11 @@ def test_the_subjects_seen_and_unseen_and_the_takes_have_columns_of_their_own() 
     }  # fmt: skip
     absolute = row(tables_of(about, done)["by_take"], "lift, ours, absolute")
     assert absolute["unseen W2"] == pytest.approx(700)
-
-
-def test_table_1_has_the_papers_rows_before_ours() -> None:
-    table = tables_of(protocol(), complete())["by_take"]
-    labels = [cells[0] for cells in table.rows]
+    labels = [cells[0] for cells in tables_of(about, done)["by_take"].rows]
     assert labels[: len(published.TABLE_1)] == list(published.TABLE_1)
-    assert labels[len(published.TABLE_1) :] == [
-        f"{mode}, ours, {kind}" for mode in MODES for kind in ("root-relative", "absolute")
-    ]
-    assert row(table, "GeoFuse (4 cameras + IMUs)")["average"] == 24.6
 
 
-def test_the_ablation_has_the_papers_beside_ours_and_the_calibration_rows_below() -> None:
+def test_the_ablation_has_the_papers_figures_and_the_calibration_rows() -> None:
     table = tables_of(protocol(), complete(mpjae=2.5, coverage=0.987))["ablation"]
     assert [cells[0] for cells in table.rows] == ["lift", "rtof", STILL, LOW_PASSED]
     ours = row(table, "rtof")
@@ -249,16 +208,13 @@ def test_the_ablation_has_the_papers_beside_ours_and_the_calibration_rows_below(
     low_passed = row(table, LOW_PASSED)
     assert low_passed["MPJJE [m/s3]"] == pytest.approx(123)
     assert low_passed["joint angle [deg]"] is None  # its orientations are the truth's own
-
-
-def test_the_inertial_table_has_only_what_uses_sensors_and_the_calibration_rows() -> None:
-    table = tables_of(protocol(), complete())["inertial_only"]
-    labels = [cells[0] for cells in table.rows]
+    inertial = tables_of(protocol(), complete())["inertial_only"]
+    labels = [cells[0] for cells in inertial.rows]
     assert labels == [*published.INERTIAL_ONLY, "rtof, ours", STILL, LOW_PASSED]
-    assert row(table, "DIP (6 IMUs)")["MPJJE [m/s3]"] == 159.1
+    assert row(inertial, "DIP (6 IMUs)")["MPJJE [m/s3]"] == 159.1
 
 
-def test_the_multi_view_table_counts_its_own_cameras_and_frames() -> None:
+def test_the_multi_view_table_has_its_own_cameras_and_frames() -> None:
     done = measured("S1", "walking2", 1, lift=scores(0, 1000, sixteen_mm=10, sixteen_frames=1))
     done |= measured("S1", "walking2", 3, lift=scores(0, 10, sixteen_mm=40, sixteen_frames=2))
     done |= measured("S1", "walking2", 4, lift=scores(0, 10, sixteen_mm=999, sixteen_frames=9))
@@ -269,7 +225,7 @@ def test_the_multi_view_table_counts_its_own_cameras_and_frames() -> None:
     assert not any("VP3D" in str(cells[0]) for cells in table.rows)
 
 
-def test_the_study_of_fragment_length_has_its_speed_and_the_printed_one() -> None:
+def test_the_study_of_fragment_length_has_speeds() -> None:
     methods = {
         "as printed, N = 50": scores(5.0, 100, seconds=2.0),
         "as printed, N = 20": scores(6.0, 100, seconds=0.5),
@@ -297,23 +253,7 @@ def test_the_study_of_k_v_has_the_printed_weight_as_n_50() -> None:
     assert [cells[1] for cells in table.rows] == [23.29, 23.23, 23.23, 23.24, 23.26]
 
 
-def test_there_are_no_studies_where_none_were_made() -> None:
-    assert set(tables_of(protocol(), complete())) == {
-        "by_take", "inertial_only", "ablation", "sixteen_joints",
-    }  # fmt: skip
-    lift = protocol(modes=("lift",), studies=True)
-    assert "fragment_length" not in tables_of(lift, complete(modes=("lift",)))
-
-
-def test_every_table_with_the_papers_figures_says_what_is_known_of_them() -> None:
-    tables = tables_of(protocol(modes=("lift", "rtof"), studies=True), complete())
-    for name in ("by_take", "inertial_only", "ablation", "fragment_length", "visual_weight"):
-        for caveat in published.TOTAL_CAPTURE_CAVEATS:
-            assert caveat in tables[name].notes
-    assert "absolute or root-relative" in published.TOTAL_CAPTURE_CAVEATS[0]
-
-
-def test_what_ours_was_measured_with_stands_under_the_table(tmp_path: Path) -> None:
+def test_the_setup_is_described_under_the_table(tmp_path: Path) -> None:
     detections = tmp_path / "hrnet"
     detections.mkdir()
     own = tmp_path / "own.pt"
@@ -331,63 +271,41 @@ def test_what_ours_was_measured_with_stands_under_the_table(tmp_path: Path) -> N
     assert "the detections in hrnet" in detected["by_take"].notes[0]
     assert "Lifter: own.pt." in detected["by_take"].notes[0]
     exact = tables_of(protocol(), complete())
+    assert set(exact) == {"by_take", "inertial_only", "ablation", "sixteen_joints"}
     assert not any("this run has not" in note for note in exact["ablation"].notes)
+    with_studies = tables_of(protocol(studies=True), complete())
+    for name in ("by_take", "inertial_only", "ablation", "fragment_length", "visual_weight"):
+        assert set(published.TOTAL_CAPTURE_CAVEATS) <= set(with_studies[name].notes)
 
 
 # --- what is missing -----------------------------------------------------------------------------
 
-AFFECTED = ("by_take", "inertial_only", "ablation", "sixteen_joints")
+WHY = "gt_skel_gbl_pos.txt is damaged"
+WALK = "S1 walking2"
 
 
-def incomplete(tables: dict[str, Table]) -> set[str]:
-    """The sentences about what is missing under the tables that it affects; '' for none."""
-    notes = [[n for n in tables[name].notes if n.startswith("INCOMPLETE")] for name in AFFECTED]
-    assert {len(found) for found in notes} <= {0, 1}
-    return {found[0] if found else "" for found in notes}
+@pytest.mark.parametrize(("takes", "done", "failed", "missing", "state"), [
+    ((), complete(), {}, None, ()),
+    (("acting3",), complete(), {f"S1_acting3{job}": WHY for job in ("", "_cam1", "_cam3")}, "S1 acting3",
+     (("S1 acting3", "not measured", WHY),)),
+    ((), complete(cameras=(1,)), {"S1_walking2_cam3": WHY}, f"{WALK} (camera 3)",
+     ((f"{WALK} camera 3", "not measured", WHY),)),
+    ((), complete() | complete(modes=("lift",)), {}, f"{WALK} (rtof)", ()),
+    ((), complete() | measured("S1", "walking2", 3, lift=scores()), {}, f"{WALK} (rtof, camera 3)", ()),
+    ((), {k: v for k, v in complete().items() if v["camera"]}, {"S1_walking2": WHY},
+     f"{WALK} ({STILL}, {LOW_PASSED})", ((WALK, "not measured", WHY),)),
+])  # fmt: skip
+def test_missing_results_are_named_under_every_table(
+    takes: tuple[str, ...], done: dict[str, Any], failed: dict[str, str], missing: str | None, state: Any
+) -> None:
+    tables = tables_of(protocol(takes=("walking2", *takes)), done, failed)
+    expected = [] if missing is None else [f"INCOMPLETE, without: {missing}. The last table says why."]
+    for name in ("by_take", "inertial_only", "ablation", "sixteen_joints"):
+        assert [note for note in tables[name].notes if note.startswith("INCOMPLETE")] == expected
+    assert (tables["state_of_data"].rows if "state_of_data" in tables else ()) == state
 
 
-def test_nothing_is_said_to_be_missing_where_nothing_is() -> None:
-    assert incomplete(tables_of(protocol(), complete())) == {""}
-
-
-def test_every_affected_table_names_the_take_that_is_missing_and_the_last_says_why() -> None:
-    about = protocol(takes=("walking2", "acting3"))
-    why = "S1 acting3: gt_skel_gbl_pos.txt is damaged"
-    failed = dict.fromkeys(("S1_acting3", "S1_acting3_cam1", "S1_acting3_cam3"), why)
-    tables = tables_of(about, complete(), failed)
-    assert incomplete(tables) == {"INCOMPLETE, without: S1 acting3. The last table says why."}
-    assert list(tables)[-1] == "state_of_data"
-    assert tables["state_of_data"].rows == (("S1 acting3", "not measured", why),)
-
-
-def test_a_camera_that_is_missing_is_named_with_its_take() -> None:
-    done = complete(cameras=(1,))
-    tables = tables_of(protocol(), done, {"S1_walking2_cam3": "no detections"})
-    expected = "INCOMPLETE, without: S1 walking2 (camera 3). The last table says why."
-    assert incomplete(tables) == {expected}
-    assert tables["state_of_data"].rows == (("S1 walking2 camera 3", "not measured", "no detections"),)
-
-
-def test_modes_that_are_missing_are_named_with_their_take() -> None:
-    """As of a take without sensors: the rows of lift and rtof are means over different takes."""
-    done = complete() | complete(cameras=(1, 3), modes=("lift",))
-    tables = tables_of(protocol(), done)
-    expected = "INCOMPLETE, without: S1 walking2 (rtof). The last table says why."
-    assert incomplete(tables) == {expected}
-    mixed = tables_of(protocol(), complete() | measured("S1", "walking2", 3, lift=scores()))
-    (sentence,) = incomplete(mixed)
-    assert "S1 walking2 (rtof, camera 3)." in sentence
-
-
-def test_calibration_rows_that_lack_a_take_are_named() -> None:
-    done = {key: facts for key, facts in complete().items() if facts["camera"] is not None}
-    tables = tables_of(protocol(), done, {"S1_walking2": "too short"})
-    (sentence,) = incomplete(tables)
-    assert f"S1 walking2 ({STILL}, {LOW_PASSED})" in sentence
-    assert tables["state_of_data"].rows == (("S1 walking2", "not measured", "too short"),)
-
-
-def test_failed_checks_and_notes_are_told_with_their_place() -> None:
+def test_failed_checks_and_notes_are_listed() -> None:
     done = complete()
     done["S1_walking2"]["notes"] = ["no positions: taken from a BVH file"]
     done["S1_walking2"]["failed_checks"] = ["sensor L_Foot: 20 deg"]
@@ -441,18 +359,6 @@ def labels(outcome: Outcome, keys: Sequence[str]) -> list[list[str]]:
     return [[line.get_label() for line in ax.get_lines()] for ax in figure.axes]
 
 
-def test_the_figures_are_written_and_show_something(tmp_path: Path) -> None:
-    """Of one mode here, of all by the whole protocol in test_protocol_total_capture."""
-    outcome = outcome_with(tmp_path, {"walking2": 2.0, "acting3": 5.0}, ("sf2",))
-    table = SkeletonModel.default().table
-    paths = write_pictures(outcome, tmp_path / "figures", table, 60.0)
-    assert [path.name for path in paths] == ["error_curves.png", "skeletons.png"]
-    for path in paths:
-        pixels = matplotlib.image.imread(path)
-        assert min(pixels.shape[:2]) > 200
-        assert len(np.unique(pixels.reshape(-1, pixels.shape[-1]), axis=0)) > 50
-
-
 def test_the_curves_compare_the_baseline_with_the_best_mode_there_is(tmp_path: Path) -> None:
     key = "S1_walking2_cam1"
     for modes, shown in {
@@ -479,12 +385,12 @@ def test_the_takes_drawn_are_the_steadiest_and_the_liveliest(
         return Figure(figsize=(1, 1))
 
     monkeypatch.setattr(pictures, "error_curves", figure)
-    monkeypatch.setattr(pictures, "skeletons", figure)
+    monkeypatch.setattr(pictures, "_skeletons", figure)
     write_pictures(outcome, tmp_path, SkeletonModel.default().table, 60.0)
     assert drawn == [["S1_acting3_cam1", "S1_freestyle3_cam1"], "S1_freestyle3_cam1"]
 
 
-def test_no_picture_is_made_of_nothing(tmp_path: Path) -> None:
+def test_no_figure_is_drawn_without_data(tmp_path: Path) -> None:
     table = SkeletonModel.default().table
     empty = Outcome(tmp_path, calibration("S1", "walking2"), {})
     without_modes = outcome_with(tmp_path, {"walking2": 1.0}, ())
@@ -494,11 +400,3 @@ def test_no_picture_is_made_of_nothing(tmp_path: Path) -> None:
 
 
 # --- Human3.6M -----------------------------------------------------------------------------------
-
-
-def test_the_modes_of_human36m_are_those_without_sensors(tmp_path: Path) -> None:
-    lifter = tmp_path / "lifter.pt"
-    lifter.touch()
-    assert human36m.Human36MProtocol(tmp_path, lifter).modes == ("lift", "rto")
-    with pytest.raises(RtofError, match="unknown mode without sensors 'rtof'"):
-        human36m.Human36MProtocol(tmp_path, lifter, modes=("lift", "rtof"))

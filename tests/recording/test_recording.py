@@ -363,46 +363,31 @@ def test_fields_that_contradict_each_other_are_refused(
     [
         ("schema_version = 1", "", FileFormatError, "schema_version: missing"),
         ("schema_version = 1", "schema_version = 2", FileFormatError, "schema_version: 2 is not 1"),
-        ("schema_version = 1", "schema_version = [", FileFormatError, "not readable as TOML"),
-        ("width_px = 1920", "", FileFormatError, r"\[camera\] width_px: missing; add e\.g\."),
         ("width_px = 1920", "widht_px = 1920", FileFormatError,
          r"\[camera\] width_px: missing; there is 'widht_px', which may be misspelt"),
         ("width_px = 1920", 'width_px = "a"', FileFormatError, "'a' is not a finite number"),
         ("width_px = 1920", "width_px = 19.5", FileFormatError, "not a whole number"),
-        ("focal_px = 1250.0", "focal_px = nan", FileFormatError, "focal_px: nan is not a finite"),
         ("focal_px = 1250.0", "focal_px = 4.2", FileFormatError,
          r"\[camera\] focal_px: a focal length of 4\.2 px .* is it in mm\? Give px"),
-        ("target_m = [0.0, 0.0, 1.0]", "", FileFormatError, "target_m: missing; add 3 numbers"),
         ("[0.0, 0.0, 1.0]", "[4.0, 0.6, 0.0]", FileFormatError, "target_m: straight above, below"),
         ("[0.0, 0.0, 1.0]", "[0.0, 1.0]", FileFormatError, r"expected 3 numbers, got shape \(2,\)"),
         ("[camera]", "[camera]\ndistorsion = [0]", UnknownNameError, "Did you mean 'distortion'"),
         ("[subject]", "[subject]\nheigth_m = 1", UnknownNameError, r"\[subject\] 'heigth_m'"),
         ('sex = "male"', 'sex = "m"', FileFormatError, "male, female or None"),
-        ('file = "keypoints.npz"', "", FileFormatError, r"\[keypoints\] file: missing"),
         ("keypoints.npz", "points.npz", FileFormatError, r"there is no file .*points\.npz"),
         ("keypoints.npz", "../keypoints.npz", FileFormatError, "leads out of the folder"),
         ("rate_hz = 60.0\n", "", FileFormatError, r"\[keypoints\] rate_hz: missing, and .* no times"),
-        ("rate_hz = 60.0", "rate_hz = 0", FileFormatError, "0 is not a positive number of samples"),
         ('layout = "joints"', "", FileFormatError, "landmarks: missing; list the names"),
         ('layout = "joints"', 'layout = "coco"', FileFormatError, "'coco' is not known; write"),
         ('"joints"', '"joints"\nlandmarks = []', FileFormatError, "layout: stands beside landmarks"),
         ('layout = "joints"', f"landmarks = {[*SKELETON.names[:-1], 'LeftFot']}", UnknownNameError,
          r"\[keypoints\] landmarks 'LeftFot'\. Did .*'LeftFoot'"),
         ('layout = "joints"', 'landmarks = ["Hips"]', FileFormatError, "1 names, but .* 21 points"),
-        ("[imus.sensors.strap]", "[imus.sensors]\nx = 3\n[imus.sensors.strap]", FileFormatError,
-         r"\[imus\.sensors\] x: not a table"),
         ('joint = "RightLeg"', 'joint = "RightLag"', UnknownNameError,
          r"recording\.toml, \[imus\.sensors\.strap\] joint 'RightLag'\. Did you mean 'RightLeg'"),
-        ('joint = "RightLeg"', 'joint = "LeftArm"', FileFormatError, "LeftArm stands there more than"),
         ("lever_arm_m = [0.05, 0.0, -0.16]", "", FileFormatError, "lever_arm_m: missing; add 3"),
-        ("[0.05, 0.0, -0.16]", "[50, 0, -160]", FileFormatError, "lever arm is .* longer than 1 m"),
-        ("quat_wxyz_world_inertial = [1, 0, 0, 0]", "", FileFormatError,
-         "give one of R_world_inertial"),
         ("[0.5, 0.5, 0.5, 0.5]", "[0.5, 0.5, 0.5, 0.4]", FileFormatError,
          r"\[imus\.sensors\.L_UpArm\] quat_wxyz_sensor_bone: has norm 0\.95"),
-        ("[[0, -1, 0], [1, 0, 0], [0, 0, 1]]", "[[0, 1, 0], [1, 0, 0], [0, 0, 1]]", FileFormatError,
-         "calibration of strap: R_world_inertial is not a rotation"),
-        ("start_s = 0.4", "start_s = 40", FileFormatError, "shift them to one clock"),
         ("[imus.sensors.L_UpArm]", 'names = ["L_UpArm", "belt"]\n[imus.sensors.L_UpArm]',
          UnknownNameError, "'belt'"),
         ("[imus.sensors.L_UpArm]", 'names = ["strap"]\n[imus.sensors.L_UpArm]', FileFormatError,
@@ -412,7 +397,6 @@ def test_fields_that_contradict_each_other_are_refused(
          r"bone_lengths_m 'Elbow'"),
         ("[camera]", "[skeleton]\njoint_offsets_m = {Spine = [0, 0, 1]}\n[camera]", FileFormatError,
          r"\[skeleton\.joint_offsets_m\] Spine1: missing"),
-        ("[notes]", "[truth]\n[notes]", FileFormatError, r"\[truth\] file: missing"),
         ("[notes]", "[note]\n[notes]", UnknownNameError, "Did you mean 'notes'"),
     ],
 )  # fmt: skip
@@ -460,12 +444,10 @@ BACKWARDS = with_value(np.arange(T) / 60, 5, 0.0)
     ("new", "error", "message"),
     [
         ({"uv_px": None}, FileFormatError, "no array 'uv_px' of shape"),
-        ({"uv_px": UV[..., :1]}, FileFormatError, r"keypoints uv_px: expected shape \(12, 21, 2\)"),
         ({"uv_px": UV[0]}, FileFormatError, r"uv_px: expected shape \(T, L, 2\), got \(21, 2\)"),
         ({"uv_px": UV[:0], "confidence": None}, FileFormatError, "times: empty"),
         ({"uv_px": with_value(UV, (1, 2), np.inf)}, FileFormatError, "infinite; write NaN"),
         ({"confidence": np.full((T, 20), 1.0)}, FileFormatError, "confidence: expected shape"),
-        ({"confidence": np.full((T, 21), 90.0)}, FileFormatError, r"outside \[0, 1\]; divide"),
         ({"uvpx": UV}, UnknownNameError, "array in .*keypoints.npz 'uvpx'. Did you mean 'uv_px'"),
         ({"times": np.arange(T) / 60}, FileFormatError, "rate_hz: .* has times of its own"),
     ],
@@ -480,21 +462,6 @@ def test_wrong_keypoint_arrays_raise_with_file_and_field(
 
 
 @pytest.mark.parametrize(
-    ("times", "message"),
-    [
-        (BACKWARDS, "time does not increase from index 4"),
-        (with_value(np.arange(T) / 60, 3, np.nan), "not finite at index 3"),
-        (np.arange(T - 1) / 60, r"keypoints uv_px: expected shape \(11, "),
-        (np.ones((T, 2)), "keypoint times: expected shape"),
-    ],
-)
-def test_wrong_times_raise_with_the_sample(tmp_path: Path, times: np.ndarray, message: str) -> None:
-    write(tmp_path, "rate_hz = 60.0\n", keypoints={**keypoint_arrays(), "times": times})
-    with pytest.raises(FileFormatError, match=rf"keypoints\.npz: .*{message}"):
-        Recording.load(tmp_path)
-
-
-@pytest.mark.parametrize(
     ("new", "error", "message"),
     [
         ({"quat_wxyz": with_value(QUAT, (7, 1), QUAT[7, 1] * 1.01)}, FileFormatError,
@@ -506,8 +473,6 @@ def test_wrong_times_raise_with_the_sample(tmp_path: Path, times: np.ndarray, me
         ({"quat_wxyz": None, "R_inertial_sensor": np.ones((40, S, 3, 3))}, FileFormatError,
          r"imus\.npz: IMU R_inertial_sensor: not a rotation matrix at index \(0, 0\)"),
         ({"f_sensor": FORCE / 9.81}, UnitError, r"imus\.npz: IMU L_UpArm: .* in g; multiply"),
-        ({"f_sensor": FORCE * 0}, UnitError, r"imus\.npz: .* gravity was removed"),
-        ({"f_sensor": FORCE * 1000}, UnitError, r"imus\.npz: .* not milli-g or raw counts"),
         ({"f_sensor": with_value(FORCE, (3, 1), np.inf)}, FileFormatError, "infinite; write NaN"),
         ({"f_sensor": None}, FileFormatError, "no array 'f_sensor' of shape"),
         ({"f_sensor": FORCE[:, :, :2]}, FileFormatError, r"IMU f_sensor: expected shape \(40, 2, 3\)"),

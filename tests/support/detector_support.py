@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,9 @@ def points_px(layout: str, motion: MotionSequence, camera: Camera) -> Array:
     """(T, K, 2) a layout's points in the image, exactly where the table says that they lie."""
     skeleton, poses = motion.skeleton, motion.poses
     p, R = poses.p_world_joint, poses.R_world_bone
-    body = {point.name: (point.joint, point.offset) for point in detector_table().points_on(skeleton)}
+    bare = replace(SkeletonModel.default().table, landmarks=detector_table().points)
+    scaled = bare.scaled_to(skeleton.joint_offsets).landmarks
+    body = {point.name: (point.joint, point.offset) for point in scaled}
     body |= {own(name): place for name, place in skeleton.landmarks.items()}
     places = [body[name] for name in detector_table().layout(layout).points]
     joints = skeleton.index(*(joint for joint, _ in places))

@@ -18,7 +18,7 @@ from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.stillness import orientation_rate
+from rtof_kin.inertial.likelihood import orientation_rate
 from rtof_kin.simulation.mocap import read_mocap
 from rtof_kin.simulation.noise import ImuNoise
 from rtof_kin.simulation.sensors import simulate_imus

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.protocols.jobs import JobResult
 
 
@@ -44,7 +44,7 @@ def obey(order: Order) -> JobResult:
     """Do what is ordered."""
     (order.log / f"{order.name}-{uuid.uuid4().hex}-{os.getpid()}").touch()
     if order.doing == "refuse":
-        raise ShapeError(f"{order.name}: the take is too short")
+        raise InvalidInputError(f"{order.name}: the take is too short")
     if order.doing == "crash":
         raise ZeroDivisionError(f"{order.name} divided by nothing")
     if order.doing == "interrupt":

@@ -1,4 +1,4 @@
-"""A video becomes keypoints through the user's models: here, tiny ones that see coloured dots."""
+"""Keypoints from a video by the user's models: here, tiny ones that detect coloured dots."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from detector_support import points_px, walking, watching
 from numpy.typing import NDArray
 
 from rtof_kin.cli import main
-from rtof_kin.core.errors import FileFormatError, RtofError, ShapeError
-from rtof_kin.vision import detector_models as models
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.vision import video
 from rtof_kin.vision.keypoint_files import read_detector_file
 
@@ -109,7 +108,7 @@ def error_px(found: Array, truth: Array) -> float:
     return float(np.median(np.linalg.norm(found - truth, axis=-1)))
 
 
-def test_a_video_becomes_points_with_the_files_times(film: tuple[Path, Array], folder: Path) -> None:
+def test_a_video_gives_points_with_its_times(film: tuple[Path, Array], folder: Path) -> None:
     path, uv = film
     told: list[tuple[str, int, int]] = []
     found = video.detect_video(path, folder, progress=lambda *args: told.append(args))
@@ -117,9 +116,16 @@ def test_a_video_becomes_points_with_the_files_times(film: tuple[Path, Array], f
     assert error_px(found.uv_px[:, 0], uv) < 5.0  # dots of 4 px, hidden by each other, on a grid
     np.testing.assert_allclose(found.times, np.arange(10) / RATE, atol=2e-3)
     assert told == [("detect", i + 1, 10) for i in range(10)]
+    assert len(video.detect_video(path, folder, seconds=0.1)) == 3
+    video.write_detections(folder / "k.npz", found)
+    again = read_detector_file(folder / "k.npz")
+    for name in ("uv_px", "confidence", "times"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
+    with pytest.raises(RtofError, match="cannot be written"):
+        video.write_detections(folder / "k.npz" / "k.npz", found)
 
 
-def test_a_person_detector_says_who_is_there(film: tuple[Path, Array], folder: Path) -> None:
+def test_a_person_detector_gives_several_people(film: tuple[Path, Array], folder: Path) -> None:
     path, uv = film
     low, high = uv.min(axis=(0, 1)) - 10, uv.max(axis=(0, 1)) + 10
     box = [*low, *high, 0.9]
@@ -132,22 +138,7 @@ def test_a_person_detector_says_who_is_there(film: tuple[Path, Array], folder: P
         video.detect_video(path, folder)
 
 
-def test_seconds_end_a_video_early(film: tuple[Path, Array], folder: Path) -> None:
-    assert len(video.detect_video(film[0], folder, seconds=0.1)) == 3
-
-
-def test_what_is_written_is_read_back(film: tuple[Path, Array], folder: Path, tmp_path: Path) -> None:
-    found = video.detect_video(film[0], folder)
-    video.write_detections(tmp_path / "k.npz", found)
-    again = read_detector_file(tmp_path / "k.npz")
-    np.testing.assert_array_equal(again.uv_px, found.uv_px)
-    np.testing.assert_array_equal(again.confidence, found.confidence)
-    np.testing.assert_array_equal(again.times, found.times)
-    with pytest.raises(RtofError, match="cannot be written"):
-        video.write_detections(tmp_path / "k.npz" / "k.npz", found)
-
-
-def test_the_command_writes_keypoints_and_says_what_to_do_with_them(
+def test_the_command_writes_keypoints_and_their_recording_toml(
     film: tuple[Path, Array], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, uv = film
@@ -188,7 +179,7 @@ class Webcam:
         self.released = True
 
 
-def test_a_webcam_may_be_stopped_and_has_times_of_the_clock(
+def test_a_webcam_may_be_interrupted_and_has_clock_times(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cameras: list[Webcam] = []
@@ -204,11 +195,8 @@ def test_a_webcam_may_be_stopped_and_has_times_of_the_clock(
     assert found.times is not None
     assert found.times[0] == pytest.approx(0.0, abs=0.05)
     assert np.all(np.diff(found.times) > 0)
-    with pytest.raises(ShapeError, match="webcam 1: give seconds"):
+    with pytest.raises(InvalidInputError, match="webcam 1: give seconds"):
         video.detect_video(1, folder)
-
-
-def test_a_camera_that_is_not_there_is_a_clear_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cv2, "VideoCapture", lambda source: Webcam(source, 0))
     with pytest.raises(FileFormatError, match="webcam 3: not a video or camera"):
         video.detect_video(3, folder, seconds=1.0)
@@ -227,7 +215,7 @@ def test_times_follow_from_the_rate_where_a_file_has_none(monkeypatch: pytest.Mo
         list(video.read_video(__file__))
 
 
-def test_files_that_are_no_videos_or_models_are_refused(
+def test_invalid_videos_and_models_are_refused(
     film: tuple[Path, Array], folder: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(FileFormatError, match="none.mp4: there is no such video"):
@@ -247,23 +235,18 @@ def test_files_that_are_no_videos_or_models_are_refused(
         video.detect_video(film[0], folder)
 
 
-def test_models_are_told_apart_by_their_inputs_and_outputs(folder: Path) -> None:
-    people_model(folder / "yolox.onnx", [[0, 0, 1, 1, 0.9]])
-    pose, people = models.find_models(folder)
-    assert (pose.kind, pose.points, pose.width, pose.height) == ("pose", 17, 192, 256)
-    assert people is not None
-    assert (people.kind, people.points, people.width, people.height) == ("people", 0, 640, 480)
+def test_models_are_recognised_by_inputs_and_outputs(film: tuple[Path, Array], folder: Path) -> None:
     helper = onnx.helper
     odd = [helper.make_node("ReduceMax", ["input"], ["heat"], axes=[1], keepdims=1)]
     saved(folder / "odd.onnx", odd, {}, (64, 48), {"heat": ["N", 1, 64, 48]})
-    with pytest.raises(FileFormatError, match="odd.onnx: its outputs .* are not RTMPose's"):
-        models.find_models(folder)
+    with pytest.raises(FileFormatError, match=r"odd.onnx: its outputs .* are not RTMPose's"):
+        video.detect_video(film[0], folder)
     saved(folder / "odd.onnx", odd, {}, ("H", 48), {"heat": ["N", 1, "H", 48]})  # type: ignore[arg-type]
     with pytest.raises(FileFormatError, match=r"odd.onnx: its inputs .* are not one image"):
-        models.find_models(folder)
+        video.detect_video(film[0], folder)
 
 
-def test_without_the_extra_the_error_says_what_to_install(
+def test_a_missing_extra_names_what_to_install(
     film: tuple[Path, Array],
     folder: Path,
     monkeypatch: pytest.MonkeyPatch,

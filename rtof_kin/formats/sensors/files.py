@@ -12,15 +12,8 @@ from typing import Any, Final
 
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_stream import SensorLog
-from rtof_kin.formats.sensors import (
-    imu_csv,
-    imu_mat,
-    mvnx,
-    opensense_sto,
-    total_capture_sensors,
-    ximu3,
-    xsens,
-)
+from rtof_kin.formats import total_capture
+from rtof_kin.formats.sensors import imu_csv, imu_mat, mvnx, opensense_sto, ximu3, xsens
 
 _HEAD_BYTES: Final = 2**14
 _MOST_FILES: Final = 1000
@@ -34,13 +27,13 @@ class Format:
     looks: str
     """Description of such a file."""
     recognise: Callable[[str], bool]
-    """Whether a file that begins with this text is of the format."""
+    """Return True for the text that a file of the format begins with."""
     read: Callable[..., SensorLog]
     """Read a trial from paths, or from one path where `file_is_trial`; keyword arguments are fields of
     `Declaration` that replace the format's own. Raises FileFormatError for anything unreadable,
     incomplete, damaged or inconsistent, and UnknownNameError for an unknown field or value."""
     file_is_trial: bool = False
-    """Whether a file holds all sensors of a trial."""
+    """True where one file holds all sensors of a trial."""
 
 
 FORMATS: Final = (
@@ -54,9 +47,9 @@ FORMATS: Final = (
         opensense_sto.is_opensense_sto, opensense_sto.read_opensense_sto, True,
     ),
     Format(
-        total_capture_sensors.TITLE,
+        total_capture.TITLE,
         "text: numbers of sensors and frames; then blocks of a frame's number and a line for each sensor",
-        total_capture_sensors.is_total_capture, total_capture_sensors.read_total_capture_sensors, True,
+        total_capture.is_sensors, total_capture.read_sensor_log, True,
     ),
     Format(
         ximu3.TITLE, "folders with Inertial.csv, ..., whose first column is 'Timestamp (us)'",

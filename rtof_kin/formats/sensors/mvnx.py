@@ -159,7 +159,7 @@ def _elements(path: Path) -> Iterator[Element]:
                 yield element
                 if above:
                     above[-1].remove(element)
-                bounded.held = 0
+                bounded.unreleased = 0
 
 
 @dataclass
@@ -168,11 +168,11 @@ class _Bounded:
 
     path: Path
     stream: IO[bytes]
-    held: int = 0
+    unreleased: int = 0
 
     def read(self, size: int = -1) -> bytes:
-        self.held += size
-        if self.held > LARGEST_FRAME:
+        self.unreleased += size
+        if self.unreleased > LARGEST_FRAME:
             problem = f"an element in it is larger than {LARGEST_FRAME / 2**20:.0f} MiB"
             raise FileFormatError(self.path, problem)
         return self.stream.read(size)

@@ -36,7 +36,7 @@ class Packets:
     count: Count
     """(T,) their unwrapped counter, strictly increasing."""
     notes: tuple[str, ...] = ()
-    """What was corrected, in sentences without a subject."""
+    """Corrections, in sentences without a subject."""
 
 
 def in_order(path: Path, counters: Array, lines: Sequence[int], wrap: int, late: int, what: str) -> Packets:
@@ -80,7 +80,7 @@ def in_order(path: Path, counters: Array, lines: Sequence[int], wrap: int, late:
         (steps < 0, "packet", "late, put in their places"),
         (~new, "packet", "sent again, taken once"),
     )
-    notes = [f"{_counted(int(e.sum()), noun)} {said}" for e, noun, said in events if e.any()]
+    notes = [f"{_counted(int(e.sum()), noun)} {event}" for e, noun, event in events if e.any()]
     return Packets(rows[new], count[rows[new]], tuple(notes))
 
 

@@ -39,7 +39,7 @@ class SensorTable:
     lines: Sequence[int]
     """(T,) line of each row in the file, from 1."""
     notes: tuple[str, ...]
-    """What was left out, in sentences."""
+    """Omissions, in sentences."""
 
     def columns(self, *names: str) -> Array | None:
         """Return the named columns (T, len(names)), in any case of letters; None where one is absent."""

@@ -38,17 +38,19 @@ DOT_TITLE: Final = "Movella DOT CSV"
 _COUNTER: Final = "PacketCounter"
 _STAMP: Final = "SampleTimeFine"
 _ACCELERATION: Final[Groups] = (("Acc_X", "Acc_Y", "Acc_Z"),)
-_FREE: Final[Groups] = (("FreeAcc_X", "FreeAcc_Y", "FreeAcc_Z"), ("FreeAcc_E", "FreeAcc_N", "FreeAcc_U"))
-_GYROSCOPE: Final[Groups] = (("Gyr_X", "Gyr_Y", "Gyr_Z"),)
-_MAGNETOMETER: Final[Groups] = (("Mag_X", "Mag_Y", "Mag_Z"),)
-_QUATERNION: Final[Groups] = (
-    ("Quat_q0", "Quat_q1", "Quat_q2", "Quat_q3"),
-    ("Quat_W", "Quat_X", "Quat_Y", "Quat_Z"),
+_KINDS: Final[dict[str, Groups]] = {
+    "acceleration": _ACCELERATION,
+    "free": (("FreeAcc_X", "FreeAcc_Y", "FreeAcc_Z"), ("FreeAcc_E", "FreeAcc_N", "FreeAcc_U")),
+    "gyroscope": (("Gyr_X", "Gyr_Y", "Gyr_Z"),),
+    "magnetometer": (("Mag_X", "Mag_Y", "Mag_Z"),),
+    "quaternions": (("Quat_q0", "Quat_q1", "Quat_q2", "Quat_q3"), ("Quat_W", "Quat_X", "Quat_Y", "Quat_Z")),
+    "matrices": (tuple(f"Mat[{row}][{column}]" for row in (1, 2, 3) for column in (1, 2, 3)),),
+    "euler": (("Yaw", "Pitch", "Roll"), ("Euler_Z", "Euler_Y", "Euler_X")),
+}
+"""Alternative groups of columns by what they measure."""
+_MEASURES: Final = tuple(
+    frozenset(name.lower() for name in group) for kind in _KINDS.values() for group in kind
 )
-_MATRIX: Final[Groups] = (tuple(f"Mat[{row}][{column}]" for row in (1, 2, 3) for column in (1, 2, 3)),)
-_EULER: Final[Groups] = (("Yaw", "Pitch", "Roll"), ("Euler_Z", "Euler_Y", "Euler_X"))
-_KINDS: Final = (_ACCELERATION, _FREE, _GYROSCOPE, _MAGNETOMETER, _QUATERNION, _MATRIX, _EULER)
-_MEASURES: Final = tuple(frozenset(name.lower() for name in group) for kind in _KINDS for group in kind)
 _READ: Final = frozenset({_COUNTER.lower(), _STAMP.lower()}.union(*_MEASURES))
 _RATE: Final = re.compile(r"(?://\s*Update Rate:\s*|OutputRate:\W*)([\d.]+)\s*Hz", re.IGNORECASE)
 _SERIAL: Final = re.compile(r"[0-9A-Fa-f]{8}")
@@ -152,18 +154,16 @@ def _acceleration_declared(tables: Sequence[SensorTable]) -> dict[str, Any]:
 def _readings(
     name: str, table: SensorTable, packets: Packets, times: Array, notes: tuple[str, ...]
 ) -> Readings:
-    def taken(kind: Groups) -> Array | None:
-        columns = _first(table, kind)
-        return None if columns is None else columns[packets.rows]
-
-    free, raw, matrices, euler = taken(_FREE), taken(_ACCELERATION), taken(_MATRIX), taken(_EULER)
+    found = {kind: _first(table, groups) for kind, groups in _KINDS.items()}
+    taken = {kind: None if columns is None else columns[packets.rows] for kind, columns in found.items()}
+    acceleration, matrices = taken["acceleration"], taken["matrices"]
     if matrices is not None:
         matrices = matrices.reshape(-1, 3, 3)
-    elif euler is not None:
+    elif (euler := taken["euler"]) is not None:
         matrices = so3.euler_to_matrix("zyx", np.deg2rad(euler))
     return Readings(
-        name, times, free if raw is None else raw, taken(_GYROSCOPE), taken(_MAGNETOMETER),
-        taken(_QUATERNION), matrices, notes,
+        name, times, taken["free"] if acceleration is None else acceleration, taken["gyroscope"],
+        taken["magnetometer"], taken["quaternions"], matrices, notes,
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ function element(name, text, parent) {
   return node;
 }
 
-// Round numbers between two ends, about as many as wanted.
+// About `wanted` round numbers between two ends.
 function ticks(low, high, wanted) {
   const rough = (high - low) / wanted;
   const power = Math.pow(10, Math.floor(Math.log10(rough)));
@@ -26,7 +26,7 @@ function ticks(low, high, wanted) {
   return out;
 }
 
-// Paths of a curve, one for each stretch without a gap.
+// Index ranges of a curve without gaps.
 function stretches(y) {
   const out = [];
   let start = -1;
@@ -51,7 +51,7 @@ function extent(series) {
   return [low - room, high + room];
 }
 
-// From values to places in the picture.
+// Maps from values to SVG coordinates.
 function scales(chart, axis) {
   const {width, height, left, right, top, bottom} = SIZE;
   const [low, high] = extent(chart.series);
@@ -104,7 +104,7 @@ function draw_curve(picture, series, x, {X, Y}) {
   }
 }
 
-// What stands under a chart: what is drawn, or the values at one place.
+// Caption of a chart: its series, or (read_off) the values at the cursor.
 function describe(caption, chart) {
   caption.replaceChildren();
   for (const s of chart.series)
@@ -116,14 +116,14 @@ function read_off(caption, chart, axis, i) {
   caption.replaceChildren(`${axis.x[i].toFixed(axis.unit === "s" ? 2 : 0)} ${axis.unit}: `);
   for (const s of chart.series) {
     const half = s.half && !Number.isNaN(s.half[i]) ? ` \u00b1 ${s.half[i].toFixed(1)}` : "";
-    const text = Number.isNaN(s.y[i]) ? "not seen" : s.y[i].toFixed(1) + half;
+    const text = Number.isNaN(s.y[i]) ? "not observed" : s.y[i].toFixed(1) + half;
     element("span", `${s.side || ""} ${text}  `, caption).className = s.side || "both";
   }
   caption.append("deg");
 }
 
 // chart: {name, positive, series: [{side, y, half, n}]}; axis: {x, label, unit, marks: [{at, side}]}.
-// Returns a function that puts the cursor at an x.
+// Returns a function that moves the cursor to an x.
 function draw_chart(parent, chart, axis, chosen) {
   const {width, height, top, bottom} = SIZE;
   const figure = element("figure", "", parent);

@@ -1,5 +1,5 @@
 
-// The skeleton in three dimensions: drag to turn, wheel to zoom, a slider for time. moved(t) is told the time.
+// The skeleton in 3D: drag to turn, wheel to zoom, a slider for time. moved(t) is called with the time.
 function start_player(data, moved) {
   const canvas = document.getElementById("scene"), pen = canvas.getContext("2d");
   const [play, slider, clock, speed, follow] =
@@ -13,7 +13,7 @@ function start_player(data, moved) {
   slider.max = T - 1;
 
   const at = (frame, joint) => [0, 1, 2].map(k => p[3 * (frame * J + joint) + k]);
-  // The middle of what there is to see, and how far it reaches.
+  // Radius of the scene.
   let reach = 0.6 * data.height;
   for (let f = 0; f < T; f++) {
     const [x, y] = at(f, 0);
@@ -77,7 +77,7 @@ function start_player(data, moved) {
       pen.fill();
     }
     slider.value = frame;
-    clock.textContent = data.times[frame].toFixed(2) + " s" + (seen ? "" : ", not seen");
+    clock.textContent = data.times[frame].toFixed(2) + " s" + (seen ? "" : ", not observed");
     moved(data.times[frame]);
   }
 

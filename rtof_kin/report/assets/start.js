@@ -1,5 +1,5 @@
 
-// Draws everything. What becomes of it stands in the root element: data-state is "ready", or "failed".
+// Draws all plots and sets data-state of the root element to "ready" or "failed".
 window.addEventListener("error", event => {
   document.documentElement.dataset.state = "failed";
   document.documentElement.dataset.error = event.message;
@@ -13,7 +13,7 @@ window.addEventListener("error", event => {
   const cycle = {x: data.cycles.phase, label: "gait cycle, from heel strike [%]; dashed: toe off", unit: "%", marks};
   draw_charts(document.getElementById("cycle-charts"), data.cycles.groups, cycle, null);
   move.go = start_player(data.player, t => move.cursors(t));
-  // On paper nothing can be opened.
+  // Open all details for printing.
   window.addEventListener("beforeprint", () =>
     document.querySelectorAll("details").forEach(details => { details.open = true; }));
   document.documentElement.dataset.state = "ready";

@@ -1,6 +1,6 @@
 
 "use strict";
-// Numbers that page.py packed: base64 of little-endian 16-bit integers, -32768 for what is missing.
+// Numbers packed by plot_data.py: base64 of little-endian 16-bit integers, -32768 for what is missing.
 function unpack(text, scale) {
   const bytes = Uint8Array.from(atob(text), c => c.charCodeAt(0));
   const view = new DataView(bytes.buffer);

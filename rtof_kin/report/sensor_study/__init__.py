@@ -1,1 +1,1 @@
-"""Which sensors a protocol needs: accuracy of every subset."""
+"""Sensor study: accuracy of every joint angle with subsets of the sensors."""

@@ -1,8 +1,9 @@
-"""Pictures of a sensor study: what each sensor is worth, and how much fewer sensors cost."""
+"""Figures of a sensor study: loss without each sensor, and against the number of sensors."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from matplotlib.colors import ListedColormap
@@ -10,25 +11,27 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from rtof_kin.report.figures import save_figures
+from rtof_kin.report.plot_data import side_and_name
 from rtof_kin.report.sensor_study.study import LEAST_SEEN, TOLERANCE, SensorStudy
 
-_LARGEST = 20.0
-"""deg, the end of the colours."""
+_LARGEST: Final = 20.0  # [deg] end of the colour scale
 
 
 def write_study_figures(study: SensorStudy, folder: str | Path) -> list[Path]:
-    """Draw both into a folder, as PNG.
+    """Write both figures as PNG, and return their paths.
 
-    Returns:
-        The paths written.
+    Args:
+        study: to plot. folder: to write.
     """
     figures = {"sensors": worth_of_sensors(study), "number": error_by_number(study)}
     return save_figures(figures, folder)
 
 
 def worth_of_sensors(study: SensorStudy) -> Figure:
-    """Every angle by every sensor left out alone: RMS difference from the full set, deg; where leaving it
-    out makes the angle unseen, that is said instead.
+    """Plot the RMS difference from the full set, deg, of each angle without each sensor.
+
+    Args:
+        study: to plot.
     """
     rows = _shown(study)
     size = (2.5 + 0.85 * len(study.without), 1.8 + 0.28 * len(rows))
@@ -40,24 +43,27 @@ def worth_of_sensors(study: SensorStudy) -> Figure:
     image = ax.imshow(seen, cmap="YlOrRd", vmin=0, vmax=_LARGEST, aspect="auto")
     ax.imshow(np.where(lost, 0.0, np.nan), cmap=ListedColormap(["0.35"]), aspect="auto")
     for (i, j), value in np.ndenumerate(difference):
-        text = "unseen" if lost[i, j] else "" if np.isnan(value) else f"{value:.1f}"
+        text = "unobserved" if lost[i, j] else "" if np.isnan(value) else f"{value:.1f}"
         dark = lost[i, j] or value > 0.6 * _LARGEST
         ax.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
     ax.set_yticks(range(len(rows)), [study.angles[a].replace("_", " ") for a in rows], fontsize=8)
     labels = list(study.segments.values())
     ax.set_xticks(range(len(labels)), labels, rotation=30, ha="right", fontsize=8)
-    ax.set_xlabel("sensor left out")
+    ax.set_xlabel("sensor omitted")
     figure.colorbar(image, ax=ax, label="RMS difference from all sensors [deg]", extend="max", shrink=0.6)
-    figure.suptitle(f"{study.recording}: what each sensor is worth", fontsize=11)
+    figure.suptitle(f"{study.recording}: loss without each sensor", fontsize=11)
     return figure
 
 
 def error_by_number(study: SensorStudy) -> Figure:
-    """The angles' RMS against the number of sensors on the way down, one panel for each joint."""
+    """Plot the RMS of the angles against the number of sensors, one panel for each joint.
+
+    Args:
+        study: to plot.
+    """
     joints: dict[str, list[int]] = {}
     for a in _shown(study):
-        name = study.angles[a]
-        joint = name.removeprefix("right_").removeprefix("left_").partition("_")[0]
+        joint = side_and_name(study.angles[a])[1].partition("_")[0]
         joints.setdefault(joint, []).append(a)
     columns = min(3, len(joints))
     lines = -(-len(joints) // columns)
@@ -83,12 +89,11 @@ def error_by_number(study: SensorStudy) -> Figure:
         ax.set_visible(False)
     for ax in panels[max(0, len(joints) - columns) : len(joints)]:
         ax.set_xlabel("number of sensors", fontsize=8)
-    what = "difference from the full set, which is no error"
-    what = "error against the truth" if study.has_truth else what
-    figure.suptitle(f"{study.recording}: {what}; a line ends where nobody sees the angle", fontsize=11)
+    what = "error against the truth" if study.has_truth else "difference from the full set (not an error)"
+    figure.suptitle(f"{study.recording}: {what}; a line ends where the angle is unobserved", fontsize=11)
     return figure
 
 
 def _shown(study: SensorStudy) -> list[int]:
-    """Angles without OpenSim's second pelvis."""
+    """Indices of the angles without those of the pelvis in OpenSim's sequence."""
     return [a for a, name in enumerate(study.angles) if not name.startswith("pelvis_opensim")]

@@ -1,14 +1,7 @@
-"""A sensor study as files and in words.
+"""Export of a sensor study as sentences and files.
 
-=====================  ====================================================================
-study.csv              a row for each set of sensors and angle: difference, seen, error, band
-study.json             verdict and settings of the full set, the sets in order, what was compared,
-                       the sentences
-figures/sensors.png    what each sensor left out alone costs, angle x sensor
-figures/number.png     difference or error against the number of sensors
-=====================  ====================================================================
-
-An empty cell is a figure that there is no data for.
+``study.csv`` has a row for each set of sensors and angle, with empty cells for missing values;
+``study.json`` has the verdict and settings of the full set, the sets in order and the sentences.
 """
 
 from __future__ import annotations
@@ -17,41 +10,43 @@ import csv
 import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.report.headline import Headline
-from rtof_kin.report.sensor_study.sensor_sets import SensorSet
-from rtof_kin.report.sensor_study.study import LEAST_SEEN, TOLERANCE, SensorStudy
+from rtof_kin.report.plot_data import side_and_name
+from rtof_kin.report.sensor_study.study import LEAST_SEEN, TOLERANCE, SensorSet, SensorStudy
 
-MARKER = "study.csv"
-COLUMNS = ("set", "sensors", "number", "angle", "difference_deg", "seen_share", "error_deg",
+MARKER: Final = "study.csv"
+COLUMNS: Final = ("set", "sensors", "number", "angle", "difference_deg", "seen_share", "error_deg",
            "half_band_deg", "kept")  # fmt: skip
-NO_ERROR = (
-    "a difference from the full set is no error: the full set errs too, and what it shares with a "
-    "smaller set is not seen"
+NO_ERROR: Final = (
+    "a difference from the full set is not an error: errors that both sets share are not included"
 )
 
 
 def write_study(study: SensorStudy, folder: str | Path, verdict: Headline | None = None) -> None:
-    """Write table and facts into an existing folder.
+    """Write ``study.csv`` and ``study.json``.
 
     Args:
-        verdict: on the reconstruction by the full set.
+        study: to write. folder: that exists. verdict: on the reconstruction with the full set.
     """
     folder = Path(folder)
     with (folder / MARKER).open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(COLUMNS)
         writer.writerows(_rows(study))
-    text = json.dumps(study_facts(study, verdict), indent=2)
+    text = json.dumps(study_data(study, verdict), indent=2)
     (folder / "study.json").write_text(text + "\n", encoding="utf-8")
 
 
-def study_facts(study: SensorStudy, verdict: Headline | None = None) -> dict[str, Any]:
-    """A study as plain data, units in the names."""
+def study_data(study: SensorStudy, verdict: Headline | None = None) -> dict[str, Any]:
+    """Return a study as plain data, with units in the names.
+
+    Args:
+        study: to write. verdict: on the reconstruction with the full set.
+    """
     return {
         "recording": study.recording,
         "verdict": None if verdict is None else verdict.plain(),
@@ -62,31 +57,34 @@ def study_facts(study: SensorStudy, verdict: Headline | None = None) -> dict[str
         "tolerance_deg": float(np.degrees(TOLERANCE)),
         "least_seen_share": LEAST_SEEN,
         "segments": study.segments,
-        "without": [_facts(found) | {"left_out": _left_out(study, found)} for found in study.without],
-        "path": [_facts(found) for found in study.path],
+        "without": [_set_data(found) | {"left_out": _left_out(study, found)} for found in study.without],
+        "path": [_set_data(found) for found in study.path],
         "sentences": sentences(study),
     }  # fmt: skip
 
 
 def sentences(study: SensorStudy, tolerance: float = TOLERANCE) -> list[str]:
-    """For every joint, how many sensors its angles need on the way down; both sides together, unless
-    only one is ever within the tolerance.
+    """Return sentences on the sensors that the angles of each joint need along the path; both sides together
+    unless only one is ever within the tolerance.
+
+    Args:
+        study: of a recording. tolerance: RMS, rad.
     """
     joints: dict[str, list[str]] = {}
-    for angle in dict.fromkeys(_without_side(name) for name in study.angles):
+    for angle in dict.fromkeys(side_and_name(name)[1] for name in study.angles):
         if not angle.startswith("pelvis_opensim"):
             joint, _, movement = angle.partition("_")
             need = _need(study, angle, tolerance)
             joints.setdefault(joint, []).append(f"{movement.replace('_', ' ')} {need}")
-    what = "the truth" if study.has_truth else "what all sensors give"
+    what = "the truth" if study.has_truth else "the full set of sensors"
     limit = f"{np.degrees(tolerance):.0f} deg (RMS)"
-    opening = f"Within {limit} of {what}, the sensor that is missed least going first:"
+    opening = f"Within {limit} of {what}, when the least important sensor is removed first:"
     return [opening, *(f"{joint}: {'; '.join(needs)}." for joint, needs in joints.items())]
 
 
 def _need(study: SensorStudy, angle: str, tolerance: float) -> str:
-    """What one angle needs, on both sides where it has two."""
-    sets = {name: study.fewest(name, tolerance) for name in study.angles if _without_side(name) == angle}
+    """Sensors that one angle needs, on both sides if it has two."""
+    sets = {name: study.fewest(name, tolerance) for name in study.angles if side_and_name(name)[1] == angle}
     within = {name: found for name, found in sets.items() if found is not None}
     beyond = [name for name in sets if name not in within]
     if not beyond:
@@ -95,12 +93,12 @@ def _need(study: SensorStudy, angle: str, tolerance: float) -> str:
     text = f"is not within it even with all {len(study.full.sensors)} ({np.degrees(worst):.1f} deg)"
     if not within:
         return text
-    (outside,), (inside,) = (map(_side, names) for names in (beyond, within))
+    outside, inside = side_and_name(beyond[0])[0], side_and_name(next(iter(within)))[0]
     return f"on the {outside} {text}, on the {inside} {_needed(study, within.values())}"
 
 
 def _needed(study: SensorStudy, sets: Iterable[SensorSet]) -> str:
-    """The largest of some sets on the way down, in words."""
+    """Description of the largest of some sets."""
     most = max(sets, key=lambda found: len(found.sensors))
     if not most.sensors:
         return "needs no sensor"
@@ -109,26 +107,16 @@ def _needed(study: SensorStudy, sets: Iterable[SensorSet]) -> str:
     return f"needs {len(most.sensors)}: {', '.join(study.segments[name] for name in most.sensors)}"
 
 
-def _without_side(angle: str) -> str:
-    for side in SIDES:
-        angle = angle.removeprefix(f"{side}_")
-    return angle
-
-
-def _side(angle: str) -> str:
-    return next(side for side in SIDES if angle.startswith(f"{side}_"))
-
-
 def _left_out(study: SensorStudy, found: SensorSet) -> str:
     return next(name for name in study.full.sensors if name not in found.sensors)
 
 
-def _facts(found: SensorSet) -> dict[str, Any]:
+def _set_data(found: SensorSet) -> dict[str, Any]:
     return {"sensors": list(found.sensors), "loss_deg": float(np.degrees(found.loss))}
 
 
 def _rows(study: SensorStudy) -> Iterator[list[str]]:
-    """The full set, each sensor left out alone, and the way down below the full set."""
+    """Rows of the full set, of each sensor omitted alone, and of the path below the full set."""
     sets = [("full", study.full)]
     sets += [(f"without {_left_out(study, found)}", found) for found in study.without]
     sets += [(f"path {len(found.sensors)}", found) for found in study.path[1:]]

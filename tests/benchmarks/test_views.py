@@ -9,9 +9,9 @@ import pytest
 from detector_support import walking
 from numpy.typing import NDArray
 
+from benchmarks.views import MIRROR, Views, ViewSettings
 from rtof_kin.body import kinematics
 from rtof_kin.vision.layouts import detector_table, mirrored, own
-from rtof_kin.vision.views import MIRROR, Views, ViewSettings
 
 Array = NDArray[np.float64]
 STILL = ViewSettings(
@@ -47,7 +47,7 @@ def camera_residual(points: Array, image: Array) -> float:
     return float(singular[-1] / singular[0])
 
 
-def test_one_camera_explains_all_joints_of_a_frame() -> None:
+def test_a_frame_is_a_projection_of_all_joints() -> None:
     views, points, depth = seen(STILL)
     p = joints(views)
     for t in FRAMES:
@@ -56,7 +56,7 @@ def test_one_camera_explains_all_joints_of_a_frame() -> None:
     assert np.all((depth > 3.6) & (depth < 4.1))
 
 
-def test_half_of_the_views_are_of_the_mirror_image() -> None:
+def test_half_of_the_views_are_mirrored() -> None:
     flipped = []
     for seed in range(8):
         views, points, _ = seen(replace(STILL, mirror=True), seed)
@@ -66,7 +66,7 @@ def test_half_of_the_views_are_of_the_mirror_image() -> None:
     assert 0 < sum(flipped) < 8
 
 
-def test_people_stand_upright_and_are_seen_from_all_around() -> None:
+def test_people_are_upright_and_seen_from_all_directions() -> None:
     views, points, _ = seen(STILL)
     at = {name: points[:, i] for i, name in enumerate(views.names)}
     assert np.all(at["Nose"][:, 1] < at["LeftHip"][:, 1])
@@ -75,7 +75,7 @@ def test_people_stand_upright_and_are_seen_from_all_around() -> None:
     assert 10 < to_the_right.sum() < 40
 
 
-def test_a_detectors_points_are_near_the_landmarks_they_are_named_after() -> None:
+def test_detector_points_are_near_their_landmarks() -> None:
     views, points, _ = seen(STILL)
     at = {name: points[:, i] for i, name in enumerate(views.names)}
     for point, landmark in (("RightElbow", "RightForeArm"), ("Nose", "Nose"),
@@ -85,14 +85,9 @@ def test_a_detectors_points_are_near_the_landmarks_they_are_named_after() -> Non
         assert far.max() > 0.005
 
 
-def test_the_same_seed_gives_the_same_view() -> None:
-    a, b, c = (seen(ViewSettings(), seed)[1] for seed in (1, 1, 2))
-    np.testing.assert_array_equal(a, b)
-    assert np.abs(a - c).max() > 0.01
-
-
 @pytest.mark.parametrize("name", ["bone_scale", "place", "roll", "tilt_share"])
-def test_every_setting_changes_what_is_seen(name: str) -> None:
+def test_every_setting_changes_the_view(name: str) -> None:
     before = seen(STILL)[1]
+    np.testing.assert_array_equal(before, seen(STILL)[1])
     after = seen(replace(STILL, **{name: 0.5}))[1]
     assert np.abs(before - after).max() > 1e-3

@@ -1,7 +1,7 @@
-"""A body's points as virtual cameras see them: what adapters are fitted to and measured on.
+"""Simulated views of a body's points, for fitting and measuring landmark regressions.
 
-Motion gives the orientations; the body is the shipped skeleton with its bone lengths varied, because a
-skeleton's joints are what its table says they are, and motion capture's skeletons have others.
+The motion gives the orientations; the body is the shipped skeleton with varied bone lengths, because joints
+are those of the skeleton's table and the skeletons of motion capture have others.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.vision.layouts import DetectorTable, mirrored, own
+from rtof_kin.vision.layouts import DetectorTable, mirrored, own, point_names
 
 Array = NDArray[np.float64]
 MIRROR = np.diag([1.0, -1.0, 1.0])
@@ -23,7 +23,7 @@ MIRROR = np.diag([1.0, -1.0, 1.0])
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """What is drawn anew for each view of a motion; of a pair, a value between the two."""
+    """Distributions of what is drawn for each view; a pair is a uniform range."""
 
     distance: tuple[float, float] = (1.8, 7.5)  # [m] camera to root, along the floor
     height: tuple[float, float] = (0.5, 3.2)  # [m] of the camera over the floor
@@ -35,16 +35,14 @@ class ViewSettings:
     mirror: bool = True  # whether half of the views are of the mirrored motion
 
 
-def point_names(table: DetectorTable, skeleton: SkeletonModel) -> tuple[str, ...]:
-    """The N points of a view in their order: the skeleton's landmarks, then the detectors' points."""
-    return (*map(own, skeleton.landmarks), *(point.name for point in table.points))
-
-
 class Views:
-    """A body to look at; its points in the order of `point_names`."""
+    """Generator of views; points are in the order of `point_names`.
+
+    Args:
+        table: of the layouts, on the shipped skeleton. settings: distributions.
+    """
 
     def __init__(self, table: DetectorTable, settings: ViewSettings | None = None):
-        """Place the table's points on the shipped skeleton."""
         self.settings = settings or ViewSettings()
         self.skeleton = SkeletonModel.default()
         self.names = point_names(table, self.skeleton)
@@ -54,31 +52,31 @@ class Views:
         self._other_joint = [self.names.index(own(mirrored(n))) for n in self.skeleton.names]
 
     def see(self, p_root: Array, R_world_bone: Array, rng: Generator) -> tuple[Array, Array]:
-        """One view of one motion, every frame from a place of its own.
+        """Draw one view of a motion, with a camera position for each frame.
 
         Args:
-            p_root: (T, 3) root in world, m. R_world_bone: (T, J, 3, 3). rng: all that is drawn.
+            p_root: (T, 3) root in world, m. R_world_bone: (T, J, 3, 3). rng: source of randomness.
 
         Returns:
             (T, N, 2) points on the image plane, x/z right and y/z down, and (T,) depth of the root, m.
         """
-        s = self.settings
+        s, T = self.settings, len(p_root)
         if s.mirror and rng.random() < 0.5:
             p_root = p_root @ MIRROR
             R_world_bone = MIRROR @ R_world_bone[:, self._other_joint] @ MIRROR
         points = self._body(p_root, R_world_bone, rng)
         root = points[:, [0]]
-        points = root + (points - root) @ np.swapaxes(self._tilts(len(points), rng), -1, -2)
-        azimuth = rng.uniform(-np.pi, np.pi, len(points))
-        away = rng.uniform(*s.distance, len(points))
+        points = root + (points - root) @ np.swapaxes(self._tilts(T, rng), -1, -2)
+        azimuth = rng.uniform(-np.pi, np.pi, T)
+        away = rng.uniform(*s.distance, T)
         eye = np.stack([away * np.cos(azimuth), away * np.sin(azimuth), 0 * away], axis=-1)
-        eye += root[:, 0] * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0] * rng.uniform(*s.height, (len(points), 1))
-        towards = root[:, 0] + rng.uniform(-0.3, 0.3, (len(points), 3)) - eye
+        eye += root[:, 0] * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0] * rng.uniform(*s.height, (T, 1))
+        towards = root[:, 0] + rng.uniform(-0.3, 0.3, (T, 3)) - eye
         camera = np.einsum("tij,tnj->tni", self._axes(towards, rng), points - eye[:, None])
         return camera[..., :2] / camera[..., 2:], camera[:, 0, 2]
 
     def _body(self, p_root: Array, R: Array, rng: Generator) -> Array:
-        """(T, N, 3) the points in world, on a body of other bone lengths."""
+        """Return the points (T, N, 3) in world on a body with varied bone lengths."""
         names = self.skeleton.names
         factor = 1 + self.settings.bone_scale * rng.standard_normal(len(names))
         factor = np.where([n.startswith("Left") for n in names], factor[self._other_joint], factor)
@@ -92,7 +90,7 @@ class Views:
         return np.concatenate([p, points], axis=1)
 
     def _tilts(self, count: int, rng: Generator) -> Array:
-        """(T, 3, 3) rotations of the whole body about horizontal axes; most are none."""
+        """Return rotations (T, 3, 3) of the body about horizontal axes; most are none."""
         heading = rng.uniform(-np.pi, np.pi, count)
         angle = rng.uniform(0, self.settings.tilt, count)
         angle *= rng.random(count) < self.settings.tilt_share
@@ -100,7 +98,7 @@ class Views:
         return so3.exp(axis * angle[:, None])
 
     def _axes(self, forward: Array, rng: Generator) -> Array:
-        """(T, 3, 3) R_camera_world of cameras that look along `forward`, nearly upright."""
+        """Return R_camera_world (T, 3, 3) of nearly upright cameras with viewing directions (T, 3)."""
         forward = so3.unit(forward)
         right = so3.unit(np.cross(forward, [0.0, 0.0, 1.0]))
         upright = np.stack([right, np.cross(forward, right), forward], axis=-2)
