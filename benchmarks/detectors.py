@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
+from rtof_kin.vision.views import Views, ViewSettings
 
 from benchmarks.harness import write_results
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.simulation.mocap import MocapClip, read_corpus
 from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks
 from rtof_kin.vision.recognise import recognise
-from rtof_kin.vision.views import Views, ViewSettings
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).parent

@@ -14,18 +14,15 @@ if TYPE_CHECKING:
     from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
     from rtof_kin.calibration.priors import CalibrationPriors
     from rtof_kin.calibration.result import SelfCalibration
-    from rtof_kin.core.errors import RtofError
+    from rtof_kin.core.errors import InvalidInputError, RtofError
     from rtof_kin.data.camera import Camera
     from rtof_kin.data.imu import BoneImuSequence, ImuSequence
     from rtof_kin.data.imu_calibration import ImuCalibration
     from rtof_kin.data.keypoints import KeypointSequence
     from rtof_kin.data.poses import PoseSequence, Provenance
-    from rtof_kin.reconstruction.pipeline import (
-        Reconstruction,
-        ReconstructionSettings,
-        calibrate_recording,
-        reconstruct,
-    )
+    from rtof_kin.reconstruction.pipeline import calibrate_recording, reconstruct
+    from rtof_kin.reconstruction.result import Reconstruction
+    from rtof_kin.reconstruction.settings import ReconstructionSettings
     from rtof_kin.recording.recording import Recording
     from rtof_kin.report.export import export
     from rtof_kin.solve.cartesian.settings import CartesianSettings
@@ -38,15 +35,15 @@ _MODULES = {
     "body.skeleton": ("MotionSequence", "SkeletonModel"),
     "calibration.priors": ("CalibrationPriors",),
     "calibration.result": ("SelfCalibration",),
-    "core.errors": ("RtofError",),
+    "core.errors": ("InvalidInputError", "RtofError"),
     "data.camera": ("Camera",),
     "data.imu": ("BoneImuSequence", "ImuSequence"),
     "data.imu_calibration": ("ImuCalibration",),
     "data.keypoints": ("KeypointSequence",),
     "data.poses": ("PoseSequence", "Provenance"),
-    "reconstruction.pipeline": (
-        "Reconstruction", "ReconstructionSettings", "calibrate_recording", "reconstruct"
-    ),
+    "reconstruction.pipeline": ("calibrate_recording", "reconstruct"),
+    "reconstruction.result": ("Reconstruction",),
+    "reconstruction.settings": ("ReconstructionSettings",),
     "recording.recording": ("Recording",),
     "report.export": ("export",),
     "solve.cartesian.settings": ("CartesianSettings",),
@@ -57,7 +54,7 @@ _MODULES = {
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [
     "BoneImuSequence", "CalibrationPriors", "Camera", "CartesianSettings", "FragmentSolution",
-    "FragmentSolver", "ImuCalibration", "ImuSequence", "InertialGuidedIK", "InertialGuidedIKSettings",
+    "FragmentSolver", "ImuCalibration", "ImuSequence", "InertialGuidedIK", "InertialGuidedIKSettings", "InvalidInputError",
     "JointSpaceSettings", "KeypointSequence", "Metrics", "MotionSequence", "PoseSequence", "Provenance",
     "Reconstruction", "ReconstructionSettings", "Recording", "RtofError", "SelfCalibration",
     "SkeletonModel", "SolverStatus", "calibrate_recording", "evaluate", "export", "reconstruct",

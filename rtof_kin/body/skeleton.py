@@ -25,6 +25,7 @@ from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.confidence import Confidence
+from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
@@ -99,6 +100,7 @@ class SkeletonModel:
         self.root = self.names[0]
         self.joint_offsets: Array = readonly("joint_offsets", table.offsets, ("J", 3))
         self.model: Any = pin.buildModelFromXML(urdf or to_urdf(table), pin.JointModelFreeFlyer())
+        self.model.gravity.linear = GRAVITY_WORLD
         self.nq, self.nv = int(self.model.nq), int(self.model.nv)
         self.dof_names = tuple(str(n) for n in self.model.names if n not in ("universe", "root_joint"))
         expected = {dof.urdf for joint in table.joints for dof in joint.dofs}

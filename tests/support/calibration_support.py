@@ -1,20 +1,23 @@
-"""Recordings with planted calibration errors, and priors that leave them open."""
+"""A short recording with planted errors, and everything open that can be."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import planted
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.calibration.estimate import shared_fragments
+from rtof_kin.calibration.estimate import calibrate, shared_fragments
 from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.calibration.shared_fragments import SharedFragments
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
@@ -33,30 +36,41 @@ OPEN = {
     "camera tilt": {"sigma_tilt": 0.02},
     "ankle height": {"sigma_ankle_height": 0.03},
 }
-"""Standard deviations that leave a kind of unknown open."""
+"""Kind -> what leaves it open."""
 NOTHING = {name: None for name in vars(CalibrationPriors()) if name.startswith("sigma_")} | {
     "sigma_twist": 0.1
 }
 
 
 def only(*kinds: str, **more: float) -> CalibrationPriors:
-    """Priors that leave only these kinds open."""
+    """Priors that leave nothing else open."""
     chosen = {name: value for kind in kinds for name, value in OPEN[kind].items()}
     return CalibrationPriors(**(NOTHING | chosen | more))
 
 
 def motion(frames: int, seed: int = 0) -> MotionSequence:
-    """A motion drawn from the pose prior."""
+    """Somebody who moves as people do, and walks about a little."""
     return planted.human(BODY, frames, seed)
 
 
 def fragments(recording: Recording, start: PoseSequence, priors: CalibrationPriors) -> SharedFragments:
-    """Short fragments for quick tests."""
-    return shared_fragments(recording, start, priors, SETTINGS, FRAMES)
+    """Fragments of so few frames that a test is quick."""
+    return shared_fragments(recording, guessed(recording, start), priors, SETTINGS, FRAMES)
+
+
+def guessed(recording: Recording, start: PoseSequence) -> InitialGuess:
+    """The initial guess that a reconstruction makes of poses."""
+    return initial_guess(start, recording.video, recording.bone_imus(times=start.times), recording.skeleton)
+
+
+def calibrated(recording: Recording, start: PoseSequence, *given: Any, **settings: Any) -> SelfCalibration:
+    """`calibrate` from poses."""
+    return calibrate(recording, guessed(recording, start), *given, **settings)
 
 
 def misaligned(recording: Recording, **wrong: Array) -> Recording:
-    """A recording whose calibration is wrong by headings (S,) and mountings (S, 3), rad."""
+    """A recording whose calibration is wrong by headings (S,) and mountings (S, 3): what a perfect
+    calibration finds."""
     given = recording.calibration
     assert given is not None
     S = len(given.sensors)
@@ -73,12 +87,12 @@ def misaligned(recording: Recording, **wrong: Array) -> Recording:
 
 
 def late(recording: Recording, seconds: float) -> Recording:
-    """A recording with a delayed video."""
+    """A recording whose video is late."""
     seen = recording.keypoints
     return replace(recording, keypoints=replace(seen, times=seen.times + seconds))
 
 
 def biased(recording: Recording, bias_px: Array) -> Recording:
-    """A recording with a bias (L, 2), px, of every landmark."""
+    """A recording whose detector sees every landmark (L, 2) px beside where it is."""
     seen = recording.keypoints
     return replace(recording, keypoints=replace(seen, uv_px=seen.uv_px + bias_px))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -11,27 +12,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.formats.motion_npz import write_motion_npz
+from rtof_kin.report.plot_data import MISSING
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 _VOID = {"meta", "input", "br"}
 
 
-def folder_of(motion: MotionSequence, folder: Path, **facts: Any) -> Path:
-    """A folder with the files that a report reads; `facts` are added to its summary."""
+def folder_of(motion: MotionSequence, folder: Path, **fields: Any) -> Path:
+    """Folder of a reconstruction with fields of its summary."""
     folder.mkdir(parents=True)
     write_motion_npz(folder / "motion.npz", motion, mode="rtof")
     summary = {"recording": "walk", "mode": "rtof", "acknowledgement": "", "inputs": {}, "audit": []}
-    (folder / "summary.json").write_text(json.dumps(summary | facts))
+    (folder / "summary.json").write_text(json.dumps(summary | fields))
     return folder
 
 
 def certain_to(degrees: float, motion: MotionSequence) -> Confidence:
-    """A confidence with the same orientation sigma for every segment."""
+    """A confidence with the same standard deviation of all relative rotations."""
     T, names = len(motion.times), motion.skeleton.names
     pairs = tuple((j.parent, j.child) for j in angle_table(motion.skeleton.table).joints)
     pairs = tuple(dict.fromkeys(pairs))
@@ -41,7 +44,7 @@ def certain_to(degrees: float, motion: MotionSequence) -> Confidence:
 
 
 class Page(HTMLParser):
-    """A parsed page: text by section id, attributes, and unbalanced tags."""
+    """Parsed page: text by the id of the section, attributes, and tags that are not closed."""
 
     def __init__(self, html: str) -> None:
         super().__init__()
@@ -73,15 +76,21 @@ class Page(HTMLParser):
         self.text[within] = self.text.get(within, "") + data
 
 
-def drawn_data(html: str) -> Any:
-    """Data that the script of a page draws."""
+def unpacked(text: str, scale: int, shape: tuple[int, ...] = (-1,)) -> NDArray[np.float64]:
+    """Inverse of `plot_data.packed`."""
+    numbers = np.frombuffer(base64.b64decode(text), dtype="<i2").astype(float)
+    return np.where(numbers == MISSING, np.nan, numbers / scale).reshape(shape)
+
+
+def plotted_data(html: str) -> Any:
+    """Data for the script of the page."""
     found = re.search(r'<script id="data" type="application/json">(.*?)</script>', html, re.DOTALL)
     assert found is not None
     return json.loads(found.group(1))
 
 
 def rendered(page: Path, profile: Path) -> str:
-    """The page in a headless browser after its script has run."""
+    """DOM in a headless browser after the script has run."""
     assert BROWSER is not None
     done = subprocess.run(
         [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={profile}",

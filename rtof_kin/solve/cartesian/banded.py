@@ -23,7 +23,7 @@ from rtof_kin.core.choices import Compile
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.numerics.banded import Factor, Store, StoredFactor, factorise
 from rtof_kin.core.numerics.c_compiler import Buffered
-from rtof_kin.core.numerics.simd import Mapped, in_lanes
+from rtof_kin.core.numerics.simd import Mapped, compile_simd
 from rtof_kin.core.numerics.simd_codegen import FrameFunction
 from rtof_kin.solve.cartesian.problem import CURVED_BY, FragmentProblem
 
@@ -59,7 +59,7 @@ class BandedProblem:
             a, b = (points.reshape(N, J, 3)[:, list(ends)] for ends in zip(*problem.pairs, strict=True))
             parts.append((problem.rigid_distance, np.concatenate([a, b], axis=-1).reshape(-1, 6)))
         functions = [FrameFunction(function, (2,)) for function, _ in parts]
-        code = (in_lanes(functions) if compile == "auto" else None) or {}
+        code = (compile_simd(functions) if compile == "auto" else None) or {}
         self._curvature, self._slope_of = Buffered(problem.curvature), Buffered(problem.slope)
         row, column = problem.curvature.sparsity_out(0).get_triplet()
         self._order = _grouped(N * 3 * J, np.array(row), np.array(column), [i for _, i in parts])

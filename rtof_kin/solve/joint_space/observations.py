@@ -18,7 +18,7 @@ from rtof_kin.core import signals
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import FEET, Footholds, standing_feet
+from rtof_kin.inertial.contacts import FEET, Footholds, detect_contacts
 from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy, built_energy
 from rtof_kin.solve.energy.frame_energy import TORSO, Shape
 from rtof_kin.solve.energy.problem import FragmentData
@@ -113,7 +113,7 @@ class Observations:
         if settings.floor_height is not None:
             smooth = start.with_poses(slice(None), *self.space.poses(self.start))
             at_frames = None if bone_imus is None else bone_imus.resample(start.times)
-            contacts = standing_feet(smooth, at_frames, skeleton)
+            contacts = detect_contacts(smooth, at_frames, skeleton, from_poses=True)
             self.rows["w_floor"] = contacts.standing / settings.sigma_floor**2
 
     def fragment(self, first: int) -> tuple[NDArray[np.intp], NDArray[np.bool_], FragmentData]:
