@@ -111,7 +111,12 @@ class Source:
         if picture:
             R_camera = torch.from_numpy(self.R_camera_world).expand(B, 3, 3)
             image = Picture(torch.from_numpy(instants.interpolated(self.picture)), R_camera)
-        arrays = instants.interpolated(self.rays), instants.known(self.seen), axes, instants.known(self.sensed)
+        arrays = (
+            instants.interpolated(self.rays),
+            instants.known(self.seen),
+            axes,
+            instants.known(self.sensed),
+        )
         rays, seen, turned, sensed = map(torch.from_numpy, arrays)
         height_m = torch.full((B,), height)
         bones_m = torch.from_numpy(bones).float().expand(B, -1)

@@ -1,4 +1,4 @@
-"""How many threads torch computes with."""
+"""Number of threads torch computes with."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ import torch
 
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """Compute with so many threads inside, and with as many as before afterwards.
-
-    Windows are small: on busy cores a second thread costs twenty times what it gains.
-    """
+    """Limit torch to `count` threads inside; a second one costs more than it gains on small windows."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
