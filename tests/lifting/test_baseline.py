@@ -1,4 +1,4 @@
-"""The baseline: what VideoPose3D reads and answers, its recipe, and the way through train and predict."""
+"""The baseline VideoPose3D: input, output, recipe, training and prediction."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lifting.data import MotionBank, plain
 from lifting.model import NetworkConfig
 from lifting.noise import HALF_WIDTH
 from lifting.predict import Lifter
-from lifting.recipes import Published, Rays, depth
+from lifting.recipes import Published, Recipe, depth
 from lifting.settings import TrainConfig
 from lifting.source import Source
 from lifting.train import train
@@ -116,7 +116,7 @@ def test_the_mirrored_picture_has_the_mirrored_answer(causal: bool) -> None:
     torch.testing.assert_close(mirror_image, in_camera[:, BODY.mirrored] * sign)
 
 
-def test_what_is_not_seen_stands_where_the_nearest_frame_saw_it() -> None:
+def test_unseen_landmarks_are_taken_from_the_nearest_frame() -> None:
     xy = torch.arange(6.0).reshape(1, 1, 6, 1).expand(1, 2, 6, 3).clone()
     seen = torch.ones(1, 6, 3, dtype=torch.bool)
     seen[0, :, 0] = torch.tensor([False, False, True, False, False, True])
@@ -128,11 +128,6 @@ def test_what_is_not_seen_stands_where_the_nearest_frame_saw_it() -> None:
     assert filled[0, 0, :, 2].tolist() == list(range(6))
     nothing = bridged(torch.full_like(xy, torch.nan), torch.zeros_like(seen))
     assert torch.equal(nothing, torch.zeros_like(xy))
-
-
-def test_windows_without_a_picture_are_refused() -> None:
-    with pytest.raises(ValueError, match="windows without a picture"):
-        encode(BODY, replace(windows_of()[0], picture=None))
 
 
 # --- the network ---------------------------------------------------------------------------------
@@ -149,22 +144,13 @@ def test_each_network_has_the_published_size() -> None:
     assert pose - root == (48 - 3) * 1025
 
 
-@pytest.mark.parametrize("causal", [False, True])
-def test_both_forms_agree(causal: bool) -> None:
-    network, x, nothing = network_of(causal=causal), torch.randn(2, 31, 2 * J), torch.zeros(2, 0)
-    dilated = network(x, nothing)
-    assert dilated.shape == (2, 5, 3 * J)
-    for k in range(5):
-        torch.testing.assert_close(network.forward_windows(x[:, k : k + 27], nothing), dilated[:, k])
-
-
 def test_the_two_networks_share_nothing() -> None:
     network, x = network_of(), torch.randn(1, 27, 2 * J)
-    before = network.forward_windows(x, torch.zeros(1, 0))
+    before = network(x, torch.zeros(1, 0))
     with torch.no_grad():
         for p in network.root.parameters():
             p += 0.1
-    after = network.forward_windows(x, torch.zeros(1, 0))
+    after = network(x, torch.zeros(1, 0))
     assert torch.equal(before[:, :-3], after[:, :-3])
     assert not torch.isclose(before[:, -3:], after[:, -3:]).any()
 
@@ -173,39 +159,40 @@ def test_the_two_networks_share_nothing() -> None:
 
 
 def test_the_recipe_is_the_published_one() -> None:
-    config = TrainConfig(windows=1, model="videopose3d")
+    config = TrainConfig.for_model("videopose3d", windows=1)
     assert (config.channels, config.dropout, config.batch) == (1024, 0.25, 1024)
     assert config.filter_widths == (3, 3, 3)
-    recipe, network = Published(config), network_of()
-    optimizer = recipe.optimizer(network)
+    network = network_of()
+    recipe = Published(config, network, BODY)
+    optimizer = recipe.optimizer
     assert isinstance(optimizer, torch.optim.Adam)
     assert not isinstance(optimizer, torch.optim.AdamW)
     assert optimizer.defaults["amsgrad"]
     norms = [layer for layer in network.modules() if isinstance(layer, nn.BatchNorm1d)]
-    told = []
+    rates_set = []
     for share in (0.0, 0.5 / 60, 1 / 60 + 1e-9, 30 / 60, 59.5 / 60, 1.0):
-        recipe.set_rates(network, optimizer, share)
+        recipe.set_rates(share)
         assert len({norm.momentum for norm in norms}) == 1
-        told.append((optimizer.param_groups[0]["lr"], norms[0].momentum))
-    rates, momenta = zip(*told, strict=True)
+        rates_set.append((optimizer.param_groups[0]["lr"], norms[0].momentum))
+    rates, momenta = zip(*rates_set, strict=True)
     assert rates == pytest.approx([1e-3 * 0.95**k for k in (0, 0, 1, 30, 59, 59)])
     assert momenta == pytest.approx([0.1 * 0.01 ** (k / 60) for k in (0, 0, 1, 30, 59, 59)])
     assert recipe.memory(100) == 0.0
 
 
-def test_the_models_own_settings_hold_where_none_are_given() -> None:
+def test_settings_of_a_model_are_its_own_unless_given() -> None:
     assert TrainConfig(windows=1).channels == 256
-    assert TrainConfig(windows=1, model="videopose3d", channels=64, dropout=0.0).channels == 64
-    assert TrainConfig(windows=1, model="videopose3d", channels=64, dropout=0.0).dropout == 0.0
-    with pytest.raises(UnknownNameError, match="unknown model 'videopose'. Did you mean 'videopose3d'"):
+    config = TrainConfig.for_model("videopose3d", windows=1, channels=64, dropout=0.0, batch=None)
+    assert (config.channels, config.dropout, config.batch) == (64, 0.0, 1024)
+    with pytest.raises(UnknownNameError, match="Did you mean 'videopose3d'"):
         TrainConfig(windows=1, model="videopose")
 
 
-def test_the_roots_error_counts_by_its_depth() -> None:
+def test_the_root_error_is_weighted_by_its_depth() -> None:
     bank = MotionBank(support.tiny_corpus(frames=40), [0, 1], CPU)
     batch = bank.draw(8, 27, plain(), torch.Generator().manual_seed(0))
     assert batch.windows.picture is not None
-    recipe = Published(TrainConfig(windows=1, model="videopose3d"))
+    recipe = Published(TrainConfig.for_model("videopose3d", windows=1), network_of(), BODY)
     R = batch.windows.picture.R_camera_world
     output = torch.cat(
         [torch.bmm(R, batch.pose)[..., 1:].flatten(1), torch.bmm(R, batch.root[..., None])[..., 0]], dim=1
@@ -220,11 +207,11 @@ def test_the_roots_error_counts_by_its_depth() -> None:
     assert recipe.loss(decode(BODY, output, encoded), batch) == pytest.approx(0.02, abs=1e-5)
 
 
-def test_the_packages_own_recipe_begins_with_a_usual_answer_and_the_baseline_does_not() -> None:
-    own, baseline = support.untrained_lifter()._network, network_of()
+def test_only_the_packages_own_recipe_sets_the_first_output() -> None:
+    own, baseline = support.untrained_lifter().network, network_of()
     before = baseline.shrink.bias.clone()
-    Rays(TrainConfig(windows=1)).prepare(own, support.tiny_corpus().body())
-    Published(TrainConfig(windows=1, model="videopose3d")).prepare(baseline, BODY)
+    Recipe(TrainConfig(windows=1), own, support.tiny_corpus().body())
+    Published(TrainConfig.for_model("videopose3d", windows=1), baseline, BODY)
     assert own.shrink.bias.abs().max() > 0.5
     assert torch.equal(baseline.shrink.bias, before)
 
@@ -239,14 +226,14 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     augment = replace(
         plain(), mirror=0.5, distance=(4.0, 4.0), camera_height=(1.5, 1.5), off_axis=0.0, roll=0.0
     )
-    config = TrainConfig(
-        windows=16_000, batch=64, channels=48, dropout=0.0, learning_rate=3e-3, skeletons=0,
-        model="videopose3d", validations=1, validation_windows=32, augment=augment,
+    config = TrainConfig.for_model(
+        "videopose3d", windows=16_000, batch=64, channels=48, dropout=0.0, learning_rate=3e-3, skeletons=0,
+        validations=1, validation_windows=32, augment=augment,
     )  # fmt: skip
     return train(config, corpus, tmp_path_factory.mktemp("baseline") / "baseline.pt")
 
 
-def test_it_trains_loads_and_predicts_through_the_same_commands(trained: Path) -> None:
+def test_it_trains_loads_and_predicts(trained: Path) -> None:
     lifter, p = Lifter.load(trained), support.positions(0, 60)
     keypoints = support.seen_by(Camera.looking_at([4.0, 0.0, 1.5], p[30, 0], 1250.0), p)
     lifted = lifter.predict(keypoints)
@@ -257,16 +244,7 @@ def test_it_trains_loads_and_predicts_through_the_same_commands(trained: Path) -
     assert np.isnan(lifted.R_world_bone).all()
 
 
-def test_it_ignores_sensors_and_bones(trained: Path) -> None:
-    lifter, p = Lifter.load(trained), support.positions(0, 30)
-    keypoints = support.seen_by(CAMERA, p)
-    alone = lifter.predict(keypoints).p_world_joint
-    imus = support.worn_by(0, 30, ("Hips", "LeftForeArm"))
-    told = lifter.predict(keypoints, support.TABLE.offsets, bone_imus=imus, floor_height=0.0)
-    np.testing.assert_array_equal(told.p_world_joint, alone)
-
-
-def test_its_checkpoint_says_what_it_is(trained: Path) -> None:
+def test_its_checkpoint_describes_it(trained: Path) -> None:
     network, description = load_checkpoint(trained)
     assert isinstance(network, PoseAndRootNetwork)
     assert description.network.model == "videopose3d"

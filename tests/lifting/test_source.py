@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from lifting.body import Body
 from lifting.source import Source
 from lifting.windows import Windows
-from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 
@@ -46,7 +45,7 @@ def axes_of(body: Body, shown: Windows, joint: str) -> Array:
     return axes.permute(0, 2, 1, 3).double().numpy()
 
 
-def test_each_sensor_stands_in_the_place_of_its_segment(
+def test_each_sensor_has_the_index_of_its_segment(
     body: Body, keypoints: KeypointSequence, imus: BoneImuSequence
 ) -> None:
     source = Source.of(body, keypoints, imus)
@@ -61,7 +60,7 @@ def test_each_sensor_stands_in_the_place_of_its_segment(
 
 
 @pytest.mark.parametrize("estimated", [W // 2, W - 1])
-def test_windows_lie_around_the_estimated_frame(
+def test_windows_surround_the_estimated_frame(
     body: Body, keypoints: KeypointSequence, imus: BoneImuSequence, estimated: int
 ) -> None:
     source = Source.of(body, keypoints, imus)
@@ -77,7 +76,7 @@ def test_windows_lie_around_the_estimated_frame(
     np.testing.assert_allclose(shown.camera_height.numpy(), 1.5)
 
 
-def test_before_the_first_and_after_the_last_frame_the_nearest_one_stands(
+def test_the_first_and_last_frames_are_repeated(
     body: Body, keypoints: KeypointSequence, imus: BoneImuSequence
 ) -> None:
     source = Source.of(body, keypoints, imus)
@@ -88,22 +87,7 @@ def test_before_the_first_and_after_the_last_frame_the_nearest_one_stands(
         assert shown.sensed[b, :, body.sensors.index("Hips")].all()
 
 
-def test_sensors_at_other_times_are_brought_to_the_frames(body: Body, keypoints: KeypointSequence) -> None:
-    """A segment that turns evenly is the same whenever it is sampled."""
-
-    def turning(times: Array) -> BoneImuSequence:
-        R = so3.about_axis("z", 2.0 * times)[:, None]
-        return BoneImuSequence(times, R, np.zeros((len(times), 1, 3)), np.zeros((1, 3)), ("Head",))
-
-    exact = Source.of(body, keypoints, turning(keypoints.times))
-    for rate, start in ((100.0, -0.043), (37.0, -0.1), (240.0, 0.0)):
-        other = turning(start + np.arange(int(1.3 * rate)) / rate)
-        resampled = Source.of(body, keypoints, other)
-        assert resampled.sensed[:, body.sensors.index("Head")].all()
-        np.testing.assert_allclose(resampled.axes, exact.axes, atol=1e-6)
-
-
-def test_what_sensors_did_not_say_is_not_sensed_and_zero(
+def test_missing_samples_are_zero_and_not_sensed(
     body: Body, keypoints: KeypointSequence, imus: BoneImuSequence
 ) -> None:
     R = np.array(imus.R_world_bone)
@@ -118,7 +102,7 @@ def test_what_sensors_did_not_say_is_not_sensed_and_zero(
     assert (~shown.sensed[0, :, s]).nonzero().flatten().tolist() == list(range(8, 18))
 
 
-def test_between_two_frames_a_sensor_counts_where_both_have_it(
+def test_between_frames_a_sensor_needs_both(
     body: Body, keypoints: KeypointSequence, imus: BoneImuSequence
 ) -> None:
     R = np.array(imus.R_world_bone)
@@ -130,26 +114,3 @@ def test_between_two_frames_a_sensor_counts_where_both_have_it(
     h = body.sensors.index("Hips")
     between = (source.axes[20, :, h] + source.axes[21, :, h]) / 2
     np.testing.assert_allclose(shown.axes_world[0, :, 13, :, h].numpy().T, between, atol=1e-5)
-
-
-def test_pauses_are_not_interpolated_across(
-    body: Body, keypoints: KeypointSequence, imus: BoneImuSequence
-) -> None:
-    times = keypoints.times + np.where(np.arange(T) >= 30, 5.0, 0.0)
-    source = Source.of(body, replace(keypoints, times=times), replace(imus, times=times))
-    shown = windows(source, times[29:30])
-    h = body.sensors.index("Hips")
-    assert shown.sensed[0, :14, h].all()
-    assert not shown.sensed[0, 14:, h].any()
-    assert not shown.seen[0, 14:].any()
-
-
-def test_without_sensors_or_with_unknown_ones_nothing_is_sensed(
-    body: Body, keypoints: KeypointSequence, imus: BoneImuSequence
-) -> None:
-    assert not Source.of(body, keypoints, None).sensed.any()
-    elsewhere = replace(imus, joints=("Neck", "LeftHand", "Tail"))
-    assert not Source.of(body, keypoints, elsewhere).sensed.any()
-    none = Source.of(support.tiny_corpus(table=support.TABLE_17).body(), keypoints, imus)
-    assert none.axes.shape == (T, 2, 0, 3)
-    assert none.sensed.shape == (T, 0)
