@@ -18,7 +18,7 @@ def row(motion: str, frames: int, value: float, **fields: Any) -> dict[str, Any]
     return {**base, "mode": "rtof", **figures, **fields}
 
 
-def test_pooling_weighs_motions_by_their_frames() -> None:
+def test_pooling_weights_motions_by_their_frames() -> None:
     figures = pooled([row("a", 300, 10.0), row("b", 100, 50.0)])
     assert figures["mpjpe_rr_mm"] == pytest.approx(20.0)
     assert figures["mpjje"] == pytest.approx(20.0)
@@ -40,13 +40,13 @@ def test_the_table_has_a_line_for_every_kind_and_mode() -> None:
     assert lines[2].startswith("| perfect | lift |")
 
 
-def test_no_subject_stands_in_two_parts_of_the_split() -> None:
+def test_parts_of_the_split_are_disjoint() -> None:
     rows = split()
     parts = [set(rows[name]) for name in ("test", "validation", "excluded")]
     assert sum(map(len, parts)) == len(set.union(*parts))
 
 
-def test_at_least_half_of_the_motions_neither_walk_nor_run() -> None:
+def test_half_of_the_motions_are_not_walking() -> None:
     walking_or_running = {"02_01", "02_03", "09_01", "09_12", "12_01", "16_15", "16_31"}
     motions = split()["benchmark"]["motions"]
     assert len(motions) == len(set(motions))

@@ -66,7 +66,7 @@ def main(folder: Path) -> None:
         for name in ("same", "own"):
             drawn = Run(CONFIGS[name], corpus, team).batches(0)[0].root
             torch.save(drawn, folder / f"{name}{rank}.pt")
-    (folder / f"found{rank}.json").write_text(json.dumps(found))
+    (folder / f"reports{rank}.json").write_text(json.dumps(found))
 
 
 if __name__ == "__main__":
