@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
+import torch
 from torch import Tensor
 
 from lifting import videopose3d, windows
@@ -30,18 +31,33 @@ class Model:
     """Network input of windows."""
     decode: Callable[[Body, Tensor, Any], Estimate]
     """Estimate from the network's output (B, outputs) and the encoded windows."""
+    mirror_features: Callable[[Body, Tensor], Tensor]
+    """Features (B, W, inputs) of the mirrored scene, whose constants are the same."""
+    mirror_output: Callable[[Body, Tensor], Tensor]
+    """Output (B, outputs) of the mirrored scene."""
     senses: bool
     """Whether it takes sensors and gives orientations."""
+
+    @torch.no_grad()
+    def answer(self, body: Body, network: TemporalNetwork, encoded: Encoded, flip: bool) -> Tensor:
+        """Return the output (B, outputs); `flip` averages it with that of the mirrored windows."""
+        output: Tensor = network(encoded.features, encoded.constants)
+        if flip:
+            mirrored = network(self.mirror_features(body, encoded.features), encoded.constants)
+            output = (output + self.mirror_output(body, mirrored)) / 2
+        return output
 
 
 MODELS: Final = {
     RAYS: Model(
         lambda body: (body.inputs, body.constants, body.outputs),
-        TemporalNetwork, windows.encode, windows.decode, senses=True,
+        TemporalNetwork, windows.encode, windows.decode,
+        windows.mirror_features, windows.mirror_output, senses=True,
     ),
     VIDEOPOSE3D: Model(
         videopose3d.sizes, videopose3d.PoseAndRootNetwork,
-        videopose3d.encode, videopose3d.decode, senses=False,
+        videopose3d.encode, videopose3d.decode,
+        videopose3d.mirror_features, videopose3d.mirror_output, senses=False,
     ),
 }  # fmt: skip
 """Models by name: the package's own, see `windows`, and the baseline, see `videopose3d`."""

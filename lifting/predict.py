@@ -16,7 +16,7 @@ from lifting.model import TemporalNetwork
 from lifting.models import RAYS, model_of
 from lifting.source import Source
 from lifting.threads import torch_threads
-from lifting.windows import SIGMA_TURN, Estimate, answer, orthonormal, rotations
+from lifting.windows import SIGMA_TURN, Estimate, orthonormal, rotations
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import InvalidInputError, ViewError
 from rtof_kin.core.resources import DEFAULT_LIFTER, lifter_path
@@ -181,7 +181,7 @@ class Lifter:
                     self._folded[flip] = FoldedNetwork(body, network, flip)
                 output = self._folded[flip](encoded.features, encoded.constants)
             else:
-                output = answer(body, network, encoded, flip)
+                output = model.answer(body, network, encoded, flip)
             arrays = _arrays(model.decode(body, output, encoded))
             enough = windows.seen.any(dim=1).sum(dim=1) >= MIN_JOINTS
         return *arrays, enough.numpy()

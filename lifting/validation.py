@@ -16,7 +16,7 @@ from lifting.model import TemporalNetwork
 from lifting.models import RAYS, model_of
 from lifting.noise import VALIDATION_NOISE
 from lifting.sensors import TRUNK, SensorConfig
-from lifting.windows import Estimate, answer
+from lifting.windows import Estimate
 
 SEED = 20_000
 _SENSED = SensorConfig(
@@ -71,7 +71,7 @@ class Validation:
 
     def _estimate(self, network: TemporalNetwork, batch: Batch, flip: bool) -> Estimate:
         encoded = self.model.encode(self.body, batch.windows)
-        return self.model.decode(self.body, answer(self.body, network, encoded, flip), encoded)
+        return self.model.decode(self.body, self.model.answer(self.body, network, encoded, flip), encoded)
 
 
 def _kinds(sensed: bool) -> dict[str, AugmentConfig]:

@@ -28,19 +28,6 @@ class EncodedPictures(Encoded):
     R_camera_world: Tensor
     """(B, 3, 3)."""
 
-    def mirrored_features(self, body: Body) -> Tensor:
-        """Swap left and right, negate x."""
-        xy = self.features.reshape(*self.features.shape[:-1], 2, -1)[..., body.mirrored]
-        return torch.flatten(xy * _mirror_signs(xy, 2)[:, None], -2)
-
-    def mirrored_output(self, body: Body, output: Tensor) -> Tensor:
-        """Swap left and right, negate x."""
-        J = len(body.names)
-        pose, root = torch.split(output, [3 * (J - 1), 3], dim=1)
-        pose = pose.reshape(-1, 3, J - 1)[..., [j - 1 for j in body.mirrored[1:]]]
-        signs = _mirror_signs(output, 3)
-        return torch.cat([(pose * signs[:, None]).flatten(1), root * signs], dim=1)
-
 
 class PoseAndRootNetwork(TemporalNetwork):
     """Two independent networks with concatenated outputs, the root's three last."""
@@ -90,6 +77,21 @@ def decode(body: Body, output: Tensor, encoded: EncodedPictures) -> Estimate:
     pose_world = pad(torch.bmm(R_world_camera, pose.reshape(B, 3, J - 1)), (1, 0))
     root_world = torch.bmm(R_world_camera, root[..., None])[..., 0]
     return Estimate(pose_world, root_world, output.new_full((B, 2, J), torch.nan), None, None)
+
+
+def mirror_features(body: Body, features: Tensor) -> Tensor:
+    """Mirror features (B, W, inputs): swap left and right, negate x."""
+    xy = features.reshape(*features.shape[:-1], 2, -1)[..., body.mirrored]
+    return torch.flatten(xy * _mirror_signs(xy, 2)[:, None], -2)
+
+
+def mirror_output(body: Body, output: Tensor) -> Tensor:
+    """Mirror an output (B, outputs): swap left and right, negate x."""
+    J = len(body.names)
+    pose, root = torch.split(output, [3 * (J - 1), 3], dim=1)
+    pose = pose.reshape(-1, 3, J - 1)[..., [j - 1 for j in body.mirrored[1:]]]
+    signs = _mirror_signs(output, 3)
+    return torch.cat([(pose * signs[:, None]).flatten(1), root * signs], dim=1)
 
 
 def bridged(xy: Tensor, seen: Tensor) -> Tensor:

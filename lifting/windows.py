@@ -16,7 +16,6 @@ Arrays are (B, component, W, J): with one plane per component, turning is one la
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import sqrt
 
@@ -25,7 +24,6 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from lifting.body import Body
-from lifting.model import TemporalNetwork
 
 MIN_FORWARD = 0.1
 """Cosine to the view axis below which a ray counts as unseen."""
@@ -82,21 +80,13 @@ class Windows:
 
 
 @dataclass(frozen=True)
-class Encoded(ABC):
-    """Network input, with mirroring of input and output."""
+class Encoded:
+    """Network input."""
 
     features: Tensor
     """(B, W, inputs)."""
     constants: Tensor
     """(B, constants)."""
-
-    @abstractmethod
-    def mirrored_features(self, body: Body) -> Tensor:
-        """Return the features (B, W, inputs) of the mirrored scene, whose constants are the same."""
-
-    @abstractmethod
-    def mirrored_output(self, body: Body, output: Tensor) -> Tensor:
-        """Mirror an output (B, outputs)."""
 
 
 @dataclass(frozen=True)
@@ -109,14 +99,6 @@ class EncodedWindows(Encoded):
     """(B, 3, 3)."""
     scale: Tensor
     """(B,) RMS distance of the landmarks from each frame's mean, in units of focal length."""
-
-    def mirrored_features(self, body: Body) -> Tensor:
-        """Call `mirror_features`."""
-        return mirror_features(body, self.features)
-
-    def mirrored_output(self, body: Body, output: Tensor) -> Tensor:
-        """Call `mirror_output`."""
-        return mirror_output(body, output)
 
 
 @dataclass(frozen=True)
@@ -197,17 +179,6 @@ def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> Estimate:
     axes = orthonormal(turns[0].reshape(B, 2, 3, J).transpose(1, 2))
     axes = torch.bmm(R_world_ray, axes.flatten(2)).reshape(B, 3, 2, J)
     return Estimate(pose, root_world, log_spread, axes, turns[1].clamp(*LOG_SPREAD))
-
-
-@torch.no_grad()
-def answer(body: Body, network: TemporalNetwork, encoded: Encoded, flip: bool) -> Tensor:
-    """Return the network's output (B, outputs), with `flip` averaged with that of the mirrored windows."""
-    constants = encoded.constants
-    output: Tensor = network(encoded.features, constants)
-    if flip:
-        mirrored: Tensor = network(encoded.mirrored_features(body), constants)
-        output = (output + encoded.mirrored_output(body, mirrored)) / 2
-    return output
 
 
 def orthonormal(axes: Tensor) -> Tensor:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from benchmarks.accuracy.faults import FAULTS, NOMINAL, Fault
 from benchmarks.accuracy.row_file import RowFile
 from benchmarks.accuracy.rows import FIGURES, Job, Prepared, Scene
 from benchmarks.accuracy.tables import TABLES
-from benchmarks.accuracy.windows import MIDDLE_SECOND, SECOND_AFTER_HALF, bounds, inside
+from benchmarks.accuracy.windows import MIDDLE_SECOND
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
@@ -33,7 +33,6 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.simulate import LIMB_SENSORS
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 SKELETON = SkeletonModel.default()
@@ -156,56 +155,7 @@ def test_a_tenth_of_the_packets_is_lost(name: str, longest: int) -> None:
     assert max(b - a for s in range(8) for a, b in signals.runs(gone[:, s])) <= longest
 
 
-@pytest.mark.parametrize(
-    "name, seconds",
-    [("person out of the picture for 1 s", 1.0), ("0.5 s of frames lost, stamps jitter", 0.5)],
-)
-def test_gaps_of_the_video_have_their_length(name: str, seconds: float) -> None:
-    keypoints = faulty(name).video
-    times = keypoints.times[keypoints.seen.any(axis=1)]
-    assert np.diff(times).max() == pytest.approx(seconds, abs=0.03)
-
-
-@pytest.mark.parametrize("name, late", [("video late by 33 ms", 2), ("video late by 100 ms", 6)])
-def test_a_late_video_is_shifted(name: str, late: int) -> None:
-    keypoints, whole = faulty(name).keypoints, RECORDING.keypoints
-    np.testing.assert_array_equal(keypoints.uv_px, whole.uv_px[:-late])
-    np.testing.assert_array_equal(keypoints.times, whole.times[late:])
-
-
-def test_windows_are_the_middle_second_and_the_one_after_half() -> None:
-    times = np.arange(181) / 60
-    assert bounds(times, MIDDLE_SECOND) == pytest.approx((1.0, 2.0))
-    assert bounds(times, SECOND_AFTER_HALF) == pytest.approx((1.5, 2.5))
-    assert inside(times, times, MIDDLE_SECOND).sum() == 60
-
-
 # --- cases and motions ---------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("table", TABLES)
-def test_names_of_cases_are_unique(table: str) -> None:
-    names = [(case.keypoints, case.name) for case in cases(table)]
-    assert len(set(names)) == len(names)
-    if table != "sensors":
-        assert all(case.name == NOMINAL for case in cases(table)[:1])
-
-
-def test_each_ablation_differs_from_the_nominal_settings_above_it() -> None:
-    nominal: Case | None = None
-    for case in cases("ablation"):
-        if case.name.startswith(NOMINAL):
-            nominal = case
-            usual = JointSpaceSettings() if case.sensors == "0" else JointSpaceSettings.calibrated()
-            assert case.settings == usual
-            continue
-        assert nominal is not None
-        assert (nominal.keypoints, nominal.sensors) == (case.keypoints, case.sensors)
-        differing = {
-            f.name for f in fields(JointSpaceSettings)
-            if getattr(case.settings, f.name) != getattr(nominal.settings, f.name)
-        }  # fmt: skip
-        assert bool(differing) == case.lift_with_sensors, case.name
 
 
 # --- one motion and camera -----------------------------------------------------------------------
@@ -238,20 +188,6 @@ def test_each_recording_is_lifted_once(lifter: planted.PlantedLifter) -> None:
     offsets = lifter.asked[-1][1]
     assert offsets is not None
     np.testing.assert_allclose(offsets, 1.03 * SKELETON.joint_offsets)
-
-
-def test_sensors_are_a_subset_of_one_recording_and_keypoints_the_same(lifter: planted.PlantedLifter) -> None:
-    scene = Scene(job())
-    four, eight, none = (scene.prepared(Case("", "white", n, as_given=True)) for n in ("4", "8", "0"))
-    assert none.bone_imus is None
-    assert four.bone_imus is not None
-    assert eight.bone_imus is not None
-    same = eight.bone_imus.select(four.bone_imus.joints)
-    np.testing.assert_array_equal(four.bone_imus.R_world_bone, same.R_world_bone)
-    assert four.recording.keypoints is eight.recording.keypoints is none.recording.keypoints
-    # What the harness records with these sensors alone.
-    np.testing.assert_array_equal(eight.recording.keypoints.uv_px, RECORDING.keypoints.uv_px)
-    np.testing.assert_array_equal(sensors(eight.recording).f_sensor, sensors(RECORDING).f_sensor)
 
 
 def test_scores_include_the_torso_and_every_second(prepared: Prepared) -> None:
@@ -423,28 +359,6 @@ def test_rows_of_another_version_are_not_mixed_in(tmp_path: Path) -> None:
         RowFile(path, "v2")
     assert RowFile(path, "v2", restart=True).rows == {}
     assert RowFile(path, "v2").rows == {}
-
-
-def test_finished_jobs_are_not_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def never(job: Job) -> None:
-        raise AssertionError("run again")
-
-    monkeypatch.setattr(command, "run", never)
-    kept = RowFile(tmp_path / "rows.jsonl", "v1")
-    done = [row("moving", "rtof", [1.0])]
-    kept.add(job().key, done)
-    assert command.measure("robustness", [job()], kept, 1) == done
-
-
-def test_results_are_written(tmp_path: Path) -> None:
-    rows = [row("a", "rtof", [1.0]), row("b", "rtof", [2.0])]
-    main, *_ = tables.robustness_tables(list(all_rows("robustness")))
-    text = command.write(tmp_path / "accuracy_x", [main], {"seed": 0}, rows)
-    content = json.loads((tmp_path / "accuracy_x.json").read_text(encoding="utf-8"))
-    assert content["rows"] == rows
-    assert content["seed"] == 0
-    assert content["tables"]["robustness"]["columns"] == list(main.columns)
-    assert (tmp_path / "accuracy_x.md").read_text(encoding="utf-8").strip() == text.strip()
 
 
 def test_jobs_of_tables_use_all_cameras_or_one_in_turn() -> None:

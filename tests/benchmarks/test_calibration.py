@@ -81,25 +81,6 @@ def test_an_error_changes_the_recording(name: str) -> None:
     assert not same
 
 
-def test_planted_errors_have_their_size() -> None:
-    draws = [planting.drawn(recording(), SIZES, seed) for seed in range(100)]
-    for name, error in ERRORS.items():
-        values = np.concatenate([np.concatenate(list(draw[name].values())) for draw in draws])
-        assert np.sqrt(np.mean(values**2)) == pytest.approx(error.size, rel=0.15)
-
-
-def test_the_mean_slip_of_a_sensor_is_part_of_its_mounting() -> None:
-    right = recording()
-    assert right.calibration is not None
-    slips = planting.slips(right)
-    np.testing.assert_allclose(np.array(list(slips.values())), 0.0, atol=1e-4)
-    turn = np.zeros((len(right.calibration.sensors), 3))
-    turn[2] = [0.1, -0.05, 0.02]
-    wrong = {"mounting": dict(zip(right.calibration.joints, turn, strict=True))}
-    slipped = planting.slips(planting.planted(right, wrong))
-    np.testing.assert_allclose(np.array(list(slipped.values())), turn, atol=1e-4)
-
-
 # --- jobs ----------------------------------------------------------------------------------------
 
 
@@ -113,14 +94,6 @@ def test_a_case_has_the_usual_errors_and_its_own() -> None:
     assert large.priors.sigma_heading == pytest.approx(3 * SIZES["heading"])
     assert large.priors.sigma_lever_arm is None
     assert set(Job("planted", "walking", ALL).sizes) == set(ERRORS)
-
-
-def test_measured_quantities_are_exact_and_fixed() -> None:
-    job = Job("measured", "walking", BUT + "image bias, focal length, mounting")
-    assert {*ERRORS} - {*job.sizes} == {"image bias", "focal length", "mounting"}
-    priors = job.priors
-    assert (priors.sigma_image_bias, priors.sigma_focal, priors.sigma_swing) == (None, None, None)
-    assert None not in (priors.sigma_place, priors.sigma_tilt, priors.sigma_size, priors.sigma_delay)
 
 
 # --- rows and tables -----------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -100,21 +99,6 @@ def test_a_planted_factor_and_floor_are_recovered(factor: float, floor: float) -
     one = np.ones(len(variance))
     found = sharpest(error, variance, one, one, 0 * one, 1e-3)[:2]
     assert found == pytest.approx((factor, floor), rel=0.05, abs=2e-3)
-
-
-def test_the_share_of_the_start_is_recovered() -> None:
-    """Errors have half the size of a distance that differs from frame to frame; the root is exact."""
-    rng, given = np.random.default_rng(7), case(3, "0", 0.01)
-    along = np.array([0.2, -0.1, 0.1]) * np.exp(rng.normal(size=(150, 21, 1)))
-    along[:, 0] = 0.0
-    p = given.truth.p_world_joint + 0.5 * rng.normal(size=(150, 21, 1)) * along
-    poses = replace(given.motion.poses, p_world_joint=p)
-    apart = disagreement(poses, replace(poses, p_world_joint=p - along), PAIRS, window=0.0)
-    cases = [case(3, sensors) for sensors in CARRIERS]
-    cases[0] = replace(given, motion=replace(given.motion, poses=poses), apart=apart)
-    found = fitted(cases)
-    assert found.shares["camera"]["position"] == pytest.approx(0.5, abs=0.06)
-    assert found.shares["camera"]["relative"] == pytest.approx(0.5, abs=0.06)
 
 
 def test_fit_and_test_subjects_are_disjoint() -> None:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from benchmarks.lifter import __main__ as command
 from benchmarks.lifter import figure, measures, tables
-from benchmarks.lifter.measures import gaussian_share, turn_parts
+from benchmarks.lifter.measures import gaussian_share
 from benchmarks.lifter.placements import PLACEMENTS, Placement
-from benchmarks.lifter.rows import KINDS, STILL, Job, recorded, run
+from benchmarks.lifter.rows import KINDS, STILL, Job, run
 from lifting.checkpoint import save_checkpoint
 from rtof_kin.body import metrics
 from rtof_kin.body.skeleton import SkeletonModel
@@ -68,20 +68,6 @@ def test_cameras_have_their_distance_from_the_path(placement: Placement, walk: f
     assert np.degrees(np.arctan2(offset[1], offset[0])) % 360 == pytest.approx(placement.azimuth)
 
 
-def test_recordings_depend_on_motion_placement_and_seed_alone() -> None:
-    job = Job(CLIP, PLACEMENTS[0], 0, ())
-    first, again = recorded(job, "realistic"), recorded(replace(job, lifters=("x",)), "realistic")
-    np.testing.assert_array_equal(first.keypoints.uv_px, again.keypoints.uv_px)
-    other = recorded(replace(job, seed=1), "realistic")
-    assert not np.array_equal(first.keypoints.uv_px, other.keypoints.uv_px, equal_nan=True)
-    elsewhere = replace(job, placement=replace(PLACEMENTS[0], name="there"))
-    assert not np.array_equal(
-        first.keypoints.uv_px, recorded(elsewhere, "realistic").keypoints.uv_px, equal_nan=True
-    )
-    assert first.imus is not None
-    assert len(first.imus.names) == 10
-
-
 # --- figures -------------------------------------------------------------------------------------
 
 
@@ -95,16 +81,6 @@ def test_positions_are_scored_as_by_the_package() -> None:
         assert figures[name] == pytest.approx(expected[name])
     assert figures["LeftHand mm"] == pytest.approx(expected.per_joint["LeftHand"]["mpjpe_rr_mm"])
     assert figures["Hips mm"] == 0
-
-
-def test_a_turn_is_yaw_after_lean() -> None:
-    R_true = np.asarray(so3.exp(np.random.default_rng(0).normal(size=(5, 3))))
-    lean = so3.about_axis("x", np.radians(20.0))
-    yaw = so3.about_axis("z", np.radians(-30.0))
-    total, yaw_deg, lean_deg = turn_parts(yaw @ lean @ R_true, R_true)
-    np.testing.assert_allclose(yaw_deg, 30)
-    np.testing.assert_allclose(lean_deg, 20)
-    np.testing.assert_allclose(total, np.degrees(so3.angle_between(yaw @ lean, np.eye(3))))
 
 
 def test_errors_as_large_as_their_sigmas_have_the_expected_coverage() -> None:

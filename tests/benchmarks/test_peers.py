@@ -175,32 +175,6 @@ def test_unsupported_joint_space_settings_are_refused(
 # --- the evaluator -------------------------------------------------------------------------------
 
 
-def test_violations_of_limits_are_scored_in_degrees(joint: JointScene) -> None:
-    fragment, space = joint.fragment(8), joint.space
-    x = fragment.x0.copy()
-    inside = joint.score(fragment, x).violation_deg
-    knee = joint.limits.names.index("LeftLeg_y")
-    a = space.names.index("LeftLeg")
-    axis, beyond = space.hinge_axis[a], joint.limits.upper[knee] + np.radians(10.0)
-    x[2, 3 + 4 * a : 7 + 4 * a] = 0.0
-    x[2, 3 + 4 * a] = np.cos(beyond / 2)
-    x[2, 4 + 4 * a + axis] = np.sin(beyond / 2)
-    assert inside < 10.0
-    assert joint.score(fragment, x).violation_deg == pytest.approx(10.0, abs=1e-6)
-
-
-def test_ipopt_and_real_time_agree_on_planted_fragments(joint: JointScene) -> None:
-    told: list[str] = []
-    found = side_by_side.agreement(joint, [4, 8], told.append)
-    assert len(told) == 2
-    assert found["fragments"] == 2
-    parts = ("different_minima", "not_certified_by_both")
-    assert found["same_minimum"] + sum(len(found[part]) for part in parts) == 2
-    assert found["same_minimum"] > 0
-    assert found["largest_relative_energy_difference"] < 1e-6
-    assert found["largest_distance_mm"] < 0.1
-
-
 # --- tables --------------------------------------------------------------------------------------
 
 
@@ -223,20 +197,6 @@ def test_solutions_are_compared_with_the_best_of_their_fragment() -> None:
     assert a["milliseconds"] == pytest.approx(50.0)
     assert a["frames_per_second"] == pytest.approx(500.0)
     assert (a["fragments"], a["converged"]) == (3, 3)
-
-
-def test_rising_caps_end_where_the_solver_converges(joint: JointScene) -> None:
-    def capped(cap: int) -> Solver:
-        return side_by_side.Joint(joint, LevenbergMarquardt, None, 1e-6, cap)
-
-    fragment = joint.fragment(8)
-    trace = measuring.rising(capped, fragment, range(1, 60), 1)
-    assert 3 < len(trace) < 59
-    assert trace[0][0] == 0.0
-    assert np.all(np.diff([seconds for seconds, _ in trace]) >= 0)
-    energies = [energy for _, energy in measuring.curve(joint, fragment, trace)]
-    assert energies[0] == pytest.approx(joint.score(fragment, fragment.x0).energy)
-    assert energies[-1] < 0.9 * energies[0]
 
 
 def result() -> dict[str, Any]:

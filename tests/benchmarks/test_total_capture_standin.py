@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import planted
 import pytest
 import total_capture_support as support
 from scipy.spatial.transform import Rotation
@@ -13,9 +12,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks import total_capture_files as files
 from benchmarks import total_capture_motion as source
 from benchmarks import total_capture_standin as standin
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import OutputExistsError
-from rtof_kin.simulation.mocap import MocapClip
 
 SEGMENT = {
     "Head": "Head", "Sternum": "Spine3", "Pelvis": "Hips", "L_UpArm": "LeftArm", "R_UpArm": "RightArm",
@@ -176,21 +173,6 @@ def test_detections_follow_the_truth_late_and_camera_2_is_off(tmp_path: Path) ->
 
 
 # --- which clips, and the command ----------------------------------------------------------------
-
-
-def clip(name: str, category: str, frames: int) -> MocapClip:
-    skeleton = SkeletonModel.default()
-    return MocapClip(name, planted.moving(skeleton, frames).poses, skeleton.joint_offsets, category=category)
-
-
-def test_pieces_of_motion_are_used_once() -> None:
-    clips = [clip("a", "acting", 130), clip("b", "acting", 60), clip("c", "walking", 60)]
-    pairs = [("S1", "acting1"), ("S1", "acting2"), ("S1", "acting3"), ("S1", "walking1")]
-    chosen = source.choose_clips(clips, pairs, seconds=1.0)
-    assert [c.name for c in chosen.values()] == ["a", "b", "a", "c"]
-    first, third = chosen["S1", "acting1"].poses, chosen["S1", "acting3"].poses
-    assert third.times[0] == 0
-    assert not np.array_equal(first.p_world_joint, third.p_world_joint)
 
 
 def test_the_command_refuses_wrong_folders_and_options(

@@ -69,17 +69,6 @@ def clips() -> list[tuple[str, MocapClip]]:
     ]
 
 
-def test_half_of_the_recordings_have_a_fault() -> None:
-    many = [(group, replace(clip, name=f"{clip.name}{i}")) for i in range(8) for group, clip in clips()]
-    work = recordings.jobs(many, (recordings.SIMULATED,), 0, None)
-    planted_ones = [job for job in work if job.fault != recordings.ORDINARY]
-    assert len(work) == 2 * len(planted_ones) == 2 * 16 * 4
-    assert {job.fault for job in planted_ones} == {*recordings.CAMERA_FAULTS, *recordings.SENSOR_FAULTS}
-    assert not {job.fault for job in planted_ones if job.sensors == "0"} & {*recordings.SENSOR_FAULTS}
-    assert {job.camera for job in work} == {0, 1, 2, 3}
-    assert len({job.key for job in work}) == len(work)
-
-
 SAMPLER = """
 import numpy as np
 def sample(p, R, K, Rc, t, seed, rate, size, camera_error):

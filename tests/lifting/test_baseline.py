@@ -13,23 +13,24 @@ from torch import Tensor, nn
 
 from lifting import videopose3d
 from lifting.body import Body
-from lifting.checkpoint import LifterDescription, load_checkpoint, save_checkpoint
+from lifting.checkpoint import load_checkpoint
 from lifting.data import MotionBank, plain
 from lifting.model import NetworkConfig
-from lifting.noise import HALF_WIDTH
+from lifting.models import model_of
 from lifting.predict import Lifter
-from lifting.recipes import Published, Recipe, depth
+from lifting.recipes import Published
 from lifting.settings import TrainConfig
 from lifting.source import Source
 from lifting.train import train
 from lifting.videopose3d import PoseAndRootNetwork, bridged, decode, encode
-from lifting.windows import Picture, Windows, answer
-from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from lifting.windows import Picture, Windows
+from rtof_kin.core.errors import UnknownNameError
 from rtof_kin.data.camera import Camera
 
 CPU = torch.device("cpu")
 BODY = replace(support.tiny_corpus(frames=8).body(), sensors=())
 J = len(BODY.names)
+MODEL = model_of("videopose3d")
 CAMERA = Camera(
     [[900.0, 0.0, 480.0], [0.0, 930.0, 520.0], [0.0, 0.0, 1.0]],
     Camera.looking_at([4.0, 1.0, 1.5], [0.0, 0.0, 0.9], 900.0).R_camera_world,
@@ -80,19 +81,6 @@ def test_a_perfect_answer_in_the_cameras_frame_is_the_scene_in_world() -> None:
     assert estimate.axes is None
 
 
-def test_training_windows_are_pictures_of_the_same_scene_as_their_rays() -> None:
-    bank = MotionBank(support.tiny_corpus(frames=40), [0, 1], CPU)
-    batch = bank.draw(16, 27, plain(), torch.Generator().manual_seed(0))
-    picture = batch.windows.picture
-    assert picture is not None
-    image = torch.cat([picture.xy * HALF_WIDTH, torch.ones_like(picture.xy[:, :1])], dim=1)
-    rays = torch.bmm(picture.R_camera_world.transpose(1, 2), image.flatten(2))
-    torch.testing.assert_close(rays.reshape(batch.windows.rays_world.shape), batch.windows.rays_world)
-    p = torch.bmm(picture.R_camera_world, (batch.pose + batch.root[..., None]))
-    torch.testing.assert_close(p[:, :2] / p[:, 2:] / HALF_WIDTH, picture.xy[:, :, 13], atol=1e-4, rtol=0)
-    torch.testing.assert_close(depth(batch), p[:, 2, 0])
-
-
 def mirrored(picture: Picture) -> Picture:
     """The mirror image, seen by the mirrored camera; orientation does not enter the input."""
     sign = torch.tensor([-1.0, 1.0])[:, None, None]
@@ -105,11 +93,11 @@ def test_the_mirrored_picture_has_the_mirrored_answer(causal: bool) -> None:
     assert windows.picture is not None
     there = encode(BODY, replace(windows, picture=mirrored(windows.picture)))
     here = encode(BODY, windows)
-    torch.testing.assert_close(here.mirrored_features(BODY), there.features)
-    both = answer(BODY, network, here, flip=True)
-    torch.testing.assert_close(answer(BODY, network, there, flip=True), here.mirrored_output(BODY, both))
-    assert not torch.allclose(answer(BODY, network, here, flip=False), both, atol=1e-4)
-    estimate, other = decode(BODY, both, here), decode(BODY, here.mirrored_output(BODY, both), here)
+    torch.testing.assert_close(MODEL.mirror_features(BODY, here.features), there.features)
+    both = MODEL.answer(BODY, network, here, flip=True)
+    torch.testing.assert_close(MODEL.answer(BODY, network, there, flip=True), MODEL.mirror_output(BODY, both))
+    assert not torch.allclose(MODEL.answer(BODY, network, here, flip=False), both, atol=1e-4)
+    estimate, other = decode(BODY, both, here), decode(BODY, MODEL.mirror_output(BODY, both), here)
     in_camera = torch.bmm(here.R_camera_world, estimate.pose)[0]
     mirror_image = torch.bmm(here.R_camera_world, other.pose)[0]
     sign = torch.tensor([-1.0, 1.0, 1.0])[:, None]
@@ -142,17 +130,6 @@ def test_each_network_has_the_published_size() -> None:
     pose = sum(p.numel() for p in network.parameters()) - root
     assert round(pose / 1e6, 1) == 8.6
     assert pose - root == (48 - 3) * 1025
-
-
-def test_the_two_networks_share_nothing() -> None:
-    network, x = network_of(), torch.randn(1, 27, 2 * J)
-    before = network(x, torch.zeros(1, 0))
-    with torch.no_grad():
-        for p in network.root.parameters():
-            p += 0.1
-    after = network(x, torch.zeros(1, 0))
-    assert torch.equal(before[:, :-3], after[:, :-3])
-    assert not torch.isclose(before[:, -3:], after[:, -3:]).any()
 
 
 # --- the recipe ----------------------------------------------------------------------------------
@@ -207,15 +184,6 @@ def test_the_root_error_is_weighted_by_its_depth() -> None:
     assert recipe.loss(decode(BODY, output, encoded), batch) == pytest.approx(0.02, abs=1e-5)
 
 
-def test_only_the_packages_own_recipe_sets_the_first_output() -> None:
-    own, baseline = support.untrained_lifter().network, network_of()
-    before = baseline.shrink.bias.clone()
-    Recipe(TrainConfig(windows=1), own, support.tiny_corpus().body())
-    Published(TrainConfig.for_model("videopose3d", windows=1), baseline, BODY)
-    assert own.shrink.bias.abs().max() > 0.5
-    assert torch.equal(baseline.shrink.bias, before)
-
-
 # --- through train and predict -------------------------------------------------------------------
 
 
@@ -255,19 +223,3 @@ def test_its_checkpoint_describes_it(trained: Path) -> None:
     }  # fmt: skip
     known = {key: errors["rr_mm"] for key, errors in description.validation.items()}
     assert known["perfect"] == known["perfect, bones unknown"]
-
-
-def test_a_checkpoint_of_an_unknown_model_is_refused(tmp_path: Path) -> None:
-    network = network_of()
-    network.config = replace(network.config, model="transformer")
-    path = save_checkpoint(tmp_path / "x.pt", network, LifterDescription(BODY, network.config))
-    with pytest.raises(FileFormatError, match="unknown model 'transformer'"):
-        load_checkpoint(path)
-
-
-def test_a_model_that_takes_other_features_is_refused(tmp_path: Path) -> None:
-    network = network_of()
-    network.config = replace(network.config, model="rays")
-    path = save_checkpoint(tmp_path / "x.pt", network, LifterDescription(BODY, network.config))
-    with pytest.raises(FileFormatError, match="inputs or outputs do not fit"):
-        load_checkpoint(path)

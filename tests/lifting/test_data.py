@@ -145,15 +145,6 @@ def test_time_is_warped_within_the_clip(bank: MotionBank) -> None:
     assert torch.equal(edge.windows.rays_world[:, :, 0], edge.windows.rays_world[:, :, 13])
 
 
-def test_bones_and_height_are_hidden_by_their_shares(bank: MotionBank) -> None:
-    batch = draw(bank, replace(plain(), hide_bones=1.0, hide_height=1.0))
-    assert batch.windows.bones.isnan().all()
-    assert batch.windows.camera_height.isnan().all()
-    batch = draw(bank, replace(plain(), hide_bones=0.0, hide_height=0.0))
-    assert batch.windows.bones.isfinite().all()
-    assert batch.windows.camera_height.isfinite().all()
-
-
 def test_windows_of_17_joints_are_drawn_at_their_rate() -> None:
     corpus = support.tiny_corpus(table=support.TABLE_17, rate_hz=50.0)
     bank = MotionBank(corpus, [0, 1], CPU, [1.1 * corpus.joint_offsets[0]])
@@ -178,14 +169,3 @@ def test_nonrigid_joints_are_drawn_as_recorded() -> None:
     pose = draw(MotionBank(corpus, [0], CPU), plain(), frames=torch.arange(B)).pose
     p = torch.from_numpy(corpus.positions(0)[:B]).transpose(1, 2)
     torch.testing.assert_close(all_pairs(pose), all_pairs(p), atol=1e-4, rtol=0)
-
-
-def test_equal_seeds_draw_equal_windows(bank: MotionBank) -> None:
-    first, second = draw(bank, AugmentConfig(), 5), draw(bank, AugmentConfig(), 5)
-    other = draw(bank, AugmentConfig(), 6)
-    assert torch.equal(first.windows.rays_world, second.windows.rays_world)
-    assert torch.equal(first.windows.seen, second.windows.seen)
-    assert torch.equal(first.windows.axes_world, second.windows.axes_world)
-    assert torch.equal(first.windows.sensed, second.windows.sensed)
-    assert not torch.equal(first.windows.rays_world, other.windows.rays_world)
-    assert not torch.equal(first.windows.axes_world, other.windows.axes_world)

@@ -128,18 +128,6 @@ def test_sensors_without_errors_measure_the_true_axes_at_every_frame(
             assert_sensed(corpus, batch, HALF_A_FRAME, speed=1.0)
 
 
-def bones(batch: Batch, bank: MotionBank, offsets: Array) -> list[tuple[str, Array, Array]]:
-    """Of each segment of one bone: its name, the bone's direction (B, 3) in the pose, and by its axes."""
-    R, body = matrices(batch.axes), bank.body
-    pose, out = batch.pose.double().numpy(), []
-    for j, name in enumerate(body.names):
-        children = [c for c, parent in enumerate(body.parents) if parent == j]
-        if len(children) == 1:
-            seen = so3.unit(pose[:, :, children[0]] - pose[:, :, j])
-            out.append((name, seen, R[:, j] @ so3.unit(offsets[children[0]])))
-    return out
-
-
 ASKEW = support.TABLE.offsets + np.array([0.03, 0.0, 0.02]) * (np.arange(21) > 0)[:, None]
 """Offsets of somebody whose bones have other directions, left and right alike."""
 HOW = {
@@ -148,14 +136,6 @@ HOW = {
     "another body": (replace(EVERYTHING, own_skeleton=0.0), ASKEW, False),
     "recombined": (replace(EVERYTHING, recombine=1.0, own_skeleton=0.0), ASKEW, False),
 }
-
-
-@pytest.mark.parametrize("how", HOW)
-def test_the_bones_of_the_pose_are_where_the_axes_say(corpus: Corpus, how: str) -> None:
-    config, offsets, causal = HOW[how]
-    bank = MotionBank(corpus, [0, 1], CPU, [offsets.astype(np.float32)])
-    for name, seen, by_axes in bones(draw(bank, config, causal=causal), bank, offsets):
-        np.testing.assert_allclose(seen, by_axes, atol=1e-4, err_msg=name)
 
 
 @pytest.mark.parametrize("how", HOW)
@@ -178,19 +158,6 @@ def test_every_frames_rays_and_sensors_are_of_one_body(corpus: Corpus, how: str)
         assert read.mean() > 0.3
         wrong.append(out[read])
     assert np.concatenate(wrong).max() < 3e-3
-
-
-def test_recombined_sensors_are_those_of_two_motions(corpus: Corpus, bank: MotionBank) -> None:
-    whole, mixed = (draw(bank, replace(PLAIN, recombine=r), FRAMES) for r in (0.0, 0.5))
-    names = bank.body.sensors
-    R = [matrices(batch.windows.axes_world) for batch in (whole, mixed)]
-    # Headings are drawn after what is recombined: compare what does not change with them.
-    to_pelvis = [np.swapaxes(r[:, :, [names.index("Hips")]], -1, -2) @ r for r in R]
-    angle = so3.angle_between(*to_pelvis)
-    for s, name in enumerate(names):
-        lower = name.endswith(("Leg", "Foot", "Hips"))
-        assert angle[B // 2 :, :, s].max() < 1e-3, name
-        assert (angle[: B // 2, :, s].max() < 1e-3) == lower, name
 
 
 def test_recombined_motions_have_one_heading(corpus: Corpus, bank: MotionBank) -> None:
@@ -218,28 +185,6 @@ def test_sensors_lead_the_camera_by_their_lag(corpus: Corpus, bank: MotionBank, 
     assert_sensed(corpus, batch, HALF_A_FRAME if lag % 1 else 2e-5, lag=lag)
     with pytest.raises(AssertionError):
         assert_sensed(corpus, batch, HALF_A_FRAME, lag=-lag)
-
-
-def test_the_lag_is_one_per_window(corpus: Corpus, bank: MotionBank) -> None:
-    config = replace(PLAIN, sensors=replace(EXACT, lag=(-3.0, 6.0)))
-    batch = draw(bank, config, FRAMES)
-    R = matrices(batch.windows.axes_world)
-    lags = np.linspace(-3, 6, 19)
-    wrong = np.stack([
-        so3.angle_between(sensed_truth(corpus, batch, FRAMES, lag=lag), R).max(axis=(1, 2))
-        for lag in lags
-    ])  # fmt: skip
-    assert wrong.min(axis=0).max() < 0.05, "of every sensor at once"
-    best = lags[wrong.argmin(axis=0)]
-    assert best.min() < -1.5
-    assert best.max() > 4.5
-
-
-def test_samples_are_lost_in_runs_and_with_their_share(bank: MotionBank) -> None:
-    config = replace(PLAIN, sensors=replace(EXACT, missing=0.2))
-    sensed = bank.draw(1000, W, config, torch.Generator().manual_seed(2)).windows.sensed
-    assert 1 - sensed.float().mean() == pytest.approx(0.2, rel=0.1)
-    assert (sensed[:, 1:] != sensed[:, :-1]).sum(dim=1).max() <= 2
 
 
 def test_sensors_roll_about_the_bones_of_their_segments(bank: MotionBank) -> None:

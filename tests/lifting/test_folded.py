@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from lifting.folded import FoldedNetwork
+from lifting.models import model_of
 from lifting.predict import Lifter
-from lifting.windows import EncodedWindows, answer
+from lifting.windows import EncodedWindows
 
 
 def with_statistics(lifter: Lifter) -> Lifter:
@@ -33,7 +34,7 @@ def test_output_is_that_of_the_network(flip: bool, causal: bool, table: object) 
         none = torch.zeros(batch, 3, 3)
         encoded = EncodedWindows(features, constants, none, none, none[:, 0, 0])
         with torch.inference_mode():
-            wanted = answer(body, lifter.network, encoded, flip)
+            wanted = model_of("rays").answer(body, lifter.network, encoded, flip)
             found = FoldedNetwork(body, lifter.network, flip)(features, constants)
         torch.testing.assert_close(found, wanted, atol=2e-5, rtol=1e-5)
 

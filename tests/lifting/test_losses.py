@@ -11,7 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from lifting import losses, windows
+from lifting import losses
 from lifting.data import Batch
 from lifting.windows import Estimate
 from rtof_kin.core import rotations as so3
@@ -118,28 +118,6 @@ def test_maximum_likelihood_recovers_a_planted_scale(dimensions: int) -> None:
 
     optimizer.step(closure)
     assert float(log_scale.detach().exp()) == pytest.approx(0.07, rel=0.05)
-
-
-@pytest.mark.parametrize(
-    ("dimensions", "sigma"), [(1, windows.SIGMA_ALONG), (2, windows.SIGMA_ACROSS), (3, windows.SIGMA_TURN)]
-)
-def test_sigmas_are_standard_deviations_per_axis(dimensions: int, sigma: float) -> None:
-    assert sample(dimensions, 5000, 1.0).std() == pytest.approx(sigma, rel=0.04)
-
-
-def test_the_optimal_spread_is_the_error_per_dimension() -> None:
-    """At the optimum of the whole loss, scale x dimensions is the error's length."""
-    truth, made = batch(), estimate()
-    wrong = [losses.errors_by_direction(made, truth)[:, k].detach() for k in range(2)]
-    angle = losses.turn_angles(made.axes, truth.axes).detach()
-    best = Estimate(
-        made.pose, made.root,
-        torch.stack([(wrong[0] / 2).log(), wrong[1].log()], dim=1).requires_grad_(),
-        made.axes, (angle / 3).log().requires_grad_(),
-    )  # fmt: skip
-    losses.lifting_loss(best, truth).backward()
-    assert best.log_spread.grad.abs().max() < 1e-12
-    assert best.log_turn.grad.abs().max() < 1e-12
 
 
 def test_spreads_do_not_change_gradients_of_positions_and_orientations() -> None:

@@ -144,12 +144,6 @@ def test_the_figure_shows_loss_and_both_errors_of_every_kind_of_2d() -> None:
     assert [line.get_ydata()[-1] for line in rr.get_lines()] == [7.5, 12.5]
 
 
-def test_without_validations_there_is_no_figure(tmp_path: Path) -> None:
-    curves.write_curves(tmp_path / "x.pt", {"seed": 1}, [])
-    assert json.loads((tmp_path / "x.pt.curves.json").read_text())["history"] == []
-    assert not (tmp_path / "x.pt.curves.png").exists()
-
-
 # --- deterministic -------------------------------------------------------------------------------
 
 

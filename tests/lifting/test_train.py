@@ -58,16 +58,9 @@ def test_training_overfits_a_small_motion(tmp_path: Path) -> None:
         joint_offsets=np.tile(corpus.joint_offsets[:1], (2, 1, 1)),
     )
     config = replace(
-        QUICK,
-        windows=38_400,
-        batch=128,
-        channels=64,
-        learning_rate=1e-2,
-        ema=0.9,
-        skeletons=0,
-        report_every=50,
-        augment=replace(plain(), mirror=0.5),
-    )
+        QUICK, windows=38_400, batch=128, channels=64, learning_rate=1e-2, ema=0.9, skeletons=0,
+        report_every=50, augment=replace(plain(), mirror=0.5),
+    )  # fmt: skip
     errors: list[dict[str, Any]] = []
 
     def progress(report: dict[str, Any]) -> None:
@@ -99,16 +92,6 @@ def test_the_first_output_is_upright_at_a_usual_distance() -> None:
             torch.testing.assert_close(R, expected)
 
 
-def test_equal_seeds_give_equal_weights_and_others_do_not(corpus: Corpus, tmp_path: Path) -> None:
-    config = replace(QUICK, windows=96)
-    first = train(config, corpus, tmp_path / "1.pt")
-    torch.manual_seed(99)
-    second = train(config, corpus, tmp_path / "2.pt")
-    third = train(replace(config, seed=1), corpus, tmp_path / "3.pt")
-    assert same(first, second)
-    assert not same(first, third)
-
-
 def test_drawing_ahead_in_a_second_thread_changes_nothing(corpus: Corpus, tmp_path: Path) -> None:
     config = replace(QUICK, windows=320, dropout=0.2, threads=1)
     first = train(config, corpus, tmp_path / "1.pt")
@@ -119,11 +102,11 @@ def test_drawing_ahead_in_a_second_thread_changes_nothing(corpus: Corpus, tmp_pa
 
 def test_a_lifter_of_17_joints_at_50_hz_is_described(tmp_path: Path) -> None:
     corpus = support.tiny_corpus(frames=40, table=support.TABLE_17, rate_hz=50.0)
-    corpus = replace(corpus, acknowledgement="of somebody who wants to be named")
+    corpus = replace(corpus, acknowledgement="by a licensee")
     description = load_checkpoint(train(QUICK, corpus, tmp_path / "lifter.pt"))[1]
     assert description.body.names == support.TABLE_17.names
     assert description.rate_hz == 50.0
-    assert description.data == "of somebody who wants to be named"
+    assert description.data == "by a licensee"
     assert description.validation["perfect"]["rr_mm"] < 1000
     assert description.body.sensors == ()
     assert not any("sensors" in kind for kind in description.validation)
@@ -140,6 +123,7 @@ def test_the_shipped_skeleton_has_the_joints_of_the_corpus() -> None:
 def test_a_resumed_training_equals_an_uninterrupted_one(corpus: Corpus, tmp_path: Path) -> None:
     config = replace(QUICK, dropout=0.2)
     whole = train(config, corpus, tmp_path / "whole.pt")
+    assert not same(whole, train(replace(config, seed=1), corpus, tmp_path / "other.pt"))
 
     def interrupt(report: dict[str, Any]) -> None:
         if report["step"] == 9:
@@ -156,26 +140,6 @@ def test_a_resumed_training_equals_an_uninterrupted_one(corpus: Corpus, tmp_path
     curves = [json.loads((tmp_path / f"{n}.pt.curves.json").read_text()) for n in ("whole", "parts")]
     measured = [[row["validation"] for row in curve["history"]] for curve in curves]
     assert measured[0] == measured[1]
-
-
-def test_a_causal_training_differs_and_resumes(corpus: Corpus, tmp_path: Path) -> None:
-    config = replace(QUICK, windows=320, causal=True)
-    whole = train(config, corpus, tmp_path / "whole.pt")
-    network, description = load_checkpoint(whole)
-    assert description.network.causal
-    assert network.estimated() == 26
-    assert not same(whole, train(replace(config, causal=False), corpus, tmp_path / "middle.pt"))
-
-    def interrupt(report: dict[str, Any]) -> None:
-        if report["step"] == 4:
-            raise Interruption
-
-    parts = tmp_path / "parts.pt"
-    with pytest.raises(Interruption):
-        train(config, corpus, parts, interrupt)
-    with pytest.raises(FileFormatError, match="other settings"):
-        train(replace(config, causal=False), corpus, parts, resume=True)
-    assert same(whole, train(config, corpus, parts, resume=True))
 
 
 def test_without_resume_the_state_is_not_read(corpus: Corpus, tmp_path: Path) -> None:
@@ -259,8 +223,3 @@ def test_the_global_random_state_is_restored(corpus: Corpus, tmp_path: Path) -> 
 def test_wrong_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         TrainConfig(**settings)
-
-
-def test_a_corpus_without_training_clips_is_refused(corpus: Corpus, tmp_path: Path) -> None:
-    with pytest.raises(InvalidInputError, match="no clip is in the split 'train'"):
-        train(QUICK, replace(corpus, split=("test",) * 4), tmp_path / "lifter.pt")
