@@ -121,7 +121,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def _counts(grades: list[list[str]]) -> str:
-    """How many recordings warn, and how many fail."""
+    """Count recordings that warn and that fail."""
     failed = sum(Grade.FAIL.value in own for own in grades)
     warned = sum(Grade.WARN.value in own and Grade.FAIL.value not in own for own in grades)
     return f"{warned} warn, {failed} fail of {len(grades)}"

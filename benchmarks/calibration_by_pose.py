@@ -1,4 +1,4 @@
-"""How exactly sensors are calibrated by a pose, by the movement after it, and by exercises.
+"""Accuracy of calibrating sensors by a pose, by the movement after it, and by exercises.
 
 ``python -m benchmarks.calibration_by_pose --corpus DIR`` with DIR the folder of free motion (README.md).
 A motion of each validation subject of split.toml, up to 12 s, after two seconds of a pose that is held as
@@ -70,7 +70,7 @@ class Take:
         return dict(zip(self.truth.sensors, self.truth.joints, strict=True))
 
     def aligned(self) -> ImuSequence:
-        """As sensors measure that share the world as their reference."""
+        """Orientations measured by sensors with the world as reference frame."""
         R = self.truth.R_world_inertial @ self.imus.R_inertial_sensor
         return replace(self.imus, R_inertial_sensor=R)
 

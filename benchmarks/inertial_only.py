@@ -1,4 +1,4 @@
-"""How far inertial sensors alone carry: mode ``imu`` on the benchmark's motions, with 8, 10, 13 sensors.
+"""Accuracy of inertial sensors alone: mode ``imu`` on the benchmark's motions, with 8, 10, 13 sensors.
 
 ``python -m benchmarks.inertial_only --corpus DIR`` with the harness' motions; ``--subset validation``
 takes those to tune on. *exact* sensors tell the truth; *realistic* ones are as the harness has them:
@@ -62,7 +62,7 @@ class Job:
 
 
 def recorded(job: Job) -> Recording:
-    """What the sensors record of a motion; nobody films it."""
+    """Simulate the sensors' recording of a motion, without a camera."""
     clip, settings = job.clip, SimulationSettings.perfect()
     settings = replace(settings, sensors=SETS[job.sensors], imu=NOISE[job.noise])
     camera = standard_cameras(clip.poses, job.seed)[0]
@@ -129,7 +129,7 @@ def _share(drift: Array, walked: Array) -> float:
 
 
 def table(rows: Sequence[dict[str, Any]]) -> Table:
-    """By noise and sensors."""
+    """Table by noise and sensors."""
     columns = ("sensors", "IMUs", *(heading for heading, _ in FIGURES.values()))
     columns += ("drift % of walked", "95 %", "median", "walking alone")
     columns += ("drift m/min, median", "vertical mm", "within 2 sigma %")

@@ -60,7 +60,7 @@ def clips(corpus: Path, subset: str) -> list[MocapClip]:
 
 
 def jobs(table: str, motions: Sequence[MocapClip], options: argparse.Namespace) -> list[Job]:
-    """Of the first table all cameras of every motion, of the others one, in turn."""
+    """Jobs of a table: all cameras of every motion for the first one, else one camera in turn."""
     return [
         Job(table, clip, camera, options.seed, options.lifter)
         for i, clip in enumerate(motions)

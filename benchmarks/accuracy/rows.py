@@ -58,7 +58,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """What the job is called where its rows are kept."""
+        """Name of the job in the file of rows."""
         return f"{self.clip.name} {self.camera}"
 
 
@@ -68,7 +68,7 @@ class Prepared:
 
     recording: Recording
     keypoints: KeypointSequence
-    """As they are used, evenly spaced."""
+    """Keypoints as they are used, evenly spaced."""
     lifted: PoseSequence
     sf2: PoseSequence
     """Without sensors: the lifted poses with the skeleton's bone lengths."""
@@ -78,7 +78,7 @@ class Prepared:
     solution: FragmentSolution | None = None
     """The pipeline's own, with its settings, in the table of faults."""
     found: tuple[StreamFault, ...] = ()
-    """What the pipeline found wrong."""
+    """Faults found by the pipeline."""
 
 
 class Scene:
@@ -90,7 +90,7 @@ class Scene:
         self._prepared: dict[tuple[str, str, str, bool, bool], Prepared] = {}
 
     def prepared(self, case: Case) -> Prepared:
-        """What the solver of a case starts from."""
+        """Prepare the input of the solver of a case."""
         key = case.keypoints, case.sensors, case.fault, case.lift_with_sensors, case.as_given
         if key not in self._prepared:
             self._prepared[key] = self._prepare(case)
@@ -186,7 +186,7 @@ def at(truth: PoseSequence, times: Array) -> PoseSequence:
 
 
 def stages(prepared: Prepared) -> dict[str, PoseSequence]:
-    """What the solver is compared with."""
+    """Results of the earlier stages and of zero motion."""
     return {"zero motion": motionless(prepared.truth), "lift": prepared.lifted, "sf2": prepared.sf2}
 
 

@@ -1,8 +1,10 @@
-"""Whether a calibration finds what there is: ``python -m benchmarks.calibration.optimum --corpus DIR``.
+"""Energies at the estimated and at the true calibration.
 
-With all errors of `planting.ERRORS` wrong at once, the unknowns are estimated twice, from nothing and
-from their true values. Where both end in one place it is no bad start that keeps a calibration from the
-truth, and the energies tell whether the truth is any likelier than what was found.
+``python -m benchmarks.calibration.optimum --corpus DIR``
+
+With all errors of `planting.ERRORS`, the unknowns are estimated from zero and from their true values. Where
+both give the same result, the initial guess is not the cause of remaining errors, and the energies show
+whether the truth is more likely than the estimate.
 """
 
 from __future__ import annotations
@@ -70,7 +72,7 @@ def values(fragments: SharedFragments, known: Mapping[tuple[str, str], Array]) -
 
 
 def report(rows: list[Row]) -> str:
-    """As Markdown."""
+    """Return the table as Markdown."""
     kinds = list(rows[0]["apart"]["found - truth"])
     head = ["recording", "energy of truth / found / from truth", *kinds]
     lines = [head, ["---"] * len(head)]

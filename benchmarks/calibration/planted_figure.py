@@ -70,7 +70,7 @@ def _recovered(ax: Axes, rows: Sequence[Row], error: str) -> None:
 
 
 def _by_length(ax: Axes, rows: Sequence[Row], key: str) -> None:
-    """Errors of all at once, floor told, a colour for each motion."""
+    """Errors with all quantities wrong and known floor, one colour per motion."""
     own = chosen_lengths(rows)
     for i, session in enumerate(dict.fromkeys(r["session"] for r in own)):
         mine = [r for r in own if r["session"] == session]

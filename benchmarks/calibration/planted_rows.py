@@ -1,4 +1,4 @@
-"""What one recording with planted errors gives: found beside planted, and errors of the motion."""
+"""Results of one recording with planted errors: estimates, planted values, errors of the motion."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ class Job:
     them; `BUT`...: all others. `GOOD`: sensors mounted 2 degrees wrongly, nothing else; `SEEN`: and a
     biased detector."""
     scale: float = 1.0
-    """Of the planted sizes."""
+    """Factor on the planted sizes."""
     seconds: float = 20.0
     floor: bool = False
-    """Whether the flat floor is told."""
+    """Whether the flat floor is known."""
     keypoints: str = "realistic"
     sensors: str = "8"
     camera: int = 0
@@ -124,7 +124,7 @@ def session(corpus: Path, subset: str, name: str, seconds: float) -> MocapClip:
 
 
 def right(clip: MocapClip, job: Job) -> Recording:
-    """What is recorded with nothing wrong that a calibration could find."""
+    """Simulate a recording without calibration errors."""
     settings = harness.KEYPOINTS[job.keypoints]()
     settings = replace(
         settings,
@@ -143,7 +143,7 @@ def right(clip: MocapClip, job: Job) -> Recording:
 
 
 def recorded(clip: MocapClip, job: Job) -> tuple[Recording, Wrong, Recording]:
-    """What is right, what is planted, and the recording that is wrong by it."""
+    """Return the exact recording, the planted unknowns, and the recording with the errors."""
     recording = right(clip, job)
     wrong = planting.drawn(recording, job.sizes, zlib.crc32(clip.name.encode()) + job.camera)
     return recording, wrong, planting.planted(recording, wrong)
@@ -183,7 +183,7 @@ def _figures(metrics: Mapping[str, Any] | None) -> dict[str, float]:
 
 
 def truths(recording: Recording, wrong: Wrong) -> dict[tuple[str, str], Array]:
-    """What a perfect calibration would find, sensors' mean slip included."""
+    """Return the exact calibration, with the mean slip of sensors."""
     known = planting.unknowns(recording, wrong)
     for joint, slip in planting.slips(recording).items():
         known["mounting", joint] = so3.log(so3.exp(known["mounting", joint]) @ so3.exp(slip))
@@ -212,7 +212,7 @@ def found(calibration: SelfCalibration, known: Mapping[tuple[str, str], Array]) 
 
 
 def _error(kind: str, item: str, number: int) -> str:
-    """Which of `ERRORS` a number of an unknown belongs to."""
+    """Return the name in `ERRORS` of a number of an unknown."""
     if kind == "bones":
         return "size" if item == "all" else "proportions"
     return {("delay", 1): "clock drift", ("heading", 1): "heading drift"}.get((kind, number), kind)

@@ -24,7 +24,7 @@ UNITS = {
 STAGES = ("before", "after", "known")
 _HEADS = {"mpjpe_rr_mm": "rr", "mpjpe_mm": "abs", "flexion_deg": "flexion"}
 _SAME = ("session", "seconds", "floor", "keypoints", "sensors", "camera")
-"""What a recording has in common with the one in which nothing is wrong."""
+"""Fields shared with the recording without errors."""
 
 
 def report(rows: Sequence[Row]) -> str:
@@ -138,7 +138,7 @@ def together(rows: Sequence[Row]) -> str:
 
 
 def coverage(rows: Sequence[Row]) -> str:
-    """By verdict, of all errors that were opened."""
+    """Table by verdict, over all estimated errors."""
     lines = []
     for verdict in Verdict:
         z = []
@@ -170,7 +170,7 @@ def detector(rows: Sequence[Row]) -> str:
 
 
 def chosen_lengths(rows: Sequence[Row]) -> list[Row]:
-    """All errors at once, the floor told, 8 sensors, however long."""
+    """Rows of all errors at once with known floor and 8 sensors, of any length."""
     own = [r for r in rows if r["case"] == ALL and r["scale"] == 1]
     return [r for r in own if r["floor"] and r["sensors"] == "8"]
 
@@ -187,13 +187,13 @@ def lengths(rows: Sequence[Row]) -> str:
 
 
 def _in_order(entry: tuple[tuple[object, ...], object]) -> tuple[str, float]:
-    """By motion, then length."""
+    """Sort key: motion, then length."""
     (session, seconds), _ = entry
     return str(session), float(str(seconds))
 
 
 def _verdicts(rows: Sequence[Row], error: str) -> str:
-    """What is left of an error as a share of what was planted, and its usual verdict."""
+    """Remaining share of a planted error, and its usual verdict."""
     n = numbers(rows, error)
     if not n:
         return ""
@@ -203,7 +203,7 @@ def _verdicts(rows: Sequence[Row], error: str) -> str:
 
 
 def measured(rows: Sequence[Row]) -> str:
-    """What a calibration leaves where all is wrong but what somebody measured; the worst first."""
+    """Remaining errors where all quantities but the measured ones are wrong, largest first."""
     own = [r for r in rows if r["study"] == "measured"]
     same = {_recording(r) for r in own}
     own += [r for r in rows if r["case"] == ALL and r["scale"] == 1 and _recording(r) in same]

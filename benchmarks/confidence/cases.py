@@ -1,4 +1,4 @@
-"""Reconstructions beside their truth, and their errors beside what the Hessian says of them."""
+"""Reconstructions with their truth, errors, and the standard deviations from the Hessian."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
 
 Array = NDArray[np.float64]
 EVERY = 4
-"""Of so many frames one is looked at: neighbours say the same."""
+"""Step between the frames evaluated; neighbours are correlated."""
 FITTED = (("realistic", "0"), ("realistic", "4"), ("realistic", "8"), ("realistic", "10"))
 """2D and numbers of sensors that the inflation is fitted on."""
 KINDS = (*FITTED, ("white", "8"), ("perfect", "8"))
@@ -38,13 +38,13 @@ class Case:
     """One reconstructed recording, one frame in `EVERY`."""
 
     name: str
-    """Of the motion, and the camera's number."""
+    """Name of the motion, and number of the camera."""
     keypoints: str
     sensors: str
     circumstances: ResidualStatistics
-    """What the recording tells of its own errors, its sensors' segments among it."""
+    """Residual statistics of the recording, with the segments of its sensors."""
     motion: MotionSequence
-    """With the confidence of the Hessian alone."""
+    """Confidence from the Hessian alone."""
     truth: PoseSequence
     """At the motion's times."""
     apart: Disagreement

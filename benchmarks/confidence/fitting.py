@@ -100,7 +100,7 @@ def _share(kind: str, own: Sequence[_Sample]) -> float:
 
 
 def _fitted(kind: str, own: Sequence[_Sample], share: float) -> Widening:
-    """Of one quantity: positions by one factor and one floor, turns by one of each axis."""
+    """Fit one quantity: positions by one factor and one floor, rotations by one per axis."""
     *values, apart = _joined(own)
     values.append(share**2 * apart)
     if kind == "turn":
@@ -114,10 +114,11 @@ def _fitted(kind: str, own: Sequence[_Sample], share: float) -> Widening:
 def sharpest(
     error: Array, variance: Array, lasting: Array, doubt: Array, more: Array, least: float
 ) -> tuple[float, float, float]:
-    """Factor k >= 1 and floor b >= least with which normal errors (n,) of the widened variance
-    ``K^2 variance + B^2 + more`` (`rtof_kin.solve.uncertainty.covariance_inflation`) score best, and that score: their continuous
-    ranked probability (Gneiting & Raftery 2007, eq. 21), a proper score, in which a recording far out
-    counts by its distance, not its square."""
+    """Fit the factor k >= 1 and the floor b >= least of normal errors (n,), and with their score.
+
+    The variance is ``K^2 variance + B^2 + more``, see `rtof_kin.solve.uncertainty.covariance_inflation`; the
+    score is the continuous ranked probability (Gneiting & Raftery 2007, eq. 21), robust to outliers.
+    """
     size, expected = np.sqrt(np.mean(error**2)) + least, np.sqrt(np.mean(variance))
     free = expected > 1e-6  # else the model has no such freedom, and the factor no meaning
 

@@ -36,11 +36,11 @@ FITTED_ON = {
     "CMU (renamed by repo: zombie)": {"gs_zombie": 2},
     "CMU (indian dance, 94?)": {"indian_06": 3},
 }  # fmt: skip
-"""By subject: motions, and into how many parts each is cut."""
+"""Motions by subject, with the number of parts each is cut into."""
 
 
 def person(motion: str) -> str:
-    """Who moves in a motion of `FITTED_ON`, or in a part of one.
+    """Return the subject of a motion of `FITTED_ON`, or of a part of one.
 
     Raises:
         KeyError: it is none of them.

@@ -49,7 +49,7 @@ def unseeded(name: str) -> str:
 
 
 def seeds(rows: Sequence[Row]) -> Table:
-    """What another seed of a training changes."""
+    """Spread over the seeds of a training."""
     ways: dict[tuple[str, str, str], list[tuple[str, str, str]]] = defaultdict(list)
     for way in _ways(rows):
         if (name := unseeded(way[1])) != way[1]:
@@ -112,7 +112,7 @@ def torso(rows: Sequence[Row]) -> Table:
 
 
 def by(field: str, title: str) -> Callable[[Sequence[Row]], Table]:
-    """Errors by what a field of the rows says."""
+    """Errors by the value of a field."""
 
     def table(rows: Sequence[Row]) -> Table:
         found = values(rows, field)

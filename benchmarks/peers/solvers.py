@@ -23,7 +23,7 @@ from rtof_kin.core.numerics.c_compiler import Buffered
 Array = NDArray[np.float64]
 Scene = CartesianScene | JointScene
 Told = Callable[[Array], None]
-"""Called with the variables (N, F), in any shape, as a solver goes on."""
+"""Called with the variables (N, F), in any shape, at every iteration."""
 
 
 class Peer(ABC):
@@ -33,7 +33,7 @@ class Peer(ABC):
 
     @abstractmethod
     def _minimised(self, fragment: Fragment, told: Told | None) -> tuple[Array, int, bool]:
-        """Variables in any shape, iterations, and whether the solver says that it converged."""
+        """Variables in any shape, iterations, and whether the solver reports convergence."""
 
     def solve(self, fragment: Fragment, trace: Trace | None = None) -> Answer:
         """Minimise from the start; what a trace costs beside is not in its seconds."""

@@ -1,4 +1,4 @@
-"""How fast the package's own solvers are: by settings, fragment length and recording length."""
+"""Speed of the package's solvers by settings, fragment length and recording length."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def by_duration(material: Material, effort: Effort, told: Told) -> list[dict[str
 
 
 def resident_mb() -> float:
-    """Memory of this process that is resident now, MB; where that is not told, the most there was."""
+    """Resident memory of this process, MB; its maximum where the current value is not available."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
         return pages * resource.getpagesize() / 1e6

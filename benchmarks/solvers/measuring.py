@@ -20,16 +20,16 @@ Told = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is looked at."""
+    """Numbers of fragments, repeats and frames."""
 
     fragments: int = 8
     slow_fragments: int = 3
-    """By solvers that take seconds for each."""
+    """Fragments for solvers that take seconds each."""
     agreement_every: int = 1
     """Every how many fragments IPOPT and the real-time solver are compared."""
     lengths: tuple[int, ...] = tuple(PAPER_FPS)
     frames: int = 1500
-    """Of the recording, for settings and N; the demo has 1436."""
+    """Frames of the recording, for settings and N; the demo has 1436."""
     runs: int = 3
     patience_s: float = 10.0
     """After which no further run of the same settings begins."""
@@ -152,7 +152,7 @@ def curve(scene: Scene, fragment: Fragment, trace: Trace) -> list[tuple[float, f
 
 
 def summaries(rows: Sequence[Row], new_frames: int) -> list[dict[str, Any]]:
-    """Of all rows of one table, compared with its lowest energies."""
+    """Summaries of the rows of a table, relative to its lowest energies."""
     lowest: dict[int, float] = {}
     for row in rows:
         for first, energy in zip(row.firsts, row.energy, strict=True):

@@ -162,7 +162,7 @@ def own_joint(scene: JointScene, limits: Limits | None) -> list[Entry]:
 
 
 def _details(entries: Sequence[Entry], choice: Choice, rows: Sequence[Row]) -> dict[str, Any]:
-    """What the tables do not show."""
+    """Results that the tables do not show."""
     (ceres,) = (e.solver for e in entries if isinstance(e.solver, Ceres))
     return {
         "ceres_share_in_python": median(ceres.shares),

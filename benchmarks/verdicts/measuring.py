@@ -24,7 +24,7 @@ from rtof_kin.report.audit_results import Grade, section_verdict
 Array = NDArray[np.float64]
 Row = dict[str, Any]
 EVERY = 6
-"""Of so many frames one is looked at: neighbours say the same."""
+"""Step between the frames evaluated; neighbours are correlated."""
 SECTIONS = ("inputs", "streams", "image", "sensors", "body", "calibration", "solver", "confidence")
 _COST = {Grade.FAIL: 2, Grade.WARN: 1}
 BEYOND = np.radians(10.0)
@@ -84,7 +84,7 @@ def row_of(job: Job, result: Reconstruction) -> Row:
 
 
 def stated(result: Reconstruction) -> dict[str, Stated]:
-    """By quantity: positions in world and relative to the root (mm), orientations of segments and
+    """Errors by quantity: positions in world and relative to the root (mm), orientations of segments and
     clinical angles (deg)."""
     motion = result.motion[::EVERY]
     assert result.recording.truth is not None
@@ -121,7 +121,7 @@ def stated(result: Reconstruction) -> dict[str, Stated]:
 
 
 def _of_vectors(names: tuple[str, ...], error: Array, covariance: Array, flags: Array) -> Stated:
-    """Of error vectors (T, n, 3) with covariances (T, n, 3, 3)."""
+    """Error lengths and sigmas from error vectors (T, n, 3) with covariances (T, n, 3, 3)."""
     mean = np.trace(covariance, axis1=-2, axis2=-1)
     spread = np.sum(covariance**2, axis=(-2, -1))
     return Stated(
@@ -152,7 +152,7 @@ def _flags(result: Reconstruction) -> Array:
 
 
 def verdict(result: Reconstruction) -> dict[str, float]:
-    """What the audit says of a recording, larger is worse: its sections' verdicts (0 pass, 1 warn, 2
+    """Scores of the audit, larger is worse: its sections' verdicts (0 pass, 1 warn, 2
     fail) added up, and how far its figures are above the limits at which they warn."""
     findings = audit(replace(result, metrics=None))
     grades = [section_verdict(section, findings).grade for section in SECTIONS]
@@ -165,7 +165,7 @@ def verdict(result: Reconstruction) -> dict[str, float]:
 
 
 def _short(column: Array) -> list[float | None]:
-    """As JSON: four digits, null where not known."""
+    """Convert to JSON values: four digits, null where unknown."""
     return [float(f"{v:.4g}") if np.isfinite(v) else None for v in column]
 
 

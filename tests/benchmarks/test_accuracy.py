@@ -26,7 +26,7 @@ from benchmarks.accuracy.windows import MIDDLE_SECOND
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.errors import RtofError, ShapeError
+from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.reconstruction.pipeline import reconstruct
@@ -209,7 +209,7 @@ def test_a_job_gives_a_row_for_each_stage_and_the_error_of_a_case_that_fails(
     lifter: planted.PlantedLifter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(recording: Recording, rng: np.random.Generator) -> Recording:
-        raise ShapeError("the planted fault")
+        raise InvalidInputError("the planted fault")
 
     monkeypatch.setitem(FAULTS, "broken", Fault(broken))
     both = [Case(name, "white", "8", name) for name in (NOMINAL, "broken")]

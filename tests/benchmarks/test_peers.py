@@ -20,7 +20,7 @@ from benchmarks.peers.joint_space import JointScene
 from benchmarks.peers.solvers import Ceres, Lbfgs, Scene, ScipyLeastSquares
 from benchmarks.solvers import measuring, report, side_by_side
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.inertial_ik import InertialGuidedIK
@@ -153,7 +153,7 @@ def test_ceres_and_the_package_find_the_same_minimum(cartesian: CartesianScene, 
     ],
 )
 def test_other_cartesian_energies_are_refused(material: Material, settings: CartesianSettings) -> None:
-    with pytest.raises(ShapeError, match="printed alone: use CartesianSettings.paper"):
+    with pytest.raises(InvalidInputError, match="use CartesianSettings.paper"):
         CartesianScene(material, N, settings)
 
 
@@ -168,7 +168,7 @@ def test_other_cartesian_energies_are_refused(material: Material, settings: Cart
 def test_unsupported_joint_space_settings_are_refused(
     material: Material, change: dict[str, Any], what: str
 ) -> None:
-    with pytest.raises(ShapeError, match=what):
+    with pytest.raises(InvalidInputError, match=what):
         JointScene(material, N, replace(JOINT, **change))
 
 
