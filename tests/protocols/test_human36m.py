@@ -36,7 +36,7 @@ def lifter(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A 17-joint lifter that has learned nothing."""
     made = untrained_lifter(seed=2, table=TABLE_17, rate_hz=50.0)
     path = tmp_path_factory.mktemp("lifter") / "lifter17.pt"
-    return save_checkpoint(path, made._network, made.description)
+    return save_checkpoint(path, made.network, made.description)
 
 
 def archive(root: Path, subjects: tuple[str, ...] = SUBJECTS) -> h36m.Positions:
@@ -297,7 +297,7 @@ def test_what_only_the_measurement_finds_out_is_an_error_too(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     made = untrained_lifter(rate_hz=50.0)
-    save_checkpoint(tmp_path / "21.pt", made._network, made.description)
+    save_checkpoint(tmp_path / "21.pt", made.network, made.description)
     arguments = ["human36m", "--root", str(root), "--lifter", str(lifter), "--modes", "lift",
                  "--workers", "1", "-o", str(tmp_path / "out")]  # fmt: skip
     assert main([*arguments, *(text.replace("{tmp}", str(tmp_path)) for text in options)]) == 2

@@ -836,7 +836,7 @@ def test_a_lifter_that_cannot_be_used_is_said(
     path = tmp_path / "lifter.pt"
     if what == "17 joints":
         lifter = untrained_lifter(table=TABLE_17, rate_hz=50.0)
-        save_checkpoint(path, lifter._network, lifter.description)
+        save_checkpoint(path, lifter.network, lifter.description)
     else:
         path.write_bytes(b"no checkpoint")
     arguments = ["--root", str(root), "--subjects", "S1", "--takes", "walking2", "--cameras", "1"]
