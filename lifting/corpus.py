@@ -61,25 +61,19 @@ class Corpus:
 
     def __post_init__(self) -> None:
         N, J, C = len(self.p_world_root), len(self.names), len(self.subjects)
-        shapes = {
-            "p_world_root": (self.p_world_root.shape, (N, 3)),
-            "R_world_bone": (self.R_world_bone.shape, (N, J, 3, 3)),
-            "joint_offsets": (self.joint_offsets.shape, (C, J, 3)),
-            "start": (self.start.shape, (C + 1,)),
-            "split": ((len(self.split),), (C,)),
-            "parents": ((len(self.parents),), (J,)),
-        }
-        arrays = ["p_world_root", "R_world_bone", "joint_offsets"]
-        if self.beyond_rigid is not None:
-            shapes["beyond_rigid"] = (self.beyond_rigid.shape, (N, J, 3))
-            arrays.append("beyond_rigid")
-        for name, (have, want) in shapes.items():
-            if have != want:
-                raise ShapeError(f"corpus {name}: expected shape {want}, got {have}")
+        shapes: dict[str, tuple[int, ...]] = {
+            "p_world_root": (N, 3), "R_world_bone": (N, J, 3, 3), "joint_offsets": (C, J, 3),
+            "beyond_rigid": (N, J, 3), "start": (C + 1,), "split": (C,), "parents": (J,),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != shape:
+                raise ShapeError(f"corpus {name}: expected shape {shape}, got {np.shape(value)}")
         if C == 0 or self.start[0] != 0 or self.start[-1] != N or np.any(np.diff(self.start) < 1):
             raise InvalidInputError("corpus start: must cut the frames into clips of one or more frames")
-        for name in arrays:
-            if not np.all(np.isfinite(getattr(self, name))):
+        for name in ("p_world_root", "R_world_bone", "joint_offsets", "beyond_rigid"):
+            value = getattr(self, name)
+            if value is not None and not np.all(np.isfinite(value)):
                 raise InvalidInputError(f"corpus {name}: not finite; leave gaps out of the clips")
         if not 1 <= self.rate_hz < np.inf:
             raise InvalidInputError(f"corpus rate_hz: {self.rate_hz:g} Hz; give at least 1")
@@ -117,12 +111,10 @@ class Corpus:
         """
         frames = self.frames(clip)
         offsets = self.joint_offsets[clip] if joint_offsets is None else joint_offsets
-        p = kinematics.positions(
-            self.parents,
-            offsets.astype(np.float64),
-            self.p_world_root[frames].astype(np.float64),
-            self.R_world_bone[frames].astype(np.float64),
+        motion = (
+            x.astype(np.float64) for x in (offsets, self.p_world_root[frames], self.R_world_bone[frames])
         )
+        p = kinematics.positions(self.parents, *motion)
         if self.beyond_rigid is not None:
             p += self.beyond_rigid[frames]
         return p.astype(np.float32)
@@ -277,16 +269,9 @@ def _from_arrays(data: Mapping[str, NDArray[Any]]) -> Corpus:
     else:
         R, p_root = so3.from_quat_wxyz(data["quat_wxyz"]), data["p_world_root"]
     names, subjects, split = (tuple(map(str, data[key])) for key in ("joint_names", "subjects", "split"))
+    offsets, beyond = data["offsets"].astype(np.float32), data.get("beyond_rigid")
     return Corpus(
-        names,
-        tuple(map(int, data["parents"])),
-        p_root.astype(np.float32),
-        R.astype(np.float32),
-        data["offsets"].astype(np.float32),
-        data["start"].astype(np.int64),
-        subjects,
-        split,
-        float(data["rate_hz"]) if "rate_hz" in data else RATE_HZ,
-        data["beyond_rigid"].astype(np.float32) if "beyond_rigid" in data else None,
-        str(data.get("acknowledgement", "")),
-    )
+        names, tuple(map(int, data["parents"])), p_root.astype(np.float32), R.astype(np.float32), offsets,
+        data["start"].astype(np.int64), subjects, split, float(data.get("rate_hz", RATE_HZ)),
+        None if beyond is None else beyond.astype(np.float32), str(data.get("acknowledgement", "")),
+    )  # fmt: skip

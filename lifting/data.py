@@ -19,11 +19,14 @@ from torch import Tensor
 from lifting.body import Body, bone_groups
 from lifting.corpus import Corpus
 from lifting.draws import Draw, about_axis
-from lifting.noise import HALF_HEIGHT, HALF_WIDTH, PERFECT, NoiseConfig, add_noise, runs, training_noise
+from lifting.noise import HALF_HEIGHT, HALF_WIDTH, PERFECT, TRAINING_NOISE, NoiseConfig, add_noise, runs
 from lifting.sensors import SensorConfig, with_errors, worn
 from lifting.windows import Picture, Windows
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import UnknownNameError
+
+Offsets = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,9 @@ def augmentation(noise: str, camera: Sequence[float] | None = None) -> AugmentCo
     Raises:
         UnknownNameError: there is no such kind.
     """
-    config = AugmentConfig(noise=training_noise(noise))
+    if noise not in TRAINING_NOISE:
+        raise UnknownNameError("noise of the keypoints", [noise], list(TRAINING_NOISE))
+    config = AugmentConfig(noise=TRAINING_NOISE[noise])
     if camera is None:
         return config
     distance, height = camera
@@ -132,8 +137,7 @@ class _Moving:
         def turn(x: Tensor) -> Tensor:
             return torch.bmm(R, x.flatten(2)).reshape(x.shape)
 
-        parts = self.bones, self.root, self.axes, self.carried
-        bones, root, axes, carried = map(turn, parts)
+        bones, root, axes, carried = map(turn, (self.bones, self.root, self.axes, self.carried))
         return _Moving(bones, root, self.offsets, axes, carried)
 
     def put_on(self, count: int, upper: _Moving, joints: Tensor, segments: Tensor, sensors: Tensor) -> None:
@@ -152,22 +156,17 @@ class MotionBank:
     """A corpus as tensors on one device, to draw windows from."""
 
     def __init__(
-        self,
-        corpus: Corpus,
-        clips: list[int],
-        device: torch.device,
-        skeletons: Sequence[NDArray[np.float32]] = (),
+        self, corpus: Corpus, clips: list[int], device: torch.device, skeletons: Sequence[Offsets] = ()
     ):
         """Prepare motion.
 
         Args:
-            corpus: the motion. clips: indices of the clips to use, at least one.
-            device: of the tensors.
+            corpus: the motion. clips: indices of the clips to use, at least one. device: of the tensors.
             skeletons: joint offsets (J, 3) of further bodies for every clip, m, scaled to its size.
         """
         self.body, self.rate_hz = corpus.body(), corpus.rate_hz
         self.device = device
-        bodies: list[NDArray[np.float32] | None] = [None, *skeletons]
+        bodies: list[Offsets | None] = [None, *skeletons]
         self.bones = torch.stack(
             [torch.cat([_bones(corpus, clip, body) for clip in clips]) for body in bodies]
         ).to(device)
@@ -194,10 +193,10 @@ class MotionBank:
         self.upper_segments = _upper_segments(self.body, self.upper)
         self.bone_axes = _bone_axes(corpus, self.body).to(device)
         groups = bone_groups(self.body.names)
-        own = [
-            next((i for i, g in enumerate(groups.values()) if j in g), 0) for j in range(len(self.body.names))
-        ]
-        self.groups, self.group_of_joint = len(groups), torch.tensor(own, device=device)
+        self.groups = len(groups)
+        self.group_of_joint = torch.zeros(len(self.body.names), dtype=torch.long, device=device)
+        for i, joints in enumerate(groups.values()):
+            self.group_of_joint[joints] = i
 
     def __len__(self) -> int:
         return len(self.roots)
@@ -238,9 +237,8 @@ class MotionBank:
         # The lowest joint stays as high over the floor as it was recorded.
         root_height = self.lowest[frames] - now[:, 2].min(dim=1).values
         height = draw.between(config.camera_height, batch)
-        towards_root = torch.stack(
-            [draw.between(config.distance, batch), torch.zeros_like(height), root_height - height], 1
-        )
+        ahead = draw.between(config.distance, batch)
+        towards_root = torch.stack([ahead, torch.zeros_like(height), root_height - height], 1)
         p = pose.add_((moving.root + towards_root[:, :, None])[..., None])
         rays, seen, picture = self._observe(p, towards_root, config, draw)
         bones = bones + config.bone_error * draw.normal(*bones.shape)
@@ -349,7 +347,7 @@ class MotionBank:
         return world.reshape(p.shape), seen, Picture(xy / HALF_WIDTH, R_camera_world)
 
 
-def _offsets(corpus: Corpus, clip: int, body: NDArray[np.float32] | None) -> Tensor:
+def _offsets(corpus: Corpus, clip: int, body: Offsets | None) -> Tensor:
     """Joint offsets (J, 3) of a clip, or of another body scaled to the same size."""
     own = corpus.joint_offsets[clip]
     if body is not None:
@@ -357,7 +355,7 @@ def _offsets(corpus: Corpus, clip: int, body: NDArray[np.float32] | None) -> Ten
     return torch.from_numpy(own)
 
 
-def _bones(corpus: Corpus, clip: int, body: NDArray[np.float32] | None) -> Tensor:
+def _bones(corpus: Corpus, clip: int, body: Offsets | None) -> Tensor:
     """Bone vectors (T, 3, J-1) in world of a clip on its own or another body."""
     p = corpus.positions(clip, _offsets(corpus, clip, body).numpy())
     bones = p[:, 1:] - p[:, list(corpus.parents[1:])]

@@ -17,7 +17,6 @@ from torch import Tensor
 
 from lifting.body import Body
 from lifting.draws import Draw
-from rtof_kin.core.errors import UnknownNameError
 
 FOCAL_PX: Final = 1250.0
 HALF_WIDTH, HALF_HEIGHT = 960 / FOCAL_PX, 540 / FOCAL_PX
@@ -75,20 +74,6 @@ VALIDATION_NOISE: Final = replace(
     NoiseConfig(), clean=0.0, white=0.0, amplitude=(1.0, 1.0), poor_share=0.0, sparse_share=0.0
 )
 """Realistic noise at nominal amplitude."""
-
-
-def training_noise(kind: str) -> NoiseConfig:
-    """Return one of `TRAINING_NOISE`.
-
-    Args:
-        kind: its name.
-
-    Raises:
-        UnknownNameError: there is none.
-    """
-    if kind not in TRAINING_NOISE:
-        raise UnknownNameError("noise of the keypoints", [kind], list(TRAINING_NOISE))
-    return TRAINING_NOISE[kind]
 
 
 def add_noise(

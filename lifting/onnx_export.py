@@ -116,25 +116,21 @@ def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True, overwrite: 
             warnings.simplefilter("ignore")  # about this exporter; the newer one takes minutes
             torch.onnx.export(
                 LifterGraph(body, lifter.network, flip),
-                example_windows(body, lifter.receptive_field())[: len(inputs)], str(whole),
+                _example(body, lifter.receptive_field())[: len(inputs)], str(whole),
                 input_names=list(inputs), output_names=list(outputs),
                 dynamic_axes={name: {0: "windows"} for name in (*inputs, *outputs)},
                 opset_version=OPSET, dynamo=False,
             )  # fmt: skip
         model = onnx.load(whole)
         model.doc_string = "Lifter of rtof_kin: see the metadata."
-        onnx.helper.set_model_props(model, metadata(lifter, flip))
+        onnx.helper.set_model_props(model, _metadata(lifter, flip))
         onnx.checker.check_model(model)
         onnx.save(model, whole)
     return path
 
 
-def metadata(lifter: Lifter, flip: bool = True) -> dict[str, str]:
-    """Return what a user of the file must know, as JSON by key.
-
-    Args:
-        lifter: that is exported. flip: whether it is mirror averaged.
-    """
+def _metadata(lifter: Lifter, flip: bool) -> dict[str, str]:
+    """Properties of the lifter and conventions of the graph, as JSON by key."""
     description, body = lifter.description, lifter.description.body
     facts = {
         "format": "rtof_kin lifter, ONNX 1",
@@ -162,12 +158,8 @@ def metadata(lifter: Lifter, flip: bool = True) -> dict[str, str]:
     return {key: json.dumps(value) for key, value in facts.items()}
 
 
-def example_windows(body: Body, size: int) -> tuple[Tensor, ...]:
-    """Return inputs of two windows with everything seen and sensed.
-
-    Args:
-        body: joints and sensors. size: frames per window.
-    """
+def _example(body: Body, size: int) -> tuple[Tensor, ...]:
+    """Inputs of two windows with everything seen and sensed."""
     J, S = len(body.names), len(body.sensors)
     rays = torch.randn(2, size, J, 3, generator=torch.Generator().manual_seed(0)) * 0.1
     rays[..., 0] += 1.0

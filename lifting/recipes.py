@@ -49,7 +49,7 @@ class Recipe:
 
     def set_rates(self, share: float) -> None:
         """Set the learning rate after a share of the training."""
-        self._set_learning_rate(cosine(share, self.config.warm_up))
+        self._set_learning_rate(_cosine(share, self.config.warm_up))
 
     def _set_learning_rate(self, factor: float) -> None:
         for group in self.optimizer.param_groups:
@@ -89,25 +89,21 @@ class Published(Recipe):
     def loss(self, estimate: Estimate, batch: Batch) -> Tensor:
         """Return the mean joint distance plus that of the root weighted by 1 / depth."""
         joints = losses.mean_joint_distance(estimate.pose, batch.pose)
-        return (joints + losses.root_distance(estimate.root, batch.root) / depth(batch)).mean()
+        return (joints + losses.root_distance(estimate.root, batch.root) / _depth(batch)).mean()
 
 
 RECIPES: Final[Mapping[str, type[Recipe]]] = {RAYS: Recipe, VIDEOPOSE3D: Published}
 
 
-def depth(batch: Batch) -> Tensor:
-    """Return the depth (B,) of the root in the camera's frame, m."""
+def _depth(batch: Batch) -> Tensor:
+    """Depth (B,) of the root in the camera's frame, m."""
     assert batch.windows.picture is not None
     forward = batch.windows.picture.R_camera_world[:, 2]
     return (forward * batch.root).sum(dim=1).clamp_min(NEAREST)
 
 
-def cosine(share: float, warm_up: float) -> float:
-    """Return the factor on the learning rate: linear warm-up, then a cosine to 0.
-
-    Args:
-        share: of the training done. warm_up: share in which the rate rises.
-    """
+def _cosine(share: float, warm_up: float) -> float:
+    """Factor on the learning rate: linear warm-up, then a cosine to 0."""
     if share < warm_up:
         return max(share / warm_up, 0.01)
     return 0.5 * (1 + cos(pi * min((share - warm_up) / (1 - warm_up), 1.0)))

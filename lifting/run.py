@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from math import isfinite
 from pathlib import Path
@@ -15,14 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lifting import losses
-from lifting.checkpoint import (
-    ACKNOWLEDGEMENT,
-    LifterDescription,
-    load_checkpoint,
-    save_checkpoint,
-    save_tensors,
-)
+from lifting import checkpoint, losses
 from lifting.corpus import Corpus
 from lifting.data import Batch, MotionBank
 from lifting.distributed import Workers
@@ -194,11 +189,11 @@ class Run:
             path: of the checkpoint. overwrite: replace an existing one.
         """
         errors = self.history[-1]["validation"] if self.history else {}
-        description = LifterDescription(
+        description = checkpoint.LifterDescription(
             self.body, self.network.config, self.corpus.rate_hz, self.facts(), errors,
-            self.corpus.acknowledgement or ACKNOWLEDGEMENT,
+            self.corpus.acknowledgement or checkpoint.ACKNOWLEDGEMENT,
         )  # fmt: skip
-        return save_checkpoint(path, self.averaged, description, overwrite)
+        return checkpoint.save_checkpoint(path, self.averaged, description, overwrite)
 
     def save(self, path: Path) -> None:
         """Write the state that `restore` reads."""
@@ -210,7 +205,7 @@ class Run:
             "losses": [float(x) for x in self.losses], "history": self.history,
             "started_from": self.started_from,
         }  # fmt: skip
-        save_tensors(state, path, overwrite=True)
+        checkpoint.save_tensors(state, path, overwrite=True)
 
     def start(self, lifter: str | Path) -> None:
         """Begin with the weights of another lifter.
@@ -222,7 +217,7 @@ class Run:
             FileFormatError: it is not a lifter, or does not fit.
         """
         path = self.workers.from_first(lambda: lifter_path(lifter))
-        network, description = self.workers.from_first(lambda: load_checkpoint(path))
+        network, description = self.workers.from_first(lambda: checkpoint.load_checkpoint(path))
         other = description.network
         mine = replace(self.network.config, causal=other.causal, dropout=other.dropout)
         if other != mine or description.body.names != self.body.names:
@@ -248,7 +243,7 @@ class Run:
         state = self.workers.from_first(lambda: self._read(path) if path.exists() else None)
         if state is None:
             return
-        try:
+        with _readable(path):
             self.network.load_state_dict(state["network"])
             self.averaged.load_state_dict(state["averaged"])
             self.recipe.optimizer.load_state_dict(state["optimizer"])
@@ -256,12 +251,10 @@ class Run:
             self.validated, self.history = state["validated"], state["history"]
             self.started_from = state["started_from"]
             self.losses = [torch.tensor(x, device=self.workers.device) for x in state["losses"]]
-        except (KeyError, RuntimeError, TypeError, ValueError) as error:
-            raise _unreadable(path, error) from error
 
     def _read(self, path: Path) -> dict[str, Any]:
         """Read a state file of this training."""
-        try:
+        with _readable(path):
             state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
             if state["config"] != self.config.fixed():
                 raise FileFormatError(
@@ -269,18 +262,21 @@ class Run:
                 )
             if state["corpus"] != self.digest:
                 raise FileFormatError(
-                    path,
-                    "belongs to a training on other motion; give that motion, delete it, or do not resume",
+                    path, "belongs to a training on other motion; delete it or do not resume"
                 )
-        except RtofError:
-            raise
-        except Exception as error:  # torch raises many types on damaged archives
-            raise _unreadable(path, error) from error
         return state
 
 
-def _unreadable(path: Path, error: Exception) -> FileFormatError:
-    return FileFormatError(path, f"not a readable training state ({error}); delete it to start afresh")
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Turn errors of reading a state into a `FileFormatError`; torch raises many types."""
+    try:
+        yield
+    except RtofError:
+        raise
+    except Exception as error:
+        message = f"not a readable training state ({error}); delete it to start afresh"
+        raise FileFormatError(path, message) from error
 
 
 def shipped_skeleton(corpus: Corpus) -> list[NDArray[np.float32]]:

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
+from lifting.data import augmentation
 from lifting.draws import Draw
-from lifting.noise import FOCAL_PX, VALIDATION_NOISE, NoiseConfig, add_noise, training_noise
+from lifting.noise import FOCAL_PX, TRAINING_NOISE, VALIDATION_NOISE, NoiseConfig, add_noise
 from rtof_kin.core.errors import UnknownNameError
 
 B, W = 600, 27
@@ -112,13 +113,13 @@ def test_sparse_detectors_lack_the_trunk_throughout(body: Body) -> None:
 
 
 def test_training_noise_is_chosen_by_name(body: Body) -> None:
-    assert training_noise("mixed") == NoiseConfig()
-    assert noise_of(body, training_noise("perfect"))[0].abs().max() == 0
-    error, _ = noise_of(body, training_noise("realistic"))
+    assert TRAINING_NOISE["mixed"] == NoiseConfig()
+    assert noise_of(body, TRAINING_NOISE["perfect"])[0].abs().max() == 0
+    error, _ = noise_of(body, TRAINING_NOISE["realistic"])
     one_step = (error[:, :, 1:] - error[:, :, :-1]).std(dim=(1, 2, 3))
     assert (1 - (one_step / error.std(dim=(1, 2, 3))) ** 2 / 2).min() > 0.5
     with pytest.raises(UnknownNameError, match="'real'.*Known: mixed, perfect, realistic"):
-        training_noise("real")
+        augmentation("real")
 
 
 def test_landmarks_outside_the_image_are_unseen(body: Body) -> None:
