@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.calibration import optimum, planted_figure, planted_rows, planted_tables, planting
-from benchmarks.calibration.planted_rows import ALL, BUT, GOOD, KNOWN, PLAIN, SEEN, Job, Row
-from benchmarks.calibration.planting import ERRORS, USUAL, Wrong
+from benchmarks.calibration.planted_rows import ALL, BUT, GOOD, KNOWN, PLAIN, Job, Row
+from benchmarks.calibration.planting import ERRORS, Wrong
 from lifting.predict import Lifter
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.result import Quantity, SelfCalibration
@@ -44,9 +44,9 @@ def calibration(wrong: Wrong) -> SelfCalibration:
 def test_the_true_calibration_removes_planted_errors(chosen: tuple[str, ...]) -> None:
     right = recording()
     wrong = planting.drawn(right, {name: SIZES[name] for name in chosen}, seed=3)
-    told = planting.planted(right, wrong)
+    wrong_recording = planting.planted(right, wrong)
     found = calibration(wrong)
-    back = found.apply(told)
+    back = found.apply(wrong_recording)
     assert right.truth is not None
     seen = found.moved(back.video, right.truth)
     np.testing.assert_allclose(seen.times, right.video.times, atol=1e-9)
@@ -67,13 +67,13 @@ def test_the_true_calibration_removes_planted_errors(chosen: tuple[str, ...]) ->
 @pytest.mark.parametrize("name", list(ERRORS))
 def test_an_error_changes_the_recording(name: str) -> None:
     right = recording()
-    told = planting.planted(right, planting.drawn(right, {name: SIZES[name]}, seed=1))
+    wrong_recording = planting.planted(right, planting.drawn(right, {name: SIZES[name]}, seed=1))
     parts = ("uv_px", "times")
-    same = all(np.array_equal(getattr(told.video, p), getattr(right.video, p)) for p in parts)
-    same &= np.array_equal(told.joint_offsets, right.joint_offsets)
-    same &= np.array_equal(told.video.camera.K, right.video.camera.K)
-    same &= np.array_equal(told.video.camera.R_camera_world, right.video.camera.R_camera_world)
-    ours, theirs = told.bone_imus(times=right.video.times), right.bone_imus()
+    same = all(np.array_equal(getattr(wrong_recording.video, p), getattr(right.video, p)) for p in parts)
+    same &= np.array_equal(wrong_recording.joint_offsets, right.joint_offsets)
+    same &= np.array_equal(wrong_recording.video.camera.K, right.video.camera.K)
+    same &= np.array_equal(wrong_recording.video.camera.R_camera_world, right.video.camera.R_camera_world)
+    ours, theirs = wrong_recording.bone_imus(times=right.video.times), right.bone_imus()
     assert ours is not None
     assert theirs is not None
     same &= np.allclose(ours.R_world_bone, theirs.R_world_bone, atol=1e-7)
@@ -82,18 +82,6 @@ def test_an_error_changes_the_recording(name: str) -> None:
 
 
 # --- jobs ----------------------------------------------------------------------------------------
-
-
-def test_a_case_has_the_usual_errors_and_its_own() -> None:
-    assert Job("planted", "walking", KNOWN).sizes == {}
-    assert Job("planted", "walking", PLAIN).sizes == USUAL
-    assert Job("planted", "walking", GOOD).sizes == {"mounting": USUAL["mounting"]}
-    assert set(Job("planted", "walking", SEEN).sizes) == {"mounting", "image bias"}
-    large = Job("planted", "walking", "heading", 3.0)
-    assert large.sizes == USUAL | {"heading": 3 * SIZES["heading"]}
-    assert large.priors.sigma_heading == pytest.approx(3 * SIZES["heading"])
-    assert large.priors.sigma_lever_arm is None
-    assert set(Job("planted", "walking", ALL).sizes) == set(ERRORS)
 
 
 # --- rows and tables -----------------------------------------------------------------------------

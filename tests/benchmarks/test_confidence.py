@@ -41,7 +41,7 @@ SIGMA_M, SIGMA_RAD = 0.01, np.radians(1.0)
 
 
 def case(number: int, sensors: str = "8", sigma: float = 1.0) -> Case:
-    """Somebody whose estimate is off by white errors; what is told of these is `sigma` times as large.
+    """A case with white errors, and a stated sigma `sigma` times as large.
 
     Positions and orientations are off independently, all joints' positions alike but the root's.
     """
@@ -54,9 +54,9 @@ def case(number: int, sensors: str = "8", sigma: float = 1.0) -> Case:
     one = np.tile(np.eye(3), (T, J, 1, 1)) * (sigma * SIGMA_M) ** 2
     twice = np.array([1.0 if parent == "world" else 2.0 for parent, _ in PAIRS])
     turn = np.tile(np.eye(3), (T, len(PAIRS), 1, 1)) * twice[:, None, None] * (sigma * SIGMA_RAD) ** 2
-    told = Confidence(truth.times, BODY.names, one, 2 * one, PAIRS, turn)
+    stated = Confidence(truth.times, BODY.names, one, 2 * one, PAIRS, turn)
     q = np.tile(BODY.t_pose(), (T, 1))
-    motion = MotionSequence(BODY, q, poses, BODY.check(q), told)
+    motion = MotionSequence(BODY, q, poses, BODY.check(q), stated)
     apart = disagreement(poses, poses, PAIRS)
     told_of = ResidualStatistics(CARRIERS[sensors])
     return Case(f"m{number}/0", "realistic", sensors, told_of, motion, truth, apart)
@@ -130,7 +130,7 @@ def test_held_out_subjects_use_the_fit_of_the_others(monkeypatch: pytest.MonkeyP
         return fits[key]
 
     monkeypatch.setattr(command, "fitted", once)
-    fair, sure = ([case(i, sensors, told) for sensors in CARRIERS] for i, told in ((0, 1.0), (1, 0.2)))
+    fair, sure = ([case(i, sensors, stated) for sensors in CARRIERS] for i, stated in ((0, 1.0), (1, 0.2)))
     found = command.held_out([*fair, *sure], lambda motion: motion)
     swapped = zip(rows(fair, once(sure)), rows(sure, once(fair)), strict=True)
     for row, (wide, narrow) in zip(found, swapped, strict=True):

@@ -38,7 +38,7 @@ def motion(walk: float = 0.0) -> PoseSequence:
     return PoseSequence(times, p, R, SKELETON.names)
 
 
-CLIP = MocapClip("waving", motion(), SKELETON.joint_offsets, "somebody", "acting")
+CLIP = MocapClip("waving", motion(), SKELETON.joint_offsets, "s1", "acting")
 
 
 @pytest.fixture(scope="module")

@@ -109,36 +109,6 @@ def test_ref_imu_and_bone_close_to_the_vicon_orientation(paths: dict[str, Path])
 # --- cameras -------------------------------------------------------------------------------------
 
 
-def test_cameras_are_the_documented_ones(paths: dict[str, Path]) -> None:
-    raw = paths["cameras"].read_bytes()
-    rows = raw.decode().split("\r\n")
-    assert raw.count(b"\n") == raw.count(b" \r\n") == 1 + 8 * 7
-    assert rows[:2] == ["8 1 ", "0 1079 0 1919 "]
-    numbers = np.array(raw.split()[2:], dtype=float).reshape(8, 4 + 4 + 1 + 9 + 3)
-    centres = [
-        (1.19, 2.45, -4.70), (3.27, 2.48, -2.18), (3.00, 2.39, 2.30), (0.72, 2.37, 4.35),
-        (-2.96, 2.30, 4.15), (-4.36, 2.28, 2.25), (-4.19, 2.34, -2.38), (-2.45, 2.37, -4.85),
-    ]  # fmt: skip
-    for row, centre, camera in zip(numbers, centres, source.cameras().values(), strict=True):
-        fx, fy, cx, cy, k1 = row[4:9]
-        R, t = row[9:18].reshape(3, 3), row[18:]
-        np.testing.assert_allclose(-R.T @ t, centre, atol=1e-6)
-        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-8)
-        assert (cx, cy) == (959.5, 539.5)
-        assert 0 < k1 < 1e-4
-        for p_tc in ([0.0, 1.0, 0.0], [0.4, 1.6, -0.3]):
-            x, y, z = R @ p_tc + t
-            np.testing.assert_allclose(
-                camera.project(files.C_WORLD_TC @ p_tc), [fx * x / z + cx, fy * y / z + cy], atol=1e-2
-            )
-        x, y, z = R @ [0, 1, 0] + t
-        assert abs(x) < 1e-6
-        assert abs(y) < 1e-6
-        assert 3 < z < 6
-        assert R[1, 1] < -0.9  # upright: the image's y points down
-    assert [row[4] for row in numbers[:2]] == [1284.3, 1395.1]
-
-
 # --- layouts, bodies, motion ---------------------------------------------------------------------
 
 

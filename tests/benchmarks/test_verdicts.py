@@ -64,7 +64,7 @@ def test_calibration_error_of_exact_and_doubled_sigmas() -> None:
 def clips() -> list[tuple[str, MocapClip]]:
     poses = planted.moving(BODY, 60, 1).poses
     return [
-        ("people", MocapClip(f"m{i}", poses, BODY.joint_offsets, subject="somebody", category="walk"))
+        ("people", MocapClip(f"m{i}", poses, BODY.joint_offsets, subject="s1", category="walk"))
         for i in range(2)
     ]
 

@@ -41,7 +41,7 @@ CAMERA = Camera(
 
 
 def windows_of(camera: Camera = CAMERA, frames: int = 27) -> tuple[Windows, Tensor]:
-    """The window around the middle of somebody's motion, and their joints (1, 3, J) in the camera."""
+    """The window around the middle of a motion, and its joints (1, 3, J) in the camera."""
     p = support.positions(1, frames)
     keypoints = support.seen_by(camera, p)
     source = Source.of(BODY, keypoints, None)

@@ -91,7 +91,7 @@ def test_truncated_files_are_refused(saved: Path, keep: float) -> None:
         load_checkpoint(saved)
 
 
-def test_another_version_says_what_to_install(saved: Path) -> None:
+def test_other_versions_are_refused(saved: Path) -> None:
     for version in (1, 99):
         rewrite(saved, lambda content, version=version: content.update(version=version))
         with pytest.raises(FileFormatError, match=f"lifter format {version}; .* reads format 2: install"):

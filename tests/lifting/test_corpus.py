@@ -32,7 +32,7 @@ def test_a_corpus_round_trips(corpus: Corpus, tmp_path: Path) -> None:
 
 
 def test_positions_are_those_of_the_clip_read(tmp_path: Path) -> None:
-    clip = replace(read_mocap(EXCERPT), subject="somebody")
+    clip = replace(read_mocap(EXCERPT), subject="s1")
     corpus = join_clips([(clip, "validation")])
     np.testing.assert_allclose(corpus.positions(0), clip.poses.p_world_joint, atol=1e-5)
     assert corpus.clips("validation") == [0]

@@ -129,7 +129,7 @@ def test_sensors_without_errors_measure_the_true_axes_at_every_frame(
 
 
 ASKEW = support.TABLE.offsets + np.array([0.03, 0.0, 0.02]) * (np.arange(21) > 0)[:, None]
-"""Offsets of somebody whose bones have other directions, left and right alike."""
+"""Offsets of bones with other directions, left and right alike."""
 HOW = {
     "everything else": (EVERYTHING, support.TABLE.offsets, False),
     "causal": (EVERYTHING, support.TABLE.offsets, True),

@@ -130,15 +130,6 @@ def test_test_subjects_are_not_read_and_some_actions_validate(archive: Path) -> 
     assert "Academic use only" in corpus.acknowledgement
 
 
-def test_joints_are_those_of_the_archive_on_the_floor(archive: Path, positions: h36m.Positions) -> None:
-    corpus = human36m_corpus(archive)
-    for clip, (subject, action) in enumerate([("S1", "WalkTogether"), ("S1", "Walking 1")]):
-        assert lowest(corpus, clip) == pytest.approx(0.07, abs=1e-5)
-        shift = corpus.positions(clip) - positions[subject][action]
-        np.testing.assert_allclose(shift[..., :2], 0, atol=2e-3)
-        np.testing.assert_allclose(shift[..., 2], shift[0, 0, 2], atol=2e-3)
-
-
 def test_gaps_are_cut_out_and_damaged_actions_skipped(positions: h36m.Positions, tmp_path: Path) -> None:
     p = np.concatenate([positions["S1"]["Walking 1"]] * 2)
     p[38:42, 5] = np.nan

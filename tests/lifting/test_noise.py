@@ -11,7 +11,7 @@ from torch import Tensor
 from lifting.body import Body
 from lifting.data import augmentation
 from lifting.draws import Draw
-from lifting.noise import FOCAL_PX, TRAINING_NOISE, VALIDATION_NOISE, NoiseConfig, add_noise
+from lifting.noise import FOCAL_PX, TRAINING_NOISE, NoiseConfig, add_noise
 from rtof_kin.core.errors import UnknownNameError
 
 B, W = 600, 27
@@ -130,10 +130,3 @@ def test_landmarks_outside_the_image_are_unseen(body: Body) -> None:
     _, mask = add_noise(body, replace(QUIET, truncated_share=1.0), xy, seen, random(4))
     assert not mask[..., 3].any()
     assert mask[..., 4].all()
-
-
-def test_unseen_landmarks_stay_unseen(body: Body) -> None:
-    xy = torch.zeros(40, 2, W, len(body.names))
-    seen = torch.rand(40, W, len(body.names)) > 0.5
-    _, mask = add_noise(body, VALIDATION_NOISE, xy, seen, random(40))
-    assert not (mask & ~seen).any()

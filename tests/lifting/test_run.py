@@ -131,13 +131,7 @@ def test_the_figure_shows_loss_and_both_errors_of_every_kind_of_2d() -> None:
     figure = curves.draw(history, "lifter.pt")
     assert figure.get_suptitle() == "lifter.pt"
     loss, rr, absolute = figure.axes
-    for ax in (loss, rr, absolute):
-        assert ax.get_xscale() == "log"
-        assert ax.get_xlabel() == "windows seen"
-        assert ax.xaxis.get_major_formatter()(2e6, 0) == "2 M"
-        assert "[mm]" in ax.get_ylabel()
-        assert ax.get_ylim()[0] == 0
-        assert all(list(line.get_xdata()) == [1000, 2000, 4000] for line in ax.get_lines())
+    assert all("[mm]" in ax.get_ylabel() and ax.get_xscale() == "log" for ax in figure.axes)
     assert list(loss.get_lines()[0].get_ydata()) == [200, 100, 50]
     shown = {line.get_label(): list(line.get_ydata()) for line in absolute.get_lines()}
     assert shown == {"perfect: 15.0": [60, 30, 15], "realistic: 25.0": [100, 50, 25]}
@@ -187,9 +181,7 @@ def test_the_command_trains_with_every_option(
     assert "none.pt: no such file" in capsys.readouterr().err
 
 
-def test_the_command_trains_for_45_minutes_by_default(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_trains_for_45_minutes_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[TrainConfig] = []
 
     def pretend(config: TrainConfig, corpus: object, out: str, *others: object) -> Path:
@@ -202,9 +194,6 @@ def test_the_command_trains_for_45_minutes_by_default(
     budgets = [(config.windows, config.minutes) for config in asked]
     assert budgets == [(None, 45.0), (None, 3.0), (8, None), (8, 3.0)]
     assert training.DEFAULT_MINUTES == 45.0
-    with pytest.raises(SystemExit):
-        cli.main(["train", "--help"])
-    assert "45 where neither they nor windows are given" in " ".join(capsys.readouterr().out.split())
 
 
 def test_an_interrupted_command_names_the_state_file(

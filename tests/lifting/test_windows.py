@@ -232,19 +232,6 @@ def test_unknown_bones_and_height_are_zeros_with_a_flag(body: Body, scene: Tenso
     torch.testing.assert_close(known.constants[:, :2], unknown.constants[:, :2])
 
 
-def test_constants_are_elevation_scale_height_and_bones(body: Body, scene: Tensor) -> None:
-    bones = torch.tensor(body.nominal_bones, dtype=torch.float64).expand(3, -1).clone()
-    bones[:, 4] += 0.01
-    encoded = encode(body, windows_of(body, scene, bones=bones))
-    root = scene[:, :, W // 2, 0]
-    elevation = torch.asin(root[:, 2] / root.norm(dim=1))
-    torch.testing.assert_close(encoded.constants[:, 0], elevation)
-    torch.testing.assert_close(encoded.constants[:, 1], encoded.scale.log())
-    torch.testing.assert_close(encoded.constants[:, 2], (1.6 * encoded.scale).log())
-    assert encoded.constants[:, 4:-1].abs().max(dim=1).indices.tolist() == [4, 4, 4]
-    torch.testing.assert_close(encoded.constants[:, 8], torch.full((3,), 0.15).double())
-
-
 def test_degenerate_scenes_stay_finite(body: Body, scene: Tensor, axes: Tensor) -> None:
     nothing = windows_of(body, scene, seen=~everything(scene))
     behind = windows_of(body, -scene + 2 * scene[..., :1], axes)
