@@ -11,7 +11,7 @@ import json
 import warnings
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import torch
 from torch import Tensor, nn
@@ -26,23 +26,9 @@ from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.folder import new_file
 
 INPUTS: Final = ("rays_world", "seen", "bones", "camera_height", "R_world_sensed", "sensed")
+OUTPUTS: Final = ("p_root_joint", "p_camera_root", "sigma_m", "R_world_bone", "sigma_rad")
 """See `LifterGraph.forward`; without the last two for a lifter without sensors."""
 OPSET: Final = 17
-
-
-class WindowPoses(NamedTuple):
-    """Poses in the estimated frames of B windows, in world axes."""
-
-    p_root_joint: Tensor
-    """(B, J, 3) joints relative to the root, m."""
-    p_camera_root: Tensor
-    """(B, 3) root from the optical centre, m."""
-    sigma_m: Tensor
-    """(B, J, 2) see `LiftedPoses.sigma_m`."""
-    R_world_bone: Tensor
-    """(B, J, 3, 3) orientations of segments; J = 0 for a lifter without sensors."""
-    sigma_rad: Tensor
-    """(B, J) their standard deviation per axis, rad; likewise."""
 
 
 class LifterGraph(nn.Module):
@@ -64,7 +50,7 @@ class LifterGraph(nn.Module):
         R_world_sensed: Tensor | None = None,
         sensed: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
-        """Return `WindowPoses` of windows of W frames, without orientations for a body without sensors.
+        """Return the poses in the estimated frames of B windows of W frames, in world axes.
 
         Args:
             rays_world: (B, W, J, 3) directions in world from the optical centre to the joints.
@@ -73,6 +59,11 @@ class LifterGraph(nn.Module):
             camera_height: (B,) height of the optical centre over the floor, m; NaN where unknown.
             R_world_sensed: (B, W, S, 3, 3) orientations of the segments that may carry sensors.
             sensed: (B, W, S) bool; orientations that are not sensed are ignored.
+
+        Returns:
+            (B, J, 3) joints relative to the root, m; (B, 3) root from the optical centre, m; (B, J, 2) see
+            `LiftedPoses.sigma_m`; for a body with sensors also (B, J, 3, 3) orientations of segments and
+            (B, J) their standard deviation per axis, rad.
         """
         if R_world_sensed is None or sensed is None:
             R_world_sensed, sensed = rays_world.new_zeros((*seen.shape[:2], 0, 3, 3)), seen[..., :0]
@@ -86,7 +77,7 @@ class LifterGraph(nn.Module):
         if estimate.axes is None or estimate.log_turn is None:
             return poses
         R = rotations(estimate.axes).permute(0, 3, 1, 2)
-        return WindowPoses(*poses, R, SIGMA_TURN * estimate.log_turn.exp())
+        return *poses, R, SIGMA_TURN * estimate.log_turn.exp()
 
 
 def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True, overwrite: bool = False) -> Path:
@@ -110,7 +101,7 @@ def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True, overwrite: 
     except ImportError as error:
         raise RtofError("ONNX needs its package; install it: pip install rtof_kin[onnx]") from error
     body = description.body
-    inputs, outputs = (INPUTS, WindowPoses._fields) if body.sensors else (INPUTS[:4], WindowPoses._fields[:3])
+    inputs, outputs = (INPUTS, OUTPUTS) if body.sensors else (INPUTS[:4], OUTPUTS[:3])
     with new_file(path, overwrite) as whole:
         with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("ignore")  # about this exporter; the newer one takes minutes

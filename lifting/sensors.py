@@ -57,12 +57,9 @@ def worn(body: Body, config: SensorConfig, draw: Draw) -> Tensor:
     ends = {limb[1] for limb in body.arms + body.legs}
     trunk = {body.names.index(name) for name in TRUNK if name in body.names}
     sets = [
-        (config.none, set()),
-        (config.limbs, limbs),
-        (config.limbs_and_trunk, limbs | trunk),
-        (config.ends, ends),
-        (config.every, set(body.sensor_joints)),
-    ]
+        (config.none, set()), (config.limbs, limbs), (config.limbs_and_trunk, limbs | trunk),
+        (config.ends, ends), (config.every, set(body.sensor_joints)),
+    ]  # fmt: skip
     which = draw.uniform(draw.batch, 1)
     chance = draw.uniform(draw.batch, 1)
     mask = draw.uniform(draw.batch, len(body.sensors)) < chance

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from lifting.checkpoint import save_checkpoint
-from lifting.onnx_export import INPUTS, LifterGraph, WindowPoses, export_onnx
+from lifting.onnx_export import INPUTS, OUTPUTS, LifterGraph, export_onnx
 from lifting.predict import Lifter
 from lifting.source import Source
 from rtof_kin.cli import main
@@ -23,7 +23,6 @@ from rtof_kin.core.errors import RtofError
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
 W, T = 27, 60
-OUTPUTS = WindowPoses._fields
 
 
 @pytest.fixture(scope="module")
