@@ -1,7 +1,7 @@
 """Does the audit of a report warn where something is wrong, and only there?
 
 ``python -m benchmarks.audit --corpus DIR`` reconstructs motions of the validation subjects, realistic 2D,
-eight sensors, as they are and with one thing wrong, and counts the verdicts of `report.audit` by section.
+eight sensors, unchanged and with one fault, and counts the verdicts of `report.audit` by section.
 What usual recordings reach is where the limits of its reprojection errors come from, so that usual ones
 pass says little; that others do not says more.
 """

@@ -6,7 +6,8 @@ it should be, or with joints turned so that segments are off by 5, 10 or 15 degr
 Eight sensors with soft tissue and accelerometer noise. The numbers are angles between segments by their
 sensors and in truth over the movement, degrees, turned to one heading: the mean, and the 90th percentile
 over segments. *right calibration* is what soft tissue alone makes of them. *given*: the facing is known.
-*told*: movement tells it, of sensors with one reference. *own*: movement tells a heading for each sensor.
+*told*: derived from movement, of sensors with one reference. *own*: a heading for each sensor, derived
+from movement.
 *exercises*: knees, elbows and trunk bent one after the other, on the shipped skeleton, after an N-pose
 with the same errors.
 """

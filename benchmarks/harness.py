@@ -170,7 +170,7 @@ def write_results(path: Path, data: Any, text: str) -> None:
     """Write what a benchmark found.
 
     Args:
-        path: of the JSON; the Markdown stands beside it. data: as JSON. text: as Markdown.
+        path: of the JSON; the Markdown is written beside it. data: as JSON. text: as Markdown.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")

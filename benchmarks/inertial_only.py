@@ -1,7 +1,7 @@
 """Accuracy of inertial sensors alone: mode ``imu`` on the benchmark's motions, with 8, 10, 13 sensors.
 
 ``python -m benchmarks.inertial_only --corpus DIR`` with the harness' motions; ``--subset validation``
-takes those to tune on. *exact* sensors tell the truth; *realistic* ones are as the harness has them:
+takes those to tune on. *exact* sensors have no errors; *realistic* ones are as the harness has them:
 misaligned by 2 degrees per axis, slipping and wobbling with the soft tissue, noisy. Motions are
 reconstructed whole: a walk of four seconds drifts little. Drift is the error of the root's horizontal
 path since the first frame: at the end, by what was walked and by time.
@@ -48,7 +48,7 @@ FIGURES = {
 _LONGEST = 30.0
 """[s] of a motion."""
 _WALKED = 2.0
-"""[m] Motions that go less far tell drift by time alone."""
+"""Least path for drift per distance, m."""
 
 
 @dataclass(frozen=True)

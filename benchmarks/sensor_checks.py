@@ -256,7 +256,7 @@ def _cases(recording: Recording) -> Iterator[tuple[str, Plant, str]]:
 
 
 def judge_real(folder: Path) -> list[dict[str, Any]]:
-    """The same of real sensors, of what samples alone tell."""
+    """The same of real sensors, of what samples alone show."""
     rows = []
     nothing = Fault(lambda recording: recording, "", True)
     for trial, imus in _real(folder):

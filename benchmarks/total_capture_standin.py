@@ -2,7 +2,7 @@
 
 It is NOT Total Capture. That is handed out by its authors for research only; here CMU's motion moves
 bodies of its five subjects' proportions, and the IMUs, cameras and detections are simulated. What is
-measured on it shows that files are read rightly and a protocol runs, and says nothing about the dataset.
+measured on it shows that files are read correctly and a protocol runs, not the accuracy on the dataset.
 
 ``python -m benchmarks.total_capture_standin --corpus DIR --out FOLDER`` with DIR as in README.md here.
 Subjects S1, S2 and S3 move as training subjects of split.toml do, but for the three test takes, which are

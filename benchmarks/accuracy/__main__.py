@@ -8,7 +8,7 @@
   pipeline, which may find what is wrong and leave it out.
 * ablation: 8 IMUs, white and realistic 2D, one ingredient left out at a time, one camera a motion.
 
-Rows are written as they come: an interrupted run goes on where it stopped. ``--subset validation`` takes
+Rows are written as they come: an interrupted run resumes where it stopped. ``--subset validation`` takes
 motions of the validation subjects instead, to tune on.
 """
 

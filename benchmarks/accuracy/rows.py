@@ -145,7 +145,7 @@ def _lifter(path: str | None) -> Any:
 
 def run(job: Job) -> list[Row]:
     """Every case of a table for one motion and camera: rows of all its stages."""
-    scene, rows, told = Scene(job), [], set()
+    scene, rows, reported = Scene(job), [], set()
     for case in cases(job.table):
         about = {
             "motion": job.clip.name,
@@ -161,15 +161,15 @@ def run(job: Job) -> list[Row]:
             for mode, poses in ({} if case.as_given else stages(prepared)).items():
                 sensors = None if mode == "zero motion" else case.sensors
                 key = (mode, case.keypoints, case.fault, sensors, case.lift_with_sensors)
-                if key not in told:
-                    told.add(key)
+                if key not in reported:
+                    reported.add(key)
                     rows.append(about | {"mode": mode} | scored(poses, prepared, case.fault))
             poses, facts = solved(prepared, case.settings)
             mode = "rto" if prepared.bone_imus is None else "rtof"
             if case.as_given and job.table == "sensors":
                 mode = "rtof, as given"
             rows.append(about | {"mode": mode} | scored(poses, prepared, case.fault) | facts)
-        except RtofError as error:  # told in the table, instead of losing the other cases
+        except RtofError as error:  # reported in the table, instead of losing the other cases
             rows.append(about | {"mode": "failed", "error": str(error)})
     return rows
 

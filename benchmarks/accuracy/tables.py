@@ -164,7 +164,7 @@ def robustness_tables(rows: Sequence[Row]) -> list[Table]:
     costs_of = ("+ rr", "95 %", "+ abs")
     columns = ("rtof with", *_HEADINGS, *costs_of, "sf2 rr mm", "converged %", "found %")
     digits = (0, *_DIGITS, 1, 0, 1, 1, 0, 0)
-    note = "Found: of how many recordings the pipeline told that a stream was wrong."
+    note = "Found: share of recordings in which the pipeline reported a wrong stream."
     main = Table("robustness", "Robustness", columns, digits, tuple(lines), (_POOLED, note))
     return [main, _phases_table(rows, base)]
 

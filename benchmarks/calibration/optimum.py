@@ -32,11 +32,11 @@ from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 Array = NDArray[np.float64]
 
 
-def row(told: Recording, known: Mapping[tuple[str, str], Array], job: Job, lifter: Lifter) -> Row:
+def row(given: Recording, known: Mapping[tuple[str, str], Array], job: Job, lifter: Lifter) -> Row:
     """Energies, and distances in standard deviations of the priors, root mean square by kind."""
     settings, priors = ReconstructionSettings(), job.priors
-    prepared = prepare(told, told.skeleton, "sf2", lifter, settings, lambda *_: None)
-    solver = JointSpaceSettings(floor_height=told.floor_height)
+    prepared = prepare(given, given.skeleton, "sf2", lifter, settings, lambda *_: None)
+    solver = JointSpaceSettings(floor_height=given.floor_height)
     own, again = (  # each with a prior of its own to learn
         shared_fragments(prepared.recording, prepared.start, priors, solver, settings.frames)
         for _ in range(2)
@@ -104,8 +104,8 @@ def main(arguments: list[str] | None = None) -> int:
     jobs = [Job("", s, ALL, camera=c) for s in SESSIONS[options.subset] for c in range(options.cameras)]
     for job in track(jobs, "recordings"):
         clip = session(options.corpus, options.subset, job.session, job.seconds)
-        right, wrong, told = recorded(clip, job)
-        rows.append(row(told, truths(right, wrong), job, lifter))
+        right, wrong, given = recorded(clip, job)
+        rows.append(row(given, truths(right, wrong), job, lifter))
     text = report(rows)
     numbers = json.dumps({"subset": options.subset, "rows": rows}, indent=1)
     options.out.write_text(numbers, encoding="utf-8")

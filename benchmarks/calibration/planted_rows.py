@@ -102,7 +102,7 @@ class Job:
 
     @property
     def priors(self) -> CalibrationPriors:
-        """Those of everybody, with what is planted besides open."""
+        """Default priors, with those of the planted errors widened."""
         priors = CalibrationPriors()
         closed = {"mounting": "sigma_swing", "image bias": "sigma_image_bias"}
         priors = replace(priors, **{closed[n]: None for n in self.measured if n in closed})
@@ -159,12 +159,12 @@ def _lifter(path: str | None) -> Any:
 def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
     """Plant, reconstruct, calibrate and reconstruct again; of errors planted alone without a floor,
     calibrate only."""
-    recording, wrong, told = recorded(clip, job)
+    recording, wrong, given = recorded(clip, job)
     out: Row = {**vars(job), "frames": len(recording.video)}
     if job.case == KNOWN:  # as one that was calibrated, with nothing left to correct
-        known = reconstruct(told, lifter=_lifter(lifter), calibrate=SelfCalibration(()))
+        known = reconstruct(given, lifter=_lifter(lifter), calibrate=SelfCalibration(()))
         return {**out, "before": _figures(known.metrics)}
-    calibration = calibrate_recording(told, None, job.priors, lifter=_lifter(lifter))
+    calibration = calibrate_recording(given, None, job.priors, lifter=_lifter(lifter))
     out |= {
         "converged": calibration.converged,
         "found": found(calibration, truths(recording, wrong)),
@@ -172,7 +172,7 @@ def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
     }
     if job.case not in ERRORS or job.floor:
         for stage, how in {"before": False, "after": calibration}.items():
-            made = reconstruct(told, lifter=_lifter(lifter), calibrate=how)
+            made = reconstruct(given, lifter=_lifter(lifter), calibrate=how)
             out[stage] = _figures(made.metrics)
     return out
 

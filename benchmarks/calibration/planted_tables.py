@@ -32,13 +32,13 @@ def report(rows: Sequence[Row]) -> str:
     rows = with_known(rows)
     planted = [r for r in rows if r["study"] == "planted"]
     parts = [
-        ("Joint errors (mm) and flexion (deg): as told, calibrated, nothing wrong", motion(planted)),
+        ("Joint errors (mm) and flexion (deg): as given, calibrated, nothing wrong", motion(planted)),
         ("All wrong but what was measured: joint errors (mm), flexion (deg), calibrated", measured(rows)),
         ("Each error alone, besides what is usually wrong", alone(planted)),
         ("What is found where all are wrong, and where only the usual is", together(planted)),
         ("Claimed standard deviations: truths within one and two", coverage(planted)),
         ("Detector: sizes and memories claimed over true ones", detector(planted)),
-        ("Length and variety (all at once, floor told)", lengths(rows)),
+        ("Length and variety (all at once, floor known)", lengths(rows)),
         ("Where sensors were calibrated well: change by calibrating", harm(rows)),
     ]
     return "\n".join(f"### {title}\n\n{text}\n" for title, text in parts if text)
@@ -79,8 +79,8 @@ def _grouped(rows: Iterable[Row], *by: str) -> dict[tuple[object, ...], list[Row
     return out
 
 
-def _floor(told: object) -> str:
-    return "told" if told else "-"
+def _floor(known: object) -> str:
+    return "known" if known else "-"
 
 
 def motion(rows: Sequence[Row]) -> str:

@@ -91,10 +91,10 @@ def case_of(result: Reconstruction, name: str, keypoints: str, sensors: str) -> 
     assert solution.confidence is not None
     motion = replace(result.motion, confidence=solution.confidence)[::EVERY]
     carriers = () if result.bone_imus is None else result.bone_imus.joints
-    told = residual_statistics(result.keypoints, result.motion, lifted, carriers)
+    stated = residual_statistics(result.keypoints, result.motion, lifted, carriers)
     start = result.stages.get("sf2", lifted)
     apart = disagreement(result.motion.poses, start, solution.confidence.pairs)[::EVERY]
-    return Case(name, keypoints, sensors, told, motion, at_times(truth, motion.times), apart)
+    return Case(name, keypoints, sensors, stated, motion, at_times(truth, motion.times), apart)
 
 
 @cache
@@ -110,26 +110,26 @@ def errors(case: Case, confidence: Confidence | None = None) -> Iterator[tuple[s
     Args:
         confidence: in place of the motion's own.
     """
-    told = confidence or case.motion.confidence
-    assert told is not None
+    stated = confidence or case.motion.confidence
+    assert stated is not None
     p, p_true = case.motion.poses.p_world_joint, case.truth.p_world_joint
     seen = [p - p_true, (p - p[:, :1]) - (p_true - p_true[:, :1])]
-    covariances = told.position_covariance, told.relative_covariance
+    covariances = stated.position_covariance, stated.relative_covariance
     apart = case.apart
     for kind, error, covariance, off in zip(
         ("position", "relative"), seen, covariances, (apart.position, apart.relative), strict=True
     ):
-        for j, name in enumerate(told.names):
+        for j, name in enumerate(stated.names):
             if kind == "position" or j > 0:
                 yield kind, name, _known(error[:, j], covariance[:, j], off[:, j])
     R, R_true = case.motion.poses.R_world_bone, case.truth.R_world_bone
-    for k, (parent, child) in enumerate(told.pairs):
-        turned = [_seen_from(r, told.names, parent, child) for r in (R, R_true)]
+    for k, (parent, child) in enumerate(stated.pairs):
+        turned = [_seen_from(r, stated.names, parent, child) for r in (R, R_true)]
         off = np.swapaxes(turned[1], -1, -2) @ turned[0]
         known = np.isfinite(off).all(axis=(1, 2))  # a truth that was moved in time ends sooner
         error = np.full((len(off), 3), np.nan)
         error[known] = so3.log(off[known])
-        yield "turn", f"{parent} {child}", _known(error, told.turn_covariance[:, k], apart.turn[:, k])
+        yield "turn", f"{parent} {child}", _known(error, stated.turn_covariance[:, k], apart.turn[:, k])
 
 
 def angle_errors(case: Case, confidence: Confidence) -> Iterator[tuple[str, Array, Array]]:

@@ -52,11 +52,11 @@ def fitted(cases: Sequence[Case]) -> CovarianceInflation:
     """One widening for every joint and every pair by who saw it, right and left together."""
     found: dict[tuple[str, str], dict[str, list[_Sample]]] = defaultdict(lambda: defaultdict(list))
     for case in cases:
-        told = case.circumstances
+        stated = case.circumstances
         for kind, name, both in errors(case):
             if len(both.error):
-                who = seen_by(kind, name, case.motion.skeleton.root, told.sensors)
-                sample = _sample(kind, both, told.lasting, told.doubt(kind, who))
+                who = seen_by(kind, name, case.motion.skeleton.root, stated.sensors)
+                sample = _sample(kind, both, stated.lasting, stated.doubt(kind, who))
                 found[who, kind][unsided(name)].append(sample)
     widenings: dict[str, dict[str, dict[str, Widening]]] = {who: {} for who in SEEN}
     shares: dict[str, dict[str, float]] = {who: {} for who in SEEN}

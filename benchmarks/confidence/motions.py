@@ -1,4 +1,4 @@
-"""The people whose recordings the inflation is fitted on: everybody but the test's, one kind of rig.
+"""Subjects that the inflation is fitted on: all but the test's, one kind of rig.
 
 Most of them are people of the lifter's training; what that does is measured in docs/clinical.md. Two
 validation subjects are left out, whose rigs define a pelvis that is turned by 14 to 20 degrees against

@@ -109,7 +109,7 @@ def run(job: Job) -> list[Row]:
                 try:
                     lifted = load(path).predict(recording.keypoints, recording.joint_offsets, bone_imus=worn)
                     rows.append(own | scored(lifted, recording))
-                except RtofError as error:  # told in the tables, instead of losing the others
+                except RtofError as error:  # reported in the tables, instead of losing the others
                     rows.append(own | {"error": str(error)})
     return rows
 
@@ -140,7 +140,7 @@ def scored(lifted: LiftedPoses, recording: Recording) -> Row:
 
 
 def _still(recording: Recording) -> Row:
-    """Somebody who stands at the truth's mean."""
+    """Zero motion at the mean of the truth."""
     truth = recording.truth
     assert truth is not None
     everywhere = np.ones(len(truth), dtype=bool)

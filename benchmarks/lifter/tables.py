@@ -157,7 +157,7 @@ def calibration(rows: Sequence[Row]) -> Table:
     columns += [f"within {k} sigma: {what} %" for k in SIGMAS for what in ("share", "Laplace", "Gauss")]
     notes = (
         "Per axis: across the ray to the root, along it, and about each axis of a segment. More within "
-        "than expected: the lifter is better than it says. Laplace: the density it is trained with.",
+        "than expected: the lifter is better than stated. Laplace: the density it is trained with.",
     )
     return Table("calibration", "Calibration", tuple(columns), (0, 0, 0, 0, *[1] * 6), tuple(lines), notes)
 

@@ -14,7 +14,7 @@ from benchmarks.peers.solvers import Scene
 
 PAPER_FPS = {20: 1256, 50: 743, 100: 423, 200: 227}
 """The paper's new frames per second by N."""
-Told = Callable[[str], None]
+Notify = Callable[[str], None]
 """Called with what begins now."""
 
 
@@ -106,17 +106,17 @@ class Choice:
 
 
 def compared(
-    scene: Scene, entries: Sequence[Entry], choice: Choice, told: Told
+    scene: Scene, entries: Sequence[Entry], choice: Choice, notify: Notify
 ) -> tuple[list[Row], dict[str, Trace]]:
     """Rows of all solvers, and their traces of the typical fragment where they give any."""
     rows, traces = [_start_row(scene, choice.firsts)], {}
     for entry in entries:
         row, trace = Row(entry.name, entry.limits), Trace()
         if not entry.slow:
-            told(f"{entry.name}: once to warm up")
+            notify(f"{entry.name}: once to warm up")
             entry.solver.solve(scene.fragment(choice.firsts[0]))
         for first in choice.slow if entry.slow else choice.firsts:
-            told(f"{entry.name}: frame {first}")
+            notify(f"{entry.name}: frame {first}")
             fragment = scene.fragment(first)
             answer = entry.solver.solve(fragment, trace if first == choice.typical else None)
             row.add(fragment, answer, scene.score(fragment, answer.x, answer.multipliers))

@@ -57,7 +57,7 @@ def measured(job: Job) -> Row:
         result = reconstruct(
             recording, mode="rtof" if inertial else "rto", lifter=_lifter(), calibrate=inertial
         )
-    except RtofError as error:  # told in the table, instead of losing the other recordings
+    except RtofError as error:  # reported in the table, instead of losing the other recordings
         return _about(job) | {"failed": str(error)}
     return row_of(job, result)
 
@@ -89,18 +89,18 @@ def stated(result: Reconstruction) -> dict[str, Stated]:
     motion = result.motion[::EVERY]
     assert result.recording.truth is not None
     truth = at_times(result.recording.truth, motion.times)
-    told, estimate = motion.confidence, motion.poses
-    assert told is not None
+    stated, estimate = motion.confidence, motion.poses
+    assert stated is not None
     doubted = _flags(result)[::EVERY]
     p, p_true = estimate.p_world_joint, truth.p_world_joint
     relative = (p - p[:, :1]) - (p_true - p_true[:, :1])
-    turned = [j for j, name in enumerate(told.names) if (WORLD, name) in told.pairs]
-    names = tuple(told.names[j] for j in turned)
-    turns = np.stack([told.turn(WORLD, name) for name in names], axis=1)
+    turned = [j for j, name in enumerate(stated.names) if (WORLD, name) in stated.pairs]
+    names = tuple(stated.names[j] for j in turned)
+    turns = np.stack([stated.turn(WORLD, name) for name in names], axis=1)
     found = {
-        "position": _of_vectors(told.names, 1000 * (p - p_true), 1e6 * told.position_covariance, doubted),
+        "position": _of_vectors(stated.names, 1000 * (p - p_true), 1e6 * stated.position_covariance, doubted),
         "relative": _of_vectors(
-            told.names[1:], 1000 * relative[:, 1:], 1e6 * told.relative_covariance[:, 1:], doubted[:, 1:]
+            stated.names[1:], 1000 * relative[:, 1:], 1e6 * stated.relative_covariance[:, 1:], doubted[:, 1:]
         ),
         "orientation": _of_vectors(
             names, np.degrees(_turns(estimate, truth)[:, turned]), np.degrees(np.degrees(turns)),

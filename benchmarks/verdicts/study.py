@@ -1,4 +1,4 @@
-"""Figures of all recordings together: what sigma and verdicts tell of errors above a threshold."""
+"""Figures of all recordings together: sigma and verdicts as predictors of errors above a threshold."""
 
 from __future__ import annotations
 
