@@ -70,23 +70,6 @@ class Body:
         """(S,) index of each sensor's counterpart on the other side."""
         return [self.sensor_joints.index(self.mirrored[j]) for j in self.sensor_joints]
 
-    @property
-    def inputs(self) -> int:
-        """Number of network features per frame."""
-        return 3 * len(self.names) + 2 * len(self.feet) + 7 * len(self.sensors)
-
-    @property
-    def constants(self) -> int:
-        """Number of network features per window."""
-        bones = 3 * len(bone_groups(self.names))
-        return 2 + (1 + 1) + (bones + 1)
-
-    @property
-    def outputs(self) -> int:
-        """Number of network outputs, see `windows.decode`."""
-        J = len(self.names)
-        return 3 * J + 2 * J + (7 * J if self.sensors else 0)
-
     def bones_of(self, offsets: Tensor) -> Tensor:
         """Return the bones of a person (..., 3 G), m.
 

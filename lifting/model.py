@@ -8,6 +8,8 @@ last). Features of a whole window are a shift of the first layer.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import prod
 
@@ -101,3 +103,14 @@ class Layer(nn.Module):
 def _fold(x: Tensor, width: int) -> Tensor:
     """Concatenate each `width` frames: (B, T, C) -> (B, T / width, width * C)."""
     return x.reshape(x.shape[0], x.shape[1] // width, width * x.shape[2])
+
+
+@contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """Limit torch to `count` threads inside; a second one costs more than it gains on small windows."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

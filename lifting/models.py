@@ -50,7 +50,7 @@ class Model:
 
 MODELS: Final = {
     RAYS: Model(
-        lambda body: (body.inputs, body.constants, body.outputs),
+        windows.sizes,
         TemporalNetwork, windows.encode, windows.decode,
         windows.mirror_features, windows.mirror_output, senses=True,
     ),

@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from lifting.checkpoint import LifterDescription, load_checkpoint
 from lifting.folded import FoldedNetwork
-from lifting.model import TemporalNetwork
+from lifting.model import TemporalNetwork, torch_threads
 from lifting.models import RAYS, model_of
 from lifting.source import Source
-from lifting.threads import torch_threads
 from lifting.windows import SIGMA_TURN, Estimate, orthonormal, rotations
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import InvalidInputError, ViewError

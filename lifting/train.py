@@ -16,9 +16,9 @@ import torch
 
 from lifting.corpus import Corpus, read_corpus
 from lifting.distributed import workers
+from lifting.model import torch_threads
 from lifting.run import Run
 from lifting.settings import TrainConfig
-from lifting.threads import torch_threads
 from rtof_kin.core.files.folder import check_new_file
 
 Progress = Callable[[dict[str, Any]], None]

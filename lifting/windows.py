@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from lifting.body import Body
+from lifting.body import Body, bone_groups
 
 MIN_FORWARD = 0.1
 """Cosine to the view axis below which a ray counts as unseen."""
@@ -122,6 +122,13 @@ class Estimate:
         sigma = self.log_spread.exp().transpose(1, 2)
         sigma = sigma * sigma.new_tensor([SIGMA_ACROSS, SIGMA_ALONG])
         return torch.cat([sigma[:, :1] * _length(self.root)[..., None], sigma[:, 1:]], dim=1)
+
+
+def sizes(body: Body) -> tuple[int, int, int]:
+    """Return the numbers of inputs, constants and outputs of the network."""
+    J, S = len(body.names), len(body.sensors)
+    constants = 2 + (1 + 1) + (3 * len(bone_groups(body.names)) + 1)
+    return 3 * J + 2 * len(body.feet) + 7 * S, constants, 5 * J + (7 * J if S else 0)
 
 
 def encode(body: Body, windows: Windows) -> EncodedWindows:

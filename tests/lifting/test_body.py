@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from lifting.body import Body, bone_groups, side_of
+from lifting.windows import sizes
 from rtof_kin.body.skeleton_table import SkeletonTable
 
 
@@ -84,8 +85,5 @@ def test_the_21_joints_have_13_sensors_and_the_17_none(body: Body, body_17: Body
 
 
 def test_sizes_of_input_and_output(body: Body, body_17: Body) -> None:
-    assert body.inputs == 3 * 21 + 2 * 2 + 7 * 13
-    assert body.outputs == 3 * 21 + 2 * 21 + 7 * 21
-    assert body_17.inputs == 3 * 17 + 2 * 2
-    assert body_17.outputs == 3 * 17 + 2 * 17
-    assert body.constants == 2 + 2 + 3 * 13 + 1
+    assert sizes(body) == (3 * 21 + 2 * 2 + 7 * 13, 2 + 2 + 3 * 13 + 1, 3 * 21 + 2 * 21 + 7 * 21)
+    assert sizes(body_17)[0::2] == (3 * 17 + 2 * 2, 3 * 17 + 2 * 17)

@@ -91,14 +91,6 @@ def test_validation_takes_may_be_chosen_but_some_must_train(takes: Path) -> None
         total_capture_corpus(takes, validation=FEW)
 
 
-def test_a_folder_of_test_takes_is_refused(tmp_path: Path) -> None:
-    tc.dataset(tmp_path, tc.take("S5", "acting3"))
-    with pytest.raises(FileFormatError, match="no take to train on could be read"):
-        total_capture_corpus(tmp_path)
-    with pytest.raises(FileFormatError, match="there is no such folder"):
-        total_capture_corpus(tmp_path / "none")
-
-
 # --- Human3.6M -----------------------------------------------------------------------------------
 
 

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from lifting import predict as module
 from lifting.checkpoint import save_checkpoint
 from lifting.folded import FoldedNetwork
+from lifting.model import torch_threads
 from lifting.models import model_of
 from lifting.predict import LiftedPoses, Lifter
-from lifting.threads import torch_threads
 from lifting.windows import SIGMA_ACROSS, SIGMA_ALONG, SIGMA_TURN
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3

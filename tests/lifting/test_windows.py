@@ -18,6 +18,7 @@ from lifting.windows import (
     mirror_features,
     mirror_output,
     rotations,
+    sizes,
 )
 from rtof_kin.core import rotations as so3
 
@@ -242,5 +243,5 @@ def test_degenerate_scenes_stay_finite(body: Body, scene: Tensor, axes: Tensor) 
         assert torch.isfinite(encoded.features).all()
         assert torch.isfinite(encoded.constants).all()
         for value in (1e6, 0.0):
-            for part in fields(decode(body, torch.full((3, body.outputs), value), encoded)):
+            for part in fields(decode(body, torch.full((3, sizes(body)[2]), value), encoded)):
                 assert torch.isfinite(part).all()

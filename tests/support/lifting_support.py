@@ -13,7 +13,7 @@ from lifting.corpus import Corpus
 from lifting.model import NetworkConfig, TemporalNetwork
 from lifting.predict import LiftedPoses, Lifter
 from lifting.recipes import first_answer
-from lifting.windows import EncodedWindows, Windows
+from lifting.windows import EncodedWindows, Windows, sizes
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton_table import SkeletonTable, read_skeleton_table
 from rtof_kin.core import rotations as so3
@@ -75,7 +75,7 @@ def untrained_lifter(
     """A lifter with random weights: symmetries do not depend on training."""
     body = tiny_corpus(table=table).body()
     torch.manual_seed(seed)
-    shape = NetworkConfig(body.inputs, body.constants, body.outputs, channels=channels, causal=causal)
+    shape = NetworkConfig(*sizes(body), channels=channels, causal=causal)
     network = TemporalNetwork(shape).eval()
     with torch.no_grad():
         for p in network.parameters():
