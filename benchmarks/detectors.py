@@ -1,4 +1,4 @@
-"""How far a detector's points are from the skeleton's joints, mapped plainly and by the fitted adapter.
+"""Distance of a detector's points from the skeleton's joints, mapped plainly and by the fitted adapter.
 
 ``python -m benchmarks.detectors --corpus DIR`` with DIR the folder of free motion (see README.md here).
 Motion of the validation subjects of split.toml, on the shipped skeleton with bone lengths varied by 5 %
@@ -86,7 +86,7 @@ def _row(
 
 
 def _observed(uv: Array, kind: str, rng: Generator) -> tuple[Array, Array]:
-    """What the detector reports: points, px, and confidence."""
+    """Simulated detections: points, px, and confidence."""
     confidence = np.ones(uv.shape[:2])
     if kind != "exact":
         bias = BIAS_PX * rng.standard_normal(uv.shape[1:])

@@ -61,7 +61,7 @@ def motions(corpus: Path, subset: str, kind: str) -> list[MocapClip]:
 
 
 def recorded(clip: MocapClip, camera: int, sensors: Sequence[str], known: bool) -> Recording:
-    """What is recorded of a motion; without what a calibration could find where that is known."""
+    """Simulate the recording of a motion; without calibration errors where they are known."""
     settings = replace(SimulationSettings.realistic(), sensors=tuple(sensors))
     if known:
         settings = replace(

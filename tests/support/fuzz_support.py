@@ -196,7 +196,7 @@ def _corpus_index() -> Files:
 
 def _lifter() -> Files:
     lifter = lifting_support.untrained_lifter(channels=4)
-    return made_by(lambda d: save_checkpoint(d / "a.pt", lifter._network, lifter.description))
+    return made_by(lambda d: save_checkpoint(d / "a.pt", lifter.network, lifter.description))
 
 
 def one(name: str, content: Callable[[], bytes] | bytes) -> Callable[[], Files]:
