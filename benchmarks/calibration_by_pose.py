@@ -1,4 +1,4 @@
-"""Accuracy of calibrating sensors by a pose, by the movement after it, and by exercises.
+"""Accuracy of calibrating sensors by a pose and by the movement after it.
 
 ``python -m benchmarks.calibration_by_pose --corpus DIR`` with DIR the folder of free motion (README.md).
 A motion of each validation subject of split.toml, up to 12 s, after two seconds of a pose that is held as
@@ -8,8 +8,6 @@ sensors and in truth over the movement, degrees, turned to one heading: the mean
 over segments. *right calibration* is what soft tissue alone makes of them. *given*: the facing is known.
 *told*: derived from movement, of sensors with one reference. *own*: a heading for each sensor, derived
 from movement.
-*exercises*: knees, elbows and trunk bent one after the other, on the shipped skeleton, after an N-pose
-with the same errors.
 """
 
 from __future__ import annotations
@@ -26,14 +24,13 @@ from numpy.typing import NDArray
 from rich.progress import track
 
 from benchmarks.harness import write_results
-from benchmarks.held import HELD, MOVING, exercise, held_then_moving, held_wrongly, movements
+from benchmarks.held import HELD, MOVING, held_then_moving, held_wrongly
 from benchmarks.mounting import pieces
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.functional import calibrate_by_movement
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 from rtof_kin.inertial.poses import POSES, facing_of, pose_rotations
 from rtof_kin.simulation.mocap import MocapClip
@@ -45,7 +42,7 @@ Array = NDArray[np.float64]
 HERE = Path(__file__).parent
 SEED = 1
 POSE_ERRORS_DEG = (0.0, 5.0, 10.0, 15.0)
-KINDS = ("right calibration", "given", "told", "own", "exercises, shared", "exercises, own")
+KINDS = ("right calibration", "given", "told", "own")
 
 
 @dataclass(frozen=True)
@@ -113,26 +110,6 @@ def by_pose(clip: MocapClip, pose: str, error_deg: float) -> list[dict[str, Any]
     return [{**about, **row} for row in rows]
 
 
-def by_exercises(seed: int, error_deg: float) -> list[dict[str, Any]]:
-    """Rows of one person who exercises after an N-pose."""
-    skeleton = SkeletonModel.default()
-    rng = np.random.default_rng([SEED, seed])
-    R_pose = pose_rotations("N", skeleton)
-    R_held = held_wrongly(rng, R_pose, skeleton, error_deg) if error_deg else R_pose
-    take = Take.of(exercise(skeleton, rng, R_held=R_held), skeleton, f"exercise {seed}")
-    rows = []
-    for kind, imus, headings in (("shared", take.aligned(), "shared"), ("own", take.imus, "own")):
-        done = [m for m in movements() if m.joint in take.truth.joints]
-        found = calibrate_by_movement(
-            imus, take.joints, done, skeleton, headings=headings  # type: ignore[arg-type]
-        )  # fmt: skip
-        rows.append({
-            "motion": f"exercise {seed}", "pose": "N", "pose_error_deg": error_deg,
-            "kind": f"exercises, {kind}", "errors": take.errors_deg(imus, found.calibration, HELD),
-        })  # fmt: skip
-    return rows
-
-
 def table(rows: list[dict[str, Any]]) -> str:
     """Mean and 90th percentile over segments and pieces, as Markdown."""
     head = " | ".join(f"{error:.0f} deg off" for error in POSE_ERRORS_DEG)
@@ -160,8 +137,6 @@ def main(arguments: list[str] | None = None) -> int:
     clips = list({clip.subject: clip for clip in pieces(options.corpus, "validation")}.values())
     jobs = [(clip, pose, error) for clip in clips for pose in POSES for error in POSE_ERRORS_DEG]
     rows = [row for job in track(jobs, "poses") for row in by_pose(*job)]
-    for seed in range(len(clips)):
-        rows += [row for error in POSE_ERRORS_DEG for row in by_exercises(seed, error)]
     command = "python -m benchmarks.calibration_by_pose --corpus DIR"
     result = {"command": command, "seed": SEED, "rows": rows}
     write_results(options.out, result, table(rows))

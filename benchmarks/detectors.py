@@ -23,9 +23,12 @@ from numpy.typing import NDArray
 from rtof_kin.vision.views import Views, ViewSettings
 
 from benchmarks.harness import write_results
+from benchmarks.views import Views, ViewSettings
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.simulation.mocap import MocapClip, read_corpus
 from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks
+from rtof_kin.vision.layouts import mirrored
 from rtof_kin.vision.recognise import recognise
 
 Array = NDArray[np.float64]
@@ -59,10 +62,11 @@ def _row(
     for points, depth in seen:
         uv, confidence = _observed(points[:, index] * FOCAL_PX, kind, rng)
         truth = points[:, : len(names)] * FOCAL_PX
+        known = np.where(confidence[..., None] > 0, uv, np.nan)
         adapted = adapter.apply(layout, uv, confidence)
         scale = (depth / DISTANCE)[:, None]
         errors["adapter"].append(_distance(adapted, truth, names) * scale)
-        errors["naive"].append(_distance(adapter.naive(layout, uv, confidence), truth, names) * scale)
+        errors["naive"].append(_distance(_nearest_points(adapter, layout, known), truth, names) * scale)
         errors["sigma"].append(adapted.sigma_px[:, : len(names)] * scale)
         recognised.append(_recognised(uv, confidence, layout))
     all_errors = {key: np.concatenate(value) for key, value in errors.items()}
@@ -83,6 +87,26 @@ def _row(
             for key in ("naive", "adapter")
         },
     }
+
+
+def _nearest_points(adapter: LandmarkRegression, layout: str, uv: Array) -> RegressedLandmarks:
+    """The plain mapping of detectors.toml: each joint at the nearest point, or between two."""
+    data, points = tomllib.loads(adapter.table.path.read_text()), adapter.table.layout(layout).points
+    at: dict[str, Array] = {}
+    for joint, lists in data["naive"].items():
+        for change in (str, mirrored):
+            named = [[change(p) for p in names] for names in lists]
+            nearest = next((names for names in named if set(names) <= set(points)), None)
+            if nearest is not None:
+                at[change(joint)] = uv[:, [points.index(p) for p in nearest]].mean(axis=1)
+    for joint, entry in data["naive_between"].items():
+        for change in (str, mirrored):
+            start, stop = change(entry["from"]), change(entry["to"])
+            if start in at and stop in at:
+                at[change(joint)] = (1 - entry["share"]) * at[start] + entry["share"] * at[stop]
+    names = tuple(name for name in SkeletonModel.default().names if name in at)
+    uv = np.stack([at[name] for name in names], axis=1)
+    return RegressedLandmarks(names, uv, np.ones(uv.shape[:2]), np.full(uv.shape[:2], np.nan))
 
 
 def _observed(uv: Array, kind: str, rng: Generator) -> tuple[Array, Array]:

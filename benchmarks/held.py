@@ -10,8 +10,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.functional import Movement
-from rtof_kin.inertial.poses import flexion_axis, pose_rotations, turned_to
+from rtof_kin.inertial.poses import pose_rotations, turned_to
 
 Array = NDArray[np.float64]
 HELD, MOVING = 2.0, 1.5
@@ -68,22 +67,15 @@ EXERCISES = (
 """The joint a movement is named by, and how far segments flex in it, rad."""
 
 
-def exercise(
-    skeleton: SkeletonModel, rng: Generator, seconds: float = 6.0, R_held: Array | None = None
-) -> PoseSequence:
+def exercise(skeleton: SkeletonModel, rng: Generator, seconds: float) -> PoseSequence:
     """A person who stands for two seconds, and then flexes one joint after another.
 
     Each movement takes `seconds` and is done three times, not quite about one axis: other axes move too,
     and other joints a little.
-
-    Args:
-        R_held: (J, 3, 3) R_world_bone of standing; an N-pose where not given.
     """
     rate, J = 60.0, len(skeleton.names)
     R_pose = pose_rotations("N", skeleton)
-    axes = {
-        joint: R_pose[j].T @ flexion_axis(joint, skeleton, R_pose) for j, joint in enumerate(skeleton.names)
-    }
+    axes = {name: R_pose[j].T @ _flexion_axis(j, skeleton, R_pose) for j, name in enumerate(skeleton.names)}
     count, still = round(seconds * rate), round(HELD * rate)
     T = still + count * len(EXERCISES)
     rotvec = np.zeros((T, J, 3))
@@ -100,16 +92,18 @@ def exercise(
                 * np.sin(2 * np.pi * (np.outer(phase, rng.uniform(2, 5, 3)) + rng.uniform(size=3)))
             )
     rotvec += 0.01 * np.sin(np.arange(T)[:, None, None] / rate * rng.uniform(1, 3, (J, 3)))
-    R_held = R_pose if R_held is None else R_held
-    local = kinematics.local_rotations(skeleton.parents, R_held) @ so3.exp(rotvec)
+    local = kinematics.local_rotations(skeleton.parents, R_pose) @ so3.exp(rotvec)
     R = kinematics.world_rotations(skeleton.parents, local)
     p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, np.tile([0.0, 0, 0.95], (T, 1)), R)
     return PoseSequence(np.arange(T) / rate, p, R, skeleton.names)
 
 
-def movements(seconds: float = 6.0) -> list[Movement]:
-    """The movements of `exercise`, when they are done."""
-    return [
-        Movement(joint, HELD + i * seconds, HELD + (i + 1) * seconds)
-        for i, (joint, _) in enumerate(EXERCISES)
-    ]
+def _flexion_axis(j: int, skeleton: SkeletonModel, R_pose: Array) -> Array:
+    """Axis (3,) in world about which a segment flexes; an upper arm is raised forwards, the root bows."""
+    own = skeleton.table.joints[j]
+    for axis, dof in zip(own.axes, own.dofs, strict=True):
+        if dof.clinical.endswith("flexion"):
+            sign = -1.0 if dof.clinical.startswith("-") else 1.0
+            return np.asarray(sign * R_pose[j][:, "xyz".index(axis)])
+    left = R_pose[0, :, 1]
+    return np.asarray(left if j == 0 else -left)

@@ -92,7 +92,9 @@ def rows(clip: MocapClip, camera: int, count: str, lifter: str | None) -> list[R
         began = process_time()
         if case == "known":
             given = SelfCalibration(())  # nothing to put right: solved like what was calibrated
-        result = reconstruct(recording, lifter=_lifter(lifter), calibrate=case == "calibrated", calibration=given)
+        result = reconstruct(
+            recording, lifter=_lifter(lifter), calibrate=case == "calibrated", calibration=given
+        )
         assert result.metrics is not None
         out.append({
             "motion": clip.name, "camera": camera, "sensors": count, "case": case,

@@ -24,9 +24,10 @@ from benchmarks.calibration.planted_rows import ALL, SESSIONS, Job, Row, recorde
 from lifting.predict import Lifter
 from rtof_kin.calibration.estimate import shared_fragments
 from rtof_kin.calibration.shared_fragments import SharedFragments
-from rtof_kin.reconstruction.pipeline import ReconstructionSettings
 from rtof_kin.reconstruction.prepare import prepare
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.joint_space.initial_guess import initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
@@ -37,9 +38,9 @@ def row(given: Recording, known: Mapping[tuple[str, str], Array], job: Job, lift
     settings, priors = ReconstructionSettings(), job.priors
     prepared = prepare(given, given.skeleton, "sf2", lifter, settings, lambda *_: None)
     solver = JointSpaceSettings(floor_height=given.floor_height)
+    guess = initial_guess(prepared.start, prepared.recording.video, prepared.bone_imus, given.skeleton)
     own, again = (  # each with a prior of its own to learn
-        shared_fragments(prepared.recording, prepared.start, priors, solver, settings.frames)
-        for _ in range(2)
+        shared_fragments(prepared.recording, guess, priors, solver, settings.frames) for _ in range(2)
     )
     sigma, truth = np.sqrt(np.diag(np.linalg.inv(own.prior))), values(own, known)
     found = own.estimate(priors.rounds, overcount=priors.overcount)

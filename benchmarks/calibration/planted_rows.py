@@ -162,7 +162,7 @@ def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
     recording, wrong, given = recorded(clip, job)
     out: Row = {**vars(job), "frames": len(recording.video)}
     if job.case == KNOWN:  # as one that was calibrated, with nothing left to correct
-        known = reconstruct(given, lifter=_lifter(lifter), calibrate=SelfCalibration(()))
+        known = reconstruct(given, lifter=_lifter(lifter), calibration=SelfCalibration(()))
         return {**out, "before": _figures(known.metrics)}
     calibration = calibrate_recording(given, None, job.priors, lifter=_lifter(lifter))
     out |= {
@@ -171,8 +171,8 @@ def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
         "detector": detected(recording, calibration.detector),
     }
     if job.case not in ERRORS or job.floor:
-        for stage, how in {"before": False, "after": calibration}.items():
-            made = reconstruct(given, lifter=_lifter(lifter), calibrate=how)
+        for stage, found_before in {"before": None, "after": calibration}.items():
+            made = reconstruct(given, lifter=_lifter(lifter), calibrate=False, calibration=found_before)
             out[stage] = _figures(made.metrics)
     return out
 

@@ -15,10 +15,10 @@ from benchmarks.confidence.cases import Case, Errors, errors
 from rtof_kin.solve.uncertainty.covariance_inflation import (
     OTHER,
     SEEN,
+    WHITE_FACTOR,
     CovarianceInflation,
     Widening,
-    factor_rate,
-    factor_where,
+    correlated_factor,
     seen_by,
     unsided,
 )
@@ -41,9 +41,9 @@ class _Sample:
     variance: Array
     """(n, 3) of the Hessian."""
     lasting: Array
-    """(n, 3) `ResidualStatistics.lasting`."""
+    """(n, 3) `ResidualStatistics.autocorrelation`."""
     doubt: Array
-    """(n, 3) `ResidualStatistics.doubt`."""
+    """(n, 3) `ResidualStatistics.torso_factor`."""
     apart: Array
     """(n, 3) mean square of the solution's difference from its start."""
 
@@ -56,7 +56,7 @@ def fitted(cases: Sequence[Case]) -> CovarianceInflation:
         for kind, name, both in errors(case):
             if len(both.error):
                 who = seen_by(kind, name, case.motion.skeleton.root, stated.sensors)
-                sample = _sample(kind, both, stated.lasting, stated.doubt(kind, who))
+                sample = _sample(kind, both, stated.autocorrelation, stated.torso_factor(kind, who))
                 found[who, kind][unsided(name)].append(sample)
     widenings: dict[str, dict[str, dict[str, Widening]]] = {who: {} for who in SEEN}
     shares: dict[str, dict[str, float]] = {who: {} for who in SEEN}
@@ -125,12 +125,13 @@ def sharpest(
     def score(logs: Array) -> tuple[float, Array]:
         """The mean score, and its derivatives by the logarithms of factor and floor."""
         k, b = np.exp(logs)
-        factor, floor = factor_where(k, lasting), b * lasting * doubt
+        factor, floor = correlated_factor(k, lasting), b * lasting * doubt
         sigma = np.sqrt(factor**2 * variance + floor**2 + more) + _NOTHING
         z = error / sigma
         ranked = sigma * (z * (2 * ndtr(z) - 1) + (np.sqrt(2) * np.exp(-(z**2) / 2) - 1) / np.sqrt(np.pi))
         by_sigma = (np.sqrt(2) * np.exp(-(z**2) / 2) - 1) / np.sqrt(np.pi) / sigma
-        by_factor = factor * variance * k * factor_rate(k, lasting)
+        slope = 1.0 + (k > WHITE_FACTOR) * (lasting - 1.0)  # of the factor by k
+        by_factor = factor * variance * k * slope
         rates = [np.mean(by_sigma * by_factor), np.mean(by_sigma * floor**2)]
         return float(np.mean(ranked) / size), np.array(rates) / size
 
