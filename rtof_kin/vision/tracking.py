@@ -154,9 +154,7 @@ def track_person(
         own = [trail for trail in trails if (where, person) in zip(trail.frames, trail.people, strict=True)]
         if not own:
             known = np.flatnonzero(present[where]).tolist() if 0 <= where < len(present) else []
-            problem = (
-                f"there is no such person; of {len(present)} frames, counted from 0, that one has {known}"
-            )
+            problem = f"there is no such person; of {len(present)} frames, that one has {known or 'nobody'}"
             raise InvalidInputError(f"person {person} in frame {where}: {problem}")
         chosen, reason = own[0], f"asked for: person {person} in frame {where}"
     return _joined(chosen, trails, measures, times, reason)
