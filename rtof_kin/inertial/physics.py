@@ -93,13 +93,12 @@ def _explanation(
     if changes:
         text = "; or with ".join(_declared(change) for change in changes)
         return f"It would hold with {text}", changes[0] if len(changes) == 1 else {}
-    R_sensor_oriented, R = laws.fixed_axes(stream), stream.R_inertial_sensor
-    if R_sensor_oriented is not None and R is not None:
-        text = f"By the gyroscope, {laws.described_axes(R_sensor_oriented)}"
-        if np.linalg.det(R_sensor_oriented) < 0:
-            return text, {}
+    fixed, R = laws.fixed_axes(stream), stream.R_inertial_sensor
+    if fixed is not None and R is not None:
+        R_sensor_oriented, axes = fixed
         turned = replace(stream, R_inertial_sensor=R @ R_sensor_oriented.T)
-        return f"{text}; {_then(turned, declared)}", {}
+        mirrored = np.linalg.det(R_sensor_oriented) < 0
+        return f"By the gyroscope, {axes}{'' if mirrored else f'; {_then(turned, declared)}'}", {}
     rate_hz = laws.likely_rate(stream)
     if rate_hz is not None and [check.name for check in broken] == [laws.GYROSCOPE]:
         likely = {"rate_hz": round(rate_hz, 1)}

@@ -4,14 +4,11 @@ In the pose the orientation of every segment is known, so
 
     R_sensor_bone = (R_world_inertial R_inertial_sensor)^T R_world_bone.
 
-The pose gives R_sensor_bone for a known R_world_inertial. Its inclination is given by gravity, but any
-heading fits the pose equally well. Sensors with one reference (magnetometers, or aligned with each other
-before they were put on) leave one angle unobserved, the facing of the person in that reference; sensors
+for a known R_world_inertial. Its inclination is given by gravity, but any heading fits the pose equally well.
+Sensors with one reference leave one angle unobserved, the facing of the person in that reference; sensors
 with headings of their own leave one angle each. These are given, or estimated from the movement after the
 pose (`rtof_kin.inertial.headings`). In a T-pose the elbows' axes are vertical and do not determine headings:
-prefer an N-pose or a seated one.
-
-An error of the pose becomes an error of the calibration, of the same size.
+prefer an N-pose or a seated one. An error of the pose becomes an error of the calibration, of the same size.
 """
 
 from __future__ import annotations
