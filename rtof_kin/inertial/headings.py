@@ -5,9 +5,9 @@ R_pose at the time 0 of the pose,
 
     R_world_bone(t; h) = Rz(h) R_inertial_sensor(t) R_inertial_sensor(0)^T Rz(-h) R_pose.
 
-h changes the axis in the body about which the segment rotates afterwards. The likelihood of the movement is
-maximised exactly on a grid of headings and the tree of compared pairs (max-product, Pearl 1988), then refined.
-An axis that is vertical in the pose does not determine the heading.
+h changes the axis in the body about which the segment rotates afterwards. The likelihood of the movement
+is maximised exactly on a grid of headings and the tree of compared pairs (max-product, Pearl 1988), then
+refined. An axis that is vertical in the pose does not determine the heading.
 """
 
 from __future__ import annotations

@@ -158,15 +158,15 @@ def _likely_changes(streams: Sequence[SensorStream], declared: Declaration) -> l
 
 def _changes(streams: Sequence[SensorStream], declared: Declaration) -> Iterator[Mapping[str, str]]:
     """Generate all changes of the fields that concern the streams' channels, the fewest first."""
-    held = {name for stream in streams for name in stream.holds}
+    channels = {name for stream in streams for name in stream.holds}
     fields = []
-    if "f_sensor" in held:
+    if "f_sensor" in channels:
         fields += ["acceleration_unit"]
-    if "w_sensor" in held:
+    if "w_sensor" in channels:
         fields += ["angular_unit"]
-    if "R_inertial_sensor" in held:
+    if "R_inertial_sensor" in channels:
         fields += ["orientation_maps", "inertial_axes"]
-        fields += ["gravity", "acceleration_axes"] if "f_sensor" in held else []
+        fields += ["gravity", "acceleration_axes"] if "f_sensor" in channels else []
         if any(stream.quaternion_norm is not None for stream in streams):
             fields += ["quaternion_order"]
     every = [

@@ -2,7 +2,7 @@
 
 In the pose the orientation of every segment is known, so
 
-    R_sensor_bone = (R_world_inertial R_inertial_sensor)^T R_world_bone.
+    R_sensor_bone = (R_world_inertial R_inertial_sensor)^T R_world_bone
 
 for a known R_world_inertial. Its inclination is given by gravity, but any heading fits the pose equally well.
 Sensors with one reference leave one angle unobserved, the facing of the person in that reference; sensors
@@ -122,7 +122,7 @@ def calibrate_by_pose(
 
     Raises:
         UnknownNameError: unknown sensor, segment, pose or axis.
-        CalibrationError: nobody is still, a sensor has no orientation then, two sensors are on one
+        CalibrationError: the sensors never rest, one has no orientation then, two sensors are on one
             segment, or the movement is too small for headings.
     """
     if headings not in ("shared", "own"):
@@ -324,7 +324,7 @@ def _find_still(streams: Sequence[SensorStream]) -> tuple[float, float]:
         best = int(np.argmin(mean))
         restless = streams[int(np.argmax(rates[:, inside][:, best]))].name
         raise CalibrationError(
-            f"nobody stands still for {seconds:g} s: even around {centres[best]:.2f} s sensors turn at "
+            f"no {seconds:g} s without rotation: even around {centres[best]:.2f} s sensors turn at "
             f"{np.degrees(mean[best]):.0f} deg/s, {restless} most; hold the pose longer, or give its time "
             "with still=(start, stop)"
         )

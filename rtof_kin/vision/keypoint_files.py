@@ -294,7 +294,7 @@ def _people(path: Path, frame: Any, where: str) -> list[Person]:
 
 
 def _people_listed(path: Path, entries: Any, where: str) -> list[Person]:
-    """Return the listed people without those of whom no points were detected."""
+    """Return the listed people that have detected points."""
     if not isinstance(entries, list):
         raise FileFormatError(path, f"{where}: holds {_kind(entries)}, not a list of people")
     entries = [{"keypoints": entry} if isinstance(entry, list) else entry for entry in entries]

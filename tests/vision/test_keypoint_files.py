@@ -211,13 +211,13 @@ BROKEN: dict[str, tuple[str, Any, str]] = {
     "deep": ("p.json", "[" * 100000, "not readable as JSON"),
     "number": ("p.json", "3", "holds a number"),
     "text": ("p.json", '["a"]', "frame 0: holds text"),
-    "nobody": ("p.json", "[]", "nobody in any frame"),
-    "empty frames": ("p.json", '[{"people": []}]', "nobody in any frame"),
+    "nobody": ("p.json", "[]", "no person in any frame"),
+    "empty frames": ("p.json", '[{"people": []}]', "no person in any frame"),
     "odd count": ("p.json", '[{"people": [{"keypoints": [1, 2, 3, 4]}]}]', "4 numbers are not x, y"),
     "words": ("p.json", '[{"people": [{"keypoints": ["a", "b", "c"]}]}]', "its points are not"),
     "no x": ("p.json", '[[{"x": 1, "y": 2}, {"y": 2}]]', "its points are not numbers"),
     "huge number": ("p.json", f'[[{{"x": 1{"0" * 400}, "y": 2}}]]', "its points are not numbers"),
-    "no points": ("p.json", '[{"image_id": 1}]', "nobody in any frame"),
+    "no points": ("p.json", '[{"image_id": 1}]', "no person in any frame"),
     "two layouts": (
         "p.json", json.dumps([[[[1, 2, 1]] * 17], [[[1, 2, 1]] * 18]]), "frame 1: a person has 18 points",
     ),
@@ -261,7 +261,7 @@ def test_damaged_files_are_refused(name: str, tmp_path: Path) -> None:
         ({"uv_px": UV, "confidence": np.full((T, 2, K), -0.1)}, "give values from 0 to 1"),
         ({"uv_px": UV, "times": np.arange(3)}, "3, but there are 6 frames"),
         ({"uv_px": UV, "times": np.zeros(T)}, "time does not increase"),
-        ({"uv_px": UV[:0]}, "nobody in any frame"),
+        ({"uv_px": UV[:0]}, "no person in any frame"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused(arrays: dict[str, Array], message: str, tmp_path: Path) -> None:
