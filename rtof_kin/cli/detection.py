@@ -24,7 +24,7 @@ def add_commands(commands: Any) -> None:
 
 
 def _detect(options: argparse.Namespace) -> None:
-    from rtof_kin.core.errors import FileFormatError, ShapeError
+    from rtof_kin.core.errors import FileFormatError, InvalidInputError
     from rtof_kin.core.files.folder import check_new_file
     from rtof_kin.vision.recognise import recognise
     from rtof_kin.vision.video import detect_video, write_detections
@@ -45,7 +45,7 @@ def _detect(options: argparse.Namespace) -> None:
     )
     try:
         layout = recognise(found.uv_px, found.confidence).layout
-    except ShapeError as error:
+    except InvalidInputError as error:
         out.print(f"their layout is not recognised: {error}", soft_wrap=True)
         return
     text = f'[keypoints]\nfile = "{target.name}"\nlayout = "{layout.name}"'

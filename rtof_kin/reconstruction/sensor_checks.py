@@ -16,7 +16,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.bone_images import best_exchange, bone_images
 from rtof_kin.calibration.clock_check import NAME as CLOCKS
 from rtof_kin.calibration.clock_check import check_clocks
-from rtof_kin.core.errors import CalibrationError, ShapeError, SolverError
+from rtof_kin.core.errors import CalibrationError, InvalidInputError, SolverError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
@@ -99,7 +99,7 @@ def naming_wrong_samples(recording: Recording) -> Iterator[None]:
     """Errors of what runs inside begin with what is wrong with the sensors' samples, if anything."""
     try:
         yield
-    except (CalibrationError, ShapeError, SolverError) as error:
+    except (CalibrationError, InvalidInputError, SolverError) as error:
         causes = [check.message for check in check_sensor_form(recording) if check.failed]
         if not causes:
             raise

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.arrays import npz_names
 from rtof_kin.core.plausibility import Check
 from rtof_kin.core.signals import interpolate
@@ -261,7 +261,7 @@ def _keypoints(path: Path) -> Inspection:
         layout = recognise(found.uv_px, found.confidence, found.names)
         contents.append(("layout", f"{layout.layout.name}; {layout.reason}"))
         notes: tuple[str, ...] = ()
-    except ShapeError as error:
+    except InvalidInputError as error:
         notes = (f"The layout is not recognised: {error}",)
     return Inspection(path, "keypoints of a detector", tuple(contents), (), notes)
 
