@@ -89,7 +89,7 @@ def _row(
 
 
 def _nearest_points(adapter: LandmarkRegression, layout: str, uv: Array) -> RegressedLandmarks:
-    """The plain mapping of detectors.toml, for comparison: each joint at the nearest point, or between two."""
+    """The plain mapping of detectors.toml: each joint at the nearest point, or between two."""
     data, points = tomllib.loads(adapter.table.path.read_text()), adapter.table.layout(layout).points
     at: dict[str, Array] = {}
     for joint, lists in data["naive"].items():

@@ -377,6 +377,5 @@ def _factor(ratio: float) -> float:
 
 
 def _missing(stream: SensorStream) -> str:
-    if stream.R_inertial_sensor is None:
-        return "there is no orientation"
-    return "there is no acceleration" if stream.f_sensor is None else ""
+    channels = {"orientation": stream.R_inertial_sensor, "acceleration": stream.f_sensor}
+    return next((f"there is no {name}" for name, values in channels.items() if values is None), "")
