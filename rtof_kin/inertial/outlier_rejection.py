@@ -113,8 +113,7 @@ def find_disagreements(
     Rotation about a bone without branches is ignored (soft tissue), as are frames without keypoints.
 
     Args:
-        poses: robust solution with these sensors, at their times.
-        bone_imus: calibrated sensors. skeleton: the subject's.
+        poses: solved with these sensors, at their times. bone_imus: calibrated. skeleton: the subject's.
 
     Returns:
         Faults by segment.

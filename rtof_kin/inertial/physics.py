@@ -2,8 +2,7 @@
 
 Nothing is changed: a failed check names the change of the declaration under which the same numbers obey the
 law. For that the declared conversion is undone and another one applied, for every combination of the relevant
-choices; of those that obey, the one with the fewest changes is the likeliest. Clock and channels are checked
-for lost, missing, stuck and saturated samples and for a disturbed magnetic field.
+choices; of those that obey, the one with the fewest changes is the likeliest.
 """
 
 from __future__ import annotations

@@ -14,8 +14,7 @@ NPZ                         ``uv_px`` or ``keypoints`` (T, K, 2 or 3) or (T, P, 
 NPY                         one array like that
 ==========================  ====================================================================
 
-Coordinates that are fractions of the image need its size. Confidences above 1, which some detectors give,
-are clipped to 1; without confidences every point with finite coordinates has confidence 1.
+Coordinates that are fractions of the image need its size. Confidences are clipped to 1, and are 1 if missing.
 """
 
 from __future__ import annotations

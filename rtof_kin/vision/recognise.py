@@ -31,7 +31,6 @@ class Recognition:
     """A layout and the evidence for it."""
 
     layout: Layout
-    """Layout of the points."""
     reason: str
     """How it was recognised."""
     order: tuple[int, ...]
