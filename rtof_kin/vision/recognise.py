@@ -32,7 +32,6 @@ class Recognition:
 
     layout: Layout
     reason: str
-    """How it was recognised."""
     order: tuple[int, ...]
     """(K,) index of each of its points among those of the file."""
 

@@ -73,19 +73,6 @@ def coco_annotations() -> dict[str, Any]:
     }
 
 
-def mmpose() -> dict[str, Any]:
-    return {
-        "meta_info": {},
-        "instance_info": [
-            {"frame_id": t + 1,
-             "instances": [
-                 {"keypoints": UV[t, p].tolist(), "keypoint_scores": [0.8] * K} for p in (0, 1)
-             ]}
-            for t in range(T)
-        ],
-    }  # fmt: skip
-
-
 FORMATS: dict[str, Callable[[Path], Path]] = {
     "OpenPose folder": openpose_folder,
     "OpenPose frames": lambda p: dumped(p, frames("people", "pose_keypoints_2d")),
@@ -96,7 +83,14 @@ FORMATS: dict[str, Callable[[Path], Path]] = {
     ),
     "COCO results": lambda p: dumped(p, entries(lambda t: t)),
     "COCO annotations": lambda p: dumped(p, coco_annotations()),
-    "MMPose": lambda p: dumped(p, mmpose()),
+    "MMPose": lambda p: dumped(p, {"instance_info": frames("instances", "keypoints")}),
+    "MMPose scores": lambda p: dumped(
+        p,
+        [
+            {"instances": [{"keypoints": UV[t, i].tolist(), "keypoint_scores": [0.8] * K} for i in (0, 1)]}
+            for t in range(T)
+        ],
+    ),
     "lists of lists": lambda p: dumped(
         p, np.reshape([[points(t, p) for p in (0, 1)] for t in range(T)], (T, 2, K, 3)).tolist()
     ),
@@ -205,6 +199,8 @@ def test_zeros_and_nan_are_undetected_and_large_confidences_are_clipped(tmp_path
     assert found.confidence.max() == 1.0
 
 
+ROWS = [[1, 2, 1]]
+ENTRY = '[{{"image_id": {}, "keypoints": [9, 9, 1]}}]'
 BROKEN: dict[str, tuple[str, Any, str]] = {
     "no json": ("p.json", "{", "line 1: not readable as JSON"),
     "not text": ("p.json", b"\xff\xfe\x00", "not a text file in UTF-8"),
@@ -218,16 +214,10 @@ BROKEN: dict[str, tuple[str, Any, str]] = {
     "no x": ("p.json", '[[{"x": 1, "y": 2}, {"y": 2}]]', "its points are not numbers"),
     "huge number": ("p.json", f'[[{{"x": 1{"0" * 400}, "y": 2}}]]', "its points are not numbers"),
     "no points": ("p.json", '[{"image_id": 1}]', "no person in any frame"),
-    "two layouts": (
-        "p.json", json.dumps([[[[1, 2, 1]] * 17], [[[1, 2, 1]] * 18]]), "frame 1: a person has 18 points",
-    ),
-    "far frame": (
-        "p.json", json.dumps([{"image_id": 10**15, "keypoints": [9, 9, 1]}]), "numbered from 10+ to 10+",
-    ),
-    "negative": (
-        "p.json", json.dumps([{"image_id": -1, "keypoints": [9, 9, 1]}]), "numbered from -1",
-    ),
-    "no image": ("p.json", json.dumps([{"image_id": "x.jpg", "keypoints": [9, 9, 1]}]), "has no number"),
+    "two layouts": ("p.json", json.dumps([[ROWS * 17], [ROWS * 18]]), "frame 1: a person has 18 points"),
+    "far frame": ("p.json", ENTRY.format(10**15), "numbered from 10+ to 10+"),
+    "negative": ("p.json", ENTRY.format(-1), "numbered from -1"),
+    "no image": ("p.json", ENTRY.format('"x.jpg"'), "has no number"),
     "unknown table": ("p.json", '{"results": 3}', "'results' is no name of a frame"),
     "no npz": ("p.npz", b"PK\x03\x04", "damaged, or no NPZ archive"),
     "no npy": ("p.npy", b"\x93NUMPY\x01\x00", "not a NumPy array"),
