@@ -207,7 +207,6 @@ BROKEN: dict[str, tuple[str, Any, str]] = {
     "deep": ("p.json", "[" * 100000, "not readable as JSON"),
     "number": ("p.json", "3", "holds a number"),
     "text": ("p.json", '["a"]', "frame 0: holds text"),
-    "nobody": ("p.json", "[]", "no person in any frame"),
     "empty frames": ("p.json", '[{"people": []}]', "no person in any frame"),
     "odd count": ("p.json", '[{"people": [{"keypoints": [1, 2, 3, 4]}]}]', "4 numbers are not x, y"),
     "words": ("p.json", '[{"people": [{"keypoints": ["a", "b", "c"]}]}]', "its points are not"),
