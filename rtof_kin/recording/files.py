@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import CalibrationError, FileFormatError, ShapeError, UnitError, UnknownNameError
+from rtof_kin.core.errors import (
+    CalibrationError,
+    FileFormatError,
+    InvalidInputError,
+    UnitError,
+    UnknownNameError,
+)
 from rtof_kin.core.files.arrays import read_csv, read_npz
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.section import Section
@@ -38,7 +44,7 @@ def naming(path: Path) -> Iterator[None]:
         yield
     except UnitError as error:
         raise UnitError(f"{path}: {error}") from error
-    except (ShapeError, CalibrationError) as error:
+    except (InvalidInputError, CalibrationError) as error:
         raise FileFormatError(path, str(error)) from error
 
 
@@ -165,7 +171,7 @@ def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) ->
     kept = [i for i, name in enumerate(names) if name]
     with naming(path):
         if confidence.shape != uv.shape[:2]:
-            raise ShapeError(
+            raise InvalidInputError(
                 f"confidence: expected shape {uv.shape[:2]} as uv_px has, got {confidence.shape}"
             )
         sequence = KeypointSequence(
