@@ -134,7 +134,7 @@ def test_a_person_detector_gives_several_people(film: tuple[Path, Array], folder
     assert found.uv_px.shape == (10, 2, 17, 2)
     assert error_px(found.uv_px[:, 0], uv) < 3.0
     people_model(folder / "yolox.onnx", [[5, 5, 50, 50, 0.01]])
-    with pytest.raises(FileFormatError, match="walk.avi: there is nobody in any frame"):
+    with pytest.raises(FileFormatError, match="walk.avi: there is no person"):
         video.detect_video(path, folder)
 
 
