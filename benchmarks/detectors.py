@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
-from rtof_kin.vision.views import Views, ViewSettings
 
 from benchmarks.harness import write_results
 from benchmarks.views import Views, ViewSettings

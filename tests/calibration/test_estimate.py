@@ -51,7 +51,7 @@ def test_delay_at_the_border_of_the_search_is_in_doubt() -> None:
     assert delay.verdict is Verdict.DOUBTFUL
     assert "border of 0.15 s" in delay.doubt
     assert delay.sigma[0] == delay.sigma_prior[0]
-    assert any("is in doubt" in line for line in consistency_warnings(recorded(), result))
+    assert any("is unreliable" in line for line in consistency_warnings(recorded(), result))
 
 
 def test_planted_headings_are_found() -> None:

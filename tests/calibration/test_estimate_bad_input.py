@@ -82,7 +82,7 @@ LONG_LEGS = {"LeftLeg": 0.55, "RightLeg": 0.55, "LeftFoot": 0.60, "RightFoot": 0
 
 def test_height_contradicting_bone_lengths_is_refused() -> None:
     recording = replace(recorded(), joint_offsets=None, height=1.6, bone_lengths=LONG_LEGS)
-    with pytest.raises(CalibrationError, match=r"told to be 1\.60 m, .* make a body 2\.06 m tall"):
+    with pytest.raises(CalibrationError, match=r"height is 1\.60 m, .* make a body 2\.06 m tall"):
         check_height(recording)
 
 
@@ -99,9 +99,9 @@ def test_bones_contradicting_the_height_cause_a_warning() -> None:
     small = Quantity("bones", "all", -0.2 * ones, 0.01 * ones, 0.02 * ones, 0.9)
     said = consistency_warnings(tall, SelfCalibration((small,)))
     assert len(said) == 2
-    assert said[0].startswith("bones of all: -20 % is 10 times the 2 that it was held to be known to")
+    assert said[0].startswith("bones of all: -20 % is 10 times its prior standard deviation 2")
     told, made = recorded().skeleton.height, 0.8 * recorded().skeleton.height
-    assert f"told to be {told:.2f} m" in said[1]
+    assert f"height is {told:.2f} m" in said[1]
     assert f"make {made:.2f} m" in said[1]
 
 

@@ -30,7 +30,8 @@ from rtof_kin.core.resources import LIFTERS, model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.reconstruction.pipeline import ReconstructionSettings, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import read_mocap
 from rtof_kin.simulation.simulate import SimulationSettings, simulate

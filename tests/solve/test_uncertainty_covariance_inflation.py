@@ -115,7 +115,7 @@ def test_uncertain_lifter_raises_floors_without_sensors() -> None:
         ({"autocorrelation": 1.1}, r"autocorrelation: 1.1 is not in \[0, 1\]"),
         ({"autocorrelation": np.nan}, "autocorrelation: nan is not"),
         ({"torso_sigma": 0.0}, "torso_sigma: 0.0 must be positive"),
-        ({"sensors": ("Hips", "Hips")}, "sensors: Hips stands there more than once"),
+        ({"sensors": ("Hips", "Hips")}, "sensors: Hips occurs more than once"),
     ],
 )
 def test_invalid_statistics_are_refused(wrong: dict[str, Any], message: str) -> None:
