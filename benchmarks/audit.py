@@ -1,7 +1,7 @@
 """Does the audit of a report warn where something is wrong, and only there?
 
 ``python -m benchmarks.audit --corpus DIR`` reconstructs motions of the validation subjects, realistic 2D,
-eight sensors, as they are and with one thing wrong, and counts the verdicts of `report.audit` by section.
+eight sensors, unchanged and with one fault, and counts the verdicts of `report.audit` by section.
 What usual recordings reach is where the limits of its reprojection errors come from, so that usual ones
 pass says little; that others do not says more.
 """
@@ -122,7 +122,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def _counts(grades: list[list[str]]) -> str:
-    """How many recordings warn, and how many fail."""
+    """Count recordings that warn and that fail."""
     failed = sum(Grade.FAIL.value in own for own in grades)
     warned = sum(Grade.WARN.value in own and Grade.FAIL.value not in own for own in grades)
     return f"{warned} warn, {failed} fail of {len(grades)}"

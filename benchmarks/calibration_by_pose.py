@@ -1,4 +1,4 @@
-"""How exactly sensors are calibrated by a pose and by the movement after it.
+"""Accuracy of calibrating sensors by a pose and by the movement after it.
 
 ``python -m benchmarks.calibration_by_pose --corpus DIR`` with DIR the folder of free motion (README.md).
 A motion of each validation subject of split.toml, up to 12 s, after two seconds of a pose that is held as
@@ -6,7 +6,8 @@ it should be, or with joints turned so that segments are off by 5, 10 or 15 degr
 Eight sensors with soft tissue and accelerometer noise. The numbers are angles between segments by their
 sensors and in truth over the movement, degrees, turned to one heading: the mean, and the 90th percentile
 over segments. *right calibration* is what soft tissue alone makes of them. *given*: the facing is known.
-*told*: movement tells it, of sensors with one reference. *own*: movement tells a heading for each sensor.
+*told*: derived from movement, of sensors with one reference. *own*: a heading for each sensor, derived
+from movement.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ class Take:
         return dict(zip(self.truth.sensors, self.truth.joints, strict=True))
 
     def aligned(self) -> ImuSequence:
-        """As sensors measure that share the world as their reference."""
+        """Orientations measured by sensors with the world as reference frame."""
         R = self.truth.R_world_inertial @ self.imus.R_inertial_sensor
         return replace(self.imus, R_inertial_sensor=R)
 

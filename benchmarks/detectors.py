@@ -1,4 +1,4 @@
-"""How far a detector's points are from the skeleton's joints, mapped plainly and by the fitted adapter.
+"""Distance of a detector's points from the skeleton's joints, mapped plainly and by the fitted adapter.
 
 ``python -m benchmarks.detectors --corpus DIR`` with DIR the folder of free motion (see README.md here).
 Motion of the validation subjects of split.toml, on the shipped skeleton with bone lengths varied by 5 %
@@ -22,11 +22,13 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from benchmarks.harness import write_results
+from benchmarks.views import Views, ViewSettings
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.simulation.mocap import MocapClip, read_corpus
 from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks
+from rtof_kin.vision.layouts import mirrored
 from rtof_kin.vision.recognise import recognise
-from rtof_kin.vision.views import Views, ViewSettings
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).parent
@@ -59,10 +61,11 @@ def _row(
     for points, depth in seen:
         uv, confidence = _observed(points[:, index] * FOCAL_PX, kind, rng)
         truth = points[:, : len(names)] * FOCAL_PX
+        known = np.where(confidence[..., None] > 0, uv, np.nan)
         adapted = adapter.apply(layout, uv, confidence)
         scale = (depth / DISTANCE)[:, None]
         errors["adapter"].append(_distance(adapted, truth, names) * scale)
-        errors["naive"].append(_distance(adapter.naive(layout, uv, confidence), truth, names) * scale)
+        errors["naive"].append(_distance(_nearest_points(adapter, layout, known), truth, names) * scale)
         errors["sigma"].append(adapted.sigma_px[:, : len(names)] * scale)
         recognised.append(_recognised(uv, confidence, layout))
     all_errors = {key: np.concatenate(value) for key, value in errors.items()}
@@ -85,8 +88,28 @@ def _row(
     }
 
 
+def _nearest_points(adapter: LandmarkRegression, layout: str, uv: Array) -> RegressedLandmarks:
+    """The plain mapping of detectors.toml: each joint at the nearest point, or between two."""
+    data, points = tomllib.loads(adapter.table.path.read_text()), adapter.table.layout(layout).points
+    at: dict[str, Array] = {}
+    for joint, lists in data["naive"].items():
+        for change in (str, mirrored):
+            named = [[change(p) for p in names] for names in lists]
+            nearest = next((names for names in named if set(names) <= set(points)), None)
+            if nearest is not None:
+                at[change(joint)] = uv[:, [points.index(p) for p in nearest]].mean(axis=1)
+    for joint, entry in data["naive_between"].items():
+        for change in (str, mirrored):
+            start, stop = change(entry["from"]), change(entry["to"])
+            if start in at and stop in at:
+                at[change(joint)] = (1 - entry["share"]) * at[start] + entry["share"] * at[stop]
+    names = tuple(name for name in SkeletonModel.default().names if name in at)
+    uv = np.stack([at[name] for name in names], axis=1)
+    return RegressedLandmarks(names, uv, np.ones(uv.shape[:2]), np.full(uv.shape[:2], np.nan))
+
+
 def _observed(uv: Array, kind: str, rng: Generator) -> tuple[Array, Array]:
-    """What the detector reports: points, px, and confidence."""
+    """Simulated detections: points, px, and confidence."""
     confidence = np.ones(uv.shape[:2])
     if kind != "exact":
         bias = BIAS_PX * rng.standard_normal(uv.shape[1:])

@@ -1,7 +1,7 @@
 """The benchmark everything is measured by: test motions x cameras x kinds of 2D, as JSON and a table.
 
 ``python -m benchmarks.harness --corpus DIR`` with DIR the folder of free motion (see README.md here).
-Split and motions come from split.toml, cameras and noise from `rtof_kin.simulation.simulate` with fixed seeds.
+Split and motions come from split.toml, cameras and noise from `rtof_kin.simulation.simulate`, seeds fixed.
 Every number is a mean over frames pooled over motions and cameras; the interval beside a root-relative
 error is the 95 % bootstrap over motions, the unit that is independent.
 """
@@ -107,7 +107,7 @@ def middle(clip: MocapClip, seconds: float) -> MocapClip:
 
 
 def recorded(clip: MocapClip, camera: int, kind: str, sensors: tuple[str, ...], seed: int) -> Recording:
-    """What one of a motion's four cameras and the sensors record."""
+    """Simulate one of a motion's four cameras and the sensors."""
     # A motion's cameras and noise depend on its name, not on its place in the list.
     own = seed * 1_000_003 + zlib.crc32(clip.name.encode())
     return simulate(
@@ -170,7 +170,7 @@ def write_results(path: Path, data: Any, text: str) -> None:
     """Write what a benchmark found.
 
     Args:
-        path: of the JSON; the Markdown stands beside it. data: as JSON. text: as Markdown.
+        path: of the JSON; the Markdown is written beside it. data: as JSON. text: as Markdown.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")

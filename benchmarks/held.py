@@ -68,7 +68,7 @@ EXERCISES = (
 
 
 def exercise(skeleton: SkeletonModel, rng: Generator, seconds: float) -> PoseSequence:
-    """Somebody who stands for two seconds, and then flexes one joint after another.
+    """A person who stands for two seconds, and then flexes one joint after another.
 
     Each movement takes `seconds` and is done three times, not quite about one axis: other axes move too,
     and other joints a little.

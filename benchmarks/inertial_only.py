@@ -1,7 +1,7 @@
-"""How far inertial sensors alone carry: mode ``imu`` on the benchmark's motions, with 8, 10, 13 sensors.
+"""Accuracy of inertial sensors alone: mode ``imu`` on the benchmark's motions, with 8, 10, 13 sensors.
 
 ``python -m benchmarks.inertial_only --corpus DIR`` with the harness' motions; ``--subset validation``
-takes those to tune on. *exact* sensors tell the truth; *realistic* ones are as the harness has them:
+takes those to tune on. *exact* sensors have no errors; *realistic* ones are as the harness has them:
 misaligned by 2 degrees per axis, slipping and wobbling with the soft tissue, noisy. Motions are
 reconstructed whole: a walk of four seconds drifts little. Drift is the error of the root's horizontal
 path since the first frame: at the end, by what was walked and by time.
@@ -49,7 +49,7 @@ FIGURES = {
 _LONGEST = 30.0
 """[s] of a motion."""
 _WALKED = 2.0
-"""[m] Motions that go less far tell drift by time alone."""
+"""Least path for drift per distance, m."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Job:
 
 
 def recorded(job: Job) -> Recording:
-    """What the sensors record of a motion; nobody films it."""
+    """Simulate the sensors' recording of a motion, without a camera."""
     clip, settings = job.clip, SimulationSettings.perfect()
     settings = replace(settings, sensors=SETS[job.sensors], imu=NOISE[job.noise])
     camera = standard_cameras(clip.poses, job.seed)[0]
@@ -130,7 +130,7 @@ def _share(drift: Array, walked: Array) -> float:
 
 
 def table(rows: Sequence[dict[str, Any]]) -> Table:
-    """By noise and sensors."""
+    """Table by noise and sensors."""
     columns = ("sensors", "IMUs", *(heading for heading, _ in FIGURES.values()))
     columns += ("drift % of walked", "95 %", "median", "walking alone")
     columns += ("drift m/min, median", "vertical mm", "within 2 sigma %")

@@ -56,7 +56,7 @@ class Fault:
     named: str
     """A part of the first cause; empty where nothing may fail."""
     whole: bool = False
-    """Whether its checks need the reconstructed motion."""
+    """True if its checks need the reconstructed motion."""
 
 
 def seen(change: Callable[[KeypointSequence], KeypointSequence]) -> Plant:
@@ -190,7 +190,7 @@ def _sampler(folder: Path) -> Callable[..., Any]:
 
 
 def checks_of(recording: Recording, fault: Fault, lifter: Lifter) -> tuple[Check, ...]:
-    """What the checks say, with or without a reconstruction before."""
+    """Run the checks, with or without a reconstruction."""
     if not fault.whole:
         return check_camera_alone(recording, recording.skeleton, lifter)
     mode = "rto" if recording.imus is None else "rtof"

@@ -1,4 +1,4 @@
-"""How fast the lifter is on one thread: a long recording at once, and frame by frame.
+"""Speed of the lifter on one thread: a long recording at once, and frame by frame.
 
 ``python -m benchmarks.lifter_speed`` repeats the demo recording (60 Hz, 21 landmarks, 8 sensors) and
 writes results/lifter_speed.json and .md. Weights do not matter for speed: without a causal lifter,
@@ -117,7 +117,7 @@ def product_speed() -> float:
 
 
 def host() -> dict[str, Any]:
-    """What it ran on."""
+    """Description of the machine."""
     model = platform.processor()
     if Path("/proc/cpuinfo").exists():
         lines = Path("/proc/cpuinfo").read_text().splitlines()

@@ -180,7 +180,7 @@ def judge(clip: MocapClip) -> list[dict[str, Any]]:
 
 
 def _is_right(fault: Fault, planted: Planted, good: ImuCalibration) -> bool:
-    """Whether correcting it gives the good calibration back."""
+    """True if correcting it restores the good calibration."""
     if fault.kind is not planted.kind:
         return False
     corrected = fault.corrected(planted.calibration)

@@ -1,4 +1,4 @@
-"""How often `reconstruct` names faults of sensors and clocks, and accuses good recordings.
+"""Detection rate and false alarms of the checks of sensors and clocks.
 
 ``python -m benchmarks.sensor_checks --corpus DIR`` with DIR the folder of free motion (see README.md
 here); ``--real DIR`` adds recordings of real sensors (the trials of examples/sensor_trials.toml), of
@@ -52,7 +52,7 @@ class Fault:
     named: str
     """Part of the cause that names it."""
     of_form: bool = False
-    """Whether samples alone tell it, without an image."""
+    """True if samples suffice to detect it, without an image."""
 
 
 def _with_imus(recording: Recording, **changed: Any) -> Recording:
@@ -256,7 +256,7 @@ def _cases(recording: Recording) -> Iterator[tuple[str, Plant, str]]:
 
 
 def judge_real(folder: Path) -> list[dict[str, Any]]:
-    """The same of real sensors, of what samples alone tell."""
+    """The same of real sensors, of what samples alone show."""
     rows = []
     nothing = Fault(lambda recording: recording, "", True)
     for trial, imus in _real(folder):

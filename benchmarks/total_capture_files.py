@@ -42,14 +42,14 @@ END_SITES_MM: dict[str, tuple[tuple[str, tuple[float, float, float]], ...]] = {
     "RightHandThumb1": (("", (15, -30, 0)),),
     "RightToeBase": (("", (0, -70, 0)),),
 }
-"""What a BVH file has beyond the 21 joints, in segment axes of the parent; a joint without a name is an
+"""Joints of a BVH file beyond the 21, in segment axes of the parent; a joint without a name is an
 End Site. The left side mirrors x."""
 _CHANNELS = "Xposition Yposition Zposition Zrotation Xrotation Yrotation"
 _MAGNETIC_FIELD = np.array([0.0, 0.45, -0.9])
 
 
 def take_paths(layout: str, subject: str, take: str) -> dict[str, Path]:
-    """Where the files of a take lie below the folder of the dataset, by their kind.
+    """Return the paths of a take's files below the folder of the dataset, by kind.
 
     Args:
         layout: one of `LAYOUTS`. subject: 'S1'. take: 'acting3'.

@@ -16,7 +16,7 @@ from benchmarks.total_capture_files import C_WORLD_TC, M_TC_BONE
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import ANKLE_HEIGHT, NAMES, PARENTS, MocapClip, read_corpus, resample_clip
@@ -128,7 +128,7 @@ def from_t_pose(poses: PoseSequence, joint_offsets: Array, seed: int = 0) -> Pos
         poses: the motion. joint_offsets: (21, 3) m, its own. seed: of what is wrong with the T-pose.
     """
     if len(poses) < SHORTEST_CLIP:
-        raise ShapeError(f"stand-in: {len(poses)} frames are too few; give {SHORTEST_CLIP} at least")
+        raise InvalidInputError(f"stand-in: {len(poses)} frames are too few; give {SHORTEST_CLIP} at least")
     turn = so3.about_axis("z", np.pi / 2 - so3.heading(poses.R_world_bone[0, 0]))
     p_root, R = poses.p_world_joint[:, 0] @ turn.T, turn @ poses.R_world_bone
     count = STILL_FRAMES + BLEND_FRAMES // 2 + len(poses)
@@ -179,7 +179,7 @@ def choose_clips(
         seconds: length of a piece; short clips are used where there are too few long ones.
 
     Raises:
-        ShapeError: there are too few clips of some category.
+        InvalidInputError: there are too few clips of some category.
     """
     pools: dict[str, list[_Piece]] = {}
     for clip in clips:
@@ -192,7 +192,7 @@ def choose_clips(
         categories = CATEGORIES.get(kind, (kind,))
         pool = next((pools[c] for c in categories if pools.get(c)), [])
         if not pool:
-            raise ShapeError(
+            raise InvalidInputError(
                 f"the corpus has too few motions of category {' or '.join(categories)} for {subject} "
                 f"{take}; give a larger one, or fewer --seconds"
             )

@@ -2,7 +2,7 @@
 
 It is NOT Total Capture. That is handed out by its authors for research only; here CMU's motion moves
 bodies of its five subjects' proportions, and the IMUs, cameras and detections are simulated. What is
-measured on it shows that files are read rightly and a protocol runs, and says nothing about the dataset.
+measured on it shows that files are read correctly and a protocol runs, not the accuracy on the dataset.
 
 ``python -m benchmarks.total_capture_standin --corpus DIR --out FOLDER`` with DIR as in README.md here.
 Subjects S1, S2 and S3 move as training subjects of split.toml do, but for the three test takes, which are
@@ -34,7 +34,7 @@ from benchmarks.total_capture_motion import (
 )
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import OutputExistsError, RtofError, ShapeError
+from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
@@ -47,7 +47,7 @@ Array = NDArray[np.float64]
 WITHOUT_ORIENTATIONS = (("S2", "rom2"), ("S3", "rom1"), ("S3", "rom2"), ("S3", "rom3"))
 WITHOUT_BVH = (("S3", "rom3"),)
 CAMERA_2_BIAS_PX = (20.0, -8.0)
-"""By how much the real camera 2 misses: it is miscalibrated."""
+"""Error of the miscalibrated real camera 2, px."""
 _STAMP = 107.0
 _SHORTER_VIDEO = {("S1", "acting3"): 90}
 ACKNOWLEDGEMENT = (
@@ -78,9 +78,9 @@ class StandInTake:
     joint_offsets: Array
     """(21, 3) m, link axes of the parent."""
     imus: ImuSequence
-    """What the sensors say, one sample a frame."""
+    """Simulated sensors, one sample per frame."""
     calibration: ImuCalibration
-    """How they are mounted, as far as it is known."""
+    """Their calibration, as far as it is known."""
 
 
 # --- takes ---------------------------------------------------------------------------------------
@@ -218,7 +218,7 @@ def write_dataset(
         OutputExistsError: `out` is not empty. RtofError, OSError: the corpus cannot be used.
     """
     if not seconds * RATE_HZ >= SHORTEST_CLIP:
-        raise ShapeError(f"--seconds {seconds:g}: give {SHORTEST_CLIP / RATE_HZ:g} at least")
+        raise InvalidInputError(f"--seconds {seconds:g}: give {SHORTEST_CLIP / RATE_HZ:g} at least")
     for folder in (out, detections):
         if folder is not None and folder.exists() and (folder.is_file() or any(folder.iterdir())):
             raise OutputExistsError(f"{folder}: not an empty folder; name another one")

@@ -1,6 +1,6 @@
 """Draw where the sensors sit: the T-pose from the front and from the left, `docs/placement.png`.
 
-    python docs/placement_picture.py
+python docs/placement_picture.py
 """
 
 from __future__ import annotations
@@ -36,7 +36,13 @@ def main() -> None:
         for name, (segment, lever) in skeleton.sensors.items():
             (j,) = skeleton.index(segment)
             place = p[j] + R[j] @ np.asarray(lever)
-            group = "eight limb sensors" if name in EIGHT else "ten: + trunk" if name in TEN else "thirteen: + head, feet"
+            group = (
+                "eight limb sensors"
+                if name in EIGHT
+                else "ten: + trunk"
+                if name in TEN
+                else "thirteen: + head, feet"
+            )
             ax.scatter(place[across], place[2], s=60, marker="s", color=COLOURS[group], zorder=2)
             if across == 1:
                 right, low = place[1] < 0, "UpArm" in name  # labels of an arm would overlap

@@ -1,4 +1,4 @@
-"""The body that a lifter knows: its joints, tree, usual bones, and which segments may carry sensors."""
+"""The body of a lifter: joints, tree, nominal bones, and segments that may carry sensors."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _SIDED = re.compile(r"(Left|Right|L|R)(?=[A-Z])")
 
 @dataclass(frozen=True)
 class Body:
-    """The joints a lifter knows: names, tree, and the usual bone lengths."""
+    """Joints of a lifter with their tree and nominal bones."""
 
     names: tuple[str, ...]
-    """J joint names, root first, parents before children; for sided ones see `side_of`."""
+    """J joint names, root first, parents before children; sides by name, see `side_of`."""
     parents: tuple[int, ...]
     """(J,) index of each joint's parent, -1 for the root."""
     nominal_bones: tuple[float, ...]
-    """(3 G,) usual `bones_of` a person, m."""
+    """(3 G,) mean `bones_of` the training skeletons, m."""
     sensors: tuple[str, ...] = ()
-    """S joints whose segments may carry a sensor; with none, orientations are neither taken nor given."""
+    """S joints whose segments may carry a sensor; if none, orientations are neither input nor output."""
 
     @cached_property
     def mirrored(self) -> list[int]:
@@ -35,7 +35,7 @@ class Body:
 
     @cached_property
     def hips(self) -> list[int]:
-        """Indices of the root's sided children: their mean stands in for an unseen root."""
+        """Indices of the root's sided children: their mean replaces an unseen root."""
         return [j for j, p in enumerate(self.parents) if p == 0 and side_of(self.names[j])[0]]
 
     @cached_property
@@ -50,12 +50,12 @@ class Body:
 
     @cached_property
     def feet(self) -> list[int]:
-        """Indices of the joints that stand near the floor: the ankles."""
+        """Indices of the ankles."""
         return [leg[-1] for leg in self.legs]
 
     @cached_property
     def _limbs(self) -> list[list[int]]:
-        """The last three joints on the way to every sided joint that nothing hangs on."""
+        """Last three joints of every sided chain."""
         parents = self.parents
         ends = [j for j in range(len(parents)) if j not in parents and parents[j] > 0]
         return [[parents[parents[j]], parents[j], j] for j in ends if side_of(self.names[j])[0]]
@@ -70,28 +70,14 @@ class Body:
         """(S,) index of each sensor's counterpart on the other side."""
         return [self.sensor_joints.index(self.mirrored[j]) for j in self.sensor_joints]
 
-    @property
-    def inputs(self) -> int:
-        """Features of the network that change from frame to frame."""
-        return 3 * len(self.names) + 2 * len(self.feet) + 7 * len(self.sensors)
-
-    @property
-    def constants(self) -> int:
-        """Features of the network that hold for a whole window."""
-        bones = 3 * len(bone_groups(self.names))
-        return 2 + (1 + 1) + (bones + 1)
-
-    @property
-    def outputs(self) -> int:
-        """Values per estimated frame of the network, see `windows.decode`."""
-        J = len(self.names)
-        return 3 * J + 2 * J + (7 * J if self.sensors else 0)
-
     def bones_of(self, offsets: Tensor) -> Tensor:
-        """What the network is told of a person: (..., 3 G) m, of joint offsets (..., J, 3).
+        """Return the bones of a person (..., 3 G), m.
 
-        One offset per bone in its parent's link frame, the two sides as one (the right one mirrored
-        and averaged with the left), those in the middle without their sideways part.
+        One offset per bone in its parent's link frame: the right side is mirrored and averaged with the
+        left, bones in the middle lose their sideways part.
+
+        Args:
+            offsets: joint offsets (..., J, 3), m.
         """
         parts = []
         for joints in bone_groups(self.names).values():
@@ -104,7 +90,14 @@ class Body:
 
 
 def bone_groups(joint_names: tuple[str, ...]) -> dict[str, list[int]]:
-    """Bones by the unsided name of the joint at their far end, each with the indices of its joints."""
+    """Return the joint indices of each bone, left and right together.
+
+    Args:
+        joint_names: J names, root first.
+
+    Returns:
+        Indices by the name, without side, of the bone's distal joint.
+    """
     groups: dict[str, list[int]] = {}
     for j, name in enumerate(joint_names[1:], start=1):
         groups.setdefault(side_of(name)[1], []).append(j)
@@ -112,9 +105,10 @@ def bone_groups(joint_names: tuple[str, ...]) -> dict[str, list[int]]:
 
 
 def side_of(joint_name: str) -> tuple[str, str]:
-    """A joint's side ('left', 'right', or '' in the middle) and its name without it.
+    """Split a joint's name into its side ('left', 'right' or '') and the rest.
 
-    Both ``LeftArm`` and ``LElbow`` are on the left.
+    Args:
+        joint_name: such as ``LeftArm`` or ``LElbow``.
     """
     found = _SIDED.match(joint_name)
     if not found:

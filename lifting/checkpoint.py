@@ -1,7 +1,7 @@
-"""A trained lifter as one file: weights, everything needed to use them, and where they come from.
+"""File format of a trained lifter: weights, description and provenance.
 
-The file is written by `torch.save` and only ever read with ``weights_only=True``, so it cannot run
-code. A SHA-256 over the weights and the description finds damage.
+Written by `torch.save` and read with ``weights_only=True``, so that it cannot run code. A SHA-256 over
+weights and description detects damage.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import json
 import zipfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import torch
 from torch import Tensor
@@ -23,8 +23,8 @@ from rtof_kin.core.errors import FileFormatError, WritingError
 from rtof_kin.core.files.arrays import check_sizes
 from rtof_kin.core.files.folder import new_file
 
-FORMAT = "rtof-kin lifter"
-VERSION = 2
+FORMAT: Final = "rtof-kin lifter"
+VERSION: Final = 2
 ACKNOWLEDGEMENT = (
     "The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with "
     "funding from NSF EIA-0196217."
@@ -35,60 +35,63 @@ _LARGEST_BYTES = 4 * 2**30
 
 @dataclass(frozen=True)
 class LifterDescription:
-    """Everything about a lifter but its weights."""
+    """Description of a lifter without its weights."""
 
     body: Body
-    """Joints, tree and nominal bones."""
+    """Joints, tree, nominal bones and sensors."""
     network: NetworkConfig
     """Shape of the network."""
     rate_hz: float = 60.0
-    """Frames per second of the windows it was trained on."""
+    """Rate of the training windows, Hz."""
     recipe: dict[str, Any] = field(default_factory=dict)
     """Settings of the training, as plain values."""
     validation: dict[str, Any] = field(default_factory=dict)
     """Errors on the validation subjects, mm."""
     data: str = ACKNOWLEDGEMENT
-    """Where the motion came from, and what its licence asks to be said."""
+    """Source of the motion, as its licence asks."""
 
 
 def save_checkpoint(
     path: str | Path, network: TemporalNetwork, description: LifterDescription, overwrite: bool = False
 ) -> Path:
-    """Write a lifter; the file appears whole or not at all.
+    """Write a lifter.
+
+    Args:
+        path: of the file. network: with its weights. description: of it. overwrite: an existing file.
 
     Raises:
-        OutputExistsError, WritingError: as `save_tensors`.
+        OutputExistsError, WritingError: see `save_tensors`.
     """
     path = Path(path)
     text = json.dumps(asdict(description), sort_keys=True)
     weights = {k: v.detach().to("cpu").contiguous() for k, v in network.state_dict().items()}
-    content = {
-        "format": FORMAT,
-        "version": VERSION,
-        "description": text,
-        "weights": weights,
-        "sha256": _digest(text, weights),
-    }
-    save_tensors(content, path, overwrite)
+    content = {"format": FORMAT, "version": VERSION, "description": text, "weights": weights}
+    save_tensors({**content, "sha256": _digest(text, weights)}, path, overwrite)
     return path
 
 
 def save_tensors(content: dict[str, Any], path: Path, overwrite: bool) -> None:
-    """`torch.save` to a file that appears whole or not at all.
+    """Write by `torch.save`, atomically.
+
+    Args:
+        content: plain values and tensors. path: of the file. overwrite: an existing file.
 
     Raises:
-        OutputExistsError: it exists and overwriting was not asked for.
+        OutputExistsError: it exists and must not be overwritten.
         WritingError: it cannot be written.
     """
     with new_file(path, overwrite) as whole:
         try:
             torch.save(content, whole)
-        except RuntimeError as error:  # so torch calls a full disk
+        except RuntimeError as error:  # torch's error for a full disk
             raise WritingError(f"{path}: cannot be written ({error}); name another file") from error
 
 
 def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescription]:
-    """Read a lifter, on the CPU and ready for use.
+    """Read a lifter, on the CPU in evaluation mode.
+
+    Args:
+        path: of the file.
 
     Raises:
         FileFormatError: missing, not a lifter, written by another version, damaged or altered.
@@ -104,7 +107,10 @@ def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescriptio
         raise FileFormatError(
             path, "the checksum does not match: the file is damaged or was altered; copy it again"
         )
-    description = _description(path, text)
+    try:
+        description = _description(text)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise FileFormatError(path, f"the description of this lifter is wrong: {error}") from error
     network = model_of(description.network.model).network(description.network)
     try:
         network.load_state_dict(weights)
@@ -140,49 +146,35 @@ def _read(path: Path) -> dict[str, Any]:
     return content
 
 
-def _description(path: Path, text: str) -> LifterDescription:
-    try:
-        raw = json.loads(text)
-        body, network = raw.pop("body"), raw.pop("network")
-        description = LifterDescription(
-            body=Body(
-                tuple(map(str, body["names"])),
-                tuple(map(int, body["parents"])),
-                tuple(map(float, body["nominal_bones"])),
-                tuple(map(str, body["sensors"])),
-            ),
-            network=NetworkConfig(**{**network, "filter_widths": tuple(network["filter_widths"])}),
-            **raw,
-        )
-        _check(description)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise FileFormatError(path, f"the description of this lifter is wrong: {error}") from error
-    return description
-
-
-def _check(description: LifterDescription) -> None:
-    """Refuse what would build an absurd network."""
-    body, network = description.body, description.network
-    J = len(body.names)
-    tree = all(parent < j for j, parent in enumerate(body.parents)) and body.parents[:1] == (-1,)
-    if not 2 <= J <= _MAX_JOINTS or len(body.parents) != J or not tree:
-        raise ValueError("names and parents are no tree of joints")
-    if len(body.nominal_bones) != 3 * len(bone_groups(body.names)):
+def _description(text: str) -> LifterDescription:
+    """Parse and check a description; `ValueError` and others if it is wrong."""
+    raw = json.loads(text)
+    own, shape = raw["body"], raw["network"]
+    names, sensors = tuple(map(str, own["names"])), tuple(map(str, own["sensors"]))
+    parents, bones = tuple(map(int, own["parents"])), tuple(map(float, own["nominal_bones"]))
+    body = Body(names, parents, bones, sensors)
+    network = NetworkConfig(**{**shape, "filter_widths": tuple(shape["filter_widths"])})
+    J = len(names)
+    tree = all(parent < j for j, parent in enumerate(parents)) and parents[:1] == (-1,)
+    if not 2 <= J <= _MAX_JOINTS or len(parents) != J or not tree:
+        raise ValueError("names and parents are not a tree of joints")
+    if len(bones) != 3 * len(bone_groups(names)):
         raise ValueError("the nominal bones do not fit the joints")
-    if not set(body.sensors) <= set(body.names) or len(set(body.sensors)) < len(body.sensors):
+    if not set(sensors) <= set(names) or len(set(sensors)) < len(sensors):
         raise ValueError("the sensors' segments are not among the joints")
     if not {body.mirrored[j] for j in body.sensor_joints} <= set(body.sensor_joints):
         raise ValueError("a sensor's segment has no counterpart on the other side")
-    shape = network.inputs, network.constants, network.outputs
-    if shape != model_of(network.model).sizes(body):
+    if (network.inputs, network.constants, network.outputs) != model_of(network.model).sizes(body):
         raise ValueError("the network's inputs or outputs do not fit the joints")
     if not 1 <= network.channels <= _MAX_CHANNELS:
         raise ValueError(f"{network.channels} channels")
     widths = network.filter_widths
     if not 1 <= len(widths) <= 6 or not all(w in (1, 3, 5, 7) for w in widths):
         raise ValueError(f"filter widths {widths}")
+    description = LifterDescription(**{**raw, "body": body, "network": network})
     if not description.rate_hz > 0:
         raise ValueError(f"a rate of {description.rate_hz} Hz")
+    return description
 
 
 def _digest(text: str, weights: dict[str, Tensor]) -> str:

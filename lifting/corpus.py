@@ -1,4 +1,4 @@
-"""Motion capture as a lifter's training needs it: many clips at one rate, each in one split."""
+"""Motion capture for training: many clips at one rate, each in one split."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -18,23 +18,23 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.arrays import read_npz_as_saved, write_npz
 from rtof_kin.core.resources import model_path
 from rtof_kin.simulation import mocap
 
 Array = NDArray[np.float32]
-RATE_HZ = 60.0
-"""Frames per second, unless a corpus says otherwise."""
-RIGID_M = 1e-3
-"""Joints that are further than this from where rigid segments would have them are kept as recorded."""
+RATE_HZ: Final = 60.0
+"""Usual rate of a corpus, Hz."""
+RIGID_M: Final = 1e-3
+"""Largest distance between recorded joints and those of rigid segments that is ignored, m."""
 _SAME_BODY_M = 1e-3
 _LARGEST_BYTES = 64 * 2**30
 
 
 @dataclass(frozen=True)
 class Corpus:
-    """Many clips one after the other."""
+    """Concatenated clips."""
 
     names: tuple[str, ...]
     """J joint names, root first."""
@@ -55,98 +55,103 @@ class Corpus:
     rate_hz: float = RATE_HZ
     """Frames per second."""
     beyond_rigid: Array | None = None
-    """(N, J, 3) m, what to add to forward kinematics for the joints as recorded; None for nothing."""
+    """(N, J, 3) recorded joints minus forward kinematics, m; None for zero."""
     acknowledgement: str = ""
-    """Where the motion came from, and what its licence asks to be said; a lifter carries it on."""
+    """Source of the motion as its licence asks; copied into every lifter."""
 
     def __post_init__(self) -> None:
         N, J, C = len(self.p_world_root), len(self.names), len(self.subjects)
-        shapes = {
-            "p_world_root": (self.p_world_root.shape, (N, 3)),
-            "R_world_bone": (self.R_world_bone.shape, (N, J, 3, 3)),
-            "joint_offsets": (self.joint_offsets.shape, (C, J, 3)),
-            "start": (self.start.shape, (C + 1,)),
-            "split": ((len(self.split),), (C,)),
-            "parents": ((len(self.parents),), (J,)),
-        }
-        arrays = ["p_world_root", "R_world_bone", "joint_offsets"]
-        if self.beyond_rigid is not None:
-            shapes["beyond_rigid"] = (self.beyond_rigid.shape, (N, J, 3))
-            arrays.append("beyond_rigid")
-        for name, (have, want) in shapes.items():
-            if have != want:
-                raise ShapeError(f"corpus {name}: expected shape {want}, got {have}")
+        shapes: dict[str, tuple[int, ...]] = {
+            "p_world_root": (N, 3), "R_world_bone": (N, J, 3, 3), "joint_offsets": (C, J, 3),
+            "beyond_rigid": (N, J, 3), "start": (C + 1,), "split": (C,), "parents": (J,),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != shape:
+                raise ShapeError(f"corpus {name}: expected shape {shape}, got {np.shape(value)}")
         if C == 0 or self.start[0] != 0 or self.start[-1] != N or np.any(np.diff(self.start) < 1):
-            raise ShapeError("corpus start: does not cut the frames into clips of one or more frames")
-        for name in arrays:
-            if not np.all(np.isfinite(getattr(self, name))):
-                raise ShapeError(f"corpus {name}: not finite; leave gaps out of the clips")
+            raise InvalidInputError("corpus start: must cut the frames into clips of one or more frames")
+        for name in ("p_world_root", "R_world_bone", "joint_offsets", "beyond_rigid"):
+            value = getattr(self, name)
+            if value is not None and not np.all(np.isfinite(value)):
+                raise InvalidInputError(f"corpus {name}: not finite; leave gaps out of the clips")
         if not 1 <= self.rate_hz < np.inf:
-            raise ShapeError(f"corpus rate_hz: {self.rate_hz:g} frames per second; give at least 1")
+            raise InvalidInputError(f"corpus rate_hz: {self.rate_hz:g} Hz; give at least 1")
         unknown = sorted(set(self.split) - set(SPLITS))
         if unknown:
-            raise ShapeError(f"corpus split: no {', '.join(unknown)}; known: {', '.join(SPLITS)}")
+            raise InvalidInputError(f"corpus split: no {', '.join(unknown)}; known: {', '.join(SPLITS)}")
 
     def frames(self, clip: int) -> slice:
-        """The frames of a clip, by its number."""
+        """Return the frames of a clip."""
         return slice(int(self.start[clip]), int(self.start[clip + 1]))
 
     def clips(self, split: str, required: bool = True) -> list[int]:
-        """Numbers of the clips of a split.
+        """Return the indices of the clips of a split.
+
+        Args:
+            split: one of `SPLITS`. required: whether there must be any.
 
         Raises:
-            ShapeError: there is none, and one is required.
+            InvalidInputError: there is none, and one is required.
         """
         found = [c for c, s in enumerate(self.split) if s == split]
         if required and not found:
-            raise ShapeError(
+            raise InvalidInputError(
                 f"corpus: no clip is in the split '{split}' (subjects: "
                 f"{', '.join(sorted(set(self.subjects)))}); change the split"
             )
         return found
 
     def positions(self, clip: int, joint_offsets: Array | None = None) -> Array:
-        """Joints (T, J, 3) in world, m, of a clip by its number, on its own or another skeleton.
+        """Return the joints (T, J, 3) of a clip in world, m.
 
-        Where segments are not rigid, another skeleton's joints are as far from forward kinematics as
-        the recorded ones.
+        Args:
+            clip: its index.
+            joint_offsets: (J, 3) m, of another skeleton; None for its own. `beyond_rigid` is added to both.
         """
         frames = self.frames(clip)
         offsets = self.joint_offsets[clip] if joint_offsets is None else joint_offsets
-        p = kinematics.positions(
-            self.parents,
-            offsets.astype(np.float64),
-            self.p_world_root[frames].astype(np.float64),
-            self.R_world_bone[frames].astype(np.float64),
+        motion = (
+            x.astype(np.float64) for x in (offsets, self.p_world_root[frames], self.R_world_bone[frames])
         )
+        p = kinematics.positions(self.parents, *motion)
         if self.beyond_rigid is not None:
             p += self.beyond_rigid[frames]
         return p.astype(np.float32)
 
     def skeletons(self, split: str, at_most: int) -> list[Array]:
-        """Joint offsets (J, 3) of different bodies in a split, those with most frames first."""
+        """Return the joint offsets (J, 3) of the different bodies in a split, m.
+
+        Args:
+            split: one of `SPLITS`. at_most: number of bodies, those with most frames first.
+        """
         bodies: list[Array] = []
         frames: list[int] = []
         for c in self.clips(split):
-            own = self.joint_offsets[c]
+            own, count = self.joint_offsets[c], int(self.start[c + 1] - self.start[c])
             same = (i for i, body in enumerate(bodies) if np.abs(body - own).max() < _SAME_BODY_M)
-            i = next(same, len(bodies))
-            if i == len(bodies):
+            if (i := next(same, -1)) >= 0:
+                frames[i] += count
+            else:
                 bodies.append(own)
-                frames.append(0)
-            frames[i] += int(self.start[c + 1] - self.start[c])
-        return [bodies[i] for i in sorted(range(len(bodies)), key=lambda i: -frames[i])[:at_most]]
+                frames.append(count)
+        return [bodies[i] for i in np.argsort(-np.array(frames), kind="stable")[:at_most]]
 
     def body(self) -> Body:
-        """The joints, and the mean bones of the training clips."""
+        """Return the body with the mean bones of the training clips.
+
+        Sensors are those of the package's 21 joints; other skeletons have no orientations of their own.
+        """
         offsets = self.joint_offsets[self.clips("train", required=False) or slice(None)]
-        unknown = Body(self.names, self.parents, ())
-        nominal = unknown.bones_of(torch.from_numpy(offsets.mean(axis=0)))
-        bones = tuple(float(x) for x in nominal)
-        return Body(self.names, self.parents, bones, _sensed(self.names, self.parents))
+        mean = torch.from_numpy(offsets.mean(axis=0))
+        bones = tuple(float(x) for x in Body(self.names, self.parents, ()).bones_of(mean))
+        table = read_skeleton_table(model_path("skeleton.toml"))
+        own = (table.names, table.parents) == (self.names, self.parents)
+        sensors = tuple(sensor.joint for sensor in table.sensors) if own else ()
+        return Body(self.names, self.parents, bones, sensors)
 
     def digest(self) -> str:
-        """SHA-256 of all motion, its skeletons and its split, in hexadecimal."""
+        """Return the SHA-256 of motion, skeletons and split, hexadecimal."""
         texts = self.names, self.parents, self.subjects, self.split, self.rate_hz
         digest = hashlib.sha256(repr(texts).encode())
         arrays = [self.p_world_root, self.R_world_bone, self.joint_offsets, self.start]
@@ -155,7 +160,7 @@ class Corpus:
         return digest.hexdigest()
 
     def save(self, path: str | Path) -> Path:
-        """Write an .npz file that `read_corpus` reads, orientations as quaternions."""
+        """Write an .npz file for `read_corpus`, with orientations as quaternions."""
         path = Path(path)
         quat = so3.to_quat_wxyz(self.R_world_bone.reshape(-1, 1, 3, 3))
         arrays = {
@@ -170,53 +175,22 @@ class Corpus:
         return path
 
 
-def _sensed(names: tuple[str, ...], parents: tuple[int, ...]) -> tuple[str, ...]:
-    """Joints whose segments carry the usual sensors, if these are the package's 21 joints: others' motion
-    has no orientations of its own.
-    """
-    table = read_skeleton_table(model_path("skeleton.toml"))
-    if (table.names, table.parents) != (names, parents):
-        return ()
-    return tuple(sensor.joint for sensor in table.sensors)
-
-
-def make_corpus(
-    clips: Iterable[mocap.MocapClip], split_of: Mapping[str, str], rate_hz: float = RATE_HZ
-) -> Corpus:
-    """Put clips of the package's 21 joints together, split by subject.
-
-    Args:
-        clips: motion of any rate, z up, floor at z = 0.
-        split_of: the split of each subject; those not named train.
-        rate_hz: frames per second of the corpus.
-
-    Raises:
-        ShapeError: no clip, or clips with different joints.
-    """
-    pairs = ((clip, split_of.get(clip.subject, "train")) for clip in clips)
-    return join_clips(pairs, mocap.PARENTS, rate_hz)
-
-
 def join_clips(
     clips: Iterable[tuple[mocap.MocapClip, str]],
-    parents: tuple[int, ...],
+    parents: tuple[int, ...] = mocap.PARENTS,
     rate_hz: float = RATE_HZ,
     acknowledgement: str = "",
 ) -> Corpus:
-    """Put clips of any skeleton together.
-
-    Where positions differ from forward kinematics by more than `RIGID_M`, both are kept: what a
-    lifter learns is the positions.
+    """Make a corpus of clips of one skeleton.
 
     Args:
-        clips: with one of `SPLITS` each; motion with the same joints, of any rate, z up, floor at
-            z = 0, finite.
+        clips: each with one of `SPLITS`; the same joints, any rate, z up, floor at z = 0, finite.
         parents: (J,) index of each joint's parent, -1 for the root.
-        rate_hz: frames per second of the corpus; clips of another rate are resampled.
+        rate_hz: of the corpus, Hz; clips of another rate are resampled.
         acknowledgement: see `Corpus`.
 
     Raises:
-        ShapeError: no clip, or clips with different joints.
+        InvalidInputError: no clip, or clips with different joints.
     """
     names: tuple[str, ...] = ()
     arrays: list[tuple[Array, Array, Array]] = []
@@ -224,7 +198,7 @@ def join_clips(
     for clip, split in clips:
         names = names or clip.poses.names
         if clip.poses.names != names or len(names) != len(parents):
-            raise ShapeError(
+            raise InvalidInputError(
                 f"corpus: clip {clip.name} has the joints {', '.join(clip.poses.names)}, not the "
                 f"{len(parents)} that the others have; make a corpus of each skeleton"
             )
@@ -233,28 +207,20 @@ def join_clips(
         subjects.append(clip.subject)
         splits.append(split)
     if not arrays:
-        raise ShapeError("corpus: there is no clip")
+        raise InvalidInputError("corpus: there is no clip")
     p_root, R, beyond = (np.concatenate(parts) for parts in zip(*arrays, strict=True))
+    start = np.concatenate([[0], np.cumsum([len(part[0]) for part in arrays])])
     return Corpus(
-        names,
-        parents,
-        p_root,
-        R,
-        np.stack(offsets),
-        np.concatenate([[0], np.cumsum([len(part[0]) for part in arrays])]),
-        tuple(subjects),
-        tuple(splits),
-        rate_hz,
-        beyond if np.abs(beyond).max() > RIGID_M else None,
-        acknowledgement,
-    )
+        names, parents, p_root, R, np.stack(offsets), start, tuple(subjects), tuple(splits), rate_hz,
+        beyond if np.abs(beyond).max() > RIGID_M else None, acknowledgement,
+    )  # fmt: skip
 
 
 def _at_rate(clip: mocap.MocapClip, parents: tuple[int, ...], rate_hz: float) -> tuple[Array, Array, Array]:
-    """Root (T, 3), orientations (T, J, 3, 3) and joints less forward kinematics (T, J, 3), resampled.
+    """Resampled root (T, 3), orientations (T, J, 3, 3) and joints minus forward kinematics (T, J, 3).
 
-    A whole ratio of rates takes every n-th frame; otherwise the segments' orientations in their
-    parents are interpolated on the geodesic and the rest linearly.
+    An integer ratio of rates takes every n-th frame; otherwise orientations relative to the parent are
+    interpolated on the geodesic, the rest linearly.
     """
     poses, offsets = clip.poses, clip.joint_offsets
     p_root, R = poses.p_world_joint[:, 0], poses.R_world_bone
@@ -278,18 +244,18 @@ def read_corpus(path: str | Path, split: str | Path | None = None) -> Corpus:
 
     Args:
         path: written by `Corpus.save`, or a folder with an ``index.csv``.
-        split: a TOML file, see `lifting.splits`, by which a folder is split; where not given, the
-            folder's ``split.toml``, else the one of the benchmarks. An .npz file carries its own.
+        split: TOML file for a folder, see `lifting.splits`; by default see `find_split`.
 
     Raises:
-        FileFormatError: the file is no corpus, or there is no split.
+        FileFormatError: the file is not a corpus, or there is no split.
     """
     path = Path(path)
     if path.is_dir():
-        return make_corpus(mocap.read_corpus(path), read_split(split or find_split(path)))
+        split_of = read_split(split or find_split(path))
+        return join_clips((clip, split_of.get(clip.subject, "train")) for clip in mocap.read_corpus(path))
     data = read_npz_as_saved(path, _LARGEST_BYTES, kinds="fiubU")
     try:
-        with np.errstate(invalid="ignore"):  # some NaNs are said to be invalid when they are cast
+        with np.errstate(invalid="ignore"):  # casting of NaN
             return _from_arrays(data)
     except (ValueError, LookupError, TypeError, OverflowError) as error:
         raise FileFormatError(
@@ -302,16 +268,10 @@ def _from_arrays(data: Mapping[str, NDArray[Any]]) -> Corpus:
         R, p_root = data["R_world_bone"], data["p_world_joint"][:, 0]
     else:
         R, p_root = so3.from_quat_wxyz(data["quat_wxyz"]), data["p_world_root"]
+    names, subjects, split = (tuple(map(str, data[key])) for key in ("joint_names", "subjects", "split"))
+    offsets, beyond = data["offsets"].astype(np.float32), data.get("beyond_rigid")
     return Corpus(
-        tuple(str(name) for name in data["joint_names"]),
-        tuple(int(parent) for parent in data["parents"]),
-        p_root.astype(np.float32),
-        R.astype(np.float32),
-        data["offsets"].astype(np.float32),
-        data["start"].astype(np.int64),
-        tuple(str(subject) for subject in data["subjects"]),
-        tuple(str(split) for split in data["split"]),
-        float(data["rate_hz"]) if "rate_hz" in data else RATE_HZ,
-        data["beyond_rigid"].astype(np.float32) if "beyond_rigid" in data else None,
-        str(data["acknowledgement"]) if "acknowledgement" in data else "",
-    )
+        names, tuple(map(int, data["parents"])), p_root.astype(np.float32), R.astype(np.float32), offsets,
+        data["start"].astype(np.int64), subjects, split, float(data.get("rate_hz", RATE_HZ)),
+        None if beyond is None else beyond.astype(np.float32), str(data.get("acknowledgement", "")),
+    )  # fmt: skip

@@ -1,11 +1,11 @@
-"""Curves of a training: what was learnt from, what was measured, as a file and as a figure."""
+"""Learning curves of a training, as a file and as a figure."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -16,59 +16,67 @@ from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import write_text
 
 Row = Mapping[str, Any]
-"""One report with a validation, see `train.Progress`."""
-COLORS = ("#0072b2", "#c0392b", "#56b4e9", "#e69f00", "#2e8b57", "#8e44ad", "#8c8c8c")
-PANELS = (("rr_mm", "joint error relative to the root [mm]"), ("abs_mm", "absolute joint error [mm]"))
-LEGEND = "2D of the validation subjects: last"
+"""A report with a validation, see `train.Progress`."""
+COLORS: Final = ("#0072b2", "#c0392b", "#56b4e9", "#e69f00", "#2e8b57", "#8e44ad", "#8c8c8c")
+PANELS: Final = {"rr_mm": "joint error relative to the root [mm]", "abs_mm": "absolute joint error [mm]"}
 
 
 def data_file(lifter: str | Path) -> Path:
-    """Where the curves of a lifter stand."""
+    """Return the path of the curves' data."""
     return Path(f"{lifter}.curves.json")
 
 
 def figure_file(lifter: str | Path) -> Path:
-    """Where their figure stands."""
+    """Return the path of the curves' figure."""
     return Path(f"{lifter}.curves.png")
 
 
 def write_curves(lifter: str | Path, recipe: Row, history: Sequence[Row]) -> None:
-    """Write both beside a lifter; the figure where anything has been measured."""
-    data, picture = data_file(lifter), figure_file(lifter)
+    """Write the data, and the figure if there was a validation.
+
+    Args:
+        lifter: checkpoint beside which they are written.
+        recipe: settings, plain values. history: reports with validations.
+    """
     text = json.dumps({"recipe": recipe, "history": history}, indent=1)
-    write_text(data, text, overwrite=True)
+    write_text(data_file(lifter), text, overwrite=True)
     if history:
         figure = draw(history, Path(lifter).name)
         figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
-        with new_file(picture, overwrite=True) as whole:
+        with new_file(figure_file(lifter), overwrite=True) as whole:
             figure.savefig(whole, dpi=100)
 
 
 def draw(history: Sequence[Row], title: str) -> Figure:
-    """Loss, and errors of each kind of 2D, against the windows seen."""
+    """Plot the loss and the errors of each kind of 2D against the windows seen.
+
+    Args:
+        history: reports with validations. title: of the figure.
+    """
     figure = Figure(figsize=(15, 5))
     figure.subplots_adjust(left=0.05, right=0.99, bottom=0.11, top=0.9)
     loss, *panels = figure.subplots(1, 1 + len(PANELS))
     windows = [row["windows"] for row in history]
     loss.plot(windows, [row["loss_mm"] for row in history], "o-", color="black", markersize=3)
     _decorate(loss, "loss: joints + 0.3 x root, with all augmentation [mm]")
-    kinds = list(dict.fromkeys(kind for row in history for kind in row["validation"]))
-    for ax, (key, label) in zip(panels, PANELS, strict=True):
+    kinds = dict.fromkeys(kind for row in history for kind in row["validation"])
+    for ax, (key, label) in zip(panels, PANELS.items(), strict=True):
         for i, kind in enumerate(kinds):
             known = [row for row in history if kind in row["validation"]]
             values = [row["validation"][kind][key] for row in known]
-            color = COLORS[i % len(COLORS)]
-            where = [row["windows"] for row in known]
-            ax.plot(where, values, "o-", color=color, markersize=3, label=f"{kind}: {values[-1]:.1f}")
+            ax.plot(
+                [row["windows"] for row in known], values, "o-", color=COLORS[i % len(COLORS)],
+                markersize=3, label=f"{kind}: {values[-1]:.1f}",
+            )  # fmt: skip
         _decorate(ax, label)
         if kinds:
-            ax.legend(fontsize=8, title=LEGEND, title_fontsize=8, loc="lower left")
+            ax.legend(fontsize=8, title="2D of the validation: last", title_fontsize=8, loc="lower left")
     figure.suptitle(title)
     return figure
 
 
 def windows_axis(ax: Axes, label: str) -> None:
-    """Windows on a logarithmic horizontal axis, in millions."""
+    """Format the horizontal axis as a logarithmic number of windows, in millions."""
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     ax.xaxis.set_minor_locator(NullLocator())

@@ -1,8 +1,8 @@
-"""Training windows from a corpus of motion: everything is drawn anew, in batches, on one device.
+"""Random training windows from a corpus of motion, in batches, on one device.
 
-Every window is a moment of a real motion, re-timed, mirrored, re-proportioned, sometimes tilted as a
-whole or put together from the upper body of one motion and the lower body of another, and watched by
-a camera that exists only for it. Arrays are (B, 3, W, J), see `windows`.
+A window is a moment of a recorded motion, re-timed, mirrored, re-proportioned, sometimes tilted or
+combined from the upper body of one motion and the lower body of another, seen by a random camera.
+Arrays are (B, 3, W, J), see `windows`.
 """
 
 from __future__ import annotations
@@ -18,12 +18,15 @@ from torch import Tensor
 
 from lifting.body import Body, bone_groups
 from lifting.corpus import Corpus
-from lifting.draws import Draw, about_x, about_y, about_z
-from lifting.noise import HALF_HEIGHT, HALF_WIDTH, NoiseConfig, add_noise, perfect, runs, training_noise
+from lifting.draws import Draw, about_axis
+from lifting.noise import HALF_HEIGHT, HALF_WIDTH, PERFECT, TRAINING_NOISE, NoiseConfig, add_noise, runs
 from lifting.sensors import SensorConfig, with_errors, worn
 from lifting.windows import Picture, Windows
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import UnknownNameError
+
+Offsets = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -35,56 +38,64 @@ class AugmentConfig:
     camera_height: tuple[float, float] = (0.5, 3.2)
     """Height of the camera over the floor, m."""
     off_axis: float = 0.75
-    """The root is anywhere in this share of the image's width and height."""
+    """Share of the image's width and height in which the root may be."""
     roll: float = 0.05
     """Standard deviation of the camera's roll, rad."""
     mirror: float = 0.5
     """Share of windows with left and right swapped."""
     tilt: float = 1 / 3
-    """Share of windows with the whole body tilted."""
+    """Share of windows with a tilted body."""
     tilt_angle: float = 0.7
     """Largest tilt about a random horizontal axis, rad."""
     warp: tuple[float, float] = (0.7, 1.4)
-    """Range of the speed, 1 = as recorded."""
+    """Range of the speed relative to the recording."""
     overall_scale: float = 0.07
-    """Standard deviation of the whole body's size, relative."""
+    """Relative standard deviation of the body's size."""
     bone_scale: float = 0.05
-    """Standard deviation of each bone's length, left and right alike, relative."""
+    """Relative standard deviation of each bone's length, left and right together."""
     own_skeleton: float = 0.5
-    """Share of windows on the skeleton of their own motion; the rest on another of the bank's."""
+    """Share of windows on the skeleton of their motion; the rest have another one of the bank."""
     recombine: float = 0.2
     """Share of windows whose upper body comes from another motion."""
     hide_bones: float = 0.2
-    """Share of windows that are not told the bones."""
+    """Share of windows without known bones."""
     bone_error: float = 0.003
-    """Standard deviation per axis of the bones the network is told, m."""
+    """Standard deviation per axis of the known bones, m."""
     hide_height: float = 0.6
-    """Share of windows that are not told the camera's height."""
+    """Share of windows without a known camera height."""
     height_error: float = 0.02
-    """Standard deviation of the height the network is told, m."""
+    """Standard deviation of the known camera height, m."""
     noise: NoiseConfig = field(default_factory=NoiseConfig)
-    """Of the detector."""
+    """Errors of the detector."""
     sensors: SensorConfig = field(default_factory=SensorConfig)
-    """Which there are, and their errors."""
+    """Sensors worn, and their errors."""
 
 
-def plain(noise: NoiseConfig | None = None) -> AugmentConfig:
-    """Motion as recorded, from virtual cameras, bones known exactly, no sensors: what validation uses."""
+def plain(noise: NoiseConfig = PERFECT) -> AugmentConfig:
+    """Return the settings of validation: motion as recorded, exact bones, virtual cameras, no sensors.
+
+    Args:
+        noise: errors of the detector.
+    """
     return AugmentConfig(
         mirror=0.0, tilt=0.0, warp=(1.0, 1.0), overall_scale=0.0, bone_scale=0.0, own_skeleton=1.0,
-        recombine=0.0, hide_bones=0.0, bone_error=0.0, hide_height=1.0, noise=noise or perfect(),
+        recombine=0.0, hide_bones=0.0, bone_error=0.0, hide_height=1.0, noise=noise,
         sensors=SensorConfig(none=1.0),
     )  # fmt: skip
 
 
 def augmentation(noise: str, camera: Sequence[float] | None = None) -> AugmentConfig:
-    """What is drawn with a kind of 2D from `TRAINING_NOISE` and, where given, one (distance, height) of
-    all cameras, m.
+    """Return the settings for a kind of 2D.
+
+    Args:
+        noise: a key of `TRAINING_NOISE`. camera: distance and height of all cameras, m; None for random.
 
     Raises:
         UnknownNameError: there is no such kind.
     """
-    config = AugmentConfig(noise=training_noise(noise))
+    if noise not in TRAINING_NOISE:
+        raise UnknownNameError("noise of the keypoints", [noise], list(TRAINING_NOISE))
+    config = AugmentConfig(noise=TRAINING_NOISE[noise])
     if camera is None:
         return config
     distance, height = camera
@@ -93,10 +104,10 @@ def augmentation(noise: str, camera: Sequence[float] | None = None) -> AugmentCo
 
 @dataclass(frozen=True)
 class Batch:
-    """What is observed in some windows, and the truth about the frame that is estimated."""
+    """Observed windows, and the ground truth of their estimated frames."""
 
     windows: Windows
-    """What the network is given, before encoding."""
+    """Observations before encoding."""
     pose: Tensor
     """(B, 3, J) root-relative joints in world axes, m."""
     root: Tensor
@@ -107,31 +118,30 @@ class Batch:
 
 @dataclass
 class _Moving:
-    """Bodies in motion, before a camera is there."""
+    """Moving bodies, before a camera is placed."""
 
     bones: Tensor
     """(B, 3, W, J-1) bone vectors in world, m."""
     root: Tensor
     """(B, 3, W) path of the root from the estimated frame, m."""
     offsets: Tensor
-    """(B, J, 3) joint offsets of who moves, m."""
+    """(B, J, 3) joint offsets, m."""
     axes: Tensor
     """(B, 3, 2, J) x and z axes of all segments in the estimated frame."""
     carried: Tensor
     """(B, 3, W, 2, S) those of the segments that may carry sensors, at the sensors' times."""
 
     def turned(self, R: Tensor) -> _Moving:
-        """Everything turned by rotations (B, 3, 3)."""
+        """Return the bodies turned by rotations (B, 3, 3)."""
 
         def turn(x: Tensor) -> Tensor:
             return torch.bmm(R, x.flatten(2)).reshape(x.shape)
 
-        parts = self.bones, self.root, self.axes, self.carried
-        bones, root, axes, carried = map(turn, parts)
+        bones, root, axes, carried = map(turn, (self.bones, self.root, self.axes, self.carried))
         return _Moving(bones, root, self.offsets, axes, carried)
 
     def put_on(self, count: int, upper: _Moving, joints: Tensor, segments: Tensor, sensors: Tensor) -> None:
-        """Give the first bodies other upper bodies: masks (J,), (J,) and (S,) tell what is upper."""
+        """Replace the upper bodies of the first rows; masks (J,), (J,), (S,) select what is upper."""
 
         def exchange(mine: Tensor, other: Tensor, mask: Tensor) -> None:
             mine[:count] = torch.where(mask, other, mine[:count])
@@ -143,60 +153,50 @@ class _Moving:
 
 
 class MotionBank:
-    """A corpus as tensors on one device, from which windows are drawn."""
+    """A corpus as tensors on one device, to draw windows from."""
 
     def __init__(
-        self,
-        corpus: Corpus,
-        clips: list[int],
-        device: torch.device,
-        skeletons: Sequence[NDArray[np.float32]] = (),
+        self, corpus: Corpus, clips: list[int], device: torch.device, skeletons: Sequence[Offsets] = ()
     ):
-        """Take motion.
+        """Prepare motion.
 
         Args:
-            corpus: the motion.
-            clips: numbers of the clips to take, at least one.
-            device: where windows are made.
-            skeletons: joint offsets (J, 3) of other bodies to carry every clip over to, m. A clip
-                scales them to its own size.
+            corpus: the motion. clips: indices of the clips to use, at least one. device: of the tensors.
+            skeletons: joint offsets (J, 3) of further bodies for every clip, m, scaled to its size.
         """
         self.body, self.rate_hz = corpus.body(), corpus.rate_hz
         self.device = device
-        bodies: list[NDArray[np.float32] | None] = [None, *skeletons]
+        bodies: list[Offsets | None] = [None, *skeletons]
         self.bones = torch.stack(
             [torch.cat([_bones(corpus, clip, body) for clip in clips]) for body in bodies]
         ).to(device)
         self.offsets = torch.stack(
             [torch.stack([_offsets(corpus, clip, body) for clip in clips]) for body in bodies]
         ).to(device)
-        p_root, lowest, heading, axes, first, last = [], [], [], [], [], []
-        count = 0
-        for clip in clips:
-            p = corpus.positions(clip)
-            p_root.append(p[:, 0])
-            lowest.append(p[:, :, 2].min(axis=1))
-            R = corpus.R_world_bone[corpus.frames(clip)]
-            heading.append(so3.heading(R[:, 0]))
-            axes.append(R[..., [0, 2]].transpose(0, 2, 3, 1))
-            first.append(np.full(len(p), count))
-            count += len(p)
-            last.append(np.full(len(p), count - 1))
+        p = [corpus.positions(clip) for clip in clips]
+        R = np.concatenate([corpus.R_world_bone[corpus.frames(clip)] for clip in clips])
+        count = np.array([len(part) for part in p])
+        clip, last = np.repeat(np.arange(len(clips)), count), np.cumsum(count) - 1
 
-        def tensor(parts: list[Any], dtype: torch.dtype = torch.float32) -> Tensor:
-            return torch.from_numpy(np.concatenate(parts)).to(device, dtype)
+        def tensor(values: NDArray[Any], dtype: torch.dtype = torch.float32) -> Tensor:
+            return torch.from_numpy(values).to(device, dtype)
 
-        self.roots, self.lowest, self.heading = tensor(p_root), tensor(lowest), tensor(heading)
-        self.axes = tensor(axes)
+        self.roots = tensor(np.concatenate([part[:, 0] for part in p]))
+        self.lowest = tensor(np.concatenate([part[:, :, 2].min(axis=1) for part in p]))
+        self.heading = tensor(so3.heading(R[:, 0]))
+        self.axes = tensor(np.ascontiguousarray(R[..., [0, 2]].transpose(0, 2, 3, 1)))
         self.carried = self.axes[..., self.body.sensor_joints]
-        self.first, self.last = tensor(first, torch.long), tensor(last, torch.long)
-        self.clip = torch.searchsorted(torch.unique(self.first), self.first)
+        self.clip = tensor(clip, torch.long)
+        self.first, self.last = tensor((last - count + 1)[clip], torch.long), tensor(last[clip], torch.long)
         self.chain = _chain(self.body).to(device)
         self.upper = _upper_body(self.body).to(device)
         self.upper_segments = _upper_segments(self.body, self.upper)
         self.bone_axes = _bone_axes(corpus, self.body).to(device)
-        self.group_of_joint = _group_of_joint(self.body).to(device)
-        self.groups = len(bone_groups(self.body.names))
+        groups = bone_groups(self.body.names)
+        self.groups = len(groups)
+        self.group_of_joint = torch.zeros(len(self.body.names), dtype=torch.long, device=device)
+        for i, joints in enumerate(groups.values()):
+            self.group_of_joint[joints] = i
 
     def __len__(self) -> int:
         return len(self.roots)
@@ -210,15 +210,14 @@ class MotionBank:
         frames: Tensor | None = None,
         causal: bool = False,
     ) -> Batch:
-        """A batch of windows.
+        """Draw a batch of windows.
 
         Args:
-            batch: how many windows.
-            window: frames in each, odd, at the corpus' rate.
-            config: what is drawn for each.
-            generator: the only source of randomness, on the bank's device.
-            frames: (batch,) the estimated frames; drawn where not given.
-            causal: whether the last frame of each window is estimated, and not the middle one.
+            batch: number of windows. window: frames per window, odd, at the corpus' rate.
+            config: distributions.
+            generator: random numbers, on the bank's device.
+            frames: (batch,) estimated frames; random if None.
+            causal: estimate the last frame of each window instead of the middle one.
         """
         draw = Draw(batch, generator, self.device)
         estimated = window - 1 if causal else window // 2
@@ -230,7 +229,7 @@ class MotionBank:
         scale = scale * (1 + config.bone_scale * draw.normal(batch, self.groups))
         factor = scale.clamp(0.6, 1.6)[:, self.group_of_joint]
         moving.bones *= factor[:, None, None, 1:]
-        told = self.body.bones_of(moving.offsets * factor[:, :, None])
+        bones = self.body.bones_of(moving.offsets * factor[:, :, None])
         self._mirror(moving, draw.uniform(batch) < config.mirror)
         moving = moving.turned(self._orientation(config, draw))
         pose = torch.matmul(moving.bones, self.chain)
@@ -238,21 +237,20 @@ class MotionBank:
         # The lowest joint stays as high over the floor as it was recorded.
         root_height = self.lowest[frames] - now[:, 2].min(dim=1).values
         height = draw.between(config.camera_height, batch)
-        towards_root = torch.stack(
-            [draw.between(config.distance, batch), torch.zeros_like(height), root_height - height], 1
-        )
+        ahead = draw.between(config.distance, batch)
+        towards_root = torch.stack([ahead, torch.zeros_like(height), root_height - height], 1)
         p = pose.add_((moving.root + towards_root[:, :, None])[..., None])
         rays, seen, picture = self._observe(p, towards_root, config, draw)
-        told = told + config.bone_error * draw.normal(*told.shape)
-        told = torch.where(draw.uniform(batch, 1) < config.hide_bones, torch.nan, told)
+        bones = bones + config.bone_error * draw.normal(*bones.shape)
+        bones = torch.where(draw.uniform(batch, 1) < config.hide_bones, torch.nan, bones)
         height = height + config.height_error * draw.normal(batch)
         height = torch.where(draw.uniform(batch) < config.hide_height, torch.nan, height)
         axes, sensed = self._sense(moving.carried, config.sensors, draw)
-        windows = Windows(rays, seen, told, height, axes, sensed, estimated, picture)
+        windows = Windows(rays, seen, bones, height, axes, sensed, estimated, picture)
         return Batch(windows, now, towards_root, moving.axes)
 
     def _motion(self, frames: Tensor, step: Tensor, config: AugmentConfig, draw: Draw) -> _Moving:
-        """Motion around frames, `step` (W,) frames from them before it is re-timed."""
+        """Motion at offsets `step` (W,) from frames (B,), re-timed."""
         speed = draw.between(config.warp, len(frames))[:, None]
         offset = step[None] * speed
         lag = draw.between(config.sensors.lag, len(frames))[:, None] * speed
@@ -261,23 +259,22 @@ class MotionBank:
         if count:
             other, body = draw.integers(len(self))[:count], self._bodies(config, draw)[:count]
             upper, other_heading = self._at(other, offset[:count], lag[:count], body)
-            upper = upper.turned(about_z(heading[:count] - other_heading))
+            upper = upper.turned(about_axis(2, heading[:count] - other_heading))
             sensors = self.upper_segments[self.body.sensor_joints]
             moving.put_on(count, upper, self.upper, self.upper_segments, sensors)
         return moving
 
     def _bodies(self, config: AugmentConfig, draw: Draw) -> Tensor:
-        """(B,) whose skeleton each window is on, 0 for its own."""
+        """(B,) index of the skeleton of each window, 0 for its own."""
         others = len(self.bones) - 1
         if others == 0:
             return torch.zeros(draw.batch, dtype=torch.long, device=self.device)
         return (1 + draw.integers(others)) * (draw.uniform(draw.batch) >= config.own_skeleton)
 
     def _at(self, frames: Tensor, offset: Tensor, lag: Tensor, body: Tensor) -> tuple[_Moving, Tensor]:
-        """Motion at offsets (B, W) from frames, inside their clip, and the heading (B,) in the frames.
+        """Motion at offsets (B, W) from frames, within their clip, and the heading (B,) in the frames.
 
-        The segments that may carry sensors are looked up another `lag` (B, 1) of frames later, in the
-        nearest frame.
+        Segments with sensors are taken `lag` (B, 1) frames later, from the nearest frame.
         """
         low, high, share = self._between(frames, offset)
         bones = torch.lerp(self.bones[body[:, None], low], self.bones[body[:, None], high], share)
@@ -290,7 +287,7 @@ class MotionBank:
         ), self.heading[frames]  # fmt: skip
 
     def _between(self, frames: Tensor, offset: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The frames (B, W) before and after, and the share (B, W, 1, 1) of the one after."""
+        """Frames (B, W) before and after, and the weight (B, W, 1, 1) of the one after."""
         at = frames[:, None] + offset
         at = at.clamp(self.first[frames][:, None].float(), self.last[frames][:, None].float())
         low = at.floor().long()
@@ -298,7 +295,7 @@ class MotionBank:
         return low, high, (at - low)[..., None, None]
 
     def _mirror(self, moving: _Moving, which: Tensor) -> None:
-        """Exchange left and right of some bodies, by a mask (B,)."""
+        """Mirror the bodies selected by a mask (B,), in place."""
         rows = which.nonzero()[:, 0]
         order = self.body.mirrored
 
@@ -313,54 +310,52 @@ class MotionBank:
         mirror(moving.carried, self.body.mirrored_sensors)
 
     def _sense(self, axes: Tensor, config: SensorConfig, draw: Draw) -> tuple[Tensor, Tensor]:
-        """What sensors say of axes (B, 3, W, 2, S), and which say anything (B, W, S)."""
+        """Measured axes (B, 3, W, 2, S), and which are measured (B, W, S)."""
         B, _, W, _, S = axes.shape
         if S == 0 or config.none >= 1:
             return axes, torch.zeros((B, W, S), dtype=torch.bool, device=self.device)
-        lost = runs(config.missing, (B, W, S), axes, draw.generator, self.rate_hz)
+        lost = runs(config.missing, W, S, draw, self.rate_hz)
         sensed = worn(self.body, config, draw)[:, None] & ~lost
         return with_errors(self.bone_axes, axes, config, draw), sensed
 
     def _orientation(self, config: AugmentConfig, draw: Draw) -> Tensor:
-        """(B, 3, 3): any heading, and for some a tilt about a horizontal axis."""
+        """(B, 3, 3) random heading, and for some a tilt about a horizontal axis."""
         B = draw.batch
         tilted = draw.uniform(B) < config.tilt
         angle = torch.where(tilted, config.tilt_angle * draw.uniform(B), 0.0)
         axis, yaw = 2 * torch.pi * draw.uniform(B), 2 * torch.pi * draw.uniform(B)
-        tilt = about_z(axis) @ about_x(angle) @ about_z(-axis)
-        return tilt @ about_z(yaw)
+        tilt = about_axis(2, axis) @ about_axis(0, angle) @ about_axis(2, -axis)
+        return tilt @ about_axis(2, yaw)
 
     def _observe(
         self, p: Tensor, towards_root: Tensor, config: AugmentConfig, draw: Draw
     ) -> tuple[Tensor, Tensor, Picture]:
-        """Rays (B, 3, W, J) in world, what is seen, by a camera that has the root in its image, and
-        that image.
-        """
+        """Rays (B, 3, W, J) in world, visibility and image of a camera that has the root in its image."""
         right = (2 * draw.uniform(draw.batch) - 1) * config.off_axis * HALF_WIDTH
         down = (2 * draw.uniform(draw.batch) - 1) * config.off_axis * HALF_HEIGHT
         azimuth = torch.atan2(towards_root[:, 1], towards_root[:, 0]) + right.atan()
         elevation = torch.atan2(towards_root[:, 2], towards_root[:, :2].norm(dim=1)) + down.atan()
         upright = torch.tensor([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]], device=self.device)
-        roll = about_z(config.roll * draw.normal(draw.batch))
-        R_camera_world = roll @ upright @ about_y(elevation) @ about_z(-azimuth)
+        roll = about_axis(2, config.roll * draw.normal(draw.batch))
+        R_camera_world = roll @ upright @ about_axis(1, elevation) @ about_axis(2, -azimuth)
         q = torch.bmm(R_camera_world, p.flatten(2)).reshape(p.shape)
         seen = q[:, 2] > 0.2
         xy = q[:, :2] / q[:, 2:].clamp_min(0.2)
-        xy, seen = add_noise(self.body, config.noise, xy, seen, draw.generator, self.rate_hz)
+        xy, seen = add_noise(self.body, config.noise, xy, seen, draw, self.rate_hz)
         ray = torch.cat([xy, torch.ones_like(xy[:, :1])], dim=1)
         world = torch.bmm(R_camera_world.transpose(1, 2), ray.flatten(2))
         return world.reshape(p.shape), seen, Picture(xy / HALF_WIDTH, R_camera_world)
 
 
-def _offsets(corpus: Corpus, clip: int, body: NDArray[np.float32] | None) -> Tensor:
-    """Joint offsets (J, 3) of a clip, or of another body scaled to its size."""
+def _offsets(corpus: Corpus, clip: int, body: Offsets | None) -> Tensor:
+    """Joint offsets (J, 3) of a clip, or of another body scaled to the same size."""
     own = corpus.joint_offsets[clip]
     if body is not None:
         own = body * (np.linalg.norm(own, axis=1).sum() / np.linalg.norm(body, axis=1).sum())
     return torch.from_numpy(own)
 
 
-def _bones(corpus: Corpus, clip: int, body: NDArray[np.float32] | None) -> Tensor:
+def _bones(corpus: Corpus, clip: int, body: Offsets | None) -> Tensor:
     """Bone vectors (T, 3, J-1) in world of a clip on its own or another body."""
     p = corpus.positions(clip, _offsets(corpus, clip, body).numpy())
     bones = p[:, 1:] - p[:, list(corpus.parents[1:])]
@@ -368,7 +363,7 @@ def _bones(corpus: Corpus, clip: int, body: NDArray[np.float32] | None) -> Tenso
 
 
 def _chain(body: Body) -> Tensor:
-    """(J-1, J) ones where a bone lies between the root and a joint: bones @ chain = positions."""
+    """(J-1, J) ones for the bones between the root and a joint: bones @ chain = positions."""
     chain = torch.zeros(len(body.names) - 1, len(body.names))
     for j in range(1, len(body.names)):
         chain[:, j] = chain[:, body.parents[j]]
@@ -377,7 +372,7 @@ def _chain(body: Body) -> Tensor:
 
 
 def _upper_body(body: Body) -> Tensor:
-    """(J,) bool: joints whose bone hangs on the trunk, not on the pelvis or the legs."""
+    """(J,) joints whose bone belongs neither to the pelvis nor to the legs."""
     legs = set(body.hips)
     for j, parent in enumerate(body.parents):
         if parent in legs:
@@ -386,22 +381,14 @@ def _upper_body(body: Body) -> Tensor:
 
 
 def _upper_segments(body: Body, upper: Tensor) -> Tensor:
-    """(J,) bool: segments whose bones end in joints of the upper body, and its ends."""
+    """(J,) segments whose bones end in joints of the upper body, and its end segments."""
     children = [kinematics.children_of(body.parents, j) for j in range(len(upper))]
     ends = [bool(upper[(own or [j])[0]]) for j, own in enumerate(children)]
     return torch.tensor(ends, device=upper.device)
 
 
-def _group_of_joint(body: Body) -> Tensor:
-    """(J,) which of `bone_groups` ends at each joint; 0 for the root."""
-    index = torch.zeros(len(body.names), dtype=torch.long)
-    for i, joints in enumerate(bone_groups(body.names).values()):
-        index[joints] = i
-    return index
-
-
 def _bone_axes(corpus: Corpus, body: Body) -> Tensor:
-    """(S, 3) unit vectors along the bones of segments that may carry sensors, zero where not one bone."""
+    """(S, 3) unit vectors along the bones of segments with sensors; zero for several bones or none."""
     mean = corpus.joint_offsets.mean(axis=0)
     axes = torch.zeros(len(body.sensors), 3)
     for s, j in enumerate(body.sensor_joints):

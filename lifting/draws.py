@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -18,47 +17,40 @@ class Draw:
     device: torch.device
 
     def uniform(self, *shape: int) -> Tensor:
-        """In [0, 1)."""
+        """Return uniform numbers in [0, 1)."""
         return torch.rand(shape, generator=self.generator, device=self.device)
 
     def normal(self, *shape: int) -> Tensor:
-        """Of zero mean and unit variance."""
+        """Return standard normal numbers."""
         return torch.randn(shape, generator=self.generator, device=self.device)
 
     def between(self, bounds: tuple[float, float], *shape: int) -> Tensor:
-        """Uniform between two bounds."""
+        """Return uniform numbers between two bounds."""
         return bounds[0] + (bounds[1] - bounds[0]) * self.uniform(*shape)
 
     def integers(self, below: int) -> Tensor:
-        """(batch,) of 0 to below - 1."""
+        """Return integers (batch,) from 0 to below - 1."""
         return torch.randint(below, (self.batch,), generator=self.generator, device=self.device)
 
 
-def _axis_rotation(angle: Tensor, place: Callable[[Tensor, Tensor], list[list[Tensor]]]) -> Tensor:
-    rows = place(angle.cos(), angle.sin())
+def about_axis(axis: int, angle: Tensor) -> Tensor:
+    """Return rotations (B, 3, 3) about a coordinate axis.
+
+    Args:
+        axis: 0, 1 or 2 for x, y or z.
+        angle: (B,) rad.
+    """
+    c, s, o, i = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
+    rows = (
+        [[i, o, o], [o, c, -s], [o, s, c]],
+        [[c, o, s], [o, i, o], [-s, o, c]],
+        [[c, -s, o], [s, c, o], [o, o, i]],
+    )[axis]
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
-def about_x(angle: Tensor) -> Tensor:
-    """Rotations (B, 3, 3) about x by angles (B,) in radians."""
-    o, i = torch.zeros_like(angle), torch.ones_like(angle)
-    return _axis_rotation(angle, lambda c, s: [[i, o, o], [o, c, -s], [o, s, c]])
-
-
-def about_y(angle: Tensor) -> Tensor:
-    """Rotations (B, 3, 3) about y by angles (B,) in radians."""
-    o, i = torch.zeros_like(angle), torch.ones_like(angle)
-    return _axis_rotation(angle, lambda c, s: [[c, o, s], [o, i, o], [-s, o, c]])
-
-
-def about_z(angle: Tensor) -> Tensor:
-    """Rotations (B, 3, 3) about z by angles (B,) in radians."""
-    o, i = torch.zeros_like(angle), torch.ones_like(angle)
-    return _axis_rotation(angle, lambda c, s: [[c, -s, o], [s, c, o], [o, o, i]])
-
-
 def rotation(rotvec: Tensor) -> Tensor:
-    """Rotations (B, 3, 3) by rotation vectors (B, 3), rad."""
+    """Return rotations (B, 3, 3) of rotation vectors (B, 3), rad."""
     angle = rotvec.norm(dim=1).clamp_min(1e-9)[:, None, None]
     x, y, z = rotvec.unbind(dim=1)
     o = torch.zeros_like(x)
@@ -70,6 +62,6 @@ def rotation(rotvec: Tensor) -> Tensor:
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
-    """Cross product of (B, 3, ...): faster than torch's where the components are planes."""
+    """Return the cross product of (B, 3, ...); faster than torch's for planar components."""
     (a1, a2, a3), (b1, b2, b3) = a.unbind(dim=1), b.unbind(dim=1)
     return torch.stack([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1], dim=1)

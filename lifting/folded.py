@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_linear_bn_eval
 
 from lifting.body import Body
-from lifting.model import TemporalNetwork
+from lifting.model import Layer, TemporalNetwork
 from lifting.windows import mirror_features, mirror_output
 
 _Map = tuple[Tensor, Tensor]
@@ -43,10 +43,7 @@ class FoldedNetwork:
         first = fuse_linear_bn_eval(expand.linear, expand.norm).weight.detach()
         firsts = self._parity.split_weight(first) if self._parity else (first,)
         self._firsts = [_transposed(part) for part in firsts]
-        temporal, pointwise = (
-            [_map(fuse_linear_bn_eval(layer.linear, layer.norm)) for layer in layers]  # type: ignore[arg-type]
-            for layers in (network.temporal, network.pointwise)
-        )
+        temporal, pointwise = map(_maps, (network.temporal, network.pointwise))
         kept = [width - 1 if config.causal else width // 2 for width in widths]
         self._blocks = list(zip(temporal, pointwise, widths, kept, strict=True))
         out = torch.cat([shrink.weight, shrink.bias[:, None]], dim=1).detach()
@@ -87,6 +84,10 @@ class FoldedNetwork:
 
 def _map(linear: nn.Linear) -> _Map:
     return linear.bias.detach(), _transposed(linear.weight)
+
+
+def _maps(layers: nn.ModuleList) -> list[_Map]:
+    return [_map(fuse_linear_bn_eval(each.linear, each.norm)) for each in layers if isinstance(each, Layer)]
 
 
 def _transposed(weight: Tensor) -> Tensor:

@@ -1,8 +1,8 @@
-"""A lifter as one ONNX file, for other languages and devices.
+"""Export of a lifter as ONNX, for other languages and devices.
 
-The graph is `graph.LifterGraph`: rays of a window in world in, the pose of its estimated frame in world
-out, any number of windows at once. What a caller does before is to undistort pixels, turn their rays to
-world (z up), and take `receptive_field` frames at `rate_hz`; see the metadata, whose values are JSON.
+The graph takes rays of windows in world and gives the poses of their estimated frames in world. Before it,
+a caller undistorts pixels, turns their rays to world (z up), and takes `receptive_field` frames at
+`rate_hz`; see the metadata, whose values are JSON.
 """
 
 from __future__ import annotations
@@ -11,67 +11,118 @@ import json
 import warnings
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from lifting.body import Body, bone_groups
-from lifting.checkpoint import LifterDescription
-from lifting.graph import LifterGraph, WindowPoses
+from lifting.folded import FoldedNetwork
+from lifting.model import TemporalNetwork
 from lifting.models import RAYS
 from lifting.predict import MIN_JOINTS, Lifter
-from rtof_kin.core.errors import RtofError, ShapeError
+from lifting.windows import SIGMA_TURN, Windows, decode, encode, rotations
+from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.folder import new_file
 
-INPUTS = ("rays_world", "seen", "bones", "camera_height", "R_world_sensed", "sensed")
-"""See `LifterGraph.forward`; the two last are left out for a lifter without sensors."""
-OUTPUTS = WindowPoses._fields
-"""See `WindowPoses`; likewise."""
-OPSET = 17
+INPUTS: Final = ("rays_world", "seen", "bones", "camera_height", "R_world_sensed", "sensed")
+OUTPUTS: Final = ("p_root_joint", "p_camera_root", "sigma_m", "R_world_bone", "sigma_rad")
+"""See `LifterGraph.forward`; without the last two for a lifter without sensors."""
+OPSET: Final = 17
+
+
+class LifterGraph(nn.Module):
+    """Encoding, network and decoding of the package's own model, as a function of arrays."""
+
+    def __init__(self, body: Body, network: TemporalNetwork, flip: bool = True):
+        """Take a network in evaluation mode; `flip` averages with the mirrored scene."""
+        super().__init__()
+        self.body, self.network = body, FoldedNetwork(body, network, flip)
+        self.estimated = network.estimated()
+        self.eval()
+
+    def forward(
+        self,
+        rays_world: Tensor,
+        seen: Tensor,
+        bones: Tensor,
+        camera_height: Tensor,
+        R_world_sensed: Tensor | None = None,
+        sensed: Tensor | None = None,
+    ) -> tuple[Tensor, ...]:
+        """Return the poses in the estimated frames of B windows of W frames, in world axes.
+
+        Args:
+            rays_world: (B, W, J, 3) directions in world from the optical centre to the joints.
+            seen: (B, W, J) bool; unseen rays are ignored.
+            bones: (B, 3 G) m, see `Body.bones_of`; NaN in a row where unknown.
+            camera_height: (B,) height of the optical centre over the floor, m; NaN where unknown.
+            R_world_sensed: (B, W, S, 3, 3) orientations of the segments that may carry sensors.
+            sensed: (B, W, S) bool; orientations that are not sensed are ignored.
+
+        Returns:
+            (B, J, 3) joints relative to the root, m; (B, 3) root from the optical centre, m; (B, J, 2) see
+            `LiftedPoses.sigma_m`; for a body with sensors also (B, J, 3, 3) orientations of segments and
+            (B, J) their standard deviation per axis, rad.
+        """
+        if R_world_sensed is None or sensed is None:
+            R_world_sensed, sensed = rays_world.new_zeros((*seen.shape[:2], 0, 3, 3)), seen[..., :0]
+        rays = torch.where(seen[..., None], rays_world, 0.0).permute(0, 3, 1, 2)
+        axes = torch.stack([R_world_sensed[..., 0], R_world_sensed[..., 2]], dim=2)
+        axes = torch.where(sensed[:, :, None, :, None], axes, 0.0).permute(0, 4, 1, 2, 3)
+        windows = Windows(rays, seen, bones, camera_height, axes, sensed, self.estimated)
+        encoded = encode(self.body, windows)
+        estimate = decode(self.body, self.network(encoded.features, encoded.constants), encoded)
+        poses = estimate.pose.transpose(1, 2), estimate.root, estimate.sigma_m()
+        if estimate.axes is None or estimate.log_turn is None:
+            return poses
+        R = rotations(estimate.axes).permute(0, 3, 1, 2)
+        return *poses, R, SIGMA_TURN * estimate.log_turn.exp()
 
 
 def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True, overwrite: bool = False) -> Path:
-    """Write a lifter as ONNX; the file appears whole or not at all.
+    """Write a lifter as ONNX.
 
     Args:
-        lifter: of the package's own kind.
-        path: of the file.
-        flip: average with the mirrored scene: a third slower, and better.
+        lifter: of the package's own model.
+        path: of the file. overwrite: an existing file.
+        flip: average with the mirrored scene: a third slower, and more accurate.
 
     Raises:
-        ShapeError: the lifter is of another kind.
-        OutputExistsError: the file exists and overwriting was not asked for.
+        InvalidInputError: the lifter is of another model.
+        OutputExistsError: the file exists and must not be overwritten.
         RtofError: the package `onnx` is not installed, or the file cannot be written.
     """
     path, description = Path(path), lifter.description
     if description.network.model != RAYS:
-        raise ShapeError(f"a lifter of kind {description.network.model} has no ONNX form")
+        raise InvalidInputError(f"a lifter of kind {description.network.model} has no ONNX form")
     try:
         onnx: Any = import_module("onnx")
     except ImportError as error:
         raise RtofError("ONNX needs its package; install it: pip install rtof_kin[onnx]") from error
-    sensed = bool(description.body.sensors)
-    inputs, outputs = (INPUTS, OUTPUTS) if sensed else (INPUTS[:4], OUTPUTS[:3])
-    graph = LifterGraph(description.body, lifter.network, flip)
+    body = description.body
+    inputs, outputs = (INPUTS, OUTPUTS) if body.sensors else (INPUTS[:4], OUTPUTS[:3])
     with new_file(path, overwrite) as whole:
-        _export(
-            graph if sensed else _Unsensed(graph),
-            example_windows(description.body, lifter.receptive_field())[: len(inputs)],
-            whole, inputs, outputs,
-        )  # fmt: skip
+        with warnings.catch_warnings(), torch.no_grad():
+            warnings.simplefilter("ignore")  # about this exporter; the newer one takes minutes
+            torch.onnx.export(
+                LifterGraph(body, lifter.network, flip),
+                _example(body, lifter.receptive_field())[: len(inputs)], str(whole),
+                input_names=list(inputs), output_names=list(outputs),
+                dynamic_axes={name: {0: "windows"} for name in (*inputs, *outputs)},
+                opset_version=OPSET, dynamo=False,
+            )  # fmt: skip
         model = onnx.load(whole)
         model.doc_string = "Lifter of rtof_kin: see the metadata."
-        onnx.helper.set_model_props(model, metadata(lifter, flip))
+        onnx.helper.set_model_props(model, _metadata(lifter, flip))
         onnx.checker.check_model(model)
         onnx.save(model, whole)
     return path
 
 
-def metadata(lifter: Lifter, flip: bool = True) -> dict[str, str]:
-    """What a user of the file has to know, as JSON by key."""
-    description: LifterDescription = lifter.description
-    body = description.body
+def _metadata(lifter: Lifter, flip: bool) -> dict[str, str]:
+    """Properties of the lifter and conventions of the graph, as JSON by key."""
+    description, body = lifter.description, lifter.description.body
     facts = {
         "format": "rtof_kin lifter, ONNX 1",
         "joints": body.names,
@@ -98,52 +149,13 @@ def metadata(lifter: Lifter, flip: bool = True) -> dict[str, str]:
     return {key: json.dumps(value) for key, value in facts.items()}
 
 
-def example_windows(body: Body, size: int) -> tuple[Tensor, ...]:
-    """Inputs of two windows, all seen and sensed."""
+def _example(body: Body, size: int) -> tuple[Tensor, ...]:
+    """Inputs of two windows with everything seen and sensed."""
     J, S = len(body.names), len(body.sensors)
     rays = torch.randn(2, size, J, 3, generator=torch.Generator().manual_seed(0)) * 0.1
     rays[..., 0] += 1.0
     return (
-        rays,
-        torch.ones(2, size, J, dtype=torch.bool),
-        torch.tensor(body.nominal_bones).expand(2, -1).clone(),
-        torch.full((2,), 1.5),
-        torch.eye(3).expand(2, size, S, 3, 3).clone(),
-        torch.ones(2, size, S, dtype=torch.bool),
-    )
-
-
-class _Unsensed(torch.nn.Module):
-    """The graph of a lifter without sensors."""
-
-    def __init__(self, graph: LifterGraph):
-        super().__init__()
-        self.graph = graph
-
-    def forward(
-        self, rays_world: Tensor, seen: Tensor, bones: Tensor, camera_height: Tensor
-    ) -> tuple[Tensor, ...]:
-        B, W = seen.shape[:2]
-        none = rays_world.new_zeros((B, W, 0, 3, 3))
-        poses: WindowPoses = self.graph(
-            rays_world, seen, bones, camera_height, none, seen.new_zeros((B, W, 0))
-        )
-        return poses.p_root_joint, poses.p_camera_root, poses.sigma_m
-
-
-def _export(
-    graph: torch.nn.Module,
-    example: tuple[Tensor, ...],
-    path: Path,
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
-) -> None:
-    """By torch's exporter of recorded operations: the newer one needs minutes and another package."""
-    with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # that it is the older one, and which operations it splits
-        torch.onnx.export(
-            graph, example, str(path),
-            input_names=list(inputs), output_names=list(outputs),
-            dynamic_axes={name: {0: "windows"} for name in (*inputs, *outputs)},
-            opset_version=OPSET, dynamo=False,
-        )  # fmt: skip
+        rays, torch.ones(2, size, J, dtype=torch.bool),
+        torch.tensor(body.nominal_bones).expand(2, -1).clone(), torch.full((2,), 1.5),
+        torch.eye(3).expand(2, size, S, 3, 3).clone(), torch.ones(2, size, S, dtype=torch.bool),
+    )  # fmt: skip

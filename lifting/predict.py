@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,12 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lifting.checkpoint import LifterDescription, load_checkpoint
 from lifting.folded import FoldedNetwork
-from lifting.model import TemporalNetwork
+from lifting.model import TemporalNetwork, torch_threads
 from lifting.models import RAYS, model_of
 from lifting.source import Source
-from lifting.threads import torch_threads
-from lifting.windows import SIGMA_TURN, Estimate, answer, orthonormal, rotations
-from rtof_kin.core import signals
+from lifting.windows import SIGMA_TURN, Estimate, orthonormal, rotations
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import InvalidInputError, ViewError
 from rtof_kin.core.resources import DEFAULT_LIFTER, lifter_path
@@ -28,15 +25,11 @@ from rtof_kin.data.keypoints import KeypointSequence
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Progress = Callable[[int, int], None]
-"""Called with the frames done and their total."""
 
 MIN_JOINTS = 6
 """Fewest different joints seen in a window that can be lifted."""
 CHUNK = 128
 """Windows lifted at once: fewer cost more calls, more leave the cache."""
-LOW_PASS_HZ = 6.0
-"""Cut-off of the optional filter."""
 
 
 @dataclass(frozen=True)
@@ -124,12 +117,10 @@ class Lifter:
         self,
         keypoints: KeypointSequence,
         joint_offsets: ArrayLike | None = None,
-        progress: Progress | None = None,
         *,
         bone_imus: BoneImuSequence | None = None,
         floor_height: float | None = None,
         flip: bool = True,
-        smooth: bool = False,
     ) -> LiftedPoses:
         """Estimate poses in world at the keypoints' times.
 
@@ -141,12 +132,10 @@ class Lifter:
                 count as unseen); the camera's orientation gives the vertical.
             joint_offsets: (J, 3) m, each joint in its parent's link frame, in the order of `names`; gives
                 bone lengths and scale. None where unknown.
-            progress: see `Progress`.
             bone_imus: calibrated sensors at any times, NaN where missing; segments without a sensor in
                 the lifter's training are ignored.
             floor_height: z of a flat floor in world, m; improves the distance. None where unknown.
             flip: average with the mirrored scene: slower by half, and more accurate.
-            smooth: low-pass filter positions (not orientations) at 6 Hz, zero phase.
 
         Raises:
             InvalidInputError: fewer than `MIN_JOINTS` joints are ever seen; `joint_offsets` or
@@ -156,18 +145,12 @@ class Lifter:
         bones = self.bones_of(joint_offsets)
         height = camera_height(keypoints.camera, floor_height)
         source = Source.of(self.description.body, keypoints, bone_imus)
-        parts = []
-        for first in range(0, len(keypoints), CHUNK):
-            times = keypoints.times[first : first + CHUNK]
-            parts.append(self.lift_windows(source, times, bones, height, flip))
-            if progress:
-                progress(first + len(times), len(keypoints))
+        chunks = (keypoints.times[first : first + CHUNK] for first in range(0, len(keypoints), CHUNK))
+        parts = [self.lift_windows(source, times, bones, height, flip) for times in chunks]
         p, sigma_m, R, sigma_rad, enough = (np.concatenate(part) for part in zip(*parts, strict=True))
         p, ok = _bridge(keypoints.times, keypoints.camera.center_world + p, enough)
         for values in (sigma_m, R, sigma_rad):
             values[~ok] = np.nan
-        if smooth:
-            p = _smooth(keypoints.times, p)
         return LiftedPoses(keypoints.times, p, ok, self.names, sigma_m, R, sigma_rad)
 
     def lift_windows(
@@ -197,7 +180,7 @@ class Lifter:
                     self._folded[flip] = FoldedNetwork(body, network, flip)
                 output = self._folded[flip](encoded.features, encoded.constants)
             else:
-                output = answer(body, network, encoded, flip)
+                output = model.answer(body, network, encoded, flip)
             arrays = _arrays(model.decode(body, output, encoded))
             enough = windows.seen.any(dim=1).sum(dim=1) >= MIN_JOINTS
         return *arrays, enough.numpy()
@@ -280,11 +263,3 @@ def _bridge(times: Array, p: Array, enough: Mask) -> tuple[Array, Mask]:
         )
     columns = [np.interp(times, times[ok], column) for column in p[ok].reshape(ok.sum(), -1).T]
     return np.where(ok[:, None, None], p, np.stack(columns, axis=1).reshape(p.shape)), ok
-
-
-def _smooth(times: Array, p: Array) -> Array:
-    """Zero-phase low-pass; sequences too short or too slow for it stay as they are."""
-    if len(times) < 4:
-        return p
-    rate_hz = float(1 / np.median(np.diff(times)))
-    return p if rate_hz <= 2 * LOW_PASS_HZ else signals.low_pass(p, rate_hz, LOW_PASS_HZ)

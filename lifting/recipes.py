@@ -1,9 +1,10 @@
-"""How each model is trained: first weights, optimiser, learning rate, loss."""
+"""Training recipe of each model: first weights, optimiser, learning rate and loss."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from math import cos, exp, log, pi
+from typing import ClassVar, Final
 
 import torch
 from torch import Tensor, nn
@@ -17,114 +18,91 @@ from lifting.models import RAYS, VIDEOPOSE3D
 from lifting.settings import TrainConfig
 from lifting.windows import Estimate
 
-USUAL_RADIUS = 0.4
-"""RMS distance of a person's joints from their mean across the line of sight, m: where distance
-estimates start."""
-EPOCHS = 60
-"""Of the published training; here an epoch is this share of whatever the training lasts."""
-DECAY = 0.95
+USUAL_RADIUS: Final = 0.4
+"""First estimate of the RMS distance of a person's joints from their mean across the line of sight, m."""
+EPOCHS: Final = 60
+"""Epochs of the published training; here an epoch is this share of the training."""
+DECAY: Final = 0.95
 """Factor on the published learning rate from epoch to epoch."""
-MOMENTUM = (0.1, 0.001)
-"""Published momentum of batch normalisation, in the first epoch and after the last."""
-NEAREST = 0.2
-"""Depth below which a root weighs no more, m: nearer ones are not in view."""
+MOMENTUM: Final = (0.1, 0.001)
+"""Published momentum of batch normalisation in the first epoch and after the last."""
+NEAREST: Final = 0.2
+"""Least depth for the weight of a root, m."""
 
 
-class Recipe(ABC):
-    """How a network is trained, step after step."""
-
-    def __init__(self, config: TrainConfig):
-        self.config = config
-
-    @abstractmethod
-    def prepare(self, network: TemporalNetwork, body: Body) -> None:
-        """Set the first weights where torch's are not wanted."""
-
-    @abstractmethod
-    def optimizer(self, network: TemporalNetwork) -> Optimizer:
-        """A fresh one."""
-
-    @abstractmethod
-    def set_rates(self, network: TemporalNetwork, optimizer: Optimizer, share: float) -> None:
-        """Set what changes over the training, `share` of which is done."""
-
-    @abstractmethod
-    def loss(self, estimate: Estimate, batch: Batch) -> Tensor:
-        """What is minimised."""
-
-    def limit(self, network: TemporalNetwork) -> None:  # noqa: B027, as most recipes have none
-        """Bound the gradient, where the recipe does."""
-
-    def memory(self, steps: int) -> float:
-        """Of the running mean of the weights after so many steps; 0 where there is none."""
-        return 0.0
-
-
-class Rays(Recipe):
+class Recipe:
     """AdamW with warm-up and cosine, clipped gradients, a running mean of the weights."""
 
-    def prepare(self, network: TemporalNetwork, body: Body) -> None:
-        """Begin with `first_answer`."""
+    regularised: ClassVar[bool] = True
+    """Whether gradients are clipped and weights averaged."""
+
+    def __init__(self, config: TrainConfig, network: TemporalNetwork, body: Body):
+        """Set the first weights and make the optimiser."""
+        self.config, self.network = config, network
+        self.optimizer = self._prepare(body)
+
+    def _prepare(self, body: Body) -> Optimizer:
         with torch.no_grad():
-            network.shrink.bias.copy_(first_answer(body))
-
-    def optimizer(self, network: TemporalNetwork) -> Optimizer:
+            self.network.shrink.bias.copy_(first_answer(body))
         config = self.config
-        return AdamW(network.parameters(), config.learning_rate, weight_decay=config.weight_decay)
+        return AdamW(self.network.parameters(), config.learning_rate, weight_decay=config.weight_decay)
 
-    def set_rates(self, network: TemporalNetwork, optimizer: Optimizer, share: float) -> None:
-        for group in optimizer.param_groups:
-            group["lr"] = self.config.learning_rate * cosine(share, self.config.warm_up)
+    def set_rates(self, share: float) -> None:
+        """Set the learning rate after a share of the training."""
+        self._set_learning_rate(_cosine(share, self.config.warm_up))
+
+    def _set_learning_rate(self, factor: float) -> None:
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.config.learning_rate * factor
 
     def loss(self, estimate: Estimate, batch: Batch) -> Tensor:
+        """Return the loss to minimise."""
         return losses.lifting_loss(estimate, batch)
 
-    def limit(self, network: TemporalNetwork) -> None:
-        nn.utils.clip_grad_norm_(network.parameters(), self.config.clip)
+    def limit(self) -> None:
+        """Clip the gradient."""
+        if self.regularised:
+            nn.utils.clip_grad_norm_(self.network.parameters(), self.config.clip)
 
     def memory(self, steps: int) -> float:
-        """Shorter at the beginning."""
-        return min(self.config.ema, (1 + steps) / (10 + steps))
+        """Return the factor of the running mean of the weights after a number of steps."""
+        return min(self.config.ema, (1 + steps) / (10 + steps)) if self.regularised else 0.0
 
 
 class Published(Recipe):
-    """VideoPose3D's: Adam (amsgrad), a rate and a momentum that fall from epoch to epoch.
+    """VideoPose3D's: Adam (amsgrad) with a rate and a momentum that fall from epoch to epoch."""
 
-    Mirrored copies are drawn with the windows (`AugmentConfig.mirror`), edges replicated by the bank.
-    """
+    regularised = False
 
-    def prepare(self, network: TemporalNetwork, body: Body) -> None:
-        """Nothing."""
+    def _prepare(self, body: Body) -> Optimizer:  # noqa: ARG002, of the base
+        return Adam(self.network.parameters(), self.config.learning_rate, amsgrad=True)
 
-    def optimizer(self, network: TemporalNetwork) -> Optimizer:
-        return Adam(network.parameters(), self.config.learning_rate, amsgrad=True)
-
-    def set_rates(self, network: TemporalNetwork, optimizer: Optimizer, share: float) -> None:
+    def set_rates(self, share: float) -> None:
+        """Set the learning rate and the momentum of batch normalisation."""
         epoch = min(int(share * EPOCHS), EPOCHS - 1)
-        for group in optimizer.param_groups:
-            group["lr"] = self.config.learning_rate * DECAY**epoch
+        self._set_learning_rate(DECAY**epoch)
         first, last = MOMENTUM
-        for layer in network.modules():
+        for layer in self.network.modules():
             if isinstance(layer, nn.BatchNorm1d):
                 layer.momentum = first * exp(-epoch / EPOCHS * log(first / last))
 
     def loss(self, estimate: Estimate, batch: Batch) -> Tensor:
-        """Mean joint distance, and that of the root weighted by 1 / depth."""
+        """Return the mean joint distance plus that of the root weighted by 1 / depth."""
         joints = losses.mean_joint_distance(estimate.pose, batch.pose)
-        return (joints + losses.root_distance(estimate.root, batch.root) / depth(batch)).mean()
+        return (joints + losses.root_distance(estimate.root, batch.root) / _depth(batch)).mean()
 
 
-RECIPES: dict[str, type[Recipe]] = {RAYS: Rays, VIDEOPOSE3D: Published}
+RECIPES: Final[Mapping[str, type[Recipe]]] = {RAYS: Recipe, VIDEOPOSE3D: Published}
 
 
-def depth(batch: Batch) -> Tensor:
-    """(B,) of the root in the camera's frame, m."""
+def _depth(batch: Batch) -> Tensor:
+    """Depth (B,) of the root in the camera's frame, m."""
     assert batch.windows.picture is not None
     forward = batch.windows.picture.R_camera_world[:, 2]
     return (forward * batch.root).sum(dim=1).clamp_min(NEAREST)
 
 
-def cosine(share: float, warm_up: float) -> float:
+def _cosine(share: float, warm_up: float) -> float:
     """Factor on the learning rate: linear warm-up, then a cosine to 0."""
     if share < warm_up:
         return max(share / warm_up, 0.01)
@@ -132,7 +110,7 @@ def cosine(share: float, warm_up: float) -> float:
 
 
 def first_answer(body: Body) -> Tensor:
-    """(outputs,) that a training starts from: someone upright, at a usual distance, hardly known."""
+    """Return the output (outputs,) of the first weights: upright, at a usual distance, large spread."""
     J = len(body.names)
     parts = [torch.zeros(3 * J - 1), torch.tensor([log(USUAL_RADIUS)]), torch.full((2 * J,), -2.5)]
     if body.sensors:

@@ -1,10 +1,12 @@
-"""The state of a training: one step of it, what it reports, and how it is kept and taken up again."""
+"""State of a training: one step, its report, and how it is saved and resumed."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from math import isfinite
 from pathlib import Path
@@ -15,48 +17,39 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lifting import losses
-from lifting.checkpoint import (
-    ACKNOWLEDGEMENT,
-    LifterDescription,
-    load_checkpoint,
-    save_checkpoint,
-    save_tensors,
-)
+from lifting import checkpoint, losses
 from lifting.corpus import Corpus
-from lifting.data import MotionBank
+from lifting.data import Batch, MotionBank
 from lifting.distributed import Workers
 from lifting.model import NetworkConfig
 from lifting.models import model_of
+from lifting.prefetch import Prefetch, rows, step_seed
 from lifting.recipes import RECIPES
 from lifting.sensors import SensorConfig
 from lifting.settings import TrainConfig
-from lifting.supply import Supply, step_seed
 from lifting.validation import Validation
+from lifting.windows import Encoded
 from rtof_kin.body.skeleton_table import read_skeleton_table
-from rtof_kin.core.errors import FileFormatError, RtofError, ShapeError, SolverError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, SolverError
 from rtof_kin.core.resources import lifter_path, model_path
-
-SKELETONS = ("skeleton", "human36m")
-"""The package's skeleton tables."""
 
 
 class Run:
     """A training in progress."""
 
     def __init__(self, config: TrainConfig, corpus: Corpus, workers: Workers):
-        """Begin.
+        """Prepare the first step.
 
         Raises:
-            ShapeError: the corpus has no training clip; a batch cannot be shared out; processes that
-                train together have different motion or settings.
+            InvalidInputError: the corpus has no training clip; processes cannot share a batch or have
+                different motion or settings.
         """
         self.config, self.corpus, self.workers = config, corpus, workers
-        self.model, self.recipe = model_of(config.model), RECIPES[config.model](config)
-        self.body = corpus.body()
+        self.model, self.body, self.digest = model_of(config.model), corpus.body(), corpus.digest()
+        self.augment = config.augment
         if not self.model.senses:
             self.body = replace(self.body, sensors=())
-        self.digest = corpus.digest()
+            self.augment = replace(self.augment, sensors=SensorConfig(none=1.0))
         self._check_together()
         torch.manual_seed(config.seed)
         shape = NetworkConfig(
@@ -64,12 +57,19 @@ class Run:
             config.causal, config.model,
         )  # fmt: skip
         self.network = self.model.network(shape).to(workers.device)
-        self.recipe.prepare(self.network, self.body)
+        self.recipe = RECIPES[config.model](config, self.network, self.body)
         self.averaged = self.model.network(shape).to(workers.device).eval()
         self.averaged.load_state_dict(self.network.state_dict())
         self.forward = workers.forward(self.network)
-        self.optimizer = self.recipe.optimizer(self.network)
-        self._prepare_windows()
+        others = corpus.skeletons("train", config.skeletons) + shipped_skeleton(corpus)
+        self.bank = MotionBank(corpus, corpus.clips("train"), workers.device, others)
+        self.size = self.network.receptive_field()
+        self.validation: Validation | None = None
+        if workers.first:
+            self.validation = Validation(
+                corpus, self.size, workers.device, config.validation_windows, config.causal, config.model
+            )
+        self.batches = Prefetch(self._draw, ahead=config.threads > 1)
         self.started_from = ""
         self.steps, self.seconds, self.validated = 0, 0.0, 0
         self.losses: list[Tensor] = []
@@ -78,33 +78,28 @@ class Run:
     def _check_together(self) -> None:
         config, workers = self.config, self.workers
         if config.batch % workers.count:
-            raise ShapeError(
+            raise InvalidInputError(
                 f"training: a batch of {config.batch} windows cannot be shared evenly by "
                 f"{workers.count} processes; choose a multiple"
             )
         workers.check_same("motion", self.digest)
         workers.check_same("setting", config.fixed())
 
-    def _prepare_windows(self) -> None:
-        config, corpus, workers = self.config, self.corpus, self.workers
-        augment, size = config.augment, self.network.receptive_field()
-        if not self.model.senses:
-            augment = replace(augment, sensors=SensorConfig(none=1.0))
-        others = corpus.skeletons("train", config.skeletons) + shipped_skeleton(corpus)
-        self.bank = MotionBank(corpus, corpus.clips("train"), workers.device, others)
-        self.validation: Validation | None = None
-        if workers.first:
-            self.validation = Validation(
-                corpus, size, workers.device, config.validation_windows, config.causal, config.model
-            )
-        self.supply = Supply(
-            self.bank, config.batch, size, augment, config.seed, config.threads > 1, config.causal,
-            self.model.encode, (workers.rank, workers.count), config.same_windows,
-        )  # fmt: skip
+    def _draw(self, step: int) -> tuple[Batch, Encoded]:
+        """This process's windows of a step, which depend on the seed and the step alone."""
+        config, rank, count = self.config, self.workers.rank, self.workers.count
+        whole = config.same_windows
+        generator = torch.Generator(self.bank.device)
+        generator.manual_seed(step_seed(config.seed, step, 0 if whole else rank))
+        size = config.batch if whole else config.batch // count
+        batch = self.bank.draw(size, self.size, self.augment, generator, causal=config.causal)
+        if whole and count > 1:
+            batch = rows(batch, slice(rank, None, count))
+        return batch, self.model.encode(self.bank.body, batch.windows)
 
     @property
     def share_done(self) -> float:
-        """How much of the training is over; at least 1 when it is."""
+        """Share of the training done; at least 1 at its end."""
         config = self.config
         by_windows = self.steps * config.batch / config.windows if config.windows else 0.0
         by_time = self.seconds / (60 * config.minutes) if config.minutes else 0.0
@@ -113,32 +108,37 @@ class Run:
     def step(self) -> None:
         """Learn from one batch."""
         start = time.perf_counter()
-        config, workers = self.config, self.workers
+        config, workers, recipe = self.config, self.workers, self.recipe
         torch.manual_seed(step_seed(config.seed, self.steps, workers.rank))  # of dropout
-        batch, encoded = self.supply.batch(self.steps)
-        self.recipe.set_rates(self.network, self.optimizer, self.share_done)
+        batch, encoded = self.batches(self.steps)
+        recipe.set_rates(self.share_done)
         with torch.autocast(workers.device.type, torch.bfloat16, enabled=config.bfloat16):
             output = self.forward(encoded.features, encoded.constants)
         estimate = self.model.decode(self.body, output, encoded)
-        self.optimizer.zero_grad(set_to_none=True)
-        self.recipe.loss(estimate, batch).backward()  # type: ignore[no-untyped-call]
-        self.recipe.limit(self.network)
-        self.optimizer.step()
+        recipe.optimizer.zero_grad(set_to_none=True)
+        recipe.loss(estimate, batch).backward()  # type: ignore[no-untyped-call]
+        recipe.limit()
+        recipe.optimizer.step()
         self._average()
         self.losses.append(losses.position_loss(estimate, batch).detach())
         self.steps += 1
-        self.seconds = workers.agree(self.seconds + time.perf_counter() - start)
+        self._spend(start)
+
+    def _spend(self, start: float) -> None:
+        """Count the time since `start`, by the first process's clock."""
+        seconds = self.seconds + time.perf_counter() - start
+        self.seconds = self.workers.from_first(lambda: seconds)
 
     @torch.no_grad()
     def _average(self) -> None:
-        """Running mean of weights and statistics."""
+        """Update the running mean of weights and statistics."""
         keep = self.recipe.memory(self.steps)
         mean, new = self.averaged.state_dict(), self.network.state_dict()
         floats = [k for k, v in mean.items() if v.is_floating_point()]
         torch._foreach_lerp_([mean[k] for k in floats], [new[k] for k in floats], 1 - keep)
 
     def report(self) -> dict[str, Any] | None:
-        """What there is to say after this step, if anything; the validation by the first process.
+        """Return the report after this step, None if it has none; the first process validates.
 
         Raises:
             SolverError: the training diverged.
@@ -160,21 +160,17 @@ class Run:
             "windows_per_second": self.steps * config.batch / max(self.seconds, 1e-9),
         }  # fmt: skip
         if due:
+            start = time.perf_counter()
             self.validated = int(self.share_done * config.validations)
-            self._validate(report)
             self.losses = []
+            if self.validation is not None:
+                report["validation"] = self.validation.measure(self.averaged)
+                self.history.append(report)
+            self._spend(start)
         return report
 
-    def _validate(self, report: dict[str, Any]) -> None:
-        """Measure, and keep the report."""
-        start = time.perf_counter()
-        if self.validation is not None:
-            report["validation"] = self.validation.measure(self.averaged)
-            self.history.append(report)
-        self.seconds = self.workers.agree(self.seconds + time.perf_counter() - start)
-
     def facts(self) -> dict[str, Any]:
-        """The settings, and what came of them, as plain values."""
+        """Return the settings and provenance of the training as plain values."""
         return {
             **json.loads(json.dumps(asdict(self.config))),
             "windows_seen": self.steps * self.config.batch,
@@ -187,36 +183,41 @@ class Run:
         }
 
     def save_lifter(self, path: Path, overwrite: bool) -> Path:
-        """Write the lifter, with the last errors measured."""
+        """Write the lifter with its last validation errors.
+
+        Args:
+            path: of the checkpoint. overwrite: replace an existing one.
+        """
         errors = self.history[-1]["validation"] if self.history else {}
-        description = LifterDescription(
+        description = checkpoint.LifterDescription(
             self.body, self.network.config, self.corpus.rate_hz, self.facts(), errors,
-            self.corpus.acknowledgement or ACKNOWLEDGEMENT,
+            self.corpus.acknowledgement or checkpoint.ACKNOWLEDGEMENT,
         )  # fmt: skip
-        return save_checkpoint(path, self.averaged, description, overwrite)
+        return checkpoint.save_checkpoint(path, self.averaged, description, overwrite)
 
     def save(self, path: Path) -> None:
-        """Write what a later run needs to go on as if it had not been interrupted."""
-        save_tensors(
-            {
-                "config": self.config.fixed(), "corpus": self.digest,
-                "network": self.network.state_dict(), "averaged": self.averaged.state_dict(),
-                "optimizer": self.optimizer.state_dict(), "steps": self.steps,
-                "seconds": self.seconds, "validated": self.validated,
-                "losses": [float(x) for x in self.losses], "history": self.history,
-                "started_from": self.started_from,
-            },
-            path, overwrite=True,
-        )  # fmt: skip
+        """Write the state that `restore` reads."""
+        state = {
+            "config": self.config.fixed(), "corpus": self.digest,
+            "network": self.network.state_dict(), "averaged": self.averaged.state_dict(),
+            "optimizer": self.recipe.optimizer.state_dict(), "steps": self.steps,
+            "seconds": self.seconds, "validated": self.validated,
+            "losses": [float(x) for x in self.losses], "history": self.history,
+            "started_from": self.started_from,
+        }  # fmt: skip
+        checkpoint.save_tensors(state, path, overwrite=True)
 
     def start(self, lifter: str | Path) -> None:
-        """Begin with the weights of another lifter, see `rtof_kin.core.resources.lifter_path`.
+        """Begin with the weights of another lifter.
+
+        Args:
+            lifter: a file, or a name, see `rtof_kin.core.resources.lifter_path`.
 
         Raises:
-            FileFormatError: it is none, or does not fit.
+            FileFormatError: it is not a lifter, or does not fit.
         """
         path = self.workers.from_first(lambda: lifter_path(lifter))
-        network, description = self.workers.from_first(lambda: load_checkpoint(path))
+        network, description = self.workers.from_first(lambda: checkpoint.load_checkpoint(path))
         other = description.network
         mine = replace(self.network.config, causal=other.causal, dropout=other.dropout)
         if other != mine or description.body.names != self.body.names:
@@ -231,7 +232,10 @@ class Run:
         self.started_from = self.workers.from_first(lambda: hashlib.sha256(path.read_bytes()).hexdigest())
 
     def restore(self, path: Path) -> None:
-        """Go on from a state file, where the first process has one.
+        """Resume from a state file if the first process has one.
+
+        Args:
+            path: of the state file.
 
         Raises:
             FileFormatError: it cannot be read, or belongs to other settings or motion.
@@ -239,22 +243,18 @@ class Run:
         state = self.workers.from_first(lambda: self._read(path) if path.exists() else None)
         if state is None:
             return
-        try:
+        with _readable(path):
             self.network.load_state_dict(state["network"])
             self.averaged.load_state_dict(state["averaged"])
-            self.optimizer.load_state_dict(state["optimizer"])
+            self.recipe.optimizer.load_state_dict(state["optimizer"])
             self.steps, self.seconds = state["steps"], state["seconds"]
             self.validated, self.history = state["validated"], state["history"]
             self.started_from = state["started_from"]
             self.losses = [torch.tensor(x, device=self.workers.device) for x in state["losses"]]
-        except (KeyError, RuntimeError, TypeError, ValueError) as error:
-            raise FileFormatError(
-                path, f"not a readable training state ({error}); delete it to start afresh"
-            ) from error
 
     def _read(self, path: Path) -> dict[str, Any]:
-        """The contents of a state file of this training."""
-        try:
+        """Read a state file of this training."""
+        with _readable(path):
             state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
             if state["config"] != self.config.fixed():
                 raise FileFormatError(
@@ -262,21 +262,25 @@ class Run:
                 )
             if state["corpus"] != self.digest:
                 raise FileFormatError(
-                    path,
-                    "belongs to a training on other motion; give the motion it began with, delete it, "
-                    "or do not resume",
+                    path, "belongs to a training on other motion; delete it or do not resume"
                 )
-        except RtofError:
-            raise
-        except Exception as error:  # torch raises many types on damaged archives
-            raise FileFormatError(
-                path, f"not a readable training state ({error}); delete it to start afresh"
-            ) from error
         return state
 
 
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Turn errors of reading a state into a `FileFormatError`; torch raises many types."""
+    try:
+        yield
+    except RtofError:
+        raise
+    except Exception as error:
+        message = f"not a readable training state ({error}); delete it to start afresh"
+        raise FileFormatError(path, message) from error
+
+
 def shipped_skeleton(corpus: Corpus) -> list[NDArray[np.float32]]:
-    """Offsets of the package's skeleton that has the corpus' joints, where one has."""
-    tables = [read_skeleton_table(model_path(f"{name}.toml")) for name in SKELETONS]
+    """Return the joint offsets (J, 3) of the package's skeleton with the corpus's joints, if any, m."""
+    tables = [read_skeleton_table(model_path(f"{name}.toml")) for name in ("skeleton", "human36m")]
     joints = corpus.names, corpus.parents
     return [t.offsets.astype(np.float32) for t in tables if (t.names, t.parents) == joints]

@@ -1,9 +1,7 @@
-"""Which sensors a window's person wears, and what is wrong with their orientations.
+"""Sensors worn in a training window, and the errors of their orientations.
 
-What is wrong hardly changes in the half second that a window lasts, so each error is drawn once a window:
-the calibration's misalignment and the soft tissue's roll, most of it about the bone, the heading of the
-sensor's own reference, a lag between camera and sensors. What drifts over tens of seconds is in there
-too, as every window is another moment of it.
+Errors are constant over the half second of a window: misalignment of the calibration, roll by soft tissue
+about the bone, heading of the sensor's reference frame, lag between camera and sensors.
 """
 
 from __future__ import annotations
@@ -19,50 +17,49 @@ from lifting.draws import Draw, cross, rotation
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """Which sensors there are, and sizes of errors; orientations' are multiplied by a factor drawn for
-    each window.
-    """
+    """Sets of sensors and sizes of errors; those of orientations are scaled by an amplitude per window."""
 
     none: float = 0.30
     """Share of windows without any sensor."""
     limbs: float = 0.30
-    """Share with one on each upper arm, forearm, thigh and shank."""
+    """Share of windows with sensors on upper arms, forearms, thighs and shanks."""
     limbs_and_trunk: float = 0.12
-    """Share with these and one on pelvis and upper trunk each."""
+    """Share with these and sensors on pelvis and upper trunk."""
     ends: float = 0.08
-    """Share with forearms and shanks alone."""
+    """Share with sensors on forearms and shanks."""
     every: float = 0.06
-    """Share with all there may be; the rest wear any subset."""
+    """Share with all sensors; the rest have random subsets."""
     amplitude: tuple[float, float] = (0.2, 1.8)
     """Range of the factor on misalignment and roll."""
     misalignment: float = 0.06
     """Standard deviation about each axis of the segment, rad."""
     roll: float = 0.12
-    """Standard deviation of what comes to it about the bone, rad."""
+    """Standard deviation of the additional error about the bone, rad."""
     heading: float = 0.05
     """Standard deviation of a sensor's heading, rad."""
     lag: tuple[float, float] = (-3.0, 6.0)
-    """Range of the time by which sensors are ahead of the camera, frames."""
+    """Range of the lead of the sensors over the camera, frames."""
     missing: float = 0.03
-    """Share of (frame, sensor) that is lost, in runs."""
+    """Share of (frame, sensor) lost, in runs."""
 
 
 TRUNK = ("Hips", "Spine3")
-"""Segments of the pelvis' and the upper trunk's sensor."""
+"""Segments of the pelvis and upper trunk sensors."""
 
 
 def worn(body: Body, config: SensorConfig, draw: Draw) -> Tensor:
-    """(B, S) bool: the sensors of each window, by the shares of `SensorConfig` in random order."""
+    """Draw the sensors of each window, (B, S) bool.
+
+    Args:
+        body: S sensors. config: shares of the sets. draw: random numbers.
+    """
     limbs = {j for limb in body.arms + body.legs for j in limb[:2]}
     ends = {limb[1] for limb in body.arms + body.legs}
     trunk = {body.names.index(name) for name in TRUNK if name in body.names}
     sets = [
-        (config.none, set()),
-        (config.limbs, limbs),
-        (config.limbs_and_trunk, limbs | trunk),
-        (config.ends, ends),
-        (config.every, set(body.sensor_joints)),
-    ]
+        (config.none, set()), (config.limbs, limbs), (config.limbs_and_trunk, limbs | trunk),
+        (config.ends, ends), (config.every, set(body.sensor_joints)),
+    ]  # fmt: skip
     which = draw.uniform(draw.batch, 1)
     chance = draw.uniform(draw.batch, 1)
     mask = draw.uniform(draw.batch, len(body.sensors)) < chance
@@ -75,13 +72,12 @@ def worn(body: Body, config: SensorConfig, draw: Draw) -> Tensor:
 
 
 def with_errors(bones: Tensor, axes_world: Tensor, config: SensorConfig, draw: Draw) -> Tensor:
-    """Axes (B, 3, W, 2, S) as sensors report them.
+    """Return axes (B, 3, W, 2, S) as sensors measure them.
 
     Args:
-        bones: (S, 3) unit vectors along the segments in their own frames, zero where there is no bone.
+        bones: (S, 3) unit vectors along the bones in their segments' frames, zero where there is none.
         axes_world: (B, 3, W, 2, S) true x and z axes of the segments.
-        config: sizes of the errors.
-        draw: of everything random.
+        config: sizes of the errors. draw: random numbers.
     """
     B, S = draw.batch, len(bones)
     factor = draw.between(config.amplitude, B, 1, 1)

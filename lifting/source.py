@@ -104,37 +104,29 @@ class Source:
             picture: include the image.
         """
         at = times[:, None] + (np.arange(size) - estimated) / rate_hz
-        instants = _Instants.at(self.times, at, near=0.1 / rate_hz)
+        instants = _Instants(self.times, at, near=0.1 / rate_hz)
         B, W, S = *at.shape, self.sensed.shape[1]
         axes = instants.interpolated(self.axes.reshape(len(self.axes), 2 * S, 3)).reshape(B, 3, W, 2, S)
         image: Picture | None = None
         if picture:
             R_camera = torch.from_numpy(self.R_camera_world).expand(B, 3, 3)
             image = Picture(torch.from_numpy(instants.interpolated(self.picture)), R_camera)
-        arrays = instants.interpolated(self.rays), instants.known(self.seen), axes, instants.known(self.sensed)
+        arrays = (
+            instants.interpolated(self.rays),
+            instants.known(self.seen),
+            axes,
+            instants.known(self.sensed),
+        )
         rays, seen, turned, sensed = map(torch.from_numpy, arrays)
         height_m = torch.full((B,), height)
         bones_m = torch.from_numpy(bones).float().expand(B, -1)
         return Windows(rays, seen, bones_m, height_m, turned, sensed, estimated, image)
 
 
-@dataclass(frozen=True)
 class _Instants:
-    """Positions of instants (B, W) between frames."""
+    """Frames before and after instants (B, W), and the weight of the one after."""
 
-    frames: slice
-    """The frames concerned; `left` and `right` count from its start."""
-    left: NDArray[np.int64]
-    """(B, W) frame before."""
-    right: NDArray[np.int64]
-    """(B, W) frame after; the same array if no instant is between two frames."""
-    share: NDArray[np.float32]
-    """(B, W) weight of the frame after."""
-    far: Mask
-    """(B, W) whether the two frames are too far apart."""
-
-    @classmethod
-    def at(cls, times: Array, at: Array, near: float) -> Self:
+    def __init__(self, times: Array, at: Array, near: float):
         """Locate instants `at` (B, W), s; an instant less than `near` from a frame is that frame."""
         at = at.clip(times[0], times[-1])
         right = np.searchsorted(times, at)
@@ -147,10 +139,12 @@ class _Instants:
         between = (share > 0) & (share < 1)
         if not between.any():
             left = right = np.where(share == 1, right, left)
-        first, last = int(left.min()), int(right.max()) + 1
-        frames, right = slice(first, last), right - first
-        left = left - first if between.any() else right
-        return cls(frames, left, right, share.astype(np.float32), between & (step > MAX_STEP))
+        first = int(left.min())
+        self.frames = slice(first, int(right.max()) + 1)
+        self.right = right - first
+        self.left = left - first if between.any() else self.right
+        self.share = share.astype(np.float32)
+        self.far = between & (step > MAX_STEP)
 
     def known(self, mask: Mask) -> Mask:
         """(B, W, n) whether all frames that an instant is interpolated from are known in (T, n)."""

@@ -1,22 +1,23 @@
-"""Which subjects train a lifter, which measure it meanwhile, and which are only ever tested on."""
+"""Splits of a corpus by subject: training, validation during training, and test."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import load_toml
 
-SPLITS = ("train", "validation", "test", "excluded")
-BENCHMARK_SPLIT = Path(__file__).parent.parent / "benchmarks" / "split.toml"
-"""The split that every table of this package uses, in a checkout of its source."""
+SPLITS: Final = ("train", "validation", "test", "excluded")
+BENCHMARK_SPLIT: Final = Path(__file__).parent.parent / "benchmarks" / "split.toml"
+"""Split of the benchmarks, in a checkout of the source."""
 
 
 def read_split(path: str | Path) -> dict[str, str]:
-    """The split of each subject that a TOML file lists; subjects it does not list train.
+    """Read the split of each subject listed; subjects that are not listed train.
 
-    The file has lists of subjects named ``test``, ``validation`` and ``excluded``; its tables are not
-    read.
+    Args:
+        path: TOML file with lists named ``test``, ``validation`` and ``excluded``; tables are ignored.
 
     Raises:
         FileFormatError: not TOML, an unknown list, or a subject in two lists.
@@ -26,16 +27,19 @@ def read_split(path: str | Path) -> dict[str, str]:
         if isinstance(subjects, dict):
             continue
         if split not in SPLITS or not isinstance(subjects, list):
-            raise FileFormatError(path, f"'{split}' is no list of one of: {', '.join(SPLITS)}")
+            raise FileFormatError(path, f"'{split}' is not a list of one of: {', '.join(SPLITS)}")
         for subject in map(str, subjects):
             if subject in split_of:
-                raise FileFormatError(path, f"subject {subject} stands in two lists")
+                raise FileFormatError(path, f"subject {subject} is in two lists")
             split_of[subject] = split
     return split_of
 
 
 def find_split(folder: Path) -> Path:
-    """The split of a folder of motion: its own ``split.toml``, else the one of the benchmarks.
+    """Return the split file of a folder of motion: its ``split.toml``, else the one of the benchmarks.
+
+    Args:
+        folder: of motion.
 
     Raises:
         FileFormatError: there is neither.

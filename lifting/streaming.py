@@ -120,7 +120,8 @@ class StreamingLifter:
                 f"time: {time:g} s after a frame at {self._newest:g} s; give frames in order, "
                 "each once, and make a new StreamingLifter for a new recording"
             )
-        keypoints = KeypointSequence(self._camera, [time], [uv_px], [confidence], self._names)  # type: ignore[arg-type]
+        times, uv, sure = (np.asarray([value], float) for value in (time, uv_px, confidence))
+        keypoints = KeypointSequence(self._camera, times, uv, sure, self._names)
         axes, sensed = self._axes(R_world_bone or {})
         frame = replace(Source.of(self._body, keypoints), axes=axes[None], sensed=sensed[None])
         self._frames.append(frame)

@@ -1,4 +1,4 @@
-"""Errors of a lifter on the validation subjects: always the same windows, cameras and noise."""
+"""Errors of a lifter on fixed windows of the validation subjects."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from lifting.corpus import Corpus
 from lifting.data import AugmentConfig, Batch, MotionBank, plain
 from lifting.model import TemporalNetwork
 from lifting.models import RAYS, model_of
-from lifting.noise import perfect, realistic
+from lifting.noise import VALIDATION_NOISE
 from lifting.sensors import TRUNK, SensorConfig
-from lifting.windows import Estimate, answer
+from lifting.windows import Estimate
 
 SEED = 20_000
 _SENSED = SensorConfig(
@@ -26,7 +26,7 @@ _SENSED = SensorConfig(
 
 
 class Validation:
-    """Fixed windows of the validation subjects; empty where the corpus has none."""
+    """Fixed windows of the validation subjects; none if the corpus has no such subjects."""
 
     def __init__(
         self,
@@ -40,12 +40,9 @@ class Validation:
         """Draw the windows.
 
         Args:
-            corpus: the motion.
-            window: frames in each.
-            device: where they are kept.
-            count: how many of each kind, evenly over the motion.
-            causal: whether the last frame is estimated.
-            model: of the networks to be measured.
+            corpus: the motion. window: frames per window. device: of the tensors.
+            count: windows of each kind, evenly over the motion.
+            causal: whether the last frame is estimated. model: of the networks to be measured.
         """
         self.model, self.body = model_of(model), corpus.body()
         if not self.model.senses:
@@ -61,12 +58,11 @@ class Validation:
             self.batches[name] = bank.draw(count, window, config, generator, frames, causal)
 
     def measure(self, network: TemporalNetwork, flip: bool = True) -> dict[str, dict[str, float]]:
-        """Mean per joint position error in mm, root-relative (the root's 0 counted) and absolute, and
-        for a body with sensors the angle of pelvis and upper trunk, degrees.
+        """Return errors by kind of 2D: mean per joint position error, root-relative (with the root's 0) and
+        absolute, mm, and for a body with sensors the angles of pelvis and upper trunk, deg.
 
         Args:
-            network: in evaluation mode.
-            flip: average with the mirrored windows, as prediction does.
+            network: in evaluation mode. flip: average with the mirrored windows.
         """
         return {
             name: _errors(self.body, self._estimate(network, batch, flip), batch)
@@ -75,21 +71,21 @@ class Validation:
 
     def _estimate(self, network: TemporalNetwork, batch: Batch, flip: bool) -> Estimate:
         encoded = self.model.encode(self.body, batch.windows)
-        return self.model.decode(self.body, answer(self.body, network, encoded, flip), encoded)
+        return self.model.decode(self.body, self.model.answer(self.body, network, encoded, flip), encoded)
 
 
 def _kinds(sensed: bool) -> dict[str, AugmentConfig]:
-    """What is measured, by name."""
+    """Settings of each kind, by name."""
     kinds = {
-        "perfect": plain(perfect()),
-        "realistic": plain(realistic()),
-        "perfect, bones unknown": replace(plain(perfect()), hide_bones=1.0),
-        "realistic, floor known": replace(plain(realistic()), hide_height=0.0),
+        "perfect": plain(),
+        "realistic": plain(VALIDATION_NOISE),
+        "perfect, bones unknown": replace(plain(), hide_bones=1.0),
+        "realistic, floor known": replace(plain(VALIDATION_NOISE), hide_height=0.0),
     }
     if sensed:
         worn = {"8": replace(_SENSED, limbs=1.0), "10": replace(_SENSED, limbs_and_trunk=1.0)}
         for name, sensors in worn.items():
-            kinds[f"realistic, {name} sensors"] = replace(plain(realistic()), sensors=sensors)
+            kinds[f"realistic, {name} sensors"] = replace(plain(VALIDATION_NOISE), sensors=sensors)
     return kinds
 
 

@@ -1,13 +1,11 @@
 """The baseline: VideoPose3D as published, from pixels to poses in the camera's frame.
 
 Pavllo, Feichtenhofer, Grangier, Auli: 3D human pose estimation in video with temporal convolutions and
-semi-supervised training, CVPR 2019, sections 3 to 5. Pixels divided by the image's width go in. One
-network answers with joints relative to the root, a second one of the same shape with the root. It knows
-neither the camera's intrinsics nor gravity, bones or sensors, and no uncertainty. `recipes.Published` is
-how it is trained.
+semi-supervised training, CVPR 2019, sections 3 to 5. Input are pixels divided by the image's width. One
+network estimates joints relative to the root, a second one of the same shape the root. It uses neither
+intrinsics nor gravity, bones or sensors, and estimates no uncertainty. `recipes.Published` trains it.
 
-It has no notion of a landmark that was not seen: such a one stays where it was seen last, or will be
-next, whichever is nearer in time.
+An unseen landmark is replaced by its position in the nearest frame that saw it.
 """
 
 from __future__ import annotations
@@ -22,68 +20,55 @@ from lifting.body import Body
 from lifting.model import NetworkConfig, TemporalNetwork
 from lifting.windows import Encoded, Estimate, Windows
 
-NAME = "videopose3d"
-
 
 @dataclass(frozen=True)
 class EncodedPictures(Encoded):
-    """Network input, and the camera's orientation, which the answer is turned back by."""
+    """Network input, and the camera's orientation."""
 
     R_camera_world: Tensor
     """(B, 3, 3)."""
 
-    def mirrored_features(self, body: Body) -> Tensor:
-        """Left and right swapped, x negated."""
-        xy = self.features.reshape(*self.features.shape[:-1], 2, -1)[..., body.mirrored]
-        return torch.flatten(xy * _across(xy, 2)[:, None], -2)
-
-    def mirrored_output(self, body: Body, output: Tensor) -> Tensor:
-        """Likewise."""
-        J = len(body.names)
-        pose, root = torch.split(output, [3 * (J - 1), 3], dim=1)
-        pose = pose.reshape(-1, 3, J - 1)[..., [j - 1 for j in body.mirrored[1:]]]
-        signs = _across(output, 3)
-        return torch.cat([(pose * signs[:, None]).flatten(1), root * signs], dim=1)
-
 
 class PoseAndRootNetwork(TemporalNetwork):
-    """Two networks that share nothing: their outputs stand one after the other, the root's three last."""
+    """Two independent networks with concatenated outputs, the root's three last."""
 
     def __init__(self, config: NetworkConfig):
         super().__init__(replace(config, outputs=config.outputs - 3))
         self.config = config
         self.root = TemporalNetwork(replace(config, outputs=3))
 
-    def _run(self, x: Tensor, constants: Tensor, strided: bool) -> Tensor:
-        pose = super()._run(x, constants, strided)
-        return torch.cat([pose, self.root._run(x, constants, strided)], dim=-1)
+    def forward(self, features: Tensor, constants: Tensor) -> Tensor:
+        """Return (B, outputs)."""
+        return torch.cat([super().forward(features, constants), self.root(features, constants)], dim=-1)
 
 
 def sizes(body: Body) -> tuple[int, int, int]:
-    """Inputs, constants and outputs of the network."""
+    """Return the numbers of inputs, constants and outputs of the network."""
     J = len(body.names)
     return 2 * J, 0, 3 * (J - 1) + 3
 
 
-def encode(body: Body, windows: Windows) -> EncodedPictures:
-    """Network input of windows.
+def encode(body: Body, windows: Windows) -> EncodedPictures:  # noqa: ARG001, as every `Model.encode`
+    """Return the network input of windows.
 
     Raises:
         ValueError: they have no picture.
     """
     picture = windows.picture
     if picture is None:
-        raise ValueError("windows without a picture; VideoPose3D reads nothing else")
+        raise ValueError("windows without a picture, which VideoPose3D needs")
     xy = bridged(picture.xy, windows.seen & picture.xy.isfinite().all(dim=1))
     features = xy.permute(0, 2, 1, 3).flatten(2)
     return EncodedPictures(features, features.new_zeros((len(xy), 0)), picture.R_camera_world)
 
 
 def decode(body: Body, output: Tensor, encoded: EncodedPictures) -> Estimate:
-    """The network's answer (B, outputs) in world axes, its spreads unknown.
+    """Return the estimate in world axes, its spreads NaN.
 
-    It is, in this order, the joints but the root (3, J-1) relative to the root, and the root (3), both in
-    the camera's frame, m.
+    Args:
+        body: J joints. encoded: the input.
+        output: (B, outputs): joints but the root (3, J-1) relative to the root, and the root (3), in the
+            camera's frame, m.
     """
     output = output.to(encoded.R_camera_world.dtype)  # bfloat16 in training
     B, J = len(output), len(body.names)
@@ -94,10 +79,28 @@ def decode(body: Body, output: Tensor, encoded: EncodedPictures) -> Estimate:
     return Estimate(pose_world, root_world, output.new_full((B, 2, J), torch.nan), None, None)
 
 
-def bridged(xy: Tensor, seen: Tensor) -> Tensor:
-    """Image points (B, 2, W, J), where not seen (B, W, J) those of the nearest frame that saw them.
+def mirror_features(body: Body, features: Tensor) -> Tensor:
+    """Mirror features (B, W, inputs): swap left and right, negate x."""
+    xy = features.reshape(*features.shape[:-1], 2, -1)[..., body.mirrored]
+    return torch.flatten(xy * _mirror_signs(xy, 2)[:, None], -2)
 
-    A landmark never seen in a window stands at the mean of all that was seen in it, or in the middle.
+
+def mirror_output(body: Body, output: Tensor) -> Tensor:
+    """Mirror an output (B, outputs): swap left and right, negate x."""
+    J = len(body.names)
+    pose, root = torch.split(output, [3 * (J - 1), 3], dim=1)
+    pose = pose.reshape(-1, 3, J - 1)[..., [j - 1 for j in body.mirrored[1:]]]
+    signs = _mirror_signs(output, 3)
+    return torch.cat([(pose * signs[:, None]).flatten(1), root * signs], dim=1)
+
+
+def bridged(xy: Tensor, seen: Tensor) -> Tensor:
+    """Replace unseen image points by those of the nearest frame that saw them.
+
+    A landmark never seen in a window is placed at the mean of all seen points, or in the middle.
+
+    Args:
+        xy: (B, 2, W, J) image points. seen: (B, W, J).
     """
     if bool(seen.all()):
         return xy
@@ -112,6 +115,6 @@ def bridged(xy: Tensor, seen: Tensor) -> Tensor:
     return torch.where(seen.any(dim=1)[:, None, None], held, mean[..., None, None])
 
 
-def _across(like: Tensor, components: int) -> Tensor:
+def _mirror_signs(like: Tensor, components: int) -> Tensor:
     """Signs of the components of a mirrored vector in the camera: x, to the right, is negated."""
     return like.new_tensor([-1.0, 1.0, 1.0][:components])

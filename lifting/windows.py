@@ -1,24 +1,21 @@
-"""From rays to network input and back: the gravity-aligned, root-centred, scaled representation.
+"""Gravity-aligned, root-centred, scaled network input and output of windows.
 
-A window is W frames of rays from one camera to J landmarks, and of the orientations of the segments that
-carry sensors. One of its frames is estimated: the middle one, or the last one of a causal lifter. The
-*view* frame of a window looks along the ray to the root in that frame (x right, y down, z forward, no
-roll); the *ray* frame has the same azimuth but is level (x away from the camera, y left, z up). Both
-are upright in world, so the network sees gravity, and neither knows the camera's intrinsics, tilt, or
-heading.
+A window has W frames of rays from one camera to J landmarks, and of orientations of the segments that
+carry sensors. Its estimated frame is the middle one, or the last one of a causal lifter. The *view* frame
+of a window looks along the ray to the root in that frame (x right, y down, z forward, no roll); the *ray*
+frame has the same azimuth but is level (x away from the camera, y left, z up). Both are upright in world
+and independent of the camera's intrinsics, tilt and heading.
 
-Per frame the network sees x/z and y/z of each landmark in the view frame, divided by `scale`, and
-whether it was seen; and of each sensor's segment the x and z axes in the ray frame, and whether they are
-known. What holds for the window it sees once: the elevation of the root's ray, log scale, the camera's
-height over the floor, and bone lengths, the last two optional. `decode` tells what it answers with.
+Features per frame: x/z and y/z of each landmark in the view frame divided by `scale`, whether it was seen,
+the x and z axes in the ray frame of each sensor's segment, and whether they are known. Features per
+window: elevation of the root's ray, log scale, and optionally the camera's height over the floor and bone
+lengths. For the output see `decode`.
 
-Arrays are (B, component, W, J): one plane per component, so turning and chaining bones are large
-matrix products.
+Arrays are (B, component, W, J): with one plane per component, turning is one large matrix product.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import sqrt
 
@@ -26,8 +23,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from lifting.body import Body
-from lifting.model import TemporalNetwork
+from lifting.body import Body, bone_groups
 
 MIN_FORWARD = 0.1
 """Cosine to the view axis below which a ray counts as unseen."""
@@ -39,7 +35,7 @@ BONE_GAIN = 15.0
 ANKLE_HEIGHT = 0.08
 """Height of an ankle over the floor when standing, m."""
 MIN_SLOPE, MIN_HEIGHT = 0.02, 0.05
-"""Least slope of a ray to a foot, and height of the camera over it, m, that tell where it stands."""
+"""Least slope of a ray to a standing foot, and least height of the camera over it, m."""
 MIN_HEIGHT_IN_IMAGE = 1e-3
 """Least height of the camera times scale."""
 LOG_DISTANCE = (-4.0, 3.0)
@@ -47,23 +43,23 @@ LOG_DISTANCE = (-4.0, 3.0)
 LOG_SPREAD = (-7.0, 2.0)
 """Smallest and largest logarithm of a spread."""
 SIGMA_ALONG, SIGMA_ACROSS, SIGMA_TURN = sqrt(2), sqrt(3), sqrt(4)
-"""Standard deviation per axis of errors in one, two and three dimensions whose spread is 1. An error e of
-n dimensions and spread b has the density ``b^-n exp(-|e| / b)`` but for a constant; n = 1: Laplace's."""
+"""Standard deviation per axis of errors in 1, 2 and 3 dimensions with spread 1. An error e in n dimensions
+with spread b has a density proportional to ``b^-n exp(-|e| / b)``, for n = 1 Laplace's."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """The landmarks of windows as they stand in the image, for a lifter of the camera's frame."""
+    """Image of the landmarks, for a lifter in the camera's frame."""
 
     xy: Tensor
-    """(B, 2, W, J) to the right of the image's middle and below it, in halves of the image's width."""
+    """(B, 2, W, J) right of and below the image's middle, in halves of the image's width."""
     R_camera_world: Tensor
     """(B, 3, 3)."""
 
 
 @dataclass(frozen=True)
 class Windows:
-    """What was observed in B windows of W frames."""
+    """Observations in B windows of W frames."""
 
     rays_world: Tensor
     """(B, 3, W, J) directions in world from the optical centre, of any finite length."""
@@ -80,30 +76,22 @@ class Windows:
     estimated: int
     """Index of the frame that is estimated."""
     picture: Picture | None = None
-    """The image; None where nothing reads it."""
+    """The image; None where it is not used."""
 
 
 @dataclass(frozen=True)
-class Encoded(ABC):
-    """Network input, and what it takes to mirror it and to read the answer."""
+class Encoded:
+    """Network input."""
 
     features: Tensor
     """(B, W, inputs)."""
     constants: Tensor
     """(B, constants)."""
 
-    @abstractmethod
-    def mirrored_features(self, body: Body) -> Tensor:
-        """Features (B, W, inputs) of the mirrored scene, whose constants are the same."""
-
-    @abstractmethod
-    def mirrored_output(self, body: Body, output: Tensor) -> Tensor:
-        """Answer (B, outputs) of the mirrored scene, or back."""
-
 
 @dataclass(frozen=True)
 class EncodedWindows(Encoded):
-    """Network input, and the frame in which its answer is to be read."""
+    """Network input, and the frames of its output."""
 
     R_view_world: Tensor
     """(B, 3, 3)."""
@@ -112,40 +100,39 @@ class EncodedWindows(Encoded):
     scale: Tensor
     """(B,) RMS distance of the landmarks from each frame's mean, in units of focal length."""
 
-    def mirrored_features(self, body: Body) -> Tensor:
-        """See `mirror_features`."""
-        return mirror_features(body, self.features)
-
-    def mirrored_output(self, body: Body, output: Tensor) -> Tensor:
-        """See `mirror_output`."""
-        return mirror_output(body, output)
-
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the network says of the estimated frame of B windows, in world axes."""
+    """Estimates of the estimated frames of B windows, in world axes."""
 
     pose: Tensor
     """(B, 3, J) root-relative joints, m."""
     root: Tensor
     """(B, 3) root from the optical centre, m."""
     log_spread: Tensor
-    """(B, 2, J) logarithm of the scale of the error across the ray and along it, m; of root-relative
-    joints, and in the root's place of the root itself, as a share of its distance. NaN where unknown."""
+    """(B, 2, J) logarithm of the spread of the error across the ray and along it, m, of root-relative
+    joints and, in the root's column, of the root relative to its distance. NaN where unknown."""
     axes: Tensor | None
     """(B, 3, 2, J) x and z axes of every segment, orthonormal; None for a body without sensors."""
     log_turn: Tensor | None
-    """(B, J) logarithm of the scale of their error, rad."""
+    """(B, J) logarithm of the spread of their error, rad."""
 
     def sigma_m(self) -> Tensor:
-        """(B, J, 2) standard deviation per axis across and along the ray, m; the root's in its place."""
+        """Return (B, J, 2) standard deviations per axis across and along the ray, m."""
         sigma = self.log_spread.exp().transpose(1, 2)
         sigma = sigma * sigma.new_tensor([SIGMA_ACROSS, SIGMA_ALONG])
         return torch.cat([sigma[:, :1] * _length(self.root)[..., None], sigma[:, 1:]], dim=1)
 
 
+def sizes(body: Body) -> tuple[int, int, int]:
+    """Return the numbers of inputs, constants and outputs of the network."""
+    J, S = len(body.names), len(body.sensors)
+    constants = 2 + (1 + 1) + (3 * len(bone_groups(body.names)) + 1)
+    return 3 * J + 2 * len(body.feet) + 7 * S, constants, 5 * J + (7 * J if S else 0)
+
+
 def encode(body: Body, windows: Windows) -> EncodedWindows:
-    """Network input of windows."""
+    """Return the network input of windows."""
     rays = windows.rays_world
     centre = _centre_ray(body, rays, windows.seen, windows.estimated)
     R_view, R_ray, elevation = _frames(centre)
@@ -175,12 +162,14 @@ def encode(body: Body, windows: Windows) -> EncodedWindows:
 
 
 def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> Estimate:
-    """The network's answer (B, outputs) in world axes.
+    """Return the estimate in world axes.
 
-    It is, in this order: root-relative joints but the root (3, J-1) in the ray frame, m; the root's shift
-    from the window's centre in the scaled image (2) and log(distance x scale) (1); logarithms of spreads
-    (2, J); and for a body with sensors the x and z axes of all segments (2, 3, J) in the ray frame, made
-    orthonormal here, and the logarithm of their spread (J).
+    Args:
+        body: J joints. encoded: the input.
+        output: (B, outputs): root-relative joints but the root (3, J-1) in the ray frame, m; the root's
+            shift from the window's centre in the scaled image (2); log(distance x scale) (1); logarithms
+            of spreads (2, J); for a body with sensors, x and z axes of all segments (2, 3, J) in the ray
+            frame, not yet orthonormal, and the logarithm of their spread (J).
     """
     output = output.to(encoded.scale.dtype)  # bfloat16 in training
     B, J = output.shape[0], len(body.names)
@@ -199,19 +188,8 @@ def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> Estimate:
     return Estimate(pose, root_world, log_spread, axes, turns[1].clamp(*LOG_SPREAD))
 
 
-@torch.no_grad()
-def answer(body: Body, network: TemporalNetwork, encoded: Encoded, flip: bool) -> Tensor:
-    """The network's output (B, outputs), averaged with that of the mirrored windows."""
-    constants = encoded.constants
-    output: Tensor = network.forward_windows(encoded.features, constants)
-    if flip:
-        mirrored: Tensor = network.forward_windows(encoded.mirrored_features(body), constants)
-        output = (output + encoded.mirrored_output(body, mirrored)) / 2
-    return output
-
-
 def orthonormal(axes: Tensor) -> Tensor:
-    """The x and z axes (B, 3, 2, J) nearest to those given that are, the z axis kept."""
+    """Return orthonormal x and z axes (B, 3, 2, J) with the given direction of z."""
     x, z = axes.unbind(dim=2)
     z = _unit(z)
     x = _unit(x - (x * z).sum(dim=1, keepdim=True) * z)
@@ -219,16 +197,13 @@ def orthonormal(axes: Tensor) -> Tensor:
 
 
 def rotations(axes: Tensor) -> Tensor:
-    """Rotation matrices (..., 3, 3, n) with the x and z axes given (..., 3, 2, n)."""
+    """Return rotation matrices (..., 3, 3, n) with x and z axes (..., 3, 2, n)."""
     x, z = axes.unbind(dim=-2)
     return torch.stack([x, torch.linalg.cross(z, x, dim=-2), z], dim=-2)
 
 
 def mirror_features(body: Body, features: Tensor) -> Tensor:
-    """Features (B, W, inputs) of the mirrored scene: left and right swapped, x negated.
-
-    Constants are the same in both.
-    """
+    """Mirror features (B, W, inputs): swap left and right, negate x."""
     J, F, S = len(body.names), len(body.feet), len(body.sensors)
     x, y, seen, away, stands, axes, sensed = torch.split(features, [J, J, J, F, F, 6 * S, S], dim=-1)
     order, other = body.mirrored, body.mirrored_sensors
@@ -239,7 +214,7 @@ def mirror_features(body: Body, features: Tensor) -> Tensor:
 
 
 def mirror_output(body: Body, output: Tensor) -> Tensor:
-    """Answer (B, outputs) of the mirrored scene, or back."""
+    """Mirror an output (B, outputs): swap left and right, negate the lateral component."""
     J, order = len(body.names), body.mirrored
     pose, root, spread, *turns = _parts(body, output)
     pose = pose.reshape(-1, 3, J - 1)[..., [j - 1 for j in order[1:]]] * _across(pose)[..., 0]
@@ -255,16 +230,14 @@ def mirror_output(body: Body, output: Tensor) -> Tensor:
 
 
 def _parts(body: Body, output: Tensor) -> tuple[Tensor, ...]:
-    """What the answer (B, outputs) is made of, in the order of `decode`."""
+    """Split an output (B, outputs) in the order of `decode`."""
     J = len(body.names)
     sizes = [3 * (J - 1), 3, 2 * J] + ([6 * J, J] if body.sensors else [])
     return torch.split(output, sizes, dim=1)
 
 
 def _length(v: Tensor) -> Tensor:
-    """Lengths (B, 1, ...) of vectors (B, 2 or 3, ...), never less than 1e-12; several times faster than
-    `Tensor.norm` over an axis that is not the last.
-    """
+    """Lengths (B, 1, ...) of vectors (B, 2 or 3, ...), at least 1e-12; faster than `Tensor.norm` here."""
     return (v * v).sum(dim=1, keepdim=True).clamp_min(1e-24).sqrt()
 
 
@@ -279,9 +252,7 @@ def _across(like: Tensor) -> Tensor:
 
 
 def _sensed_axes(windows: Windows, R_ray_world: Tensor) -> list[Tensor]:
-    """Three components (B, W, 2 S) of the axes in the ray frame, zero where not sensed, and whether
-    they are sensed (B, W, S).
-    """
+    """Three components (B, W, 2 S) of axes in the ray frame, zero if not sensed, and the mask (B, W, S)."""
     axes, weight = windows.axes_world, windows.sensed.to(R_ray_world.dtype)
     turned = torch.bmm(R_ray_world, axes.flatten(2)).reshape(*axes.shape[:3], -1)
     turned = turned * torch.cat([weight, weight], dim=2)[:, None]  # many times faster than `where`
@@ -289,10 +260,10 @@ def _sensed_axes(windows: Windows, R_ray_world: Tensor) -> list[Tensor]:
 
 
 def _centre_ray(body: Body, rays: Tensor, seen: Tensor, estimated: int) -> Tensor:
-    """Direction (B, 3) that a window is centred on.
+    """Direction (B, 3) to the centre of a window.
 
-    In the estimated frame, or the nearest one with anything seen: the root, else the mean of the hips
-    seen, else the mean of everything seen; straight ahead (x) where nothing is.
+    In the nearest frame to the estimated one with anything seen: the root, else the mean of the hips, else
+    the mean of all landmarks seen; x if nothing is seen.
     """
     B, W, J = seen.shape
     away = (torch.arange(W, device=seen.device) - estimated).abs()
@@ -302,12 +273,12 @@ def _centre_ray(body: Body, rays: Tensor, seen: Tensor, estimated: int) -> Tenso
     first = [3 if j == 0 else 2 if j in body.hips else 1 for j in range(J)]
     rank = now * torch.tensor(first, device=seen.device)
     chosen = now & (rank == rank.amax(dim=1, keepdim=True))
-    ahead = rays.new_tensor([1e-12, 0.0, 0.0])  # of no weight where anything is seen
+    ahead = rays.new_tensor([1e-12, 0.0, 0.0])  # negligible where anything is seen
     return _unit(torch.where(chosen[:, None], ray, 0.0)).sum(dim=2) + ahead
 
 
 def _frames(centre: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """R_view_world and R_ray_world (B, 3, 3) of windows centred on (B, 3), and its elevation (B, 1)."""
+    """R_view_world and R_ray_world (B, 3, 3) of windows centred on (B, 3), and the elevation (B, 1), rad."""
     across, up = _length(centre[:, :2]), centre[:, 2:]
     elevation = torch.atan2(up, across)
     level = pad(centre[:, :2] / across, (0, 1))
@@ -330,9 +301,9 @@ def _scale(image: Tensor, weight: Tensor) -> Tensor:
 
 
 def _standing(rays: Tensor, seen: Tensor, camera_height: Tensor, scale: Tensor) -> Tensor:
-    """Log(horizontal distance x scale) of each foot if it stands on the floor, and whether known.
+    """Log(horizontal distance x scale) of each foot if it is on the floor, and whether known, (B, W, 2 F).
 
-    (B, W, 2 F) of rays (B, 3, W, F): unknown where the height is, or the ray is near the horizon.
+    Unknown if the height is, or if the ray (B, 3, W, F) is near the horizon.
     """
     slope = -rays[:, 2] / _length(rays[:, :2])[:, 0].clamp_min(1e-6)
     height = (camera_height - ANKLE_HEIGHT)[:, None, None]
@@ -342,6 +313,6 @@ def _standing(rays: Tensor, seen: Tensor, camera_height: Tensor, scale: Tensor) 
 
 
 def _optional(values: Tensor) -> Tensor:
-    """Values (B, n) and a flag (B, 1) that they are known; zeros where any in a row is NaN."""
+    """Values (B, n) and whether they are known (B, 1); zeros where any in a row is NaN."""
     known = values.isfinite().all(dim=1, keepdim=True)
     return torch.cat([torch.where(known, values, 0.0), known.to(values.dtype)], dim=1)

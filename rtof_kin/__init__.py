@@ -1,8 +1,7 @@
-"""Human motion from one ordinary camera and a handful of IMUs.
+"""3D human motion from one camera and a few IMUs.
 
-``from rtof_kin import SkeletonModel, FragmentSolver`` is the front door; `reconstruct` runs the whole
-pipeline. Importing the package loads neither torch nor a plotting library, and what is named below only
-when it is used.
+`reconstruct` runs the whole pipeline; `SkeletonModel` and `FragmentSolver` are its main parts. The names
+below are imported when they are first used; torch and plotting libraries are not loaded.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
     from rtof_kin.calibration.priors import CalibrationPriors
     from rtof_kin.calibration.result import SelfCalibration
-    from rtof_kin.core.errors import RtofError
+    from rtof_kin.core.errors import InvalidInputError, RtofError
     from rtof_kin.data.camera import Camera
     from rtof_kin.data.imu import BoneImuSequence, ImuSequence
     from rtof_kin.data.imu_calibration import ImuCalibration
@@ -31,64 +30,35 @@ if TYPE_CHECKING:
     from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
     from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
-_HOME = {
-    "BoneImuSequence": "data.imu",
-    "CalibrationPriors": "calibration.priors",
-    "Camera": "data.camera",
-    "CartesianSettings": "solve.cartesian.settings",
-    "FragmentSolution": "solve.fragment_solver",
-    "FragmentSolver": "solve.fragment_solver",
-    "ImuCalibration": "data.imu_calibration",
-    "ImuSequence": "data.imu",
-    "InertialGuidedIK": "solve.inertial_ik",
-    "InertialGuidedIKSettings": "solve.inertial_ik",
-    "JointSpaceSettings": "solve.joint_space.settings",
-    "KeypointSequence": "data.keypoints",
-    "Metrics": "body.metrics",
-    "MotionSequence": "body.skeleton",
-    "PoseSequence": "data.poses",
-    "Provenance": "data.poses",
-    "Reconstruction": "reconstruction.result",
-    "ReconstructionSettings": "reconstruction.settings",
-    "Recording": "recording.recording",
-    "RtofError": "core.errors",
-    "SelfCalibration": "calibration.result",
-    "SkeletonModel": "body.skeleton",
-    "SolverStatus": "solve.fragment_solver",
-    "calibrate_recording": "reconstruction.pipeline",
-    "evaluate": "body.metrics",
-    "export": "report.export",
-    "reconstruct": "reconstruction.pipeline",
-}
+_MODULES = {
+    "body.metrics": ("Metrics", "evaluate"),
+    "body.skeleton": ("MotionSequence", "SkeletonModel"),
+    "calibration.priors": ("CalibrationPriors",),
+    "calibration.result": ("SelfCalibration",),
+    "core.errors": ("InvalidInputError", "RtofError"),
+    "data.camera": ("Camera",),
+    "data.imu": ("BoneImuSequence", "ImuSequence"),
+    "data.imu_calibration": ("ImuCalibration",),
+    "data.keypoints": ("KeypointSequence",),
+    "data.poses": ("PoseSequence", "Provenance"),
+    "reconstruction.pipeline": ("calibrate_recording", "reconstruct"),
+    "reconstruction.result": ("Reconstruction",),
+    "reconstruction.settings": ("ReconstructionSettings",),
+    "recording.recording": ("Recording",),
+    "report.export": ("export",),
+    "solve.cartesian.settings": ("CartesianSettings",),
+    "solve.fragment_solver": ("FragmentSolution", "FragmentSolver", "SolverStatus"),
+    "solve.inertial_ik": ("InertialGuidedIK", "InertialGuidedIKSettings"),
+    "solve.joint_space.settings": ("JointSpaceSettings",),
+}  # fmt: skip
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [
-    "BoneImuSequence",
-    "CalibrationPriors",
-    "Camera",
-    "CartesianSettings",
-    "FragmentSolution",
-    "FragmentSolver",
-    "ImuCalibration",
-    "ImuSequence",
-    "InertialGuidedIK",
-    "InertialGuidedIKSettings",
-    "JointSpaceSettings",
-    "KeypointSequence",
-    "Metrics",
-    "MotionSequence",
-    "PoseSequence",
-    "Provenance",
-    "Reconstruction",
-    "ReconstructionSettings",
-    "Recording",
-    "RtofError",
-    "SelfCalibration",
-    "SkeletonModel",
-    "SolverStatus",
-    "calibrate_recording",
-    "evaluate",
-    "export",
-    "reconstruct",
-]
+    "BoneImuSequence", "CalibrationPriors", "Camera", "CartesianSettings", "FragmentSolution",
+    "FragmentSolver", "ImuCalibration", "ImuSequence", "InertialGuidedIK", "InertialGuidedIKSettings", "InvalidInputError",
+    "JointSpaceSettings", "KeypointSequence", "Metrics", "MotionSequence", "PoseSequence", "Provenance",
+    "Reconstruction", "ReconstructionSettings", "Recording", "RtofError", "SelfCalibration",
+    "SkeletonModel", "SolverStatus", "calibrate_recording", "evaluate", "export", "reconstruct",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
@@ -100,14 +70,12 @@ def __getattr__(name: str) -> Any:
 
 
 def _version() -> str:
-    from importlib.metadata import (  # takes longer than the rest of this file
-        PackageNotFoundError,
-        version,
-    )
+    """Return the installed version."""
+    from importlib.metadata import PackageNotFoundError, version  # slow to import
 
     try:
         return version("rtof_kin")
-    except PackageNotFoundError:  # a clone that was not installed
+    except PackageNotFoundError:  # a checkout that is not installed
         return "0+unknown"
 
 

@@ -1,1 +1,1 @@
-"""How accurate the joint-space solver is; ``python -m benchmarks.accuracy``."""
+"""Accuracy of the joint-space solver; ``python -m benchmarks.accuracy``."""

@@ -8,7 +8,7 @@
   pipeline, which may find what is wrong and leave it out.
 * ablation: 8 IMUs, white and realistic 2D, one ingredient left out at a time, one camera a motion.
 
-Rows are written as they come: an interrupted run goes on where it stopped. ``--subset validation`` takes
+Rows are written as they come: an interrupted run resumes where it stopped. ``--subset validation`` takes
 motions of the validation subjects instead, to tune on.
 """
 
@@ -60,7 +60,7 @@ def clips(corpus: Path, subset: str) -> list[MocapClip]:
 
 
 def jobs(table: str, motions: Sequence[MocapClip], options: argparse.Namespace) -> list[Job]:
-    """Of the first table all cameras of every motion, of the others one, in turn."""
+    """Jobs of a table: all cameras of every motion for the first one, else one camera in turn."""
     return [
         Job(table, clip, camera, options.seed, options.lifter)
         for i, clip in enumerate(motions)

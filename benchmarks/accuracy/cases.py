@@ -1,4 +1,4 @@
-"""What is compared: faults, sensors, and the solver without its ingredients."""
+"""Cases to compare: faults, sensors, and the solver without one of its terms."""
 
 from __future__ import annotations
 
@@ -61,18 +61,18 @@ class Case:
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Settings of the solver that are not the default."""
     as_given: bool = False
-    """Whether the recording is not calibrated from itself."""
+    """Use the recording's calibration without self-calibration."""
 
     @property
     def settings(self) -> JointSpaceSettings:
-        """Of the solver."""
+        """Settings of the solver."""
         calibrated = self.sensors != "0" and not self.as_given
         usual = _USUAL if calibrated else JointSpaceSettings()
         return replace(usual, **self.changes)
 
     @property
     def lift_with_sensors(self) -> bool:
-        """Whether the lifter is told the sensors."""
+        """Return whether the lifter takes the sensors."""
         return self.name != _BLIND
 
 

@@ -1,4 +1,4 @@
-"""What may be wrong with a recording, one thing at a time; the truth stays.
+"""Faults of a recording, one at a time, with unchanged truth.
 
 Faults of streams are in `sensor_faults` and `video_faults`; here are those of what is believed of body,
 camera and mounting, and the list of all.
@@ -79,9 +79,9 @@ class Fault:
     apply: Callable[[Recording, Generator], Recording]
     """Another recording with the same truth; equal draws give equal faults."""
     window: Window | None = None
-    """s after the middle of the video, before, in and after which errors are told; None for none."""
+    """Interval, s after the middle of the video, before, in and after which errors are reported."""
     joints: tuple[str, ...] = ()
-    """Whose error is told there besides that of all joints."""
+    """Joints whose error is reported there besides that of all joints."""
 
 
 def _of_one_sensor(apply: Callable[[Recording, Generator], Recording], window: Window) -> Fault:

@@ -1,4 +1,4 @@
-"""Rows on disk: an interrupted run goes on where it stopped."""
+"""Rows on disk, to resume an interrupted run."""
 
 from __future__ import annotations
 

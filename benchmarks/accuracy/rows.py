@@ -59,7 +59,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """What the job is called where its rows are kept."""
+        """Name of the job in the file of rows."""
         return f"{self.clip.name} {self.camera}"
 
 
@@ -69,7 +69,7 @@ class Prepared:
 
     recording: Recording
     keypoints: KeypointSequence
-    """As they are used, evenly spaced."""
+    """Keypoints as they are used, evenly spaced."""
     lifted: PoseSequence
     sf2: PoseSequence
     """Without sensors: the lifted poses with the skeleton's bone lengths."""
@@ -79,7 +79,7 @@ class Prepared:
     solution: FragmentSolution | None = None
     """The pipeline's own, with its settings, in the table of faults."""
     found: tuple[StreamFault, ...] = ()
-    """What the pipeline found wrong."""
+    """Faults found by the pipeline."""
 
 
 class Scene:
@@ -91,7 +91,7 @@ class Scene:
         self._prepared: dict[tuple[str, str, str, bool, bool], Prepared] = {}
 
     def prepared(self, case: Case) -> Prepared:
-        """What the solver of a case starts from."""
+        """Prepare the input of the solver of a case."""
         key = case.keypoints, case.sensors, case.fault, case.lift_with_sensors, case.as_given
         if key not in self._prepared:
             self._prepared[key] = self._prepare(case)
@@ -146,7 +146,7 @@ def _lifter(path: str | None) -> Any:
 
 def run(job: Job) -> list[Row]:
     """Every case of a table for one motion and camera: rows of all its stages."""
-    scene, rows, told = Scene(job), [], set()
+    scene, rows, reported = Scene(job), [], set()
     for case in cases(job.table):
         about = {
             "motion": job.clip.name,
@@ -162,15 +162,15 @@ def run(job: Job) -> list[Row]:
             for mode, poses in ({} if case.as_given else stages(prepared)).items():
                 sensors = None if mode == "zero motion" else case.sensors
                 key = (mode, case.keypoints, case.fault, sensors, case.lift_with_sensors)
-                if key not in told:
-                    told.add(key)
+                if key not in reported:
+                    reported.add(key)
                     rows.append(about | {"mode": mode} | scored(poses, prepared, case.fault))
             poses, facts = solved(prepared, case.settings)
             mode = "rto" if prepared.bone_imus is None else "rtof"
             if case.as_given and job.table == "sensors":
                 mode = "rtof, as given"
             rows.append(about | {"mode": mode} | scored(poses, prepared, case.fault) | facts)
-        except RtofError as error:  # told in the table, instead of losing the other cases
+        except RtofError as error:  # reported in the table, instead of losing the other cases
             rows.append(about | {"mode": "failed", "error": str(error)})
     return rows
 
@@ -187,7 +187,7 @@ def at(truth: PoseSequence, times: Array) -> PoseSequence:
 
 
 def stages(prepared: Prepared) -> dict[str, PoseSequence]:
-    """What the solver is compared with."""
+    """Results of the earlier stages and of zero motion."""
     return {"zero motion": motionless(prepared.truth), "lift": prepared.lifted, "sf2": prepared.sf2}
 
 

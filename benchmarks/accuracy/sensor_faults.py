@@ -1,4 +1,4 @@
-"""What may be wrong with the streams of inertial sensors."""
+"""Faults of the streams of inertial sensors."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ def _converged(rows: Sequence[Row]) -> Cell:
 
 
 def _found(rows: Sequence[Row]) -> Cell:
-    """Share of recordings in which a fault of a stream was told, %."""
+    """Share of recordings in which a fault of a stream was reported, %."""
     return 100 * float(np.mean([bool(row["found"]) for row in rows])) if rows else None
 
 
@@ -164,7 +164,7 @@ def robustness_tables(rows: Sequence[Row]) -> list[Table]:
     costs_of = ("+ rr", "95 %", "+ abs")
     columns = ("rtof with", *_HEADINGS, *costs_of, "sf2 rr mm", "converged %", "found %")
     digits = (0, *_DIGITS, 1, 0, 1, 1, 0, 0)
-    note = "Found: of how many recordings the pipeline told that a stream was wrong."
+    note = "Found: share of recordings in which the pipeline reported a wrong stream."
     main = Table("robustness", "Robustness", columns, digits, tuple(lines), (_POOLED, note))
     return [main, _phases_table(rows, base)]
 
@@ -194,7 +194,7 @@ def _phases(rows: Sequence[Row], fault: str, column: int) -> Iterator[float]:
 
 
 def ablation_tables(rows: Sequence[Row]) -> list[Table]:
-    """What leaving each ingredient out costs."""
+    """Cost of leaving out each term."""
     figures = ("mpjpe_rr_mm", "mpjpe_mm", "flexion_deg", "mpjje")
     lines: list[tuple[Cell, ...]] = []
     for kind in dict.fromkeys(row["keypoints"] for row in rows):

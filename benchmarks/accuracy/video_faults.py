@@ -1,4 +1,4 @@
-"""What may be wrong with a video and with what is seen in it."""
+"""Faults of a video and of its detections."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What calibrating a recording from itself finds and gains: ``python -m benchmarks.calibration``."""
+"""Estimates and gain of self-calibration: ``python -m benchmarks.calibration``."""

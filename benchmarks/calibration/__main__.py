@@ -61,7 +61,7 @@ def motions(corpus: Path, subset: str, kind: str) -> list[MocapClip]:
 
 
 def recorded(clip: MocapClip, camera: int, sensors: Sequence[str], known: bool) -> Recording:
-    """What is recorded of a motion; without what a calibration could find where that is known."""
+    """Simulate the recording of a motion; without calibration errors where they are known."""
     settings = replace(SimulationSettings.realistic(), sensors=tuple(sensors))
     if known:
         settings = replace(
@@ -92,7 +92,9 @@ def rows(clip: MocapClip, camera: int, count: str, lifter: str | None) -> list[R
         began = process_time()
         if case == "known":
             given = SelfCalibration(())  # nothing to put right: solved like what was calibrated
-        result = reconstruct(recording, lifter=_lifter(lifter), calibrate=case == "calibrated", calibration=given)
+        result = reconstruct(
+            recording, lifter=_lifter(lifter), calibrate=case == "calibrated", calibration=given
+        )
         assert result.metrics is not None
         out.append({
             "motion": clip.name, "camera": camera, "sensors": count, "case": case,

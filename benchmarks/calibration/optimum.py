@@ -1,8 +1,10 @@
-"""Whether a calibration finds what there is: ``python -m benchmarks.calibration.optimum --corpus DIR``.
+"""Energies at the estimated and at the true calibration.
 
-With all errors of `planting.ERRORS` wrong at once, the unknowns are estimated twice, from nothing and
-from their true values. Where both end in one place it is no bad start that keeps a calibration from the
-truth, and the energies tell whether the truth is any likelier than what was found.
+``python -m benchmarks.calibration.optimum --corpus DIR``
+
+With all errors of `planting.ERRORS`, the unknowns are estimated from zero and from their true values. Where
+both give the same result, the initial guess is not the cause of remaining errors, and the energies show
+whether the truth is more likely than the estimate.
 """
 
 from __future__ import annotations
@@ -31,15 +33,14 @@ from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 Array = NDArray[np.float64]
 
 
-def row(told: Recording, known: Mapping[tuple[str, str], Array], job: Job, lifter: Lifter) -> Row:
+def row(given: Recording, known: Mapping[tuple[str, str], Array], job: Job, lifter: Lifter) -> Row:
     """Energies, and distances in standard deviations of the priors, root mean square by kind."""
     settings, priors = ReconstructionSettings(), job.priors
-    prepared = prepare(told, told.skeleton, "sf2", lifter, settings, lambda *_: None)
-    solver = JointSpaceSettings(floor_height=told.floor_height)
-    guess = initial_guess(prepared.start, prepared.recording.video, prepared.bone_imus, told.skeleton)
+    prepared = prepare(given, given.skeleton, "sf2", lifter, settings, lambda *_: None)
+    solver = JointSpaceSettings(floor_height=given.floor_height)
+    guess = initial_guess(prepared.start, prepared.recording.video, prepared.bone_imus, given.skeleton)
     own, again = (  # each with a prior of its own to learn
-        shared_fragments(prepared.recording, guess, priors, solver, settings.frames)
-        for _ in range(2)
+        shared_fragments(prepared.recording, guess, priors, solver, settings.frames) for _ in range(2)
     )
     sigma, truth = np.sqrt(np.diag(np.linalg.inv(own.prior))), values(own, known)
     found = own.estimate(priors.rounds, overcount=priors.overcount)
@@ -72,7 +73,7 @@ def values(fragments: SharedFragments, known: Mapping[tuple[str, str], Array]) -
 
 
 def report(rows: list[Row]) -> str:
-    """As Markdown."""
+    """Return the table as Markdown."""
     kinds = list(rows[0]["apart"]["found - truth"])
     head = ["recording", "energy of truth / found / from truth", *kinds]
     lines = [head, ["---"] * len(head)]
@@ -104,8 +105,8 @@ def main(arguments: list[str] | None = None) -> int:
     jobs = [Job("", s, ALL, camera=c) for s in SESSIONS[options.subset] for c in range(options.cameras)]
     for job in track(jobs, "recordings"):
         clip = session(options.corpus, options.subset, job.session, job.seconds)
-        right, wrong, told = recorded(clip, job)
-        rows.append(row(told, truths(right, wrong), job, lifter))
+        right, wrong, given = recorded(clip, job)
+        rows.append(row(given, truths(right, wrong), job, lifter))
     text = report(rows)
     numbers = json.dumps({"subset": options.subset, "rows": rows}, indent=1)
     options.out.write_text(numbers, encoding="utf-8")

@@ -3,9 +3,9 @@
 ``python -m benchmarks.calibration.planted --corpus DIR [--subset validation]``: in recordings of 20 s
 with realistic 2D and 8 sensors every error of `planting.ERRORS` alone, besides what is usually wrong, and
 all of them together, at the sizes of docs/calibration.md and at three times those, with a floor that is
-told and without; recordings of 4 to 40 s of walking, standing work and varied motion; and recordings in
+known and unknown; recordings of 4 to 40 s of walking, standing work and varied motion; and recordings in
 which next to nothing is wrong, by all four cameras, as differences are small there. An interrupted run
-goes on where it stopped.
+resumes where it stopped.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _planted(seconds: float) -> Iterator[Job]:
             yield replace(one, case=case, floor=floor)
     for name in ERRORS:
         yield replace(one, case=name)
-    for name in ("size", "focal length"):  # which nothing but a floor may tell
+    for name in ("size", "focal length"):  # observable only with a floor
         yield replace(one, case=name, floor=True)
     for case in (KNOWN, PLAIN, ALL):
         yield replace(one, case=case, sensors="10")
@@ -94,7 +94,7 @@ STUDIES = {
     "planted": _planted, "harm": _harm, "length": _lengths, "large": _large, "measured": _measured
 }  # fmt: skip
 """Errors at their usual size; next to none; recordings of several lengths; thrice the usual size; all
-errors but one that somebody measured."""
+errors but one that is measured."""
 
 
 def measured(options: argparse.Namespace) -> list[Row]:

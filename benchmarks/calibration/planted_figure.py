@@ -15,8 +15,8 @@ from benchmarks.calibration.planted_tables import STAGES, UNITS, chosen_lengths,
 from benchmarks.calibration.planting import ERRORS
 
 CASES = {
-    "alone x1": "#0072b2", "alone x1, floor told": "#e69f00", "all x1": "#c0392b",
-    "all x1, floor told": "#2e8b57",
+    "alone x1": "#0072b2", "alone x1, floor known": "#e69f00", "all x1": "#c0392b",
+    "all x1, floor known": "#2e8b57",
 }  # fmt: skip
 STYLES = {"before": ":", "after": "-", "known": "--"}
 _MOST = 60
@@ -70,7 +70,7 @@ def _recovered(ax: Axes, rows: Sequence[Row], error: str) -> None:
 
 
 def _by_length(ax: Axes, rows: Sequence[Row], key: str) -> None:
-    """Errors of all at once, floor told, a colour for each motion."""
+    """Errors with all quantities wrong and known floor, one colour per motion."""
     own = chosen_lengths(rows)
     for i, session in enumerate(dict.fromkeys(r["session"] for r in own)):
         mine = [r for r in own if r["session"] == session]

@@ -1,4 +1,4 @@
-"""What one recording with planted errors gives: found beside planted, and errors of the motion."""
+"""Results of one recording with planted errors: estimates, planted values, errors of the motion."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ class Job:
     them; `BUT`...: all others. `GOOD`: sensors mounted 2 degrees wrongly, nothing else; `SEEN`: and a
     biased detector."""
     scale: float = 1.0
-    """Of the planted sizes."""
+    """Factor on the planted sizes."""
     seconds: float = 20.0
     floor: bool = False
-    """Whether the flat floor is told."""
+    """Whether the flat floor is known."""
     keypoints: str = "realistic"
     sensors: str = "8"
     camera: int = 0
@@ -102,7 +102,7 @@ class Job:
 
     @property
     def priors(self) -> CalibrationPriors:
-        """Those of everybody, with what is planted besides open."""
+        """Default priors, with those of the planted errors widened."""
         priors = CalibrationPriors()
         closed = {"mounting": "sigma_swing", "image bias": "sigma_image_bias"}
         priors = replace(priors, **{closed[n]: None for n in self.measured if n in closed})
@@ -124,7 +124,7 @@ def session(corpus: Path, subset: str, name: str, seconds: float) -> MocapClip:
 
 
 def right(clip: MocapClip, job: Job) -> Recording:
-    """What is recorded with nothing wrong that a calibration could find."""
+    """Simulate a recording without calibration errors."""
     settings = harness.KEYPOINTS[job.keypoints]()
     settings = replace(
         settings,
@@ -143,7 +143,7 @@ def right(clip: MocapClip, job: Job) -> Recording:
 
 
 def recorded(clip: MocapClip, job: Job) -> tuple[Recording, Wrong, Recording]:
-    """What is right, what is planted, and the recording that is wrong by it."""
+    """Return the exact recording, the planted unknowns, and the recording with the errors."""
     recording = right(clip, job)
     wrong = planting.drawn(recording, job.sizes, zlib.crc32(clip.name.encode()) + job.camera)
     return recording, wrong, planting.planted(recording, wrong)
@@ -159,20 +159,20 @@ def _lifter(path: str | None) -> Any:
 def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
     """Plant, reconstruct, calibrate and reconstruct again; of errors planted alone without a floor,
     calibrate only."""
-    recording, wrong, told = recorded(clip, job)
+    recording, wrong, given = recorded(clip, job)
     out: Row = {**vars(job), "frames": len(recording.video)}
     if job.case == KNOWN:  # as one that was calibrated, with nothing left to correct
-        known = reconstruct(told, lifter=_lifter(lifter), calibration=SelfCalibration(()))
+        known = reconstruct(given, lifter=_lifter(lifter), calibration=SelfCalibration(()))
         return {**out, "before": _figures(known.metrics)}
-    calibration = calibrate_recording(told, None, job.priors, lifter=_lifter(lifter))
+    calibration = calibrate_recording(given, None, job.priors, lifter=_lifter(lifter))
     out |= {
         "converged": calibration.converged,
         "found": found(calibration, truths(recording, wrong)),
         "detector": detected(recording, calibration.detector),
     }
     if job.case not in ERRORS or job.floor:
-        for stage, given in {"before": None, "after": calibration}.items():
-            made = reconstruct(told, lifter=_lifter(lifter), calibrate=False, calibration=given)
+        for stage, found_before in {"before": None, "after": calibration}.items():
+            made = reconstruct(given, lifter=_lifter(lifter), calibrate=False, calibration=found_before)
             out[stage] = _figures(made.metrics)
     return out
 
@@ -183,7 +183,7 @@ def _figures(metrics: Mapping[str, Any] | None) -> dict[str, float]:
 
 
 def truths(recording: Recording, wrong: Wrong) -> dict[tuple[str, str], Array]:
-    """What a perfect calibration would find, sensors' mean slip included."""
+    """Return the exact calibration, with the mean slip of sensors."""
     known = planting.unknowns(recording, wrong)
     for joint, slip in planting.slips(recording).items():
         known["mounting", joint] = so3.log(so3.exp(known["mounting", joint]) @ so3.exp(slip))
@@ -212,7 +212,7 @@ def found(calibration: SelfCalibration, known: Mapping[tuple[str, str], Array]) 
 
 
 def _error(kind: str, item: str, number: int) -> str:
-    """Which of `ERRORS` a number of an unknown belongs to."""
+    """Return the name in `ERRORS` of a number of an unknown."""
     if kind == "bones":
         return "size" if item == "all" else "proportions"
     return {("delay", 1): "clock drift", ("heading", 1): "heading drift"}.get((kind, number), kind)

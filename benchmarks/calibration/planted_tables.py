@@ -24,7 +24,7 @@ UNITS = {
 STAGES = ("before", "after", "known")
 _HEADS = {"mpjpe_rr_mm": "rr", "mpjpe_mm": "abs", "flexion_deg": "flexion"}
 _SAME = ("session", "seconds", "floor", "keypoints", "sensors", "camera")
-"""What a recording has in common with the one in which nothing is wrong."""
+"""Fields shared with the recording without errors."""
 
 
 def report(rows: Sequence[Row]) -> str:
@@ -32,13 +32,13 @@ def report(rows: Sequence[Row]) -> str:
     rows = with_known(rows)
     planted = [r for r in rows if r["study"] == "planted"]
     parts = [
-        ("Joint errors (mm) and flexion (deg): as told, calibrated, nothing wrong", motion(planted)),
+        ("Joint errors (mm) and flexion (deg): as given, calibrated, nothing wrong", motion(planted)),
         ("All wrong but what was measured: joint errors (mm), flexion (deg), calibrated", measured(rows)),
         ("Each error alone, besides what is usually wrong", alone(planted)),
         ("What is found where all are wrong, and where only the usual is", together(planted)),
         ("Claimed standard deviations: truths within one and two", coverage(planted)),
         ("Detector: sizes and memories claimed over true ones", detector(planted)),
-        ("Length and variety (all at once, floor told)", lengths(rows)),
+        ("Length and variety (all at once, floor known)", lengths(rows)),
         ("Where sensors were calibrated well: change by calibrating", harm(rows)),
     ]
     return "\n".join(f"### {title}\n\n{text}\n" for title, text in parts if text)
@@ -79,8 +79,8 @@ def _grouped(rows: Iterable[Row], *by: str) -> dict[tuple[object, ...], list[Row
     return out
 
 
-def _floor(told: object) -> str:
-    return "told" if told else "-"
+def _floor(known: object) -> str:
+    return "known" if known else "-"
 
 
 def motion(rows: Sequence[Row]) -> str:
@@ -138,7 +138,7 @@ def together(rows: Sequence[Row]) -> str:
 
 
 def coverage(rows: Sequence[Row]) -> str:
-    """By verdict, of all errors that were opened."""
+    """Table by verdict, over all estimated errors."""
     lines = []
     for verdict in Verdict:
         z = []
@@ -170,7 +170,7 @@ def detector(rows: Sequence[Row]) -> str:
 
 
 def chosen_lengths(rows: Sequence[Row]) -> list[Row]:
-    """All errors at once, the floor told, 8 sensors, however long."""
+    """Rows of all errors at once with known floor and 8 sensors, of any length."""
     own = [r for r in rows if r["case"] == ALL and r["scale"] == 1]
     return [r for r in own if r["floor"] and r["sensors"] == "8"]
 
@@ -187,13 +187,13 @@ def lengths(rows: Sequence[Row]) -> str:
 
 
 def _in_order(entry: tuple[tuple[object, ...], object]) -> tuple[str, float]:
-    """By motion, then length."""
+    """Sort key: motion, then length."""
     (session, seconds), _ = entry
     return str(session), float(str(seconds))
 
 
 def _verdicts(rows: Sequence[Row], error: str) -> str:
-    """What is left of an error as a share of what was planted, and its usual verdict."""
+    """Remaining share of a planted error, and its usual verdict."""
     n = numbers(rows, error)
     if not n:
         return ""
@@ -203,7 +203,7 @@ def _verdicts(rows: Sequence[Row], error: str) -> str:
 
 
 def measured(rows: Sequence[Row]) -> str:
-    """What a calibration leaves where all is wrong but what somebody measured; the worst first."""
+    """Remaining errors where all quantities but the measured ones are wrong, largest first."""
     own = [r for r in rows if r["study"] == "measured"]
     same = {_recording(r) for r in own}
     own += [r for r in rows if r["case"] == ALL and r["scale"] == 1 and _recording(r) in same]

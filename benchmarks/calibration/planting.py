@@ -33,12 +33,12 @@ class Error:
     """One kind of error: its size, and what leaves it open."""
 
     size: float
-    """Standard deviation at which it is planted, SI or px (docs/calibration.md says why)."""
+    """Standard deviation at which it is planted, SI or px (see docs/calibration.md)."""
     kind: str
     """The unknown that it belongs to, and its number there."""
     part: slice
     draw: Callable[[Recording, Generator], Values]
-    """Of size one."""
+    """Error of size one."""
     opened: Callable[[CalibrationPriors, float], CalibrationPriors]
     """Priors with it open, of a standard deviation."""
 
@@ -124,9 +124,9 @@ ERRORS = {
         lambda recording, rng: {"camera": rng.standard_normal(3)}, _opening(sigma_tilt=1),
     ),
 }  # fmt: skip
-"""In the order of the issue; a clock drifts as that of a video of 59.94 Hz that is stamped with 60."""
+"""Errors by name; the clock drift is that of a 59.94 Hz video stamped with 60 Hz."""
 USUAL = {"delay": 0.045, "mounting": np.radians(2.0), "image bias": 6.0}
-"""What is wrong with a realistic recording whatever else is planted, and its size."""
+"""Errors of every realistic recording, with their sizes."""
 
 
 def drawn(recording: Recording, sizes: Mapping[str, float], seed: int) -> Wrong:
@@ -248,7 +248,7 @@ def _with_turned_sensors(recording: Recording, y: Mapping[tuple[str, str], Array
 
 
 def slips(recording: Recording) -> Values:
-    """By how much each sensor sits turned on its segment in the mean over a recording without other
+    """Rotation of each sensor on its segment in the mean over a recording without other
     errors: its slip lasts for tens of seconds, and is what a mounting estimated from them is."""
     measured, truth = recording.bone_imus(), _truth(recording)
     assert measured is not None

@@ -29,7 +29,7 @@ from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
 
 HEAD = """\
-# What errors that last add to the Hessian's covariances; see rtof_kin/solve/uncertainty/covariance_inflation.py.
+# Inflation of the Hessian's covariances; see rtof_kin/solve/uncertainty/covariance_inflation.py.
 # Made by: python -m benchmarks.confidence --corpus DIR --fit{more}
 # from {count} recordings of {people} people, see benchmarks/confidence/motions.py.
 
@@ -78,7 +78,7 @@ def study_held_out(options: argparse.Namespace) -> None:
 
 
 def held_out(cases: Sequence[Case], person: Callable[[str], str]) -> list[Row]:
-    """Rows of everybody's recordings, told by an inflation that was fitted on everybody else's.
+    """Rows of each subject's recordings, with an inflation fitted on the other subjects.
 
     Args:
         person: who moves in a motion.

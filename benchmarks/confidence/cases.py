@@ -1,4 +1,4 @@
-"""Reconstructions beside their truth, and their errors beside what the Hessian says of them."""
+"""Reconstructions with their truth, errors, and the standard deviations from the Hessian."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
 
 Array = NDArray[np.float64]
 EVERY = 4
-"""Of so many frames one is looked at: neighbours say the same."""
+"""Step between the frames evaluated; neighbours are correlated."""
 FITTED = (("realistic", "0"), ("realistic", "4"), ("realistic", "8"), ("realistic", "10"))
 """2D and numbers of sensors that the inflation is fitted on."""
 KINDS = (*FITTED, ("white", "8"), ("perfect", "8"))
@@ -39,13 +39,13 @@ class Case:
     """One reconstructed recording, one frame in `EVERY`."""
 
     name: str
-    """Of the motion, and the camera's number."""
+    """Name of the motion, and number of the camera."""
     keypoints: str
     sensors: str
     circumstances: ResidualStatistics
-    """What the recording tells of its own errors, its sensors' segments among it."""
+    """Residual statistics of the recording, with the segments of its sensors."""
     motion: MotionSequence
-    """With the confidence of the Hessian alone."""
+    """Confidence from the Hessian alone."""
     truth: PoseSequence
     """At the motion's times."""
     apart: Disagreement
@@ -92,10 +92,10 @@ def case_of(result: Reconstruction, name: str, keypoints: str, sensors: str) -> 
     assert solution.confidence is not None
     motion = replace(result.motion, confidence=solution.confidence)[::EVERY]
     carriers = () if result.bone_imus is None else result.bone_imus.joints
-    told = residual_statistics(result.keypoints, result.motion, lifted, carriers)
+    stated = residual_statistics(result.keypoints, result.motion, lifted, carriers)
     start = result.stages.get("sf2", lifted)
     apart = disagreement(result.motion.poses, start, solution.confidence.pairs)[::EVERY]
-    return Case(name, keypoints, sensors, told, motion, at_times(truth, motion.times), apart)
+    return Case(name, keypoints, sensors, stated, motion, at_times(truth, motion.times), apart)
 
 
 @cache
@@ -111,26 +111,26 @@ def errors(case: Case, confidence: Confidence | None = None) -> Iterator[tuple[s
     Args:
         confidence: in place of the motion's own.
     """
-    told = confidence or case.motion.confidence
-    assert told is not None
+    stated = confidence or case.motion.confidence
+    assert stated is not None
     p, p_true = case.motion.poses.p_world_joint, case.truth.p_world_joint
     seen = [p - p_true, (p - p[:, :1]) - (p_true - p_true[:, :1])]
-    covariances = told.position_covariance, told.relative_covariance
+    covariances = stated.position_covariance, stated.relative_covariance
     apart = case.apart
     for kind, error, covariance, off in zip(
         ("position", "relative"), seen, covariances, (apart.position, apart.relative), strict=True
     ):
-        for j, name in enumerate(told.names):
+        for j, name in enumerate(stated.names):
             if kind == "position" or j > 0:
                 yield kind, name, _known(error[:, j], covariance[:, j], off[:, j])
     R, R_true = case.motion.poses.R_world_bone, case.truth.R_world_bone
-    for k, (parent, child) in enumerate(told.pairs):
-        turned = [_seen_from(r, told.names, parent, child) for r in (R, R_true)]
+    for k, (parent, child) in enumerate(stated.pairs):
+        turned = [_seen_from(r, stated.names, parent, child) for r in (R, R_true)]
         off = np.swapaxes(turned[1], -1, -2) @ turned[0]
         known = np.isfinite(off).all(axis=(1, 2))  # a truth that was moved in time ends sooner
         error = np.full((len(off), 3), np.nan)
         error[known] = so3.log(off[known])
-        yield "turn", f"{parent} {child}", _known(error, told.turn_covariance[:, k], apart.turn[:, k])
+        yield "turn", f"{parent} {child}", _known(error, stated.turn_covariance[:, k], apart.turn[:, k])
 
 
 def angle_errors(case: Case, confidence: Confidence) -> Iterator[tuple[str, Array, Array]]:

@@ -15,10 +15,10 @@ from benchmarks.confidence.cases import Case, Errors, errors
 from rtof_kin.solve.uncertainty.covariance_inflation import (
     OTHER,
     SEEN,
+    WHITE_FACTOR,
     CovarianceInflation,
     Widening,
-    factor_rate,
-    factor_where,
+    correlated_factor,
     seen_by,
     unsided,
 )
@@ -41,9 +41,9 @@ class _Sample:
     variance: Array
     """(n, 3) of the Hessian."""
     lasting: Array
-    """(n, 3) `ResidualStatistics.lasting`."""
+    """(n, 3) `ResidualStatistics.autocorrelation`."""
     doubt: Array
-    """(n, 3) `ResidualStatistics.doubt`."""
+    """(n, 3) `ResidualStatistics.torso_factor`."""
     apart: Array
     """(n, 3) mean square of the solution's difference from its start."""
 
@@ -52,11 +52,11 @@ def fitted(cases: Sequence[Case]) -> CovarianceInflation:
     """One widening for every joint and every pair by who saw it, right and left together."""
     found: dict[tuple[str, str], dict[str, list[_Sample]]] = defaultdict(lambda: defaultdict(list))
     for case in cases:
-        told = case.circumstances
+        stated = case.circumstances
         for kind, name, both in errors(case):
             if len(both.error):
-                who = seen_by(kind, name, case.motion.skeleton.root, told.sensors)
-                sample = _sample(kind, both, told.lasting, told.doubt(kind, who))
+                who = seen_by(kind, name, case.motion.skeleton.root, stated.sensors)
+                sample = _sample(kind, both, stated.autocorrelation, stated.torso_factor(kind, who))
                 found[who, kind][unsided(name)].append(sample)
     widenings: dict[str, dict[str, dict[str, Widening]]] = {who: {} for who in SEEN}
     shares: dict[str, dict[str, float]] = {who: {} for who in SEEN}
@@ -100,7 +100,7 @@ def _share(kind: str, own: Sequence[_Sample]) -> float:
 
 
 def _fitted(kind: str, own: Sequence[_Sample], share: float) -> Widening:
-    """Of one quantity: positions by one factor and one floor, turns by one of each axis."""
+    """Fit one quantity: positions by one factor and one floor, rotations by one per axis."""
     *values, apart = _joined(own)
     values.append(share**2 * apart)
     if kind == "turn":
@@ -114,22 +114,24 @@ def _fitted(kind: str, own: Sequence[_Sample], share: float) -> Widening:
 def sharpest(
     error: Array, variance: Array, lasting: Array, doubt: Array, more: Array, least: float
 ) -> tuple[float, float, float]:
-    """Factor k >= 1 and floor b >= least with which normal errors (n,) of the widened variance
-    ``K^2 variance + B^2 + more`` (`rtof_kin.solve.uncertainty.covariance_inflation`) score best, and that score: their continuous
-    ranked probability (Gneiting & Raftery 2007, eq. 21), a proper score, in which a recording far out
-    counts by its distance, not its square."""
+    """Fit the factor k >= 1 and the floor b >= least of normal errors (n,), and with their score.
+
+    The variance is ``K^2 variance + B^2 + more``, see `rtof_kin.solve.uncertainty.covariance_inflation`; the
+    score is the continuous ranked probability (Gneiting & Raftery 2007, eq. 21), robust to outliers.
+    """
     size, expected = np.sqrt(np.mean(error**2)) + least, np.sqrt(np.mean(variance))
     free = expected > 1e-6  # else the model has no such freedom, and the factor no meaning
 
     def score(logs: Array) -> tuple[float, Array]:
         """The mean score, and its derivatives by the logarithms of factor and floor."""
         k, b = np.exp(logs)
-        factor, floor = factor_where(k, lasting), b * lasting * doubt
+        factor, floor = correlated_factor(k, lasting), b * lasting * doubt
         sigma = np.sqrt(factor**2 * variance + floor**2 + more) + _NOTHING
         z = error / sigma
         ranked = sigma * (z * (2 * ndtr(z) - 1) + (np.sqrt(2) * np.exp(-(z**2) / 2) - 1) / np.sqrt(np.pi))
         by_sigma = (np.sqrt(2) * np.exp(-(z**2) / 2) - 1) / np.sqrt(np.pi) / sigma
-        by_factor = factor * variance * k * factor_rate(k, lasting)
+        slope = 1.0 + (k > WHITE_FACTOR) * (lasting - 1.0)  # of the factor by k
+        by_factor = factor * variance * k * slope
         rates = [np.mean(by_sigma * by_factor), np.mean(by_sigma * floor**2)]
         return float(np.mean(ranked) / size), np.array(rates) / size
 

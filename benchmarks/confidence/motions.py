@@ -1,4 +1,4 @@
-"""The people whose recordings the inflation is fitted on: everybody but the test's, one kind of rig.
+"""Subjects that the inflation is fitted on: all but the test's, one kind of rig.
 
 Most of them are people of the lifter's training; what that does is measured in docs/clinical.md. Two
 validation subjects are left out, whose rigs define a pelvis that is turned by 14 to 20 degrees against
@@ -36,11 +36,11 @@ FITTED_ON = {
     "CMU (renamed by repo: zombie)": {"gs_zombie": 2},
     "CMU (indian dance, 94?)": {"indian_06": 3},
 }  # fmt: skip
-"""By subject: motions, and into how many parts each is cut."""
+"""Motions by subject, with the number of parts each is cut into."""
 
 
 def person(motion: str) -> str:
-    """Who moves in a motion of `FITTED_ON`, or in a part of one.
+    """Return the subject of a motion of `FITTED_ON`, or of a part of one.
 
     Raises:
         KeyError: it is none of them.

@@ -1,4 +1,4 @@
-"""How often the bands cover the truth, and how wide they are beside the errors."""
+"""Coverage of the confidence bands, and their width relative to the errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Row = dict[str, Any]
 NOMINAL = (0.5, 0.68, 0.8, 0.9, 0.95, 0.99)
 """Shares of the errors that bands are meant to cover."""
 COVERED = 0.90, 0.98
-"""Of the errors that a 95 % band must cover, at least and at most."""
+"""Least and largest coverage accepted for a 95 % band."""
 WIDEST = 4.0
 """Root mean square errors that a 95 % band may be wide, from edge to edge, in the mean."""
 UNITS = {"position": ("mm", 1000.0), "relative": ("mm", 1000.0), "angle": ("deg", np.degrees(1.0))}
@@ -63,7 +63,7 @@ def rows(
 
 
 def honest(row: Row) -> bool:
-    """Whether a row's 95 % bands cover as much as they should and are no wider than they may."""
+    """Return whether a row's 95 % bands have an accepted coverage and width."""
     return bool(COVERED[0] <= row["coverage"]["0.95"] <= COVERED[1] and row["ratio"] <= WIDEST)
 
 

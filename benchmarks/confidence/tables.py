@@ -17,7 +17,7 @@ def report(found: Sequence[Row], how: str, independent: str = "motions") -> str:
     """The whole text.
 
     Args:
-        how: the sentence that says what the numbers are of.
+        how: a sentence that describes the data.
         independent: what the intervals are over.
     """
     parts = [
@@ -66,8 +66,8 @@ def _summary(found: Sequence[Row]) -> str:
         own = [r for r in found if (r["keypoints"], r["sensors"]) == (keypoints, sensors)]
         cells = []
         for kind in TITLES:
-            held = [honest(row) for row in own if row["kind"] == kind]
-            cells.append(f"{sum(held)} of {len(held)}")
+            accepted = [honest(row) for row in own if row["kind"] == kind]
+            cells.append(f"{sum(accepted)} of {len(accepted)}")
         low, high = (sorted(row["interval"][i] for row in own)[len(own) // 2] for i in (0, 1))
         cells.append(f"{100 * low:.0f}-{100 * high:.0f} %")
         lines.append(f"| {keypoints} | {sensors} | " + " | ".join(cells) + " |")

@@ -1,1 +1,1 @@
-"""How accurate a lifter is, from where, at what, and whether it knows."""
+"""Accuracy of lifters by camera placement and motion, and calibration of their uncertainties."""

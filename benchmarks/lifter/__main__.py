@@ -126,7 +126,7 @@ def _command(options: argparse.Namespace, names: Sequence[str]) -> str:
 
 
 def _suffix(options: argparse.Namespace) -> str:
-    """Of files that are not those of the whole benchmark."""
+    """Suffix of files that are not those of the whole benchmark."""
     subset = "" if options.subset == "test" else f"_{options.subset}"
     return subset + ("_some" if options.motions else "")
 

@@ -19,7 +19,7 @@ TORSO = {"pelvis": "Hips", "upper trunk": "Spine3"}
 PARTS = ("total", "yaw", "lean")
 SIGMAS = (1, 2)
 DIRECTIONS = {"joints across": 2, "joints along": 1, "root across": 2, "root along": 1, "turns": 3}
-"""What has a standard deviation -> dimensions of the density it is learnt with."""
+"""Quantities with a standard deviation -> dimensions of their density."""
 
 
 def position_figures(p: Array, truth: PoseSequence, known: NDArray[np.bool_]) -> Figures:

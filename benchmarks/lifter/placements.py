@@ -1,4 +1,4 @@
-"""Where the cameras stand, none of which any lifter was trained with."""
+"""Camera placements, none of which a lifter was trained with."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Placement:
     distance: float
     """From the nearest point of the root's path, on the floor, m."""
     azimuth: float
-    """Of the camera from the middle of the path, against x of the world, degrees."""
+    """Direction from the middle of the path to the camera, against x of the world, deg."""
 
     def camera(self, poses: PoseSequence) -> Camera:
         """1920 x 1080, f = 1250 px."""
@@ -37,7 +37,7 @@ class Placement:
 
 
 def _clearance(path: Array, away: Array, distance: float) -> float:
-    """How far to go so that no point of a path (T, 2), beside or behind, is nearer than a distance."""
+    """Distance to move so that no point of a path (T, 2), beside or behind, is nearer than a distance."""
     ahead = path @ away
     beside = path[:, 0] * away[1] - path[:, 1] * away[0]
     near = np.abs(beside) < distance

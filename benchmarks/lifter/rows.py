@@ -30,7 +30,7 @@ KINDS = ("perfect", "realistic")
 SENSORS = ("0", "8", "10")
 STILL = "zero motion"
 SEED = 500_000
-"""Of cameras' errors and sensors; added to what is asked for, so that no other table has the same."""
+"""Offset of the seed of camera errors and sensors, so that other tables have other ones."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """What the job is called where its rows are kept."""
+        """Name of the job in the file of rows."""
         return f"{self.clip.name} {self.placement.name}"
 
 
@@ -58,7 +58,7 @@ def load(path: str) -> Lifter:
 
 
 def names_of(lifters: Sequence[str]) -> list[str]:
-    """What each lifter is called in the tables: its file, and what is particular about it.
+    """Return the lifters' names in the tables: file and kind.
 
     Raises:
         RtofError: two are called the same. Errors of reading them pass through.
@@ -76,7 +76,7 @@ def names_of(lifters: Sequence[str]) -> list[str]:
 
 
 def recorded(job: Job, kind: str) -> Recording:
-    """What the camera and all sensors record; it depends on the motion's name, not on its place."""
+    """Simulate the camera and all sensors; depends on the motion's name, not on its index."""
     clip = job.clip
     own = SEED + job.seed * 1_000_003 + zlib.crc32(job.key.encode())
     return simulate(
@@ -109,7 +109,7 @@ def run(job: Job) -> list[Row]:
                 try:
                     lifted = load(path).predict(recording.keypoints, recording.joint_offsets, bone_imus=worn)
                     rows.append(own | scored(lifted, recording))
-                except RtofError as error:  # told in the tables, instead of losing the others
+                except RtofError as error:  # reported in the tables, instead of losing the others
                     rows.append(own | {"error": str(error)})
     return rows
 
@@ -140,7 +140,7 @@ def scored(lifted: LiftedPoses, recording: Recording) -> Row:
 
 
 def _still(recording: Recording) -> Row:
-    """Somebody who stands at the truth's mean."""
+    """Zero motion at the mean of the truth."""
     truth = recording.truth
     assert truth is not None
     everywhere = np.ones(len(truth), dtype=bool)

@@ -49,7 +49,7 @@ def unseeded(name: str) -> str:
 
 
 def seeds(rows: Sequence[Row]) -> Table:
-    """What another seed of a training changes."""
+    """Spread over the seeds of a training."""
     ways: dict[tuple[str, str, str], list[tuple[str, str, str]]] = defaultdict(list)
     for way in _ways(rows):
         if (name := unseeded(way[1])) != way[1]:
@@ -112,7 +112,7 @@ def torso(rows: Sequence[Row]) -> Table:
 
 
 def by(field: str, title: str) -> Callable[[Sequence[Row]], Table]:
-    """Errors by what a field of the rows says."""
+    """Errors by the value of a field."""
 
     def table(rows: Sequence[Row]) -> Table:
         found = values(rows, field)
@@ -157,7 +157,7 @@ def calibration(rows: Sequence[Row]) -> Table:
     columns += [f"within {k} sigma: {what} %" for k in SIGMAS for what in ("share", "Laplace", "Gauss")]
     notes = (
         "Per axis: across the ray to the root, along it, and about each axis of a segment. More within "
-        "than expected: the lifter is better than it says. Laplace: the density it is trained with.",
+        "than expected: the lifter is better than stated. Laplace: the density it is trained with.",
     )
     return Table("calibration", "Calibration", tuple(columns), (0, 0, 0, 0, *[1] * 6), tuple(lines), notes)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.peers.fragments import Fragment, Material, Score
 from benchmarks.peers.residuals import Residuals, Window, built, column, symbols
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.cartesian.settings import CartesianSettings
@@ -28,12 +28,12 @@ class CartesianScene:
         """Take a recording.
 
         Raises:
-            ShapeError: the settings are not those of the energy as printed.
+            InvalidInputError: the settings are not those of the energy as printed.
         """
         s = settings
         printed = s.bone_lengths == "free" and s.prior == "positions" and s.jerk_target == "sensor"
         if not printed or s.huber_reprojection is not None or s.sigma_reprojection is None:
-            raise ShapeError("peers know the energy as printed alone: use CartesianSettings.paper()")
+            raise InvalidInputError("peers have the printed energy only: use CartesianSettings.paper()")
         m, self.settings, self.frames = material, settings, frames
         self.start = refit_root(m.start, m.keypoints) if s.refit_root else m.start
         self.solver = CartesianSolver(m.skeleton, frames, settings, m.imus.joints)
@@ -50,7 +50,7 @@ class CartesianScene:
         return Fragment(first, self.start.p_world_joint[index].reshape(self.frames, -1), values)
 
     def score(self, fragment: Fragment, x: Array, multipliers: Array | None = None) -> Score:
-        """By `FragmentProblem.energy` and `gradient`."""
+        """Score by `FragmentProblem.energy` and `gradient`."""
         p, x = self.problem.pack(fragment.data), x.ravel()
         energy = float(np.sum(np.asarray(self.problem.energy(x, p))))
         return Score(energy, float(np.abs(np.asarray(self.problem.gradient(x, p))).max()), 0.0)
@@ -103,7 +103,7 @@ class CartesianScene:
 
     @cached_property
     def residuals(self) -> Sequence[Residuals]:
-        """Of a frame, of three (acceleration) and of four (jerk)."""
+        """Residuals of one frame, of three (acceleration) and of four (jerk)."""
         return built([self._frame(), self._acceleration(), self._jerk()])
 
     def _frame(self) -> Window:

@@ -1,4 +1,4 @@
-"""What peers are given and give back: material, fragments, answers and scores."""
+"""Input and output of peers: material, fragments, answers and scores."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Material:
         )
 
     def tiled(self, frames: int) -> Material:
-        """As many frames, to and fro: no jump in position, the same accelerations."""
+        """Repeat the material forwards and backwards up to a number of frames, without jumps in position."""
         T, start, seen, imus = len(self.start), self.start, self.keypoints, self.imus
         to_and_fro = np.arange(frames) % (2 * T)
         at = np.where(to_and_fro < T, to_and_fro, 2 * T - 1 - to_and_fro)
@@ -73,21 +73,21 @@ class Fragment:
 
 @dataclass(frozen=True)
 class Answer:
-    """Where a solver stopped."""
+    """Solution of a solver."""
 
     x: Array
     """(N, ...) the state."""
     seconds: float
     iterations: int
     converged: bool
-    """Whether the solver says so."""
+    """True if the solver reports convergence."""
     multipliers: Array | None = None
     """(N, M) of the limits."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """What an answer is worth, by the package's own energy."""
+    """Evaluation of an answer by the package's own energy."""
 
     energy: float
     """[1]"""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from benchmarks.peers.fragments import Fragment, Material, Score
 from benchmarks.peers.residuals import Residuals, Window, built, cauchy, column, huber, rows_of, symbols
 from rtof_kin.core import quaternions as quat
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.energy.problem import FragmentData, JointProblem
 from rtof_kin.solve.energy.state import StateSpace
@@ -35,12 +35,12 @@ class JointScene:
         """Take a recording.
 
         Raises:
-            ShapeError: the settings estimate the reprojection error, know a floor or no limits.
+            InvalidInputError: the settings estimate the reprojection error, know a floor or no limits.
         """
         if settings.sigma_reprojection is None or settings.floor_height is not None:
-            raise ShapeError("peers want sigma_reprojection given, and no floor")
+            raise InvalidInputError("peers need sigma_reprojection given, and no floor")
         if not settings.limits:
-            raise ShapeError("peers want limits=True: a solver leaves them out by itself")
+            raise InvalidInputError("peers need limits=True; solvers leave them out themselves")
         m, self.settings, self.frames = material, settings, frames
         guess = initial_guess(m.start, m.keypoints, m.imus, m.skeleton, refit_root=settings.refit_root)
         self.observations = Observations(m.skeleton, frames, settings, guess, m.keypoints, m.imus)
@@ -59,7 +59,7 @@ class JointScene:
         return Fragment(first, self.observations.start[index], data)
 
     def score(self, fragment: Fragment, x: Array, multipliers: Array | None = None) -> Score:
-        """By `JointProblem.total` and `gradient`; with multipliers the Lagrangian's gradient."""
+        """Score by `JointProblem.total` and `gradient`; with multipliers the Lagrangian's gradient."""
         self.problem.bind(fragment.data)
         energy, gradient = self.problem.total(x), self.problem.gradient(x)
         angles = self.limits.values(x)
@@ -97,7 +97,7 @@ class JointScene:
 
     @cached_property
     def residuals(self) -> Sequence[Residuals]:
-        """Of a frame, of three (acceleration) and of four (jerk)."""
+        """Residuals of one frame, of three (acceleration) and of four (jerk)."""
         return built([self._frame(), self._acceleration(), self._jerk()])
 
     def _moved(self, x: Any, z: Any) -> tuple[Any, list[Any]]:

@@ -44,7 +44,7 @@ class Residuals:
     """The same -> residuals and their sparse Jacobian (R, width F)."""
 
     def windows(self, frames: int) -> int:
-        """How many there are in N frames."""
+        """Number of residuals in N frames."""
         return frames - self.width + 1
 
 

@@ -22,8 +22,8 @@ from rtof_kin.core.numerics.c_compiler import Buffered
 
 Array = NDArray[np.float64]
 Scene = CartesianScene | JointScene
-Told = Callable[[Array], None]
-"""Called with the variables (N, F), in any shape, as a solver goes on."""
+Notify = Callable[[Array], None]
+"""Called with the variables (N, F), in any shape, at every iteration."""
 
 
 class Peer(ABC):
@@ -32,17 +32,17 @@ class Peer(ABC):
     scene: Scene
 
     @abstractmethod
-    def _minimised(self, fragment: Fragment, told: Told | None) -> tuple[Array, int, bool]:
-        """Variables in any shape, iterations, and whether the solver says that it converged."""
+    def _minimised(self, fragment: Fragment, notify: Notify | None) -> tuple[Array, int, bool]:
+        """Variables in any shape, iterations, and whether the solver reports convergence."""
 
     def solve(self, fragment: Fragment, trace: Trace | None = None) -> Answer:
         """Minimise from the start; what a trace costs beside is not in its seconds."""
         began, points = perf_counter(), Trace()
 
-        def told(z: Array) -> None:
+        def notify(z: Array) -> None:
             points.append((perf_counter() - began, np.array(z)))
 
-        z, iterations, converged = self._minimised(fragment, None if trace is None else told)
+        z, iterations, converged = self._minimised(fragment, None if trace is None else notify)
         seconds = perf_counter() - began
         if trace is not None:
             trace += [(at, self._state(fragment, then)) for at, then in points]
@@ -59,7 +59,7 @@ class Lbfgs(Peer):
         """Stop after some `steps`, or where nothing changes any more."""
         self.scene, self.steps, self.history = scene, steps, history
 
-    def _minimised(self, fragment: Fragment, told: Told | None) -> tuple[Array, int, bool]:
+    def _minimised(self, fragment: Fragment, notify: Notify | None) -> tuple[Array, int, bool]:
         """Tells of every point evaluated."""
         energy = self.scene.torch_energy(fragment)
         z = torch.from_numpy(self.scene.variables(fragment)).requires_grad_()
@@ -72,8 +72,8 @@ class Lbfgs(Peer):
             optimiser.zero_grad()
             value = energy(z)
             torch.autograd.backward(value)
-            if told is not None:
-                told(z.detach().numpy())
+            if notify is not None:
+                notify(z.detach().numpy())
             return float(value.detach())
 
         optimiser.step(closure)  # type: ignore[no-untyped-call]
@@ -105,7 +105,7 @@ class ScipyLeastSquares(Peer):
         pattern = csr_matrix((np.arange(1.0, len(row) + 1), (row, column)), (first, N * size))
         self._order, self._pattern = pattern.data.astype(np.intp) - 1, pattern
 
-    def _minimised(self, fragment: Fragment, told: Told | None) -> tuple[Array, int, bool]:
+    def _minimised(self, fragment: Fragment, notify: Notify | None) -> tuple[Array, int, bool]:
         """Tells of every iteration."""
         z0 = self.scene.variables(fragment)
         for r, *functions in zip(self._residuals, self._value, self._jacobian, strict=True):
@@ -113,8 +113,8 @@ class ScipyLeastSquares(Peer):
                 function.inputs[1][:] = r.values(fragment).ravel()
 
         def kept(intermediate_result: Any) -> None:
-            if told is not None:
-                told(intermediate_result.x)
+            if notify is not None:
+                notify(intermediate_result.x)
 
         def value(z: Array) -> Array:
             return self._evaluated(self._value, z.reshape(z0.shape), 0)
@@ -167,7 +167,7 @@ class Ceres(Peer):
             for t, cost in enumerate(self._costs[-1]):
                 self._problem.add_residual_block(cost, None, self._z[t : t + r.width])
 
-    def _minimised(self, fragment: Fragment, told: Told | None) -> tuple[Array, int, bool]:
+    def _minimised(self, fragment: Fragment, notify: Notify | None) -> tuple[Array, int, bool]:
         """Tells of every iteration."""
         began = perf_counter()
         for block, row in zip(self._z, self.scene.variables(fragment), strict=True):
@@ -181,9 +181,9 @@ class Ceres(Peer):
         options.max_num_iterations, options.num_threads = self.iterations, 1
         options.function_tolerance, options.parameter_tolerance = 1e-10, 1e-12
         options.gradient_tolerance, options.minimizer_progress_to_stdout = 1e-9, False
-        if told is not None:
+        if notify is not None:
             options.update_state_every_iteration = True
-            options.callbacks = [_Kept(lambda: told(np.array(self._z)))]
+            options.callbacks = [_Kept(lambda: notify(np.array(self._z)))]
         pyceres.solve(options, self._problem, summary)
         seconds = perf_counter() - began
         inside = summary.residual_evaluation_time_in_seconds
@@ -231,10 +231,10 @@ class _Cost(pyceres.CostFunction):  # type: ignore[misc]
 class _Kept(pyceres.IterationCallback):  # type: ignore[misc]
     """Tells of every iteration."""
 
-    def __init__(self, told: Callable[[], None]) -> None:
+    def __init__(self, notify: Callable[[], None]) -> None:
         super().__init__()
-        self._told = told
+        self._notify = notify
 
     def __call__(self, summary: Any) -> Any:
-        self._told()
+        self._notify()
         return pyceres.CallbackReturnType.SOLVER_CONTINUE

@@ -24,21 +24,21 @@ from rich.progress import Progress
 from benchmarks.harness import HERE
 from benchmarks.peers.fragments import Material
 from benchmarks.solvers.alone import build_times, by_duration, by_length, by_settings
-from benchmarks.solvers.measuring import Effort, Told
+from benchmarks.solvers.measuring import Effort, Notify
 from benchmarks.solvers.report import figure, markdown
 from benchmarks.solvers.side_by_side import N, cartesian, joint
 
 
-def everything(effort: Effort, told: Told) -> dict[str, Any]:
+def everything(effort: Effort, notify: Notify) -> dict[str, Any]:
     """All that is measured, one thing after the other."""
     material = Material.demo()
     return {
-        "cartesian": cartesian(material, effort, told),
-        "joint": joint(material, effort, told),
-        "by_length": by_length(material, effort, told),
-        "by_settings": by_settings(material, effort, told),
-        "build_seconds": build_times(material, effort, told),
-        "by_duration": by_duration(material, effort, told),
+        "cartesian": cartesian(material, effort, notify),
+        "joint": joint(material, effort, notify),
+        "by_length": by_length(material, effort, notify),
+        "by_settings": by_settings(material, effort, notify),
+        "build_seconds": build_times(material, effort, notify),
+        "by_duration": by_duration(material, effort, notify),
     }
 
 

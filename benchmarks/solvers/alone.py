@@ -1,4 +1,4 @@
-"""How fast the package's own solvers are: by settings, fragment length and recording length."""
+"""Speed of the package's solvers by settings, fragment length and recording length."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any
 
 from benchmarks.peers.fragments import Material
 from benchmarks.peers.joint_space import JointScene
-from benchmarks.solvers.measuring import PAPER_FPS, Effort, Told, spread
+from benchmarks.solvers.measuring import PAPER_FPS, Effort, Notify, spread
 from benchmarks.solvers.side_by_side import CARTESIAN_BACKENDS, IPOPT_CAP, JOINT_SETTINGS, Joint, N
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver
@@ -55,11 +55,11 @@ def rate(solver: FragmentSolver, material: Material, effort: Effort) -> dict[str
     }
 
 
-def by_settings(material: Material, effort: Effort, told: Told) -> list[dict[str, Any]]:
+def by_settings(material: Material, effort: Effort, notify: Notify) -> list[dict[str, Any]]:
     """Frames per second of some settings; building the problem, with one fragment, is timed beside."""
     rows, m = [], material[: effort.frames]
     for name, settings in SETTINGS.items():
-        told(name)
+        notify(name)
         began = perf_counter()
         solver = FragmentSolver(m.skeleton, N, settings, m.imus.joints)
         solver.solve(m.start[: N // 2 + 1], m.keypoints[: N // 2 + 1], m.imus)
@@ -68,7 +68,7 @@ def by_settings(material: Material, effort: Effort, told: Told) -> list[dict[str
     return rows
 
 
-def by_length(material: Material, effort: Effort, told: Told) -> list[dict[str, Any]]:
+def by_length(material: Material, effort: Effort, notify: Notify) -> list[dict[str, Any]]:
     """New frames per second for every N, of both spaces and backends."""
     rows = []
     for frames in effort.lengths:
@@ -80,11 +80,11 @@ def by_length(material: Material, effort: Effort, told: Told) -> list[dict[str, 
         }
         solvers["joint, real time"] = JointSpaceSettings()
         for name, settings in solvers.items():
-            told(f"N = {frames}: {name}")
+            notify(f"N = {frames}: {name}")
             solver = FragmentSolver(m.skeleton, frames, settings, m.imus.joints)
             solver.solve(m.start[:frames], m.keypoints[:frames], m.imus)
             row[name] = rate(solver, m, effort)["frames_per_second"]
-        told(f"N = {frames}: joint, IPOPT")
+        notify(f"N = {frames}: joint, IPOPT")
         scene = JointScene(m, frames, JOINT_SETTINGS)
         ipopt = Joint(scene, Ipopt, scene.limits, JOINT_SETTINGS.tolerance, IPOPT_CAP)
         inner = map(scene.fragment, spread(effort.slow_fragments + 2, frames, length)[1:-1])
@@ -104,7 +104,7 @@ print(time.perf_counter() - began)
 """
 
 
-def build_times(material: Material, effort: Effort, told: Told) -> dict[str, float]:
+def build_times(material: Material, effort: Effort, notify: Notify) -> dict[str, float]:
     """Seconds until the first fragment of a new process is solved, once everything is imported."""
     out = {}
     with tempfile.TemporaryDirectory() as name:
@@ -115,7 +115,7 @@ def build_times(material: Material, effort: Effort, told: Told) -> dict[str, flo
         if effort.first_compilation:
             kinds["compiled for the first time"] = {"RTOF_KIN_CACHE": str(Path(name, "empty"))}
         for kind, change in kinds.items():
-            told(f"build: {kind}")
+            notify(f"build: {kind}")
             seconds = []
             for _ in range(1 if "RTOF_KIN_CACHE" in change else effort.runs):
                 done = subprocess.run(
@@ -127,12 +127,12 @@ def build_times(material: Material, effort: Effort, told: Told) -> dict[str, flo
     return out
 
 
-def by_duration(material: Material, effort: Effort, told: Told) -> list[dict[str, Any]]:
+def by_duration(material: Material, effort: Effort, notify: Notify) -> list[dict[str, Any]]:
     """Time and memory of recordings of several lengths, block by block as they stream."""
     solver, rows = FragmentSolver(material.skeleton, N, None, material.imus.joints), []
     rate_hz = material.start.rate_hz
     for seconds in (effort.tiled_s[0], *effort.tiled_s):  # once more than counted, to warm up
-        told(f"{seconds} s of recording")
+        notify(f"{seconds} s of recording")
         m = material.tiled(round(seconds * rate_hz))
         gc.collect()
         before, most, began = resident_mb(), 0.0, perf_counter()
@@ -148,7 +148,7 @@ def by_duration(material: Material, effort: Effort, told: Told) -> list[dict[str
 
 
 def resident_mb() -> float:
-    """Memory of this process that is resident now, MB; where that is not told, the most there was."""
+    """Resident memory of this process, MB; its maximum where the current value is not available."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
         return pages * resource.getpagesize() / 1e6

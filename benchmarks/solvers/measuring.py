@@ -14,22 +14,22 @@ from benchmarks.peers.solvers import Scene
 
 PAPER_FPS = {20: 1256, 50: 743, 100: 423, 200: 227}
 """The paper's new frames per second by N."""
-Told = Callable[[str], None]
+Notify = Callable[[str], None]
 """Called with what begins now."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is looked at."""
+    """Numbers of fragments, repeats and frames."""
 
     fragments: int = 8
     slow_fragments: int = 3
-    """By solvers that take seconds for each."""
+    """Fragments for solvers that take seconds each."""
     agreement_every: int = 1
     """Every how many fragments IPOPT and the real-time solver are compared."""
     lengths: tuple[int, ...] = tuple(PAPER_FPS)
     frames: int = 1500
-    """Of the recording, for settings and N; the demo has 1436."""
+    """Frames of the recording, for settings and N; the demo has 1436."""
     runs: int = 3
     patience_s: float = 10.0
     """After which no further run of the same settings begins."""
@@ -106,17 +106,17 @@ class Choice:
 
 
 def compared(
-    scene: Scene, entries: Sequence[Entry], choice: Choice, told: Told
+    scene: Scene, entries: Sequence[Entry], choice: Choice, notify: Notify
 ) -> tuple[list[Row], dict[str, Trace]]:
     """Rows of all solvers, and their traces of the typical fragment where they give any."""
     rows, traces = [_start_row(scene, choice.firsts)], {}
     for entry in entries:
         row, trace = Row(entry.name, entry.limits), Trace()
         if not entry.slow:
-            told(f"{entry.name}: once to warm up")
+            notify(f"{entry.name}: once to warm up")
             entry.solver.solve(scene.fragment(choice.firsts[0]))
         for first in choice.slow if entry.slow else choice.firsts:
-            told(f"{entry.name}: frame {first}")
+            notify(f"{entry.name}: frame {first}")
             fragment = scene.fragment(first)
             answer = entry.solver.solve(fragment, trace if first == choice.typical else None)
             row.add(fragment, answer, scene.score(fragment, answer.x, answer.multipliers))
@@ -152,7 +152,7 @@ def curve(scene: Scene, fragment: Fragment, trace: Trace) -> list[tuple[float, f
 
 
 def summaries(rows: Sequence[Row], new_frames: int) -> list[dict[str, Any]]:
-    """Of all rows of one table, compared with its lowest energies."""
+    """Summaries of the rows of a table, relative to its lowest energies."""
     lowest: dict[int, float] = {}
     for row in rows:
         for first, energy in zip(row.firsts, row.energy, strict=True):

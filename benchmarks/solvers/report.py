@@ -1,4 +1,4 @@
-"""What is written: tables as Markdown, and energy against time as a figure."""
+"""Tables as Markdown, and a figure of energy against time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.solvers.side_by_side import BASIN_MM, N
 Columns = dict[str, tuple[str, str | Callable[[Any], str]]]
 """Key of a row -> heading, format."""
 LEAST_EXCESS, LEAST_SECONDS = 1e-8, 1e-3
-"""What lies below is drawn there."""
+"""Lower bound of the plotted values."""
 
 
 def table(rows: Sequence[dict[str, Any]], columns: Columns) -> str:

@@ -19,8 +19,8 @@ from benchmarks.solvers.measuring import (
     Choice,
     Effort,
     Entry,
+    Notify,
     Row,
-    Told,
     compared,
     curve,
     rising,
@@ -102,16 +102,16 @@ def peers(scene: Scene, effort: Effort, scipy_is_slow: bool) -> list[Entry]:
     ]  # fmt: skip
 
 
-def cartesian(material: Material, effort: Effort, told: Told) -> dict[str, Any]:
+def cartesian(material: Material, effort: Effort, notify: Notify) -> dict[str, Any]:
     """The printed energy: rows and curves."""
     scene = CartesianScene(material, N, CartesianSettings.paper())
     choice = Choice.of(scene, effort, len(material.start))
     entries = peers(scene, effort, scipy_is_slow=False)
     entries += [Entry(name, Cartesian(scene, s)) for name, s in CARTESIAN_BACKENDS.items()]
-    rows, traces = compared(scene, entries, choice, told)
+    rows, traces = compared(scene, entries, choice, notify)
     fragment = scene.fragment(choice.typical)
     for name, settings in CARTESIAN_BACKENDS.items():
-        told(f"{name}: energy against time")
+        notify(f"{name}: energy against time")
 
         def capped(iterations: int, settings: CartesianSettings = settings) -> Cartesian:
             return Cartesian(scene, replace(settings, max_iterations=iterations))
@@ -124,19 +124,19 @@ def cartesian(material: Material, effort: Effort, told: Told) -> dict[str, Any]:
     }
 
 
-def joint(material: Material, effort: Effort, told: Told) -> dict[str, Any]:
+def joint(material: Material, effort: Effort, notify: Notify) -> dict[str, Any]:
     """The joint-space energy: rows without and with limits, curves, and IPOPT against real time."""
     scene = JointScene(material, N, JOINT_SETTINGS)
     choice = Choice.of(scene, effort, len(material.start))
     entries = peers(scene, effort, scipy_is_slow=True) + own_joint(scene, None)
-    free, traces = compared(scene, entries, choice, told)
-    limited, _ = compared(scene, own_joint(scene, scene.limits), choice, told)
+    free, traces = compared(scene, entries, choice, notify)
+    limited, _ = compared(scene, own_joint(scene, scene.limits), choice, notify)
     fragment = scene.fragment(choice.typical)
     for name, kind, caps, tolerance, runs in (
         ("IPOPT", Ipopt, (1, 2, 4, 8, 16, 32), JOINT_SETTINGS.tolerance, 1),
         ("real time", LevenbergMarquardt, range(1, 13), TIGHT, effort.runs),
     ):
-        told(f"{name}: energy against time")
+        notify(f"{name}: energy against time")
         make = partial(Joint, scene, kind, None, tolerance)
         traces[name] = rising(make, fragment, caps, runs)
     everywhere = spread(10**6, N, len(material.start))[:: effort.agreement_every]
@@ -145,7 +145,7 @@ def joint(material: Material, effort: Effort, told: Told) -> dict[str, Any]:
         "with_limits": summaries(limited, N // 2),
         "curves": {name: curve(scene, fragment, trace) for name, trace in traces.items()},
         "degrees_of_freedom": {"per_frame": scene.space.size, "per_fragment": N * scene.space.size},
-        "agreement": agreement(scene, everywhere, told),
+        "agreement": agreement(scene, everywhere, notify),
         **_details(entries, choice, [*free, *limited]),
     }
 
@@ -162,7 +162,7 @@ def own_joint(scene: JointScene, limits: Limits | None) -> list[Entry]:
 
 
 def _details(entries: Sequence[Entry], choice: Choice, rows: Sequence[Row]) -> dict[str, Any]:
-    """What the tables do not show."""
+    """Results that the tables do not show."""
     (ceres,) = (e.solver for e in entries if isinstance(e.solver, Ceres))
     return {
         "ceres_share_in_python": median(ceres.shares),
@@ -171,7 +171,7 @@ def _details(entries: Sequence[Entry], choice: Choice, rows: Sequence[Row]) -> d
     }
 
 
-def agreement(scene: JointScene, firsts: Sequence[int], told: Told) -> dict[str, Any]:
+def agreement(scene: JointScene, firsts: Sequence[int], notify: Notify) -> dict[str, Any]:
     """IPOPT against the real-time solver, with limits, from the same start."""
     tight = Joint(scene, LevenbergMarquardt, scene.limits, TIGHT, TIGHT_CAP)
     ipopt = Joint(scene, Ipopt, scene.limits, IPOPT_TIGHT, IPOPT_CAP)
@@ -179,7 +179,7 @@ def agreement(scene: JointScene, firsts: Sequence[int], told: Told) -> dict[str,
     apart: list[dict[str, Any]] = []
     uncertified: list[dict[str, Any]] = []
     for first in firsts:
-        told(f"IPOPT against real time: frame {first}")
+        notify(f"IPOPT against real time: frame {first}")
         fragment = scene.fragment(first)
         answers = {"real_time": tight.solve(fragment), "ipopt": ipopt.solve(fragment)}
         scores = {name: scene.score(fragment, a.x, a.multipliers) for name, a in answers.items()}

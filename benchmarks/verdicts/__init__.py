@@ -1,1 +1,1 @@
-"""Whether stated standard deviations and verdicts tell which frames and recordings are wrong."""
+"""Detection of wrong frames and recordings by stated standard deviations and verdicts."""

@@ -1,9 +1,9 @@
-"""Do stated standard deviations and verdicts tell bad frames from good ones?
+"""Detection of bad frames by stated standard deviations and verdicts.
 
 ``python -m benchmarks.verdicts --corpus DIR [--detector-errors FILE]``: the benchmark's people and
-motions on other rigs, as they are and with one planted fault, realistic 2D and 2D drawn from a model
+motions on other rigs, unchanged and with one planted fault, realistic 2D and 2D drawn from a model
 fitted to a real detector, 0, 4, 8 and 10 sensors. Numbers are written as they come: an interrupted run
-goes on where it stopped.
+resumes where it stopped.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def write(rows: Sequence[Row], out: Path, facts: dict[str, Any]) -> str:
     """Write the tables, their numbers and the figure; the tables as Markdown."""
     failed = [f"{row['motion']}, {row['fault']}: {row['failed']}" for row in rows if "failed" in row]
     shown, numbers = tables([row for row in rows if "failed" not in row])
-    text = "\n".join(["# Do sigma and verdicts tell bad frames from good ones?\n", facts["how"] + "\n",
+    text = "\n".join(["# Detection of bad frames by sigma and verdicts\n", facts["how"] + "\n",
                       *(table.markdown() for table in shown)])  # fmt: skip
     if failed:
         text += "\n".join(["\nNot reconstructed:\n", *(f"- {line}" for line in failed)]) + "\n"

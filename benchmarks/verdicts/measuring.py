@@ -25,7 +25,7 @@ from rtof_kin.report.audit_results import Grade, section_verdict
 Array = NDArray[np.float64]
 Row = dict[str, Any]
 EVERY = 6
-"""Of so many frames one is looked at: neighbours say the same."""
+"""Step between the frames evaluated; neighbours are correlated."""
 SECTIONS = ("inputs", "streams", "image", "sensors", "body", "calibration", "solver", "confidence")
 _COST = {Grade.FAIL: 2, Grade.WARN: 1}
 BEYOND = np.radians(10.0)
@@ -58,7 +58,7 @@ def measured(job: Job) -> Row:
         result = reconstruct(
             recording, mode="rtof" if inertial else "rto", lifter=_lifter(), calibrate=inertial
         )
-    except RtofError as error:  # told in the table, instead of losing the other recordings
+    except RtofError as error:  # reported in the table, instead of losing the other recordings
         return _about(job) | {"failed": str(error)}
     return row_of(job, result)
 
@@ -85,23 +85,23 @@ def row_of(job: Job, result: Reconstruction) -> Row:
 
 
 def stated(result: Reconstruction) -> dict[str, Stated]:
-    """By quantity: positions in world and relative to the root (mm), orientations of segments and
+    """Errors by quantity: positions in world and relative to the root (mm), orientations of segments and
     clinical angles (deg)."""
     motion = result.motion[::EVERY]
     assert result.recording.truth is not None
     truth = at_times(result.recording.truth, motion.times)
-    told, estimate = motion.confidence, motion.poses
-    assert told is not None
+    stated, estimate = motion.confidence, motion.poses
+    assert stated is not None
     doubted = _flags(result)[::EVERY]
     p, p_true = estimate.p_world_joint, truth.p_world_joint
     relative = (p - p[:, :1]) - (p_true - p_true[:, :1])
-    turned = [j for j, name in enumerate(told.names) if (WORLD, name) in told.pairs]
-    names = tuple(told.names[j] for j in turned)
-    turns = np.stack([told.turn(WORLD, name) for name in names], axis=1)
+    turned = [j for j, name in enumerate(stated.names) if (WORLD, name) in stated.pairs]
+    names = tuple(stated.names[j] for j in turned)
+    turns = np.stack([stated.turn(WORLD, name) for name in names], axis=1)
     found = {
-        "position": _of_vectors(told.names, 1000 * (p - p_true), 1e6 * told.position_covariance, doubted),
+        "position": _of_vectors(stated.names, 1000 * (p - p_true), 1e6 * stated.position_covariance, doubted),
         "relative": _of_vectors(
-            told.names[1:], 1000 * relative[:, 1:], 1e6 * told.relative_covariance[:, 1:], doubted[:, 1:]
+            stated.names[1:], 1000 * relative[:, 1:], 1e6 * stated.relative_covariance[:, 1:], doubted[:, 1:]
         ),
         "orientation": _of_vectors(
             names, np.degrees(_turns(estimate, truth)[:, turned]), np.degrees(np.degrees(turns)),
@@ -122,7 +122,7 @@ def stated(result: Reconstruction) -> dict[str, Stated]:
 
 
 def _of_vectors(names: tuple[str, ...], error: Array, covariance: Array, flags: Array) -> Stated:
-    """Of error vectors (T, n, 3) with covariances (T, n, 3, 3)."""
+    """Error lengths and sigmas from error vectors (T, n, 3) with covariances (T, n, 3, 3)."""
     mean = np.trace(covariance, axis1=-2, axis2=-1)
     spread = np.sum(covariance**2, axis=(-2, -1))
     return Stated(
@@ -153,7 +153,7 @@ def _flags(result: Reconstruction) -> Array:
 
 
 def verdict(result: Reconstruction) -> dict[str, float]:
-    """What the audit says of a recording, larger is worse: its sections' verdicts (0 pass, 1 warn, 2
+    """Scores of the audit, larger is worse: its sections' verdicts (0 pass, 1 warn, 2
     fail) added up, and how far its figures are above the limits at which they warn."""
     findings = audit(replace(result, metrics=None))
     grades = [section_verdict(section, findings).grade for section in SECTIONS]
@@ -166,7 +166,7 @@ def verdict(result: Reconstruction) -> dict[str, float]:
 
 
 def _short(column: Array) -> list[float | None]:
-    """As JSON: four digits, null where not known."""
+    """Convert to JSON values: four digits, null where unknown."""
     return [float(f"{v:.4g}") if np.isfinite(v) else None for v in column]
 
 

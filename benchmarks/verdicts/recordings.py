@@ -1,4 +1,4 @@
-"""What is reconstructed: people and rigs of no fit, ordinary recordings and ones with a planted fault."""
+"""Recordings of the study: subjects and rigs outside every fit, ordinary and with a planted fault."""
 
 from __future__ import annotations
 
@@ -92,11 +92,11 @@ class Job:
 
     @property
     def key(self) -> str:
-        """What the job is called where its numbers are kept."""
+        """Name of the job in the file of results."""
         return f"{self.clip.name} {self.camera} {self.keypoints} {self.sensors} {self.fault}"
 
     def recording(self) -> Recording:
-        """What camera and sensors record, with its fault."""
+        """Simulate camera and sensors, with the job's fault."""
         own = harness.SENSOR_SETS.get(self.sensors, ())
         if self.keypoints == SIMULATED:
             given = harness.recorded(self.clip, self.camera, SIMULATED, own, self.seed)

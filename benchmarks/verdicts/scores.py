@@ -1,4 +1,4 @@
-"""How well numbers tell large errors from small ones: ROC, calibration, rank correlation."""
+"""Scores of stated errors: ROC, calibration, rank correlation."""
 
 from __future__ import annotations
 
@@ -84,8 +84,7 @@ def calibration_error(probability: Array, bad: NDArray[np.bool_]) -> float:
 
 
 def quantile(share: float, freedom: Array) -> Array:
-    """Of chi-square variables; the inverse at each of a thousand values between the least and the most
-    degrees of freedom."""
+    """Quantiles of chi-square variables, interpolated between a thousand degrees of freedom."""
     known = np.linspace(0.9, 3.1, 1000)
     return np.asarray(np.interp(freedom, known, chi2.ppf(share, known)))
 

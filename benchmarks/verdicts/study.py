@@ -1,4 +1,4 @@
-"""Figures of all recordings together: what sigma and verdicts tell of errors above a threshold."""
+"""Figures of all recordings together: sigma and verdicts as predictors of errors above a threshold."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Samples:
     flags: Array
     recording: Ints
     entry: Ints
-    """Which joint, segment or angle of which recording."""
+    """Joint, segment or angle, and its recording."""
     person: Ints
 
     def __getitem__(self, index: Any) -> Samples:
@@ -60,7 +60,7 @@ def samples(rows: Sequence[Row], quantity: str) -> Samples:
 
 
 def figures(own: Samples, threshold: float) -> Row:
-    """What sigma tells of errors above a threshold."""
+    """Scores of sigma as a predictor of errors above a threshold."""
     bad = own.error > threshold
     stated = scores.probability_above(threshold, own.sigma, own.freedom)
     inside = own.error**2 * own.freedom / own.sigma**2 <= scores.quantile(0.95, own.freedom)
@@ -116,7 +116,7 @@ def verdict_figures(rows: Sequence[Row], quantity: str, threshold: float) -> Row
 
 
 def curves(own: Samples, threshold: float) -> Row:
-    """For the figure: the ROC curve of sigma, and stated beside seen shares of bad ones."""
+    """Data of the figure: ROC curve of sigma, and stated and observed shares of large errors."""
     bad = own.error > threshold
     stated = scores.probability_above(threshold, own.sigma, own.freedom)
     return {"roc": scores.roc(own.sigma, bad), "calibration": scores.calibration(stated, bad)}

@@ -20,7 +20,7 @@ UNITS = {"position": "mm", "relative": "mm", "orientation": "deg", "angle": "deg
 
 
 def label(quantity: str, threshold: float) -> str:
-    """Of a quantity with its threshold."""
+    """Table row of a quantity with its threshold."""
     return f"{LABELS[quantity]} > {threshold:g} {UNITS[quantity]}"
 
 

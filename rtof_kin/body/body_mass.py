@@ -1,7 +1,7 @@
 """Mass, centre of mass and inertia of body segments (de Leva, J. Biomech. 29, 1996, table 4).
 
-Limb segments run from the proximal to the distal joint; the head from the vertex to C7 and the three
-trunk segments from top to bottom. Fractions are of body mass and of segment length.
+Limb segments run from the proximal to the distal joint, the head from the vertex to C7, trunk segments from
+top to bottom. Fractions are of body mass and of segment length.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SegmentMass:
-    """De Leva's figures of one segment, (male, female)."""
+    """De Leva's values of a segment, (male, female)."""
 
     mass: tuple[float, float]
     """Fraction of body mass."""
@@ -25,7 +25,7 @@ class SegmentMass:
     radii: tuple[tuple[float, float, float], tuple[float, float, float]]
     """Radii of gyration about the sagittal, transverse, longitudinal axis, fraction of length."""
     from_far_end: bool = False
-    """Whether de Leva's first end is the far end of our segment (head and trunk run downwards)."""
+    """True if de Leva's first end is the far end of the link (head and trunk)."""
 
 
 SEGMENTS = {
@@ -57,25 +57,23 @@ _COLUMNS: dict[str | None, list[int]] = {"male": [0], "female": [1], None: [0, 1
 
 
 def mass_fraction(segment: str, sex: str | None) -> float:
-    """Fraction of body mass of a segment; the mean of both sexes for None."""
+    """Return the fraction of body mass of a segment.
+
+    Args:
+        segment: name in `SEGMENTS`. sex: 'male', 'female' or None for the mean.
+    """
     return float(np.mean([SEGMENTS[segment].mass[i] for i in _COLUMNS[sex]]))
 
 
 def inertia(segment: str, mass_kg: float, end: Array, sex: str | None) -> tuple[Array, Array]:
-    """Centre of mass and inertia of a link that carries mass of one de Leva segment.
+    """Return centre of mass (3,), m, and inertia about it (3, 3), kg m^2, of a link, in its frame.
 
-    A link that carries only a share of a segment (a vertebral level) is given that segment's shape at
-    its own length: its mass is exact, its inertia approximate.
+    A link with a share of a segment (a vertebral level) has the shape of the segment at its own length. The
+    larger of the two transverse inertias is used about both transverse axes.
 
     Args:
-        segment: name in `SEGMENTS`.
-        mass_kg: mass the link carries, kg.
-        end: (3,) far end of the link in its frame, m.
+        segment: name in `SEGMENTS`. mass_kg: mass of the link, kg. end: (3,) far end in the link frame, m.
         sex: 'male', 'female' or None for the mean.
-
-    Returns:
-        Centre of mass (3,) in the link frame, m, and inertia (3, 3) about it in the link's axes,
-        kg m^2: longitudinal about the link, the larger of the two others about both across.
     """
     entry = SEGMENTS[segment]
     share = float(np.mean([entry.center[i] for i in _COLUMNS[sex]]))

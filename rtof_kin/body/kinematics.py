@@ -1,7 +1,7 @@
-"""Kinematics of a tree of rigid segments, on arrays and over all frames at once.
+"""Vectorised kinematics of a tree of rigid segments.
 
-Every function takes the tree as `parents` (J,) with -1 for the root and parents before children, and
-`offsets` (J, 3): each joint in its parent's link frame, m.
+The tree is `parents` (J,), with -1 for the root and parents before children, and `offsets` (J, 3) of each
+joint in its parent's link frame, m.
 """
 
 from __future__ import annotations
@@ -14,19 +14,27 @@ from numpy.typing import NDArray
 from rtof_kin.core import rotations as so3
 
 Array = NDArray[np.float64]
-NEAR_OPPOSITE = 1 + np.cos(np.radians(170.0))
-"""Below this 1 + cos(angle) a swing keeps the twist of the frame before, not of the parent."""
-TWIST_RETURN = np.radians(5.0)
-"""Largest twist per frame, radians, by which a swing returns to the parent's after that."""
+_NEAR_OPPOSITE = 1 + np.cos(np.radians(170.0))
+"""Value of 1 + cos(angle) below which a swing keeps the twist of the previous frame."""
+_TWIST_RETURN = np.radians(5.0)
+"""Largest twist per frame, rad, by which a swing returns to the twist of the parent afterwards."""
 
 
 def children_of(parents: Sequence[int], joint: int) -> list[int]:
-    """Indices of a joint's children."""
+    """Return the indices of the children of a joint.
+
+    Args:
+        parents: tree. joint: index.
+    """
     return [child for child, parent in enumerate(parents) if parent == joint]
 
 
 def line_to_root(parents: Sequence[int], joint: int) -> list[int]:
-    """Indices of a joint, its parent, and so on to the root."""
+    """Return the indices of a joint and its ancestors, up to the root.
+
+    Args:
+        parents: tree. joint: index.
+    """
     line = [joint]
     while parents[line[-1]] >= 0:
         line.append(parents[line[-1]])
@@ -34,7 +42,11 @@ def line_to_root(parents: Sequence[int], joint: int) -> list[int]:
 
 
 def positions(parents: Sequence[int], offsets: Array, p_root: Array, R_world_bone: Array) -> Array:
-    """Joint positions (..., J, 3) in world from segment orientations (..., J, 3, 3) and the root's."""
+    """Return joint positions (..., J, 3) in world, m.
+
+    Args:
+        parents, offsets: tree. p_root: (..., 3) m. R_world_bone: (..., J, 3, 3).
+    """
     p = np.empty((*R_world_bone.shape[:-2], 3))
     for j, parent in enumerate(parents):
         p[..., j, :] = (
@@ -44,7 +56,11 @@ def positions(parents: Sequence[int], offsets: Array, p_root: Array, R_world_bon
 
 
 def world_rotations(parents: Sequence[int], R_parent_bone: Array) -> Array:
-    """Segment orientations in world (..., J, 3, 3) from those relative to the parent (root: world)."""
+    """Return R_world_bone (..., J, 3, 3).
+
+    Args:
+        parents: tree. R_parent_bone: (..., J, 3, 3), the root's relative to world.
+    """
     R = np.empty_like(R_parent_bone)
     for j, parent in enumerate(parents):
         local = R_parent_bone[..., j, :, :]
@@ -53,7 +69,11 @@ def world_rotations(parents: Sequence[int], R_parent_bone: Array) -> Array:
 
 
 def local_rotations(parents: Sequence[int], R_world_bone: Array) -> Array:
-    """Inverse of `world_rotations`: R_parent_bone (..., J, 3, 3)."""
+    """Return R_parent_bone (..., J, 3, 3), the inverse of `world_rotations`.
+
+    Args:
+        parents: tree. R_world_bone: (..., J, 3, 3).
+    """
     R = R_world_bone.copy()
     for j, parent in enumerate(parents):
         if parent >= 0:
@@ -63,17 +83,15 @@ def local_rotations(parents: Sequence[int], R_world_bone: Array) -> Array:
 
 
 def segment_rotation(parents: Sequence[int], offsets: Array, joint: int, p: Array, R_parent: Array) -> Array:
-    """Orientation of one segment from joint positions: SolveRotation of the paper's Algorithm 1.
+    """Return R_world_bone (T, 3, 3) of a segment from joint positions (SolveRotation in Algorithm 1 of the
+    paper).
 
-    Several children fix it (Kabsch). One child fixes the bone's direction; the twist follows the
-    parent. A leaf copies its parent.
+    Several children determine it (Kabsch). One child determines the direction of the bone; the twist follows
+    the parent. A leaf has the orientation of its parent.
 
     Args:
-        joint: index of the segment. p: (T, J, 3) m, any bone lengths, finite.
-        R_parent: (T, 3, 3) orientation of the parent segment in world; identity for the root.
-
-    Returns:
-        (T, 3, 3) R_world_bone of the segment.
+        parents, offsets: tree. joint: index of the segment. p: (T, J, 3) m, finite, of any bone lengths.
+        R_parent: (T, 3, 3) orientation of the parent in world; identity for the root.
     """
     children = children_of(parents, joint)
     if not children:
@@ -85,15 +103,17 @@ def segment_rotation(parents: Sequence[int], offsets: Array, joint: int, p: Arra
 
 
 def swing(R_parent: Array, rest: Array, observed: Array) -> Array:
-    """The parent's orientation (T, 3, 3) turned so that a rest bone (3,) points as observed (T, 3).
+    """Rotate the parent's orientation by the smallest angle that aligns a bone: (T, 3, 3).
 
-    The turn is the smallest one. Where it is nearly half a turn its axis is undefined and the twist
-    about the bone with it; there the twist is carried over from the frame before (parallel transport),
-    and afterwards returns to the smallest turn's by at most `TWIST_RETURN` a frame: it never jumps.
+    Near 180 degrees the axis, and so the twist about the bone, is undefined: the twist is carried over from
+    the previous frame (parallel transport) and returns afterwards by at most 5 degrees per frame.
+
+    Args:
+        R_parent: (T, 3, 3). rest: (3,) bone in the link frame. observed: (T, 3) bone in world.
     """
     expected, seen = R_parent @ so3.unit(rest), so3.unit(observed)
     R = so3.minimal_rotation(expected, seen) @ R_parent
-    opposite = 1 + np.sum(expected * seen, axis=-1) < NEAR_OPPOSITE
+    opposite = 1 + np.sum(expected * seen, axis=-1) < _NEAR_OPPOSITE
     if not opposite.any():
         return R
     behind = bool(opposite[0])
@@ -103,18 +123,19 @@ def swing(R_parent: Array, rest: Array, observed: Array) -> Array:
         carried = R_parent[t] @ R_parent[t - 1].T @ R[t - 1]
         carried = so3.minimal_rotation(carried @ rest, seen[t]) @ carried
         twist = so3.angle_about(seen[t], R[t] @ carried.T)
-        behind = bool(opposite[t]) or abs(twist) > TWIST_RETURN
+        behind = bool(opposite[t]) or abs(twist) > _TWIST_RETURN
         if opposite[t]:
             R[t] = carried
         elif behind:
-            R[t] = so3.exp(np.copysign(TWIST_RETURN, twist) * seen[t]) @ carried
+            R[t] = so3.exp(np.copysign(_TWIST_RETURN, twist) * seen[t]) @ carried
     return R
 
 
 def rotations_from_positions(parents: Sequence[int], offsets: Array, p: Array) -> Array:
-    """Segment orientations (T, J, 3, 3) from joint positions (T, J, 3) alone; see `segment_rotation`.
+    """Return R_world_bone (T, J, 3, 3) from joint positions by `segment_rotation`; NaN in incomplete frames.
 
-    Frames with a joint that is not finite are NaN.
+    Args:
+        parents, offsets: tree. p: (T, J, 3) m.
     """
     known = np.isfinite(p).all(axis=(1, 2))
     R = np.full((*p.shape[:2], 3, 3), np.nan)

@@ -1,4 +1,4 @@
-"""The four limbs: which segments they have, and which of them carry sensors."""
+"""Segments of the four limbs, and which of them carry sensors."""
 
 from __future__ import annotations
 
@@ -9,18 +9,22 @@ LIMBS = tuple(
     for side in ("Left", "Right")
     for parts in (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot"))
 )
-"""Segments of each by their joints: two long bones, and the end."""
+"""Segments of each limb by their joints: two long bones and the end."""
 
 
 def bare(sensors: Collection[str]) -> set[str]:
-    """Segments of the limbs that carry no sensor at all.
+    """Return the segments of limbs without any sensor.
 
     Args:
-        sensors: joints whose segments carry one.
+        sensors: joints whose segments carry a sensor.
     """
     return {name for limb in LIMBS if not {*limb} & {*sensors} for name in limb}
 
 
 def both_bones_sensed(sensors: Collection[str]) -> bool:
-    """Whether a limb has a sensor on each of its two bones, whose accelerations tell the root's path."""
+    """Return whether a limb has sensors on both long bones, which makes the root position observable.
+
+    Args:
+        sensors: joints whose segments carry a sensor.
+    """
     return any({*limb[:2]} <= {*sensors} for limb in LIMBS)

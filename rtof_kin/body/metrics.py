@@ -1,8 +1,8 @@
-"""How far an estimate is from the truth: position, acceleration, jerk, joint angles.
+"""Error metrics of an estimated motion: position, acceleration, jerk, joint angles.
 
 ==================  =======================================================================  =========
 mpjpe_mm            mean per joint position error, absolute                                  mm
-mpjpe_rr_mm         the same relative to the root (whose own 0 counts)                       mm
+mpjpe_rr_mm         the same relative to the root (which counts as 0)                        mm
 mpjpe_pa_mm         the same after the best similarity transform of every frame (Procrustes) mm
 mpjae               mean norm of the difference of second derivatives, per second            m/s^2
 mpjje               the same of third derivatives                                            m/s^3
@@ -10,7 +10,7 @@ mpjae_frame_mm      the same differences per frame instead of per second        
 mpjje_frame_mm                                                                               mm/frame^3
 angle_deg           mean angle between estimated and true joint rotation (parent to child)   degrees
 flexion_deg         mean error of the knees' and elbows' flexion, from the bones             degrees
-coverage            share of joints and frames for which the estimate claims validity        1
+coverage            fraction of joints and frames in which the estimate is valid             1
 ==================  =======================================================================  =========
 """
 
@@ -27,26 +27,26 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
-BEGUN_TOGETHER = "mode imu knows no place: estimate and truth are moved to begin together"
-"""What figures and pictures of mode imu say, see `comparable`."""
+BEGUN_TOGETHER = "mode imu has no global position: the estimate is shifted to start at the truth"
+"""Remark on metrics and figures of mode imu, see `comparable`."""
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Metrics(Mapping[str, float]):
-    """Pooled figures by name, as a mapping; per joint and over time besides."""
+    """Pooled metrics by name as a mapping, and metrics per joint and over time."""
 
     pooled: dict[str, float]
-    """Figure -> mean over frames and joints; NaN where there is nothing to take the mean of."""
+    """Mean over frames and joints by metric; NaN without data."""
     per_joint: dict[str, dict[str, float]]
-    """Joint -> figure -> mean over frames."""
+    """Mean over frames by joint and metric."""
     over_time: dict[str, Array]
-    """'mpjpe_mm' and 'mpjpe_rr_mm' -> (T,) mean over joints of each frame; 'joint_mm' (absolute) and
-    'joint_flexion_deg' (knees and elbows) -> (T, J) of each joint. NaN in frames that are not scored."""
+    """'mpjpe_mm', 'mpjpe_rr_mm': (T,) mean over joints; 'joint_mm' (absolute), 'joint_flexion_deg' (knees and
+    elbows): (T, J). NaN in frames that are not scored."""
 
     def __getitem__(self, name: str) -> float:
         return self.pooled[name]
@@ -59,16 +59,14 @@ class Metrics(Mapping[str, float]):
 
 
 def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> Metrics:
-    """All figures of an estimate against the truth, over the frames in which both know every joint.
-
-    Frames in which the truth itself is not `valid` (glitches of the reference) are left out.
+    """Compute all metrics over the frames in which estimate and truth have all joints and the truth is valid.
 
     Args:
-        estimate: (T, J) poses. truth: poses of the same joints at any times covering some of the
-            estimate's; brought to its times by interpolation. skeleton: names parents and hinges.
+        estimate: poses. truth: poses of the same joints, interpolated at the times of the estimate.
+        skeleton: of both.
 
     Raises:
-        UnknownNameError, ShapeError: joints are not the skeleton's; fewer than four common frames.
+        UnknownNameError, InvalidInputError: joints differ from the skeleton's; fewer than four common frames.
     """
     skeleton.check_joints(estimate.names, "estimate")
     skeleton.check_joints(truth.names, "truth")
@@ -77,7 +75,7 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
     both &= truth.valid.all(axis=1)
     both &= np.isfinite(estimate.p_world_joint).all(axis=(1, 2))
     if both.sum() < 4:
-        raise ShapeError("metrics: estimate and truth have fewer than four frames in common")
+        raise InvalidInputError("metrics: estimate and truth have fewer than four frames in common")
     p = np.where(both[:, None, None], estimate.p_world_joint, np.nan)
     p_true = np.where(both[:, None, None], truth.p_world_joint, np.nan)
     error = np.linalg.norm(p - p_true, axis=-1) * 1000
@@ -97,7 +95,7 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
         "mpjae_frame_mm": acceleration / rate**2 * 1000,
         "mpjje_frame_mm": jerk / rate**3 * 1000,
         "angle_deg": np.degrees(angle),
-        "flexion_deg": np.degrees(_flexion_error(p, p_true, skeleton)),
+        "flexion_deg": np.degrees(np.abs(flexion(p, skeleton) - flexion(p_true, skeleton))),
     }
     names = estimate.names
     return Metrics(
@@ -118,8 +116,10 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
 def stage_metrics(
     stages: Mapping[str, PoseSequence], truth: PoseSequence | None, skeleton: SkeletonModel, mode: str
 ) -> dict[str, Metrics]:
-    """All figures of every stage of a mode, whose poses have the same times; none without truth, or with
-    fewer than four frames of it.
+    """Compute all metrics of every stage of a mode; empty without truth or with fewer than four frames of it.
+
+    Args:
+        stages: poses at the same times by stage. truth, skeleton: see `evaluate`. mode: see `core.choices`.
     """
     if truth is None:
         return {}
@@ -132,14 +132,12 @@ def stage_metrics(
 
 
 def comparable(estimate: PoseSequence, truth: PoseSequence, mode: str) -> PoseSequence:
-    """An estimate as it is scored and drawn against a truth: as it is, but in mode imu prepared with it.
+    """Return an estimate to be compared with a truth: in mode imu shifted to it, else unchanged.
+
+    The shift is constant; the roots coincide in the first frame with both, see `BEGUN_TOGETHER`.
 
     Args:
-        estimate: poses of the same joints as the truth's, at any times. mode: how they were made.
-
-    Returns:
-        In mode imu all of it shifted alike, so that the roots are at one place in the first frame in
-        which both are known: see `BEGUN_TOGETHER`.
+        estimate, truth: poses of the same joints. mode: see `core.choices`.
     """
     if mode != "imu":
         return estimate
@@ -152,7 +150,11 @@ def comparable(estimate: PoseSequence, truth: PoseSequence, mode: str) -> PoseSe
 
 
 def motionless(truth: PoseSequence) -> PoseSequence:
-    """The zero-motion row: the truth's mean position and orientation, standing still, in every frame."""
+    """Return the mean position and orientation of the truth in every frame (zero-motion baseline).
+
+    Args:
+        truth: poses.
+    """
     p = np.where(truth.valid[..., None], truth.p_world_joint, np.nan)
     mean = [[_mean(p[:, j, i]) for i in range(3)] for j in range(p.shape[1])]
     R = truth.R_world_bone
@@ -165,7 +167,11 @@ def motionless(truth: PoseSequence) -> PoseSequence:
 
 
 def procrustes(p: Array, p_true: Array) -> Array:
-    """P (T, J, 3) after each frame's best rotation, scale and translation onto p_true (Umeyama 1991)."""
+    """Return p after the best similarity transform of each frame onto p_true (Umeyama 1991).
+
+    Args:
+        p, p_true: (T, J, 3) m.
+    """
     mean, mean_true = p.mean(axis=1, keepdims=True), p_true.mean(axis=1, keepdims=True)
     a, b = p - mean, p_true - mean_true
     R = so3.nearest_rotation(np.einsum("tji,tjk->tik", b, a))
@@ -175,7 +181,11 @@ def procrustes(p: Array, p_true: Array) -> Array:
 
 
 def flexion(p: Array, skeleton: SkeletonModel) -> Array:
-    """Angle (T, J) in radians between the bones that meet at the knees and elbows; NaN elsewhere."""
+    """Return the angle (T, J), rad, between the bones at knees and elbows; NaN elsewhere.
+
+    Args:
+        p: (T, J, 3) m. skeleton: of the joints.
+    """
     out = np.full(p.shape[:2], np.nan)
     for j in hinges(skeleton):
         (child,) = kinematics.children_of(skeleton.parents, j)
@@ -186,30 +196,27 @@ def flexion(p: Array, skeleton: SkeletonModel) -> Array:
 
 
 def hinges(skeleton: SkeletonModel) -> list[int]:
-    """Indices of the knees and elbows, by their clinical names."""
-    wanted = ("knee flexion", "elbow flexion")
-    return [
-        i
-        for i, joint in enumerate(skeleton.table.joints)
-        if any(dof.clinical.endswith(wanted) for dof in joint.dofs)
-    ]
+    """Return the indices of knees and elbows.
 
-
-def _flexion_error(p: Array, p_true: Array, skeleton: SkeletonModel) -> Array:
-    return np.abs(flexion(p, skeleton) - flexion(p_true, skeleton))
+    Args:
+        skeleton: with clinical names.
+    """
+    wanted, joints = ("knee flexion", "elbow flexion"), skeleton.table.joints
+    return [i for i, j in enumerate(joints) if any(dof.clinical.endswith(wanted) for dof in j.dofs)]
 
 
 def _angle_error(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> Array:
-    """(T, J) radians; the root's rotation is against world."""
-    parents = skeleton.parents
-    return so3.angle_between(
-        kinematics.local_rotations(parents, estimate.R_world_bone),
-        kinematics.local_rotations(parents, truth.R_world_bone),
-    )
+    """Return the angle (T, J), rad, between local rotations (root: in world)."""
+    local = (kinematics.local_rotations(skeleton.parents, p.R_world_bone) for p in (estimate, truth))
+    return so3.angle_between(*local)
 
 
 def at_times(truth: PoseSequence, times: Array) -> PoseSequence:
-    """A truth at other times, by interpolation; NaN where it is not valid, or covers none of them."""
+    """Interpolate a truth at other times; NaN where it is invalid or missing.
+
+    Args:
+        truth: poses. times: (T,) s.
+    """
     if np.array_equal(truth.times, times):
         return truth
     p = np.where(truth.valid[..., None], truth.p_world_joint, np.nan)

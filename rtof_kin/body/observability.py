@@ -1,13 +1,12 @@
-"""What of a motion was observed: segments, degrees of freedom, landmarks, and bones as they are drawn.
+"""Observability of segments, degrees of freedom, landmarks and bones of a motion.
 
-A configuration has a number for every degree of freedom, whether anybody saw it or not. One counts as
-observed where
+A configuration has a value for every degree of freedom, observed or not. A degree of freedom is observed if
 
-* the segments on both sides of its joint were seen, the direction of their bones at least;
-* if it turns a segment about its own bone, so was the segment's whole orientation, or a bone beyond it;
-* the model lets it move: knees and elbows of joint space are hinges, whose other two angles stay zero.
+* at least the directions of the segments on both sides of its joint were observed;
+* for a rotation of a segment about its own bone, the whole orientation or a bone beyond it was observed;
+* the model lets it move: in joint space knees and elbows are hinges, whose other two angles stay zero.
 
-How well it is known is a matter of `MotionSequence.confidence`.
+Accuracy is described by `MotionSequence.confidence`.
 """
 
 from __future__ import annotations
@@ -24,36 +23,40 @@ from rtof_kin.data.poses import PoseSequence
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 NOTHING, DIRECTION, WHOLE = 0, 1, 2
-"""How much of a segment's orientation was seen."""
+"""Observed part of a segment's orientation."""
 _APART = 0.01
-"""Points of a segment show its direction, or its turn about that, from this distance on, m."""
+"""Least distance of points from each other, or from the bone, that determines an orientation, m."""
 _ALONG = 0.9
-"""Cosine to the bone from which an axis is the one that a segment turns about its own bone."""
+"""Least cosine between an axis and the bone for a rotation about the bone."""
 _FIXED, _MOVES = 1e-9, 1e-3
-"""[rad] An angle that never leaves the one was fixed by the model, if another of its joint leaves the
-other."""
+"""An angle within the first was fixed by the model if another one of the joint exceeds the second, rad."""
 
 
 def segment_levels(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[np.int_]:
-    """(T, J) how much of each segment's orientation was seen: nothing, its bone's direction, or all."""
+    """Return `NOTHING`, `DIRECTION` (of the bone) or `WHOLE` for each segment (T, J).
+
+    Args:
+        poses: of all joints. skeleton: of the poses.
+    """
     at = poses.position_observed
     levels: NDArray[np.int_] = np.where(poses.direction_observed, DIRECTION, NOTHING)
     for j in range(len(skeleton.names)):
         children = kinematics.children_of(skeleton.parents, j)
         if len(children) == 1:
             levels[at[:, j] & at[:, children[0]], j] = DIRECTION
-    # A sensor sees its bone turn even while nobody sees where it is.
+    # A sensor observes the orientation of its segment even while the position is unobserved.
     levels[poses.orientation_observed & (poses.valid | bool(poses.provenance.any()))] = WHOLE
     levels[~np.isfinite(poses.R_world_bone).all(axis=(-2, -1))] = NOTHING
     return levels
 
 
 def levels_by_points(skeleton: SkeletonModel, keypoints: KeypointSequence) -> NDArray[np.int_]:
-    """(T, J) how much of each segment's orientation the landmarks show that lie in it: a direction by two
-    points that are apart, all by three that are not on one line. Joints end the segment before, too.
+    """Return `segment_levels` (T, J) from landmarks: DIRECTION from two points, WHOLE from three not in line.
+
+    A joint is a point of its own segment and of its parent's.
 
     Args:
-        keypoints: landmarks that the skeleton does not have are ignored.
+        skeleton: of the person. keypoints: landmarks that the skeleton does not have are ignored.
     """
     places: list[list[tuple[int, Array]]] = [[] for _ in skeleton.names]
     for i, name in enumerate(keypoints.names):
@@ -74,7 +77,7 @@ def levels_by_points(skeleton: SkeletonModel, keypoints: KeypointSequence) -> ND
 
 
 def _rank(points: Array) -> int:
-    """What points (n, 3) of a rigid segment show of its orientation."""
+    """Return the level of orientation that points (n, 3) of a rigid segment determine."""
     if len(points) < 2:
         return NOTHING
     spread: Array = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
@@ -82,14 +85,17 @@ def _rank(points: Array) -> int:
 
 
 def observed_dofs(motion: MotionSequence) -> Mask:
-    """(T, D) whether each degree of freedom was observed, in the order of `SkeletonModel.dof_names`.
+    """Return a mask (T, D) of observed degrees of freedom, in the order of `SkeletonModel.dof_names`.
 
-    A motion that says nothing of who saw it (mocap) is taken to be observed wherever it is known.
+    A motion without provenance (mocap) is observed wherever it is finite.
+
+    Args:
+        motion: with poses and provenance.
     """
     skeleton, poses = motion.skeleton, motion.poses
     known: Mask = np.asarray(np.isfinite(motion.q).all(axis=1))
     out: Mask = np.repeat(known[:, None], len(skeleton.dof_names), axis=1)
-    if not _says_who_saw(poses):
+    if not _has_provenance(poses):
         return out
     levels = segment_levels(poses, skeleton)
     for j, parent in enumerate(skeleton.parents):
@@ -109,17 +115,25 @@ def observed_dofs(motion: MotionSequence) -> Mask:
 
 
 def root_turn_observed(motion: MotionSequence) -> Mask:
-    """(T,) whether the orientation of the root's segment was observed, else as of `observed_dofs`."""
+    """Return a mask (T,) of frames with observed root orientation.
+
+    Args:
+        motion: see `observed_dofs`.
+    """
     known: Mask = np.asarray(np.isfinite(motion.q).all(axis=1))
-    if not _says_who_saw(motion.poses):
+    if not _has_provenance(motion.poses):
         return known
     turned = segment_levels(motion.poses, motion.skeleton)[:, 0] == WHOLE
     return np.asarray(known & turned)
 
 
 def never_observed(motion: MotionSequence) -> tuple[str, ...]:
-    """Degrees of freedom, by their URDF names, that were observed in no frame and whose numbers place
-    nothing that was seen: they are zero, or their segment carries no other.
+    """Return the URDF names of degrees of freedom that were never observed and do not move anything observed.
+
+    They are zero, or belong to a segment without children.
+
+    Args:
+        motion: see `observed_dofs`.
     """
     skeleton = motion.skeleton
     observed = np.any(observed_dofs(motion), axis=0)
@@ -135,12 +149,17 @@ def never_observed(motion: MotionSequence) -> tuple[str, ...]:
 
 
 def observed_landmarks(motion: MotionSequence) -> Mask:
-    """(T, L) whether somebody saw where each landmark is: its joint, and of other points the segment's
-    orientation, of which the bone's direction is enough for a point on the bone.
+    """Return a mask (T, L) of observed landmarks.
+
+    The position of the joint must be observed, and for other points than the joint the orientation of the
+    segment; the direction of the bone suffices for points on the bone.
+
+    Args:
+        motion: see `observed_dofs`.
     """
     skeleton, poses = motion.skeleton, motion.poses
     levels = segment_levels(poses, skeleton)
-    if not _says_who_saw(poses):
+    if not _has_provenance(poses):
         levels[:] = WHOLE
     located = poses.position_observed
     columns = []
@@ -154,8 +173,12 @@ def observed_landmarks(motion: MotionSequence) -> Mask:
 
 
 def observed_bones(motion: MotionSequence) -> Mask:
-    """(T, J) whether the line from each joint's parent to it was seen: both ends, or the segment's turn
-    where the joint is valid. Of the root, whether it was seen itself.
+    """Return a mask (T, J) of observed lines from parents to joints; of the root, whether it is observed.
+
+    Both ends must be observed, or the orientation of the segment if the joint is valid.
+
+    Args:
+        motion: see `observed_dofs`.
     """
     poses, skeleton = motion.poses, motion.skeleton
     located, levels = poses.position_observed, segment_levels(poses, skeleton)
@@ -167,12 +190,12 @@ def observed_bones(motion: MotionSequence) -> Mask:
     return out
 
 
-def _says_who_saw(poses: PoseSequence) -> bool:
+def _has_provenance(poses: PoseSequence) -> bool:
     return bool(poses.provenance.any() or poses.orientation_observed.any())
 
 
 def _bone(skeleton: SkeletonModel, joint: int) -> Array:
-    """(3,) unit vector along a segment in its link frame: to its only child, else to its far end."""
+    """Return the unit vector (3,) along a segment, to its only child or else its far end."""
     children = kinematics.children_of(skeleton.parents, joint)
     only = skeleton.joint_offsets[children[0]] if len(children) == 1 else None
     return so3.unit(skeleton.table.joints[joint].end if only is None else only)

@@ -1,6 +1,6 @@
-"""What free motion says about poses: the mean and full covariance of joint rotations, and their jerk.
+"""Pose prior: mean and covariance of joint rotations, and standard deviation of their jerk.
 
-``models/pose_prior.npz`` is made by ``models/build_pose_prior.py`` from the training subjects alone.
+``models/build_pose_prior.py`` makes ``models/pose_prior.npz`` from the training subjects.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.checks import indices_of, readonly
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
+from rtof_kin.core.checks import freeze, indices_of, readonly
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
 
@@ -23,41 +23,41 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PosePrior:
-    """A Gaussian on the rotation vectors of all joints about their mean rotations."""
+    """Gaussian of the rotation vectors of all joints about their mean rotations."""
 
     joints: tuple[str, ...]
     """J joint names, root first."""
     mean_quat_wxyz: Array
-    """(J - 1, 4) mean rotation of every joint but the root relative to its parent."""
+    """(J - 1, 4) mean rotation of each joint except the root relative to its parent."""
     covariance: Array
     """(3 (J - 1), 3 (J - 1)) of log(mean^-1 rotation), rad^2."""
     sigma_jerk: Array
-    """(J,) standard deviation of the rotational jerk of each joint (root: in world), rad/s^3."""
+    """(J,) standard deviation of the rotational jerk of joints (root: in world), rad/s^3."""
     sigma_root_jerk: float
-    """Of the root's position, m/s^3."""
+    """Standard deviation of the jerk of the root position, m/s^3."""
 
     def __post_init__(self) -> None:
         J = len(self.joints)
-        set_ = object.__setattr__
-        set_(self, "mean_quat_wxyz", readonly("prior mean", self.mean_quat_wxyz, (J - 1, 4)))
         size = 3 * (J - 1)
-        set_(self, "covariance", readonly("prior covariance", self.covariance, (size, size)))
-        set_(self, "sigma_jerk", readonly("prior sigma_jerk", self.sigma_jerk, (J,)))
+        freeze(self, "prior", mean_quat_wxyz=(J - 1, 4), covariance=(size, size), sigma_jerk=(J,))
         if not np.allclose(np.linalg.norm(self.mean_quat_wxyz, axis=-1), 1.0, atol=1e-6):
-            raise ShapeError("prior mean: not unit quaternions")
+            raise InvalidInputError("prior mean_quat_wxyz: not unit quaternions")
         symmetric = np.allclose(self.covariance, self.covariance.T, rtol=0, atol=1e-9)
         if not symmetric or np.linalg.eigvalsh(self.covariance)[0] < -1e-9:
-            raise ShapeError("prior covariance: not symmetric and positive semidefinite")
+            raise InvalidInputError("prior covariance: not symmetric and positive semidefinite")
         sigmas = np.append(self.sigma_jerk, self.sigma_root_jerk)
         if not np.all((sigmas > 0) & (sigmas < np.inf)):
-            raise ShapeError("prior: the standard deviations of jerk must be positive and finite")
+            raise InvalidInputError("prior: the standard deviations of jerk must be positive and finite")
 
     @classmethod
     def load(cls, joints: Sequence[str], path: str | Path | None = None) -> PosePrior:
-        """The shipped prior of the skeleton with these joints, or one from a file.
+        """Load a prior.
+
+        Args:
+            joints: of the skeleton. path: file; default: the shipped prior.
 
         Raises:
-            FileFormatError: the file is no prior, or one of other joints.
+            FileFormatError: not a prior of these joints.
         """
         path = Path(path or model_path("pose_prior.npz"))
         arrays = read_npz(path)
@@ -74,11 +74,11 @@ class PosePrior:
         return prior
 
     def precision(self, joints: Sequence[str], inflation: float, least: float) -> Array:
-        """Inverse covariance (3A, 3A) of some joints' rotations.
+        """Return the inverse covariance (3A, 3A) of the rotations of some joints.
 
         Args:
-            joints: A names, without the root. inflation: factor on the standard deviations.
-            least: standard deviation added to each in squares, rad.
+            joints: A names, without the root. inflation: factor of the standard deviations.
+            least: standard deviation added in quadrature, rad.
         """
         index = [i - 1 for i in indices_of("joint of the pose prior", joints, self.joints)]
         rows = (3 * np.repeat(index, 3) + np.tile(range(3), len(index))).astype(int)
@@ -87,11 +87,19 @@ class PosePrior:
 
 
 def has_prior(skeleton: str) -> bool:
-    """Whether a prior is shipped for the skeleton of this name."""
+    """Return whether a prior is shipped for a skeleton.
+
+    Args:
+        skeleton: name.
+    """
     return skeleton == "total_capture"
 
 
 @cache
 def shipped_prior(joints: tuple[str, ...]) -> PosePrior:
-    """The shipped prior, read once."""
+    """Return the shipped prior, read once.
+
+    Args:
+        joints: of the skeleton.
+    """
     return PosePrior.load(joints)

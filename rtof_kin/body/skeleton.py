@@ -1,7 +1,7 @@
-"""`SkeletonModel`: the URDF in Pinocchio, with vectorised forward and inverse kinematics.
+"""`SkeletonModel`: skeleton in Pinocchio with vectorised forward and inverse kinematics.
 
-A configuration q is Pinocchio's: root position (3), root quaternion x y z w (4), then one angle per
-revolute in the order of `SkeletonModel.dof_names`. Positions are in world, m; angles in radians.
+A configuration q is Pinocchio's: root position (3), root quaternion x y z w (4), then one angle per revolute
+in the order of `SkeletonModel.dof_names`. Positions are in world, m; angles in radians.
 """
 
 from __future__ import annotations
@@ -18,61 +18,57 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.skeleton_table import SkeletonTable, read_skeleton_table
-from rtof_kin.body.urdf import to_urdf
+from rtof_kin.body.skeleton_table import SkeletonTable
+from rtof_kin.body.urdf import read_urdf, to_urdf
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import indices_of, readonly
-from rtof_kin.core.errors import FileFormatError, ShapeError, UnknownNameError
-from rtof_kin.core.files.text import read_text
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
-_LARGEST_URDF = 16 * 2**20
 SINGULAR_MARGIN = np.radians(5.0)
-"""A posture this near to a middle angle of +-90 degrees is flagged as singular."""
+"""Distance of a middle angle from +-90 degrees below which a posture is flagged as singular."""
 
 
 @dataclass(frozen=True)
 class ConfigurationReport:
-    """What there is to say about configurations: nothing is clipped, all of it is reported."""
+    """Singular postures and limit violations of configurations, which are never clipped."""
 
     singular: NDArray[np.bool_]
-    """(T, J) whether a ball joint is within 5 degrees of a singular posture of its three angles."""
+    """(T, J) True if a ball joint is within 5 degrees of a singular posture."""
     limit_excess: Array
-    """(T, D) radians by which each revolute exceeds its limits; 0 inside."""
+    """(T, D) excess of each revolute beyond its limits, rad; 0 inside."""
     dof_names: tuple[str, ...]
-    """D names of the revolutes."""
+    """Names of the D revolutes."""
 
     @property
     def violations(self) -> dict[str, float]:
-        """Largest excess in radians of each revolute that leaves its limits anywhere."""
+        """Largest excess, rad, of each revolute that violates its limits."""
         worst = np.nanmax(self.limit_excess, axis=0, initial=0)
         return {n: float(w) for n, w in zip(self.dof_names, worst, strict=True) if w > 0}
 
 
 @dataclass(frozen=True)
 class MotionSequence:
-    """A motion of a skeleton: configurations, and the poses they are the kinematics of."""
+    """Motion of a skeleton: configurations and their forward kinematics."""
 
     skeleton: SkeletonModel
     q: Array
-    """(T, nq) configurations, continuous over time."""
+    """(T, nq), continuous over time."""
     poses: PoseSequence
     """Forward kinematics of q, with validity and provenance."""
     report: ConfigurationReport
     """Singular postures and limit violations."""
     confidence: Confidence | None = None
-    """How well it is known, where that is known at all."""
+    """Covariances, if estimated."""
 
     def __post_init__(self) -> None:
-        confidence, poses = self.confidence, self.poses
-        if confidence is None:
-            return
-        if confidence.names != poses.names or not np.array_equal(confidence.times, poses.times):
-            raise ShapeError("motion: its confidence is of other joints or other times")
+        known, poses = self.confidence, self.poses
+        if known and not (known.names == poses.names and np.array_equal(known.times, poses.times)):
+            raise InvalidInputError("motion: its confidence is of other joints or other times")
 
     def __getitem__(self, frames: slice) -> MotionSequence:
         report = replace(
@@ -88,42 +84,51 @@ class MotionSequence:
 
 
 class SkeletonModel:
-    """A human skeleton as a free-floating tree of ball joints, immutable.
+    """A human skeleton as an immutable free-floating tree of ball joints.
 
     Attributes:
-        table: the facts it is made from. model: the Pinocchio model (free-flyer root).
-        names, parents: J joints, parents before children. joint_offsets: (J, 3) m.
+        table: skeleton table. name: e.g. 'total_capture'. model: Pinocchio model (free-flyer root).
+        nq, nv: length of a configuration, degrees of freedom. root: name of the root joint.
+        names, parents: J joints, parents before children. joint_offsets: (J, 3) in parents' link frames, m.
+        dof_names: D revolutes in the order of the configuration.
     """
 
     def __init__(self, table: SkeletonTable, urdf: str | None = None):
-        """Build from a table; `urdf` is the text to load instead of the one the table makes."""
+        """Build from a table; `urdf` is text to load instead of the one made from the table."""
         self.table = table
-        self.names, self.parents = table.names, table.parents
+        self.name, self.names, self.parents = table.name, table.names, table.parents
+        self.root = self.names[0]
         self.joint_offsets: Array = readonly("joint_offsets", table.offsets, ("J", 3))
         self.model: Any = pin.buildModelFromXML(urdf or to_urdf(table), pin.JointModelFreeFlyer())
         self.model.gravity.linear = GRAVITY_WORLD
-        revolutes = [name for name in self.model.names if name not in ("universe", "root_joint")]
-        self.dof_names: tuple[str, ...] = tuple(revolutes)
-        expected = [dof.urdf for joint in table.joints for dof in joint.dofs]
-        if sorted(expected) != sorted(revolutes):
-            odd = sorted(set(expected) ^ set(revolutes))
-            raise ShapeError(f"URDF and skeleton table differ in the joints {', '.join(odd)}")
-        self._q_index = np.array([[7 + revolutes.index(d.urdf) for d in j.dofs]
-                                  for j in table.joints[1:]]).reshape(-1, 3)  # fmt: skip
+        self.nq, self.nv = int(self.model.nq), int(self.model.nv)
+        self.dof_names = tuple(str(n) for n in self.model.names if n not in ("universe", "root_joint"))
+        expected = {dof.urdf for joint in table.joints for dof in joint.dofs}
+        if odd := sorted(expected ^ set(self.dof_names)):
+            raise InvalidInputError(f"URDF and skeleton table differ in the joints {', '.join(odd)}")
+        index = [[7 + self.dof_names.index(d.urdf) for d in j.dofs] for j in table.joints[1:]]
+        self._q_index = np.array(index).reshape(-1, 3)
 
     @classmethod
     def default(cls) -> SkeletonModel:
-        """The 21-joint Total Capture skeleton of ``models/skeleton.urdf``."""
+        """Load the 21-joint Total Capture skeleton, ``models/skeleton.urdf``."""
         return cls.from_urdf(model_path("skeleton.urdf"))
 
     @classmethod
     def human36m(cls) -> SkeletonModel:
-        """Human3.6M's 17 joints, from ``models/human36m.urdf``."""
+        """Load the 17-joint Human3.6M skeleton, ``models/human36m.urdf``."""
         return cls.from_urdf(model_path("human36m.urdf"), model_path("human36m.toml"))
 
     @classmethod
     def named(cls, name: str) -> SkeletonModel:
-        """A shipped skeleton by its table's name: 'total_capture' or 'human36m'."""
+        """Load a shipped skeleton.
+
+        Args:
+            name: 'total_capture' or 'human36m'.
+
+        Raises:
+            UnknownNameError: another name.
+        """
         shipped = {"total_capture": cls.default, "human36m": cls.human36m}
         if name not in shipped:
             raise UnknownNameError("skeleton", [name], list(shipped))
@@ -131,116 +136,74 @@ class SkeletonModel:
 
     @classmethod
     def from_urdf(cls, path: str | Path, table: str | Path | None = None) -> SkeletonModel:
-        """Load a URDF that this package wrote (shipped or personalised).
+        """Load a URDF written by this package (shipped or personalised).
 
-        Bone offsets, limits and inertias are the file's, everything else the table's.
+        Bone offsets, limits and inertias are those of the file, everything else is that of the table.
 
         Args:
-            path: the URDF. table: its skeleton table; the 21-joint one where not given.
+            path: URDF. table: its skeleton table; default: the 21-joint table.
 
         Raises:
-            FileFormatError: not a URDF, or not one of this skeleton.
+            FileFormatError: not a URDF of this skeleton.
         """
-        facts = read_skeleton_table(table or model_path("skeleton.toml"))
-        text = read_text(path, "a URDF", _LARGEST_URDF)
-        try:
-            loaded = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
-        except (ValueError, RuntimeError) as error:
-            raise FileFormatError(path, f"not a readable URDF: {error}") from error
-        offsets = np.zeros_like(facts.offsets)
-        for i, joint in enumerate(facts.joints[1:], start=1):
-            if not loaded.existJointName(joint.dofs[0].urdf):
-                raise FileFormatError(path, f"there is no joint {joint.dofs[0].urdf} in it")
-            index = loaded.getJointId(joint.dofs[0].urdf)
-            offsets[i] = loaded.jointPlacements[index].translation
-        if not np.allclose(offsets, facts.offsets, atol=1e-12):
-            facts = facts.scaled_to(offsets)
-        own = cls(facts).model
-        for name in loaded.names[1:]:
-            if not _same_joint(name, loaded, own):
-                raise FileFormatError(
-                    path,
-                    f"the joint {name} has another parent, place or axis than in the skeleton table; "
-                    "give the table that this URDF was made from",
-                )
-        return cls(facts, text)
-
-    # --- names and sizes -------------------------------------------------------------------------
-
-    @property
-    def name(self) -> str:
-        """Name of the skeleton, e.g. 'total_capture'."""
-        return self.table.name
-
-    @property
-    def nq(self) -> int:
-        """Length of a configuration."""
-        return int(self.model.nq)
-
-    @property
-    def nv(self) -> int:
-        """Degrees of freedom."""
-        return int(self.model.nv)
-
-    @property
-    def root(self) -> str:
-        """Name of the root joint."""
-        return self.names[0]
+        return cls(*read_urdf(path, table or model_path("skeleton.toml")))
 
     @cached_property
     def limits(self) -> Array:
-        """(D, 2) radians, lower and upper limit of each revolute in the order of `dof_names`."""
+        """Lower and upper limits (D, 2) of the revolutes, rad."""
         return np.stack([self.model.lowerPositionLimit[7:], self.model.upperPositionLimit[7:]], -1)
 
     @cached_property
     def bone_lengths(self) -> dict[str, float]:
-        """Distance of each joint from its parent, m, by the name of the child joint."""
+        """Distance of each joint from its parent, m, by child joint."""
         lengths = np.linalg.norm(self.joint_offsets, axis=1)
         return dict(zip(self.names[1:], lengths[1:].tolist(), strict=True))
 
     @cached_property
     def landmarks(self) -> dict[str, tuple[str, Array]]:
-        """Landmark name -> (joint, offset in its link frame (3,), m); every joint is one too."""
+        """Joint and offset (3,) in its link frame, m, of each landmark; joints are landmarks."""
         own = {name: (name, np.zeros(3)) for name in self.names}
         return own | {point.name: (point.joint, point.offset) for point in self.table.landmarks}
 
     @cached_property
     def sensors(self) -> dict[str, tuple[str, Array]]:
-        """Usual sensor name -> (joint whose segment carries it, lever arm in its frame (3,), m)."""
+        """Joint of the segment and lever arm (3,) in its link frame, m, of each usual sensor."""
         return {point.name: (point.joint, point.offset) for point in self.table.sensors}
 
     @cached_property
     def height(self) -> float:
-        """Standing height in the T-pose, m, between the lowest and the highest landmark."""
+        """Standing height, m, from the lowest to the highest landmark in the T-pose."""
         p, R = self.forward_kinematics(self.t_pose()[None])
         z = self.landmark_positions(p, R)[0, :, 2]
         return float(z.max() - z.min())
 
     def index(self, *names: str) -> list[int]:
-        """Indices of joints by name; raises `UnknownNameError`."""
+        """Return indices of joints; raise `UnknownNameError` for unknown names."""
         return indices_of("joint", names, self.names)
 
     def check_joints(self, names: tuple[str, ...], what: str = "poses") -> None:
-        """Check that names are all joints of this skeleton, in its order.
+        """Check that names are all joints of this skeleton in its order.
+
+        Args:
+            names: joints. what: whose names, for the error message.
 
         Raises:
-            UnknownNameError: it has no such joint. ShapeError: some are missing, or the order differs.
+            UnknownNameError: an unknown joint. InvalidInputError: missing joints or another order.
         """
         if names != self.names:
             self.index(*names)
-            raise ShapeError(f"{what}: need all joints, in this order: {', '.join(self.names)}")
+            raise InvalidInputError(f"{what}: need all joints, in this order: {', '.join(self.names)}")
 
     # --- other bodies ----------------------------------------------------------------------------
 
     def with_offsets(self, offsets: ArrayLike | Mapping[str, ArrayLike]) -> SkeletonModel:
-        """The same skeleton with other joint offsets.
+        """Return the skeleton with other joint offsets.
 
         Args:
-            offsets: (J, 3) m in the parents' link frames (the root's row is ignored), or a mapping from
-                joint name to (3,) for some of them.
+            offsets: (J, 3) in the parents' link frames, m (the root's row is ignored), or (3,) by joint name.
 
         Raises:
-            ShapeError, UnknownNameError: wrong shape, not finite, a bone of no length, an unknown joint.
+            InvalidInputError, UnknownNameError: wrong shape, not finite, zero length, an unknown joint.
         """
         new = np.array(self.joint_offsets)
         if isinstance(offsets, Mapping):
@@ -249,59 +212,73 @@ class SkeletonModel:
         else:
             new = np.array(readonly("joint_offsets", offsets, (len(self.names), 3)))
         new[0] = 0.0
-        if not np.all(np.isfinite(new)):
-            bad = self.names[int(np.flatnonzero(~np.isfinite(new).all(axis=1))[0])]
-            raise ShapeError(f"joint_offsets: the offset of {bad} is not finite")
-        short = np.linalg.norm(new[1:], axis=1) < 1e-4
-        if np.any(short):
-            bad = self.names[1 + int(np.flatnonzero(short)[0])]
-            raise ShapeError(f"joint_offsets: the bone that ends at {bad} has no length")
+        missing = np.flatnonzero(~np.isfinite(new).all(axis=1))
+        if len(missing):
+            bad = self.names[missing[0]]
+            raise InvalidInputError(f"joint_offsets: the offset of {bad} is not finite")
+        short = np.flatnonzero(np.linalg.norm(new[1:], axis=1) < 1e-4)
+        if len(short):
+            bad = self.names[1 + short[0]]
+            raise InvalidInputError(f"joint_offsets: the bone that ends at {bad} has no length")
         return SkeletonModel(self.table.scaled_to(new))
 
     def with_bone_lengths(self, lengths: Mapping[str, float]) -> SkeletonModel:
-        """The same skeleton with some bones longer or shorter, directions kept.
+        """Return the skeleton with other bone lengths.
 
         Args:
-            lengths: child joint -> distance from its parent, m (``{"LeftLeg": 0.41}`` is the thigh).
+            lengths: distance from the parent by child joint, m (``{"LeftLeg": 0.41}`` is the thigh).
+
+        Raises:
+            InvalidInputError, UnknownNameError: a length is not positive, or an unknown joint.
         """
         for name, length in lengths.items():
             if name not in self.bone_lengths:
                 raise UnknownNameError("bone", [name], list(self.bone_lengths))
             if not (np.isfinite(length) and length > 0):
-                raise ShapeError(f"bone length of {name}: {length} m is not a positive length")
+                raise InvalidInputError(f"bone length of {name}: {length} m is not a positive length")
         return self.with_offsets(
             {n: self.joint_offsets[self.names.index(n)] * (length / self.bone_lengths[n])
              for n, length in lengths.items()}
         )  # fmt: skip
 
     def with_height(self, height: float) -> SkeletonModel:
-        """The same proportions at another standing height, m."""
+        """Return the skeleton scaled to another standing height.
+
+        Args:
+            height: m.
+
+        Raises:
+            InvalidInputError: not a human height.
+        """
         if not 0.4 < height < 2.6:
-            raise ShapeError(f"height: {height} m is no human height; give metres")
+            raise InvalidInputError(f"height: {height} m is no human height; give metres")
         return self.with_offsets(self.joint_offsets * (height / self.height))
 
     def with_mass(self, mass_kg: float, sex: str | None = None) -> SkeletonModel:
-        """The same skeleton with another body mass, kg; de Leva's column ('male', 'female') as it was
-        where not given.
+        """Return the skeleton with another body mass.
+
+        Args:
+            mass_kg: kg. sex: 'male' or 'female', de Leva's column; unchanged if None.
+
+        Raises:
+            InvalidInputError: not a human mass, or another sex.
         """
         if not 2 < mass_kg < 500:
-            raise ShapeError(f"mass: {mass_kg:g} kg is no person's; give kilograms")
+            raise InvalidInputError(f"mass: {mass_kg:g} kg is no person's; give kilograms")
         if sex not in (None, "male", "female"):
-            raise ShapeError(f"sex: {sex!r} is not male, female or None")
+            raise InvalidInputError(f"sex: {sex!r} is not male, female or None")
         return SkeletonModel(replace(self.table, mass_kg=float(mass_kg), sex=sex or self.table.sex))
 
     def to_urdf(self) -> str:
-        """The URDF of this body as XML text."""
+        """Return the URDF of this body."""
         return to_urdf(self.table)
 
-    # --- named poses -----------------------------------------------------------------------------
-
     def t_pose(self) -> Array:
-        """(nq,) arms sideways, facing world x, root at the origin; every angle is zero."""
+        """Return the T-pose (nq,): arms sideways, facing world x, root at the origin, all angles zero."""
         return np.array(pin.neutral(self.model))
 
     def n_pose(self) -> Array:
-        """(nq,) arms hanging, facing world x, root at the origin."""
+        """Return the N-pose (nq,): arms hanging, facing world x, root at the origin."""
         q = self.t_pose()
         for dof, angle in self.table.n_pose.items():
             q[7 + self.dof_names.index(dof)] = angle
@@ -310,20 +287,18 @@ class SkeletonModel:
     # --- kinematics ------------------------------------------------------------------------------
 
     def forward_kinematics(self, q: ArrayLike) -> tuple[Array, Array]:
-        """Joint positions and segment orientations of configurations.
+        """Return p_world_joint (T, J, 3), m, and R_world_bone (T, J, 3, 3) of configurations.
 
         Args:
             q: (T, nq); NaN rows give NaN poses.
-
-        Returns:
-            p_world_joint (T, J, 3) m and R_world_bone (T, J, 3, 3).
         """
         rows: Array = readonly("q", q, ("T", self.nq))
         quat = rows[:, 3:7]
         norm = np.linalg.norm(quat, axis=1)
-        if np.any(np.abs(norm - 1) > 1e-3):
-            bad = int(np.flatnonzero(np.abs(norm - 1) > 1e-3)[0])
-            raise ShapeError(f"q: the root quaternion (x y z w) of frame {bad} has norm {norm[bad]:g}")
+        wrong = np.flatnonzero(np.abs(norm - 1) > 1e-3)
+        if len(wrong):
+            bad = wrong[0]
+            raise InvalidInputError(f"q: the root quaternion (x y z w) of frame {bad} has norm {norm[bad]:g}")
         R_local = np.full((len(rows), len(self.names), 3, 3), np.nan)
         known = np.isfinite(rows).all(axis=1)
         R_local[known, 0] = Rotation.from_quat(quat[known]).as_matrix()
@@ -334,20 +309,16 @@ class SkeletonModel:
         return kinematics.positions(self.parents, self.joint_offsets, rows[:, :3], R), R
 
     def inverse_kinematics(self, p: ArrayLike, R: ArrayLike | None = None) -> Array:
-        """Configurations of poses, on the branch of the angles nearest to the frame before.
+        """Return configurations (T, nq) of poses; angles and root quaternion are continuous over time.
 
-        The root position and the segment orientations determine q; bone lengths are the model's, so
-        the forward kinematics of q equals p where p has this skeleton's offsets. Without R,
-        orientations come from the positions (`kinematics.rotations_from_positions`): twist of
-        one-child segments and leaves follows the parent, see `orientation_observed`. Near a singular
-        posture the outer angles may turn fast; `check` flags it, and limits, and nothing is clipped.
+        Root position and segment orientations determine q, so forward kinematics returns p only if p has the
+        bone lengths of this skeleton. Near a singular posture the outer angles may change fast; `check` flags
+        this and limit violations; nothing is clipped.
 
         Args:
-            p: (T, J, 3) m; of use is the root's alone where R is given.
-            R: (T, J, 3, 3) R_world_bone. Frames with a NaN in what is used give NaN rows.
-
-        Returns:
-            (T, nq), angles and root quaternion continuous over time.
+            p: (T, J, 3) m; only the root's is used if R is given.
+            R: (T, J, 3, 3) R_world_bone; default: `kinematics.rotations_from_positions`. Frames with NaN in
+                what is used give NaN rows.
         """
         J = len(self.names)
         points: Array = readonly("p", p, ("T", J, 3))
@@ -359,7 +330,7 @@ class SkeletonModel:
         if not known.any():
             return q
         if not so3.is_rotation(R_world_bone[known], tolerance=1e-5):
-            raise ShapeError("R: holds a matrix that is not a rotation")
+            raise InvalidInputError("R: contains a matrix that is not a rotation")
         R_local = kinematics.local_rotations(self.parents, R_world_bone[known])
         rows = np.empty((int(known.sum()), self.nq))
         rows[:, :3] = points[known, 0]
@@ -371,16 +342,17 @@ class SkeletonModel:
         return q
 
     def check(self, q: ArrayLike) -> ConfigurationReport:
-        """Singular postures and limit violations of configurations (T, nq).
+        """Check configurations for singular postures and limit violations.
 
-        A joint that came round by a whole turn, or to the other branch of its angles, is judged by the
-        posture it is in.
+        Limits are checked on the representative of the angles nearest to the middle of the limits.
+
+        Args:
+            q: (T, nq).
         """
         rows: Array = readonly("q", q, ("T", self.nq))
         singular: NDArray[np.bool_] = np.zeros((len(rows), len(self.names)), dtype=np.bool_)
         middle = rows[:, self._q_index[:, 1]]
         singular[:, 1:] = np.abs(np.cos(middle)) < np.sin(SINGULAR_MARGIN)
-        # Limits are about postures: of the names a rotation has, the one nearest to their middle.
         index = self._q_index - 7
         angles = np.empty((len(rows), len(self.dof_names)))
         middle_of_limits = self.limits.mean(axis=1)
@@ -389,9 +361,10 @@ class SkeletonModel:
         return ConfigurationReport(singular, excess, self.dof_names)
 
     def motion(self, poses: PoseSequence, confidence: Confidence | None = None) -> MotionSequence:
-        """The motion of this skeleton that poses describe; their positions become its own.
+        """Return the motion of this skeleton with the root positions and the orientations of poses.
 
-        The root follows the poses' root; every other joint stands where this skeleton's bones put it.
+        Args:
+            poses: of all joints. confidence: of the motion.
         """
         self.check_joints(poses.names)
         q = self.inverse_kinematics(poses.p_world_joint, poses.R_world_bone)
@@ -401,17 +374,24 @@ class SkeletonModel:
         )
 
     def landmark_positions(self, p: Array, R: Array) -> Array:
-        """Landmarks (T, L, 3) in world, in the order of `landmarks`, of joints p and orientations R."""
+        """Return landmark positions (T, L, 3) in world, m, in the order of `landmarks`.
+
+        Args:
+            p: (T, J, 3) m. R: (T, J, 3, 3) R_world_bone.
+        """
         joints = self.index(*(joint for joint, _ in self.landmarks.values()))
         offsets = np.array([offset for _, offset in self.landmarks.values()])
         return np.asarray(p[:, joints] + np.einsum("tlij,lj->tli", R[:, joints], offsets))
 
     def orientation_observed(self, sensor_joints: tuple[str, ...] = ()) -> NDArray[np.bool_]:
-        """(J,) whether positions (and sensors on the segments named) fix a segment's three angles."""
+        """Return a mask (J,) of segments whose three angles follow from joint positions and sensors.
+
+        Args:
+            sensor_joints: segments with a sensor.
+        """
         count = np.bincount([p for p in self.parents if p >= 0], minlength=len(self.names))
-        observed = count > 1
-        observed[self.index(*sensor_joints)] = True
-        return np.asarray(observed)
+        count[self.index(*sensor_joints)] = 2
+        return np.asarray(count > 1)
 
     @cached_property
     def _joints_by_axes(self) -> dict[str, list[int]]:
@@ -419,15 +399,3 @@ class SkeletonModel:
         for i, joint in enumerate(self.table.joints[1:], start=1):
             groups.setdefault(joint.axes, []).append(i)
         return groups
-
-
-def _same_joint(name: str, a: Any, b: Any) -> bool:
-    """Whether two Pinocchio models have the same joint of that name."""
-    if not b.existJointName(name):
-        return False
-    i, j = a.getJointId(name), b.getJointId(name)
-    return bool(
-        a.names[a.parents[i]] == b.names[b.parents[j]]
-        and a.joints[i].shortname() == b.joints[j].shortname()
-        and a.jointPlacements[i].isApprox(b.jointPlacements[j], 1e-9)
-    )

@@ -1,7 +1,6 @@
-"""The readable skeleton table (``models/*.toml``), the one source of the skeleton's facts.
+"""Skeleton table (``models/*.toml``): joints, parents, offsets, axes, limits, masses, names and landmarks.
 
-It gives the joints, their parents, offsets, axes, limits, masses and names, and the landmarks. No code
-knows how many joints there are: Human3.6M's 17 are another table read by the same functions.
+It is the only source of the skeleton; the number of joints is not fixed in the code.
 """
 
 from __future__ import annotations
@@ -22,19 +21,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DofNames:
-    """The three names of one degree of freedom."""
+    """Names of a degree of freedom."""
 
     urdf: str
     """Name of the revolute joint in the URDF."""
     clinical: str
-    """Clinical name; a leading '-' says that its sign is the opposite of the URDF's."""
+    """Clinical name; a leading '-' means the opposite sign of the URDF's."""
     opensim: str
-    """OpenSim coordinate, with the same convention for the sign; empty where there is none."""
+    """OpenSim coordinate, with the same sign convention; may be empty."""
 
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint and the segment that begins there."""
+    """A joint and the segment distal to it."""
 
     name: str
     parent: str | None
@@ -51,12 +50,12 @@ class Joint:
     end: Array
     """(3,) far end of the segment in its link frame, m."""
     radius: float
-    """Half thickness of the drawn segment, m."""
+    """Half thickness of the visual, m."""
 
 
 @dataclass(frozen=True)
 class Landmark:
-    """A named point fixed in a segment; sensors' usual places are landmarks too."""
+    """A named point fixed in a segment, or the usual position of a sensor."""
 
     name: str
     joint: str
@@ -66,20 +65,20 @@ class Landmark:
 
 @dataclass(frozen=True)
 class SkeletonTable:
-    """A whole skeleton as data. Changing it makes a new table."""
+    """A skeleton as immutable data."""
 
     name: str
     mass_kg: float
     """Body mass, kg."""
     sex: str | None
-    """'male', 'female' or None for their mean; chooses de Leva's column."""
+    """Column of de Leva: 'male', 'female' or None for the mean."""
     joints: tuple[Joint, ...]
-    """Parents stand before their children; the root is first."""
+    """Parents before children; the root is first."""
     landmarks: tuple[Landmark, ...]
     sensors: tuple[Landmark, ...]
-    """Usual sensors: name, segment that carries it, usual lever arm."""
+    """Usual sensors: name, segment, lever arm."""
     n_pose: dict[str, float]
-    """URDF joint name -> radians: what turns the T-pose into the N-pose."""
+    """Angles of the N-pose relative to the T-pose by URDF joint, rad."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -93,14 +92,17 @@ class SkeletonTable:
 
     @property
     def offsets(self) -> Array:
-        """(J, 3) position of each joint in its parent's link frame, m."""
+        """Positions (J, 3) of joints in their parents' link frames, m."""
         return np.array([joint.offset for joint in self.joints])
 
     def scaled_to(self, offsets: Array) -> SkeletonTable:
-        """The table with other offsets (J, 3), m; ends, landmarks and sensors follow.
+        """Return the table with other offsets; ends, landmarks and sensors are scaled.
 
-        A segment's own points are scaled by the ratio of its bone lengths, new to old, or by the whole
-        skeleton's where it carries no bone; the far end of a segment with one child is that child.
+        The scale of a segment is the ratio of its bone lengths, or that of the whole skeleton if it has no
+        child; a far end that coincides with a child stays there.
+
+        Args:
+            offsets: (J, 3) m.
         """
         old = self.offsets
         overall = float(np.linalg.norm(offsets, axis=1).sum() / np.linalg.norm(old, axis=1).sum())
@@ -129,10 +131,11 @@ class SkeletonTable:
 def read_skeleton_table(path: str | Path) -> SkeletonTable:
     """Read and check a skeleton table.
 
+    Args:
+        path: TOML file.
+
     Raises:
-        FileFormatError: not TOML, a field missing or of the wrong kind, a parent that does not stand
-            before its child, axes that are not three different ones, limits upside down, a segment of
-            no length, a name used twice, an unknown joint, sex or mass segment.
+        FileFormatError: not TOML, or an invalid field; the message names the joint or point.
     """
     path = Path(path)
     data = load_toml(path)
@@ -197,9 +200,9 @@ def _check_joint(path: Path, table: SkeletonTable, i: int) -> None:
     joint = table.joints[i]
     before, where = table.names[:i], f"joint {joint.name}"
     if (joint.parent is None) != (i == 0) or (i > 0 and joint.parent not in before):
-        raise FileFormatError(path, f"{where}: its parent must stand before it; only the first has none")
+        raise FileFormatError(path, f"{where}: its parent must come before it; only the first has none")
     if joint.name in before:
-        raise FileFormatError(path, f"{where} stands there twice")
+        raise FileFormatError(path, f"{where} occurs twice")
     if i > 0 and not (len(joint.limits) == 3 and np.all(joint.limits[:, 0] < joint.limits[:, 1])):
         raise FileFormatError(path, f"{where}: limits are not three ranges low, high")
     if not joint.end.any() or (i > 0 and not joint.offset.any()):

@@ -1,31 +1,40 @@
-"""Skeleton table -> URDF.
+"""URDF of a skeleton table: writing and reading.
 
-URDF has no spherical joint: each ball joint is three revolutes with light links of small, non-zero
-inertia between them. The base is free: the root link has no parent, and whoever loads the file adds a
-floating joint.
+URDF has no spherical joint: each ball joint is three revolutes with light links of small inertia between
+them. The root link has no parent; the floating joint is added when the file is loaded.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from rtof_kin.body.body_mass import inertia, mass_fraction
-from rtof_kin.body.skeleton_table import Joint, SkeletonTable
+from rtof_kin.body.skeleton_table import Joint, SkeletonTable, read_skeleton_table
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.files.text import read_text
 
 Array = NDArray[np.float64]
 LIGHT_MASS_KG = 1e-3
 LIGHT_INERTIA = 1e-6
 MAX_EFFORT_NM, MAX_VELOCITY = 500.0, 30.0
+_LARGEST_URDF = 16 * 2**20
 _AXIS = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
 
 
 def to_urdf(table: SkeletonTable) -> str:
-    """The URDF of a skeleton as XML text. All link frames are parallel when every angle is zero."""
+    """Return the URDF of a skeleton; all link frames are parallel when all angles are zero.
+
+    Args:
+        table: skeleton.
+    """
     robot = ET.Element("robot", name=table.name)
     ET.SubElement(ET.SubElement(robot, "material", name="body"), "color", rgba="0.45 0.6 0.75 1")
     for joint in table.joints:
@@ -42,6 +51,54 @@ def to_urdf(table: SkeletonTable) -> str:
         _segment(ET.SubElement(robot, "link", name=joint.name), joint, table)
     ET.indent(robot)
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def read_urdf(path: str | Path, table_path: str | Path) -> tuple[SkeletonTable, str]:
+    """Read a URDF that was made from a skeleton table.
+
+    Args:
+        path: URDF. table_path: its skeleton table.
+
+    Returns:
+        The table scaled to the bone offsets of the URDF, and the text of the URDF.
+
+    Raises:
+        FileFormatError: not a URDF, or of another skeleton.
+    """
+    table = read_skeleton_table(table_path)
+    text = read_text(path, "a URDF", _LARGEST_URDF)
+    try:
+        loaded = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
+    except (ValueError, RuntimeError) as error:
+        raise FileFormatError(path, f"not a readable URDF: {error}") from error
+    offsets = np.zeros_like(table.offsets)
+    for i, joint in enumerate(table.joints[1:], start=1):
+        if not loaded.existJointName(joint.dofs[0].urdf):
+            raise FileFormatError(path, f"there is no joint {joint.dofs[0].urdf} in it")
+        offsets[i] = loaded.jointPlacements[loaded.getJointId(joint.dofs[0].urdf)].translation
+    if not np.allclose(offsets, table.offsets, atol=1e-12):
+        table = table.scaled_to(offsets)
+    own = pin.buildModelFromXML(to_urdf(table), pin.JointModelFreeFlyer())
+    for name in loaded.names[1:]:
+        if not _same_joint(name, loaded, own):
+            raise FileFormatError(
+                path,
+                f"the joint {name} has another parent, place or axis than in the skeleton table; "
+                "give the table that this URDF was made from",
+            )
+    return table, text
+
+
+def _same_joint(name: str, a: Any, b: Any) -> bool:
+    """Return whether a joint is the same in two Pinocchio models."""
+    if not b.existJointName(name):
+        return False
+    i, j = a.getJointId(name), b.getJointId(name)
+    return bool(
+        a.names[a.parents[i]] == b.names[b.parents[j]]
+        and a.joints[i].shortname() == b.joints[j].shortname()
+        and a.jointPlacements[i].isApprox(b.jointPlacements[j], 1e-9)
+    )
 
 
 def _revolute(robot: ET.Element, joint: Joint, i: int, parent: str, child: str, origin: Array) -> None:
@@ -62,10 +119,10 @@ def _revolute(robot: ET.Element, joint: Joint, i: int, parent: str, child: str, 
 
 
 def segment_inertia(joint: Joint, table: SkeletonTable) -> tuple[float, Array, Array]:
-    """What a segment weighs.
+    """Return mass, kg, centre of mass (3,), m, and inertia about it (3, 3), kg m^2, in the link frame.
 
-    Returns:
-        Mass, kg, centre of mass (3,), m, and inertia about it (3, 3), kg m^2, both in the link frame.
+    Args:
+        joint: proximal joint of the segment. table: skeleton.
     """
     masses = [
         (name, share * mass_fraction(name, table.sex) * table.mass_kg) for name, share in joint.mass_shares
@@ -81,7 +138,7 @@ def segment_inertia(joint: Joint, table: SkeletonTable) -> tuple[float, Array, A
 
 
 def _segment(link: ET.Element, joint: Joint, table: SkeletonTable) -> None:
-    """Inertia and drawing of the segment itself."""
+    """Add inertia and visuals of a segment."""
     _inertial(link, *segment_inertia(joint, table))
     length = float(np.linalg.norm(joint.end))
     turn = so3.minimal_rotation([0.0, 0.0, 1.0], joint.end)
@@ -114,7 +171,7 @@ def _inertial(
 
 
 def _number(value: float) -> str:
-    """Shortest text that keeps 12 significant digits; no negative zero."""
+    """Return a number with 12 significant digits, without negative zero."""
     return f"{float(value) + 0.0:.12g}"
 
 

@@ -1,14 +1,14 @@
-"""Bones that carry sensors, as the image shows them and as their sensors say.
+"""Directions of bones with sensors, in the image and by the sensors.
 
-A sensor's orientation, read with its calibration, is a direction of its bones at every instant; the image
-shows the same direction, foreshortened. The two are compared without any solve, at any offset of the
-clocks.
+A calibrated orientation gives the direction of a bone at every instant; the image shows its projection.
+The two are compared without solving for poses, at any offset of the clocks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,40 +20,41 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
-STEP = 0.1
+STEP: Final = 0.1
 """[s] between samples of the sensors' directions."""
-_MOST_FRAMES = 240
-_SIGMA, _SIGMA_M = 0.12, 0.04
-"""Size of the difference of a bone's image and its sensor's, as a share of the bone, and [m]."""
+_MOST_FRAMES: Final = 240
+_SIGMA: Final = 0.12
+_SIGMA_M: Final = 0.04
+"""Standard deviation of the difference: per length of the bone, and [m]."""
 
 
 @dataclass(frozen=True)
 class BoneImages:
-    """Bones that carry sensors, as the image shows them and as the sensors say."""
+    """B bones with sensors, in the image and by the sensors."""
 
     frames: NDArray[np.intp]
     """(F,) index of each frame in the grid of `directions`."""
     vectors: Array
-    """(F, B, 2) from one end of the bone to the other in the image, in lengths of the bone."""
+    """(F, B, 2) the bone in the image, in lengths of the bone."""
     rays: Array
-    """(F, B, 2) image-plane coordinates of the bone's middle."""
+    """(F, B, 2) normalised image coordinates of the bone's middle."""
     directions: Array
-    """(G, B, 3) of the bones in camera axes, every `STEP`, by the sensors; NaN where not known."""
+    """(G, B, 3) unit vectors in camera axes by the sensors, every `STEP`; NaN where missing."""
     sigma: Array
-    """(B,) size of the differences."""
+    """(B,) standard deviations of the differences."""
     weight: Array
-    """(B,) 1 / bones of the same sensor."""
+    """(B,) 1 / number of bones of the same sensor."""
     sensors: NDArray[np.intp]
     """(B,) index of the sensor on each bone."""
     sensor_count: int
-    """S, with those on no bone."""
+    """S."""
 
     def cost(self, steps: int, constant: bool = True) -> Array:
-        """(F, B) nats by which the two differ, where the sensors' clock is shifted.
+        """Return the robust differences (F, B), nats.
 
         Args:
-            steps: offset of the video's stamps against the sensors', in `STEP`.
-            constant: whether each bone may differ by a constant.
+            steps: offset of the video's stamps relative to the sensors', in `STEP`.
+            constant: whether each bone may have a constant difference.
         """
         index = self.frames - steps
         inside = (index >= 0) & (index < len(self.directions))
@@ -67,7 +68,11 @@ class BoneImages:
         return np.where(known, 1.5 * np.log1p(square / 3), np.nan)
 
     def by_sensor(self, steps: int = 0) -> Array:
-        """(S,) mean nats a frame by which sensors differ from the image; NaN of one without bones."""
+        """Return the mean difference (S,) of each sensor, nats per frame; NaN without a bone.
+
+        Args:
+            steps: offset of the clocks, in `STEP`.
+        """
         cost = self.cost(steps, constant=False)
         known = np.isfinite(cost)
         some = known.any(axis=0)
@@ -79,14 +84,11 @@ class BoneImages:
 def bone_images(
     keypoints: KeypointSequence, bone_imus: BoneImuSequence, poses: PoseSequence, skeleton: SkeletonModel
 ) -> BoneImages | None:
-    """What image and sensors say of the bones between joints that were both looked for.
+    """Return the bones with sensors between joints of the detector; None where there are none.
 
     Args:
-        keypoints: evenly spaced. bone_imus: at the sensors' own times.
-        poses: any poses at the keypoints' times: only the root's distance from the camera is used.
-
-    Returns:
-        None where no sensor is on a bone whose ends the detector knows.
+        keypoints: evenly spaced. bone_imus: at the sensors' own times. skeleton: the body.
+        poses: at the keypoints' times, for the depth of the root.
     """
     times = keypoints.times
     every = max(1, -(-int(np.ptp(times) / STEP) // _MOST_FRAMES))
@@ -123,13 +125,17 @@ def bone_images(
 
 
 def _nearest(times: Array, at: Array) -> NDArray[np.intp]:
-    """Indices of the samples nearest to some instants."""
+    """Indices of the samples nearest to instants."""
     middles = (times[1:] + times[:-1]) / 2
     return np.searchsorted(middles, at)
 
 
 def exchanged_sides(bone_imus: BoneImuSequence) -> BoneImuSequence:
-    """The sensors of which there is one on either side on each other's segments."""
+    """Return the sensors with left and right exchanged, where both sides have one.
+
+    Args:
+        bone_imus: the sensors.
+    """
     sides = {"Left": "Right", "Right": "Left"}
 
     def other(joint: str) -> str:
@@ -144,12 +150,11 @@ def best_exchange(
     keypoints: KeypointSequence, readings: Iterable[BoneImuSequence], poses: PoseSequence,
     skeleton: SkeletonModel,
 ) -> float:  # fmt: skip
-    """The largest nats a frame by which the image is explained better with two sensors exchanged.
+    """Return the largest decrease of the difference by exchanging two sensors, nats per frame.
 
     Args:
-        keypoints, poses, skeleton: as for `calibration.bone_images`.
-        readings: the same S sensors in the same order, first as declared, then each read as the one so
-            many places further on, until each was read as every other.
+        keypoints, poses, skeleton: as for `bone_images`.
+        readings: the S sensors as declared, then with their segments rotated by 1 to S - 1 places.
     """
     rows = []
     for shift, moved in enumerate(readings):

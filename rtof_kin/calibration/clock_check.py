@@ -1,13 +1,14 @@
-"""The offset between the clocks of video and sensors, from how the limbs turn in both.
+"""Offset between the clocks of video and sensors, from the rotation of the limbs.
 
-Directions of bones in the image and by the sensors are compared at every offset within a wide range. Only
-changes of direction count: what a calibration is wrong by for the whole recording moves no minimum.
+Directions of bones in the image and by the sensors are compared at every offset within a wide range.
+Constant differences are removed, so constant errors of the calibration have no effect.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,37 +21,38 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
-NAME = "offset between the clocks of video and sensors"
-LIMIT = 0.2
-"""[s] Offsets up to this are looked for by the self-calibration, or do little harm."""
-REACH = 6.0
-"""[s] Largest offset that is looked for."""
-LEAST_COMMON = 2.0
-"""[s] that both share at every offset, and `_COMMON_SHARE` of what they can share at most."""
-_COMMON_SHARE = 0.4
-_MEMORY = 1.0
-"""[s] for which such a difference lasts."""
-SURE, AS_GOOD = 12.0, 4.0
-"""Nats by which another offset explains the video better to be named, and worse to be excluded; of
-recordings with right clocks, of some steps of walking, another offset was up to 11 nats better."""
-_APART = 0.35
-"""[s] An offset so far from the best one is another one."""
-_AGREE = 2.0
-"""Nats a frame and sensor by which image and sensors differ where both are right: 0.3-1.7."""
+NAME: Final = "offset between the clocks of video and sensors"
+LIMIT: Final = 0.2
+"""[s] Largest offset that the self-calibration estimates."""
+REACH: Final = 6.0
+"""[s] Largest offset of the scan."""
+LEAST_COMMON: Final = 2.0
+"""[s] Least overlap at every offset, with `_COMMON_SHARE` of the largest overlap."""
+_COMMON_SHARE: Final = 0.4
+_MEMORY: Final = 1.0
+"""[s] Correlation time of the differences."""
+SURE: Final = 12.0
+"""[nats] Least gain of an offset beyond `LIMIT` that is reported; with correct clocks up to 11."""
+AS_GOOD: Final = 4.0
+"""[nats] Difference below which another offset is as good."""
+_APART: Final = 0.35
+"""[s] Least distance of another offset."""
+_AGREE: Final = 2.0
+"""[nats] per frame and sensor; image and sensors of the same motion differ by 0.3-1.7."""
 
 
 @dataclass(frozen=True)
 class ClockScan:
-    """How well each offset of the clocks explains the video."""
+    """Gain of each offset of the clocks."""
 
     offsets: Array
-    """(K,) [s] by which the video's stamps are ahead of the sensors'."""
+    """(K,) [s] of the video's stamps relative to the sensors'."""
     gains: Array
-    """(K,) nats by which an offset explains the video better than the best one within `LIMIT`."""
+    """(K,) [nats] relative to the best offset within `LIMIT`."""
 
     @property
     def best(self) -> float:
-        """[s] the offset that explains the video best, by a parabola through it and its neighbours."""
+        """[s] Best offset, by a parabola through it and its neighbours."""
         k = int(np.argmax(self.gains))
         if not 0 < k < len(self.gains) - 1:
             return float(self.offsets[k])
@@ -60,18 +62,18 @@ class ClockScan:
 
     @property
     def gain(self) -> float:
-        """Nats of the best offset."""
+        """[nats] Gain of the best offset."""
         return float(self.gains.max())
 
     @property
     def second(self) -> tuple[float, float]:
-        """The best offset that is another one [s], and its nats."""
+        """Best offset at least `_APART` from the best one, [s], and its gain [nats]."""
         other = np.where(np.abs(self.offsets - self.best) > _APART, self.gains, -np.inf)
         return float(self.offsets[np.argmax(other)]), float(other.max())
 
     @property
     def width(self) -> float:
-        """[s] of the range around the best offset in which all are within half a nat of it."""
+        """[s] Width of the range around the best offset within half a nat."""
         low = high = int(np.argmax(self.gains))
         while low > 0 and self.gains[low - 1] > self.gain - 0.5:
             low -= 1
@@ -81,7 +83,11 @@ class ClockScan:
 
 
 def scan_clocks(images: BoneImages) -> ClockScan | None:
-    """Every offset that leaves enough in common; None where that is not so of none within `LIMIT`."""
+    """Return the gains of all offsets with enough overlap; None where none within `LIMIT` has it.
+
+    Args:
+        images: directions of bones.
+    """
     costs = dict(_costs(images))
     near = [k for k in costs if abs(k) <= round(LIMIT / STEP)]
     if not near:
@@ -93,7 +99,7 @@ def scan_clocks(images: BoneImages) -> ClockScan | None:
 
 
 def _costs(images: BoneImages) -> Iterator[tuple[int, Array]]:
-    """Offset in steps and its cost (F,), of all sensors together."""
+    """Offset in steps and its cost (F,) of all sensors."""
     known = np.isfinite(images.directions).all(axis=-1).any(axis=-1)
     seen = np.isfinite(images.vectors).all(axis=-1).any(axis=-1)
     sensed, video = np.flatnonzero(known), images.frames[seen]
@@ -116,8 +122,10 @@ def _costs(images: BoneImages) -> Iterator[tuple[int, Array]]:
 def check_clocks(
     keypoints: KeypointSequence, bone_imus: BoneImuSequence, poses: PoseSequence, skeleton: SkeletonModel
 ) -> Check:
-    """Whether the clocks of video and sensors agree within `LIMIT`; what says otherwise is named.
-    Arguments are those of `calibration.bone_images`.
+    """Check that the clocks of video and sensors agree within `LIMIT`.
+
+    Args:
+        keypoints, bone_imus, poses, skeleton: as for `bone_images`.
     """
     what = "video and sensors"
     images = bone_images(keypoints, bone_imus, poses, skeleton)
@@ -128,7 +136,7 @@ def check_clocks(
     if abs(scan.best) > LIMIT:
         apart = np.nanmean(images.by_sensor(round(scan.best / STEP)))
         mirrored = bone_images(keypoints, exchanged_sides(bone_imus), poses, skeleton)
-        # Of a movement that both sides make in turn, half a period later looks as if they were exchanged.
+        # With alternating sides, half a period later looks like exchanged sides.
         if apart > _AGREE or (mirrored is not None and apart > np.nanmean(mirrored.by_sensor())):
             why = "image and sensors show different motion at every offset"
             return Check.unknown(NAME, what, "s", why)

@@ -1,21 +1,20 @@
-"""A recording calibrated from itself: what is not known well, estimated from the motion.
+"""Self-calibration of a recording from its motion, without calibration poses.
 
-No pose is asked for. `calibrate` takes a recording and the poses that its reconstruction would start
-from, and estimates with the residuals of the joint-space solver whatever `CalibrationPriors` leaves open
-(`calibration.unknowns` lists it): how late the video is, how sensors are mounted and where they head,
-how long bones are, where a detector sees its landmarks.
+`calibrate` estimates the unknowns of `CalibrationPriors` (listed in `calibration.unknowns`) with the
+residuals of the joint-space solver: delay of the video, mounting and heading of sensors, bone lengths,
+errors of the detector's landmarks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration import sensor_unknowns as sensing
 from rtof_kin.calibration import vision_unknowns as seeing
@@ -30,9 +29,8 @@ from rtof_kin.calibration.result import (
     bone_groups,
     image_slopes,
 )
-from rtof_kin.calibration.shared_fragments import Shared, SharedFragments, Worth
+from rtof_kin.calibration.shared_fragments import Shared, SharedFragments, Weights
 from rtof_kin.calibration.unknowns import Bones, Unknown
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -41,14 +39,14 @@ from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.inertial.outlier_rejection import mask_faults
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess
-from rtof_kin.solve.joint_space.observations import Observations, low_passed, sensor_data
+from rtof_kin.solve.joint_space.observations import Observations, bone_axis, low_passed, sensor_data
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
-_NORMAL_MEDIAN = 1.177
+_NORMAL_MEDIAN: Final = 1.177
 """Median norm of a normal error in two dimensions, in standard deviations of an axis."""
-_USUAL_HEIGHT_PX = 500.0
-"""Of a person whose image biases `sigma_image_bias` is for."""
+_USUAL_HEIGHT_PX: Final = 500.0
+"""[px] Height of the person that `sigma_image_bias` is for."""
 
 
 def calibrate(
@@ -60,15 +58,15 @@ def calibrate(
     progress: Callable[[int, int], None] | None = None,
     left_out: tuple[StreamFault, ...] = (),
 ) -> SelfCalibration:
-    """Estimate what is not known well about a recording, from all of it.
+    """Estimate the unknowns of a recording.
 
     Args:
-        recording: with IMUs and their calibration, however rough.
-        guess: poses to begin with, at the keypoints' times: those after SF2, without the faults.
-        priors: what is open; `CalibrationPriors.of` the recording where not given.
+        recording: with IMUs and an approximate calibration.
+        guess: initial guess at the keypoints' times, from poses after SF2.
+        priors: by default `CalibrationPriors.of` the recording.
         settings: of the joint-space solver. frames: N of a fragment.
-        progress: told how far it is.
-        left_out: faults of sensors, by their segments: what they said meanwhile is not listened to.
+        progress: called with (steps done, steps in all).
+        left_out: faults of sensors, by segment, whose samples are not used.
 
     Raises:
         CalibrationError: there are no IMUs, or they and the video have too little time in common.
@@ -95,7 +93,7 @@ def shared_fragments(
     frames: int,
     left_out: tuple[StreamFault, ...] = (),
 ) -> SharedFragments:
-    """The problem that `calibrate` solves; arguments and errors are its own."""
+    """Return the problem that `calibrate` solves; arguments and errors are those of `calibrate`."""
     imus, seen = recording.imus, recording.keypoints
     if imus is None or recording.calibration is None or seen is None:
         raise CalibrationError(
@@ -115,19 +113,18 @@ def shared_fragments(
 
     unknowns = _unknowns(recording.skeleton, seen, data, start, priors, sampled)
     seconds = min(float(start.times[-1] - start.times[0]), priors.most_seconds)
-    share = priors.lasting_seconds / max(seconds, priors.lasting_seconds)
-    worth = Worth(
-        vision=share * priors.worth_vision, sensors=share * priors.worth_sensors, motion=share,
-        prior=share * priors.worth_poses,
+    share = priors.effective_seconds / max(seconds, priors.effective_seconds)
+    weights = Weights(
+        vision=share * priors.weight_vision, sensors=share * priors.weight_sensors, motion=share,
+        prior=share * priors.weight_poses,
     )  # fmt: skip
-    return SharedFragments(data, start.times, unknowns, worth, priors.most_seconds)
+    return SharedFragments(data, start.times, unknowns, weights, priors.most_seconds)
 
 
 def _with_even_noise(imus: BoneImuSequence) -> BoneImuSequence:
     """Sensors with accelerations smoothed by a Gaussian of one sample.
 
-    Interpolation averages noise away between samples and leaves it at them. The energy of many samples
-    would fall by hundreds of nats wherever a delay puts frames halfway between two of them.
+    Interpolation reduces noise between samples only, which would favour delays of half a sample.
     """
     known = np.isfinite(imus.a_world)
     smooth = gaussian_filter1d(np.where(known, imus.a_world, 0.0), 1.0, axis=0)
@@ -150,14 +147,14 @@ def _unknowns(
     skeleton: SkeletonModel, seen: KeypointSequence, data: Observations, start: PoseSequence,
     priors: CalibrationPriors, sampled: sensing.Sampled,
 ) -> list[Unknown]:  # fmt: skip
-    """What is open, in the order in which it corrects the evidence."""
+    """The unknowns, in the order in which they correct the observations."""
     p, found = priors, list[Unknown]()
     if p.sigma_delay is not None:
         found.append(sensing.Delay(p.sigma_delay, p.sigma_clock_drift, sampled))
     if p.sigma_heading is not None:
         found.append(sensing.Heading(data.sensors, p.sigma_heading, p.sigma_heading_drift))
     if p.sigma_swing is not None:
-        axes = np.array([_bone_axis(skeleton, joint) for joint in data.sensors])
+        axes = np.array([bone_axis(skeleton, joint) for joint in data.sensors])
         found.append(sensing.Mounting(data.sensors, axes, p.sigma_swing, p.sigma_twist))
     if p.sigma_lever_arm is not None:
         found.append(sensing.LeverArm(data.sensors, p.sigma_lever_arm))
@@ -169,7 +166,7 @@ def _unknowns(
         ))  # fmt: skip
     if p.sigma_image_bias is not None:
         tall = _height_px(seen)
-        sigma_px = np.full(len(data.names), p.sigma_image_bias * tall / 500.0)
+        sigma_px = np.full(len(data.names), p.sigma_image_bias * tall / _USUAL_HEIGHT_PX)
         found.append(seeing.ImageBias(data.names, sigma_px))
     if p.sigma_place is not None:
         slopes = image_slopes(seen.camera, skeleton, start, data.names)
@@ -181,19 +178,12 @@ def _unknowns(
     if p.sigma_ankle_height is not None and data.rows["w_floor"].any():
         found.append(seeing.Ankles(p.sigma_ankle_height))
     if not found:
-        raise CalibrationError("nothing is left open: give a standard deviation of what is not known")
+        raise CalibrationError("nothing is left open: give at least one standard deviation")
     return found
 
 
-def _bone_axis(skeleton: SkeletonModel, joint: str) -> Array:
-    """(3,) direction of a segment's bone in its frame; 0 where it has several or none."""
-    (j,) = skeleton.index(joint)
-    children = kinematics.children_of(skeleton.parents, j)
-    return so3.unit(skeleton.joint_offsets[children[0]]) if len(children) == 1 else np.zeros(3)
-
-
 def _height_px(keypoints: KeypointSequence) -> float:
-    """Usual extent of the landmarks in the image."""
+    """Median extent of the landmarks in the image, px."""
     seen = keypoints.uv_px[keypoints.seen.sum(axis=1) > 1]
     if len(seen) == 0:
         raise CalibrationError("the video sees nothing of the person: there is nothing to calibrate by")
@@ -202,11 +192,11 @@ def _height_px(keypoints: KeypointSequence) -> float:
 
 
 def _quantities(fragments: SharedFragments, shared: Shared, overcount: float) -> tuple[Quantity, ...]:
-    """Every item with its standard deviations. What the recording did not observe is held at zero, but
-    for a nuisance, and what it did observe is what it is given that.
+    """Every item with its standard deviations. Unobserved items, except nuisances, are fixed at zero, and
+    the others estimated given that.
 
-    With prior P and information D of the recording, of which errors that last make k times too much, the
-    estimate's covariance is (P + D)^-1 (P + k D) (P + D)^-1 (White 1982, eq. 3.3).
+    With prior P and information D, which autocorrelated errors make k times too large, the estimate's
+    covariance is (P + D)^-1 (P + k D) (P + D)^-1 (White 1982, eq. 3.3).
     """
     P, S, y = fragments.prior, shared.hessian, shared.y
     inverse, variance = np.linalg.inv(S), np.diag(np.linalg.inv(P))
@@ -235,9 +225,7 @@ def _quantities(fragments: SharedFragments, shared: Shared, overcount: float) ->
 
 
 def _doubted(quantity: Quantity, recording: Recording, start: PoseSequence, shared: Shared) -> Quantity:
-    """A delay that the search may have missed, or that is another one by how the limbs turn, is no better
-    known than before.
-    """
+    """A delay in doubt, by the search or by `check_clocks`, gets its prior's standard deviation."""
     imus, calibration = recording.imus, recording.calibration
     known = quantity.verdict is not Verdict.PRIOR
     if quantity.kind != "delay" or not known or imus is None or calibration is None:
@@ -248,7 +236,7 @@ def _doubted(quantity: Quantity, recording: Recording, start: PoseSequence, shar
 
 
 def _detector(data: Observations, residuals: Array, rate_hz: float) -> tuple[Detector, ...]:
-    """Size and memory of every landmark's residuals; landmarks hardly seen are left out."""
+    """Size and memory of the residuals of every landmark seen at least ten times."""
     found = []
     for i, name in enumerate(data.names):
         seen = data.confidence[:, i] > 0

@@ -1,15 +1,15 @@
-"""What a recording said about itself, as TOML that people read and the next recording uses.
+"""File format of a self-calibration: TOML.
 
 schema_version = 1
-middle_s = 10.0                     # stamp at which what drifts has its value
+middle_s = 10.0                     # time stamp of the constants of what drifts
 converged = 1
-[quantities.mounting.LeftArm]       # kind, then whose
+[quantities.mounting.LeftArm]       # kind, then item
 value = [0.01, -0.02, 0.0]          # SI units or px
 sigma = [0.01, 0.01, 0.03]
 sigma_prior = [0.035, 0.035, 0.07]
-known = 0.4                         # share of the prior's variance that the recording took away
-doubt = "..."                       # - why the value may be wrong all the same
-[detector.LeftArm]                  # what is left of a landmark's reprojection errors
+known = 0.4                         # relative reduction of the prior's variance
+doubt = "..."                       # - why the value may be wrong
+[detector.LeftArm]                  # remaining reprojection errors of a landmark
 sigma_px = 5.1
 memory_s = 0.4
 """
@@ -32,7 +32,10 @@ SCHEMA_VERSION = 1
 def write_self_calibration_toml(
     path: str | Path, calibration: SelfCalibration, overwrite: bool = False
 ) -> None:
-    """Write what `read_self_calibration_toml` reads back to the same bits.
+    """Write a calibration; `read_self_calibration_toml` restores it exactly.
+
+    Args:
+        path: of the file. calibration: to write. overwrite: whether an existing file is replaced.
 
     Raises:
         OutputExistsError: the file exists and overwriting was not asked for.
@@ -58,7 +61,10 @@ def write_self_calibration_toml(
 
 
 def read_self_calibration_toml(path: str | Path) -> SelfCalibration:
-    """The calibration in a file.
+    """Read a calibration.
+
+    Args:
+        path: of the file.
 
     Raises:
         FileFormatError, UnknownNameError: the message names file, field and remedy.

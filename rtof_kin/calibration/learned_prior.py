@@ -1,45 +1,41 @@
-"""How large errors of a kind are, learned from the recording: empirical Bayes for the unknowns' priors.
+"""Variance of a kind of error, learned from the recording: empirical Bayes for the unknowns' priors.
 
-A prior says how large biases usually are. A recording whose landmarks are where they belong shows it: all
-estimates are then smaller than that prior makes likely. What of them nobody observed (a bias away from
-the middle of the picture looks like a person who stands nearer) is believed no more than what was.
+With small errors all estimates are smaller than their prior makes likely; a smaller prior also limits the
+estimates of unobserved combinations (a radial bias looks like a nearer person).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-_ROUNDS = 30
-_ENOUGH = 1e-3
-_LEAST = 0.05
-"""Share of a prior's variance that is always left."""
-_NOTHING = 1e-9
-"""Size of estimates that nothing was seen of: they are as they should be."""
+_ROUNDS: Final = 30
+_ENOUGH: Final = 1e-3
+_LEAST: Final = 0.05
+"""Smallest share of a prior's variance."""
+_NOTHING: Final = 1e-9
+"""Added to sums of squares, so that unobserved estimates have a ratio of 1."""
 
 
 def learned_precision(
     given: Array, information: Array, slope: Array, y: Array, shrinking: Sequence[slice],
     overcount: float,
 ) -> Array:  # fmt: skip
-    """The precision of the prior with which estimates are as large as they should be.
+    """Return the precision (G, G) of the prior that matches the size of the estimates.
 
     With information D and precision P the estimate is A times the truth plus noise, A = (P + D)^-1 D; if
-    errors that last make D count k times too much, its covariance is A P^-1 A^T + k A (P + D)^-1. The
-    prior's variance of each kind is multiplied until its estimates are of that size (by moments; Morris
-    1983).
+    autocorrelated errors make D k times too large, its covariance is A P^-1 A^T + k A (P + D)^-1. The
+    prior's variance of each kind is multiplied, by 0.05 to 1, until its estimates are of that size (by
+    moments; Morris 1983).
 
     Args:
-        given: (G, G) precision of the prior before. information: (G, G) the data's Hessian at y.
+        given: (G, G) precision before. information: (G, G) the data's Hessian at y.
         slope: (G,) gradient of the data's energy at y (G,).
-        shrinking: columns of the kinds that may turn out smaller.
-        overcount: k.
-
-    Returns:
-        (G, G) `given` with the blocks of those kinds divided by their share, from 0.05 to 1.
+        shrinking: columns of the kinds that may shrink. overcount: k.
     """
     shares, precision = np.ones(len(shrinking)), given
     for _ in range(_ROUNDS if shrinking else 0):
@@ -59,5 +55,5 @@ def learned_precision(
 
 
 def _size(given: Array, squares: Array, own: slice) -> float:
-    """Sum of squares of one kind, in variances of its prior; a little where there is nothing."""
+    """Sum of squares of one kind, in variances of its prior."""
     return float(np.diag(given)[own] @ squares[own]) + _NOTHING

@@ -1,7 +1,6 @@
-"""What a recording said about itself: every quantity with its standard deviation, and a verdict.
+"""Result of a self-calibration: every quantity with its standard deviation and a verdict.
 
-`calibrate` estimates it. `SelfCalibration.apply` gives the recording with what was observed put right;
-what was not observed stays as it was given.
+`SelfCalibration.apply` corrects a recording by the observed quantities.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import indices_of, readonly
-from rtof_kin.core.errors import CalibrationError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
@@ -26,18 +25,18 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
-_OBSERVED, _WEAKLY = 0.9, 0.5
-"""Share of the prior's variance that the recording takes away, from which on something is observed, and
-weakly observed."""
-_DEGREES = (float(np.degrees(1.0)), "deg")
-_UNITS = {
+_OBSERVED: Final = 0.9
+_WEAKLY: Final = 0.5
+"""Least relative reductions of the prior's variance of observed and weakly observed quantities."""
+_DEGREES: Final = (float(np.degrees(1.0)), "deg")
+_UNITS: Final = {
     "delay": (1e3, "ms"), "heading": _DEGREES, "mounting": _DEGREES, "lever arm": (1e3, "mm"),
     "bones": (100.0, "%"), "image bias": (1.0, "px"), "place": (1e3, "mm"),
     "focal length": (100.0, "%"), "camera tilt": _DEGREES, "ankle height": (1e3, "mm"),
 }  # fmt: skip
-"""Kind -> factor and unit of what people read; of what drifts, the constant's."""
-_DRIFTING = ("delay", "heading")
-BONE_GROUPS = {
+"""Kind -> factor and unit for display; of drifting kinds, those of the constant."""
+_DRIFTING: Final = ("delay", "heading")
+BONE_GROUPS: Final = {
     "trunk": ("Spine", "Spine1", "Spine2", "Spine3", "LeftShoulder", "RightShoulder"),
     "head": ("Neck", "Head"),
     "shoulders": ("LeftArm", "RightArm"),
@@ -51,7 +50,7 @@ BONE_GROUPS = {
 
 
 class Verdict(Enum):
-    """How well the recording knew something."""
+    """How well a quantity was observed."""
 
     OBSERVED = "observed"
     DOUBTFUL = "in doubt"
@@ -61,40 +60,40 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Quantity:
-    """One thing that was estimated."""
+    """An estimated quantity."""
 
     kind: str
-    """As `calibration.unknowns` names it."""
+    """Name in `calibration.unknowns`."""
     item: str
-    """Whose: a segment with a sensor, a landmark, a group of bones, 'video', 'camera' or 'feet'."""
+    """A segment with a sensor, a landmark, a group of bones, 'video', 'camera' or 'feet'."""
     value: Array
-    """(w,) in SI units or px; zero where nothing was wrong."""
+    """(w,) in SI units or px; zero without an error."""
     sigma: Array
     """(w,) standard deviations."""
     sigma_prior: Array
-    """(w,) before."""
+    """(w,) standard deviations of the prior."""
     known: float
-    """Share of the prior's variance that the recording took away, of the number it knows best; errors
-    that last are not allowed for, as they are in `sigma`."""
+    """Largest relative reduction of the prior's variance, without allowance for autocorrelated errors."""
     doubt: str = ""
-    """Why the value may be wrong whatever its standard deviation says; empty where nothing says so."""
+    """Reason why the value may be wrong regardless of its standard deviation; empty for none."""
 
     def __post_init__(self) -> None:
         if self.kind not in _UNITS:
             raise UnknownNameError("kind of quantity", [self.kind], tuple(_UNITS))
+        whose = f"{self.kind} of {self.item}"
         for name in ("value", "sigma", "sigma_prior"):
-            given = readonly(f"{self.kind} of {self.item}, {name}", getattr(self, name), ("w",))
+            given = readonly(f"{whose}, {name}", getattr(self, name), ("w",))
             if len(given) != len(self.value) or not np.isfinite(given).all():
-                raise ShapeError(f"{self.kind} of {self.item}: {name} must be finite, as many as values")
+                raise InvalidInputError(f"{whose}: {name} must be finite, as many as values")
             object.__setattr__(self, name, given)
         if not ((self.sigma > 0) & (self.sigma_prior > 0)).all():
-            raise ShapeError(f"{self.kind} of {self.item}: standard deviations must be positive")
+            raise InvalidInputError(f"{whose}: standard deviations must be positive")
         if not 0 <= self.known <= 1:
-            raise ShapeError(f"{self.kind} of {self.item}: known is {self.known}, no share of 1")
+            raise InvalidInputError(f"{whose}: known is {self.known}, no share of 1")
 
     @property
     def verdict(self) -> Verdict:
-        """How well it was observed."""
+        """Verdict by `known` and `doubt`."""
         if self.doubt:
             return Verdict.DOUBTFUL
         if self.known >= _OBSERVED:
@@ -104,65 +103,65 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Detector:
-    """What is left of one landmark's reprojection errors."""
+    """Remaining reprojection errors of a landmark."""
 
     landmark: str
     sigma_px: float
-    """Size per axis."""
+    """Standard deviation per axis."""
     memory: float
-    """[s] for which an error lasts."""
+    """[s] Correlation time."""
 
 
 @dataclass(frozen=True)
 class SelfCalibration:
-    """What a recording said about itself."""
+    """Estimated quantities of a recording, and the detector's remaining errors."""
 
     quantities: tuple[Quantity, ...]
     detector: tuple[Detector, ...] = ()
     middle: float = 0.0
-    """[s] Stamp at which what drifts has its value."""
+    """[s] Time stamp of the constants of drifting quantities."""
     converged: bool = True
 
     def __getitem__(self, kind_item: tuple[str, str]) -> Quantity:
-        """One quantity by its kind and item.
-
-        Raises:
-            CalibrationError: it was not estimated.
-        """
+        """Return a quantity by its kind and item; CalibrationError where it was not estimated."""
         for quantity in self.quantities:
             if (quantity.kind, quantity.item) == kind_item:
                 return quantity
         raise CalibrationError(f"{' of '.join(kind_item)} was not estimated")
 
     def of_kind(self, kind: str) -> dict[str, Array]:
-        """Item -> value of what was observed of one kind."""
+        """Return the observed quantities of a kind: item -> value."""
         return {
-            q.item: q.value.copy() for q in self.quantities  # SciPy's rotations take no read-only arrays
+            q.item: q.value.copy() for q in self.quantities  # SciPy's rotations need writable arrays
             if q.kind == kind and q.verdict is not Verdict.PRIOR
         }  # fmt: skip
 
     @property
     def ankle_height(self) -> float:
-        """[m] by which ankles stand higher over the floor than they are held to, observed or not: the
-        bones were found with it.
-        """
+        """[m] Correction of the ankles' height, observed or not: the bones were estimated with it."""
         return float(sum(q.value[0] for q in self.quantities if q.kind == "ankle height"))
 
     def for_another_recording(self) -> Self:
-        """What is true of the person and the detector in other recordings too: bones, ankles and places
-        of landmarks, and the detector's errors. Sensors are mounted anew, clocks are started anew.
-        """
+        """Return what holds in other recordings of the person: bones, ankles, places, and the detector."""
         kept = tuple(q for q in self.quantities if q.kind in ("bones", "ankle height", "place"))
         return replace(self, quantities=kept)
 
     def followed_by(self, later: Self) -> Self:
-        """This and what a recording said that this had been applied to; of what both have, the later."""
+        """Return this combined with a later calibration of the corrected recording, which takes precedence.
+
+        Args:
+            later: of the recording that this was applied to.
+        """
         again = {(q.kind, q.item) for q in later.quantities}
         kept = tuple(q for q in self.quantities if (q.kind, q.item) not in again)
         return replace(later, quantities=(*kept, *later.quantities))
 
     def apply(self, recording: Recording) -> Recording:
-        """The recording with what was observed put right; keypoints get the times of what they show."""
+        """Return the recording corrected by the observed quantities.
+
+        Args:
+            recording: as it was calibrated.
+        """
         keypoints = recording.keypoints
         if keypoints is not None:
             keypoints = self._keypoints(keypoints)
@@ -177,7 +176,7 @@ class SelfCalibration:
         return recording
 
     def moved(self, keypoints: KeypointSequence, poses: PoseSequence) -> KeypointSequence:
-        """Keypoints where the skeleton's landmarks are, by the places that the detector sees instead.
+        """Return keypoints corrected by the places of the detector's landmarks.
 
         Args:
             keypoints, poses: at the same times.
@@ -193,8 +192,8 @@ class SelfCalibration:
         return replace(keypoints, uv_px=uv)
 
     def table(self) -> list[tuple[str, str, str, str, str, str]]:
-        """Kind, item, size of the value, its standard deviation, that of the prior (each per axis, root
-        mean square), with units that people read, and the verdict.
+        """Return rows of kind, item, value, its standard deviation, that of the prior (root mean square of
+        the axes) and verdict, for display.
         """
         rows = []
         for q in self.quantities:
@@ -205,8 +204,6 @@ class SelfCalibration:
             value, sigma, prior = (f"{factor * size:.3g}" for size in sizes)
             rows.append((q.kind, q.item, f"{value} {unit}", sigma, prior, q.verdict.value))
         return rows
-
-    # --- parts -----------------------------------------------------------------------------------
 
     def _keypoints(self, keypoints: KeypointSequence) -> KeypointSequence:
         uv = keypoints.uv_px.copy()
@@ -246,7 +243,7 @@ class SelfCalibration:
         )
 
     def _imus(self, imus: ImuSequence, calibration: ImuCalibration) -> ImuSequence:
-        """Without what headings drifted."""
+        """IMUs without the drift of their headings."""
         R = imus.R_inertial_sensor.copy()
         for joint, heading in self.of_kind("heading").items():
             if len(heading) < 2:
@@ -270,7 +267,11 @@ def _rms(values: Array) -> float:
 
 
 def image_slopes(camera: Camera, skeleton: SkeletonModel, poses: PoseSequence, names: Sequence[str]) -> Array:
-    """(T, L, 2, 3) px per m by which landmarks move in the image as they move in their segments."""
+    """Return derivatives (T, L, 2, 3) of landmarks in the image by their places in the segments, px/m.
+
+    Args:
+        camera: with or without distortion. skeleton: the body. poses: (T). names: L landmarks.
+    """
     camera = camera.undistorted()
     on = [skeleton.landmarks[name] for name in names]
     own = list(skeleton.index(*[joint for joint, _ in on]))
@@ -284,7 +285,11 @@ def image_slopes(camera: Camera, skeleton: SkeletonModel, poses: PoseSequence, n
 
 
 def bone_groups(skeleton: SkeletonModel, names: Sequence[str]) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Name, and joints at the ends of the bones, of groups of `BONE_GROUPS`; 'all' are all bones."""
+    """Return groups of bones with the joints at their ends.
+
+    Args:
+        skeleton: the body. names: of `BONE_GROUPS`, or 'all'.
+    """
     known = {n: tuple(j for j in joints if j in skeleton.names) for n, joints in BONE_GROUPS.items()}
     known["all"] = tuple(skeleton.names[1:])
     indices_of("group of bones", names, tuple(known))

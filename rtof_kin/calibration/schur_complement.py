@@ -1,4 +1,4 @@
-"""What borders a fragment's Hessian: residuals' derivatives by states against those by unknowns."""
+"""Blocks of a fragment's Hessian by states and unknowns, for the Schur complement of the states."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from rtof_kin.calibration.residuals import Changes, Residuals
 Array = NDArray[np.float64]
 
 
-class Border:
+class UnknownsHessian:
     """Sums over the residuals of N frames.
 
     Attributes:
-        columns: (N, D, G) of the Hessian, by states and unknowns. corner: (G, G) of the unknowns.
-        gradient: (G,) by the unknowns at fixed states.
+        columns: (N, D, G) Hessian by states and unknowns. corner: (G, G) by unknowns.
+        gradient: (G,) by unknowns at fixed states.
     """
 
     def __init__(self, frames: int, size: int, parts: Sequence[slice], changes: Sequence[Changes]) -> None:
-        """Nothing yet.
+        """Begin with zeros.
 
         Args:
-            size: D. parts, changes: columns of every kind of unknown, and what it changes.
+            frames: N. size: D. parts, changes: columns and derivatives of every kind of unknown.
         """
         count = parts[-1].stop if parts else 0
         self.columns, self.corner = np.zeros((frames, size, count)), np.zeros((count, count))
@@ -32,10 +32,11 @@ class Border:
         self._parts, self._changes = parts, changes
 
     def by_unknowns(self, name: str, like: Array, through: Array | None = None) -> Array:
-        """(..., G) derivatives of what a field of `Changes` names, of the shape of `like` (...).
+        """Return derivatives (..., G) of a field of `Changes`, or of a function of it.
 
         Args:
-            through: (..., i, j) derivative by it of what is asked for, where that is something else.
+            name: of the field. like: array (...) of the result's shape.
+            through: (..., i, j) derivative of the function by the field.
         """
         out = np.zeros((*like.shape, len(self.gradient)))
         for part, change in zip(self._parts, self._changes, strict=True):
@@ -44,29 +45,20 @@ class Border:
                 out[..., part] = own if through is None else through @ own
         return out
 
-    def add(self, residuals: Residuals, by_unknowns: Array) -> None:
-        """Residuals of single frames, with their derivatives (N, R, i, G)."""
-        weighted = residuals.weight[..., None, None] * by_unknowns
-        self._count(residuals.value, weighted, by_unknowns)
-        self._spread(residuals.by_state, weighted)
+    def add(self, residuals: Residuals, by_unknowns: Array, order: int = 0, rate_hz: float = 1.0) -> None:
+        """Add residuals (N - order, R, i) of differences over time.
 
-    def add_differences(self, residuals: Residuals, by_unknowns: Array, order: int, rate_hz: float) -> None:
-        """Residuals (N - order, R, i) of differences over time: `by_state` (N, R, i, D) is that of what
-        they are taken of.
+        Args:
+            residuals: with `by_state` (N, R, i, D) of the differenced quantity.
+            by_unknowns: (N - order, R, i, G) their derivatives. order: 0 for single frames. rate_hz: 1/s.
         """
         weighted = residuals.weight[..., None, None] * by_unknowns
-        self._count(residuals.value, weighted, by_unknowns)
-        spread = np.zeros((len(weighted) + order, *weighted.shape[1:]))
-        for k, factor in enumerate(np.diff(np.eye(order + 1), n=order, axis=0)[0]):
-            spread[k : k + len(weighted)] += factor * rate_hz**order * weighted
-        self._spread(residuals.by_state, spread)
-
-    def _count(self, value: Array, weighted: Array, by_unknowns: Array) -> None:
         flat = weighted.reshape(-1, len(self.gradient))
         self.corner += flat.T @ by_unknowns.reshape(flat.shape)
-        self.gradient += flat.T @ value.ravel()
-
-    def _spread(self, by_state: Array, weighted: Array) -> None:
+        self.gradient += flat.T @ residuals.value.ravel()
         N, size, count = self.columns.shape
-        left = np.swapaxes(by_state.reshape(N, -1, size), 1, 2)
-        self.columns += left @ weighted.reshape(N, -1, count)
+        spread = np.zeros((N, *weighted.shape[1:]))
+        for k, factor in enumerate(np.diff(np.eye(order + 1), n=order, axis=0)[0]):
+            spread[k : k + len(weighted)] += factor * rate_hz**order * weighted
+        left = np.swapaxes(residuals.by_state.reshape(N, -1, size), 1, 2)
+        self.columns += left @ spread.reshape(N, -1, count)

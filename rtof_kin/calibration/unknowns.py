@@ -1,8 +1,7 @@
-"""What may be wrong all through a recording: one small class for each kind. Bones are here, others in
-`sensor_unknowns` and `vision_unknowns`.
+"""Unknown errors of a recording, one class for each kind; sensors and vision have modules of their own.
 
-An unknown says how it corrects the evidence and how its numbers change what residuals compare. All
-numbers are zero where nothing is wrong; their prior is normal about zero.
+An unknown corrects the observations and has the derivatives of what residuals compare. All numbers y are
+zero without an error; their prior is normal about zero.
 
 ::
 
@@ -20,72 +19,71 @@ numbers are zero where nothing is wrong; their prior is normal about zero.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
-from rtof_kin.calibration.residuals import Changes, Evidence, Situation
+from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals, Changes
 from rtof_kin.solve.joint_space.observations import Attached
 
 Array = NDArray[np.float64]
 
 
-class Unknown(Protocol):
-    """A kind of unknown: K items of w numbers each, k = K w in all."""
+class Unknown(ABC):
+    """A kind of unknown: K items of w numbers each, k = K w in all.
+
+    Attributes:
+        name: the kind. items: K names: of sensors, landmarks, groups of bones.
+        searched: whether its first number is found by search, before Gauss-Newton steps.
+        shrinks: whether its prior is learned from the recording.
+        nuisance: whether its estimate is kept even if unobserved, because others depend on it.
+    """
+
+    name: str
+    items: tuple[str, ...]
+    searched = False
+    shrinks = False
+    nuisance = False
 
     @property
-    def name(self) -> str:
-        """The kind."""
+    @abstractmethod
+    def covariance(self) -> Array:
+        """(k, k) of the prior."""
 
-    @property
-    def items(self) -> tuple[str, ...]:
-        """K names: of sensors, landmarks, groups of bones."""
+    def limited(self, constant_px: float) -> Unknown:  # noqa: ARG002
+        """Return the kind with a prior limited by the constant part of a detector's errors, px."""
+        return self
 
-    @property
-    def searched(self) -> bool:
-        """Whether its first number is found by search before all others are found by steps."""
+    @abstractmethod
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Return the observations corrected by y (k,)."""
 
-    @property
-    def shrinks(self) -> bool:
-        """Whether a recording in which all of them are small makes their prior as small."""
+    @abstractmethod
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+        """Return derivatives by y (k,) of what residuals compare."""
 
-    @property
-    def nuisance(self) -> bool:
-        """Whether it is there for what others tell by it: its numbers stay, whatever is known of them."""
+
+class Isotropic(Unknown):
+    """An unknown whose numbers are independent and have one standard deviation."""
+
+    sigma: float
+    width = 1
+    """w."""
 
     @property
     def covariance(self) -> Array:
         """(k, k) of the prior."""
-
-    def limited(self, lasting_px: float) -> Unknown:
-        """The kind with a prior that allows for no more than a detector's errors that last, px."""
-
-    def correct(self, evidence: Evidence, y: Array) -> Evidence:
-        """The evidence as it would be, were these numbers (k,) zero."""
-
-    def changes(self, at: Situation, y: Array) -> Changes:
-        """Derivatives by them at y of what residuals compare."""
-
-
-class Unlimited:
-    """A kind that has nothing to do with a detector's errors."""
-
-    shrinks = False
-    nuisance = False
-
-    def limited(self, lasting_px: float) -> Self:
-        """As it is."""
-        return self
+        return np.eye(self.width * len(self.items)) * self.sigma**2
 
 
 @dataclass(frozen=True)
 class _Groups:
-    """Index of the group of bones that something grows with."""
+    """Index of the group of bones that scales each joint, landmark and sensor."""
 
     bones: NDArray[np.intp]
     landmarks: NDArray[np.intp]
@@ -93,12 +91,11 @@ class _Groups:
 
 
 @dataclass(frozen=True)
-class Bones(Unlimited):
-    """By how much longer groups of bones are than they are held to be.
+class Bones(Unknown):
+    """Relative errors of the lengths of groups of bones.
 
-    Accelerations and jerk are compared in body lengths (that of all groups' mean), so that neither says
-    how large somebody is. In metres they would: whatever is smoothed has the less energy the smaller it
-    is, and the less like measured accelerations, by so many frames that no height stands against it.
+    Accelerations and jerk are compared in body lengths (by the mean of all groups): in metres, smoothing
+    would favour a small body.
     """
 
     parents: tuple[int, ...]
@@ -106,55 +103,52 @@ class Bones(Unlimited):
     groups: tuple[tuple[str, tuple[int, ...]], ...]
     """Name, and joints at the ends of the bones of each; every joint but the root is in one."""
     sigma_size: float
-    """[1] of all bones together: how well the body's height is known."""
+    """[1] of all bones together."""
     sigma_proportion: float
-    """[1] of each group beside that: how bodies of one height differ."""
+    """[1] of each group relative to that."""
     attached: Attached
     name = "bones"
-    searched = False
 
     @cached_property
     def _of(self) -> _Groups:
-        """Which group each joint's, landmark's and sensor's length goes with."""
         J = 1 + max(j for _, joints in self.groups for j in joints)
         bones = np.zeros(J, dtype=np.intp)
         for g, (_, joints) in enumerate(self.groups):
             bones[list(joints)] = g
-        segment = bones.copy()  # a segment is as long as the bone that it ends with
+        segment = bones.copy()  # a segment has the group of the bone that it ends with
         for j in range(J - 1, 0, -1):
             segment[self.parents[j]] = bones[j]
         on = self.attached
         return _Groups(bones, segment[list(on.landmarks)], segment[list(on.sensors)])
 
     @property
-    def items(self) -> tuple[str, ...]:
+    def items(self) -> tuple[str, ...]:  # type: ignore[override]
         """The groups."""
         return tuple(name for name, _ in self.groups)
 
     @property
     def covariance(self) -> Array:
-        """All groups go together, and each a little its own way."""
+        """(k, k) of the prior: a common and an individual part."""
         G = len(self.groups)
-        if G == 1:
-            return np.full((1, 1), self.sigma_size**2)
-        return np.full((G, G), self.sigma_size**2) + np.eye(G) * self.sigma_proportion**2
+        own = 0.0 if G == 1 else self.sigma_proportion
+        return np.full((G, G), self.sigma_size**2) + np.eye(G) * own**2
 
-    def correct(self, evidence: Evidence, y: Array) -> Evidence:
-        """Other offsets, and with them whatever sits on the segments."""
-        known, of, scale = evidence.constant, self._of, 1 + float(y.mean())
-        longer = evidence.known(
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Scale offsets, places and levers."""
+        known, of, scale = given.constant, self._of, 1 + float(y.mean())
+        longer = given.known(
             offsets=known["offsets"] * (1 + y[of.bones]),
             places=known["places"] * (1 + y[of.landmarks]),
             levers=known["levers"] * (1 + y[of.sensors]),
         )
         return replace(
-            longer, a_world=scale * evidence.a_world,
-            w_acceleration=evidence.w_acceleration / scale**2, length_scale=scale,
+            longer, a_world=scale * given.a_world, w_acceleration=given.w_acceleration / scale**2,
+            length_scale=scale,
         )  # fmt: skip
 
-    def changes(self, at: Situation, y: Array) -> Changes:
-        """Along the chains from the root."""
-        known, joints, of = at.evidence.constant, at.joints, self._of
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+        """Derivatives along the chains from the root."""
+        known, joints, of = at.given.constant, at.joints, self._of
         parents = at.space.skeleton.parents
         grown = known["offsets"].T / (1 + y[of.bones])[:, None]
         zero, own = np.zeros((len(at.p), 3)), range(len(y))
@@ -167,7 +161,7 @@ class Bones(Unlimited):
             mine = groups[:, None] == np.arange(len(y))
             return np.asarray(p[:, list(on)] + turned[..., None] * mine[:, None])
 
-        by_scale = np.full(len(y), 1 / (len(y) * at.evidence.length_scale))
+        by_scale = np.full(len(y), 1 / (len(y) * at.given.length_scale))
         return Changes(
             points=attached(joints.landmarks, known["places"] * joints.free.T, of.landmarks),
             sensors=attached(joints.sensors, known["levers"], of.sensors),
@@ -178,15 +172,23 @@ class Bones(Unlimited):
 
 
 def powers_of_time(times: Array, all_times: Array, count: int) -> Array:
-    """(T, count) of a constant and, with two, of what grows from the recording's middle on, s."""
+    """Return (T, count) of a constant and, with two, of the time since the recording's middle, s.
+
+    Args:
+        times: (T,) s. all_times: of the recording, s. count: 1 or 2.
+    """
     since = times - (all_times[0] + all_times[-1]) / 2
     return np.stack([np.ones_like(since), since], axis=-1)[:, :count]
 
 
 def each(own: Array) -> Array:
-    """(N, K, i, K w) from every item's derivatives by its own numbers (N, K, i, w)."""
+    """Return derivatives by all items (N, K, i, K w).
+
+    Args:
+        own: (N, K, i, w) of every item by its own numbers.
+    """
     N, K, i, w = own.shape
     out = np.zeros((N, K, i, K, w))
-    each = np.arange(K)
-    out[:, each, :, each] = np.moveaxis(own, 1, 0)
+    items = np.arange(K)
+    out[:, items, :, items] = np.moveaxis(own, 1, 0)
     return out.reshape(N, K, i, K * w)

@@ -1,64 +1,58 @@
-"""What may be wrong with camera, detector and floor all through a recording; see `unknowns`."""
+"""Unknown errors of camera, detector and floor; see `unknowns`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.calibration.residuals import Changes, Evidence, Situation
-from rtof_kin.calibration.unknowns import Unlimited, each
+from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals, Changes
+from rtof_kin.calibration.unknowns import Isotropic, Unknown, each
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 
 Array = NDArray[np.float64]
-_LEAST_SHARE = 0.25
-"""Of a bias' prior, that errors which last must have for one to be looked for."""
-_CLOSED_PX = 1e-3
-"""Prior of a bias where there is none to look for."""
+_LEAST_SHARE: Final = 0.25
+"""Constant part of the errors, per sigma of a bias's prior, below which there is no bias."""
+_CLOSED_PX: Final = 1e-3
+"""[px] Prior of a bias where there is none."""
 
 
 @dataclass(frozen=True)
-class ImageBias:
-    """By how much a detector sees each landmark beside where it is, always in the same direction."""
+class ImageBias(Unknown):
+    """Constant error of a detector's landmarks in the image."""
 
     items: tuple[str, ...]
     sigma_px: Array
     """(L,) px per axis."""
     name = "image bias"
-    searched = False
     shrinks = True
-    nuisance = False
 
-    def limited(self, lasting_px: float) -> Self:
-        """With biases of at most the errors that last: white errors leave no room for any, nor do those
-        that a body model leaves of a perfect detector.
-        """
-        lasts = lasting_px > _LEAST_SHARE * self.sigma_px
-        return replace(self, sigma_px=np.where(lasts, np.minimum(self.sigma_px, lasting_px), _CLOSED_PX))
+    def limited(self, constant_px: float) -> Self:
+        """Return the biases limited by the constant part of the errors; white errors have none."""
+        limited = np.minimum(self.sigma_px, constant_px)
+        biased = constant_px > _LEAST_SHARE * self.sigma_px
+        return replace(self, sigma_px=np.where(biased, limited, _CLOSED_PX))
 
     @property
     def covariance(self) -> Array:
-        """Of u and v, landmark after landmark."""
+        """(2L, 2L), landmark after landmark."""
         return np.diag(np.repeat(self.sigma_px, 2) ** 2)
 
-    def correct(self, evidence: Evidence, y: Array) -> Evidence:
-        """Landmarks moved back."""
-        return evidence.changed(uv_px=evidence.rows["uv_px"] - y.reshape(-1, 2))
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Subtract the biases."""
+        return given.changed(uv_px=given.rows["uv_px"] - y.reshape(-1, 2))
 
-    def changes(self, at: Situation, y: Array) -> Changes:
-        """Each its own."""
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
+        """Derivatives by each landmark's own bias."""
         return Changes(image=-each(np.broadcast_to(np.eye(2), (len(at.times), len(self.items), 2, 2))))
 
 
 @dataclass(frozen=True)
-class Places(Unlimited):
-    """Where each landmark of a detector really sits, from where it is held to sit in its segment.
-
-    The image of an offset is taken at the poses that the calibration starts from; it is linear in it.
-    """
+class Places(Isotropic):
+    """Error of the position of each landmark in its segment, linearised at the initial guess."""
 
     items: tuple[str, ...]
     sigma: float
@@ -66,102 +60,77 @@ class Places(Unlimited):
     slopes: Array
     """(T, L, 2, 3) px per m along the segment's axes: `image_slopes`."""
     name = "place"
-    searched = False
+    width = 3
 
-    @property
-    def covariance(self) -> Array:
-        """Of three axes, landmark after landmark."""
-        return np.eye(3 * len(self.items)) * self.sigma**2
-
-    def correct(self, evidence: Evidence, y: Array) -> Evidence:
-        """Landmarks seen where they are held to sit."""
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Move the landmarks in the image."""
         shift = np.einsum("tlij,lj->tli", self.slopes, y.reshape(-1, 3))
-        return evidence.changed(uv_px=evidence.rows["uv_px"] - shift)
+        return given.changed(uv_px=given.rows["uv_px"] - shift)
 
-    def changes(self, at: Situation, y: Array) -> Changes:
-        """Along the segments' axes."""
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
+        """Derivatives along the segments' axes."""
         return Changes(image=-each(self.slopes[at.index]))
 
 
 @dataclass(frozen=True)
-class Focal(Unlimited):
-    """By how much longer the focal length is."""
+class Focal(Isotropic):
+    """Relative error of the focal length."""
 
     sigma: float
     """[1]"""
     name = "focal length"
-    searched = False
     items = ("camera",)
 
-    @property
-    def covariance(self) -> Array:
-        """(1, 1)"""
-        return np.full((1, 1), self.sigma**2)
-
-    def correct(self, evidence: Evidence, y: Array) -> Evidence:
-        """Another focal length."""
-        K = np.array(evidence.constant["K"])
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Scale the focal length."""
+        K = np.array(given.constant["K"])
         K[:2, :2] *= 1 + y[0]
-        return evidence.known(K=K)
+        return given.known(K=K)
 
-    def changes(self, at: Situation, y: Array) -> Changes:
-        """Away from the principal point."""
-        from_centre = at.image_by_point[0] - at.evidence.constant["K"][:2, 2]
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+        """Derivatives away from the principal point."""
+        from_centre = at.image_by_point[0] - at.given.constant["K"][:2, 2]
         return Changes(image=-from_centre[..., None] / (1 + y[0]))
 
 
 @dataclass(frozen=True)
-class Tilt(Unlimited):
-    """How the camera is turned from where it is held to look, about its centre."""
+class Tilt(Isotropic):
+    """Error of the camera's orientation, about its centre."""
 
     sigma: float
     """[rad] about each axis."""
     name = "camera tilt"
-    searched = False
     items = ("camera",)
+    width = 3
 
-    @property
-    def covariance(self) -> Array:
-        """(3, 3)"""
-        return np.eye(3) * self.sigma**2
-
-    def correct(self, evidence: Evidence, y: Array) -> Evidence:
-        """Another orientation of the camera."""
-        turn, known = so3.exp(y), evidence.constant
-        return evidence.known(
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Rotate the camera."""
+        turn, known = so3.exp(y), given.constant
+        return given.known(
             R_camera_world=turn @ known["R_camera_world"], t_camera_world=turn @ known["t_camera_world"]
         )
 
-    def changes(self, at: Situation, y: Array) -> Changes:
-        """As if the landmarks turned the other way about the camera."""
-        R = at.evidence.constant["R_camera_world"]
-        camera = at.landmarks @ R.T + at.evidence.constant["t_camera_world"]
-        left = quat.right_jacobian(-y)
-        return Changes(points=-R.T @ so3.skew(camera) @ left)
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+        """Derivatives of the landmarks rotating the other way about the camera."""
+        R = at.given.constant["R_camera_world"]
+        camera = at.landmarks @ R.T + at.given.constant["t_camera_world"]
+        return Changes(points=-R.T @ so3.skew(camera) @ quat.right_jacobian(-y))
 
 
 @dataclass(frozen=True)
-class Ankles(Unlimited):
-    """How much higher than they are held to be ankles are over a floor that they stand on: people and
-    shoes differ, and heels leave the floor before the foot does.
-    """
+class Ankles(Isotropic):
+    """Error of the ankles' height over the floor; people and shoes differ, and heels leave the floor."""
 
     sigma: float
     """[m]"""
     name = "ankle height"
-    searched = False
     nuisance = True
     items = ("feet",)
 
-    @property
-    def covariance(self) -> Array:
-        """(1, 1)"""
-        return np.full((1, 1), self.sigma**2)
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Raise the floor."""
+        return given.known(floor=given.constant["floor"] + y)
 
-    def correct(self, evidence: Evidence, y: Array) -> Evidence:
-        """As if the floor were as much higher."""
-        return evidence.known(floor=evidence.constant["floor"] + y)
-
-    def changes(self, at: Situation, y: Array) -> Changes:
-        """The same for both feet in all frames."""
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
+        """Derivatives, equal for both feet in all frames."""
         return Changes(feet=-np.ones((len(at.times), len(at.joints.feet), 1, 1)))

@@ -61,6 +61,7 @@ def _add_model(group: Any) -> None:
         help="the package's own, or the baseline: VideoPose3D with its published recipe",
     )  # fmt: skip
     group.add_argument("--channels", type=int, help="width; 256, or 1024 of videopose3d, if not given")
+    group.add_argument("--dropout", type=float, help="share of hidden values; 0, or 0.25 of videopose3d")
     group.add_argument(
         "--causal", action="store_true", help="no delay: the last frame of a window is estimated"
     )
@@ -80,6 +81,10 @@ def _add_how(group: Any) -> None:
         help="windows in a step, of all processes; 512, or 1024 of videopose3d, if not given",
     )  # fmt: skip
     group.add_argument("--learning-rate", type=float, help="largest; the model's own if not given")
+    group.add_argument("--weight-decay", type=float, help="of AdamW, per unit of learning rate; 0.01")
+    group.add_argument("--ema", type=float, help="factor per step of the mean of the weights; 0.998")
+    group.add_argument("--bfloat16", action=argparse.BooleanOptionalAction, help="multiply in bfloat16")
+    group.add_argument("--validation-windows", type=int, help="of each kind of 2D; 4096")
     group.add_argument(
         "--device", choices=["cpu", "cuda"], default="cpu", help="where; of several GPUs one a process"
     )
@@ -144,11 +149,11 @@ def _config(options: argparse.Namespace) -> TrainConfig:
         minutes = DEFAULT_MINUTES
     augment = augmentation(options.noise, options.camera)
     same = (
-        "model", "channels", "causal", "batch", "learning_rate", "device", "threads", "seed",
-        "deterministic", "same_windows",
+        "model", "windows", "channels", "dropout", "causal", "batch", "learning_rate", "weight_decay", "ema",
+        "bfloat16", "validation_windows", "device", "threads", "seed", "deterministic", "same_windows",
     )  # fmt: skip
     settings = {name: getattr(options, name) for name in same}
-    return TrainConfig(options.windows, minutes, augment=augment, **settings)
+    return TrainConfig.for_model(**settings, minutes=minutes, augment=augment)
 
 
 def _corpus(options: argparse.Namespace) -> Corpus | str:

@@ -43,7 +43,7 @@ def readonly(field: str, value: ArrayLike, shape: Shape, dtype: Any = float) -> 
 
 
 def freeze(record: object, name: str, **shapes: Shape) -> None:
-    """Replace array fields of a frozen dataclass by read-only copies of checked shape; None stays None.
+    """Replace array fields of a frozen dataclass by read-only copies of checked shape.
 
     Args:
         record: the instance, in its ``__post_init__``. name: prefix of fields in error messages.
@@ -53,9 +53,7 @@ def freeze(record: object, name: str, **shapes: Shape) -> None:
         ShapeError: see `readonly`.
     """
     for field, shape in shapes.items():
-        value = getattr(record, field)
-        if value is not None:
-            object.__setattr__(record, field, readonly(f"{name} {field}", value, shape))
+        object.__setattr__(record, field, readonly(f"{name} {field}", getattr(record, field), shape))
 
 
 def checked_times(field: str, times: ArrayLike) -> Array:

@@ -17,7 +17,7 @@ class Verdict(Enum):
 
     PASSED = "holds"
     FAILED = "does not hold"
-    NOT_POSSIBLE = "cannot be told"
+    NOT_POSSIBLE = "cannot be checked"
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,15 @@
-"""A calibrated camera."""
+"""Calibrated pinhole camera with OpenCV's distortion model."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.checks import readonly
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.checks import freeze
+from rtof_kin.core.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 
@@ -28,31 +28,26 @@ class Camera:
     """Image width, px."""
     height_px: int
     """Image height, px."""
-    distortion: Array = None  # type: ignore[assignment]
-    """(5,) OpenCV's k1, k2, p1, p2, k3; zeros where not given."""
+    distortion: Array = field(default_factory=lambda: np.zeros(5))
+    """(5,) OpenCV's k1, k2, p1, p2, k3."""
     assumed: tuple[str, ...] = ()
-    """What nobody measured of it, in words: 'focal length', 'pose'."""
+    """Assumed, not measured, properties in words, e.g. 'focal length', 'pose'."""
 
     def __post_init__(self) -> None:
-        distortion = np.zeros(5) if self.distortion is None else self.distortion
-        set_ = object.__setattr__
-        set_(self, "K", readonly("camera K", self.K, (3, 3)))
-        set_(self, "R_camera_world", readonly("camera R_camera_world", self.R_camera_world, (3, 3)))
-        set_(self, "t_camera_world", readonly("camera t_camera_world", self.t_camera_world, (3,)))
-        set_(self, "distortion", readonly("camera distortion", distortion, (5,)))
+        freeze(self, "camera", K=(3, 3), R_camera_world=(3, 3), t_camera_world=(3,), distortion=(5,))
         if not so3.is_rotation(self.R_camera_world, tolerance=1e-4):
-            raise ShapeError("camera R_camera_world: not a rotation matrix")
+            raise InvalidInputError("camera R_camera_world: not a rotation matrix")
         regular = self.K[0, 0] * self.K[1, 1] - self.K[0, 1] * self.K[1, 0] > 0
         if not (self.K[0, 0] > 0 and self.K[1, 1] > 0 and regular and np.allclose(self.K[2], [0, 0, 1])):
-            raise ShapeError(
+            raise InvalidInputError(
                 "camera K: singular; it needs positive focal lengths on the diagonal and "
                 "0, 0, 1 as its last row"
             )
-        for field in ("K", "t_camera_world", "distortion"):
-            if not np.all(np.isfinite(getattr(self, field))):
-                raise ShapeError(f"camera {field}: not finite")
+        for name in ("K", "t_camera_world", "distortion"):
+            if not np.all(np.isfinite(getattr(self, name))):
+                raise InvalidInputError(f"camera {name}: not finite")
         if self.width_px <= 0 or self.height_px <= 0:
-            raise ShapeError("camera: width_px and height_px must be positive")
+            raise InvalidInputError("camera: width_px and height_px must be positive")
 
     @classmethod
     def looking_at(
@@ -63,7 +58,11 @@ class Camera:
         width_px: int = 1920,
         height_px: int = 1080,
     ) -> Camera:
-        """An upright camera at `position` whose optical axis passes through `target` (world, m)."""
+        """Return an upright camera whose optical axis passes through a point.
+
+        Args:
+            position, target: (3,) in world, m. focal_px: focal length, px. width_px, height_px: image size.
+        """
         position = np.asarray(position, dtype=float)
         forward = so3.unit(np.asarray(target, dtype=float) - position)
         right = so3.unit(np.cross(forward, [0.0, 0.0, 1.0]))
@@ -73,15 +72,23 @@ class Camera:
 
     @property
     def center_world(self) -> Array:
-        """(3,) optical centre in world, m."""
+        """Optical centre (3,) in world, m."""
         return np.asarray(-self.R_camera_world.T @ self.t_camera_world)
 
     def to_camera(self, p_world: ArrayLike) -> Array:
-        """World points (..., 3) in camera coordinates, m."""
+        """Transform points to camera coordinates (..., 3), m.
+
+        Args:
+            p_world: (..., 3) m.
+        """
         return np.asarray(np.asarray(p_world) @ self.R_camera_world.T + self.t_camera_world)
 
     def project(self, p_world: ArrayLike) -> Array:
-        """Pixels (..., 2) of world points (..., 3); NaN for points not in front of the camera."""
+        """Project points to pixels (..., 2); NaN for points behind the camera.
+
+        Args:
+            p_world: (..., 3) m.
+        """
         p = self.to_camera(p_world)
         depth = p[..., 2:]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -89,22 +96,30 @@ class Camera:
         return self._distort(xy) @ self.K[:2, :2].T + self.K[:2, 2]
 
     def normalise(self, uv_px: ArrayLike) -> Array:
-        """Undistorted image-plane coordinates x/z, y/z (..., 2) of pixels (..., 2)."""
+        """Return undistorted image-plane coordinates x/z, y/z (..., 2).
+
+        Args:
+            uv_px: (..., 2) pixels.
+        """
         xy_distorted = (np.asarray(uv_px) - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
         xy = xy_distorted
         if np.any(self.distortion):
-            for _ in range(20):  # fixed point, as OpenCV does
+            for _ in range(20):  # fixed-point iteration as in OpenCV
                 xy = xy - (self._distort(xy) - xy_distorted)
         return np.asarray(xy)
 
     def rays_world(self, uv_px: ArrayLike) -> Array:
-        """Unit directions (..., 3) in world from the optical centre through pixels (..., 2)."""
+        """Return unit directions (..., 3) in world from the optical centre through pixels.
+
+        Args:
+            uv_px: (..., 2) pixels.
+        """
         xy = self.normalise(uv_px)
         rays = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
         return so3.unit(rays @ self.R_camera_world)
 
     def undistorted(self) -> Camera:
-        """The same camera without distortion."""
+        """Return the camera without distortion."""
         return replace(self, distortion=np.zeros(5))
 
     def _distort(self, xy: Array) -> Array:

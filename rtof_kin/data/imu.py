@@ -1,36 +1,33 @@
-"""IMU samples as recorded, and as calibrated to segments.
+"""IMU samples as recorded (`ImuSequence`) and as calibrated to segments (`BoneImuSequence`).
 
-Axes are time, then element, then component: (T, J, 3). Missing is NaN in the value and 0 in the
-confidence, both. A different state of the data is a
-different type: `ImuSequence` -> `ImuCalibration.apply` -> `BoneImuSequence`.
+`ImuCalibration.apply` converts one into the other. Axes are time, sensor, component. Missing is NaN.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.core import signals
-from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, indices_of, readonly
-from rtof_kin.core.errors import ShapeError, UnitError
+from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, freeze, indices_of, readonly
+from rtof_kin.core.errors import InvalidInputError, UnitError
 
 Array = NDArray[np.float64]
-
-
-STANDARD_GRAVITY = 9.80665
-"""[m/s^2]"""
-GRAVITY_WORLD = readonly("gravity", [0.0, 0.0, -STANDARD_GRAVITY], (3,))
+STANDARD_GRAVITY: Final = 9.80665
+"""Standard gravity (CGPM 1901), m/s^2."""
+GRAVITY_WORLD: Final[Array] = readonly("gravity", [0.0, 0.0, -STANDARD_GRAVITY], (3,))
 """Gravity in world, m/s^2. An accelerometer at rest reads its opposite."""
-_ABSURD_ACCELERATION = 1e4  # [m/s^2] hundreds of times what IMUs measure
+_ABSURD_ACCELERATION: Final = 1e4
+"""Acceleration beyond any IMU, m/s^2."""
 
 
 @dataclass(frozen=True)
 class ImuSequence:
-    """Orientation and specific force of IMUs, as sensors give them."""
+    """Orientation and specific force of IMUs, as measured."""
 
     times: Array
     """(T,) seconds, on the clock of the keypoints, strictly increasing."""
@@ -46,19 +43,17 @@ class ImuSequence:
         set_(self, "names", checked_names("IMU names", self.names))
         set_(self, "times", checked_times("IMU times", self.times))
         T, S = len(self.times), len(self.names)
-        R = readonly("IMU R_inertial_sensor", self.R_inertial_sensor, (T, S, 3, 3))
-        checked_rotations("IMU R_inertial_sensor", R)
-        set_(self, "R_inertial_sensor", R)
-        set_(self, "f_sensor", readonly("IMU f_sensor", self.f_sensor, (T, S, 3)))
+        freeze(self, "IMU", R_inertial_sensor=(T, S, 3, 3), f_sensor=(T, S, 3))
+        checked_rotations("IMU R_inertial_sensor", self.R_inertial_sensor)
         if np.any(np.isinf(self.f_sensor)):
-            raise ShapeError("IMU f_sensor: infinite; write NaN where a sample is missing")
+            raise InvalidInputError("IMU f_sensor: infinite; write NaN where a sample is missing")
         self._check_unit()
 
     def _check_unit(self) -> None:
-        """Over a recording the median specific force is near one gravity.
+        """Check that the median specific force is near one gravity.
 
-        Samples that repeat the one before count for nothing: a sensor may stick in the middle of a blow;
-        and of one that never says anything else, nothing can be told.
+        Repeated samples are ignored, because a sensor may freeze during an impact, and so are sensors that
+        repeat one sample throughout.
         """
         norm = np.linalg.norm(self.f_sensor, axis=-1)
         norm[1:][(self.f_sensor[1:] == self.f_sensor[:-1]).all(axis=-1)] = np.nan
@@ -86,8 +81,9 @@ class ImuSequence:
                 )
 
     def _feels_gravity(self, s: int, norm: Array) -> bool:
-        """Whether a sensor's specific force (T,) in some unit has gravity in it: it is hardly ever small,
-        or its mean in the reference is most of it.
+        """Return whether a norm (T,) of specific force, in any unit, contains gravity.
+
+        Either it is rarely small, or most of it is constant in the inertial reference.
         """
         if np.nanquantile(norm, 0.1) > 0.7 * np.nanmedian(norm):
             return True
@@ -100,19 +96,17 @@ class ImuSequence:
 
     @classmethod
     def joined(cls, parts: Sequence[Self], max_gap: float = 0.1) -> Self:
-        """Sensors that were sampled at times of their own, together.
-
-        Where their times differ, all are brought to even ones, at the fastest sensor's rate over what any
-        sensor covers: orientation on the geodesic, specific force linearly.
+        """Join sensors; if their times differ, resample all to even times at the fastest sensor's rate.
 
         Args:
-            max_gap: no value is interpolated across a gap longer than this, s: it becomes NaN.
+            parts: any number of sensors each.
+            max_gap: longest gap that is interpolated, s; beyond it values are NaN.
 
         Raises:
-            ShapeError: there are none, or two of the same name.
+            InvalidInputError: there are none, or two of the same name.
         """
         if not parts:
-            raise ShapeError("IMUs to join: there are none")
+            raise InvalidInputError("IMUs to join: there are none")
         times = parts[0].times
         if any(not np.array_equal(part.times, times) for part in parts):
             step = min(float(np.median(np.diff(p.times))) for p in parts if len(p) > 1)
@@ -138,7 +132,14 @@ class ImuSequence:
         )
 
     def select(self, names: Sequence[str]) -> Self:
-        """The sensors named, in that order."""
+        """Return sensors in the order of `names`.
+
+        Args:
+            names: sensors.
+
+        Raises:
+            UnknownNameError: a sensor does not exist.
+        """
         index = indices_of("sensor", names, self.names)
         return replace(
             self,
@@ -150,7 +151,7 @@ class ImuSequence:
 
 @dataclass(frozen=True)
 class BoneImuSequence:
-    """IMUs after calibration: orientation of the segment that carries each, acceleration in world."""
+    """Calibrated IMUs: orientation of their segments, acceleration in world."""
 
     times: Array
     """(T,) seconds, strictly increasing."""
@@ -161,18 +162,15 @@ class BoneImuSequence:
     p_bone_sensor: Array
     """(S, 3) lever arm: position of the sensor in the segment's link frame, m."""
     joints: tuple[str, ...]
-    """S names of the segments (by their proximal joint) that carry the sensors."""
+    """S segments that carry the sensors, by their proximal joint."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
         set_(self, "joints", checked_names("bone IMU joints", self.joints))
         set_(self, "times", checked_times("bone IMU times", self.times))
         T, S = len(self.times), len(self.joints)
-        R = readonly("bone IMU R_world_bone", self.R_world_bone, (T, S, 3, 3))
-        checked_rotations("bone IMU R_world_bone", R)
-        set_(self, "R_world_bone", R)
-        set_(self, "a_world", readonly("bone IMU a_world", self.a_world, (T, S, 3)))
-        set_(self, "p_bone_sensor", readonly("bone IMU p_bone_sensor", self.p_bone_sensor, (S, 3)))
+        freeze(self, "bone IMU", R_world_bone=(T, S, 3, 3), a_world=(T, S, 3), p_bone_sensor=(S, 3))
+        checked_rotations("bone IMU R_world_bone", self.R_world_bone)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -186,7 +184,14 @@ class BoneImuSequence:
         )
 
     def select(self, joints: Sequence[str]) -> Self:
-        """The sensors on the segments named, in that order."""
+        """Return the sensors of segments in the order of `joints`.
+
+        Args:
+            joints: segments by their proximal joint.
+
+        Raises:
+            UnknownNameError: a segment has no sensor.
+        """
         index = indices_of("IMU segment", joints, self.joints)
         return replace(
             self,
@@ -198,15 +203,17 @@ class BoneImuSequence:
 
     @classmethod
     def joined(cls, parts: Sequence[Self], times: ArrayLike) -> Self:
-        """Sensors that were sampled at times of their own, all brought to these times (`resample`, but
-        for those that have them already).
+        """Join sensors at given times; `resample` those with other times.
+
+        Args:
+            parts: any number of sensors each. times: (T,) s.
 
         Raises:
-            ShapeError: there are none, or two are of the same segment.
+            InvalidInputError: there are none, or two of the same segment.
         """
         joints = [joint for part in parts for joint in part.joints]
         if not parts or len(set(joints)) < len(joints):
-            raise ShapeError("bone_imus: there must be some, each of another segment")
+            raise InvalidInputError("bone_imus: there must be some, each of another segment")
         own = [p if np.array_equal(p.times, times) else p.resample(times) for p in parts]
         return cls(
             times=own[0].times,
@@ -217,8 +224,10 @@ class BoneImuSequence:
         )
 
     def low_passed(self, cutoff_hz: float) -> Self:
-        """The same sensors, their accelerations without what is faster than a frequency. What no sensor
-        measures stays as it is, and is kept out of the others.
+        """Low-pass filter the accelerations; implausible values are kept and excluded from the filter.
+
+        Args:
+            cutoff_hz: -3 dB frequency, Hz.
         """
         absurd = (np.abs(self.a_world) > _ABSURD_ACCELERATION).any(axis=-1, keepdims=True)
         out = np.where(absurd, np.nan, self.a_world)
@@ -227,15 +236,13 @@ class BoneImuSequence:
         return replace(self, a_world=np.where(absurd, self.a_world, out))
 
     def resample(self, times: ArrayLike, max_gap: float = 0.1) -> Self:
-        """The same sensors at other times, usually those of the video.
+        """Resample to other times, usually those of the video.
 
-        Orientation is interpolated on the geodesic. Acceleration is averaged over +-1 frame with a
-        hat-shaped kernel: the central second difference of positions at the new rate is exactly that
-        average of the true acceleration, so the two can be compared ([1 4 1] / 6 at equal rates).
+        Orientation is interpolated on the geodesic. Acceleration is averaged over +-1 frame with a triangular
+        kernel ([1 4 1] / 6 at equal rates), of which the central second difference of positions is exact.
 
         Args:
-            times: (T',) seconds.
-            max_gap: no value is interpolated across a gap longer than this, s: it becomes NaN.
+            times: (T',) s. max_gap: longest gap that is interpolated, s; beyond it values are NaN.
         """
         times = checked_times("times to resample to", times)
         step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / 60

@@ -1,13 +1,13 @@
-"""IMU frame alignment: from a sensor's own frames to the segment that carries it.
+"""Alignment of IMUs: from sensor frames to the segments that carry them.
 
 ::
 
     R_world_bone = R_world_inertial . R_inertial_sensor . R_sensor_bone
-    a_world      = R_world_inertial . R_inertial_sensor . f_sensor + g,    g = (0, 0, -9.81)
+    a_world      = R_world_inertial . R_inertial_sensor . f_sensor + g,    g = (0, 0, -9.80665)
 
-The paper prints R^imu = R_kj^-1 R_kg R_k (eq. 1); the frames only close in the order above, with
-R_kg = R_world_inertial, R_k = R_inertial_sensor and R_kj = R_sensor_bone^-1. It subtracts a g that
-points up (eq. 6); here gravity points down and is added once.
+The paper has R^imu = R_kj^-1 R_kg R_k (eq. 1); the frames close only in the order above, with
+R_kg = R_world_inertial, R_k = R_inertial_sensor and R_kj = R_sensor_bone^-1. It subtracts an upward g (eq.
+6); here g points down and is added.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.checks import indices_of, readonly
-from rtof_kin.core.errors import CalibrationError
+from rtof_kin.core.checks import checked_names, freeze, indices_of
+from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.imu import GRAVITY_WORLD, BoneImuSequence, ImuSequence
 
 Array = NDArray[np.float64]
@@ -28,12 +28,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ImuCalibration:
-    """How each sensor's frames relate to the world and to its segment. Only applies itself."""
+    """Rotations of each sensor to world and to its segment, and its position in the segment."""
 
     sensors: tuple[str, ...]
     """S sensor names."""
     joints: tuple[str, ...]
-    """S names of the segments (by their proximal joint) that carry them."""
+    """S segments that carry them, by their proximal joint."""
     R_world_inertial: Array
     """(S, 3, 3) from each sensor's gravity-aligned reference to world."""
     R_sensor_bone: Array
@@ -42,25 +42,20 @@ class ImuCalibration:
     """(S, 3) lever arm: position of the sensor in the link frame, m."""
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "sensors", tuple(self.sensors))
-        set_(self, "joints", tuple(self.joints))
         S = len(self.sensors)
         if len(self.joints) != S:
             raise CalibrationError(f"calibration: {S} sensors but {len(self.joints)} segments")
-        for kind, names in (("sensor", self.sensors), ("segment", self.joints)):
-            double = {name for name in names if names.count(name) > 1}
-            if double:
-                raise CalibrationError(
-                    f"calibration: {kind} {', '.join(sorted(double))} stands there more than once"
-                )
-        set_(self, "p_bone_sensor", readonly("calibration p_bone_sensor", self.p_bone_sensor, (S, 3)))
-        for field in ("R_world_inertial", "R_sensor_bone"):
-            R = readonly(f"calibration {field}", getattr(self, field), (S, 3, 3))
-            for name, matrix in zip(self.sensors, R, strict=True):
+        try:
+            object.__setattr__(self, "sensors", checked_names("calibration: sensor", self.sensors))
+            object.__setattr__(self, "joints", checked_names("calibration: segment", self.joints))
+        except InvalidInputError as error:
+            raise CalibrationError(str(error)) from error
+        rotations = ("R_world_inertial", "R_sensor_bone")
+        freeze(self, "calibration", **dict.fromkeys(rotations, (S, 3, 3)), p_bone_sensor=(S, 3))
+        for field in rotations:
+            for name, matrix in zip(self.sensors, getattr(self, field), strict=True):
                 if not so3.is_rotation(matrix, tolerance=1e-5):
                     raise CalibrationError(f"calibration of {name}: {field} is not a rotation")
-            set_(self, field, R)
         for name, lever in zip(self.sensors, self.p_bone_sensor, strict=True):
             if not np.linalg.norm(lever) <= 1:
                 raise CalibrationError(
@@ -68,7 +63,14 @@ class ImuCalibration:
                 )
 
     def select(self, sensors: tuple[str, ...]) -> Self:
-        """The calibration of the sensors named, in that order."""
+        """Return the calibration of sensors in the order given.
+
+        Args:
+            sensors: names.
+
+        Raises:
+            UnknownNameError: a sensor has no calibration.
+        """
         index = indices_of("calibrated sensor", sensors, self.sensors)
         return replace(
             self,
@@ -80,13 +82,10 @@ class ImuCalibration:
         )
 
     def apply(self, imus: ImuSequence) -> BoneImuSequence:
-        """Sensor data as orientation of the segments and acceleration in world less gravity.
+        """Return orientations of the segments and accelerations in world without gravity.
 
         Args:
-            imus: S' sensors, each of which must be calibrated; their order is kept.
-
-        Returns:
-            At the sensors' own times; `BoneImuSequence.resample` brings them to the video's.
+            imus: S' calibrated sensors, whose order and times are kept.
 
         Raises:
             CalibrationError: a sensor has no calibration.

@@ -1,74 +1,83 @@
-"""What a file of inertial data means by its numbers: units, axes, gravity, order of a quaternion.
+"""Declaration of the units and conventions of a file of inertial data; nothing is guessed.
 
-A format declares it, and the user may declare otherwise; nothing here is guessed. Whether a declaration
-is true is another question, which physics answers (`rtof_kin.inertial.physics`).
+A format has a declaration, which the user may change. `rtof_kin.inertial.physics` checks it against the data.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Any, Final, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
-CHOICES: dict[str, tuple[str, ...]] = {
-    "acceleration_unit": ("m/s2", "g", "mg"),
-    "gravity": ("included", "removed"),
-    "acceleration_axes": ("sensor", "inertial"),
-    "angular_unit": ("rad/s", "deg/s"),
-    "quaternion_order": ("wxyz", "xyzw"),
-    "orientation_maps": ("sensor to inertial", "inertial to sensor"),
-    "inertial_axes": ("z up", "z down", "y up"),
+AccelerationUnit = Literal["m/s2", "g", "mg"]
+Gravity = Literal["included", "removed"]
+AccelerationAxes = Literal["sensor", "inertial"]
+AngularUnit = Literal["rad/s", "deg/s"]
+QuaternionOrder = Literal["wxyz", "xyzw"]
+OrientationMaps = Literal["sensor to inertial", "inertial to sensor"]
+InertialAxes = Literal["z up", "z down", "y up"]
+CHOICES: Final[dict[str, tuple[str, ...]]] = {
+    "acceleration_unit": get_args(AccelerationUnit),
+    "gravity": get_args(Gravity),
+    "acceleration_axes": get_args(AccelerationAxes),
+    "angular_unit": get_args(AngularUnit),
+    "quaternion_order": get_args(QuaternionOrder),
+    "orientation_maps": get_args(OrientationMaps),
+    "inertial_axes": get_args(InertialAxes),
 }
-"""The values that each field of `Declaration` but the rate may have."""
-LARGEST_NUMBER = 1e20
-"""No sensor measures more in any unit, and no clock counts further; squares of it are finite."""
+"""Values of each field of `Declaration` except the rate."""
 _METRES = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY / 1000}
 _UPRIGHT: dict[str, Array] = {
     "z up": np.eye(3),
     "z down": np.diag([1.0, -1.0, -1.0]),
     "y up": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
 }
-"""Rotations from reference axes to ones with z up."""
+"""Rotations from the reference axes to axes with z up."""
 
 
 @dataclass(frozen=True)
 class Declaration:
-    """How the numbers of a file are meant. The defaults are what this package uses itself."""
+    """Units and conventions of a file. The defaults are those of this package."""
 
-    acceleration_unit: str = "m/s2"
-    gravity: str = "included"
-    """'included': an accelerometer as it is, 9.81 upwards at rest. 'removed': 0 at rest."""
-    acceleration_axes: str = "sensor"
-    """Axes that accelerations are given in; 'inertial': those of the sensor's own reference."""
-    angular_unit: str = "rad/s"
-    quaternion_order: str = "wxyz"
-    orientation_maps: str = "sensor to inertial"
-    """What the file's orientation does to a vector; 'sensor to inertial' is R_inertial_sensor."""
-    inertial_axes: str = "z up"
+    acceleration_unit: AccelerationUnit = "m/s2"
+    gravity: Gravity = "included"
+    """'included': 9.81 upwards at rest. 'removed': 0 at rest."""
+    acceleration_axes: AccelerationAxes = "sensor"
+    """Axes of accelerations; 'inertial': those of the sensor's own reference."""
+    angular_unit: AngularUnit = "rad/s"
+    quaternion_order: QuaternionOrder = "wxyz"
+    orientation_maps: OrientationMaps = "sensor to inertial"
+    """Direction of the orientation; 'sensor to inertial' is R_inertial_sensor."""
+    inertial_axes: InertialAxes = "z up"
     """'z up': ENU, NWU. 'z down': NED. 'y up': as in computer graphics."""
     rate_hz: float | None = None
-    """Samples per second; None: by the file's own time stamps, or the rate in its header."""
+    """Sampling rate, Hz; None: from time stamps or the header."""
 
     def __post_init__(self) -> None:
         for name, choices in CHOICES.items():
             if getattr(self, name) not in choices:
                 raise UnknownNameError(name.replace("_", " "), [str(getattr(self, name))], choices)
         if self.rate_hz is not None and not 0 < self.rate_hz < 1e5:
-            raise ShapeError(f"rate_hz is {self.rate_hz:g}; give a positive number of samples per second")
+            raise InvalidInputError(
+                f"rate_hz is {self.rate_hz:g}; give a positive number of samples per second"
+            )
 
     def changed(self, **values: Any) -> Self:
-        """The declaration with some fields set anew, None meaning as it was.
+        """Return the declaration with other values of some fields.
+
+        Args:
+            values: by field; None leaves it unchanged.
 
         Raises:
-            UnknownNameError: there is no such field, or no such value.
+            UnknownNameError: an unknown field or value.
         """
         known = [f.name for f in fields(self)]
         unknown = [name for name in values if name not in known]
@@ -77,8 +86,10 @@ class Declaration:
         return replace(self, **{k: v for k, v in values.items() if v is not None})
 
     def rotations(self, quaternions: Array) -> Array:
-        """R_inertial_sensor (T, 3, 3), reference with z up, of quaternions (T, 4); NaN where not finite
-        or of no length. Their norm is not looked at: a check does that.
+        """Return R_inertial_sensor (T, 3, 3), reference with z up; NaN where not finite or zero.
+
+        Args:
+            quaternions: (T, 4) of the file, of any norm.
         """
         order = [0, 1, 2, 3] if self.quaternion_order == "wxyz" else [3, 0, 1, 2]
         quat_wxyz = np.asarray(quaternions, dtype=np.float64)[..., order]
@@ -90,27 +101,31 @@ class Declaration:
         return self.upright(R)
 
     def upright(self, R: Array) -> Array:
-        """R_inertial_sensor (..., 3, 3), reference with z up, of the file's rotation matrices."""
+        """Return R_inertial_sensor (..., 3, 3), reference with z up.
+
+        Args:
+            R: (..., 3, 3) rotation matrices of the file.
+        """
         if self.orientation_maps == "inertial to sensor":
             R = np.swapaxes(R, -1, -2)
         return _UPRIGHT[self.inertial_axes] @ R
 
     def specific_force(self, acceleration: Array, R_inertial_sensor: Array | None = None) -> Array:
-        """f_sensor (T, 3), m/s^2, of the file's accelerations.
+        """Return f_sensor (T, 3), m/s^2.
 
         Args:
-            acceleration: (T, 3) as they stand in the file.
-            R_inertial_sensor: (T, 3, 3) from `rotations`; needed where gravity was removed or the axes
-                are not the sensor's.
+            acceleration: (T, 3) of the file.
+            R_inertial_sensor: (T, 3, 3) from `rotations`; required if gravity was removed or axes are
+                inertial.
 
         Raises:
-            ShapeError: it is needed and not given.
+            InvalidInputError: it is required and not given.
         """
         a = np.asarray(acceleration, dtype=np.float64) * _METRES[self.acceleration_unit]
         if self.gravity == "included" and self.acceleration_axes == "sensor":
             return a
         if R_inertial_sensor is None:
-            raise ShapeError(
+            raise InvalidInputError(
                 f"accelerations with gravity {self.gravity}, in {self.acceleration_axes} axes, are of no "
                 "use without an orientation; log the raw accelerometer, or orientation beside it"
             )
@@ -124,19 +139,31 @@ class Declaration:
         return f
 
     def angular_velocity(self, rate: Array) -> Array:
-        """w_sensor (T, 3), rad/s, of the file's gyroscope."""
+        """Return w_sensor (T, 3), rad/s.
+
+        Args:
+            rate: (T, 3) of the file.
+        """
         factor = np.pi / 180 if self.angular_unit == "deg/s" else 1.0
         return np.asarray(rate, dtype=np.float64) * factor
 
-    # --- the other way: what the file must have held ---------------------------------------------
+    # --- inverse: numbers of the file ------------------------------------------------------------
 
     def filed_rotations(self, R_inertial_sensor: Array) -> Array:
-        """The file's rotation matrices (..., 3, 3), of which `upright` made these."""
+        """Invert `upright`: return the rotation matrices (..., 3, 3) of the file.
+
+        Args:
+            R_inertial_sensor: (..., 3, 3).
+        """
         R: Array = _UPRIGHT[self.inertial_axes].T @ R_inertial_sensor
         return np.swapaxes(R, -1, -2) if self.orientation_maps == "inertial to sensor" else R
 
     def filed_quaternions(self, R_inertial_sensor: Array) -> Array:
-        """The file's quaternions (T, 4), but for norm and sign, of which `rotations` made these."""
+        """Invert `rotations`: return the unit quaternions (T, 4) of the file, up to sign.
+
+        Args:
+            R_inertial_sensor: (T, 3, 3).
+        """
         R = self.filed_rotations(R_inertial_sensor)
         known = np.isfinite(R).all(axis=(-2, -1))
         quat = np.full((*known.shape, 4), np.nan)
@@ -144,11 +171,15 @@ class Declaration:
         return quat if self.quaternion_order == "wxyz" else quat[..., [1, 2, 3, 0]]
 
     def filed_acceleration(self, f_sensor: Array, R_inertial_sensor: Array | None = None) -> Array:
-        """The file's accelerations (T, 3), of which `specific_force` made f_sensor."""
+        """Invert `specific_force`: return the accelerations (T, 3) of the file.
+
+        Args:
+            f_sensor: (T, 3) m/s^2. R_inertial_sensor: (T, 3, 3), see `specific_force`.
+        """
         if self.gravity == "included" and self.acceleration_axes == "sensor":
             return f_sensor / _METRES[self.acceleration_unit]
         if R_inertial_sensor is None:
-            raise ShapeError("accelerations of these axes were made with an orientation; give it")
+            raise InvalidInputError("accelerations of these axes were made with an orientation; give it")
         a: Array = np.einsum("tij,tj->ti", R_inertial_sensor, f_sensor)
         if self.gravity == "removed":
             a = a + GRAVITY_WORLD
@@ -159,5 +190,9 @@ class Declaration:
         return a / _METRES[self.acceleration_unit]
 
     def filed_angular_velocity(self, w_sensor: Array) -> Array:
-        """The file's angular velocities (T, 3), of which `angular_velocity` made w_sensor."""
+        """Invert `angular_velocity`: return the angular velocities (T, 3) of the file.
+
+        Args:
+            w_sensor: (T, 3) rad/s.
+        """
         return w_sensor / self.angular_velocity(np.ones(1))

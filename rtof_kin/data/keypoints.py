@@ -1,7 +1,6 @@
 """Detected landmarks of one person in a video.
 
-Axes are time, then element, then component: (T, J, 3). Missing is NaN in the value and 0 in the
-confidence, both.
+Axes are time, element, component. Missing is NaN in the value and 0 in the confidence.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.checks import checked_names, checked_times, readonly
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.checks import checked_names, checked_times, freeze
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 
 Array = NDArray[np.float64]
@@ -25,13 +24,13 @@ class KeypointSequence:
     """2D landmarks of one person seen by one camera."""
 
     camera: Camera
-    """The camera that saw them."""
+    """Camera of the video."""
     times: Array
     """(T,) seconds, strictly increasing."""
     uv_px: Array
-    """(T, L, 2) pixels; NaN where unseen."""
+    """(T, L, 2) pixels; NaN where not detected."""
     confidence: Array
-    """(T, L) in [0, 1]; 0 where unseen."""
+    """(T, L) in [0, 1]; 0 where not detected."""
     names: tuple[str, ...]
     """L landmark names."""
 
@@ -40,16 +39,17 @@ class KeypointSequence:
         set_(self, "names", checked_names("keypoint names", self.names))
         set_(self, "times", checked_times("keypoint times", self.times))
         T, L = len(self.times), len(self.names)
-        uv = np.array(readonly("keypoints uv_px", self.uv_px, (T, L, 2)))
-        confidence = np.array(readonly("keypoint confidence", self.confidence, (T, L)))
+        freeze(self, "keypoints", uv_px=(T, L, 2), confidence=(T, L))
+        uv, confidence = self.uv_px.copy(), self.confidence.copy()
         if np.any((confidence < 0) | (confidence > 1)):
-            raise ShapeError("keypoint confidence: outside [0, 1]; divide by the detector's maximum")
+            raise InvalidInputError("keypoints confidence: outside [0, 1]; divide by the detector's maximum")
         if np.any(np.isinf(uv)):
-            raise ShapeError("keypoints uv_px: infinite; write NaN where a landmark was not seen")
+            raise InvalidInputError("keypoints uv_px: infinite; write NaN where a landmark was not seen")
         missing = np.isnan(uv).any(axis=-1) | ~(confidence > 0)
         uv[missing], confidence[missing] = np.nan, 0.0
-        set_(self, "uv_px", readonly("keypoints uv_px", uv, (T, L, 2)))
-        set_(self, "confidence", readonly("keypoint confidence", confidence, (T, L)))
+        set_(self, "uv_px", uv)
+        set_(self, "confidence", confidence)
+        freeze(self, "keypoints", uv_px=(T, L, 2), confidence=(T, L))
 
     def __len__(self) -> int:
         return len(self.times)
@@ -61,11 +61,15 @@ class KeypointSequence:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """(T, L) whether a landmark was seen."""
+        """Mask (T, L) of detected landmarks."""
         return np.asarray(self.confidence > 0)
 
     def select(self, names: Sequence[str]) -> Self:
-        """The landmarks named, in that order; those not present are NaN with confidence 0."""
+        """Return landmarks in the order of `names`; missing ones are NaN with confidence 0.
+
+        Args:
+            names: landmarks.
+        """
         uv = np.full((len(self), len(names), 2), np.nan)
         confidence = np.zeros((len(self), len(names)))
         for i, name in enumerate(names):

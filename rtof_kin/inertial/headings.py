@@ -5,10 +5,9 @@ R_pose at the time 0 of the pose,
 
     R_world_bone(t; h) = Rz(h) R_inertial_sensor(t) R_inertial_sensor(0)^T Rz(-h) R_pose.
 
-h changes the axis in the body about which the segment rotates afterwards: with a heading that is off by 90
-degrees, bending forward is read as bending sideways. The likelihood of the movement is maximised exactly on
-a grid of headings and the tree of compared pairs (max-product, Pearl 1988), then refined. An axis that is
-vertical in the pose does not determine the heading.
+h changes the axis in the body about which the segment rotates afterwards. The likelihood of the movement
+is maximised exactly on a grid of headings and the tree of compared pairs (max-product, Pearl 1988), then
+refined. An axis that is vertical in the pose does not determine the heading.
 """
 
 from __future__ import annotations
@@ -64,11 +63,7 @@ def shared_heading(likelihood: MotionLikelihood, motions: Sequence[SegmentMotion
     Args:
         likelihood, motions, R_pose: as in `own_headings`.
     """
-    turned, everyone = _Turned(likelihood, motions, R_pose), np.ones(len(motions))
-
-    def score(angle: float) -> float:
-        return turned.total(angle * everyone)
-
+    score, everyone = _Turned(likelihood, motions, R_pose).total, np.ones(len(motions))
     sigma, margin = _spread(score)
     best = float(_grid(_GRID)[int(np.argmax([score(h) for h in _grid(_GRID)]))])
     for step in _REFINEMENTS:
@@ -119,9 +114,9 @@ class _Turned:
         turn, own, R = so3.about_axis("z", angle), self._motions[s], self._R_pose[s]
         return own.turned(turn).moved(own.joint, R.T @ turn.T @ R, own.p_bone_sensor)
 
-    def total(self, angles: Array) -> float:
-        """Return the log-likelihood of headings (S,)."""
-        motions = [self._motion(s, float(h)) for s, h in enumerate(angles)]
+    def total(self, angle: float) -> float:
+        """Return the log-likelihood of one heading for all sensors."""
+        motions = [self._motion(s, angle) for s in range(len(self._motions))]
         out = sum(self._likelihood.pair(motions[a], motions[b]) for a, b in self._pairs)
         return float(out + sum(self._likelihood.single(motion) for motion in motions))
 

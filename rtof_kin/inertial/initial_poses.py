@@ -89,7 +89,7 @@ class _Neutral:
         mean = np.zeros((2, len(next(iter(self._sensed.values())))))
         for j, R in self._sensed.items():
             yaw = so3.heading(R @ upright[j].T)
-            mean += np.stack([np.cos(yaw), np.sin(yaw)]) / self._total(self._path(0, j))
+            mean += np.stack([np.cos(yaw), np.sin(yaw)]) / sum(self._spread[self._path(0, j)])
         return so3.about_axis("z", np.arctan2(mean[1], mean[0]))
 
     def _bend(self, joint: int, R_parent: Array) -> Array:
@@ -103,11 +103,8 @@ class _Neutral:
             beyond = beyond @ self._local[j]
         expected = R_parent @ self._local[joint] @ beyond
         missing = so3.log(np.swapaxes(expected, -1, -2) @ self._sensed[path[-1]])
-        share = self._spread[joint] / self._total(path)
+        share = self._spread[joint] / sum(self._spread[path])
         return so3.exp(share * missing @ beyond.T)
-
-    def _total(self, path: list[int]) -> float:
-        return float(sum(self._spread[j] for j in path))
 
     def _path(self, above: int, joint: int) -> list[int]:
         """Return the joints from below one to another, outwards; empty if the one is not above."""

@@ -186,12 +186,8 @@ def _quaternion_norm(stream: SensorStream) -> Check:
     return Check(name, stream.name, float(np.nanmax(off)), _NORM, "", text)
 
 
-def described_axes(R_sensor_oriented: Array) -> str:
-    """Describe a constant change of axes in words.
-
-    Args:
-        R_sensor_oriented: (3, 3) of `fixed_axes`.
-    """
+def _described(R_sensor_oriented: Array) -> str:
+    """Describe a constant change of axes in words."""
     nearest = np.round(R_sensor_oriented)
     if np.abs(R_sensor_oriented - nearest).max() < 0.1:
         rows = [(int(np.argmax(np.abs(row))), row) for row in nearest]
@@ -205,15 +201,15 @@ def described_axes(R_sensor_oriented: Array) -> str:
     return f"the orientation is of axes turned against the sensor's by {constant}"
 
 
-def fixed_axes(stream: SensorStream) -> Array | None:
+def fixed_axes(stream: SensorStream) -> tuple[Array, str] | None:
     """Fit the constant orthogonal matrix from the orientation's rates to the gyroscope's (Wahba 1965).
 
     Args:
         stream: the sensor.
 
     Returns:
-        R_sensor_oriented (3, 3), from the axes of the file's orientation to those of the gyroscope, possibly
-        mirrored. None for too little data, turning about one axis only, or rates that still disagree.
+        R_sensor_oriented (3, 3), from the axes of the file's orientation to those of the gyroscope, and its
+        description. None for too little data, turning about one axis only, or rates that still disagree.
     """
     pair = _both_rates(stream)
     if pair is None:
@@ -229,7 +225,7 @@ def fixed_axes(stream: SensorStream) -> Array | None:
         off = np.linalg.norm(measured - expected @ R.T, axis=-1)
         known = off <= np.quantile(off, 0.95)
     residual = _trimmed_rms(measured - expected @ R.T)
-    return R if residual <= _limit(expected) else None
+    return (R, _described(R)) if residual <= _limit(expected) else None
 
 
 def likely_rate(stream: SensorStream) -> float | None:
@@ -381,6 +377,5 @@ def _factor(ratio: float) -> float:
 
 
 def _missing(stream: SensorStream) -> str:
-    if stream.R_inertial_sensor is None:
-        return "there is no orientation"
-    return "there is no acceleration" if stream.f_sensor is None else ""
+    channels = {"orientation": stream.R_inertial_sensor, "acceleration": stream.f_sensor}
+    return next((f"there is no {name}" for name, values in channels.items() if values is None), "")

@@ -86,8 +86,7 @@ def log_with_orientation(
     """Estimate the orientation of sensors of a log by VQF.
 
     Args:
-        log: the sensors. names: of those to estimate; None: of those without orientation.
-        settings: of the filter.
+        log, settings: sensors and filter. names: of those to estimate; None: of those without orientation.
 
     Raises:
         UnknownNameError: unknown sensor. InvalidInputError: as in `with_orientation`.

@@ -113,8 +113,7 @@ def find_disagreements(
     Rotation about a bone without branches is ignored (soft tissue), as are frames without keypoints.
 
     Args:
-        poses: robust solution with these sensors, at their times.
-        bone_imus: calibrated sensors. skeleton: the subject's.
+        poses: solved with these sensors, at their times. bone_imus: calibrated. skeleton: the subject's.
 
     Returns:
         Faults by segment.
@@ -130,17 +129,14 @@ def find_disagreements(
         if len(children) == 1:
             bone = so3.unit(skeleton.joint_offsets[children[0]])
             off = off - (off @ bone)[:, None] * bone
-        angle = _running_median(np.linalg.norm(off, axis=1), max(round(_WINDOW * poses.rate_hz), 1))
+        width = max(round(_WINDOW * poses.rate_hz), 1)
+        padded = np.pad(np.linalg.norm(off, axis=1), (width // 2, width - 1 - width // 2), mode="edge")
+        angle = np.median(sliding_window_view(padded, width), axis=1)
         wrong = np.zeros(len(angle), dtype=np.bool_)
         for start, stop in signals.runs(angle > _STILL_DISAGREES):
             wrong[start:stop] = angle[start:stop].max() > DISAGREES
         faults += _faults(FaultKind.DISAGREES, joint, wrong, poses.times[known])
     return tuple(faults)
-
-
-def _running_median(values: Array, width: int) -> Array:
-    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
-    return np.asarray(np.median(sliding_window_view(padded, width), axis=1))
 
 
 def merge_faults(faults: Iterable[StreamFault]) -> tuple[StreamFault, ...]:

@@ -2,8 +2,7 @@
 
 Nothing is changed: a failed check names the change of the declaration under which the same numbers obey the
 law. For that the declared conversion is undone and another one applied, for every combination of the relevant
-choices; of those that obey, the one with the fewest changes is the likeliest. Clock and channels are checked
-for lost, missing, stuck and saturated samples and for a disturbed magnetic field.
+choices; of those that obey, the one with the fewest changes is the likeliest.
 """
 
 from __future__ import annotations
@@ -93,13 +92,12 @@ def _explanation(
     if changes:
         text = "; or with ".join(_declared(change) for change in changes)
         return f"It would hold with {text}", changes[0] if len(changes) == 1 else {}
-    R_sensor_oriented, R = laws.fixed_axes(stream), stream.R_inertial_sensor
-    if R_sensor_oriented is not None and R is not None:
-        text = f"By the gyroscope, {laws.described_axes(R_sensor_oriented)}"
-        if np.linalg.det(R_sensor_oriented) < 0:
-            return text, {}
+    fixed, R = laws.fixed_axes(stream), stream.R_inertial_sensor
+    if fixed is not None and R is not None:
+        R_sensor_oriented, axes = fixed
         turned = replace(stream, R_inertial_sensor=R @ R_sensor_oriented.T)
-        return f"{text}; {_then(turned, declared)}", {}
+        mirrored = np.linalg.det(R_sensor_oriented) < 0
+        return f"By the gyroscope, {axes}{'' if mirrored else f'; {_then(turned, declared)}'}", {}
     rate_hz = laws.likely_rate(stream)
     if rate_hz is not None and [check.name for check in broken] == [laws.GYROSCOPE]:
         likely = {"rate_hz": round(rate_hz, 1)}
@@ -159,15 +157,15 @@ def _likely_changes(streams: Sequence[SensorStream], declared: Declaration) -> l
 
 def _changes(streams: Sequence[SensorStream], declared: Declaration) -> Iterator[Mapping[str, str]]:
     """Generate all changes of the fields that concern the streams' channels, the fewest first."""
-    held = {name for stream in streams for name in stream.holds}
+    channels = {name for stream in streams for name in stream.holds}
     fields = []
-    if "f_sensor" in held:
+    if "f_sensor" in channels:
         fields += ["acceleration_unit"]
-    if "w_sensor" in held:
+    if "w_sensor" in channels:
         fields += ["angular_unit"]
-    if "R_inertial_sensor" in held:
+    if "R_inertial_sensor" in channels:
         fields += ["orientation_maps", "inertial_axes"]
-        fields += ["gravity", "acceleration_axes"] if "f_sensor" in held else []
+        fields += ["gravity", "acceleration_axes"] if "f_sensor" in channels else []
         if any(stream.quaternion_norm is not None for stream in streams):
             fields += ["quaternion_order"]
     every = [

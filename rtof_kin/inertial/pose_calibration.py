@@ -2,16 +2,13 @@
 
 In the pose the orientation of every segment is known, so
 
-    R_sensor_bone = (R_world_inertial R_inertial_sensor)^T R_world_bone.
+    R_sensor_bone = (R_world_inertial R_inertial_sensor)^T R_world_bone
 
-The pose gives R_sensor_bone for a known R_world_inertial. Its inclination is given by gravity, but any
-heading fits the pose equally well. Sensors with one reference (magnetometers, or aligned with each other
-before they were put on) leave one angle unobserved, the facing of the person in that reference; sensors
+for a known R_world_inertial. Its inclination is given by gravity, but any heading fits the pose equally well.
+Sensors with one reference leave one angle unobserved, the facing of the person in that reference; sensors
 with headings of their own leave one angle each. These are given, or estimated from the movement after the
 pose (`rtof_kin.inertial.headings`). In a T-pose the elbows' axes are vertical and do not determine headings:
-prefer an N-pose or a seated one.
-
-An error of the pose becomes an error of the calibration, of the same size.
+prefer an N-pose or a seated one. An error of the pose becomes an error of the calibration, of the same size.
 """
 
 from __future__ import annotations
@@ -125,7 +122,7 @@ def calibrate_by_pose(
 
     Raises:
         UnknownNameError: unknown sensor, segment, pose or axis.
-        CalibrationError: nobody is still, a sensor has no orientation then, two sensors are on one
+        CalibrationError: the sensors never rest, one has no orientation then, two sensors are on one
             segment, or the movement is too small for headings.
     """
     if headings not in ("shared", "own"):
@@ -327,7 +324,7 @@ def _find_still(streams: Sequence[SensorStream]) -> tuple[float, float]:
         best = int(np.argmin(mean))
         restless = streams[int(np.argmax(rates[:, inside][:, best]))].name
         raise CalibrationError(
-            f"nobody stands still for {seconds:g} s: even around {centres[best]:.2f} s sensors turn at "
+            f"no {seconds:g} s without rotation: even around {centres[best]:.2f} s sensors turn at "
             f"{np.degrees(mean[best]):.0f} deg/s, {restless} most; hold the pose longer, or give its time "
             "with still=(start, stop)"
         )

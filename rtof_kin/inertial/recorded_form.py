@@ -9,7 +9,7 @@ one under which the law holds is reported.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,16 +32,14 @@ _EXPLAINED = 0.9  # fraction of the failing sensors that a mistake must explain
 _MOST_SAMPLES = 2000
 
 
-@dataclass(frozen=True)
-class _Mistake:
+class _Mistake(NamedTuple):
     """A wrong form of samples and its correction."""
 
     cause: str
     remedy: str
     rotations: Callable[[Array], Array] = lambda R: R
     sign: float = 1.0
-    removed: bool = False
-    """Whether gravity was removed from the accelerations."""
+    removed: bool = False  # whether gravity was removed from the accelerations
 
 
 def _from_xyzw(R: Array) -> Array:
@@ -137,8 +135,14 @@ def _check_gravity(imus: ImuSequence, R_world_inertial: Array, repeats: Mask) ->
     first = undone[explains[0]]
     # Inverting the orientation of a sensor that hardly turns may not show: then all have the mistake.
     names = "all sensors" if first[judged].all() else names
-    cause, advice = _explained(explains, 100 * float(np.mean(first[wrong])))
-    return Check(GRAVITY, names, value, most, "m/s2", advice, cause=cause)
+    mistake, *others = (_MISTAKES[k] for k in explains)
+    advice = f"Undone, gravity points up for {100 * np.mean(first[wrong]):.0f} % of them. "
+    advice += mistake.remedy[0].upper() + mistake.remedy[1:]
+    if explains[0] == 0:
+        advice += ". Or the reference's z axis points down, and R_world_inertial does not turn it up"
+    if others:
+        advice += f". Or else {' or '.join(other.cause for other in others)}"
+    return Check(GRAVITY, names, value, most, "m/s2", advice, cause=mistake.cause)
 
 
 def _unexplained(names: str, value: float, most: float) -> Check:
@@ -152,18 +156,6 @@ def _unexplained(names: str, value: float, most: float) -> Check:
     )
     cause = f"accelerations and orientations of {names} do not belong together"
     return Check(GRAVITY, names, value, most, "m/s2", advice, cause=cause)
-
-
-def _explained(explains: Sequence[int], percent: float) -> tuple[str, str]:
-    """Return cause and advice of the mistakes, by index, that explain the samples."""
-    first, *others = (_MISTAKES[k] for k in explains)
-    advice = f"Undone, gravity points up for {percent:.0f} % of them. "
-    advice += first.remedy[0].upper() + first.remedy[1:]
-    if explains[0] == 0:
-        advice += ". Or the reference's z axis points down, and R_world_inertial does not turn it up"
-    if others:
-        advice += f". Or else {' or '.join(mistake.cause for mistake in others)}"
-    return first.cause, advice
 
 
 def _listed(names: Sequence[str], chosen: Mask) -> str:

@@ -1,11 +1,9 @@
 """Diagnosis of a sensor setup: swapped or turned sensors, wrong segments, a wrong facing in the pose.
 
 Each possible fault is a hypothetical correction of the calibration. Its log-likelihood ratio against the
-calibration as declared is computed from movement (`rtof_kin.inertial.likelihood`), and the fault is reported
-when the ratio is large. Nothing is corrected unless `Fault.corrected` is called.
-
-Not every fault is observable: a rotation of the world about the vertical needs a camera, and swapped left
-and right sensors need a sensor on a neighbouring segment.
+calibration as declared is computed from movement (`rtof_kin.inertial.likelihood`), and it is reported if the
+ratio is large. A rotation of the world about the vertical is only observable with a camera, and swapped left
+and right sensors only with a sensor on a neighbouring segment.
 """
 
 from __future__ import annotations

@@ -145,9 +145,9 @@ def read_camera(section: Section) -> Camera:
         else:
             R, t = section.array("R_camera_world", (3, 3)), section.array("t_camera_world_m", (3,))
         K = _intrinsics(section, width, height)
-        distortion = section.optional_array("distortion", (5,))
+        distortion = section.array("distortion", (5,)) if section.has("distortion") else np.zeros(5)
         assumed = section.optional_names("assumed") or ()
-        camera = Camera(K, R, t, width, height, distortion, assumed)  # type: ignore[arg-type]
+        camera = Camera(K, R, t, width, height, distortion, assumed)
     if K[0, 0] < _SHORTEST_FOCAL * width:
         raise section.error(
             "K" if section.has("K") else "focal_px", f"a focal length of {K[0, 0]:g} px in images {width} "

@@ -94,6 +94,10 @@ class KeypointNoise:
         share = float(rng.uniform(*self.outlier_share))
         return replace(self, **_varied(self, rng, scales), outlier_share=(share, share))
 
+    def factor(self, joint: str) -> float:
+        """Return the factor on the errors of one joint."""
+        return self.arms_factor if joint in _ARMS else self.legs_factor if joint in _LEGS else 1.0
+
 
 @dataclass(frozen=True)
 class ImuNoise:
@@ -171,8 +175,7 @@ def keypoint_errors(rng: Generator, times: Array, joints: Sequence[str], noise: 
     bias = noise.bias_px * rng.standard_normal((L, 2))
     drift = _coloured_noise(rng, times, np.array(memory)[:, None], (L, 2))
     white = noise.white_px * rng.standard_normal((T, L, 2))
-    factors = dict.fromkeys(_ARMS, noise.arms_factor) | dict.fromkeys(_LEGS, noise.legs_factor)
-    factor = np.array([factors.get(joint, 1.0) for joint in joints])
+    factor = np.array([noise.factor(joint) for joint in joints])
     errors = factor[:, None] * (bias + noise.drift_px * drift + white)
     return errors + _outliers(rng, times, L, noise)
 

@@ -1,8 +1,8 @@
 """`FragmentSolver`: temporal optimisation in overlapping fragments of N frames.
 
-Fragments begin every N/2 frames, so every frame is solved twice; the two answers are blended. Two spaces
-of variables are offered: the configuration of the skeleton (``joint``, the default: rigid bones, whole
-orientations, limits) and the paper's joint positions (``cartesian``). Two equal calls give equal answers.
+Fragments begin every N/2 frames, so every frame is solved twice and the two solutions are blended. Two
+spaces of variables: configurations of the skeleton (``joint``, the default: rigid bones, orientations,
+limits) and the paper's joint positions (``cartesian``). Equal calls give equal results.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 
 from rtof_kin.body.pose_prior import has_prior
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.choices import SPACES
-from rtof_kin.core.errors import ShapeError, SolverError, UnknownNameError, ViewError
+from rtof_kin.core.choices import SPACES, Space
+from rtof_kin.core.errors import InvalidInputError, SolverError, UnknownNameError, ViewError
 from rtof_kin.data.confidence import joined
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -34,8 +34,8 @@ Progress = Callable[[int, int], None]
 """Called with (fragments done, fragments in all)."""
 
 
-def usual_space(skeleton: SkeletonModel) -> str:
-    """The space of a skeleton for which nobody names one: joint space needs a pose prior."""
+def usual_space(skeleton: SkeletonModel) -> Space:
+    """Return the default space of a skeleton: joint space needs a pose prior."""
     return "joint" if has_prior(skeleton.name) else "cartesian"
 
 
@@ -48,38 +48,35 @@ class FragmentSolver:
         frames: int = 50,
         settings: CartesianSettings | JointSpaceSettings | None = None,
         sensor_joints: tuple[str, ...] | None = None,
-        space: str | None = None,
+        space: Space | None = None,
     ) -> None:
-        """Choose the problem.
+        """Build the solver.
 
         Args:
-            skeleton: gives the joints, the bone lengths and the limits.
-            frames: N, even, at least 8.
-            settings: what the observations are worth; `JointSpaceSettings` or, for Cartesian space,
-                `CartesianSettings`.
-            sensor_joints: segments whose sensors the problem has a place for, of which a recording may
-                have any subset: in joint space all subsets take the same compiled code. Where not given,
-                every segment that usually carries one, in joint space those that say anything.
-            space: one of `SPACES`; where not given, that of the settings, else 'joint' for a skeleton
-                that a pose prior is shipped for and 'cartesian' for others (Human3.6M's).
+            skeleton: joints, bone lengths and limits. frames: N, even, at least 8.
+            settings: `JointSpaceSettings` or `CartesianSettings`; the defaults of `space` where None.
+            sensor_joints: segments that have a place for a sensor; a recording may use any subset, which
+                in joint space shares the compiled code. None: in Cartesian space every segment that
+                usually carries one, in joint space those with data.
+            space: one of `SPACES`. None: that of the settings, else `usual_space`.
 
         Raises:
-            ShapeError: N is odd or too small; settings of the other space; joint space without a pose
-                prior. UnknownNameError: a segment or a space that does not exist.
+            InvalidInputError: invalid N, settings of the other space, or joint space without a pose
+                prior. UnknownNameError: unknown segment or space.
         """
         if frames < 8 or frames % 2:
-            raise ShapeError(f"frames: N = {frames} must be even and at least 8")
-        kinds = {"joint": JointSpaceSettings, "cartesian": CartesianSettings}
+            raise InvalidInputError(f"frames: N = {frames} must be even and at least 8")
         if space is None:
-            usual = usual_space(skeleton)
-            space = next((s for s in SPACES if isinstance(settings, kinds[s])), usual)
+            space = usual_space(skeleton)
+            if settings is not None:
+                space = "joint" if isinstance(settings, JointSpaceSettings) else "cartesian"
         if space not in SPACES:
             raise UnknownNameError("space", [space], SPACES)
         if space == "joint" and not has_prior(skeleton.name):
-            raise ShapeError(
+            raise InvalidInputError(
                 f"space 'joint': no pose prior is shipped for {skeleton.name!r}; use 'cartesian'"
             )
-        settings = settings or kinds[space]()
+        settings = settings or (JointSpaceSettings() if space == "joint" else CartesianSettings())
         self.skeleton, self.frames, self.space, self.settings = skeleton, frames, space, settings
         carriers = tuple(joint for joint, _ in skeleton.sensors.values())
         self.sensor_joints = carriers if sensor_joints is None else tuple(sensor_joints)
@@ -90,7 +87,7 @@ class FragmentSolver:
         elif space == "cartesian" and isinstance(settings, CartesianSettings):
             self._solver = CartesianSolver(skeleton, frames, settings, self.sensor_joints)
         else:
-            raise ShapeError(f"settings: {type(settings).__name__} are not those of space {space!r}")
+            raise InvalidInputError(f"settings: {type(settings).__name__} are not those of space {space!r}")
 
     def solve(
         self,
@@ -101,42 +98,37 @@ class FragmentSolver:
         footholds: Footholds | None = None,
         confidence: bool = False,
     ) -> FragmentSolution:
-        """Optimise a whole sequence: RTOF with sensors, RTO without, sensors alone without keypoints.
+        """Optimise a sequence: RTOF with sensors, RTO without, sensors only without keypoints.
 
         Args:
-            start: finite poses of this skeleton, usually SF2's, or an initial guess made from them; also
-                the centre of weak priors.
-            keypoints: one sample a frame of `start`, landmarks named like joints (in joint space also
-                the skeleton's other landmarks); NaN where unseen. None for sensors alone, in joint space.
+            start: (T, J) finite poses, usually those after SF2, or an initial guess; also the centre of
+                weak priors.
+            keypoints: at the frames' times, NaN where unobserved, named as the skeleton's landmarks. None
+                for sensors only, in joint space.
             bone_imus: any subset of the sensors, at any times; several sequences where sensors have
-                times of their own. None for vision alone.
-            progress: told after every fragment.
-            footholds: where feet stand still, one row a frame of `start`; in joint space.
-            confidence: whether to tell how well the poses are known; in Cartesian space nobody does.
-
-        Returns:
-            The poses and a report for each fragment.
+                their own times. None for vision only.
+            progress: called after every fragment.
+            footholds: of standing feet, one row per frame; in joint space.
+            confidence: whether to compute covariances of the poses, in joint space.
 
         Raises:
-            ShapeError: start and keypoints differ in their times, a pose is not finite, or the person
+            InvalidInputError: times differ or are uneven, or a pose is not finite. ViewError: the person
                 is behind the camera. UnknownNameError: joints or sensors of another skeleton.
-            SolverError: none of the landmarks is known; there are neither keypoints nor sensors; it is
-                the joint space alone that can do with what is given.
+            SolverError: there is nothing to solve with, or the space cannot use it.
         """
         guess, bone_imus = self._guess(start, keypoints, bone_imus, footholds)
-        blocks = list(
-            self._solver.run(guess, keypoints, bone_imus, footholds, progress, confidence=confidence)
-        )
+        run = self._solver.run(guess, keypoints, bone_imus, footholds, progress, confidence=confidence)
+        blocks = list(run)
         whole = replace(
             guess.poses,
             p_world_joint=np.concatenate([block.p_world_joint for block in blocks]),
             R_world_bone=np.concatenate([block.R_world_bone for block in blocks]),
         )
-        told = [block.confidence for block in blocks if block.confidence is not None]
+        confidences = [block.confidence for block in blocks if block.confidence is not None]
         return FragmentSolution(
             self._solver.oriented(whole, keypoints, bone_imus),
             tuple(report for block in blocks for report in block.fragments),
-            joined(told) if told else None,
+            joined(confidences) if confidences else None,
         )
 
     def stream(
@@ -145,7 +137,11 @@ class FragmentSolver:
         keypoints: KeypointSequence,
         bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None = None,
     ) -> Iterator[PoseSequence]:
-        """The poses of `solve`, N/2 frames at a time, each as soon as nothing to come can change it."""
+        """Yield the poses of `solve`, N/2 frames at a time, each block as soon as it is final.
+
+        Args:
+            start, keypoints, bone_imus: as for `solve`.
+        """
         guess, bone_imus = self._guess(start, keypoints, bone_imus, None)
         for block in self._solver.run(guess, keypoints, bone_imus, None, None):
             p, R = block.p_world_joint, block.R_world_bone
@@ -175,29 +171,26 @@ class FragmentSolver:
         if keypoints is None and bone_imus is None:
             raise SolverError("neither keypoints nor bone_imus: give at least one of the two")
         if keypoints is not None and not np.array_equal(start.times, keypoints.times):
-            raise ShapeError("start and keypoints: must have the same times, one sample a frame")
+            raise InvalidInputError("start and keypoints: must have the same times, one sample per frame")
         if footholds is not None and len(footholds) != len(start):
-            raise ShapeError(f"footholds: {len(footholds)} frames, but start has {len(start)}")
+            raise InvalidInputError(f"footholds: {len(footholds)} frames, but start has {len(start)}")
         finite = np.isfinite(start.p_world_joint).all(axis=(1, 2))
-        if self.space == "joint":  # the paper's positions have no use for orientations
+        if self.space == "joint":
             finite &= np.isfinite(start.R_world_bone).all(axis=(1, 2, 3))
         if not finite.all():
             frame = int(np.argmin(finite))
-            raise ShapeError(f"start: the pose of frame {frame} is not finite; bridge gaps first")
-        if len(start) > 1:
-            steps = np.diff(start.times) * start.rate_hz
-            if np.any(np.abs(steps - 1) > 0.1):
-                raise ShapeError("start: frames are not evenly spaced; resample the keypoints first")
+            raise InvalidInputError(f"start: the pose of frame {frame} is not finite; bridge gaps first")
+        if len(start) > 1 and np.any(np.abs(np.diff(start.times) * start.rate_hz - 1) > 0.1):
+            raise InvalidInputError("start: frames are not evenly spaced; resample the keypoints first")
         if bone_imus is not None:
             unknown = [j for j in bone_imus.joints if j not in self.sensor_joints]
             if unknown:
                 raise UnknownNameError("IMU segment", unknown, self.sensor_joints)
-        if keypoints is None:
-            return
-        depth = keypoints.camera.to_camera(start.p_world_joint)[..., 2]
-        if np.any(depth < 0.05):
-            frame = int(np.argwhere(depth < 0.05)[0][0])
-            raise ViewError(
-                f"start: frame {frame} is behind the camera or in it; check R_camera_world, "
-                "t_camera_world (world to camera, metres) and the world's z axis"
-            )
+        if keypoints is not None:
+            depth = keypoints.camera.to_camera(start.p_world_joint)[..., 2]
+            if np.any(depth < 0.05):
+                frame = int(np.argwhere(depth < 0.05)[0][0])
+                raise ViewError(
+                    f"start: frame {frame} is behind the camera or in it; check R_camera_world, "
+                    "t_camera_world (world to camera, metres) and the world's z axis"
+                )

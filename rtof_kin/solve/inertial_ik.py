@@ -1,8 +1,8 @@
 """SF2, single-frame sensor fusion: inertial-guided inverse kinematics (the paper's Algorithm 1).
 
-Read as the equations must mean: a rotation belongs to the segment that begins at its joint, so a sensor
-on the forearm corrects the bone ForeArm -> Hand; the angle theta is between the *rest* bone turned by the
-sensor and the observed bone; children keep their own observed directions when a parent is replaced.
+A rotation belongs to the segment that begins at its joint, so a sensor on the forearm corrects the bone
+ForeArm -> Hand; the angle theta is between the rest bone turned by the sensor and the observed bone;
+children keep their own observed directions when a parent is replaced.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 
@@ -24,24 +24,24 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class InertialGuidedIKSettings:
-    """When and how a sensor overrules the observed bone."""
+    """Thresholds between the observed bone and the sensor."""
 
     threshold: float = 0.0
-    """theta_t [rad]: where sensor and observed bone differ by more, the sensor's orientation is taken;
-    below, the observed direction with the sensor's twist. 0 always takes the sensor, pi never."""
+    """theta_t [rad]: where sensor and observed bone differ by more, the sensor's orientation is used; else
+    the observed direction with the sensor's twist. 0: always the sensor, pi: never."""
     blend_angle: float | None = None
-    """[rad] Where given, no switch at all: the rotation nearest to v b^T + w R_imu, with the sensor's
-    weight ``w = 1 / (1 + (theta / blend_angle)^2)`` falling smoothly with the disagreement."""
+    """[rad] Blending instead of a threshold: the rotation nearest to v b^T + w R_imu, with the weight
+    ``w = 1 / (1 + (theta / blend_angle)^2)``."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.threshold <= np.pi:
-            raise ShapeError(f"threshold: {self.threshold} rad is outside [0, pi]")
+            raise InvalidInputError(f"threshold: {self.threshold} rad is outside [0, pi]")
         if self.blend_angle is not None and not self.blend_angle > 0:
-            raise ShapeError(f"blend_angle: {self.blend_angle} rad must be positive")
+            raise InvalidInputError(f"blend_angle: {self.blend_angle} rad must be positive")
 
 
 class InertialGuidedIK:
-    """Corrects poses frame by frame with the orientations of IMUs; bone lengths become the model's."""
+    """Corrects poses frame by frame with the orientations of IMUs; bone lengths are the skeleton's."""
 
     def __init__(self, skeleton: SkeletonModel, settings: InertialGuidedIKSettings | None = None) -> None:
         self.skeleton = skeleton
@@ -50,24 +50,17 @@ class InertialGuidedIK:
     def refine(
         self, poses: PoseSequence, bone_imus: BoneImuSequence | None = None, R_observed: Array | None = None
     ) -> PoseSequence:
-        """Poses with the skeleton's bone lengths, limb directions corrected by the sensors there are.
+        """Return rigid poses, limb directions corrected by the sensors, root positions unchanged.
 
         Args:
-            poses: (T, J) joints of this skeleton; positions are used, and what is told to be seen stays
-                so beside what the sensors see. Frames with NaN stay NaN.
-            bone_imus: any subset of segments, at any times (they are resampled to the poses'); samples
-                that are NaN leave the observed bone as it is. None for no sensors.
-            R_observed: (T, J, 3, 3) orientations that were observed too (a lifter gives them), NaN where
-                not: of segments without a bone they are taken, of those with one their twist, of those
-                with several the mean with what positions say. Without them positions stand alone.
-
-        Returns:
-            Rigid poses at the same times, root position unchanged. Spreads of orientations are those of
-            the poses where no sensor is.
+            poses: (T, J) positions of this skeleton's joints. Frames with NaN stay NaN.
+            bone_imus: any subset of segments, at any times; NaN leaves the observed bone unchanged.
+            R_observed: (T, J, 3, 3) orientations observed by a lifter, NaN where missing: used for
+                segments without a bone, for the twist of those with one, and averaged with the
+                orientation from positions for those with several.
 
         Raises:
-            UnknownNameError: the poses are of another skeleton, or a sensor sits on no joint of it.
-            ShapeError: joints are missing, or in another order.
+            UnknownNameError: poses or sensors of another skeleton. ShapeError: other joints.
         """
         R, sensed = self._rotations(poses, bone_imus, R_observed)
         parents, offsets = self.skeleton.parents, self.skeleton.joint_offsets
@@ -75,28 +68,33 @@ class InertialGuidedIK:
         return self._posed(poses, p, R, sensed)
 
     def orient(self, poses: PoseSequence, bone_imus: BoneImuSequence | None = None) -> PoseSequence:
-        """Poses with the orientations that `refine` gives them, their positions as they are."""
+        """Return the poses with the orientations of `refine` and unchanged positions.
+
+        Args:
+            poses: (T, J). bone_imus: any subset of segments, at any times.
+        """
         R, sensed = self._rotations(poses, bone_imus, None)
         return self._posed(poses, poses.p_world_joint, R, sensed)
 
     def _rotations(
         self, poses: PoseSequence, bone_imus: BoneImuSequence | None, R_observed: Array | None
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """R_world_bone (T, J, 3, 3), and which a sensor told of, (T, J)."""
+        """R_world_bone (T, J, 3, 3), and which segments have sensor data, (T, J)."""
         self.skeleton.check_joints(poses.names)
         p = poses.p_world_joint
         known = np.isfinite(p).all(axis=(1, 2))
-        R_imu = self._sensor_rotations(poses, bone_imus)
-        R = np.full((*p.shape[:2], 3, 3), np.nan)
+        R, R_imu = np.full((2, *p.shape[:2], 3, 3), np.nan)
+        if bone_imus is not None:
+            joints = self.skeleton.index(*bone_imus.joints)
+            if not np.array_equal(bone_imus.times, poses.times):
+                bone_imus = bone_imus.resample(poses.times)
+            R_imu[:, list(joints)] = bone_imus.R_world_bone
         R_seen = np.full_like(R, np.nan) if R_observed is None else R_observed
-        R[known] = self._solve(p[known], R_seen[known], {j: matrices[known] for j, matrices in R_imu.items()})
-        sensed = np.zeros(p.shape[:2], dtype=bool)
-        for j, matrices in R_imu.items():
-            sensed[:, j] = np.isfinite(matrices[:, 0, 0])
-        return R, sensed
+        R[known] = self._solve(p[known], R_seen[known], R_imu[known])
+        return R, np.isfinite(R_imu[:, :, 0, 0])
 
     def _posed(self, poses: PoseSequence, p: Array, R: Array, sensed: NDArray[np.bool_]) -> PoseSequence:
-        """The poses at positions and orientations that sensors told of where `sensed`."""
+        """The poses with positions and orientations, with sensor data where `sensed`."""
         return replace(
             poses,
             p_world_joint=p,
@@ -106,41 +104,29 @@ class InertialGuidedIK:
             orientation_observed=sensed | poses.orientation_observed,
         )
 
-    def _sensor_rotations(self, poses: PoseSequence, bone_imus: BoneImuSequence | None) -> dict[int, Array]:
-        """Joint index -> R_world_bone (T, 3, 3) of its sensor at the poses' times, NaN where missing."""
-        if bone_imus is None:
-            return {}
-        joints = self.skeleton.index(*bone_imus.joints)
-        if not np.array_equal(bone_imus.times, poses.times):
-            bone_imus = bone_imus.resample(poses.times)
-        return {j: bone_imus.R_world_bone[:, s] for s, j in enumerate(joints)}
-
-    def _solve(self, p: Array, R_seen: Array, R_imu: dict[int, Array]) -> Array:
+    def _solve(self, p: Array, R_seen: Array, R_imu: Array) -> Array:
         parents, offsets = self.skeleton.parents, self.skeleton.joint_offsets
-        R, none = np.empty((*p.shape[:2], 3, 3)), np.full((len(p), 3, 3), np.nan)
+        R, root = np.empty((*p.shape[:2], 3, 3)), np.broadcast_to(np.eye(3), (len(p), 3, 3))
         for j, parent in enumerate(parents):
-            identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
-            R_parent = identity if parent < 0 else R[:, parent]
-            has, sensed = (np.isfinite(seen[:, 0, 0]) for seen in (R_seen[:, j], R_imu.get(j, none)))
+            has, sensed = (np.isfinite(matrices[:, j, 0, 0]) for matrices in (R_seen, R_imu))
             bones = len(kinematics.children_of(parents, j))
-            if bones != 1 or not sensed.all():  # of one bone the sensor gives the twist, it alone
+            if bones != 1 or not sensed.all():  # with one bone the twist is the sensor's
                 if bones > 1 or not has.all():
+                    R_parent = root if parent < 0 else R[:, parent]
                     R[:, j] = kinematics.segment_rotation(parents, offsets, j, p, R_parent)
                 R[has, j] = self._observed(j, p[has], R_seen[has, j], R[has, j])
             if sensed.any():
-                R[sensed, j] = self._correct(j, p[sensed], R[sensed, j], R_imu[j][sensed])
+                R[sensed, j] = self._correct(j, p[sensed], R[sensed, j], R_imu[sensed, j])
         return R
 
     def _observed(self, joint: int, p: Array, R_seen: Array, R_positions: Array) -> Array:
-        """One segment's orientation as it was seen, (T, 3, 3); of several bones half way to what their
-        joints' positions say: of a body unlike those that the lifter knows they tell more.
-        """
+        """Observed orientation (T, 3, 3) of a segment, averaged with positions for several bones."""
         if len(kinematics.children_of(self.skeleton.parents, joint)) > 1:
             return so3.nearest_rotation(R_seen + R_positions)
         return self._swung(joint, p, R_seen)
 
     def _swung(self, joint: int, p: Array, R: Array) -> Array:
-        """An orientation (T, 3, 3) of a segment turned so that its bone, where it has one, is as seen."""
+        """An orientation (T, 3, 3) of a segment turned so that its bone has the observed direction."""
         children = kinematics.children_of(self.skeleton.parents, joint)
         if len(children) != 1:
             return R
@@ -148,7 +134,7 @@ class InertialGuidedIK:
         return kinematics.swing(R, rest, p[:, children[0]] - p[:, joint])
 
     def _correct(self, joint: int, p: Array, R_observed: Array, R_imu: Array) -> Array:
-        """One segment's orientation from what was observed and what its sensor says, (T, 3, 3)."""
+        """Orientation (T, 3, 3) of a segment from observation and sensor."""
         children = kinematics.children_of(self.skeleton.parents, joint)
         if not children:
             return R_imu
@@ -161,13 +147,13 @@ class InertialGuidedIK:
             return np.where((theta > self.settings.threshold)[:, None, None], R_imu, R_observed)
         weight = 1 / (1 + (theta / blend) ** 2)
         observed = R_observed
-        if len(children) == 1:  # only the bone's direction was seen
+        if len(children) == 1:  # only the bone's direction was observed
             unit = so3.unit(rest)
             observed = np.einsum("ti,j->tij", R_observed @ unit, unit)
         return so3.nearest_rotation(observed + weight[:, None, None] * R_imu)
 
     def _provenance(self, before: NDArray[np.uint8], sensed: NDArray[np.bool_]) -> NDArray[np.uint8]:
-        """A joint whose parent's segment carries a sensor is seen by the IMU too."""
+        """Provenance with the IMU for joints whose parent's segment has a sensor."""
         out = before.copy()
         for j, parent in enumerate(self.skeleton.parents):
             if parent >= 0:

@@ -1,11 +1,11 @@
-"""What a fragment solver gives back: poses, and what happened to every fragment."""
+"""Result of a fragment solver: poses, and a report of every fragment."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,12 @@ from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
-_MISFIT, _LEAST_MISFIT_PX = 3.0, 3.0
-"""Times the median size of residuals, and px, from which a fragment's are worth a warning."""
-_LEAST_VISUAL = 5.0
-"""[nats] of some twenty landmarks that are off as they are taken to be."""
+_MISFIT: Final = 3.0
+"""Multiple of the median reprojection error from which a fragment causes a warning."""
+_LEAST_MISFIT_PX: Final = 3.0
+"""[px] Smallest reprojection error that causes a warning."""
+_LEAST_VISUAL: Final = 5.0
+"""[nats] Visual energy of about twenty landmarks with errors of one sigma."""
 
 
 class SolverStatus(Enum):
@@ -31,18 +33,18 @@ class SolverStatus(Enum):
         "the optimality."
     )
     ITERATION_LIMIT = "The iteration limit was reached before the tolerance."
-    UNOBSERVED = "No landmark and no sensor was seen in the whole fragment: it shows the prior alone."
-    FAILED = "The solver gave up; the starting poses are returned for this fragment."
+    UNOBSERVED = "No landmark and no sensor has data in the whole fragment: the result is the prior."
+    FAILED = "The solver failed; the initial poses are returned for this fragment."
 
     @classmethod
     def of(cls, solved: Solved) -> Self:
-        """How a solver ended that gave a state back."""
+        """Return the status of a solver that returned a state."""
         if solved.converged:
             return cls.CONVERGED
         return cls.ITERATION_LIMIT if solved.out_of_iterations else cls.ACCEPTABLE
 
 
-_OUTCOMES = {
+_OUTCOMES: Final = {
     SolverStatus.CONVERGED: "converged",
     SolverStatus.ACCEPTABLE: "at a looser tolerance, where no step lowered the energy any further",
     SolverStatus.ITERATION_LIMIT: "stopped at the iteration limit",
@@ -53,75 +55,67 @@ _OUTCOMES = {
 
 @dataclass(frozen=True)
 class FragmentReport:
-    """What happened to one fragment."""
+    """Report of one fragment; everything is measured at the returned point."""
 
     first_frame: int
-    """Index of its first frame; negative where it begins in the padding."""
+    """Index of its first frame; negative in the padding."""
     status: SolverStatus
     energy: dict[str, float]
-    """Weighted energy per term at the returned point."""
+    """Weighted energy per term."""
     iterations: int
     seconds: float
     """Time of the solver."""
     sigma_reprojection: float
-    """Standard deviation of a landmark that was used, px; given, or estimated from the fragment."""
+    """Standard deviation of a landmark, given or estimated from the fragment, px."""
     optimality: float
-    """Largest derivative of the energy at the returned point, measured there, 1/m or 1/rad; with
-    constraints, of the Lagrangian."""
+    """Largest derivative of the energy, or with constraints of the Lagrangian, 1/m or 1/rad."""
     infeasibility: float
-    """Largest violation of a constraint there: of a squared bone length, m^2, or of a joint's limit, rad;
-    0 without constraints."""
+    """Largest violation of a constraint: of a squared bone length, m^2, or of a joint's limit, rad."""
 
     @property
     def sees_enough(self) -> bool:
-        """Whether landmarks count for something in it: where hardly one was seen, the size that they are
-        taken to be off by is a default.
-        """
+        """Whether landmarks have weight in it; else the reprojection sigma is only a default."""
         return self.energy["visual"] > _LEAST_VISUAL
 
 
 @dataclass(frozen=True)
 class Block:
-    """Finished frames of a recording, N/2 at a time."""
+    """Final frames of a recording, N/2 at a time."""
 
     frames: slice
-    """Which of the recording's they are."""
+    """Of the recording."""
     p_world_joint: Array
     """(n, J, 3), m."""
     R_world_bone: Array
     """(n, J, 3, 3)."""
     fragments: tuple[FragmentReport, ...]
-    """Reports that came in since the block before."""
+    """Reports since the previous block."""
     confidence: Confidence | None = None
-    """Where it was asked for."""
 
 
 @dataclass(frozen=True)
 class FragmentSolution:
-    """Optimised poses of a recording and how they came about."""
+    """Optimised poses of a recording with a report of every fragment."""
 
     poses: PoseSequence
-    """Blended poses. In joint space rigid and with whole orientations; in Cartesian space positions as
-    they were found, orientations from them, twist from the sensors."""
+    """Blended poses. In Cartesian space orientations follow from positions, with the sensors' twist."""
     fragments: tuple[FragmentReport, ...]
-    """One report for every fragment."""
     confidence: Confidence | None = None
-    """How well the poses are known by the Hessian alone, in joint space, where it was asked for: what
-    lasts (biases, a sensor that slipped) is not in it, see `rtof_kin.solve.uncertainty.covariance_inflation`."""
+    """Covariances of the poses by the Hessian, in joint space, where asked for; not inflated for
+    autocorrelated errors (see `uncertainty.covariance_inflation`)."""
 
     @property
     def status(self) -> SolverStatus:
         """The worst status of all fragments."""
-        order = list(SolverStatus)
-        return max((f.status for f in self.fragments), key=order.index)
+        return max((f.status for f in self.fragments), key=list(SolverStatus).index)
 
     def count(self, status: SolverStatus) -> int:
-        """Fragments that ended like this."""
+        """Return the number of fragments with a status."""
         return sum(f.status is status for f in self.fragments)
 
     @property
     def outcome(self) -> str:
-        """How many fragments ended how, in words."""
+        """Sentence with the number of fragments of each status."""
         converged, *others = ((self.count(status), text) for status, text in _OUTCOMES.items())
         parts = [f"{converged[0]} of {len(self.fragments)} fragments {converged[1]}"]
         return ", ".join([*parts, *(f"{count} {text}" for count, text in others if count)])
@@ -134,7 +128,7 @@ class FragmentSolution:
 
     @property
     def optimality(self) -> float:
-        """Largest of the fragments' optimalities."""
+        """Largest optimality of all fragments."""
         return max(f.optimality for f in self.fragments)
 
     @property
@@ -151,12 +145,11 @@ class FragmentSolution:
 def misfits(
     fragments: Sequence[FragmentReport], times: Array, frames: int, limit_px: float
 ) -> tuple[str, ...]:
-    """Sentences about when joints lie far from where they were seen, at all or beside the rest of the
-    recording: the pose there may be another one than was seen.
+    """Return warnings about intervals with large reprojection errors.
 
     Args:
-        fragments: with sizes of residuals that were estimated. times: (T,) s of the recording.
-        frames: N of a fragment. limit_px: that no size is taken to exceed.
+        fragments: with estimated reprojection sigmas. times: (T,) s of the recording.
+        frames: N of a fragment. limit_px: upper bound of the estimates, px.
     """
     solved = [f for f in fragments if f.status is not SolverStatus.UNOBSERVED]
     if not solved:

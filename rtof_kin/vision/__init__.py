@@ -1,4 +1,1 @@
-"""2D detectors: their files, layouts and people; their points turned into the skeleton's landmarks.
-
-`rtof_kin.vision.keypoints.read_detector_keypoints` does all of it; each step has a module.
-"""
+"""2D detectors: files, layouts, tracking of one person, regression of landmarks, outlier rejection."""

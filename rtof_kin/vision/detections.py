@@ -43,14 +43,14 @@ class Detections:
     names: tuple[str, ...] | None = None
     """K names of the points in the file, if it has them."""
     identity: Ints | None = None
-    """(T, P) numbers given by a tracker, -1 where nobody is; None without a tracker."""
+    """(T, P) numbers given by a tracker, -1 where there is none; None without a tracker."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
         uv = np.array(readonly("detections uv_px", self.uv_px, ("T", "P", "K", 2)))
         confidence = np.array(readonly("detections confidence", self.confidence, uv.shape[:3]))
         if 0 in uv.shape:
-            raise InvalidInputError("there is nobody in any frame; check the detector's output")
+            raise InvalidInputError("there is no person in any frame; check the detector's output")
         low, high = float(np.nanmin(confidence, initial=0.0)), float(np.nanmax(confidence, initial=0.0))
         if high > _HIGHEST_CONFIDENCE or low < 0:
             problem = f"ranges from {low:g} to {high:g}; give values from 0 to 1"
@@ -90,7 +90,7 @@ class Detections:
         sizes = {number: {len(p.points) for p in people} for number, people in frames.items()}
         K = next((size for some in sizes.values() for size in some), None)
         if K is None:
-            raise InvalidInputError("there is nobody in any frame; check the detector's output")
+            raise InvalidInputError("there is no person in any frame; check the detector's output")
         for number, some in sizes.items():
             if some - {K}:
                 problem = f"a person has {max(some - {K})} points, others have {K}; use one layout"

@@ -14,8 +14,7 @@ NPZ                         ``uv_px`` or ``keypoints`` (T, K, 2 or 3) or (T, P, 
 NPY                         one array like that
 ==========================  ====================================================================
 
-Coordinates that are fractions of the image need its size. Confidences above 1, which some detectors give,
-are clipped to 1; without confidences every point with finite coordinates has confidence 1.
+Coordinates that are fractions of the image need its size. Confidences are clipped to 1, and are 1 if missing.
 """
 
 from __future__ import annotations
@@ -294,7 +293,7 @@ def _people(path: Path, frame: Any, where: str) -> list[Person]:
 
 
 def _people_listed(path: Path, entries: Any, where: str) -> list[Person]:
-    """Return the listed people without those of whom no points were detected."""
+    """Return the listed people that have detected points."""
     if not isinstance(entries, list):
         raise FileFormatError(path, f"{where}: holds {_kind(entries)}, not a list of people")
     entries = [{"keypoints": entry} if isinstance(entry, list) else entry for entry in entries]
@@ -331,7 +330,9 @@ def _person(path: Path, entry: Any, where: str) -> Person:
 def _points(values: Sequence[Any], entry: Mapping[str, Any]) -> Array | None:
     """Return (K, 3) x, y, confidence, or None if their number does not fit."""
     if isinstance(values[0], dict):
-        return np.array([[float(v["x"]), float(v["y"]), _score(v)] for v in values])
+        columns = [[float(v["x"]), float(v["y"])] for v in values]
+        known = [next((v[key] for key in _SCORES if v.get(key) is not None), 1.0) for v in values]
+        return np.column_stack([columns, np.array(known, dtype=np.float64)])
     array = np.array(values, dtype=np.float64)
     if array.ndim == 1 and len(array) % 3 == 0:
         array = array.reshape(-1, 3)
@@ -344,10 +345,6 @@ def _points(values: Sequence[Any], entry: Mapping[str, Any]) -> Array | None:
         return array
     scores = np.array(entry.get("keypoint_scores", np.ones(len(array))), dtype=np.float64)
     return None if scores.shape != (len(array),) else np.column_stack([array, scores])
-
-
-def _score(point: Mapping[str, Any]) -> float:
-    return float(next((point[key] for key in _SCORES if point.get(key) is not None), 1.0))
 
 
 def _identity(entry: Mapping[str, Any]) -> int:

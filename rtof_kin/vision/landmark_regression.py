@@ -61,10 +61,12 @@ class LandmarkRegression:
         if gaussian.names != point_names(table, self._skeleton):
             raise InvalidInputError("landmark regression: fitted to other points than those of its table")
 
-    @classmethod
-    def default(cls) -> LandmarkRegression:
+    @staticmethod
+    @cache
+    def default() -> LandmarkRegression:
         """Return the shipped one."""
-        return _shipped()
+        table = detector_table()
+        return LandmarkRegression(table, read_gaussian(model_path("detectors.npz"), table))
 
     def apply(self, layout: str, uv_px: Array, confidence: Array) -> RegressedLandmarks:
         """Estimate the landmarks of one person.
@@ -169,9 +171,3 @@ def read_gaussian(path: str | Path, table: DetectorTable) -> PoseGaussian:
         return PoseGaussian(names, arrays["mean"], arrays["covariance"], float(arrays["noise"]))
     except InvalidInputError as error:
         raise FileFormatError(path, f"{error}; build it again") from error
-
-
-@cache
-def _shipped() -> LandmarkRegression:
-    table = detector_table()
-    return LandmarkRegression(table, read_gaussian(model_path("detectors.npz"), table))

@@ -83,7 +83,7 @@ class PoseGaussian:
 
 
 class _ConditionedPose:
-    """Distribution of persons of whom K points are detected; factorised once."""
+    """Distribution of persons with K detected points; factorised once."""
 
     def __init__(self, gaussian: PoseGaussian, seen: Sequence[str]):
         self.seen = tuple(seen)

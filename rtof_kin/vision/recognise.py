@@ -31,9 +31,7 @@ class Recognition:
     """A layout and the evidence for it."""
 
     layout: Layout
-    """Layout of the points."""
     reason: str
-    """How it was recognised."""
     order: tuple[int, ...]
     """(K,) index of each of its points among those of the file."""
 

@@ -142,7 +142,7 @@ def track_person(
     present = detections.present
     if person is None and present.shape[1] == 1:
         track = np.where(present[:, 0], 0, NOBODY)
-        return PersonTrack(track, np.zeros(len(track), dtype=np.bool_), 1, "nobody else was seen")
+        return PersonTrack(track, np.zeros(len(track), dtype=np.bool_), 1, "the only person")
     measures = _Measures(detections)
     trails = _trails(measures, times)
     if person is None:
@@ -154,9 +154,7 @@ def track_person(
         own = [trail for trail in trails if (where, person) in zip(trail.frames, trail.people, strict=True)]
         if not own:
             known = np.flatnonzero(present[where]).tolist() if 0 <= where < len(present) else []
-            problem = (
-                f"there is no such person; of {len(present)} frames, counted from 0, that one has {known}"
-            )
+            problem = f"there is no such person; of {len(present)} frames, that one has {known or 'none'}"
             raise InvalidInputError(f"person {person} in frame {where}: {problem}")
         chosen, reason = own[0], f"asked for: person {person} in frame {where}"
     return _joined(chosen, trails, measures, times, reason)

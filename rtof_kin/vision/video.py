@@ -66,7 +66,7 @@ def detect_video(
         progress: called with ("detect", frames done, frames in total).
 
     Raises:
-        FileFormatError: the video or the models cannot be read, or nobody was found.
+        FileFormatError: the video or the models cannot be read, or no person was found.
         InvalidInputError: a webcam without `seconds`. RtofError: the extra is not installed.
     """
     detector = _PersonDetector(models)

@@ -31,7 +31,7 @@ def rows(**about: Any) -> list[dict[str, Any]]:
     return out
 
 
-def test_drift_is_pooled_by_what_was_walked() -> None:
+def test_drift_is_pooled_by_distance() -> None:
     found = table(rows(category="running"))
     cells = dict(zip(found.columns, found.rows[0], strict=True))
     assert cells["drift % of walked"] == pytest.approx(100 * (0.5 / 200**0.5))
@@ -43,7 +43,7 @@ def test_drift_is_pooled_by_what_was_walked() -> None:
     assert len(found.rows) == len(NOISE) * len(SETS)
 
 
-def test_motions_that_go_nowhere_tell_drift_by_time_alone() -> None:
+def test_drift_without_walking_is_by_time_only() -> None:
     found = table(rows(walked_m=1.0, drift_m=9.0))
     cells = dict(zip(found.columns, found.rows[0], strict=True))
     assert cells["drift % of walked"] == pytest.approx(3.0)

@@ -1,4 +1,4 @@
-"""De Leva's table: totals, positions along the segment, inertias that matter can have."""
+"""De Leva's table: totals, centres of mass, physical inertias."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ TRUNK_AND_HEAD = ("head", "upper trunk", "middle trunk", "lower trunk")
 
 
 @pytest.mark.parametrize(("sex", "total"), [("male", 1.0000), ("female", 0.9999), (None, 0.99995)])
-def test_with_limbs_doubled_the_masses_sum_to_the_body(sex: str | None, total: float) -> None:
+def test_masses_sum_to_the_body_mass(sex: str | None, total: float) -> None:
     masses = [mass_fraction(name, sex) * (1 if name in TRUNK_AND_HEAD else 2) for name in SEGMENTS]
     assert sum(masses) == pytest.approx(total, abs=1e-12)
 
 
-def test_without_a_sex_the_figures_are_the_mean_of_both() -> None:
+def test_values_without_a_sex_are_the_mean_of_both() -> None:
     assert mass_fraction("thigh", None) == pytest.approx((0.1416 + 0.1478) / 2)
     end = np.array([0.0, 0.0, -0.4])
     centers = [inertia("thigh", 8.0, end, sex)[0] for sex in SEXES]
     np.testing.assert_allclose(inertia("thigh", 8.0, end, None)[0], np.mean(centers, axis=0))
 
 
-def test_the_thigh_of_a_man_by_hand() -> None:
+def test_thigh_of_a_man() -> None:
     center, matrix = inertia("thigh", 10.0, np.array([0.0, 0.0, -0.4]), "male")
     np.testing.assert_allclose(center, [0, 0, -0.4 * 0.4095])
     across, along = 10 * (0.329 * 0.4) ** 2, 10 * (0.149 * 0.4) ** 2
     np.testing.assert_allclose(matrix, np.diag([across, across, along]), atol=1e-15)
 
 
-def test_a_trunk_segment_measures_from_its_top_though_it_begins_at_the_bottom() -> None:
+def test_trunk_segment_is_measured_from_its_top() -> None:
     center, _ = inertia("upper trunk", 10.0, np.array([0.0, 0.0, 0.3]), "male")
     assert center[2] == pytest.approx(0.3 * (1 - 0.5066))
 
 
 @pytest.mark.parametrize("sex", ["male", "female", None])
 @pytest.mark.parametrize("name", SEGMENTS)
-def test_inertias_are_those_of_matter(name: str, sex: str | None) -> None:
+def test_inertias_are_physical(name: str, sex: str | None) -> None:
     """Positive, and no principal moment larger than the sum of the other two."""
     rng = np.random.default_rng(0)
     for end in rng.normal(size=(10, 3)):

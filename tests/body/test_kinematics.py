@@ -1,4 +1,4 @@
-"""The tree on arrays: chains, SolveRotation, and a twist that nobody saw but that must not jump."""
+"""Kinematics of a tree: chains, SolveRotation, and continuity of the twist near 180 degrees."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_children_are_in_order() -> None:
     assert kinematics.children_of(PARENTS, 5) == []
 
 
-def test_positions_hang_each_joint_on_its_parents_segment() -> None:
+def test_positions_follow_the_parent_segments() -> None:
     R, root = random_rotations(7, 6), RNG.normal(size=(7, 3))
     p = kinematics.positions(PARENTS, OFFSETS, root, R)
     assert_close(p[:, 0], root)
@@ -58,7 +58,7 @@ def test_local_and_world_rotations_are_inverse_for_any_batch() -> None:
 # --- one segment ----------------------------------------------------------------------------------------
 
 
-def test_several_children_fix_a_segment_like_scipys_align_vectors() -> None:
+def test_several_children_determine_a_segment_like_scipy() -> None:
     p = RNG.normal(size=(5, 6, 3))
     R = kinematics.segment_rotation(PARENTS, OFFSETS, 1, p, random_rotations(5))
     for t in range(5):
@@ -67,7 +67,7 @@ def test_several_children_fix_a_segment_like_scipys_align_vectors() -> None:
         assert_close(R[t], expected.as_matrix(), 1e-7)
 
 
-def test_one_child_gives_the_swing_and_the_twist_follows_the_parent() -> None:
+def test_one_child_determines_the_swing_and_the_twist_follows_the_parent() -> None:
     p, R_parent = RNG.normal(size=(50, 6, 3)), random_rotations(50)
     R = kinematics.segment_rotation(PARENTS, OFFSETS, 4, p, R_parent)
     bone = so3.unit(p[:, 5] - p[:, 4])
@@ -78,21 +78,21 @@ def test_one_child_gives_the_swing_and_the_twist_follows_the_parent() -> None:
     assert_close(np.linalg.norm(turn, axis=-1), np.arccos(np.sum(expected * bone, axis=-1)), 1e-6)
 
 
-def test_a_leaf_copies_its_parent() -> None:
+def test_leaf_has_the_orientation_of_its_parent() -> None:
     R_parent = random_rotations(5)
     p = RNG.normal(size=(5, 6, 3))
     assert_close(kinematics.segment_rotation(PARENTS, OFFSETS, 5, p, R_parent), R_parent, 0)
 
 
 @given(st.floats(0.2, 3.0))
-def test_bone_lengths_do_not_matter_to_orientations(factor: float) -> None:
+def test_orientations_do_not_depend_on_bone_lengths(factor: float) -> None:
     p = RNG.normal(size=(3, 6, 3))
     R = kinematics.rotations_from_positions(PARENTS, OFFSETS, p)
     assert_close(kinematics.rotations_from_positions(PARENTS, OFFSETS, factor * p), R, 1e-10)
 
 
-def test_positions_from_untwisted_rotations_give_them_back() -> None:
-    """Swings only, leaves like their parents: exactly what positions can tell."""
+def test_rotations_without_twist_are_recovered_from_positions() -> None:
+    """Swings only, leaves as their parents: what positions determine."""
     skeleton = SkeletonModel.default()
     T, J = 20, len(skeleton.names)
     rest, local = skeleton.joint_offsets, np.tile(np.eye(3), (T, J, 1, 1))
@@ -108,7 +108,7 @@ def test_positions_from_untwisted_rotations_give_them_back() -> None:
     assert_close(kinematics.rotations_from_positions(skeleton.parents, rest, p), R, 1e-9)
 
 
-def test_a_frame_with_an_unknown_joint_is_nan_and_the_others_are_not_touched() -> None:
+def test_frame_with_a_missing_joint_is_nan() -> None:
     p = RNG.normal(size=(6, 6, 3))
     whole = kinematics.rotations_from_positions(PARENTS, OFFSETS, p)
     p[2, 5, 0] = np.nan
@@ -138,20 +138,17 @@ STILL = np.tile(np.eye(3), (161, 1, 1))
 
 
 @pytest.mark.parametrize("miss_deg", [0.0, 1e-9, 0.01, 0.5, 2.0, 5.0, 8.0, 9.99])
-def test_a_bone_that_swings_past_its_opposite_does_not_flip(miss_deg: float) -> None:
+def test_bone_that_swings_past_its_opposite_does_not_flip(miss_deg: float) -> None:
     observed = passing(miss_deg)
     R = kinematics.swing(STILL, DOWN, observed)
     assert_close((R @ so3.unit(DOWN)[:, None])[..., 0], observed)
-    # The bone turns by one degree a frame. Five more come from the returning twist, or, outside ten
-    # degrees, tan(170 / 2) of them from the smallest turn itself, which has no jump there.
+    # The bone rotates by one degree a frame; the returning twist adds five, or outside ten degrees the
+    # smallest rotation itself adds tan(170 / 2). The smallest rotation alone flips.
+    assert steps_deg(so3.minimal_rotation(DOWN, passing(0.5))).max() > 60
     assert steps_deg(R).max() < (6.1 if miss_deg <= 5 else np.hypot(1, np.tan(np.radians(85))) + 0.1)
 
 
-def test_the_smallest_turn_alone_would_have_flipped() -> None:
-    assert steps_deg(so3.minimal_rotation(DOWN, passing(0.5))).max() > 60
-
-
-def test_within_ten_degrees_of_opposite_the_twist_does_not_change_at_all() -> None:
+def test_twist_is_constant_within_ten_degrees_of_opposite() -> None:
     observed = passing(3.0)
     near = observed[:, 2] > np.cos(np.radians(10))
     R = kinematics.swing(STILL, DOWN, observed)
@@ -160,7 +157,7 @@ def test_within_ten_degrees_of_opposite_the_twist_does_not_change_at_all() -> No
     assert np.abs(np.sum(turn * observed[inside], axis=-1)).max() < 1e-4
 
 
-def test_afterwards_the_twist_returns_to_the_parents() -> None:
+def test_twist_returns_to_the_parents_afterwards() -> None:
     observed = np.vstack([passing(5.0), np.repeat(passing(5.0)[-1:], 40, axis=0)])
     R_parent = np.tile(np.eye(3), (len(observed), 1, 1))
     R = kinematics.swing(R_parent, DOWN, observed)
@@ -169,20 +166,12 @@ def test_afterwards_the_twist_returns_to_the_parents() -> None:
     assert_close(R[:60], smallest[:60])  # and before it never left it
 
 
-def test_away_from_the_opposite_the_swing_is_the_smallest_turn_in_every_frame() -> None:
+def test_swing_is_the_smallest_rotation_away_from_opposite() -> None:
     observed = passing(12.0)
     assert_close(kinematics.swing(STILL, DOWN, observed), so3.minimal_rotation(DOWN, observed))
 
 
-def test_a_first_frame_that_is_already_opposite_is_a_rotation_and_is_followed() -> None:
-    observed = np.repeat([[0.0, 0.0, 1.0]], 5, axis=0)
-    R = kinematics.swing(STILL[:5], DOWN, observed)
-    assert so3.is_rotation(R)
-    assert_close(R[1:], R[:-1])
-    assert_close((R @ so3.unit(DOWN)[:, None])[..., 0], observed)
-
-
-def test_the_twist_of_a_first_frame_that_is_opposite_is_carried_on_and_then_returns() -> None:
+def test_twist_of_an_opposite_first_frame_is_carried_over_and_returns() -> None:
     observed = passing(5.0)[83:]  # starts seven degrees from opposite and leaves
     R = kinematics.swing(STILL[: len(observed)], DOWN, observed)
     assert steps_deg(R).max() < 6.1
@@ -192,14 +181,14 @@ def test_the_twist_of_a_first_frame_that_is_opposite_is_carried_on_and_then_retu
     assert steps_deg(R)[0] < 20 + 5 + 0.5
 
 
-def test_the_swing_is_the_same_whichever_way_the_whole_body_faces() -> None:
+def test_swing_is_equivariant_to_rotation_of_the_body() -> None:
     observed, R_world = passing(5.0), random_rotations(1)[0]
     R = kinematics.swing(STILL, DOWN, observed)
     turned = kinematics.swing(R_world @ STILL, DOWN, observed @ R_world.T)
     assert_close(turned, R_world @ R, 1e-9)
 
 
-def test_a_parent_that_turns_carries_the_twist_along() -> None:
+def test_rotating_parent_carries_the_twist() -> None:
     """Bone opposite in the parent's frame all the time, the parent spinning: a rigid body."""
     R_parent = so3.about_axis("z", np.radians(3.0) * np.arange(60))
     observed = np.repeat([[0.0, 0.02, 1.0]], 60, axis=0)

@@ -1,4 +1,4 @@
-"""Which limbs carry sensors."""
+"""Limbs with and without sensors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_limbs_are_chains_of_the_skeleton() -> None:
         assert [skeleton.parents[j] for j in joints[1:]] == joints[:-1]
 
 
-def test_a_sensor_anywhere_on_a_limb_makes_it_bare_no_more() -> None:
+def test_limb_with_any_sensor_is_not_bare() -> None:
     everything = {name for limb in LIMBS for name in limb}
     assert bare(()) == bare(("Hips", "Head")) == everything
     assert all(bare((name,)) == everything - ARM for name in ARM)

@@ -1,4 +1,4 @@
-"""Which numbers of a motion somebody observed, and which are a prior's or the model's."""
+"""Observed and unobserved degrees of freedom, landmarks and bones of a motion."""
 
 from __future__ import annotations
 
@@ -62,24 +62,24 @@ def with_landmarks(names: tuple[str, ...], camera: Camera) -> KeypointSequence:
 # --- degrees of freedom --------------------------------------------------------------------------
 
 
-def test_what_a_solver_leaves_at_zero_was_not_observed_even_beside_sensors() -> None:
-    """Limbs with sensors, in joint space: neither pronation, ankles and wrists, nor the neck's turn."""
+def test_angles_fixed_by_the_solver_are_not_observed() -> None:
+    """Limbs with sensors, in joint space: pronation, ankles, wrists and axial rotation of the neck."""
     motion = hinged(seen_by(planted.moving(BODY, T), *planted.LIMBS))
     assert unobserved(motion) == ELBOWS_AND_KNEES | ENDS | {"Neck_z"}
     assert root_turn_observed(motion).all()
 
 
-def test_a_sensor_on_a_segment_observes_its_joint() -> None:
+def test_sensor_on_a_segment_observes_its_joint() -> None:
     motion = seen_by(planted.moving(BODY, T), *planted.LIMBS, "RightFoot", "Head")
     assert unobserved(motion) == {n for n in ENDS if not n.startswith(("RightFoot", "Head"))}
 
 
-def test_a_shank_alone_shows_no_turn_about_itself_but_a_thighs() -> None:
+def test_joint_positions_do_not_observe_axial_rotations_of_end_segments() -> None:
     none = unobserved(seen_by(planted.moving(BODY, T)))
     assert none == ENDS | {"Neck_z", "LeftLeg_z", "RightLeg_z", "LeftForeArm_y", "RightForeArm_y"}
 
 
-def test_a_joint_of_a_segment_that_nobody_saw_is_not_observed_in_those_frames() -> None:
+def test_joint_of_an_unobserved_segment_is_not_observed_in_those_frames() -> None:
     motion = seen_by(planted.moving(BODY, T), *planted.LIMBS)
     provenance, observed = np.array(motion.poses.provenance), np.array(motion.poses.orientation_observed)
     leg = BODY.index("LeftLeg", "LeftFoot")
@@ -108,7 +108,7 @@ def test_without_a_camera_joints_between_sensors_are_not_observed() -> None:
     assert {n.split("_")[0] for n in set(BODY.dof_names) - unobserved(motion)} == moved
 
 
-def test_a_motion_that_does_not_say_who_saw_it_is_believed_where_it_is_known() -> None:
+def test_motion_without_provenance_is_observed_where_finite() -> None:
     motion = planted.moving(BODY, T)
     q = np.array(motion.q)
     q[2] = np.nan
@@ -119,8 +119,8 @@ def test_a_motion_that_does_not_say_who_saw_it_is_believed_where_it_is_known() -
     np.testing.assert_array_equal(np.flatnonzero(~root_turn_observed(motion)), [2])
 
 
-def test_what_may_be_left_out_places_nothing_that_was_seen() -> None:
-    """A neck's turn that is not zero moves the head, which was seen; a wrist moves nothing."""
+def test_never_observed_angles_do_not_move_joints() -> None:
+    """Axial rotation of the neck moves the head, which is observed; a wrist moves no joint."""
     motion = hinged(seen_by(planted.moving(BODY, T), *planted.LIMBS))
     assert set(never_observed(motion)) == ELBOWS_AND_KNEES | ENDS
     q = np.array(motion.q)
@@ -143,17 +143,17 @@ def test_what_may_be_left_out_places_nothing_that_was_seen() -> None:
         (("Head", "Nose", "LeftEar"), "Head", WHOLE),
         (("RightLeg", "RightFoot"), "RightLeg", DIRECTION),
         (("Hips", "LeftUpLeg", "RightUpLeg"), "Hips", WHOLE),
-        (("somebody's hat", "RightFoot", "LeftFoot"), "RightFoot", NOTHING),
+        (("unknown landmark", "RightFoot", "LeftFoot"), "RightFoot", NOTHING),
     ],
 )
-def test_points_of_a_segment_show_its_direction_or_all_of_its_turn(
+def test_points_of_a_segment_determine_its_direction_or_orientation(
     names: tuple[str, ...], segment: str, level: int, camera: Camera
 ) -> None:
     levels = levels_by_points(BODY, with_landmarks(names, camera))
     assert levels[0, BODY.names.index(segment)] == level
 
 
-def test_only_points_that_were_seen_show_anything(camera: Camera) -> None:
+def test_only_detected_points_count(camera: Camera) -> None:
     names = ("RightFoot", "RightHeel", "RightToe")
     uv = np.ones((4, 3, 2))
     uv[1, 2], uv[2, 1:] = np.nan, np.nan
@@ -163,7 +163,7 @@ def test_only_points_that_were_seen_show_anything(camera: Camera) -> None:
     assert foot.tolist() == [WHOLE, DIRECTION, NOTHING, WHOLE]
 
 
-def test_a_hand_whose_far_end_was_seen_bends_but_does_not_turn_about_itself() -> None:
+def test_far_end_of_a_hand_does_not_observe_its_axial_rotation() -> None:
     motion = seen_by(planted.moving(BODY, T), *planted.LIMBS)
     directed = np.isin(BODY.names, "RightHand")
     motion = replace(motion, poses=replace(motion.poses, direction_observed=directed))
@@ -174,7 +174,7 @@ def test_a_hand_whose_far_end_was_seen_bends_but_does_not_turn_about_itself() ->
     assert not landmarks["LeftHandEnd"].any()
 
 
-def test_a_heel_was_seen_only_with_its_foots_turn() -> None:
+def test_heel_is_observed_only_with_the_orientation_of_its_foot() -> None:
     motion = seen_by(planted.moving(BODY, T), "LeftFoot")
     seen = observed_landmarks(motion)
     names = {n for n, whole in zip(BODY.landmarks, seen.all(axis=0), strict=True) if whole}
@@ -184,7 +184,7 @@ def test_a_heel_was_seen_only_with_its_foots_turn() -> None:
 # --- bones ---------------------------------------------------------------------------------------
 
 
-def test_a_bone_was_seen_by_both_ends_or_by_its_sensor() -> None:
+def test_bone_is_observed_by_both_ends_or_by_a_sensor() -> None:
     motion = planted.moving(BODY, T)
     provenance, observed = np.array(motion.poses.provenance), np.zeros((T, len(BODY.names)), dtype=bool)
     arm, forearm, hand = BODY.index("LeftArm", "LeftForeArm", "LeftHand")

@@ -1,4 +1,4 @@
-"""SkeletonModel against Pinocchio, and inverse kinematics through all it may meet."""
+"""SkeletonModel against Pinocchio: kinematics, scaled bodies, URDF files, reports."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, RtofError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
 
@@ -37,7 +37,7 @@ def random_q(skeleton: SkeletonModel, frames: int, seed: int = 0, inside: bool =
 
 
 def wandering_q(skeleton: SkeletonModel, frames: int, seed: int = 0) -> Array:
-    """Every angle from zero on a walk of its own over several turns, a few degrees a frame."""
+    """Smooth random angles over several turns, starting at zero."""
     rng = np.random.default_rng(seed)
     q = np.tile(skeleton.t_pose(), (frames, 1))
     t = np.linspace(0, 1, frames)[:, None]
@@ -66,10 +66,10 @@ def assert_close(a: Any, b: Any, tolerance: float = 1e-9) -> None:
     np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
 
 
-# --- what it is -------------------------------------------------------------------------------------
+# --- skeletons ----------------------------------------------------------------------------------------
 
 
-def test_the_shipped_skeletons_have_a_free_base_and_three_angles_per_joint() -> None:
+def test_shipped_skeletons_have_a_free_base_and_three_angles_per_joint() -> None:
     for skeleton, J in [(DEFAULT, 21), (SkeletonModel.human36m(), 17)]:
         assert len(skeleton.names) == len(skeleton.parents) == J
         assert skeleton.nq == 7 + 3 * (J - 1)
@@ -83,7 +83,7 @@ def test_the_shipped_skeletons_have_a_free_base_and_three_angles_per_joint() -> 
         DEFAULT.index("LeftLegg")
 
 
-def test_a_skeleton_is_found_by_its_name() -> None:
+def test_skeleton_is_loaded_by_name() -> None:
     assert SkeletonModel.named("total_capture").names == DEFAULT.names
     assert SkeletonModel.named("human36m").name == "human36m"
     with pytest.raises(UnknownNameError, match=r"unknown skeleton 'h36m'.*Known: total_capture"):
@@ -97,7 +97,7 @@ def test_limits_are_in_the_order_of_the_dof_names(any_skeleton: SkeletonModel) -
             assert_close(by_name[dof.urdf], limits, 1e-11)
 
 
-def test_the_t_pose_faces_x_with_all_frames_parallel_and_arms_sideways(any_skeleton: SkeletonModel) -> None:
+def test_t_pose_faces_x_with_parallel_frames_and_arms_sideways(any_skeleton: SkeletonModel) -> None:
     p, R = any_skeleton.forward_kinematics(any_skeleton.t_pose()[None])
     assert_close(R, np.broadcast_to(np.eye(3), R.shape), 0)
     assert_close(p[0, 0], 0, 0)
@@ -111,7 +111,7 @@ def test_the_t_pose_faces_x_with_all_frames_parallel_and_arms_sideways(any_skele
     assert by_name["HeadTop"][2] > 0.6
 
 
-def test_in_the_n_pose_the_arms_hang_straight_down_inside_the_limits(any_skeleton: SkeletonModel) -> None:
+def test_n_pose_has_hanging_arms_within_the_limits(any_skeleton: SkeletonModel) -> None:
     q = any_skeleton.n_pose()
     assert not any_skeleton.check(q[None]).violations
     p, R = any_skeleton.forward_kinematics(q[None])
@@ -125,7 +125,7 @@ def test_in_the_n_pose_the_arms_hang_straight_down_inside_the_limits(any_skeleto
             assert_close(R[0, j] @ [1.0, 0, 0], [1, 0, 0])  # thumbs forward, palms to the thighs
 
 
-def test_every_joint_is_a_landmark_and_heads_and_feet_have_more() -> None:
+def test_joints_are_landmarks_and_heads_and_feet_have_more() -> None:
     assert DEFAULT.landmarks["LeftArm"][0] == "LeftArm"
     assert {"HeadTop", "Nose", "LeftEar", "RightHeel", "LeftToe", "LeftHandEnd"} <= set(DEFAULT.landmarks)
     q = random_q(DEFAULT, 4)
@@ -142,21 +142,17 @@ def test_every_joint_is_a_landmark_and_heads_and_feet_have_more() -> None:
 # --- forward kinematics -------------------------------------------------------------------------------
 
 
-def test_forward_kinematics_are_pinocchios(any_skeleton: SkeletonModel) -> None:
-    q = random_q(any_skeleton, 20, inside=False)
-    p, R = any_skeleton.forward_kinematics(q)
-    p_true, R_true = oracle(any_skeleton, q)
-    assert_close(p, p_true, 1e-13)
-    assert_close(R, R_true, 1e-13)
+def test_forward_kinematics_equals_pinocchio(any_skeleton: SkeletonModel) -> None:
+    scaled = any_skeleton.with_offsets(any_skeleton.joint_offsets * 1.1 + 0.01)
+    for skeleton in (any_skeleton, scaled):
+        q = random_q(skeleton, 10, inside=False)
+        p, R = skeleton.forward_kinematics(q)
+        p_true, R_true = oracle(skeleton, q)
+        assert_close(p, p_true, 1e-12)
+        assert_close(R, R_true, 1e-12)
 
 
-def test_forward_kinematics_of_another_body_are_its_own_models() -> None:
-    longer = DEFAULT.with_offsets(DEFAULT.joint_offsets * 1.1 + 0.01)
-    q = random_q(longer, 5)
-    assert_close(longer.forward_kinematics(q)[0], oracle(longer, q)[0], 1e-12)
-
-
-def test_an_unknown_frame_is_unknown_and_no_other() -> None:
+def test_nan_affects_only_its_frame() -> None:
     q = random_q(DEFAULT, 4)
     p_all, R_all = DEFAULT.forward_kinematics(q)
     q[1], q[2, 30] = np.nan, np.nan
@@ -165,62 +161,55 @@ def test_an_unknown_frame_is_unknown_and_no_other() -> None:
     assert np.isnan(p[1:3, 1:]).all()
     assert_close(p[[0, 3]], p_all[[0, 3]], 0)
     assert_close(R[[0, 3]], R_all[[0, 3]], 0)
-    none, _ = DEFAULT.forward_kinematics(np.empty((0, DEFAULT.nq)))
-    assert none.shape == (0, 21, 3)
+    assert DEFAULT.forward_kinematics(np.empty((0, DEFAULT.nq)))[0].shape == (0, 21, 3)
 
 
-def test_a_configuration_of_another_shape_or_with_no_rotation_is_refused() -> None:
-    with pytest.raises(ShapeError, match=r"q: expected shape \(T, 67\), got \(3, 66\)"):
-        DEFAULT.forward_kinematics(np.zeros((3, 66)))
-    with pytest.raises(ShapeError, match=r"q: expected shape \(T, 67\), got \(67,\)"):
-        DEFAULT.forward_kinematics(DEFAULT.t_pose())
+def test_configuration_of_wrong_shape_or_quaternion_norm_is_refused() -> None:
+    for q, shape in ((np.zeros((3, 66)), r"\(3, 66\)"), (DEFAULT.t_pose(), r"\(67,\)")):
+        with pytest.raises(InvalidInputError, match=rf"q: expected shape \(T, 67\), got {shape}"):
+            DEFAULT.forward_kinematics(q)
     q = random_q(DEFAULT, 3)
     q[1, 3:7] *= 1.01
-    with pytest.raises(ShapeError, match=r"root quaternion \(x y z w\) of frame 1 has norm 1.01"):
+    with pytest.raises(InvalidInputError, match=r"root quaternion \(x y z w\) of frame 1 has norm 1.01"):
         DEFAULT.forward_kinematics(q)
 
 
-def test_ten_thousand_frames_take_well_under_a_second_or_two() -> None:
+def test_ten_thousand_frames_take_less_than_three_seconds() -> None:
     q = random_q(DEFAULT, 10_000)
     start = time.process_time()
     DEFAULT.forward_kinematics(q)
-    assert time.process_time() - start < 3.0  # 21,000 placements in a loop over time take longer
+    assert time.process_time() - start < 3.0
 
 
-# --- the body's signs ---------------------------------------------------------------------------------
-
-
-def displaced(dof: str, degrees: float, joint: str) -> Array:
-    """How far a joint moves from the T-pose, m, when one revolute turns."""
+@pytest.mark.parametrize(
+    ("dof", "degrees", "joint", "moved"),
+    [
+        ("LeftLeg_y", 90, "LeftFoot", [-0.396, 0, 0.396]),
+        ("RightLeg_y", 90, "RightFoot", [-0.396, 0, 0.396]),
+        ("LeftUpLeg_y", -90, "LeftLeg", [0.396, 0, 0.396]),
+        ("RightUpLeg_y", -90, "RightLeg", [0.396, 0, 0.396]),
+        ("RightForeArm_z", 90, "RightHand", None),
+        ("LeftForeArm_z", -90, "LeftHand", None),
+        ("Spine_y", 30, "Head", None),
+    ],
+)
+def test_signs_of_knee_hip_elbow_and_trunk(
+    dof: str, degrees: float, joint: str, moved: list[float] | None
+) -> None:
     q = DEFAULT.t_pose()
     before = DEFAULT.forward_kinematics(q[None])[0][0]
     q[7 + DEFAULT.dof_names.index(dof)] = np.radians(degrees)
-    after = DEFAULT.forward_kinematics(q[None])[0][0]
-    return np.asarray((after - before)[DEFAULT.index(joint)[0]])
-
-
-@pytest.mark.parametrize("side", ["Left", "Right"])
-def test_a_positive_knee_angle_takes_the_foot_backwards(side: str) -> None:
-    moved = displaced(f"{side}Leg_y", 90, f"{side}Foot")
-    assert_close(moved, [-0.396, 0, 0.396])
-
-
-@pytest.mark.parametrize("side", ["Left", "Right"])
-def test_a_negative_hip_angle_lifts_the_thigh_forward(side: str) -> None:
-    moved = displaced(f"{side}UpLeg_y", -90, f"{side}Leg")
-    assert_close(moved, [0.396, 0, 0.396])
-
-
-def test_both_elbows_bend_forward_and_the_trunk_bows() -> None:
-    assert displaced("RightForeArm_z", 90, "RightHand")[0] > 0.2
-    assert displaced("LeftForeArm_z", -90, "LeftHand")[0] > 0.2
-    assert displaced("Spine_y", 30, "Head")[0] > 0.2
+    found = (DEFAULT.forward_kinematics(q[None])[0][0] - before)[DEFAULT.index(joint)[0]]
+    if moved is None:
+        assert found[0] > 0.2  # forwards
+    else:
+        assert_close(found, moved)
 
 
 # --- other bodies -------------------------------------------------------------------------------------
 
 
-def test_bone_lengths_are_changed_by_name_and_keep_their_direction() -> None:
+def test_bone_lengths_are_changed_by_name() -> None:
     new = DEFAULT.with_bone_lengths({"LeftLeg": 0.5, "Neck": 0.3})
     assert new.bone_lengths["LeftLeg"] == pytest.approx(0.5)
     assert new.bone_lengths["Neck"] == pytest.approx(0.3)
@@ -231,15 +220,13 @@ def test_bone_lengths_are_changed_by_name_and_keep_their_direction() -> None:
 
 
 @pytest.mark.parametrize("height", [1.0, 1.5, 2.1])
-def test_a_height_is_reached_exactly_with_the_same_proportions(
-    any_skeleton: SkeletonModel, height: float
-) -> None:
+def test_height_is_reached_with_the_same_proportions(any_skeleton: SkeletonModel, height: float) -> None:
     new = any_skeleton.with_height(height)
     assert new.height == pytest.approx(height, abs=1e-12)
     assert_close(new.joint_offsets / height, any_skeleton.joint_offsets / any_skeleton.height)
 
 
-def test_a_mass_and_a_sex_make_another_body() -> None:
+def test_mass_and_sex_change_the_segment_masses() -> None:
     heavy = DEFAULT.with_mass(100.0, "male")
     assert pin.computeTotalMass(heavy.model) == pytest.approx(100.04)
     assert pin.computeTotalMass(DEFAULT.model) == pytest.approx(75 * 0.99995 + 0.04)
@@ -257,45 +244,41 @@ def test_some_offsets_can_be_given_by_name() -> None:
     assert_close(new.joint_offsets[DEFAULT.index("LeftUpLeg")[0]], [0.01, 0.1, -0.02])
     assert_close(np.delete(new.joint_offsets, 18, axis=0), np.delete(DEFAULT.joint_offsets, 18, axis=0))
     rooted = DEFAULT.with_offsets(DEFAULT.joint_offsets + [[0.1, 0, 0]] * (np.arange(21) == 0)[:, None])
-    assert_close(rooted.joint_offsets, DEFAULT.joint_offsets, 0)  # the root's row is nobody's offset
+    assert_close(rooted.joint_offsets, DEFAULT.joint_offsets, 0)
 
 
 @pytest.mark.parametrize(
-    ("change", "error", "message"),
+    ("change", "message"),
     [
-        (lambda s: s.with_offsets(np.zeros((20, 3))), ShapeError, r"joint_offsets: expected shape \(21"),
-        (lambda s: s.with_offsets({"Tail": [0, 0, 1]}), UnknownNameError, "unknown joint 'Tail'"),
-        (lambda s: s.with_offsets({"Head": [0, 0]}), ShapeError, r"joint offset: expected shape \(3\)"),
-        (lambda s: s.with_offsets({"Head": [0, 0, np.nan]}), ShapeError, "offset of Head is not finite"),
-        (lambda s: s.with_offsets({"Head": [0, 0, 0]}), ShapeError, "that ends at Head has no length"),
-        (lambda s: s.with_offsets(s.joint_offsets * 1e-9), ShapeError, "ends at Spine has no length"),
-        (lambda s: s.with_bone_lengths({"Hips": 0.4}), UnknownNameError, "unknown bone 'Hips'"),
-        (lambda s: s.with_bone_lengths({"Head": 0.0}), ShapeError, "Head: 0.0 m is not a positive"),
-        (lambda s: s.with_bone_lengths({"Head": -1}), ShapeError, "Head: -1 m is not a positive length"),
-        (lambda s: s.with_bone_lengths({"Head": np.inf}), ShapeError, "bone length of Head: inf m"),
-        (lambda s: s.with_height(178), ShapeError, "height: 178 m is no human height; give metres"),
-        (lambda s: s.with_height(np.nan), ShapeError, "height: nan m is no human height"),
-        (lambda s: s.with_mass(-5), ShapeError, "mass: -5 kg is no person's; give kilograms"),
-        (lambda s: s.with_mass(70, "f"), ShapeError, "sex: 'f' is not male, female or None"),
-        (lambda s: s.check(np.zeros((2, 3))), ShapeError, r"q: expected shape \(T, 67\)"),
-        (lambda s: s.inverse_kinematics(np.zeros((2, 17, 3))), ShapeError, r"p: expected shape \(T, 21"),
+        (lambda s: s.with_offsets(np.zeros((20, 3))), r"joint_offsets: expected shape \(21"),
+        (lambda s: s.with_offsets({"Tail": [0, 0, 1]}), "unknown joint 'Tail'"),
+        (lambda s: s.with_offsets({"Head": [0, 0]}), r"joint offset: expected shape \(3\)"),
+        (lambda s: s.with_offsets({"Head": [0, 0, np.nan]}), "offset of Head is not finite"),
+        (lambda s: s.with_offsets({"Head": [0, 0, 0]}), "that ends at Head has no length"),
+        (lambda s: s.with_offsets(s.joint_offsets * 1e-9), "ends at Spine has no length"),
+        (lambda s: s.with_bone_lengths({"Hips": 0.4}), "unknown bone 'Hips'"),
+        (lambda s: s.with_bone_lengths({"Head": 0.0}), "Head: 0.0 m is not a positive"),
+        (lambda s: s.with_bone_lengths({"Head": -1}), "Head: -1 m is not a positive"),
+        (lambda s: s.with_bone_lengths({"Head": np.inf}), "bone length of Head: inf m"),
+        (lambda s: s.with_height(178), "height: 178 m .*; give metres"),
+        (lambda s: s.with_height(np.nan), "height: nan m"),
+        (lambda s: s.with_mass(-5), "mass: -5 kg .*; give kilograms"),
+        (lambda s: s.with_mass(70, "f"), "sex: 'f' is not male, female or None"),
+        (lambda s: s.check(np.zeros((2, 3))), r"q: expected shape \(T, 67\)"),
+        (lambda s: s.inverse_kinematics(np.zeros((2, 17, 3))), r"p: expected shape \(T, 21"),
         (
             lambda s: s.inverse_kinematics(np.zeros((2, 21, 3)), np.zeros((1, 21, 3, 3))),
-            ShapeError,
             r"R: expected shape \(2, 21, 3, 3\), got \(1, 21, 3, 3\)",
         ),
         (
             lambda s: s.inverse_kinematics(np.zeros((1, 21, 3)), np.ones((1, 21, 3, 3))),
-            ShapeError,
-            "R: holds a matrix that is not a rotation",
+            "R: contains a matrix that is not a rotation",
         ),
-        (lambda s: s.orientation_observed(("Tail",)), UnknownNameError, "unknown joint 'Tail'"),
+        (lambda s: s.orientation_observed(("Tail",)), "unknown joint 'Tail'"),
     ],
-)  # fmt: skip
-def test_what_no_body_can_be_is_refused(
-    change: Callable[[SkeletonModel], Any], error: type[RtofError], message: str
-) -> None:
-    with pytest.raises(error, match=message):
+)
+def test_invalid_bodies_and_arrays_are_refused(change: Callable[[SkeletonModel], Any], message: str) -> None:
+    with pytest.raises(RtofError, match=message):
         change(DEFAULT)
 
 
@@ -303,7 +286,7 @@ def test_what_no_body_can_be_is_refused(
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_personal_urdf_is_read_back_as_the_same_body(tmp_path: Path, seed: int) -> None:
+def test_personal_urdf_is_read_back_as_the_same_body(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     person = DEFAULT.with_offsets(DEFAULT.joint_offsets * rng.uniform(0.8, 1.2, (21, 1)))
     path = tmp_path / "person.urdf"
@@ -322,7 +305,7 @@ def test_a_personal_urdf_is_read_back_as_the_same_body(tmp_path: Path, seed: int
         assert_close(a.toDynamicParameters(), b.toDynamicParameters(), 1e-9)
 
 
-def test_a_urdf_keeps_its_own_limits_and_masses(tmp_path: Path) -> None:
+def test_urdf_keeps_its_own_limits_and_masses(tmp_path: Path) -> None:
     text = DEFAULT.with_mass(90.0).to_urdf()
     path = tmp_path / "edited.urdf"
     path.write_text(text.replace('upper="2.87979326579"', 'upper="2"'))
@@ -331,7 +314,7 @@ def test_a_urdf_keeps_its_own_limits_and_masses(tmp_path: Path) -> None:
     assert pin.computeTotalMass(back.model) == pytest.approx(90 * 0.99995 + 0.04)
 
 
-def test_human36m_goes_through_the_same_code(tmp_path: Path) -> None:
+def test_personal_human36m_urdf_is_read_with_its_table(tmp_path: Path) -> None:
     person = SkeletonModel.human36m().with_height(1.6)
     path = tmp_path / "h.urdf"
     path.write_text(person.to_urdf())
@@ -353,7 +336,7 @@ def test_human36m_goes_through_the_same_code(tmp_path: Path) -> None:
         ('rpy="0 0 0" />\n    <axis', 'rpy="0 0 0.1" />\n    <axis', "has another parent, place or axis"),
     ],
 )
-def test_a_urdf_of_something_else_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_other_urdf_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = tmp_path / "other.urdf"
     text = DEFAULT.to_urdf()
     assert old in text
@@ -362,22 +345,19 @@ def test_a_urdf_of_something_else_is_refused(tmp_path: Path, old: str, new: str,
         SkeletonModel.from_urdf(path)
 
 
-def test_a_missing_or_foreign_urdf_is_one_line(tmp_path: Path) -> None:
+def test_missing_urdf_or_one_of_another_table_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=r"no\.urdf: there is no such file"):
         SkeletonModel.from_urdf(tmp_path / "no.urdf")
     with pytest.raises(FileFormatError, match=r"human36m\.urdf: there is no joint Spine1_y in it"):
         SkeletonModel.from_urdf(model_path("human36m.urdf"))
-
-
-def test_a_table_and_a_urdf_that_differ_do_not_make_a_model() -> None:
-    with pytest.raises(ShapeError, match=r"URDF and skeleton table differ in the joints .*Head_x"):
+    with pytest.raises(InvalidInputError, match=r"URDF and skeleton table differ in the joints .*Head_x"):
         SkeletonModel(DEFAULT.table, DEFAULT.to_urdf().replace("Head_x", "Kopf_x"))
 
 
 # --- inverse kinematics -------------------------------------------------------------------------------
 
 
-def test_fk_of_ik_reproduces_poses_of_the_same_offsets(any_skeleton: SkeletonModel) -> None:
+def test_forward_of_inverse_kinematics_reproduces_poses(any_skeleton: SkeletonModel) -> None:
     p, R = any_skeleton.forward_kinematics(random_q(any_skeleton, 200, inside=False))
     q = any_skeleton.inverse_kinematics(p, R)
     p_again, R_again = any_skeleton.forward_kinematics(q)
@@ -385,9 +365,7 @@ def test_fk_of_ik_reproduces_poses_of_the_same_offsets(any_skeleton: SkeletonMod
     assert_close(R_again, R)
 
 
-def test_smooth_angles_come_back_over_several_turns_and_past_singular_postures(
-    any_skeleton: SkeletonModel,
-) -> None:
+def test_smooth_angles_are_recovered_over_turns_and_singular_postures(any_skeleton: SkeletonModel) -> None:
     q = wandering_q(any_skeleton, 1500)
     assert any_skeleton.check(q).singular[:, 1:].any(axis=0).sum() > 10  # joints that pass one
     assert (np.ptp(q[:, 7:], axis=0) > 2 * np.pi).sum() > 20
@@ -395,8 +373,7 @@ def test_smooth_angles_come_back_over_several_turns_and_past_singular_postures(
     assert_close(found[:, 7:], q[:, 7:], 1e-8)
 
 
-def test_a_joint_driven_through_its_singular_posture_stays_on_the_smooth_branch() -> None:
-    """Only the middle angle moves, by three whole turns, a little off the axis."""
+def test_joint_passing_its_singular_posture_stays_on_the_smooth_branch() -> None:
     T = 2000
     for name in ("LeftArm", "LeftLeg", "Spine"):
         joint = next(j for j in DEFAULT.table.joints if j.name == name)
@@ -408,7 +385,7 @@ def test_a_joint_driven_through_its_singular_posture_stays_on_the_smooth_branch(
         assert_close(found, q, 1e-6)
 
 
-def test_at_an_exactly_singular_posture_the_pose_is_still_exact() -> None:
+def test_poses_are_exact_at_a_singular_posture() -> None:
     q = np.tile(DEFAULT.t_pose(), (4, 1))
     q[:, 7 + DEFAULT.dof_names.index("LeftArm_y")] = [1.4, np.pi / 2, np.pi / 2, 1.7]
     q[:, 7 + DEFAULT.dof_names.index("LeftArm_z")] = 0.4
@@ -420,7 +397,7 @@ def test_at_an_exactly_singular_posture_the_pose_is_still_exact() -> None:
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10_000))
-def test_each_frame_takes_the_branch_nearest_to_the_frame_before(seed: int) -> None:
+def test_each_frame_takes_the_branch_nearest_to_the_previous_frame(seed: int) -> None:
     """Brute force over both branches and whole turns, for motion of any roughness."""
     rng = np.random.default_rng(seed)
     R = np.tile(np.eye(3), (30, 21, 1, 1))
@@ -437,7 +414,7 @@ def test_each_frame_takes_the_branch_nearest_to_the_frame_before(seed: int) -> N
             assert np.all(np.linalg.norm(a - before, axis=-1) <= distance + 1e-9)
 
 
-def test_frames_with_nan_give_nan_rows_and_the_branch_survives_the_gap() -> None:
+def test_frames_with_nan_give_nan_rows_and_the_branch_is_kept() -> None:
     q = wandering_q(DEFAULT, 300)
     p, R = DEFAULT.forward_kinematics(q)
     p[100], R[101, 7], R[102] = np.nan, np.nan, np.nan
@@ -452,23 +429,21 @@ def test_frames_with_nan_give_nan_rows_and_the_branch_survives_the_gap() -> None
     assert DEFAULT.inverse_kinematics(np.empty((0, 21, 3))).shape == (0, 67)
 
 
-def test_with_orientations_given_only_the_roots_position_matters() -> None:
+def test_only_the_root_position_is_used_with_given_orientations() -> None:
     p, R = DEFAULT.forward_kinematics(random_q(DEFAULT, 5))
     p_other = p.copy()
     p_other[:, 1:] = np.nan
     assert_close(DEFAULT.inverse_kinematics(p_other, R), DEFAULT.inverse_kinematics(p, R), 0)
 
 
-def test_the_root_quaternion_is_continuous_over_several_turns() -> None:
+def test_root_quaternion_is_continuous_over_several_turns() -> None:
     q = np.tile(DEFAULT.t_pose(), (500, 1))
     q[:, 3:7] = np.roll(so3.to_quat_wxyz(so3.about_axis("z", np.linspace(0, 25, 500))), -1, -1)
     found = DEFAULT.inverse_kinematics(*DEFAULT.forward_kinematics(q))
     assert np.abs(np.diff(found[:, 3:7], axis=0)).max() < 0.05
 
 
-def test_without_orientations_positions_are_reproduced_and_twist_follows_the_parent(
-    motion: MotionSequence,
-) -> None:
+def test_positions_alone_are_reproduced_and_twist_follows_the_parent(motion: MotionSequence) -> None:
     skeleton, p = motion.skeleton, motion.poses.p_world_joint
     q = skeleton.inverse_kinematics(p)
     p_again, R = skeleton.forward_kinematics(q)
@@ -487,7 +462,7 @@ def test_without_orientations_positions_are_reproduced_and_twist_follows_the_par
     assert_close(p_again, p)
 
 
-def test_what_positions_cannot_tell_is_marked_unobserved() -> None:
+def test_orientations_are_observed_by_several_children_or_a_sensor() -> None:
     seen = DEFAULT.orientation_observed()
     assert [n for n, o in zip(DEFAULT.names, seen, strict=True) if o] == ["Hips", "Spine3"]
     seen = DEFAULT.orientation_observed(("LeftForeArm", "Head"))
@@ -504,7 +479,7 @@ def test_what_positions_cannot_tell_is_marked_unobserved() -> None:
 
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("turns", [0, 1, -2])
-def test_frames_within_five_degrees_of_a_singular_posture_are_flagged(side: int, turns: int) -> None:
+def test_postures_within_five_degrees_of_singular_are_flagged(side: int, turns: int) -> None:
     q = np.tile(DEFAULT.t_pose(), (5, 1))
     degrees = np.array([84.9, 85.1, 90.0, 94.9, 95.1])
     q[:, 7 + DEFAULT.dof_names.index("LeftArm_y")] = side * np.radians(degrees) + 2 * np.pi * turns
@@ -531,7 +506,7 @@ def test_limit_violations_are_reported_and_nothing_is_clipped() -> None:
     assert_close(found, q)
 
 
-def test_unknown_frames_violate_nothing() -> None:
+def test_nan_frames_violate_nothing() -> None:
     q = np.full((3, 67), np.nan)
     report = DEFAULT.check(q)
     assert report.violations == {}
@@ -544,19 +519,16 @@ def test_unknown_frames_violate_nothing() -> None:
 # --- motion -------------------------------------------------------------------------------------------
 
 
-def test_the_motion_of_poses_is_their_configurations_and_keeps_what_is_known_of_them(
-    motion: MotionSequence,
-) -> None:
+def test_motion_of_poses_reproduces_them(motion: MotionSequence) -> None:
     again = motion.skeleton.motion(motion.poses)
     assert_close(again.poses.p_world_joint, motion.poses.p_world_joint)
     assert_close(again.poses.R_world_bone, motion.poses.R_world_bone)
     np.testing.assert_array_equal(again.poses.provenance, motion.poses.provenance)
     np.testing.assert_array_equal(again.times, motion.times)
     assert_close(again.q, motion.q, 1e-8)
-    assert again.report.dof_names == motion.skeleton.dof_names
 
 
-def test_the_motion_of_another_body_has_its_own_bones(motion: MotionSequence) -> None:
+def test_motion_of_another_body_has_its_own_bones(motion: MotionSequence) -> None:
     short = motion.skeleton.with_height(1.4)
     out = short.motion(motion.poses)
     assert_close(out.poses.p_world_joint[:, 0], motion.poses.p_world_joint[:, 0])
@@ -565,19 +537,19 @@ def test_the_motion_of_another_body_has_its_own_bones(motion: MotionSequence) ->
     assert_close(lengths, short.bone_lengths["Spine2"])
 
 
-def test_a_motion_of_other_joints_or_in_another_order_is_refused(motion: MotionSequence) -> None:
+def test_motion_of_other_joints_or_in_another_order_is_refused(motion: MotionSequence) -> None:
     human36m = SkeletonModel.human36m()
     with pytest.raises(UnknownNameError, match="unknown joint 'Hips'"):
         human36m.motion(motion.poses)
     names = (*motion.poses.names[1:], motion.poses.names[0])
-    with pytest.raises(ShapeError, match="poses: need all joints, in this order: Hips, Spine, Spine1"):
+    with pytest.raises(InvalidInputError, match="poses: need all joints, in this order: Hips, Spine, Spine1"):
         motion.skeleton.motion(replace(motion.poses, names=names))
     few = PoseSequence(motion.times[:1], np.zeros((1, 1, 3)), np.eye(3)[None, None], ("Hips",))
-    with pytest.raises(ShapeError, match="poses: need all joints"):
+    with pytest.raises(InvalidInputError, match="poses: need all joints"):
         motion.skeleton.motion(few)
 
 
-def test_limits_judge_the_posture_and_not_the_name_of_its_angles(skeleton: SkeletonModel) -> None:
+def test_limits_are_checked_on_equivalent_angles(skeleton: SkeletonModel) -> None:
     q = np.tile(skeleton.n_pose(), (3, 1))
     elbow = [7 + skeleton.dof_names.index(f"LeftForeArm_{axis}") for axis in "yxz"]
     inside = np.radians([10.0, 5.0, -90.0])
@@ -587,10 +559,9 @@ def test_limits_judge_the_posture_and_not_the_name_of_its_angles(skeleton: Skele
     assert skeleton.check(q).violations == {}
 
 
-def test_a_piece_of_a_motion_has_the_rows_of_everything(motion: MotionSequence) -> None:
+def test_slice_of_a_motion_cuts_every_field(motion: MotionSequence) -> None:
     piece = motion[10:14]
     np.testing.assert_array_equal(piece.q, motion.q[10:14])
     np.testing.assert_array_equal(piece.times, motion.times[10:14])
     np.testing.assert_array_equal(piece.report.limit_excess, motion.report.limit_excess[10:14])
     np.testing.assert_array_equal(piece.report.singular, motion.report.singular[10:14])
-    assert piece.skeleton is motion.skeleton

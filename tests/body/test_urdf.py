@@ -1,4 +1,4 @@
-"""The URDF files: made from the tables, readable by others, and bodies in a simulator's eyes."""
+"""URDF files: made from the tables, valid for simulators, readable by yourdfpy."""
 
 from __future__ import annotations
 
@@ -66,11 +66,11 @@ def links(urdf: str) -> dict[str, ET.Element]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_committed_urdf_is_the_tables_byte_for_byte(name: str) -> None:
+def test_committed_urdf_equals_that_of_the_table(name: str) -> None:
     assert (MODELS / f"{name}.urdf").read_bytes() == to_urdf(TABLES[name]).encode()
 
 
-def test_the_script_agrees_from_the_command_line() -> None:
+def test_build_script_checks_from_the_command_line() -> None:
     done = subprocess.run(
         [sys.executable, str(MODELS / "build_urdf.py"), "--check"],
         capture_output=True, text=True, cwd=MODELS.parent, check=False,
@@ -80,7 +80,7 @@ def test_the_script_agrees_from_the_command_line() -> None:
     assert done.stdout.count("agrees with its table") == 2
 
 
-def test_the_script_notices_a_stale_file_changes_nothing_and_then_writes_it(
+def test_build_script_reports_a_stale_file_and_writes_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in NAMES:
@@ -107,7 +107,7 @@ def test_the_script_notices_a_stale_file_changes_nothing_and_then_writes_it(
 
 
 @every_table
-def test_every_ball_joint_is_three_revolutes_through_one_point(table: SkeletonTable) -> None:
+def test_ball_joint_is_three_revolutes_through_one_point(table: SkeletonTable) -> None:
     robot = ET.fromstring(to_urdf(table))
     joints = list(robot.iter("joint"))
     assert len(joints) == 3 * (len(table.joints) - 1)
@@ -130,14 +130,14 @@ def test_every_ball_joint_is_three_revolutes_through_one_point(table: SkeletonTa
 
 
 @every_table
-def test_the_root_link_has_no_parent_so_that_the_base_is_free(table: SkeletonTable) -> None:
+def test_root_link_has_no_parent(table: SkeletonTable) -> None:
     robot = ET.fromstring(to_urdf(table))
     children = {element.attrib["link"] for element in robot.iter("child")}
     assert {link.attrib["name"] for link in robot.iter("link")} - children == {table.names[0]}
 
 
 @every_table
-def test_limits_are_the_table_s(table: SkeletonTable) -> None:
+def test_limits_are_those_of_the_table(table: SkeletonTable) -> None:
     limits = {j.attrib["name"]: part(j, "limit").attrib for j in ET.fromstring(to_urdf(table)).iter("joint")}
     for joint in table.joints[1:]:
         for dof, (low, high) in zip(joint.dofs, joint.limits, strict=True):
@@ -148,7 +148,7 @@ def test_limits_are_the_table_s(table: SkeletonTable) -> None:
 
 
 @every_table
-def test_numbers_do_not_depend_on_the_machine_s_last_bits(table: SkeletonTable) -> None:
+def test_numbers_have_no_rounding_noise(table: SkeletonTable) -> None:
     """No rounding noise (1e-19, -0) that another processor would round otherwise."""
     for element in ET.fromstring(to_urdf(table)).iter():
         for key in set(element.attrib) & {"xyz", "rpy", "lower", "upper", "radius", "length", "mass",
@@ -163,7 +163,7 @@ def test_numbers_do_not_depend_on_the_machine_s_last_bits(table: SkeletonTable) 
 
 @pytest.mark.parametrize("sex", ["male", "female", None])
 @every_table
-def test_every_link_has_an_inertia_that_matter_can_have(table: SkeletonTable, sex: str | None) -> None:
+def test_inertias_are_physical(table: SkeletonTable, sex: str | None) -> None:
     for name, link in links(to_urdf(replace(table, sex=sex))).items():
         inertial = part(link, "inertial")
         matrix = matrix_of(inertial)
@@ -177,9 +177,7 @@ def test_every_link_has_an_inertia_that_matter_can_have(table: SkeletonTable, se
 
 @pytest.mark.parametrize(("sex", "total"), [("male", 1.0), ("female", 0.9999), (None, 0.99995)])
 @every_table
-def test_the_masses_sum_to_the_body_and_the_light_links_are_light(
-    table: SkeletonTable, sex: str | None, total: float
-) -> None:
+def test_masses_sum_to_the_body_mass(table: SkeletonTable, sex: str | None, total: float) -> None:
     model = pin.buildModelFromXML(to_urdf(replace(table, sex=sex, mass_kg=80.0)), pin.JointModelFreeFlyer())
     light = LIGHT_MASS_KG * 2 * (len(table.joints) - 1)
     assert pin.computeTotalMass(model) == pytest.approx(80 * total + light, abs=1e-9)
@@ -187,7 +185,7 @@ def test_the_masses_sum_to_the_body_and_the_light_links_are_light(
 
 
 @every_table
-def test_a_standing_body_balances_near_the_middle(table: SkeletonTable) -> None:
+def test_centre_of_mass_of_a_standing_body(table: SkeletonTable) -> None:
     """The centre of mass of a person standing is at 53-61 % of the height, between the hips."""
     model = pin.buildModelFromXML(to_urdf(table), pin.JointModelFreeFlyer())
     skeleton = SkeletonModel(table)
@@ -200,7 +198,7 @@ def test_a_standing_body_balances_near_the_middle(table: SkeletonTable) -> None:
     assert abs(center[0]) < 0.05
 
 
-def test_a_link_that_carries_two_segments_has_their_common_inertia() -> None:
+def test_link_with_two_segments_has_their_composite_inertia() -> None:
     """Against the composite of two Pinocchio bodies, parallel axes included."""
     table = TABLES["human36m"]
     i = table.names.index("RFoot")
@@ -222,7 +220,7 @@ def test_a_link_that_carries_two_segments_has_their_common_inertia() -> None:
 
 
 @every_table
-def test_every_segment_is_drawn_from_its_joint_to_its_end(table: SkeletonTable) -> None:
+def test_visuals_extend_from_joint_to_end(table: SkeletonTable) -> None:
     drawn = links(to_urdf(table))
     for joint in table.joints:
         spheres = []
@@ -249,7 +247,7 @@ def viewed(request: pytest.FixtureRequest) -> tuple[Any, SkeletonModel]:
     return robot, SkeletonModel.named(table)
 
 
-def test_yourdfpy_shows_a_person_of_the_right_height_and_span(viewed: tuple[Any, SkeletonModel]) -> None:
+def test_yourdfpy_shows_the_height_and_arm_span(viewed: tuple[Any, SkeletonModel]) -> None:
     robot, skeleton = viewed
     low, high = robot.scene.bounds
     assert high[2] - low[2] == pytest.approx(skeleton.height, abs=0.12)  # half a head's sphere more
@@ -258,7 +256,7 @@ def test_yourdfpy_shows_a_person_of_the_right_height_and_span(viewed: tuple[Any,
     assert high[1] == pytest.approx(-low[1])
 
 
-def test_yourdfpy_s_forward_kinematics_agree(viewed: tuple[Any, SkeletonModel]) -> None:
+def test_forward_kinematics_equals_yourdfpy(viewed: tuple[Any, SkeletonModel]) -> None:
     robot, skeleton = viewed
     rng = np.random.default_rng(0)
     for _ in range(3):

@@ -25,9 +25,7 @@ def fragments(*kinds: str, frames: int = 24, **more: float) -> SharedFragments:
 
 
 @pytest.mark.parametrize("kinds", [("heading", "image bias"), ("bones",)])
-def test_the_profiles_gradient_is_that_of_the_energy_with_states_at_their_optimum(
-    kinds: tuple[str, ...],
-) -> None:
+def test_profile_gradient_equals_finite_differences(kinds: tuple[str, ...]) -> None:
     shared = fragments(*kinds, frames=24)
     y = np.full(len(shared.prior), 0.01)
     evidence = shared.corrected(y)
@@ -48,7 +46,7 @@ def test_the_profiles_gradient_is_that_of_the_energy_with_states_at_their_optimu
     assert slope == pytest.approx(float(gradient @ direction), rel=0.1)
 
 
-def test_how_large_somebody_is_neither_accelerations_nor_jerk_tell() -> None:
+def test_size_is_unobserved_without_a_floor() -> None:
     truth, no_floor = cs.motion(24), replace(cs.SETTINGS, floor_height=None)
     recording = planted.recording(truth, sigma_px=3.0, degrees=3.0)
     shared = shared_fragments(
@@ -65,14 +63,14 @@ def test_how_large_somebody_is_neither_accelerations_nor_jerk_tell() -> None:
     assert abs(gradient @ all_alike) < 1e-3 * np.abs(gradient).sum()
 
 
-def test_the_profiles_hessian_is_never_negative() -> None:
+def test_profile_hessian_is_positive_semidefinite() -> None:
     shared = fragments("delay", "heading", "mounting", "image bias", "place")
     y = np.zeros(len(shared.prior))
     hessian, _ = shared.profile(shared.corrected(y), y)
     assert np.linalg.eigvalsh(hessian)[0] > -1e-6 * np.abs(hessian).max()
 
 
-def test_energies_fall_from_round_to_round() -> None:
+def test_energies_decrease() -> None:
     truth = cs.motion(48)
     recording = planted.recording(truth, sigma_px=2.0)
     wrong = cs.biased(recording, np.tile([8.0, -5.0], (21, 1)))
@@ -81,7 +79,7 @@ def test_energies_fall_from_round_to_round() -> None:
     assert all(b <= a * (1 + 1e-3) for a, b in zip(shared.energies, shared.energies[1:], strict=False))
 
 
-def test_one_that_starts_where_another_ended_stays_there() -> None:
+def test_restart_at_the_estimate_stays_there() -> None:
     truth = cs.motion(48)
     bias = 8 * np.random.default_rng(2).normal(size=(21, 2))
     wrong = cs.biased(planted.recording(truth, sigma_px=2.0), bias)
@@ -91,15 +89,3 @@ def test_one_that_starts_where_another_ended_stays_there() -> None:
     assert again.energies[0] < found.energies[0]
     np.testing.assert_allclose(again.y, found.y, atol=0.1)  # px and rad
     assert np.linalg.norm(found.y) > 0.5 * np.linalg.norm(bias)
-
-
-def test_a_calibration_tells_how_far_it_is() -> None:
-    truth = cs.motion(24)
-    told: list[tuple[int, int]] = []
-    recording = planted.recording(truth)
-    cs.fragments(recording, truth.poses, cs.only("image bias")).estimate(
-        2, lambda done, total: told.append((done, total))
-    )
-    assert told[0] == (1, 3)
-    assert told[-1] == (3, 3)
-    assert [done for done, _ in told] == sorted(done for done, _ in told)

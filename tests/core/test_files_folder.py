@@ -1,4 +1,4 @@
-"""Folders and files that appear whole or not at all, and never replace what the user made."""
+"""Atomic output: complete or absent, and files of the user are never replaced."""
 
 from __future__ import annotations
 
@@ -32,114 +32,94 @@ def fail(path: Path, error: BaseException, overwrite: bool = False) -> None:
         raise error
 
 
-def test_the_folder_appears_with_all_that_was_written(tmp_path: Path) -> None:
+def not_supported(*_: object) -> None:
+    raise OSError(22, "Invalid argument")
+
+
+@pytest.fixture(params=["exchange", "no exchange"])
+def exchange(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """File systems with and without an atomic exchange of folders."""
+    if request.param == "no exchange":
+        monkeypatch.setattr(folder_module, "_exchange_at_once", not_supported)
+    return str(request.param)
+
+
+def test_folder_appears_complete_and_readable_by_others(tmp_path: Path) -> None:
     with new_folder(tmp_path / "a" / "b", MARKER) as folder:
         (folder / MARKER).write_text("x")
         assert not (tmp_path / "a" / "b").exists()
     assert (tmp_path / "a" / "b" / MARKER).read_text() == "x"
+    assert (tmp_path / "a" / "b").stat().st_mode & 0o777 == 0o755
     assert [p.name for p in (tmp_path / "a").iterdir()] == ["b"]
 
 
-def test_others_may_read_the_folder(tmp_path: Path) -> None:
-    write(tmp_path / "out")
-    assert (tmp_path / "out").stat().st_mode & 0o777 == 0o755
-
-
-@pytest.mark.parametrize("error", [ValueError("oops"), KeyboardInterrupt(), RtofError("known")])
-def test_a_failure_inside_leaves_nothing_and_passes_on(tmp_path: Path, error: BaseException) -> None:
+@pytest.mark.parametrize(
+    "error", [ValueError("oops"), KeyboardInterrupt(), RtofError("known"), OutputExistsError("inner")]
+)
+def test_failure_leaves_nothing_or_the_old_folder(tmp_path: Path, error: BaseException) -> None:
     with pytest.raises(type(error)):
         fail(tmp_path / "out", error)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_failure_while_overwriting_leaves_the_old_folder(tmp_path: Path) -> None:
     write(tmp_path / "out", "old")
-    with pytest.raises(ValueError, match="oops"):
-        fail(tmp_path / "out", ValueError("oops"), overwrite=True)
-    assert (tmp_path / "out" / MARKER).read_text() == "old"
-    assert (tmp_path / "out" / "deep" / "data").read_text() == "old"
+    before = tree(tmp_path)
+    with pytest.raises(type(error)):
+        fail(tmp_path / "out", error, overwrite=True)
+    assert tree(tmp_path) == before
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
-def test_a_full_disk_is_an_error_of_this_package(tmp_path: Path) -> None:
-    with pytest.raises(RtofError, match=r"out: cannot be written \(.*No space left"):
+def test_full_disk_is_an_error_that_names_the_final_folder(tmp_path: Path) -> None:
+    with pytest.raises(WritingError, match=r"out: cannot be written \(.*No space left"):
         fail(tmp_path / "out", OSError(28, "No space left on device"))
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_full_disk_names_the_folder_and_not_the_temporary_one(tmp_path: Path) -> None:
     with (
-        pytest.raises(WritingError, match=r"out: cannot be written \(.*No space left") as told,
+        pytest.raises(WritingError, match=r"out: cannot be written \(.*No space left") as caught,
         new_folder(tmp_path / "out", MARKER) as folder,
         new_file(folder / "data"),
     ):
         raise OSError(28, "No space left on device")
-    assert ".rtof_kin-" not in str(told.value)
+    assert ".rtof_kin-" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
 
 
-def test_an_error_of_this_package_keeps_its_own_type(tmp_path: Path) -> None:
-    with pytest.raises(OutputExistsError, match="inner"):
-        fail(tmp_path / "out", OutputExistsError("inner"))
-
-
-def test_a_folder_of_the_kind_is_replaced_as_a_whole_when_asked(tmp_path: Path) -> None:
+def test_folder_of_the_kind_is_replaced_as_a_whole_on_request(tmp_path: Path, exchange: str) -> None:
     with new_folder(tmp_path / "out", MARKER) as folder:
         for name in (MARKER, "stale"):
             (folder / name).write_text("old")
-    write(tmp_path / "out", "new", overwrite=True)
-    assert (tmp_path / "out" / MARKER).read_text() == "new"
-    assert not (tmp_path / "out" / "stale").exists()
-    assert [p.name for p in tmp_path.iterdir()] == ["out"]
-
-
-def test_a_folder_of_the_kind_is_kept_when_not_asked(tmp_path: Path) -> None:
-    write(tmp_path / "out", "old")
     with pytest.raises(OutputExistsError, match=r"out: is there already; ask to .*--overwrite"):
         write(tmp_path / "out", "new")
     assert (tmp_path / "out" / MARKER).read_text() == "old"
+    write(tmp_path / "out", "new", overwrite=True)
+    assert tree(tmp_path / "out").keys() == {MANIFEST, MARKER, "deep/data"}
+    assert (tmp_path / "out" / MARKER).read_text() == "new"
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_a_foreign_folder_is_never_replaced(tmp_path: Path, overwrite: bool) -> None:
+def test_foreign_folders_files_and_links_are_never_replaced(tmp_path: Path, overwrite: bool) -> None:
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.jpg").write_text("cat")
-    with pytest.raises(OutputExistsError, match=r"photos: holds .* never replaced: cat\.jpg; move it"):
-        write(tmp_path / "photos", overwrite=overwrite)
-    assert (tmp_path / "photos" / "cat.jpg").read_text() == "cat"
-    assert [p.name for p in tmp_path.iterdir()] == ["photos"]
+    (tmp_path / "file").write_text("precious")
+    write(tmp_path / "theirs", "theirs")
+    (tmp_path / "link").symlink_to(tmp_path / "theirs")
+    before = tree(tmp_path)
+    for name, message in (
+        ("photos", r"photos: contains .* never replaced: cat\.jpg; move it"),
+        ("file", "file: is a file; name a folder"),
+        ("link", "link: is a link"),
+        ("file/out", r"out: cannot be written .*choose another folder"),
+    ):
+        with pytest.raises(RtofError, match=message):
+            write(tmp_path / name, overwrite=overwrite)
+    assert tree(tmp_path) == before
 
 
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_a_file_is_never_replaced(tmp_path: Path, overwrite: bool) -> None:
-    (tmp_path / "out").write_text("precious")
-    with pytest.raises(OutputExistsError, match="out: is a file; name a folder"):
-        write(tmp_path / "out", overwrite=overwrite)
-    assert (tmp_path / "out").read_text() == "precious"
-
-
-def test_an_empty_folder_may_be_filled(tmp_path: Path) -> None:
+def test_empty_folder_may_be_filled(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     write(tmp_path / "out")
     assert (tmp_path / "out" / MARKER).read_text() == "new"
 
 
-def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(RtofError, match=r"out: cannot be written .*choose another folder"):
-        write(tmp_path / "file" / "out")
-
-
-def test_a_link_is_not_followed_into_somebody_elses_folder(tmp_path: Path) -> None:
-    write(tmp_path / "theirs", "theirs")
-    (tmp_path / "out").symlink_to(tmp_path / "theirs")
-    with pytest.raises(RtofError, match="out: is a link"):
-        write(tmp_path / "out", "mine", overwrite=True)
-    assert (tmp_path / "theirs" / MARKER).read_text() == "theirs"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "theirs"]
-
-
-def test_long_work_can_ask_before_it_begins(tmp_path: Path) -> None:
-    check_replaceable(tmp_path / "new", MARKER)
+def test_output_is_checked_before_long_computations(tmp_path: Path) -> None:
     check_replaceable(str(tmp_path / "new"), MARKER)
     write(tmp_path / "out")
     check_replaceable(tmp_path / "out", MARKER, overwrite=True)
@@ -147,7 +127,7 @@ def test_long_work_can_ask_before_it_begins(tmp_path: Path) -> None:
         check_replaceable(tmp_path / "out", MARKER)
 
 
-# --- what the user made --------------------------------------------------------------------------
+# --- files of the user ---------------------------------------------------------------------------
 
 
 def edit(out: Path) -> None:
@@ -196,18 +176,18 @@ def tree(folder: Path) -> dict[str, str]:
         (forget, "deep/, index.toml"), (damage, rf"{MANIFEST}, deep/, index.toml"),
     ],
 )  # fmt: skip
-def test_what_the_user_made_in_a_folder_is_named_and_kept(
+def test_files_of_the_user_in_a_folder_are_named_and_kept(
     tmp_path: Path, change: Callable[[Path], None], named: str
 ) -> None:
     write(tmp_path / "out", "old")
     change(tmp_path / "out")
     before = tree(tmp_path)
-    with pytest.raises(OutputExistsError, match=f"out: holds .*: {named}; move it"):
+    with pytest.raises(OutputExistsError, match=f"out: contains .*: {named}; move it"):
         write(tmp_path / "out", overwrite=True)
     assert tree(tmp_path) == before
 
 
-def test_a_folder_of_another_kind_is_not_replaced(tmp_path: Path) -> None:
+def test_folder_of_another_kind_is_not_replaced(tmp_path: Path) -> None:
     write(tmp_path / "out", "old")
     with (
         pytest.raises(OutputExistsError, match=r"another command \(index.toml\)"),
@@ -217,20 +197,20 @@ def test_a_folder_of_another_kind_is_not_replaced(tmp_path: Path) -> None:
     assert (tmp_path / "out" / MARKER).read_text() == "old"
 
 
-def test_a_file_deleted_by_the_user_is_no_reason_to_refuse(tmp_path: Path) -> None:
+def test_file_deleted_by_the_user_does_not_prevent_replacement(tmp_path: Path) -> None:
     write(tmp_path / "out", "old")
     (tmp_path / "out" / "deep" / "data").unlink()
     write(tmp_path / "out", overwrite=True)
     assert (tmp_path / "out" / "deep" / "data").read_text() == "new"
 
 
-# --- what happens meanwhile ----------------------------------------------------------------------
+# --- concurrent changes --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_a_folder_that_appeared_meanwhile_is_kept(tmp_path: Path, overwrite: bool) -> None:
+def test_folder_that_appeared_meanwhile_is_kept(tmp_path: Path, overwrite: bool) -> None:
     with (
-        pytest.raises(OutputExistsError, match="out: holds .*: notes.txt"),
+        pytest.raises(OutputExistsError, match="out: contains .*: notes.txt"),
         new_folder(tmp_path / "out", MARKER, overwrite) as folder,
     ):
         (folder / MARKER).write_text("new")
@@ -239,7 +219,7 @@ def test_a_folder_that_appeared_meanwhile_is_kept(tmp_path: Path, overwrite: boo
     assert tree(tmp_path) == {"out/notes.txt": "mine"}
 
 
-def test_of_two_runs_into_one_folder_the_second_is_refused(tmp_path: Path) -> None:
+def test_second_of_two_runs_into_one_folder_is_refused(tmp_path: Path) -> None:
     with (
         pytest.raises(OutputExistsError, match="out: is there already"),
         new_folder(tmp_path / "out", MARKER) as folder,
@@ -250,19 +230,7 @@ def test_of_two_runs_into_one_folder_the_second_is_refused(tmp_path: Path) -> No
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-@pytest.fixture(params=["exchange", "no exchange"])
-def exchange(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """A file system that exchanges folders in one step, and one that cannot."""
-    if request.param == "no exchange":
-
-        def unknown(*_: object) -> None:
-            raise OSError(22, "Invalid argument")
-
-        monkeypatch.setattr(folder_module, "_exchange_at_once", unknown)
-    return str(request.param)
-
-
-def test_runs_that_overwrite_at_once_leave_the_whole_output_of_one(tmp_path: Path) -> None:
+def test_concurrent_overwriting_leaves_the_complete_output_of_one(tmp_path: Path) -> None:
     write(tmp_path / "out", "0")
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda text: write(tmp_path / "out", text, overwrite=True), "123456789abc"))
@@ -271,14 +239,7 @@ def test_runs_that_overwrite_at_once_leave_the_whole_output_of_one(tmp_path: Pat
     assert found[MARKER] == found["deep/data"] != "0"
 
 
-def test_a_replaced_folder_leaves_nothing_behind(tmp_path: Path, exchange: str) -> None:
-    write(tmp_path / "out", "old")
-    write(tmp_path / "out", "new", overwrite=True)
-    assert tree(tmp_path / "out").keys() == {MANIFEST, MARKER, "deep/data"}
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
-def test_what_is_added_at_the_last_moment_is_kept_beside(
+def test_files_added_at_the_last_moment_are_kept_beside(
     tmp_path: Path, exchange: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     write(tmp_path / "out", "old")
@@ -296,9 +257,7 @@ def test_what_is_added_at_the_last_moment_is_kept_beside(
     assert str(kept) in caplog.text
 
 
-def test_without_an_exchange_the_old_folder_comes_back_where_the_new_one_cannot_go(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failed_renaming_restores_the_old_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path / "out", "old")
     (tmp_path / "new").mkdir()
     rename, calls = os.rename, []
@@ -309,10 +268,7 @@ def test_without_an_exchange_the_old_folder_comes_back_where_the_new_one_cannot_
             raise OSError(5, "Input/output error")
         rename(source, target)
 
-    def unknown(*_: object) -> None:
-        raise OSError(22, "Invalid argument")
-
-    monkeypatch.setattr(folder_module, "_exchange_at_once", unknown)
+    monkeypatch.setattr(folder_module, "_exchange_at_once", not_supported)
     monkeypatch.setattr(folder_module.os, "rename", fails_once)
     with pytest.raises(OSError, match="Input/output error"):
         folder_module._exchange(tmp_path / "new", tmp_path / "out")
@@ -321,7 +277,7 @@ def test_without_an_exchange_the_old_folder_comes_back_where_the_new_one_cannot_
 
 
 @pytest.mark.parametrize("step", ["write_manifest", "_put_folder", "_remove_replaced"])
-def test_an_interrupted_export_is_whole_or_absent(
+def test_interrupted_export_is_complete_or_absent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     write(tmp_path / "out", "old")
@@ -347,7 +303,7 @@ with new_folder(sys.argv[1] + "/out", "index.toml") as folder, new_file(sys.argv
 """
 
 
-def test_the_next_run_removes_what_a_killed_one_left_and_nothing_of_a_living_one(tmp_path: Path) -> None:
+def test_next_run_removes_leftovers_of_killed_runs_only(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
     assert len(list(tmp_path.iterdir())) == 2
     (mine := tmp_path / ".rtof_kin-notes").mkdir()
@@ -363,7 +319,7 @@ def test_the_next_run_removes_what_a_killed_one_left_and_nothing_of_a_living_one
 # --- files ---------------------------------------------------------------------------------------
 
 
-def test_a_file_appears_whole_and_readable(tmp_path: Path) -> None:
+def test_file_appears_complete_and_readable(tmp_path: Path) -> None:
     with new_file(tmp_path / "page") as file:
         file.write_text("new")
         assert not (tmp_path / "page").exists()
@@ -379,7 +335,7 @@ def _umask() -> int:
 
 
 @pytest.mark.parametrize("error", [ValueError("oops"), KeyboardInterrupt(), OSError(28, "No space left")])
-def test_a_file_that_fails_half_way_leaves_the_old_one(tmp_path: Path, error: BaseException) -> None:
+def test_failure_leaves_the_old_file(tmp_path: Path, error: BaseException) -> None:
     (tmp_path / "page").write_text("old")
     with (
         pytest.raises(RtofError if isinstance(error, OSError) else type(error)),
@@ -391,7 +347,7 @@ def test_a_file_that_fails_half_way_leaves_the_old_one(tmp_path: Path, error: Ba
 
 
 @pytest.mark.parametrize("links", [True, False])
-def test_a_file_that_appeared_meanwhile_is_kept(
+def test_file_that_appeared_meanwhile_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
 ) -> None:
     def unknown(*_: object) -> None:
@@ -410,7 +366,7 @@ def test_a_file_that_appeared_meanwhile_is_kept(
     assert tree(tmp_path) == {"page": "theirs", "other": "whole"}
 
 
-def test_a_replaced_file_keeps_who_may_read_it_and_a_link_keeps_leading_there(tmp_path: Path) -> None:
+def test_replaced_file_keeps_permissions_and_links(tmp_path: Path) -> None:
     (tmp_path / "page").write_text("old")
     (tmp_path / "page").chmod(0o600)
     (tmp_path / "link").symlink_to("page")
@@ -423,6 +379,6 @@ def test_a_replaced_file_keeps_who_may_read_it_and_a_link_keeps_leading_there(tm
     assert (tmp_path / "page").stat().st_mode & 0o777 == 0o600
 
 
-def test_a_device_is_never_replaced_by_a_file() -> None:
+def test_device_is_never_replaced() -> None:
     with pytest.raises(OutputExistsError, match="null: is a device"), new_file("/dev/null", True):
         pass

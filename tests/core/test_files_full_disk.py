@@ -1,4 +1,4 @@
-"""Every file that is written to a place of the user's choice is whole or absent, also on a full disk."""
+"""Every written file is complete or absent on a full disk."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.video import write_detections
 
 ROOM = 2000
-"""Bytes that fit into a file."""
+"""Largest file on the full disk, bytes."""
 NOISE = np.random.default_rng(0).uniform(size=(4, 2, 17, 2))
 
 
@@ -40,7 +40,7 @@ def motion() -> MotionSequence:
 
 @contextmanager
 def full_disk(room: int = ROOM) -> Iterator[None]:
-    """Files that may not grow beyond so many bytes: to who writes, the same as a disk without room."""
+    """Limit the size of files, which has the effect of a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:
@@ -75,7 +75,7 @@ WRITERS: dict[str, Callable[[Path, MotionSequence], object]] = {
 }
 
 
-def test_a_picture_of_inspect_is_whole_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figure_of_inspect_is_complete_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rtof_kin.report.inspection_figures.picture", lambda found: Figure())
     with full_disk(), pytest.raises(RtofError, match=r"wrong\.png: cannot be written"):
         inspection._draw(None, tmp_path / "wrong.png", False)
@@ -83,7 +83,7 @@ def test_a_picture_of_inspect_is_whole_or_absent(tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize("share", [0.2, 0.9])
-def test_a_c3d_file_that_was_cut_off_is_noticed(share: float, motion: MotionSequence, tmp_path: Path) -> None:
+def test_truncated_c3d_file_is_an_error(share: float, motion: MotionSequence, tmp_path: Path) -> None:
     path, markers = tmp_path / "motion.c3d", landmark_markers(motion)
     write_c3d(path, markers)
     room = int(share * path.stat().st_size)
@@ -93,7 +93,7 @@ def test_a_c3d_file_that_was_cut_off_is_noticed(share: float, motion: MotionSequ
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_full_disk_is_one_error_and_leaves_the_old_file(
+def test_full_disk_is_one_error_and_leaves_the_old_file(
     name: str, motion: MotionSequence, tmp_path: Path
 ) -> None:
     (tmp_path / name).write_text("old")

@@ -1,4 +1,4 @@
-"""Text, TOML, JSON and array files: what is refused, and with what words."""
+"""Text, TOML, JSON and array files of untrusted origin."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def test_text_is_read_without_its_byte_order_mark(tmp_path: Path) -> None:
         (b"a" * 2**20 + b"a", "larger than 1 MiB, so not a list"),
     ],
 )
-def test_what_is_no_text_of_that_size_is_refused(content: bytes, says: str, tmp_path: Path) -> None:
+def test_empty_binary_and_large_files_are_refused(content: bytes, says: str, tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=f"file.*{says}"):
         read_text(written(tmp_path, content), "a list", 2**20)
 
 
-def test_folders_devices_and_files_that_are_not_there_are_refused(tmp_path: Path) -> None:
+def test_folders_devices_and_missing_files_are_refused(tmp_path: Path) -> None:
     for path, says in (
         (tmp_path, "a folder, not a list"),
         (Path("/dev/zero"), "there is no such file"),
@@ -47,7 +47,7 @@ def test_folders_devices_and_files_that_are_not_there_are_refused(tmp_path: Path
             read_text(path, "a list")
 
 
-def test_toml_and_json_are_answered_with_the_place_of_what_is_wrong(tmp_path: Path) -> None:
+def test_errors_in_toml_and_json_are_located(tmp_path: Path) -> None:
     assert load_toml(written(tmp_path, b"a.b = [1, 2.5]")) == {"a": {"b": [1, 2.5]}}
     assert load_json(written(tmp_path, b'{"a": [1, 2.5]}')) == {"a": [1, 2.5]}
     with pytest.raises(FileFormatError, match=r"not readable as TOML: .*line 2"):
@@ -60,25 +60,25 @@ def test_toml_and_json_are_answered_with_the_place_of_what_is_wrong(tmp_path: Pa
         load_json(written(tmp_path, b"[" * 100_000))
 
 
-def test_numbers_beyond_all_measure_are_not_measurable_but_gaps_are() -> None:
+def test_large_numbers_are_not_measurable_and_nan_is() -> None:
     assert measurable(np.array([1e19, -3.0, np.nan, np.inf]))
     assert not measurable(np.array([1.0, -1e21]))
 
 
-def test_arrays_are_named_without_being_read_and_single_ones_are_read(tmp_path: Path) -> None:
+def test_names_and_arrays_of_npz_and_npy_files(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", b=np.eye(2), c=np.array({}, dtype=object))
     assert npz_names(tmp_path / "a.npz") == ("b", "c")
     np.save(tmp_path / "a.npy", np.arange(3, dtype=np.int16))
     np.testing.assert_array_equal(read_npy(tmp_path / "a.npy"), [0.0, 1.0, 2.0])
     np.savez(tmp_path / "a.npz", b=np.array([1e300]))
-    with pytest.raises(FileFormatError, match=r"a\.npz: b: holds a number beyond 1e\+20"):
+    with pytest.raises(FileFormatError, match=r"a\.npz: b: contains a number beyond 1e\+20"):
         read_npz(tmp_path / "a.npz")
     for read in (npz_names, read_npz):
         with pytest.raises(FileFormatError, match="damaged, or no NPZ archive"):
             read(written(tmp_path, b"PK"))
 
 
-def test_a_name_leads_to_a_file_inside_a_folder_or_nowhere(tmp_path: Path) -> None:
+def test_path_inside_never_leaves_the_folder(tmp_path: Path) -> None:
     folder = tmp_path / "in"
     folder.mkdir()
     (folder / "out").symlink_to(tmp_path)

@@ -169,9 +169,9 @@ def test_arrays_of_wrong_shape_or_layout_are_refused() -> None:
     bind()
     with pytest.raises(ShapeError, match=r"everything input 0: \(3, 24\) where \(4, 16\)"):
         bind(x=columns.at(columns.zeros(3)))
-    with pytest.raises(ShapeError, match=r"input 0: \(4, 24\) where \(4, 32\) are wanted"):
+    with pytest.raises(ShapeError, match=r"input 0: \(4, 24\) where \(4, 32\) is expected"):
         bind(frames=25)
-    with pytest.raises(ShapeError, match=r"input 1: \(1,\) where \(2,\) are wanted"):
+    with pytest.raises(ShapeError, match=r"input 1: \(1,\) where \(2,\) is expected"):
         bind(s=np.zeros(1))
     with pytest.raises(ShapeError, match="output 0: give columns of double precision, of one width"):
         bind(out=[Columns(40).zeros(29), out[1]])

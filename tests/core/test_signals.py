@@ -1,4 +1,4 @@
-"""Resampling that leaves gaps open, and the kernel that makes accelerations comparable."""
+"""Resampling with gaps, the averaging kernel of accelerations, differences and filters."""
 
 from __future__ import annotations
 
@@ -30,12 +30,9 @@ def test_interpolation_is_exact_for_a_straight_line_and_keeps_the_shape() -> Non
     assert_close(out, at[:, None, None] * slope)
 
 
-def test_nothing_is_known_before_the_first_and_after_the_last_sample() -> None:
+def test_interpolation_is_nan_outside_the_samples_and_in_long_gaps() -> None:
     out = signals.interpolate(np.arange(3.0), np.arange(3.0), [-0.01, 0.0, 2.0, 2.01])
     np.testing.assert_array_equal(out, [np.nan, 0.0, 2.0, np.nan])
-
-
-def test_a_gap_longer_than_allowed_stays_open_up_to_its_two_ends() -> None:
     times, values = np.arange(10.0), np.arange(10.0)
     values[3:6] = np.nan  # 2 and 6 are four seconds apart
     at = [2.0, 2.5, 4.0, 5.999, 6.0]
@@ -43,9 +40,12 @@ def test_a_gap_longer_than_allowed_stays_open_up_to_its_two_ends() -> None:
         signals.interpolate(times, values, at, max_gap=3.9), [2.0, np.nan, np.nan, np.nan, 6.0]
     )
     assert_close(signals.interpolate(times, values, at, max_gap=4.0), np.array(at))
+    times = np.array([0.0, 0.1, 0.2, 1.0, 1.1])
+    out = signals.interpolate(times, times, [0.15, 0.5, 1.05], max_gap=0.11)
+    np.testing.assert_allclose(out, [0.15, np.nan, 1.05])
 
 
-def test_a_gap_is_of_one_element_only() -> None:
+def test_gaps_are_independent_per_element() -> None:
     values = np.ones((10, 2, 3))
     values[4:7, 1, 2] = np.nan
     out = signals.interpolate(np.arange(10.0), values, [5.5], max_gap=1.5)
@@ -53,42 +53,30 @@ def test_a_gap_is_of_one_element_only() -> None:
     assert np.isfinite(out).sum() == 5
 
 
-def test_a_hole_in_the_times_themselves_is_a_gap_too() -> None:
-    times = np.array([0.0, 0.1, 0.2, 1.0, 1.1])
-    out = signals.interpolate(times, times, [0.15, 0.5, 1.05], max_gap=0.11)
-    np.testing.assert_allclose(out, [0.15, np.nan, 1.05])
-
-
-def test_a_signal_without_any_valid_sample_gives_nothing() -> None:
+def test_interpolation_of_no_sample_and_of_one() -> None:
     out = signals.interpolate(np.arange(4.0), np.full((4, 2), np.nan), [1.0, 2.0])
     assert np.isnan(out).all()
-
-
-def test_one_sample_is_known_at_its_own_instant_only() -> None:
-    np.testing.assert_array_equal(
-        signals.interpolate(np.array([1.0]), np.array([7.0]), [0.9, 1.0, 1.1]), [np.nan, 7.0, np.nan]
-    )
+    one = signals.interpolate(np.array([1.0]), np.array([7.0]), [0.9, 1.0, 1.1])
+    np.testing.assert_array_equal(one, [np.nan, 7.0, np.nan])
+    R = signals.interpolate_rotations(np.array([1.0]), np.eye(3)[None, None], [0.0, 1.0])
+    np.testing.assert_array_equal(np.isnan(R[:, 0, 0, 0]), [True, False])
+    none = signals.interpolate_rotations(np.arange(3.0), np.full((3, 1, 3, 3), np.nan), [1.0])
+    assert np.isnan(none).all()
 
 
 # --- rotations ----------------------------------------------------------------------------------------
 
 
-def test_rotations_between_samples_agree_with_scipys_slerp() -> None:
+def test_rotations_between_samples_equal_scipy_slerp() -> None:
     times = np.cumsum(RNG.uniform(0.01, 0.05, 12))
     R = np.stack([Rotation.random(12, rng=s).as_matrix() for s in (1, 2)], axis=1)
-    at = RNG.uniform(times[0], times[-1], 40)
+    at = np.sort([*times, *RNG.uniform(times[0], times[-1], 40)])
     out = signals.interpolate_rotations(times, R, at)
     for s in range(2):
-        expected = Slerp(times, Rotation.from_matrix(R[:, s]))(at).as_matrix()
-        assert_close(out[:, s], expected)
+        assert_close(out[:, s], Slerp(times, Rotation.from_matrix(R[:, s]))(at).as_matrix())
 
 
-def test_rotations_at_the_samples_are_the_samples() -> None:
-    R = Rotation.random(9, rng=3).as_matrix()[:, None]
-    assert_close(signals.interpolate_rotations(np.arange(9.0), R, np.arange(9.0)), R)
-
-
-def test_a_rotation_in_a_gap_or_outside_is_nan_as_a_whole() -> None:
+def test_rotation_in_a_gap_or_outside_is_nan_as_a_whole() -> None:
     times = np.arange(8.0)
     R = so3.about_axis("z", times * 0.1)[:, None]
     R[3:5] = np.nan
@@ -100,24 +88,17 @@ def test_a_rotation_in_a_gap_or_outside_is_nan_as_a_whole() -> None:
     assert_close(filled[0, 0], so3.about_axis("z", 0.35))
 
 
-def test_a_single_rotation_or_none_is_no_error() -> None:
-    one = signals.interpolate_rotations(np.array([1.0]), np.eye(3)[None, None], [0.0, 1.0])
-    np.testing.assert_array_equal(np.isnan(one[:, 0, 0, 0]), [True, False])
-    none = signals.interpolate_rotations(np.arange(3.0), np.full((3, 1, 3, 3), np.nan), [1.0])
-    assert np.isnan(none).all()
-
-
 # --- hat average --------------------------------------------------------------------------------------
 
 
-def test_at_equal_rates_the_kernel_is_1_4_1_over_6() -> None:
+def test_kernel_at_equal_rates_is_1_4_1_over_6() -> None:
     times = np.arange(30) / 60
     x = RNG.normal(size=(30, 2, 3))
     out = signals.hat_average(times, x, times, 1 / 60)
     assert_close(out[1:-1], (x[:-2] + 4 * x[1:-1] + x[2:]) / 6)
 
 
-def test_at_the_ends_the_kernel_is_cut_off_and_renormalised() -> None:
+def test_kernel_is_truncated_and_renormalised_at_the_ends() -> None:
     times = np.arange(5) / 60
     out = signals.hat_average(times, np.arange(5.0), times, 1 / 60)
     assert out[0] == pytest.approx(1 / 3)  # the mean of t under a falling line, in samples
@@ -125,13 +106,13 @@ def test_at_the_ends_the_kernel_is_cut_off_and_renormalised() -> None:
 
 
 @pytest.mark.parametrize("ratio", [1, 2, 3, 7])
-def test_a_straight_line_is_kept_at_any_rate(ratio: int) -> None:
+def test_average_keeps_a_straight_line_at_any_rate(ratio: int) -> None:
     times = np.arange(0, 2, 1 / (60 * ratio))
     at = np.arange(0.1, 1.9, 1 / 60)
     assert_close(signals.hat_average(times, 3 * times - 1, at, 1 / 60), 3 * at - 1)
 
 
-def test_it_is_the_central_second_difference_of_the_double_integral() -> None:
+def test_average_of_acceleration_is_the_second_difference_of_position() -> None:
     """Quintic positions, analytic acceleration sampled ten times faster than the video."""
     h = 1 / 60
     p = np.polynomial.Polynomial([0.3, 1.0, -2.0, 4.0, 3.0, -5.0])
@@ -144,7 +125,7 @@ def test_it_is_the_central_second_difference_of_the_double_integral() -> None:
     assert np.abs(p.deriv(2)(video) - second_difference).max() > 50 * bound
 
 
-def test_a_cubic_acceleration_at_irregular_instants_is_integrated_piece_by_piece() -> None:
+def test_average_integrates_irregular_samples_exactly() -> None:
     """Against a brute-force integral of the piecewise linear signal under the hat."""
     times = np.cumsum(RNG.uniform(0.002, 0.02, 200))
     x = RNG.normal(size=200)
@@ -158,7 +139,7 @@ def test_a_cubic_acceleration_at_irregular_instants_is_integrated_piece_by_piece
         assert_close(signals.hat_average(times, x, at, h), np.array(brute), 1e-7)
 
 
-def test_the_kernel_never_reaches_across_a_gap_and_stops_exactly_at_its_ends() -> None:
+def test_kernel_does_not_cross_gaps() -> None:
     for rate, first in [(30.0, 7), (50.0, 40), (60.0, 33), (90.0, 20), (100.0, 61), (120.0, 40)]:
         times = 0.013 + np.arange(80) / rate  # at 90 Hz a corner of the kernel rounds into the gap
         x = np.ones((80, 2))
@@ -169,16 +150,11 @@ def test_the_kernel_never_reaches_across_a_gap_and_stops_exactly_at_its_ends() -
         assert np.isfinite(out[:, 1]).all()
 
 
-def test_gaps_are_not_filled_unless_they_may_be() -> None:
-    times = np.arange(20) / 60
-    x = np.ones(20)
+def test_average_fills_short_gaps_and_is_nan_outside() -> None:
+    times, x = np.arange(20) / 60, np.ones(20)
     x[9] = np.nan
     assert np.isnan(signals.hat_average(times, x, times[[9]], 1 / 60, max_gap=1.5 / 60)).all()
     assert_close(signals.hat_average(times, x, times[[9]], 1 / 60, max_gap=2 / 60), np.ones(1))
-
-
-def test_outside_the_recording_there_is_nothing() -> None:
-    times = np.arange(20) / 60
     at = [-1.0, -0.01, 0.1, 19.5 / 60, 2.0]
     out = signals.hat_average(times, np.ones(20), at, 1 / 60)
     np.testing.assert_array_equal(np.isnan(out), [True, True, False, True, True])
@@ -188,7 +164,7 @@ def test_outside_the_recording_there_is_nothing() -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_differences_of_a_polynomial_are_its_derivative_and_shorten_by_the_order(order: int) -> None:
+def test_differences_of_a_polynomial_are_its_derivative(order: int) -> None:
     rate = 50.0
     t = np.arange(20) / rate
     p = np.polynomial.Polynomial(RNG.normal(size=order + 1))
@@ -197,34 +173,18 @@ def test_differences_of_a_polynomial_are_its_derivative_and_shorten_by_the_order
     assert_close(out, np.full(20 - order, p.deriv(order)(0.0)), 1e-6)
 
 
-def test_differences_run_along_time_only() -> None:
-    x = np.arange(12.0).reshape(4, 3)
-    assert_close(signals.derivative(x, 2.0, 1), np.full((3, 3), 6.0))
-
-
-def test_the_low_pass_keeps_slow_kills_fast_and_does_not_delay() -> None:
-    rate = 100.0
-    t = np.arange(1000) / rate
-    slow, fast = np.sin(2 * np.pi * 1 * t), np.sin(2 * np.pi * 30 * t)
-    out = signals.low_pass(np.stack([slow, fast, slow + 5], axis=1), rate, 6.0)
-    middle = slice(200, 800)
-    assert np.abs(out[middle, 0] - slow[middle]).max() < 2e-3
-    assert np.abs(out[middle, 1]).max() < 5e-3
-    assert_close(out[middle, 2], out[middle, 0] + 5, 1e-6)
-
-
-def test_the_gain_at_the_cut_off_is_half_since_the_filter_runs_both_ways() -> None:
-    t = np.arange(2000) / 100
-    x = np.sin(2 * np.pi * 6 * t)
-    out = signals.low_pass(x, 100.0, 6.0)[500:1500]
-    assert np.abs(out).max() == pytest.approx(0.5, abs=0.01)
-
-
-def test_a_signal_shorter_than_the_padding_can_be_filtered() -> None:
+def test_low_pass_keeps_slow_and_removes_fast_signals_without_delay() -> None:
+    t = np.arange(1000) / 100.0
+    slow, edge, fast = (np.sin(2 * np.pi * f * t) for f in (1, 6, 30))
+    out = signals.low_pass(np.stack([slow, edge, fast, slow + 5], axis=1), 100.0, 6.0)[200:800]
+    assert np.abs(out[:, 0] - slow[200:800]).max() < 2e-3
+    assert np.abs(out[:, 1]).max() == pytest.approx(0.5, abs=0.01)  # -3 dB in each direction
+    assert np.abs(out[:, 2]).max() < 5e-3
+    assert_close(out[:, 3], out[:, 0] + 5, 1e-6)
     assert_close(signals.low_pass(np.full((5, 2), 3.0), 60.0, 6.0), np.full((5, 2), 3.0), 1e-9)
 
 
-def test_what_is_known_is_low_passed_run_by_run_and_gaps_stay_open() -> None:
+def test_low_pass_filters_each_interval_between_gaps() -> None:
     t = np.arange(60) / 60
     x = RNG.normal(size=(60, 3))
     x[20, 1] = np.nan
@@ -239,7 +199,7 @@ def test_what_is_known_is_low_passed_run_by_run_and_gaps_stay_open() -> None:
 
 
 @pytest.mark.parametrize(("frames", "cutoff_hz"), [(60, 30.0), (60, 50.0), (3, 12.0), (1, 12.0), (0, 12.0)])
-def test_what_is_too_slow_or_too_short_is_not_filtered(frames: int, cutoff_hz: float) -> None:
+def test_low_rates_and_short_intervals_are_not_filtered(frames: int, cutoff_hz: float) -> None:
     x = RNG.normal(size=(frames, 3))
     assert_close(signals.low_pass_known(np.arange(frames) / 60, x, cutoff_hz), x)
 
@@ -255,5 +215,5 @@ def test_what_is_too_slow_or_too_short_is_not_filtered(frames: int, cutoff_hz: f
         ("10110", [(0, 1), (2, 4)]),
     ],
 )
-def test_runs_are_the_stretches_where_a_mask_is_true(mask: str, expected: list[tuple[int, int]]) -> None:
+def test_runs_are_the_intervals_where_a_mask_is_true(mask: str, expected: list[tuple[int, int]]) -> None:
     assert signals.runs([c == "1" for c in mask]) == expected

@@ -1,4 +1,4 @@
-"""Solvers in several threads give what they give one after the other, bit by bit."""
+"""Solvers in several threads give bitwise the results of one thread."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def at_once(task: Callable[[int], Array], numbers: list[int]) -> list[Array]:
 
 
 @pytest.mark.parametrize("kind", SETTINGS)
-def test_four_threads_give_what_one_gives(kind: str) -> None:
+def test_four_threads_give_the_results_of_one(kind: str) -> None:
     expected = one_after_the_other(kind)
     for found, alone in zip(at_once(lambda i: solve(kind, i), [0, 1, 2, 3]), expected, strict=True):
         np.testing.assert_array_equal(found, alone)
 
 
 @pytest.mark.parametrize("kind", ["joint", "cartesian"])
-def test_a_solver_may_be_shared_by_threads(kind: str) -> None:
+def test_solver_may_be_shared_by_threads(kind: str) -> None:
     solver = FragmentSolver(BODY, N, SETTINGS[kind])
     expected = one_after_the_other(kind)
     numbers = [0, 3, 0, 3]  # of the same body

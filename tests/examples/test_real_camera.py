@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from detector_support import flat, points_px, walking
+from lifting_support import lifted_positions
 from numpy.typing import NDArray
 
 from lifting.predict import LiftedPoses
@@ -49,7 +50,7 @@ class NoisyTruth:
     ) -> LiftedPoses:
         shake = np.random.default_rng(0).normal(0, 0.01, self.p.shape)
         seen = np.ones(FRAMES, dtype=np.bool_)
-        return LiftedPoses(keypoints.times, self.p + shake + 0.03, seen, walking().skeleton.names)
+        return lifted_positions(keypoints.times, self.p + shake + 0.03, seen, walking().skeleton.names)
 
 
 @pytest.fixture(scope="module")

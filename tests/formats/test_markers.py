@@ -278,7 +278,7 @@ def test_c3d_leaves_out_derived_points_and_names_unlabelled_ones(
         ({"Y_SCREEN": ""}, "POINT:Y_SCREEN.*up='z'"),
         ({"RATE": 0.0}, "POINT:RATE is 0"),
         ({"FRAMES": 200}, "announces 200 frames and holds 14"),
-        ({"LABELS": ["A", "A"]}, "A stands there more than once"),
+        ({"LABELS": ["A", "A"]}, "A occurs more than once"),
         ({"DATA_START": 1}, "block 1"),
     ],
 )

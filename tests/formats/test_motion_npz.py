@@ -170,7 +170,7 @@ def test_missing_array_is_named(path: Path, name: str) -> None:
     ("names", np.array(["Hips"] * 21), "Hips"),
     ("dof_names", np.array(["a"]), "q: expected shape"),
     ("first_frame", np.arange(3), ""),
-    ("mode", np.array({"code": print}, dtype=object), "mode: holds object"),
+    ("mode", np.array({"code": print}, dtype=object), "mode: has type object"),
 ])  # fmt: skip
 def test_invalid_array_is_refused_with_the_file(path: Path, name: str, value: Any, message: str) -> None:
     with pytest.raises(FileFormatError, match=rf"motion\.npz: .*{message}"):

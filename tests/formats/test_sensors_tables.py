@@ -134,7 +134,7 @@ def test_sto_axes_with_y_up_can_be_declared(tmp_path: Path) -> None:
         ("endheader", "end", "no endheader"),
         ("time\t", "t\t", "line 6: expected time"),
         ("\t00B40001_imu", "", "line 7: 3 cells under 2 column names"),
-        ("00B40001_imu", "00B40002_imu", "00B40002 stands there more than once"),
+        ("00B40001_imu", "00B40002_imu", "00B40002 occurs more than once"),
         ("\n0\t", "\nzero\t", "line 7: .*numbers"),
         ("\n0\t", "\n0\t1,", "line 7: .*four numbers"),
         ("\n0\t", "\n1e300\t", "1e[+]300 in times"),

@@ -82,15 +82,6 @@ def test_accelerations_distinguish_the_shanks(skeleton: SkeletonModel) -> None:
     assert likelihood.pair(thigh, left) > likelihood.pair(thigh, swapped) + 20
 
 
-def test_missing_data_are_ignored(likelihood: MotionLikelihood, motions: dict[str, SegmentMotion]) -> None:
-    a, b = motions["LeftUpLeg"], motions["LeftLeg"]
-    R, w, acceleration = b.R_world_bone.copy(), b.w_world.copy(), b.a_world.copy()
-    R[100:140], w[100:140], acceleration[:] = np.nan, np.nan, np.nan
-    holed = SegmentMotion(b.joint, R, w, acceleration, b.p_bone_sensor)
-    assert np.isfinite(likelihood.pair(a, holed))
-    assert np.isfinite(likelihood.single(holed))
-
-
 def test_a_camera_determines_the_heading_of_the_world(worn: Worn, motions: dict[str, SegmentMotion]) -> None:
     times = even_times(worn.truth.apply(worn.imus))
     seen = seen_bones(worn.poses, worn.skeleton, times)

@@ -239,9 +239,9 @@ def test_a_constant_rotation_of_the_orientation_is_found() -> None:
     segment = replace(stream, R_inertial_sensor=stream.R_inertial_sensor @ R.as_matrix())
     fixed = fixed_axes(segment)
     assert fixed is not None
-    off = R.inv() * Rotation.from_matrix(fixed)
+    off = R.inv() * Rotation.from_matrix(fixed[0])
     assert np.degrees(off.magnitude()) < 1.0
-    assert not failed(replace(segment, R_inertial_sensor=segment.R_inertial_sensor @ fixed.T))
+    assert not failed(replace(segment, R_inertial_sensor=segment.R_inertial_sensor @ fixed[0].T))
     check = failed(segment)[DIRECTION]
     assert f"by a constant {np.degrees(R.magnitude()):.0f}"[:-1] in check.advice
     assert check.advice.endswith("with that rotation gravity points up")

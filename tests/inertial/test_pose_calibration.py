@@ -41,10 +41,6 @@ def calibrate(worn: Worn, pose: Any, imus: Any = None, **options: Any) -> PoseCa
     return calibrate_by_pose(imus or worn.imus, worn.joints, pose, worn.skeleton, **given)
 
 
-def during(imus: ImuSequence, part: slice) -> ImuSequence:
-    return ImuSequence(imus.times[part], imus.R_inertial_sensor[part], imus.f_sensor[part], imus.names)
-
-
 @pytest.mark.parametrize("pose", ["T", "N", "seated"])
 def test_an_ideal_pose_with_known_facing_gives_the_planted_calibration(pose: str) -> None:
     worn = posed(pose)
@@ -154,7 +150,8 @@ def test_invalid_arguments_are_refused(error: type[Exception], message: str, cha
 
 def test_a_pose_alone_does_not_determine_headings() -> None:
     worn = posed()
-    imus = during(worn.imus, slice(0, 115))
+    one, n = worn.imus, 115
+    imus = ImuSequence(one.times[:n], one.R_inertial_sensor[:n], one.f_sensor[:n], one.names)
     with pytest.raises(CalibrationError, match="headings are not observable"):
         calibrate(worn, "N", imus, facing=None, still=None)
     found = calibrate(worn, "N", imus, still=None)

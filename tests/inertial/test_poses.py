@@ -16,12 +16,8 @@ DOWN, AHEAD = [0, 0, -1], [1, 0, 0]
 @pytest.mark.parametrize(
     ("pose", "joint", "direction"),
     [
-        ("T", "LeftArm", [0, 1, 0]),
-        ("N", "LeftArm", DOWN),
-        ("N", "RightForeArm", DOWN),
-        ("N", "LeftLeg", DOWN),
-        ("seated", "LeftUpLeg", AHEAD),
-        ("seated", "RightLeg", DOWN),
+        ("T", "LeftArm", [0, 1, 0]), ("N", "LeftArm", DOWN), ("N", "RightForeArm", DOWN),
+        ("N", "LeftLeg", DOWN), ("seated", "LeftUpLeg", AHEAD), ("seated", "RightLeg", DOWN),
         ("seated", "RightArm", DOWN),
     ],
 )  # fmt: skip
@@ -62,8 +58,8 @@ def test_invalid_poses_are_refused(skeleton: SkeletonModel) -> None:
     np.testing.assert_array_equal(pose_rotations(measured, skeleton), measured)
     R = np.tile(np.eye(3), (21, 1, 1))
     R[4] = np.nan
-    with pytest.raises(InvalidInputError, match="Spine3 is not known"):
+    with pytest.raises(InvalidInputError, match="Spine3"):
         pose_rotations(R, skeleton)
     lying = np.tile(so3.about_axis("y", np.pi / 2), (21, 1, 1))
-    with pytest.raises(InvalidInputError, match="faces nowhere"):
+    with pytest.raises(InvalidInputError, match="vertical"):
         facing_of(lying)

@@ -1,4 +1,4 @@
-"""The baseline: what VideoPose3D reads and answers, its recipe, and the way through train and predict."""
+"""The baseline VideoPose3D: input, output, recipe, training and prediction."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from torch import Tensor, nn
 
 from lifting import videopose3d
 from lifting.body import Body
-from lifting.checkpoint import LifterDescription, load_checkpoint, save_checkpoint
+from lifting.checkpoint import load_checkpoint
 from lifting.data import MotionBank, plain
 from lifting.model import NetworkConfig
-from lifting.noise import HALF_WIDTH
+from lifting.models import model_of
 from lifting.predict import Lifter
-from lifting.recipes import Published, Rays, depth
+from lifting.recipes import Published
 from lifting.settings import TrainConfig
 from lifting.source import Source
 from lifting.train import train
 from lifting.videopose3d import PoseAndRootNetwork, bridged, decode, encode
-from lifting.windows import Picture, Windows, answer
-from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from lifting.windows import Picture, Windows
+from rtof_kin.core.errors import UnknownNameError
 from rtof_kin.data.camera import Camera
 
 CPU = torch.device("cpu")
 BODY = replace(support.tiny_corpus(frames=8).body(), sensors=())
 J = len(BODY.names)
+MODEL = model_of("videopose3d")
 CAMERA = Camera(
     [[900.0, 0.0, 480.0], [0.0, 930.0, 520.0], [0.0, 0.0, 1.0]],
     Camera.looking_at([4.0, 1.0, 1.5], [0.0, 0.0, 0.9], 900.0).R_camera_world,
@@ -40,7 +41,7 @@ CAMERA = Camera(
 
 
 def windows_of(camera: Camera = CAMERA, frames: int = 27) -> tuple[Windows, Tensor]:
-    """The window around the middle of somebody's motion, and their joints (1, 3, J) in the camera."""
+    """The window around the middle of a motion, and its joints (1, 3, J) in the camera."""
     p = support.positions(1, frames)
     keypoints = support.seen_by(camera, p)
     source = Source.of(BODY, keypoints, None)
@@ -80,19 +81,6 @@ def test_a_perfect_answer_in_the_cameras_frame_is_the_scene_in_world() -> None:
     assert estimate.axes is None
 
 
-def test_training_windows_are_pictures_of_the_same_scene_as_their_rays() -> None:
-    bank = MotionBank(support.tiny_corpus(frames=40), [0, 1], CPU)
-    batch = bank.draw(16, 27, plain(), torch.Generator().manual_seed(0))
-    picture = batch.windows.picture
-    assert picture is not None
-    image = torch.cat([picture.xy * HALF_WIDTH, torch.ones_like(picture.xy[:, :1])], dim=1)
-    rays = torch.bmm(picture.R_camera_world.transpose(1, 2), image.flatten(2))
-    torch.testing.assert_close(rays.reshape(batch.windows.rays_world.shape), batch.windows.rays_world)
-    p = torch.bmm(picture.R_camera_world, (batch.pose + batch.root[..., None]))
-    torch.testing.assert_close(p[:, :2] / p[:, 2:] / HALF_WIDTH, picture.xy[:, :, 13], atol=1e-4, rtol=0)
-    torch.testing.assert_close(depth(batch), p[:, 2, 0])
-
-
 def mirrored(picture: Picture) -> Picture:
     """The mirror image, seen by the mirrored camera; orientation does not enter the input."""
     sign = torch.tensor([-1.0, 1.0])[:, None, None]
@@ -105,18 +93,18 @@ def test_the_mirrored_picture_has_the_mirrored_answer(causal: bool) -> None:
     assert windows.picture is not None
     there = encode(BODY, replace(windows, picture=mirrored(windows.picture)))
     here = encode(BODY, windows)
-    torch.testing.assert_close(here.mirrored_features(BODY), there.features)
-    both = answer(BODY, network, here, flip=True)
-    torch.testing.assert_close(answer(BODY, network, there, flip=True), here.mirrored_output(BODY, both))
-    assert not torch.allclose(answer(BODY, network, here, flip=False), both, atol=1e-4)
-    estimate, other = decode(BODY, both, here), decode(BODY, here.mirrored_output(BODY, both), here)
+    torch.testing.assert_close(MODEL.mirror_features(BODY, here.features), there.features)
+    both = MODEL.answer(BODY, network, here, flip=True)
+    torch.testing.assert_close(MODEL.answer(BODY, network, there, flip=True), MODEL.mirror_output(BODY, both))
+    assert not torch.allclose(MODEL.answer(BODY, network, here, flip=False), both, atol=1e-4)
+    estimate, other = decode(BODY, both, here), decode(BODY, MODEL.mirror_output(BODY, both), here)
     in_camera = torch.bmm(here.R_camera_world, estimate.pose)[0]
     mirror_image = torch.bmm(here.R_camera_world, other.pose)[0]
     sign = torch.tensor([-1.0, 1.0, 1.0])[:, None]
     torch.testing.assert_close(mirror_image, in_camera[:, BODY.mirrored] * sign)
 
 
-def test_what_is_not_seen_stands_where_the_nearest_frame_saw_it() -> None:
+def test_unseen_landmarks_are_taken_from_the_nearest_frame() -> None:
     xy = torch.arange(6.0).reshape(1, 1, 6, 1).expand(1, 2, 6, 3).clone()
     seen = torch.ones(1, 6, 3, dtype=torch.bool)
     seen[0, :, 0] = torch.tensor([False, False, True, False, False, True])
@@ -128,11 +116,6 @@ def test_what_is_not_seen_stands_where_the_nearest_frame_saw_it() -> None:
     assert filled[0, 0, :, 2].tolist() == list(range(6))
     nothing = bridged(torch.full_like(xy, torch.nan), torch.zeros_like(seen))
     assert torch.equal(nothing, torch.zeros_like(xy))
-
-
-def test_windows_without_a_picture_are_refused() -> None:
-    with pytest.raises(ValueError, match="windows without a picture"):
-        encode(BODY, replace(windows_of()[0], picture=None))
 
 
 # --- the network ---------------------------------------------------------------------------------
@@ -149,63 +132,44 @@ def test_each_network_has_the_published_size() -> None:
     assert pose - root == (48 - 3) * 1025
 
 
-@pytest.mark.parametrize("causal", [False, True])
-def test_both_forms_agree(causal: bool) -> None:
-    network, x, nothing = network_of(causal=causal), torch.randn(2, 31, 2 * J), torch.zeros(2, 0)
-    dilated = network(x, nothing)
-    assert dilated.shape == (2, 5, 3 * J)
-    for k in range(5):
-        torch.testing.assert_close(network.forward_windows(x[:, k : k + 27], nothing), dilated[:, k])
-
-
-def test_the_two_networks_share_nothing() -> None:
-    network, x = network_of(), torch.randn(1, 27, 2 * J)
-    before = network.forward_windows(x, torch.zeros(1, 0))
-    with torch.no_grad():
-        for p in network.root.parameters():
-            p += 0.1
-    after = network.forward_windows(x, torch.zeros(1, 0))
-    assert torch.equal(before[:, :-3], after[:, :-3])
-    assert not torch.isclose(before[:, -3:], after[:, -3:]).any()
-
-
 # --- the recipe ----------------------------------------------------------------------------------
 
 
 def test_the_recipe_is_the_published_one() -> None:
-    config = TrainConfig(windows=1, model="videopose3d")
+    config = TrainConfig.for_model("videopose3d", windows=1)
     assert (config.channels, config.dropout, config.batch) == (1024, 0.25, 1024)
     assert config.filter_widths == (3, 3, 3)
-    recipe, network = Published(config), network_of()
-    optimizer = recipe.optimizer(network)
+    network = network_of()
+    recipe = Published(config, network, BODY)
+    optimizer = recipe.optimizer
     assert isinstance(optimizer, torch.optim.Adam)
     assert not isinstance(optimizer, torch.optim.AdamW)
     assert optimizer.defaults["amsgrad"]
     norms = [layer for layer in network.modules() if isinstance(layer, nn.BatchNorm1d)]
-    told = []
+    rates_set = []
     for share in (0.0, 0.5 / 60, 1 / 60 + 1e-9, 30 / 60, 59.5 / 60, 1.0):
-        recipe.set_rates(network, optimizer, share)
+        recipe.set_rates(share)
         assert len({norm.momentum for norm in norms}) == 1
-        told.append((optimizer.param_groups[0]["lr"], norms[0].momentum))
-    rates, momenta = zip(*told, strict=True)
+        rates_set.append((optimizer.param_groups[0]["lr"], norms[0].momentum))
+    rates, momenta = zip(*rates_set, strict=True)
     assert rates == pytest.approx([1e-3 * 0.95**k for k in (0, 0, 1, 30, 59, 59)])
     assert momenta == pytest.approx([0.1 * 0.01 ** (k / 60) for k in (0, 0, 1, 30, 59, 59)])
     assert recipe.memory(100) == 0.0
 
 
-def test_the_models_own_settings_hold_where_none_are_given() -> None:
+def test_settings_of_a_model_are_its_own_unless_given() -> None:
     assert TrainConfig(windows=1).channels == 256
-    assert TrainConfig(windows=1, model="videopose3d", channels=64, dropout=0.0).channels == 64
-    assert TrainConfig(windows=1, model="videopose3d", channels=64, dropout=0.0).dropout == 0.0
-    with pytest.raises(UnknownNameError, match="unknown model 'videopose'. Did you mean 'videopose3d'"):
+    config = TrainConfig.for_model("videopose3d", windows=1, channels=64, dropout=0.0, batch=None)
+    assert (config.channels, config.dropout, config.batch) == (64, 0.0, 1024)
+    with pytest.raises(UnknownNameError, match="Did you mean 'videopose3d'"):
         TrainConfig(windows=1, model="videopose")
 
 
-def test_the_roots_error_counts_by_its_depth() -> None:
+def test_the_root_error_is_weighted_by_its_depth() -> None:
     bank = MotionBank(support.tiny_corpus(frames=40), [0, 1], CPU)
     batch = bank.draw(8, 27, plain(), torch.Generator().manual_seed(0))
     assert batch.windows.picture is not None
-    recipe = Published(TrainConfig(windows=1, model="videopose3d"))
+    recipe = Published(TrainConfig.for_model("videopose3d", windows=1), network_of(), BODY)
     R = batch.windows.picture.R_camera_world
     output = torch.cat(
         [torch.bmm(R, batch.pose)[..., 1:].flatten(1), torch.bmm(R, batch.root[..., None])[..., 0]], dim=1
@@ -220,15 +184,6 @@ def test_the_roots_error_counts_by_its_depth() -> None:
     assert recipe.loss(decode(BODY, output, encoded), batch) == pytest.approx(0.02, abs=1e-5)
 
 
-def test_the_packages_own_recipe_begins_with_a_usual_answer_and_the_baseline_does_not() -> None:
-    own, baseline = support.untrained_lifter()._network, network_of()
-    before = baseline.shrink.bias.clone()
-    Rays(TrainConfig(windows=1)).prepare(own, support.tiny_corpus().body())
-    Published(TrainConfig(windows=1, model="videopose3d")).prepare(baseline, BODY)
-    assert own.shrink.bias.abs().max() > 0.5
-    assert torch.equal(baseline.shrink.bias, before)
-
-
 # --- through train and predict -------------------------------------------------------------------
 
 
@@ -239,14 +194,14 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     augment = replace(
         plain(), mirror=0.5, distance=(4.0, 4.0), camera_height=(1.5, 1.5), off_axis=0.0, roll=0.0
     )
-    config = TrainConfig(
-        windows=16_000, batch=64, channels=48, dropout=0.0, learning_rate=3e-3, skeletons=0,
-        model="videopose3d", validations=1, validation_windows=32, augment=augment,
+    config = TrainConfig.for_model(
+        "videopose3d", windows=16_000, batch=64, channels=48, dropout=0.0, learning_rate=3e-3, skeletons=0,
+        validations=1, validation_windows=32, augment=augment,
     )  # fmt: skip
     return train(config, corpus, tmp_path_factory.mktemp("baseline") / "baseline.pt")
 
 
-def test_it_trains_loads_and_predicts_through_the_same_commands(trained: Path) -> None:
+def test_it_trains_loads_and_predicts(trained: Path) -> None:
     lifter, p = Lifter.load(trained), support.positions(0, 60)
     keypoints = support.seen_by(Camera.looking_at([4.0, 0.0, 1.5], p[30, 0], 1250.0), p)
     lifted = lifter.predict(keypoints)
@@ -257,16 +212,7 @@ def test_it_trains_loads_and_predicts_through_the_same_commands(trained: Path) -
     assert np.isnan(lifted.R_world_bone).all()
 
 
-def test_it_ignores_sensors_and_bones(trained: Path) -> None:
-    lifter, p = Lifter.load(trained), support.positions(0, 30)
-    keypoints = support.seen_by(CAMERA, p)
-    alone = lifter.predict(keypoints).p_world_joint
-    imus = support.worn_by(0, 30, ("Hips", "LeftForeArm"))
-    told = lifter.predict(keypoints, support.TABLE.offsets, bone_imus=imus, floor_height=0.0)
-    np.testing.assert_array_equal(told.p_world_joint, alone)
-
-
-def test_its_checkpoint_says_what_it_is(trained: Path) -> None:
+def test_its_checkpoint_describes_it(trained: Path) -> None:
     network, description = load_checkpoint(trained)
     assert isinstance(network, PoseAndRootNetwork)
     assert description.network.model == "videopose3d"
@@ -277,19 +223,3 @@ def test_its_checkpoint_says_what_it_is(trained: Path) -> None:
     }  # fmt: skip
     known = {key: errors["rr_mm"] for key, errors in description.validation.items()}
     assert known["perfect"] == known["perfect, bones unknown"]
-
-
-def test_a_checkpoint_of_an_unknown_model_is_refused(tmp_path: Path) -> None:
-    network = network_of()
-    network.config = replace(network.config, model="transformer")
-    path = save_checkpoint(tmp_path / "x.pt", network, LifterDescription(BODY, network.config))
-    with pytest.raises(FileFormatError, match="unknown model 'transformer'"):
-        load_checkpoint(path)
-
-
-def test_a_model_that_takes_other_features_is_refused(tmp_path: Path) -> None:
-    network = network_of()
-    network.config = replace(network.config, model="rays")
-    path = save_checkpoint(tmp_path / "x.pt", network, LifterDescription(BODY, network.config))
-    with pytest.raises(FileFormatError, match="inputs or outputs do not fit"):
-        load_checkpoint(path)

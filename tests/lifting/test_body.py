@@ -1,4 +1,4 @@
-"""The body a lifter knows: sides, limbs, bones, and segments that may carry sensors."""
+"""The body of a lifter: sides, limbs, bones, and segments that may carry sensors."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from lifting.body import Body, bone_groups, side_of
+from lifting.windows import sizes
 from rtof_kin.body.skeleton_table import SkeletonTable
 
 
@@ -33,7 +34,7 @@ def body_17() -> Body:
         ("Lumbar", "", "Lumbar"),
     ],
 )
-def test_both_ways_to_name_a_side_are_read(name: str, side: str, rest: str) -> None:
+def test_sides_are_read_from_names(name: str, side: str, rest: str) -> None:
     assert side_of(name) == (side, rest)
 
 
@@ -63,15 +64,8 @@ def test_every_joint_of_the_17_has_its_counterpart(body_17: Body) -> None:
     assert len(bone_groups(body_17.names)) == 10  # 4 in the middle, 6 of two sides
 
 
-def test_a_joint_without_a_counterpart_is_its_own() -> None:
+def test_a_joint_without_a_counterpart_is_its_own_mirror_image() -> None:
     assert Body(("Hips", "LeftArm", "RightHand"), (-1, 0, 0), ()).mirrored == [0, 1, 2]
-
-
-def test_left_and_right_bones_are_one(body: Body) -> None:
-    groups = bone_groups(body.names)
-    assert len(groups) == 13
-    assert [body.names[j] for j in groups["ForeArm"]] == ["RightForeArm", "LeftForeArm"]
-    assert len(groups["Head"]) == 1
 
 
 def test_bones_do_not_change_when_left_and_right_are_exchanged(body: Body) -> None:
@@ -80,7 +74,7 @@ def test_bones_do_not_change_when_left_and_right_are_exchanged(body: Body) -> No
     torch.testing.assert_close(body.bones_of(mirrored), body.bones_of(offsets))
 
 
-def test_the_usual_sensors_of_the_21_joints_are_known_and_the_17_have_none(body: Body, body_17: Body) -> None:
+def test_the_21_joints_have_13_sensors_and_the_17_none(body: Body, body_17: Body) -> None:
     assert set(body.sensors) == {
         "Head", "Spine3", "Hips", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm",
         "LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg", "LeftFoot", "RightFoot",
@@ -90,16 +84,6 @@ def test_the_usual_sensors_of_the_21_joints_are_known_and_the_17_have_none(body:
     assert body_17.sensors == ()
 
 
-def test_every_sensor_has_its_counterpart_on_the_other_side(body: Body) -> None:
-    swapped = {"Left": "Right", "Right": "Left"}
-    for name, other in zip(body.sensors, body.mirrored_sensors, strict=True):
-        side = next((s for s in swapped if name.startswith(s)), "")
-        assert body.sensors[other] == swapped.get(side, "") + name.removeprefix(side)
-
-
-def test_what_goes_in_and_out_is_counted(body: Body, body_17: Body) -> None:
-    assert body.inputs == 3 * 21 + 2 * 2 + 7 * 13
-    assert body.outputs == 3 * 21 + 2 * 21 + 7 * 21
-    assert body_17.inputs == 3 * 17 + 2 * 2
-    assert body_17.outputs == 3 * 17 + 2 * 17
-    assert body.constants == 2 + 2 + 3 * 13 + 1
+def test_sizes_of_input_and_output(body: Body, body_17: Body) -> None:
+    assert sizes(body) == (3 * 21 + 2 * 2 + 7 * 13, 2 + 2 + 3 * 13 + 1, 3 * 21 + 2 * 21 + 7 * 21)
+    assert sizes(body_17)[0::2] == (3 * 17 + 2 * 2, 3 * 17 + 2 * 17)

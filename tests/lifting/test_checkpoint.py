@@ -23,7 +23,7 @@ def lifter() -> Lifter:
 
 @pytest.fixture
 def saved(lifter: Lifter, tmp_path: Path) -> Path:
-    return save_checkpoint(tmp_path / "lifter.pt", lifter._network, lifter.description)
+    return save_checkpoint(tmp_path / "lifter.pt", lifter.network, lifter.description)
 
 
 def rewrite(path: Path, change: Callable[[dict[str, Any]], None], sign: bool = False) -> None:
@@ -46,33 +46,26 @@ def redescribe(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
     rewrite(path, edit, sign=True)
 
 
-def test_a_lifter_survives_its_file(lifter: Lifter, saved: Path) -> None:
+def test_a_lifter_round_trips(lifter: Lifter, saved: Path) -> None:
     described = replace(lifter.description, recipe={"batch": 512}, validation={"perfect": {"rr_mm": 30.0}})
-    save_checkpoint(saved, lifter._network, described, overwrite=True)
+    save_checkpoint(saved, lifter.network, described, overwrite=True)
     network, description = load_checkpoint(saved)
     assert description == described
     assert len(description.body.sensors) == 13
     assert not network.training
-    for name, tensor in lifter._network.state_dict().items():
+    assert "mocap.cs.cmu.edu" in description.data
+    assert [path.name for path in saved.parent.iterdir()] == ["lifter.pt"]
+    for name, tensor in lifter.network.state_dict().items():
         assert torch.equal(network.state_dict()[name], tensor), name
 
 
-def test_a_causal_lifter_and_one_without_sensors_survive_their_files(tmp_path: Path) -> None:
+def test_causal_lifters_and_those_without_sensors_round_trip(tmp_path: Path) -> None:
     for given in (support.untrained_lifter(causal=True), support.untrained_lifter(table=support.TABLE_17)):
         path = tmp_path / "lifter.pt"
-        save_checkpoint(path, given._network, given.description, overwrite=True)
+        save_checkpoint(path, given.network, given.description, overwrite=True)
         network, description = load_checkpoint(path)
         assert description == given.description
-        assert network.estimated() == given._network.estimated()
-
-
-def test_the_file_says_where_its_motion_came_from(saved: Path) -> None:
-    assert "mocap.cs.cmu.edu" in load_checkpoint(saved)[1].data
-    assert "NSF EIA-0196217" in load_checkpoint(saved)[1].data
-
-
-def test_nothing_but_the_lifter_is_left_in_the_folder(saved: Path) -> None:
-    assert [path.name for path in saved.parent.iterdir()] == ["lifter.pt"]
+        assert network.estimated() == given.network.estimated()
 
 
 def test_a_single_changed_weight_is_found(saved: Path) -> None:
@@ -80,15 +73,12 @@ def test_a_single_changed_weight_is_found(saved: Path) -> None:
         content["weights"]["shrink.bias"][0] += 1e-6
 
     rewrite(saved, nudge)
-    with pytest.raises(FileFormatError, match="checksum does not match: the file is damaged"):
+    with pytest.raises(FileFormatError, match="checksum does not match"):
         load_checkpoint(saved)
 
 
 def test_a_changed_description_is_found(saved: Path) -> None:
-    def rename(content: dict[str, Any]) -> None:
-        content["description"] = content["description"].replace("LeftHand", "RightHnd")
-
-    rewrite(saved, rename)
+    rewrite(saved, lambda c: c.update(description=c["description"].replace("LeftHand", "RightHnd")))
     with pytest.raises(FileFormatError, match="checksum does not match"):
         load_checkpoint(saved)
 
@@ -101,36 +91,11 @@ def test_truncated_files_are_refused(saved: Path, keep: float) -> None:
         load_checkpoint(saved)
 
 
-def test_flipped_bytes_are_refused(saved: Path) -> None:
-    data = bytearray(saved.read_bytes())
-    for at in range(len(data) // 4, len(data), len(data) // 4):
-        data[at] ^= 0xFF
-    saved.write_bytes(bytes(data))
-    with pytest.raises(FileFormatError, match="copy"):
-        load_checkpoint(saved)
-
-
-def test_another_version_says_what_to_install(saved: Path) -> None:
-    rewrite(saved, lambda content: content.update(version=99))
-    with pytest.raises(FileFormatError, match="lifter format 99; .* reads format 2: install"):
-        load_checkpoint(saved)
-
-
-def test_a_lifter_of_the_version_before_is_refused_and_says_what_to_do(saved: Path) -> None:
-    """It knew no sensors: its description lacks them, and its weights have another shape."""
-
-    def age(content: dict[str, Any]) -> None:
-        description = json.loads(content["description"])
-        del description["body"]["sensors"], description["network"]["constants"]
-        del description["network"]["causal"], content["weights"]["constant.weight"]
-        content.update(version=1, description=json.dumps(description))
-
-    rewrite(saved, age, sign=True)
-    with pytest.raises(FileFormatError, match=(
-        "lifter format 1; this version of the package reads format 2: install the version that "
-        "wrote it, or train again"
-    )):  # fmt: skip
-        load_checkpoint(saved)
+def test_other_versions_are_refused(saved: Path) -> None:
+    for version in (1, 99):
+        rewrite(saved, lambda content, version=version: content.update(version=version))
+        with pytest.raises(FileFormatError, match=f"lifter format {version}; .* reads format 2: install"):
+            load_checkpoint(saved)
 
 
 def test_other_torch_files_and_missing_files_are_refused(tmp_path: Path) -> None:
@@ -150,7 +115,7 @@ class Harmful:
         return (Path("harm").write_text, ("done",))
 
 
-def test_a_file_that_carries_code_does_not_run_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_code_in_a_file_is_not_executed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     torch.save({"format": checkpoint.FORMAT, "version": 2, "weights": Harmful()}, "lifter.pt")
     with pytest.raises(FileFormatError, match="not a readable lifter"):
@@ -180,7 +145,7 @@ def swap(description: dict[str, Any], joint: str, other: str) -> None:
         (lambda d: d["body"].update(sensors=7), "description of this lifter is wrong"),
         (lambda d: d["body"].pop("sensors"), "'sensors'"),
         (lambda d: d["network"].pop("constants"), "constants"),
-        (lambda d: d["body"].update(parents=[-1, *range(1, 21)]), "no tree of joints"),
+        (lambda d: d["body"].update(parents=[-1, *range(1, 21)]), "not a tree of joints"),
         (lambda d: d["body"].update(nominal_bones=[0.1]), "nominal bones do not fit"),
         (lambda d: d.update(rate_hz=0.0), "a rate of 0.0 Hz"),
         (lambda d: d.pop("body"), "'body'"),
@@ -188,7 +153,7 @@ def swap(description: dict[str, Any], joint: str, other: str) -> None:
         (lambda d: d["network"].update(channels=8), "do not fit the network described"),
     ],
 )
-def test_absurd_descriptions_are_refused_even_if_signed(
+def test_wrong_descriptions_with_a_valid_checksum_are_refused(
     saved: Path, change: Callable[[dict[str, Any]], None], message: str
 ) -> None:
     redescribe(saved, change)
@@ -202,7 +167,7 @@ def test_weights_that_are_not_finite_are_refused(saved: Path) -> None:
         load_checkpoint(saved)
 
 
-def test_the_shipped_lifter_loads_and_says_how_good_it_is() -> None:
+def test_the_shipped_lifter_has_its_recipe_and_errors() -> None:
     lifter = Lifter.load()
     assert lifter.receptive_field() == 27
     assert len(lifter.names) == 21

@@ -70,17 +70,7 @@ def test_windows_move_as_the_motion_does(corpus: Corpus, bank: MotionBank) -> No
     assert change[~level].max() > 0.9 * step[:2].norm()
 
 
-def test_cameras_stand_where_they_may(bank: MotionBank) -> None:
-    config = replace(plain(), hide_height=0.0, height_error=0.0)
-    batch = draw(bank, config)
-    distance = batch.root[:, :2].norm(dim=1)
-    assert distance.min() > 1.8
-    assert distance.max() < 7.5
-    assert batch.windows.camera_height.min() > 0.5
-    assert batch.windows.camera_height.max() < 3.2
-
-
-def test_the_floor_is_where_the_camera_height_says(corpus: Corpus, bank: MotionBank) -> None:
+def test_camera_height_is_measured_from_the_floor(corpus: Corpus, bank: MotionBank) -> None:
     config = replace(AugmentConfig(), hide_height=0.0, height_error=0.0)
     frames = torch.arange(B)
     batch = draw(bank, config, frames=frames)
@@ -89,28 +79,18 @@ def test_the_floor_is_where_the_camera_height_says(corpus: Corpus, bank: MotionB
     torch.testing.assert_close(lowest, recorded, atol=1e-4, rtol=0)
 
 
-def test_bones_told_are_the_bones_of_the_pose(bank: MotionBank) -> None:
+def test_known_bones_are_those_of_the_pose(bank: MotionBank) -> None:
     config = replace(AugmentConfig(), hide_bones=0.0, bone_error=0.0, recombine=0.5)
     other = support.TABLE.offsets.astype("float32")
     other[3] *= 1.5
     bank = MotionBank(support.tiny_corpus(), [0, 1], CPU, [other])
     batch = draw(bank, config)
-    told = batch.windows.bones.reshape(B, -1, 3).norm(dim=2)
+    known = batch.windows.bones.reshape(B, -1, 3).norm(dim=2)
     of_pose = lengths(bank, batch.pose)
     groups = bank.group_of_joint[1:]
     for g in range(bank.groups):
         mean = of_pose[:, groups == g].mean(dim=1)
-        # the sideways part of a bone in the middle is not told, and here there is none
-        torch.testing.assert_close(mean, told[:, g], atol=2e-3, rtol=0)
-
-
-def test_left_and_right_are_scaled_alike(bank: MotionBank) -> None:
-    config = replace(plain(), bone_scale=0.2)
-    batch = draw(bank, config)
-    length = lengths(bank, batch.pose)
-    mirrored = [j - 1 for j in bank.body.mirrored[1:]]
-    torch.testing.assert_close(length, length[:, mirrored], atol=1e-4, rtol=0)
-    assert length.std(dim=0).min() > 0.005
+        torch.testing.assert_close(mean, known[:, g], atol=2e-3, rtol=0)
 
 
 def test_mirroring_exchanges_left_and_right(corpus: Corpus, bank: MotionBank) -> None:
@@ -165,15 +145,6 @@ def test_time_is_warped_within_the_clip(bank: MotionBank) -> None:
     assert torch.equal(edge.windows.rays_world[:, :, 0], edge.windows.rays_world[:, :, 13])
 
 
-def test_every_share_hidden_or_none(bank: MotionBank) -> None:
-    batch = draw(bank, replace(plain(), hide_bones=1.0, hide_height=1.0))
-    assert batch.windows.bones.isnan().all()
-    assert batch.windows.camera_height.isnan().all()
-    batch = draw(bank, replace(plain(), hide_bones=0.0, hide_height=0.0))
-    assert batch.windows.bones.isfinite().all()
-    assert batch.windows.camera_height.isfinite().all()
-
-
 def test_windows_of_17_joints_are_drawn_at_their_rate() -> None:
     corpus = support.tiny_corpus(table=support.TABLE_17, rate_hz=50.0)
     bank = MotionBank(corpus, [0, 1], CPU, [1.1 * corpus.joint_offsets[0]])
@@ -190,7 +161,7 @@ def test_windows_of_17_joints_are_drawn_at_their_rate() -> None:
     torch.testing.assert_close(all_pairs(plain_pose), all_pairs(p), atol=1e-4, rtol=0)
 
 
-def test_joints_that_are_not_rigid_are_drawn_as_recorded() -> None:
+def test_nonrigid_joints_are_drawn_as_recorded() -> None:
     corpus = support.tiny_corpus()
     beyond = 0.03 * np.random.default_rng(0).normal(size=(360, 21, 3)).astype(np.float32)
     beyond[:, 0] = 0.0
@@ -198,14 +169,3 @@ def test_joints_that_are_not_rigid_are_drawn_as_recorded() -> None:
     pose = draw(MotionBank(corpus, [0], CPU), plain(), frames=torch.arange(B)).pose
     p = torch.from_numpy(corpus.positions(0)[:B]).transpose(1, 2)
     torch.testing.assert_close(all_pairs(pose), all_pairs(p), atol=1e-4, rtol=0)
-
-
-def test_equal_seeds_draw_equal_windows(bank: MotionBank) -> None:
-    first, second = draw(bank, AugmentConfig(), 5), draw(bank, AugmentConfig(), 5)
-    other = draw(bank, AugmentConfig(), 6)
-    assert torch.equal(first.windows.rays_world, second.windows.rays_world)
-    assert torch.equal(first.windows.seen, second.windows.seen)
-    assert torch.equal(first.windows.axes_world, second.windows.axes_world)
-    assert torch.equal(first.windows.sensed, second.windows.sensed)
-    assert not torch.equal(first.windows.rays_world, other.windows.rays_world)
-    assert not torch.equal(first.windows.axes_world, other.windows.axes_world)

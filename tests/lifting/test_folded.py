@@ -1,4 +1,4 @@
-"""The faster copy of the network says the same."""
+"""The inference form gives the output of the network."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import pytest
 import torch
 
 from lifting.folded import FoldedNetwork
+from lifting.models import model_of
 from lifting.predict import Lifter
-from lifting.windows import EncodedWindows, answer
+from lifting.windows import EncodedWindows
 
 
-def shaken(lifter: Lifter) -> Lifter:
-    """With normalisation that has seen data, so that leaving it out would show."""
+def with_statistics(lifter: Lifter) -> Lifter:
+    """A lifter with normalisation statistics away from 0 and 1."""
     generator = torch.Generator().manual_seed(0)
     for name, buffer in lifter.network.named_buffers():
         if name.endswith(("running_mean", "running_var")):
@@ -23,8 +24,8 @@ def shaken(lifter: Lifter) -> Lifter:
 @pytest.mark.parametrize("flip", [True, False])
 @pytest.mark.parametrize("causal", [True, False])
 @pytest.mark.parametrize("table", [support.TABLE, support.TABLE_17])
-def test_it_answers_as_the_network_does(flip: bool, causal: bool, table: object) -> None:
-    lifter = shaken(support.untrained_lifter(table=table, causal=causal))
+def test_output_is_that_of_the_network(flip: bool, causal: bool, table: object) -> None:
+    lifter = with_statistics(support.untrained_lifter(table=table, causal=causal))
     body, config = lifter.description.body, lifter.description.network
     generator = torch.Generator().manual_seed(1)
     for batch in (1, 5):
@@ -33,12 +34,12 @@ def test_it_answers_as_the_network_does(flip: bool, causal: bool, table: object)
         none = torch.zeros(batch, 3, 3)
         encoded = EncodedWindows(features, constants, none, none, none[:, 0, 0])
         with torch.inference_mode():
-            wanted = answer(body, lifter.network, encoded, flip)
+            wanted = model_of("rays").answer(body, lifter.network, encoded, flip)
             found = FoldedNetwork(body, lifter.network, flip)(features, constants)
         torch.testing.assert_close(found, wanted, atol=2e-5, rtol=1e-5)
 
 
-def test_it_leaves_its_input_and_the_network_as_they_are() -> None:
+def test_input_and_network_are_unchanged() -> None:
     lifter = support.untrained_lifter()
     config = lifter.description.network
     before = {name: value.clone() for name, value in lifter.network.state_dict().items()}

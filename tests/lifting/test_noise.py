@@ -9,7 +9,9 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.noise import FOCAL_PX, NoiseConfig, add_noise, perfect, realistic, training_noise
+from lifting.data import augmentation
+from lifting.draws import Draw
+from lifting.noise import FOCAL_PX, TRAINING_NOISE, NoiseConfig, add_noise
 from rtof_kin.core.errors import UnknownNameError
 
 B, W = 600, 27
@@ -18,12 +20,16 @@ QUIET = replace(
     jitter_px=0.0, outlier_share=0.0, missing_share=0.0, gap_share=0.0, poor_share=0.0,
     sparse_share=0.0, truncated_share=0.0,
 )  # fmt: skip
-"""The realistic kind with everything switched off."""
+"""Realistic noise with all errors switched off."""
 
 
 @pytest.fixture(scope="module")
 def body() -> Body:
     return support.tiny_corpus().body()
+
+
+def random(rows: int, seed: int = 0) -> Draw:
+    return Draw(rows, torch.Generator().manual_seed(seed), torch.device("cpu"))
 
 
 def noise_of(
@@ -32,14 +38,8 @@ def noise_of(
     """Errors (B, 2, W, J) in px, and what is seen, of landmarks in the middle of the image."""
     xy = torch.zeros(rows, 2, W, len(body.names))
     seen = torch.ones(rows, W, len(body.names), dtype=torch.bool)
-    noisy, mask = add_noise(body, config, xy, seen, torch.Generator().manual_seed(seed), rate_hz)
+    noisy, mask = add_noise(body, config, xy, seen, random(rows, seed), rate_hz)
     return noisy * FOCAL_PX, mask
-
-
-def test_perfect_detections_are_untouched(body: Body) -> None:
-    error, seen = noise_of(body, perfect())
-    assert error.abs().max() == 0
-    assert seen.all()
 
 
 def test_kinds_have_their_shares(body: Body) -> None:
@@ -54,14 +54,6 @@ def test_kinds_have_their_shares(body: Body) -> None:
     assert correlated[clean + white :].min() > 0.5
 
 
-def test_white_noise_covers_its_range(body: Body) -> None:
-    error, seen = noise_of(body, replace(NoiseConfig(), clean=0.0, white=1.0))
-    sigma = error.std(dim=(1, 2, 3))
-    assert seen.all()
-    assert 0.45 < sigma.min() < 0.7
-    assert 5.6 < sigma.max() < 6.3
-
-
 def test_the_bias_is_constant_in_a_window_and_scaled_by_joint(body: Body) -> None:
     error, _ = noise_of(body, replace(QUIET, bias_px=6.0))
     assert (error - error[:, :, :1]).abs().max() == 0
@@ -73,7 +65,9 @@ def test_the_bias_is_constant_in_a_window_and_scaled_by_joint(body: Body) -> Non
 @pytest.mark.parametrize(
     ("joint", "memory", "rate_hz"), [("Head", 0.5, 60.0), ("LeftHand", 0.3, 60.0), ("Head", 0.5, 50.0)]
 )
-def test_the_drift_forgets_exponentially(body: Body, joint: str, memory: float, rate_hz: float) -> None:
+def test_drift_is_an_ornstein_uhlenbeck_process(
+    body: Body, joint: str, memory: float, rate_hz: float
+) -> None:
     error, _ = noise_of(body, replace(QUIET, drift_px=5.0), rows=4000, rate_hz=rate_hz)
     path = error[..., body.names.index(joint)].reshape(-1, W)
     factor = 1.3 if joint.endswith("Hand") else 1.0
@@ -118,57 +112,21 @@ def test_sparse_detectors_lack_the_trunk_throughout(body: Body) -> None:
     assert lacking == trunk | {"LeftShoulder", "RightShoulder"}
 
 
-def test_the_17_joints_have_the_same_wrists_knees_and_trunk() -> None:
-    body = support.tiny_corpus(table=support.TABLE_17).body()
-    sigma = noise_of(body, replace(QUIET, bias_px=6.0))[0][:, :, 0].std(dim=(0, 1))
-    for name, expected in {"Hip": 6.0, "LWrist": 7.8, "RElbow": 7.8, "RKnee": 4.8, "LFoot": 4.8,
-                           "RHip": 6.0, "LShoulder": 6.0, "Head": 6.0}.items():  # fmt: skip
-        assert sigma[body.names.index(name)] == pytest.approx(expected, rel=0.1), name
-    _, seen = noise_of(body, replace(QUIET, sparse_share=1.0))
-    lacking = {name for j, name in enumerate(body.names) if not seen[:, :, j].any()}
-    assert lacking == {"Hip", "Spine", "Thorax", "Neck"}
-
-
-def test_runs_last_as_long_at_any_rate(body: Body) -> None:
-    config = replace(QUIET, missing_share=0.2, run_s=(0.1, 0.1))
-    for rate_hz, frames in ((60.0, 6), (120.0, 12)):
-        _, seen = noise_of(body, config, rate_hz=rate_hz)
-        assert (~seen).sum(dim=1).max() in (frames, frames + 1)
-
-
-def test_what_a_lifter_is_trained_for_is_chosen_by_name(body: Body) -> None:
-    assert training_noise("mixed") == NoiseConfig()
-    assert noise_of(body, training_noise("perfect"))[0].abs().max() == 0
-    error, _ = noise_of(body, training_noise("realistic"))
+def test_training_noise_is_chosen_by_name(body: Body) -> None:
+    assert TRAINING_NOISE["mixed"] == NoiseConfig()
+    assert noise_of(body, TRAINING_NOISE["perfect"])[0].abs().max() == 0
+    error, _ = noise_of(body, TRAINING_NOISE["realistic"])
     one_step = (error[:, :, 1:] - error[:, :, :-1]).std(dim=(1, 2, 3))
     assert (1 - (one_step / error.std(dim=(1, 2, 3))) ** 2 / 2).min() > 0.5
     with pytest.raises(UnknownNameError, match="'real'.*Known: mixed, perfect, realistic"):
-        training_noise("real")
+        augmentation("real")
 
 
-def test_what_leaves_the_image_is_unseen(body: Body) -> None:
+def test_landmarks_outside_the_image_are_unseen(body: Body) -> None:
     xy = torch.zeros(4, 2, W, len(body.names))
     xy[:, 0, :, 3] = 0.80  # 1000 px right of the middle of 1920
     xy[:, 1, :, 4] = -0.40  # 500 px above the middle of 1080
     seen = torch.ones(4, W, len(body.names), dtype=torch.bool)
-    generator = torch.Generator().manual_seed(0)
-    _, mask = add_noise(body, replace(QUIET, truncated_share=1.0), xy, seen, generator)
+    _, mask = add_noise(body, replace(QUIET, truncated_share=1.0), xy, seen, random(4))
     assert not mask[..., 3].any()
     assert mask[..., 4].all()
-
-
-def test_what_was_unseen_stays_unseen(body: Body) -> None:
-    xy = torch.zeros(40, 2, W, len(body.names))
-    seen = torch.rand(40, W, len(body.names)) > 0.5
-    _, mask = add_noise(body, realistic(), xy, seen, torch.Generator().manual_seed(0))
-    assert not (mask & ~seen).any()
-
-
-def test_noise_depends_on_the_seed_alone(body: Body) -> None:
-    torch.manual_seed(1)
-    first = noise_of(body, NoiseConfig(), seed=3)
-    torch.manual_seed(2)
-    second = noise_of(body, NoiseConfig(), seed=3)
-    assert torch.equal(first[0], second[0])
-    assert torch.equal(first[1], second[1])
-    assert not torch.equal(first[0], noise_of(body, NoiseConfig(), seed=4)[0])

@@ -14,8 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from lifting.checkpoint import save_checkpoint
-from lifting.graph import LifterGraph
-from lifting.onnx_export import INPUTS, OUTPUTS, export_onnx
+from lifting.onnx_export import INPUTS, OUTPUTS, LifterGraph, export_onnx
 from lifting.predict import Lifter
 from lifting.source import Source
 from rtof_kin.cli import main
@@ -43,7 +42,7 @@ def session(file: Path) -> Any:
 
 
 def random_windows(lifter: Lifter, seed: int, batch: int) -> dict[str, NDArray[Any]]:
-    """Windows of which a third know no bones, a third no floor, and much is neither seen nor sensed."""
+    """Random windows; a third lacks bones, a third the floor, and many rays and axes are missing."""
     rng = np.random.default_rng(seed)
     body = lifter.description.body
     J, S = len(body.names), len(body.sensors)
@@ -64,7 +63,7 @@ def random_windows(lifter: Lifter, seed: int, batch: int) -> dict[str, NDArray[A
     }
 
 
-@pytest.mark.parametrize("batch", [1, 2, 7])
+@pytest.mark.parametrize("batch", [1, 7])
 def test_onnx_and_torch_agree_on_random_windows(lifter: Lifter, file: Path, batch: int) -> None:
     given = random_windows(lifter, batch, batch)
     found = session(file).run(list(OUTPUTS), given)
@@ -101,7 +100,7 @@ def test_onnx_gives_the_poses_that_predict_gives(lifter: Lifter, file: Path) -> 
     np.testing.assert_allclose(sigma_rad, whole.sigma_rad, atol=1e-3)
 
 
-def test_the_file_says_what_it_takes(lifter: Lifter, file: Path) -> None:
+def test_the_file_describes_its_inputs(lifter: Lifter, file: Path) -> None:
     facts = {p.key: json.loads(p.value) for p in onnx.load(file).metadata_props}
     body = lifter.description.body
     assert facts["joints"] == list(body.names)
@@ -121,14 +120,13 @@ def test_a_lifter_without_sensors_and_without_mirror_has_fewer_inputs(tmp_path: 
     given = dict(list(random_windows(lifter, 0, 3).items())[:4])
     found = session(file).run(None, given)
     graph = LifterGraph(lifter.description.body, lifter.network, flip=False)
-    none = torch.zeros(3, W, 0, 3, 3), torch.zeros(3, W, 0, dtype=torch.bool)
     with torch.inference_mode():
-        wanted = graph(*(torch.from_numpy(value) for value in given.values()), *none)
-    for ours, theirs in zip(wanted[:3], found, strict=True):
+        wanted = graph(*(torch.from_numpy(value) for value in given.values()))
+    for ours, theirs in zip(wanted, found, strict=True):
         np.testing.assert_allclose(theirs, ours.numpy(), atol=1e-4)
 
 
-def test_the_command_writes_the_file_and_replaces_none(
+def test_the_command_writes_the_file_and_overwrites_only_if_asked(
     lifter: Lifter, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     checkpoint = save_checkpoint(tmp_path / "lifter.pt", lifter.network, lifter.description)
@@ -138,11 +136,11 @@ def test_the_command_writes_the_file_and_replaces_none(
     assert session(file).get_inputs()[0].name == "rays_world"
     assert [path.name for path in tmp_path.glob("*.part")] == []
     assert main(command) == 2
-    assert "is there already; ask to overwrite it (--overwrite;" in capsys.readouterr().err
+    assert "is there already" in capsys.readouterr().err
     assert main([*command, "--overwrite"]) == 0
 
 
-def test_without_onnx_the_error_says_what_to_install(
+def test_without_onnx_the_error_names_the_package(
     lifter: Lifter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "onnx", None)

@@ -1,4 +1,4 @@
-"""What stands beside a lifter: curves, a state that knows its motion; trainings equal bit by bit."""
+"""State, curves and determinism of a training, and its command."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ import torch
 
 from lifting import curves
 from lifting.checkpoint import load_checkpoint
-from lifting.corpus import Corpus, read_corpus
+from lifting.corpus import Corpus
 from lifting.data import plain
 from lifting.predict import Lifter
 from lifting.settings import TrainConfig
 from lifting.train import train
-from lifting.validation import Validation
 from rtof_kin import cli
 from rtof_kin.cli import training
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError
 
 QUICK = TrainConfig(
     windows=64, batch=16, channels=8, skeletons=0, report_every=1, validations=2, threads=1,
@@ -39,13 +38,6 @@ def corpus() -> Corpus:
 # --- the corpus of a state -----------------------------------------------------------------------
 
 
-def test_the_digest_is_that_of_the_motion_however_it_was_stored(corpus: Corpus, tmp_path: Path) -> None:
-    assert len(corpus.digest()) == 64
-    assert support.tiny_corpus(frames=30).digest() == corpus.digest()
-    again = read_corpus(corpus.save(tmp_path / "a.npz")).save(tmp_path / "b.npz")
-    assert read_corpus(again).digest() == read_corpus(tmp_path / "b.npz").digest()
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -59,11 +51,11 @@ def test_the_digest_is_that_of_the_motion_however_it_was_stored(corpus: Corpus, 
         lambda c: replace(c, beyond_rigid=np.zeros((120, 21, 3), np.float32)),
     ],
 )
-def test_anything_else_about_the_motion_is_another_digest(corpus: Corpus, change: Any) -> None:
+def test_the_digest_depends_on_all_of_the_motion(corpus: Corpus, change: Any) -> None:
     assert change(corpus).digest() != corpus.digest()
 
 
-def test_a_state_is_not_taken_up_with_other_motion(corpus: Corpus, tmp_path: Path) -> None:
+def test_a_state_of_other_motion_is_refused(corpus: Corpus, tmp_path: Path) -> None:
     path = train(QUICK, corpus, tmp_path / "lifter.pt")
     assert load_checkpoint(path)[1].recipe["corpus_sha256"] == corpus.digest()
     longer = replace(QUICK, windows=96)
@@ -75,7 +67,7 @@ def test_a_state_is_not_taken_up_with_other_motion(corpus: Corpus, tmp_path: Pat
     assert steps == [5, 6]
 
 
-def test_a_lifter_of_another_shape_is_no_start(corpus: Corpus, tmp_path: Path) -> None:
+def test_a_start_of_another_shape_is_refused(corpus: Corpus, tmp_path: Path) -> None:
     path = train(QUICK, corpus, tmp_path / "lifter.pt")
     message = "a rays lifter of 8 channels and 21 joints; this training is of rays, 9 channels"
     with pytest.raises(FileFormatError, match=message):
@@ -106,9 +98,7 @@ def test_a_start_gives_the_first_weights(corpus: Corpus, tmp_path: Path) -> None
 # --- curves --------------------------------------------------------------------------------------
 
 
-def test_curves_stand_beside_the_lifter_also_of_an_interrupted_training(
-    corpus: Corpus, tmp_path: Path
-) -> None:
+def test_curves_are_written_also_by_an_interrupted_training(corpus: Corpus, tmp_path: Path) -> None:
     out = tmp_path / "lifter.pt"
 
     def interrupt(report: dict[str, Any]) -> None:
@@ -141,31 +131,17 @@ def test_the_figure_shows_loss_and_both_errors_of_every_kind_of_2d() -> None:
     figure = curves.draw(history, "lifter.pt")
     assert figure.get_suptitle() == "lifter.pt"
     loss, rr, absolute = figure.axes
-    for ax in (loss, rr, absolute):
-        assert ax.get_xscale() == "log"
-        assert ax.get_xlabel() == "windows seen"
-        assert ax.xaxis.get_major_formatter()(2e6, 0) == "2 M"
-        assert "[mm]" in ax.get_ylabel()
-        assert ax.get_ylim()[0] == 0
-        assert all(list(line.get_xdata()) == [1000, 2000, 4000] for line in ax.get_lines())
+    assert all("[mm]" in ax.get_ylabel() and ax.get_xscale() == "log" for ax in figure.axes)
     assert list(loss.get_lines()[0].get_ydata()) == [200, 100, 50]
     shown = {line.get_label(): list(line.get_ydata()) for line in absolute.get_lines()}
     assert shown == {"perfect: 15.0": [60, 30, 15], "realistic: 25.0": [100, 50, 25]}
     assert [line.get_ydata()[-1] for line in rr.get_lines()] == [7.5, 12.5]
 
 
-def test_nothing_measured_is_no_figure(tmp_path: Path) -> None:
-    curves.write_curves(tmp_path / "x.pt", {"seed": 1}, [])
-    assert json.loads((tmp_path / "x.pt.curves.json").read_text())["history"] == []
-    assert not (tmp_path / "x.pt.curves.png").exists()
-
-
 # --- deterministic -------------------------------------------------------------------------------
 
 
-def test_deterministic_trainings_are_equal_bit_by_bit_and_leave_torch_as_it_was(
-    corpus: Corpus, tmp_path: Path
-) -> None:
+def test_deterministic_trainings_are_bit_identical_and_restore_torch(corpus: Corpus, tmp_path: Path) -> None:
     config = replace(QUICK, deterministic=True, dropout=0.2, bfloat16=True, threads=2)
     states, during = [], []
     for name in ("a", "b"):
@@ -180,23 +156,15 @@ def test_deterministic_trainings_are_equal_bit_by_bit_and_leave_torch_as_it_was(
     assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
 
 
-def test_a_deterministic_training_is_not_ended_by_the_clock() -> None:
-    with pytest.raises(ShapeError, match="give a number of windows and no minutes"):
-        TrainConfig(windows=10, minutes=1.0, deterministic=True)
-
-
 # --- the command ---------------------------------------------------------------------------------
 
 
-def test_the_command_trains_with_every_option_and_says_where_the_curves_are(
-    corpus: Corpus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_command_trains_with_every_option(
+    corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def small(corpus: Corpus, size: int, device: torch.device, count: int, *rest: Any) -> Validation:
-        return Validation(corpus, size, device, 8, *rest)
-
-    monkeypatch.setattr("lifting.run.Validation", small)
     file, out = str(corpus.save(tmp_path / "corpus.npz")), tmp_path / "lifter.pt"
     common = ["train", file, "--windows", "32", "--batch", "16", "--channels", "8", "--threads", "1"]
+    common += ["--validation-windows", "8", "--ema", "0.9", "--no-bfloat16"]
     assert cli.main([*common, "-o", str(out), "--causal", "--camera", "4", "1.5", "--seed", "3"]) == 0
     assert f"curves: {out}.curves.png" in capsys.readouterr().out
     description = load_checkpoint(out)[1]
@@ -213,9 +181,7 @@ def test_the_command_trains_with_every_option_and_says_where_the_curves_are(
     assert "none.pt: no such file" in capsys.readouterr().err
 
 
-def test_without_a_budget_the_command_trains_for_45_minutes(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_trains_for_45_minutes_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[TrainConfig] = []
 
     def pretend(config: TrainConfig, corpus: object, out: str, *others: object) -> Path:
@@ -228,12 +194,9 @@ def test_without_a_budget_the_command_trains_for_45_minutes(
     budgets = [(config.windows, config.minutes) for config in asked]
     assert budgets == [(None, 45.0), (None, 3.0), (8, None), (8, 3.0)]
     assert training.DEFAULT_MINUTES == 45.0
-    with pytest.raises(SystemExit):
-        cli.main(["train", "--help"])
-    assert "45 where neither they nor windows are given" in " ".join(capsys.readouterr().out.split())
 
 
-def test_an_interrupted_command_says_how_to_go_on(
+def test_an_interrupted_command_names_the_state_file(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(*arguments: object) -> Path:
@@ -241,17 +204,6 @@ def test_an_interrupted_command_says_how_to_go_on(
 
     monkeypatch.setattr("lifting.train.train", interrupted)
     assert cli.main(["train", "corpus.npz", "-o", "x.pt"]) == 130
-    told = capsys.readouterr().err
-    assert "--resume goes on from x.pt.state; curves so far: x.pt.curves.png" in told
-
-
-def test_only_the_first_of_several_processes_prints(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("lifting.train.train", lambda *arguments: Path("x.pt"))
-    monkeypatch.setenv("RANK", "1")
-    assert cli.main(["train", "corpus.npz"]) == 0
-    assert "wrote" not in capsys.readouterr().out
-    monkeypatch.setenv("RANK", "0")
-    assert cli.main(["train", "corpus.npz"]) == 0
-    assert "wrote x.pt" in capsys.readouterr().out
+    message = capsys.readouterr().err
+    assert "--resume" in message
+    assert "x.pt.state" in message

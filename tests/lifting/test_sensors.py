@@ -31,12 +31,12 @@ def draws(batch: int, seed: int = 0) -> Draw:
     return Draw(batch, torch.Generator().manual_seed(seed), torch.device("cpu"))
 
 
-def reported(config: SensorConfig, R: np.ndarray, bones: Tensor, seed: int = 0) -> np.ndarray:
+def measured_by_sensors(config: SensorConfig, R: np.ndarray, bones: Tensor, seed: int = 0) -> np.ndarray:
     """Rotations (B, W, S, 3, 3) as sensors report them whose true ones are R (B, W, S, 3, 3)."""
     axes = torch.from_numpy(R[..., [0, 2]]).permute(0, 3, 1, 4, 2).float()
-    told = with_errors(bones, axes, config, draws(len(R), seed))
-    assert told.shape == axes.shape
-    x, z = np.moveaxis(told.double().numpy(), (1, 3), (4, 0))
+    measured = with_errors(bones, axes, config, draws(len(R), seed))
+    assert measured.shape == axes.shape
+    x, z = np.moveaxis(measured.double().numpy(), (1, 3), (4, 0))
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
@@ -53,22 +53,17 @@ BONES = torch.tensor([[0.0, 0.0, -1.0], [0.6, 0.8, 0.0], [0.0, 0.0, 0.0]])
 # --- errors --------------------------------------------------------------------------------------
 
 
-def test_without_errors_the_true_axes_are_reported(truth: np.ndarray) -> None:
-    np.testing.assert_allclose(reported(NO_ERROR, truth, BONES), truth, atol=1e-6)
-
-
-def test_what_is_reported_is_a_rotation(truth: np.ndarray) -> None:
-    big = replace(DEFAULT, misalignment=1.0, roll=2.0, heading=3.0)
-    assert so3.is_rotation(reported(big, truth, BONES), tolerance=1e-5)
+def test_without_errors_the_true_axes_are_measured(truth: np.ndarray) -> None:
+    np.testing.assert_allclose(measured_by_sensors(NO_ERROR, truth, BONES), truth, atol=1e-6)
 
 
 def in_segment(config: SensorConfig, truth: np.ndarray) -> np.ndarray:
     """Errors (B, W, S, 3) as rotation vectors in the segments' own frames."""
-    return so3.log(np.swapaxes(truth, -1, -2) @ reported(config, truth, BONES))
+    return so3.log(np.swapaxes(truth, -1, -2) @ measured_by_sensors(config, truth, BONES))
 
 
 @pytest.mark.parametrize("amplitude", [1.0, 2.0])
-def test_misalignment_is_alike_about_every_axis_of_the_segment(truth: np.ndarray, amplitude: float) -> None:
+def test_misalignment_is_isotropic_in_the_segment(truth: np.ndarray, amplitude: float) -> None:
     config = replace(NO_ERROR, misalignment=0.06, amplitude=(amplitude, amplitude))
     error = in_segment(config, truth)[:, 0].reshape(-1, 3)
     covariance = error.T @ error / len(error) / (0.06 * amplitude) ** 2
@@ -76,7 +71,7 @@ def test_misalignment_is_alike_about_every_axis_of_the_segment(truth: np.ndarray
     assert np.abs(error.mean(axis=0)).max() < 0.01
 
 
-def test_soft_tissue_rolls_about_the_bone_and_about_nothing_else(truth: np.ndarray) -> None:
+def test_soft_tissue_rolls_about_the_bone_only(truth: np.ndarray) -> None:
     error = in_segment(replace(NO_ERROR, roll=0.12), truth)[:, 0]
     along = np.einsum("bsi,si->bs", error, BONES.numpy())
     np.testing.assert_allclose(along.std(axis=0)[:2], 0.12, rtol=0.06)
@@ -85,43 +80,19 @@ def test_soft_tissue_rolls_about_the_bone_and_about_nothing_else(truth: np.ndarr
     assert np.abs(error[:, 2]).max() < 1e-5, "there is no bone to roll about"
 
 
-def test_roll_comes_on_top_of_misalignment(truth: np.ndarray) -> None:
-    error = in_segment(replace(NO_ERROR, roll=0.12, misalignment=0.05), truth)[:, 0, 0]
-    np.testing.assert_allclose(error.std(axis=0), [0.05, 0.05, 0.13], rtol=0.06)
-
-
-def test_the_amplitude_is_drawn_once_for_all_sensors_of_a_window(truth: np.ndarray) -> None:
-    config = replace(NO_ERROR, misalignment=0.05, amplitude=(0.2, 1.8))
-    bones = torch.zeros(60, 3)
-    R = np.tile(np.eye(3), (400, 1, 60, 1, 1))
-    size = so3.log(reported(config, R, bones)[:, 0]).std(axis=(1, 2)) / 0.05
-    assert 0.15 < size.min() < 0.4
-    assert 1.5 < size.max() < 2.1
-    assert size.mean() == pytest.approx(1.0, abs=0.08)
-
-
 @pytest.mark.parametrize("amplitude", [0.2, 2.0])
 def test_heading_is_about_the_vertical_of_the_world_whatever_the_amplitude(
     truth: np.ndarray, amplitude: float
 ) -> None:
     config = replace(NO_ERROR, heading=0.05, amplitude=(amplitude, amplitude))
-    error = so3.log(reported(config, truth, BONES) @ np.swapaxes(truth, -1, -2))
+    error = so3.log(measured_by_sensors(config, truth, BONES) @ np.swapaxes(truth, -1, -2))
     assert np.abs(error[..., :2]).max() < 1e-5
     np.testing.assert_allclose(error[:, 0, :, 2].std(axis=0), 0.05, rtol=0.06)
     correlation = np.corrcoef(error[:, 0, :, 2].T) - np.eye(3)
     assert np.abs(correlation).max() < 0.1, "every sensor has its own"
 
 
-def test_errors_hold_for_a_whole_window_and_differ_between_windows_and_sensors(truth: np.ndarray) -> None:
-    error = in_segment(replace(DEFAULT, heading=0.0), truth)
-    np.testing.assert_allclose(error, np.broadcast_to(error[:, :1], error.shape), atol=2e-5)
-    heading = so3.log(reported(replace(NO_ERROR, heading=0.1), truth, BONES) @ np.swapaxes(truth, -1, -2))
-    np.testing.assert_allclose(heading, np.broadcast_to(heading[:, :1], heading.shape), atol=2e-5)
-    assert np.abs(error[1] - error[0]).max() > 1e-3
-    assert np.abs(error[0, 0, 1] - error[0, 0, 0]).max() > 1e-3
-
-
-def test_the_rotations_drawn_are_those_of_their_vectors() -> None:
+def test_rotation_and_cross_product_agree_with_peers() -> None:
     rotvec = np.random.default_rng(1).normal(size=(50, 3))
     rotvec[0], rotvec[1] = 0.0, 1e-9
     out = rotation(torch.from_numpy(rotvec)).numpy()
@@ -146,13 +117,13 @@ ONLY: dict[str, set[str]] = {
 
 
 @pytest.mark.parametrize("name", [*ONLY, "every"])
-def test_a_set_that_alone_is_worn_is_what_its_name_says(body: Body, name: str) -> None:
+def test_sets_have_the_sensors_of_their_name(body: Body, name: str) -> None:
     shares = dict.fromkeys(("none", "limbs", "limbs_and_trunk", "ends", "every"), 0.0)
     config = replace(DEFAULT, **(shares | {name: 1.0}))
     assert set(sets(body, config, 300)) == {frozenset(ONLY.get(name, set(body.sensors)))}
 
 
-def test_sets_have_their_shares_and_the_rest_wear_any_subset(body: Body) -> None:
+def test_sets_have_their_shares_and_the_rest_are_random_subsets(body: Body) -> None:
     found = sets(body, DEFAULT)
     share = {name: found.count(frozenset(joints)) / len(found) for name, joints in ONLY.items()}
     every = found.count(frozenset(body.sensors)) / len(found)
@@ -169,10 +140,3 @@ def test_sets_have_their_shares_and_the_rest_wear_any_subset(body: Body) -> None
     for joint in body.sensors:
         alone = sum(x == {joint} for x in found)
         assert alone > 0, joint
-
-
-def test_sets_come_in_any_order(body: Body) -> None:
-    """Kinds of 2D come in a fixed order; which sensors are worn must not go with them."""
-    none = np.array([not x for x in sets(body, DEFAULT, 8000)])
-    parts = none.reshape(8, -1).mean(axis=1)
-    assert np.ptp(parts) < 0.08

@@ -18,9 +18,9 @@ def test_a_split_is_read_by_subject(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('vaildation = ["a"]', "'vaildation' is no list of one of: train"),
-        ('test = "a"', "'test' is no list"),
-        ('test = ["a"]\nvalidation = ["a"]', "subject a stands in two lists"),
+        ('vaildation = ["a"]', "'vaildation' is not a list of one of: train"),
+        ('test = "a"', "'test' is not a list"),
+        ('test = ["a"]\nvalidation = ["a"]', "subject a is in two lists"),
         ("test = [", "not readable as TOML"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Errors on fixed windows: what is measured is what is wrong, in millimetres and degrees."""
+"""Errors on fixed validation windows, in mm and deg."""
 
 from __future__ import annotations
 
@@ -40,12 +40,7 @@ def measured(
         return Estimate(pose, root, torch.zeros(B, 2, J), axes, torch.zeros(B, J))
 
     monkeypatch.setattr(Validation, "_estimate", estimate)
-    return validation.measure(support.untrained_lifter()._network)
-
-
-def test_the_truth_has_no_error(validation: Validation, monkeypatch: pytest.MonkeyPatch) -> None:
-    for kind, errors in measured(validation, monkeypatch, 0.0, 0.0).items():
-        assert max(errors.values()) < 0.1, kind  # degrees of float32
+    return validation.measure(support.untrained_lifter().network)
 
 
 def test_errors_are_millimetres_and_degrees(validation: Validation, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,28 +51,13 @@ def test_errors_are_millimetres_and_degrees(validation: Validation, monkeypatch:
         assert errors["upper_trunk_deg"] == pytest.approx(10.0, abs=0.05)
 
 
-def test_kinds_are_with_and_without_sensors_where_the_body_has_any(validation: Validation) -> None:
+def test_kinds_with_sensors_need_a_body_with_sensors(validation: Validation) -> None:
     assert set(validation.batches) == ALWAYS | SENSED
     bare = Validation(support.tiny_corpus(frames=60, table=support.TABLE_17), 27, CPU, count=40)
     assert set(bare.batches) == ALWAYS
 
 
-def test_the_sensors_worn_are_the_limbs_and_with_two_more_the_trunk(validation: Validation) -> None:
-    body = validation.body
-    for kind, count in (("realistic, 8 sensors", 8), ("realistic, 10 sensors", 10)):
-        sensed = validation.batches[kind].windows.sensed
-        assert torch.equal(sensed.all(dim=(0, 1)), sensed.any(dim=(0, 1)))
-        worn = {name for s, name in enumerate(body.sensors) if sensed[..., s].all()}
-        assert len(worn) == count
-        assert (worn >= {"Hips", "Spine3"}) == (count == 10)
-        assert not worn & {"Head", "LeftFoot", "RightFoot"}
-    for kind in ALWAYS:
-        assert not validation.batches[kind].windows.sensed.any()
-
-
-def test_windows_are_always_the_same_and_only_what_is_seen_differs_between_kinds(
-    validation: Validation,
-) -> None:
+def test_windows_are_reproducible_and_share_the_motion_between_kinds(validation: Validation) -> None:
     again = Validation(support.tiny_corpus(frames=60), 27, CPU, count=40)
     for kind, batch in validation.batches.items():
         assert torch.equal(batch.windows.rays_world, again.batches[kind].windows.rays_world), kind
@@ -90,18 +70,13 @@ def test_windows_are_always_the_same_and_only_what_is_seen_differs_between_kinds
     assert torch.equal(rays("realistic"), rays("realistic, 8 sensors"))
 
 
-def test_a_causal_lifter_is_measured_at_the_end_of_the_window() -> None:
-    last = Validation(support.tiny_corpus(frames=60), 27, CPU, count=40, causal=True)
-    assert {batch.windows.estimated for batch in last.batches.values()} == {26}
-
-
-def test_without_validation_subjects_there_is_nothing_to_measure() -> None:
-    nobody = Validation(support.tiny_corpus(clips=2, frames=40), 27, CPU, count=8)
-    assert nobody.measure(support.untrained_lifter()._network) == {}
+def test_without_validation_subjects_there_are_no_errors() -> None:
+    empty = Validation(support.tiny_corpus(clips=2, frames=40), 27, CPU, count=8)
+    assert empty.measure(support.untrained_lifter().network) == {}
 
 
 def test_a_network_is_measured_with_its_own_windows(validation: Validation) -> None:
-    errors = validation.measure(support.untrained_lifter()._network)
+    errors = validation.measure(support.untrained_lifter().network)
     assert set(errors) == ALWAYS | SENSED
     assert errors["realistic"] != errors["realistic, 8 sensors"]
     assert all(np.isfinite(value) for kind in errors.values() for value in kind.values())

@@ -33,7 +33,7 @@ def lifter(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A 17-joint lifter that has learned nothing."""
     made = untrained_lifter(seed=2, table=TABLE_17, rate_hz=50.0)
     path = tmp_path_factory.mktemp("lifter") / "lifter17.pt"
-    return save_checkpoint(path, made._network, made.description)
+    return save_checkpoint(path, made.network, made.description)
 
 
 def archive(root: Path, subjects: tuple[str, ...] = SUBJECTS) -> h36m.Positions:
@@ -216,7 +216,7 @@ def test_input_that_fails_in_every_measurement_is_refused(
     root: Path, lifter: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = untrained_lifter(rate_hz=50.0)
-    save_checkpoint(tmp_path / "21.pt", made._network, made.description)
+    save_checkpoint(tmp_path / "21.pt", made.network, made.description)
     arguments = ["human36m", "--root", str(root), "--modes", "lift", "--workers", "1"]
     for k, (path, keypoints, expected) in enumerate(
         ((lifter, "hrnet", "unknown keypoints"), (tmp_path / "21.pt", "gt", "joint"))

@@ -1,10 +1,7 @@
-"""One fault is planted in the demo at a time, and the first message of `reconstruct` names it."""
+"""Checks of sensors and clocks: the first warning of `reconstruct` names the fault planted in the demo."""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 
@@ -13,16 +10,24 @@ import pytest
 
 from benchmarks import input_checks
 from benchmarks.sensor_checks import FAULTS
-from rtof_kin.calibration import clock_check as clock_evidence
-from rtof_kin.core.errors import SolverError
-from rtof_kin.core.plausibility import Verdict as Found
+from rtof_kin.calibration.clock_check import NAME as CLOCKS
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import InvalidInputError, SolverError
+from rtof_kin.core.plausibility import Verdict
 from rtof_kin.core.resources import model_path
 from rtof_kin.inertial.recorded_form import FROZEN, GRAVITY
 from rtof_kin.reconstruction import pipeline
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.sensor_checks import SETUP, naming_wrong_samples
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
+
+BY_BENCHMARK = (
+    "samples of left and right swapped", "samples of an arm and a thigh swapped", "forearms swapped",
+    "upper arm and forearm swapped",
+)  # fmt: skip
+"""Faults found by the same code as others; the benchmark plants them."""
 
 
 @cache
@@ -32,128 +37,110 @@ def demo(seconds: float = 6.0) -> Recording:
     assert whole.imus is not None
     keypoints = whole.video[: round(60 * seconds)]
     kept = whole.imus.times <= keypoints.times[-1]
-    imus = replace(
-        whole.imus, times=whole.imus.times[kept], f_sensor=whole.imus.f_sensor[kept],
-        R_inertial_sensor=whole.imus.R_inertial_sensor[kept],
-    )  # fmt: skip
+    names = ("times", "R_inertial_sensor", "f_sensor")
+    imus = replace(whole.imus, **{name: getattr(whole.imus, name)[kept] for name in names})
     return replace(whole, keypoints=keypoints, imus=imus, truth=None)
-
-
-@contextmanager
-def messages() -> Iterator[list[str]]:
-    """What the pipeline warns of."""
-    told: list[str] = []
-
-    class Listener(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            told.append(record.getMessage())
-
-    listener = Listener()
-    logging.getLogger(pipeline.DOUBTS).addHandler(listener)
-    try:
-        yield told
-    finally:
-        logging.getLogger(pipeline.DOUBTS).removeHandler(listener)
-
-
-LIKE_ANOTHER = (
-    "samples of left and right swapped", "samples of an arm and a thigh swapped", "forearms swapped",
-    "upper arm and forearm swapped",
-)  # fmt: skip
-"""Left to the benchmark: what finds them is what finds others."""
 
 
 def lifted(recording: Recording) -> Reconstruction:
     return reconstruct(recording, mode="lift")
 
 
-@pytest.mark.parametrize("name", [name for name in FAULTS if name not in LIKE_ANOTHER])
-def test_the_first_message_names_what_was_planted(name: str) -> None:
-    with messages() as told:
-        lifted(FAULTS[name].plant(demo()))
-    assert FAULTS[name].named in told[0]
+def messages(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage() for record in caplog.records if record.name == pipeline.WARNINGS_LOGGER]
 
 
-def test_nothing_is_wrong_with_the_demo_and_little_is_spent_to_tell() -> None:
-    with messages() as told:
-        found = lifted(demo())
-    assert not told
+ROTATED = ("mirrored picture", "upside down", "turned by -90 degrees")
+"""Faults of the image, which sensors must not be blamed for."""
+PLANTED = {name: fault for name, fault in FAULTS.items() if name not in BY_BENCHMARK} | {
+    name: input_checks.FAULTS[name] for name in ROTATED
+}
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_first_warning_names_the_fault(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    lifted(PLANTED[name].plant(demo()))
+    assert PLANTED[name].named in messages(caplog)[0]
+
+
+def test_correct_recording_passes_without_diagnosis_of_its_setup(caplog: pytest.LogCaptureFixture) -> None:
+    found = lifted(demo())
+    assert not messages(caplog)
     checks = {check.name: check for check in found.checks}
-    for name in (FROZEN, GRAVITY, clock_evidence.NAME, SETUP):
-        assert checks[name].verdict is Found.PASSED
-    assert checks[SETUP].value == 0  # other setups were not even tried
+    for name in (FROZEN, GRAVITY, CLOCKS, SETUP):
+        assert checks[name].verdict is Verdict.PASSED
+    assert checks[SETUP].value == 0  # no other setup was tried
 
 
-@pytest.mark.parametrize("name", ["mirrored picture", "upside down", "turned by -90 degrees"])
-def test_a_picture_that_is_turned_is_not_blamed_on_the_sensors(name: str) -> None:
-    fault = input_checks.FAULTS[name]
-    with messages() as told:
-        lifted(fault.plant(demo()))
-    assert fault.named in told[0]
+def test_rotated_world_of_the_sensors_is_named() -> None:
+    recording = demo(4.0)
+    assert recording.calibration is not None
+    R = so3.about_axis("z", np.pi / 2) @ recording.calibration.R_world_inertial
+    turned = replace(recording, calibration=replace(recording.calibration, R_world_inertial=R))
+    found = reconstruct(turned, calibrate=False, settings=ReconstructionSettings(confidence=False))
+    (cause,) = [check.cause for check in found.checks if check.failed]
+    assert "world" in cause
+    assert "-90 degrees" in cause
 
 
-def test_one_wrong_sensor_of_many_is_named() -> None:
+def test_wrong_samples_are_named_by_sensor_or_without_usual_cause_as_such() -> None:
     imus = demo().imus
     assert imus is not None
     f = imus.f_sensor.copy()
     f[:, 2] *= -1
-    found = lifted(replace(demo(), imus=replace(imus, f_sensor=f)))
-    (failed,) = [check for check in found.checks if check.failed]
-    assert "sign flipped" in failed.cause
-    assert failed.subject == imus.names[2]
+    one, unusual = (
+        next(
+            check for check in lifted(replace(demo(), imus=replace(imus, f_sensor=f))).checks if check.failed
+        )
+        for f in (f, imus.f_sensor[..., [1, 2, 0]])
+    )
+    assert "sign flipped" in one.cause
+    assert one.subject == imus.names[2]
+    assert "do not belong together" in unusual.cause
+    assert "axes" in unusual.advice
 
 
-def test_what_no_usual_mistake_explains_is_not_given_a_name() -> None:
-    imus = demo().imus
-    assert imus is not None
-    found = lifted(replace(demo(), imus=replace(imus, f_sensor=imus.f_sensor[..., [1, 2, 0]])))
-    (failed,) = [check for check in found.checks if check.failed]
-    assert "do not belong together" in failed.cause
-    assert "axes" in failed.advice
-
-
-def test_sensors_alone_that_cannot_be_solved_are_checked_by_physics_too(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_errors_of_mode_imu_name_wrong_samples_first(monkeypatch: pytest.MonkeyPatch) -> None:
     def diverge(*_: object) -> None:
         raise SolverError("it diverged")
 
     monkeypatch.setattr(pipeline, "reconstruct_from_sensors", diverge)
     frozen = replace(FAULTS["all sensors frozen"].plant(demo(1.3)), keypoints=None)
-    with pytest.raises(SolverError, match="^all sensors are frozen.*therefore it diverged"):
+    with pytest.raises(SolverError, match="^all sensors are frozen.*it diverged"):
         reconstruct(frozen, mode="imu")
 
 
-def test_an_error_that_wrong_samples_lead_to_names_them_first() -> None:
+@pytest.mark.parametrize("error", [SolverError, InvalidInputError])
+def test_errors_name_wrong_samples_first(error: type[Exception]) -> None:
     wrong = FAULTS["accelerations negated"].plant(demo())
-    both = "sign flipped.*therefore it diverged"
-    with pytest.raises(SolverError, match=both), naming_wrong_samples(wrong):
-        raise SolverError("it diverged")
-    with pytest.raises(SolverError, match="^it diverged"), naming_wrong_samples(demo()):
-        raise SolverError("it diverged")
+    for recording, message in ((wrong, "sign flipped.*it diverged"), (demo(), "^it diverged")):
+        with pytest.raises(error, match=message), naming_wrong_samples(recording):
+            raise error("it diverged")
 
 
 @pytest.mark.parametrize("seconds", [-2.0, -0.7, 1.3])
-def test_the_offset_of_the_clocks_is_estimated_far_beyond_what_is_calibrated(seconds: float) -> None:
+def test_clock_offset_beyond_the_range_of_calibration_is_estimated(seconds: float) -> None:
     imus = demo().imus
     assert imus is not None
     found = lifted(replace(demo(), imus=replace(imus, times=imus.times + seconds)))
-    (clocks,) = [check for check in found.checks if check.name == clock_evidence.NAME]
-    assert clocks.value == pytest.approx(abs(seconds - 0.06), abs=0.05)  # its video is late
+    (clocks,) = [check for check in found.checks if check.name == CLOCKS]
+    assert clocks.value == pytest.approx(abs(seconds - 0.06), abs=0.05)  # the demo's video is late
     assert "start_s" in clocks.advice
 
 
-def test_clocks_of_motion_that_repeats_itself_cannot_be_told() -> None:
+def test_clock_offset_of_periodic_motion_is_unknown() -> None:
     k, imus = demo().video, demo().imus
     assert imus is not None
-    once = 90  # frames of a motion that is then repeated to the sample
-    uv, confidence = (np.tile(v[:once], (4, *[1] * (v.ndim - 1))) for v in (k.uv_px, k.confidence))
-    kept = np.searchsorted(imus.times, k.times[:once], side="left").clip(0, len(imus) - 1)
-    R, f = (np.tile(v[kept], (4, *[1] * (v.ndim - 1))) for v in (imus.R_inertial_sensor, imus.f_sensor))
-    again = replace(
+    once = 90  # frames, repeated four times
+    kept = np.searchsorted(imus.times, k.times[:once]).clip(0, len(imus) - 1)
+    uv, confidence, R, f = (
+        np.tile(v, (4, *[1] * (v.ndim - 1)))
+        for v in (k.uv_px[:once], k.confidence[:once], imus.R_inertial_sensor[kept], imus.f_sensor[kept])
+    )
+    periodic = replace(
         demo(), keypoints=replace(k, uv_px=uv, confidence=confidence),
         imus=replace(imus, times=k.times, R_inertial_sensor=R, f_sensor=f),
     )  # fmt: skip
-    (clocks,) = [c for c in lifted(again).checks if c.name == clock_evidence.NAME]
-    assert clocks.verdict is Found.NOT_POSSIBLE
+    (clocks,) = [check for check in lifted(periodic).checks if check.name == CLOCKS]
+    assert clocks.verdict is Verdict.NOT_POSSIBLE
     assert "repeats itself" in clocks.advice

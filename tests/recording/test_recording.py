@@ -534,8 +534,8 @@ def test_a_damaged_archive_is_refused(tmp_path: Path, damage: Callable[[bytes], 
         (npz_bytes(uv_px=npy_bytes(UV)[:-8]), "uv_px: damaged, 4024 of 4032"),
         (npz_bytes(uv_px=npy_bytes(UV).replace(b"(12, 21, 2)", b"(92, 21, 2)")), "needs 30912 bytes"),
         (npz_bytes(uv_px=npy_bytes(UV) + bytes(8)), "uv_px: damaged, 4040 of 4032"),
-        (npz_bytes(uv_px=npy_bytes(np.array(["a", "b"]))), "uv_px: holds <U1, not numbers"),
-        (npz_bytes(uv_px=npy_bytes(np.array([{}], dtype=object))), "uv_px: holds object"),
+        (npz_bytes(uv_px=npy_bytes(np.array(["a", "b"]))), "uv_px: has type <U1, not numbers"),
+        (npz_bytes(uv_px=npy_bytes(np.array([{}], dtype=object))), "uv_px: has type object"),
     ],
 )
 def test_an_archive_without_numbers_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
@@ -591,7 +591,7 @@ def test_foreign_files_are_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     full_recording().save(tmp_path / "take")
     (tmp_path / "take" / "video.mp4").write_text("the only copy")
-    for name, message in (("thesis", "name a"), ("file", "name a"), ("take", "holds .*video")):
+    for name, message in (("thesis", "name a"), ("file", "name a"), ("take", "contains .*video")):
         with pytest.raises(OutputExistsError, match=message):
             full_recording().save(tmp_path / name, overwrite=True)
     assert (tmp_path / "thesis" / "thesis.tex").read_text() == "three years"

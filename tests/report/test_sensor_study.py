@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.reconstruction.choices import Choices
+from rtof_kin.reconstruction.result import Choices
 from rtof_kin.recording.recording import Recording
 from rtof_kin.report.sensor_study import study as sensor_study
 from rtof_kin.report.sensor_study.figures import error_by_number, write_study_figures

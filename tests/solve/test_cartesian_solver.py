@@ -17,11 +17,10 @@ from scipy.optimize import least_squares
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import SolverError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.solve.cartesian.problem import TERMS, rigid_pairs
+from rtof_kin.solve.cartesian.problem import rigid_pairs
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentReport, FragmentSolution, FragmentSolver, SolverStatus
 from rtof_kin.solve.inertial_ik import InertialGuidedIK
@@ -86,21 +85,12 @@ def solution(scene: Scene) -> FragmentSolution:
     return body().solve(scene.start, scene.seen, scene.imus)
 
 
-def jerk_error(p: Array, p_true: Array) -> float:
-    """m/s^3"""
-    third = np.diff(p - p_true, n=3, axis=0) * planted.RATE_HZ**3
-    return float(np.linalg.norm(third, axis=-1).mean())
-
-
 def length_errors(p: Array, skeleton: SkeletonModel) -> Array:
     """(T, pairs) m"""
     rest = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
     a, b = np.array(rigid_pairs(skeleton.parents)).T
     true = np.linalg.norm(rest[b] - rest[a], axis=-1)
     return np.asarray(np.linalg.norm(p[:, b] - p[:, a], axis=-1) - true)
-
-
-# --- what is minimised ---------------------------------------------------------------------------
 
 
 def numeric_gradient(residuals: Callable[[Array], dict[str, Array]], x: Array) -> Array:
@@ -130,9 +120,7 @@ def documented(
     ({}, 60),
     ({"prior": "positions", "huber_reprojection": None, "k_V": 0.3, "k_S": 0.1, "k_I": 0.9}, 2),
 ])  # fmt: skip
-def test_every_report_is_the_documented_energy_and_its_true_gradient(
-    change: dict[str, Any], max_iterations: int
-) -> None:
+def test_reports_have_the_documented_energy_and_gradient(change: dict[str, Any], max_iterations: int) -> None:
     s = Scene(SMALL, 12)
     confidence = np.random.default_rng(0).uniform(0.2, 1.0, s.seen.confidence.shape)
     s.seen = planted.unseen(replace(s.seen, confidence=confidence), slice(2, 6), [3, 4])
@@ -177,7 +165,7 @@ def test_scipy_reaches_the_same_minimum(bone_lengths: str, off: float | None) ->
     np.testing.assert_allclose(x, peer.x, atol=1e-5)
 
 
-def test_exact_observations_of_the_truth_leave_the_truth(scene: Scene) -> None:
+def test_exact_observations_recover_the_truth(scene: Scene) -> None:
     imus = planted.bone_imus(BODY, scene.truth.poses)
     exact = planted.keypoints(scene.truth.poses)
     still = body(replace(DEFAULT, k_S=0.0)).solve(scene.truth.poses, exact, imus)
@@ -186,18 +174,7 @@ def test_exact_observations_of_the_truth_leave_the_truth(scene: Scene) -> None:
     assert planted.mpjpe_mm(smoothed.poses.p_world_joint, scene.p) < 1.0
 
 
-def test_somebody_who_stands_still_is_found_exactly() -> None:
-    truth = planted.standing(BODY, 20)
-    start = replace(truth.poses, p_world_joint=truth.poses.p_world_joint + 0.03)
-    imus = planted.bone_imus(BODY, truth.poses)
-    seen = planted.keypoints(truth.poses)
-    out = body().solve(start, seen, imus).poses.p_world_joint
-    assert planted.mpjpe_mm(start.p_world_joint, truth.poses.p_world_joint) > 50
-    assert planted.mpjpe_mm(out, truth.poses.p_world_joint) < 5
-    assert np.abs(np.diff(out, axis=0)).max() < 2e-3
-
-
-def test_the_optimum_beats_sf2_and_sf2_beats_the_lifter(scene: Scene, solution: FragmentSolution) -> None:
+def test_errors_decrease_from_lifter_to_sf2_to_optimum(scene: Scene, solution: FragmentSolution) -> None:
     out = solution.poses.p_world_joint
     errors = [
         planted.root_relative_mm(p, scene.p)
@@ -208,7 +185,7 @@ def test_the_optimum_beats_sf2_and_sf2_beats_the_lifter(scene: Scene, solution: 
     assert absolute[0] < 0.5 * absolute[1]
 
 
-def test_vision_alone_beats_the_lifter_and_sensors_add_to_it(
+def test_vision_only_improves_on_the_lifter_and_sensors_on_vision(
     scene: Scene, solution: FragmentSolution
 ) -> None:
     start = InertialGuidedIK(BODY).refine(scene.lifted)
@@ -222,62 +199,8 @@ def test_vision_alone_beats_the_lifter_and_sensors_add_to_it(
     assert np.all(rto.poses.provenance[:, hand] == Provenance.CAMERA)
 
 
-@pytest.mark.parametrize("weight", ["k_V", "k_I", "k_A", "k_B", "k_S"])
-def test_a_weight_of_zero_leaves_its_term_out(weight: str) -> None:
-    s = Scene(SMALL, 8)
-    change: dict[str, Any] = {weight: 0.0}
-    off = replace(DEFAULT, **change)
-    solution = FragmentSolver(SMALL, 8, off, SMALL_SENSORS).solve(s.start, s.seen, s.imus)
-    gone = {
-        "k_V": {"visual"}, "k_I": {"acceleration", "bone", "smooth"},
-        "k_A": {"acceleration"}, "k_B": {"bone"}, "k_S": {"smooth"},
-    }[weight]  # fmt: skip
-    assert {term for term in TERMS if solution.energy[term] == 0.0} == gone
-    assert solution.status is SolverStatus.CONVERGED
-
-
-def test_turning_and_moving_the_whole_scene_turns_and_moves_the_answer(
-    scene: Scene, solution: FragmentSolution
-) -> None:
-    R, t = so3.exp([0.2, -0.4, 1.3]), np.array([3.0, -1.0, 0.4])
-    cam = scene.seen.camera
-    R_camera = cam.R_camera_world @ R.T
-    moved_camera = replace(cam, R_camera_world=R_camera, t_camera_world=cam.t_camera_world - R_camera @ t)
-    start = replace(
-        scene.start,
-        p_world_joint=scene.start.p_world_joint @ R.T + t,
-        R_world_bone=R @ scene.start.R_world_bone,
-    )
-    imus = replace(scene.imus, R_world_bone=R @ scene.imus.R_world_bone, a_world=scene.imus.a_world @ R.T)
-    out = body().solve(start, replace(scene.seen, camera=moved_camera), imus)
-    np.testing.assert_allclose(out.poses.p_world_joint, solution.poses.p_world_joint @ R.T + t, atol=1e-5)
-
-
-def test_a_lens_with_distortion_gives_the_same_answer(scene: Scene, solution: FragmentSolution) -> None:
-    seen = scene.seen
-    lens = replace(seen.camera, distortion=np.array([-0.2, 0.05, 0.001, -0.002, 0.0]))
-    rays = seen.camera.rays_world(seen.uv_px) + seen.camera.center_world
-    bent = replace(seen, camera=lens, uv_px=lens.project(rays))
-    assert np.abs(bent.uv_px - seen.uv_px).max() > 2
-    out = body().solve(scene.start, bent, scene.imus)
-    np.testing.assert_allclose(out.poses.p_world_joint, solution.poses.p_world_joint, atol=1e-5)
-
-
-def test_half_the_frame_rate_is_not_another_unit() -> None:
-    slow = planted.moving(BODY, 60)
-    half = slow.poses[::2]
-    imus = planted.bone_imus(BODY, half)
-    out = body().solve(half, planted.keypoints(half), imus)
-    assert half.rate_hz == pytest.approx(30.0)
-    assert out.energy["acceleration"] < 0.01
-    assert planted.mpjpe_mm(out.poses.p_world_joint, half.p_world_joint) < 1.0
-
-
-# --- the estimated sigma -------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("sigma_px", [3.0, 7.0])
-def test_the_sigma_of_the_landmarks_is_estimated_as_twice_their_error(sigma_px: float) -> None:
+def test_estimated_sigma_is_twice_the_reprojection_error(sigma_px: float) -> None:
     truth = planted.moving(BODY, 32)
     seen, imus = planted.keypoints(truth.poses, sigma_px), planted.bone_imus(BODY, truth.poses)
     reports = body().solve(truth.poses, seen, imus).fragments
@@ -295,97 +218,7 @@ def test_the_estimated_sigma_stays_in_its_range_and_a_given_one_is_kept(scene: S
         assert report.sigma_reprojection == 8.0
 
 
-def test_landmarks_that_were_not_seen_say_nothing_about_the_sigma() -> None:
-    truth = planted.moving(BODY, 8)
-    imus, exact = planted.bone_imus(BODY, truth.poses), planted.keypoints(truth.poses)
-    half_seen = planted.unseen(exact, slice(None), slice(8, 21))
-    for report in body().solve(truth.poses, half_seen, imus).fragments:
-        assert report.sigma_reprojection == 2.0  # the least of the range
-    hardly_seen = planted.unseen(exact, slice(None), slice(2, 21))
-    for report in body().solve(truth.poses, hardly_seen, imus).fragments:
-        assert report.sigma_reprojection == DEFAULT.sigma_reprojection_first
-
-
-def test_the_iterations_of_both_calls_are_counted() -> None:
-    s = Scene(SMALL, 4)
-    solver = FragmentSolver(SMALL, 8, replace(DEFAULT, max_iterations=3), SMALL_SENSORS)
-    assert [f.iterations for f in solver.solve(s.start, s.seen, s.imus).fragments] == [6, 6]
-
-
-# --- equal calls, equal answers ------------------------------------------------------------------
-
-
-def test_equal_calls_give_equal_answers_whatever_was_solved_between(scene: Scene) -> None:
-    solver = FragmentSolver(BODY, N, DEFAULT)
-    first = solver.solve(*scene.part(slice(20)))
-    other = Scene(BODY, 9, seed=3)
-    solver.solve(other.start, other.seen, None)
-    FragmentSolver(BODY, N, DEFAULT).solve(other.start, other.seen, other.imus)
-    again = solver.solve(*scene.part(slice(20)))
-    np.testing.assert_array_equal(again.poses.p_world_joint, first.poses.p_world_joint)
-    np.testing.assert_array_equal(again.poses.R_world_bone, first.poses.R_world_bone)
-    for a, b in zip(again.fragments, first.fragments, strict=True):
-        assert replace(a, seconds=0.0) == replace(b, seconds=0.0)
-
-
-def test_a_second_body_of_the_same_tree_is_not_mistaken_for_the_first() -> None:
-    tall = BODY.with_height(1.95)
-    truth = planted.moving(tall, 8)
-    imus = planted.bone_imus(tall, truth.poses)
-    body()
-    solver = FragmentSolver(tall, N, replace(DEFAULT, k_S=0.0))
-    out = solver.solve(truth.poses, planted.keypoints(truth.poses), imus)
-    np.testing.assert_allclose(out.poses.p_world_joint, truth.poses.p_world_joint, atol=1e-6)
-
-
-@pytest.mark.parametrize("frames", [1, 7, 8, 30])
-@pytest.mark.parametrize("faster", [False, True])
-def test_the_stream_is_the_solution(scene: Scene, frames: int, faster: bool) -> None:
-    start, seen, imus = scene.part(slice(frames))
-    if faster:
-        start, seen = start[::2], seen[::2]
-    whole = body().solve(start, seen, imus).poses
-    blocks = list(body().stream(start, seen, imus))
-    assert all(len(block) == N // 2 for block in blocks[:-1])
-    for field in ("times", "p_world_joint", "provenance", "valid", "orientation_observed"):
-        joined = np.concatenate([getattr(block, field) for block in blocks])
-        np.testing.assert_array_equal(joined, getattr(whole, field), err_msg=field)
-    R = np.concatenate([block.R_world_bone for block in blocks])
-    np.testing.assert_allclose(R, whole.R_world_bone, atol=1e-12)
-
-
-def test_a_block_of_the_stream_comes_after_two_fragments() -> None:
-    s = Scene(SMALL, 16)
-    solver = Inspected(SMALL, 8, PLAIN, SMALL_SENSORS)
-    stream = solver.stream(s.start, s.seen, s.imus)
-    assert not solver.answers
-    next(stream)
-    assert len(solver.answers) == 2
-    next(stream)
-    assert len(solver.answers) == 3
-
-
-# --- frames --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("T", [1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 24, 29])
-@pytest.mark.parametrize("padding", ["masked", "replicate"])
-def test_any_number_of_frames_is_solved(T: int, padding: str) -> None:
-    truth = planted.moving(BODY, T)
-    imus = planted.bone_imus(BODY, truth.poses)
-    told: list[tuple[int, int]] = []
-    solution = body(replace(DEFAULT, padding=padding)).solve(
-        truth.poses, planted.keypoints(truth.poses), imus, lambda *at: told.append(at)
-    )
-    np.testing.assert_array_equal(solution.poses.times, truth.poses.times)
-    limit = 5.0 if padding == "masked" else 30.0  # copies ask a moving person to stand
-    assert planted.mpjpe_mm(solution.poses.p_world_joint, truth.poses.p_world_joint) < limit
-    fragments = -(-T // 8) + 1
-    assert [f.first_frame for f in solution.fragments] == [8 * i - 8 for i in range(fragments)]
-    assert told == [(i + 1, fragments) for i in range(fragments)]
-
-
-def test_masked_padding_does_not_drag_on_the_ends() -> None:
+def test_masked_padding_has_smaller_errors_at_the_ends() -> None:
     truth = planted.moving(BODY, 40, radians=0.5)
     imus, seen = planted.bone_imus(BODY, truth.poses), planted.keypoints(truth.poses)
     ends = {}
@@ -396,25 +229,7 @@ def test_masked_padding_does_not_drag_on_the_ends() -> None:
     assert ends["masked"] < 0.5 * ends["replicate"]
 
 
-def test_frames_far_from_the_ends_do_not_know_of_the_padding(scene: Scene) -> None:
-    settings_ = [replace(DEFAULT, padding=padding) for padding in ("masked", "replicate")]
-    one, two = (body(s).solve(scene.start, scene.seen, scene.imus) for s in settings_)
-    np.testing.assert_array_equal(one.poses.p_world_joint[8:48], two.poses.p_world_joint[8:48])
-    assert np.abs(one.poses.p_world_joint[:8] - two.poses.p_world_joint[:8]).max() > 1e-4
-
-
-def test_a_tapered_blend_is_smoother_than_the_mean_of_the_same_fragments(scene: Scene) -> None:
-    tapered, average = (
-        body(replace(DEFAULT, blend=blend)).solve(scene.start, scene.seen, scene.imus)
-        for blend in ("tapered", "average")
-    )
-    for a, b in zip(tapered.fragments, average.fragments, strict=True):
-        assert a.energy == b.energy
-    smooth = jerk_error(tapered.poses.p_world_joint, scene.p)
-    assert smooth < 0.7 * jerk_error(average.poses.p_world_joint, scene.p)
-
-
-def test_the_mean_is_the_mean_of_both_fragments_and_the_taper_lies_between() -> None:
+def test_blends_are_means_or_tapered_weights_of_both_fragments() -> None:
     s = Scene(SMALL, 12)
     for blend in ("average", "tapered"):
         solver = Inspected(SMALL, 8, replace(PLAIN, blend=blend), SMALL_SENSORS)
@@ -432,12 +247,7 @@ def test_the_mean_is_the_mean_of_both_fragments_and_the_taper_lies_between() -> 
             assert share[0] < 0.05
 
 
-# --- bone lengths --------------------------------------------------------------------------------
-
-
-def test_weighted_lengths_hold_to_millimetres_and_free_ones_do_not(
-    scene: Scene, solution: FragmentSolution
-) -> None:
+def test_weighted_lengths_are_kept_to_millimetres(scene: Scene, solution: FragmentSolution) -> None:
     weighted = np.abs(length_errors(solution.poses.p_world_joint, BODY))
     assert weighted.mean() < 0.002
     assert weighted.max() < 0.012
@@ -446,7 +256,7 @@ def test_weighted_lengths_hold_to_millimetres_and_free_ones_do_not(
     assert {f.infeasibility for f in free.fragments} == {0.0}
 
 
-def test_constrained_lengths_hold_in_every_fragment() -> None:
+def test_constrained_lengths_are_kept_in_every_fragment() -> None:
     s = Scene(BODY, 20)
     solver = Inspected(BODY, 8, replace(DEFAULT, bone_lengths="constraint"))
     solution = solver.solve(s.start, s.seen, s.imus)
@@ -459,23 +269,7 @@ def test_constrained_lengths_hold_in_every_fragment() -> None:
     assert np.abs(length_errors(solution.poses.p_world_joint, BODY)).max() < 0.005
 
 
-def test_violated_lengths_are_reported_as_they_are() -> None:
-    s = Scene(SMALL, 4)
-    set_ = replace(PLAIN, bone_lengths="constraint", max_iterations=0)
-    solution = FragmentSolver(SMALL, 8, set_, SMALL_SENSORS).solve(s.lifted, s.seen, s.imus)
-    p = s.lifted.p_world_joint
-    a, b = np.array(rigid_pairs(SMALL.parents)).T
-    true = np.linalg.norm(p[:, b] - p[:, a], axis=-1) - length_errors(p, SMALL)
-    violation = np.abs(np.sum((p[:, b] - p[:, a]) ** 2, axis=-1) - true**2).max()
-    assert solution.status is SolverStatus.ITERATION_LIMIT
-    for report in solution.fragments:
-        assert report.infeasibility == pytest.approx(violation, rel=1e-9)
-
-
-# --- missing observations ------------------------------------------------------------------------
-
-
-def test_joints_and_frames_that_were_not_seen_are_bridged(scene: Scene) -> None:
+def test_unobserved_joints_and_frames_are_bridged(scene: Scene) -> None:
     seen = planted.unseen(scene.seen, slice(20, 32))
     seen = planted.unseen(seen, slice(None), BODY.index("LeftHand", "Head"))
     out = body().solve(scene.start, seen, scene.imus).poses.p_world_joint
@@ -491,18 +285,8 @@ def test_joints_and_frames_that_were_not_seen_are_bridged(scene: Scene) -> None:
     assert gap < start_gap
 
 
-def test_a_recording_that_saw_nobody_stays_near_its_start(scene: Scene) -> None:
-    start, seen, imus = scene.part(slice(16))
-    blind = planted.unseen(seen, slice(None))
-    solution = body().solve(start, blind, imus)
-    assert solution.status is SolverStatus.CONVERGED
-    assert solution.energy["visual"] == 0.0
-    moved = planted.mpjpe_mm(solution.poses.p_world_joint, start.p_world_joint)
-    assert moved < planted.mpjpe_mm(scene.p[:16], start.p_world_joint)
-
-
 @pytest.mark.parametrize("rate", [1, 2])
-def test_samples_that_are_nan_are_as_if_the_sensor_were_not_there(scene: Scene, rate: int) -> None:
+def test_sensor_without_data_has_no_effect(scene: Scene, rate: int) -> None:
     imus = scene.imus
     silent = replace(
         imus,
@@ -528,18 +312,7 @@ def test_any_subset_of_sensors_is_taken(joints: set[str]) -> None:
     assert (solution.energy["acceleration"] > 0) == bool(has_bone)
 
 
-def test_the_lever_arm_of_a_sensor_matters(scene: Scene) -> None:
-    truth = scene.truth.poses[:24]
-    seen, imus = planted.keypoints(truth), planted.bone_imus(BODY, truth)
-    right, wrong = (
-        body().solve(truth, seen, replace(imus, p_bone_sensor=lever)).poses.p_world_joint
-        for lever in (imus.p_bone_sensor, np.zeros((8, 3)))
-    )
-    error = planted.mpjpe_mm(wrong, truth.p_world_joint)
-    assert error > 5 * planted.mpjpe_mm(right, truth.p_world_joint)
-
-
-def test_sensors_at_another_rate_are_brought_to_the_frames() -> None:
+def test_sensors_are_resampled_to_the_frames() -> None:
     truth = planted.moving(BODY, 121)
     imus = planted.bone_imus(BODY, truth.poses)
     frames = slice(20, 80, 4)
@@ -551,24 +324,7 @@ def test_sensors_at_another_rate_are_brought_to_the_frames() -> None:
     assert out.poses.orientation_observed[:, BODY.index(*planted.LIMBS)].all()
 
 
-# --- the start -----------------------------------------------------------------------------------
-
-
-def test_refitting_the_root_first_mends_a_start_that_stands_elsewhere() -> None:
-    truth = planted.moving(BODY, 16)
-    seen, imus = planted.keypoints(truth.poses), planted.bone_imus(BODY, truth.poses)
-    away = replace(truth.poses, p_world_joint=truth.poses.p_world_joint + np.array([0.5, 0.3, -0.2]))
-    refitted, as_it_is = (
-        planted.mpjpe_mm(
-            body(replace(DEFAULT, refit_root=refit)).solve(away, seen, imus).poses.p_world_joint,
-            truth.poses.p_world_joint,
-        )
-        for refit in (True, False)
-    )
-    assert refitted < 0.8 * as_it_is
-
-
-def test_a_prior_on_bones_does_not_bend_the_pose_where_the_root_is_wrong() -> None:
+def test_prior_on_bones_tolerates_a_wrong_root() -> None:
     truth = planted.moving(BODY, 24)
     seen, imus = planted.keypoints(truth.poses), planted.bone_imus(BODY, truth.poses)
     start = replace(truth.poses, p_world_joint=truth.poses.p_world_joint + np.array([0.5, 0.0, 0.0]))
@@ -580,10 +336,7 @@ def test_a_prior_on_bones_does_not_bend_the_pose_where_the_root_is_wrong() -> No
     assert bent["bones"] < bent["positions"]
 
 
-# --- the answer ----------------------------------------------------------------------------------
-
-
-def test_orientations_agree_with_the_positions_and_provenance_with_the_sensors(
+def test_orientations_follow_positions_and_provenance_the_sensors(
     scene: Scene, solution: FragmentSolution
 ) -> None:
     poses = solution.poses
@@ -599,19 +352,8 @@ def test_orientations_agree_with_the_positions_and_provenance_with_the_sensors(
     assert np.degrees(angles.mean()) < 8
 
 
-def test_the_solution_sums_up_its_fragments(solution: FragmentSolution) -> None:
-    fragments = solution.fragments
-    assert solution.iterations == sum(f.iterations for f in fragments) > len(fragments)
-    assert solution.seconds == pytest.approx(sum(f.seconds for f in fragments))
-    assert solution.optimality == max(f.optimality for f in fragments)
-    for term in TERMS:
-        mean = np.mean([f.energy[term] for f in fragments])
-        assert solution.energy[term] == pytest.approx(mean)
-    assert solution.status is SolverStatus.CONVERGED
-
-
 @pytest.mark.filterwarnings("ignore:overflow")
-def test_a_fragment_that_fails_gives_back_its_start_and_says_so() -> None:
+def test_failed_fragment_returns_the_initial_poses() -> None:
     s = Scene(SMALL, 8)
     uv = np.array(s.seen.uv_px)
     uv[6] = 1e200  # its square is not a number any more
@@ -623,10 +365,9 @@ def test_a_fragment_that_fails_gives_back_its_start_and_says_so() -> None:
     ]  # fmt: skip
     assert solution.status is SolverStatus.FAILED
     np.testing.assert_allclose(solution.poses.p_world_joint[4:], s.start.p_world_joint[4:], atol=1e-12)
-    assert "starting poses" in SolverStatus.FAILED.value
 
 
-def test_whatever_a_solver_that_gave_up_returns_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_result_of_a_failed_solver_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     s = Scene(SMALL, 8)
     solver = FragmentSolver(SMALL, 8, PLAIN, SMALL_SENSORS)
 
@@ -644,18 +385,7 @@ def test_whatever_a_solver_that_gave_up_returns_is_not_used(monkeypatch: pytest.
     np.testing.assert_allclose(solution.poses.p_world_joint, s.start.p_world_joint, atol=1e-12)
 
 
-# --- the paper's reading -------------------------------------------------------------------------
-
-
-def test_the_papers_settings_find_a_minimum_too(scene: Scene) -> None:
-    solution = body(CartesianSettings.paper()).solve(scene.start, scene.seen, scene.imus)
-    assert solution.status is SolverStatus.CONVERGED
-    assert solution.energy["length"] == 0.0
-    before = planted.mpjpe_mm(scene.start.p_world_joint, scene.p)
-    assert planted.mpjpe_mm(solution.poses.p_world_joint, scene.p) < before
-
-
-def test_the_sensors_jerk_as_target_follows_the_truth_that_smoothing_flattens() -> None:
+def test_sensor_jerk_as_target_has_less_smoothness_energy() -> None:
     truth = planted.moving(BODY, 40, radians=0.6)
     seen, imus = planted.keypoints(truth.poses, 2.0), planted.bone_imus(BODY, truth.poses)
     smooth = {}
@@ -663,32 +393,3 @@ def test_the_sensors_jerk_as_target_follows_the_truth_that_smoothing_flattens() 
         out = body(replace(DEFAULT, jerk_target=target)).solve(truth.poses, seen, imus)
         smooth[target] = out.energy["smooth"]
     assert smooth["sensor"] < smooth["zero"]
-
-
-def test_a_gap_in_a_sensor_is_no_jerk() -> None:
-    # Differentiated into a gap, an acceleration of 5 m/s^2 would ask for 300 m/s^3.
-    truth = planted.moving(BODY, 32, radians=0.5)
-    seen, imus = planted.keypoints(truth.poses), planted.bone_imus(BODY, truth.poses)
-    a = np.array(imus.a_world)
-    a[14:18] = np.nan
-
-    def smoothness(target: str, imus: BoneImuSequence) -> float:
-        """Of the truth itself."""
-        set_ = replace(PLAIN, jerk_target=target, padding="masked", max_iterations=0)
-        return body(set_).solve(truth.poses, seen, imus).energy["smooth"]
-
-    whole, gap, without = (
-        smoothness("sensor", imus),
-        smoothness("sensor", replace(imus, a_world=a)),
-        smoothness("zero", imus),
-    )
-    assert whole < gap < without
-
-
-# --- what is refused -----------------------------------------------------------------------------
-
-
-def test_keypoints_of_nothing_in_the_skeleton_are_refused(scene: Scene) -> None:
-    strangers = replace(scene.seen, names=tuple(f"point {i}" for i in range(21)))
-    with pytest.raises(SolverError, match="none of the landmarks is a joint of the skeleton"):
-        body().solve(scene.start, strangers)

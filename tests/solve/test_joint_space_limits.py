@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.joint_space.limits import Limits
 
@@ -65,13 +65,6 @@ def test_values_are_the_angles_of_the_configuration() -> None:
     assert not limits().excess(limits().values(states_of(q))).any()
 
 
-def test_a_deep_squat_is_within_the_limits_whatever_the_hips_do() -> None:
-    q = BODY.t_pose()[None].copy()
-    q[0, [7 + BODY.dof_names.index(name) for name in ("LeftUpLeg_y", "RightUpLeg_y")]] = -3.1
-    q[0, 7 + BODY.dof_names.index("LeftLeg_y")] = 2.0
-    assert not limits().excess(limits().values(states_of(q))).any()
-
-
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_an_angle_beyond_its_limit_is_out_by_the_difference(sign: float) -> None:
     for m, column in enumerate(columns()):
@@ -82,27 +75,19 @@ def test_an_angle_beyond_its_limit_is_out_by_the_difference(sign: float) -> None
         assert np.count_nonzero(excess) == 1
 
 
-def test_the_jacobian_is_that_of_the_values() -> None:
-    x, space = states_of(configurations(5, 1, 0.9)), StateSpace(BODY, BODY.names, True)
-    J = limits().jacobian(x)
-    for i in range(space.size):
-        d = np.zeros((5, space.size))
-        d[:, i] = 1e-6
-        rate = limits().values(space.retract(x, d)) - limits().values(space.retract(x, -d))
-        np.testing.assert_allclose(J[..., i], rate / 2e-6, atol=1e-8)
-
-
 def test_force_and_curvature_are_products_with_the_jacobian() -> None:
     found, rng = limits(), np.random.default_rng(0)
-    x = states_of(configurations(6, 2))
-    J = found.jacobian(x)
+    x, space = states_of(configurations(6, 2, 0.9)), StateSpace(BODY, BODY.names, True)
+    steps = 1e-6 * np.eye(space.size)
+    J = np.stack([found.values(space.retract(x, d + 0 * x[:, :1])) - found.values(x) for d in steps], axis=-1)
+    J = J / 1e-6
     push = rng.normal(size=J.shape[:2]) * (rng.uniform(size=J.shape[:2]) < 0.4)
-    np.testing.assert_allclose(found.force(x, push), np.einsum("tm,tmd->td", push, J))
+    np.testing.assert_allclose(found.force(x, push), np.einsum("tm,tmd->td", push, J), atol=1e-6)
     H = np.zeros((6, J.shape[2], J.shape[2]))
     frames, rows, at, values = found.curvature(x, push != 0)
     np.add.at(H, (frames, rows, at), values)
     chosen = J * (push != 0)[..., None]
-    np.testing.assert_allclose(H, np.swapaxes(chosen, 1, 2) @ chosen)
+    np.testing.assert_allclose(H, np.swapaxes(chosen, 1, 2) @ chosen, atol=1e-6)
 
 
 @pytest.mark.parametrize("low, high", [(0.5, 0.2), (0.3, 0.3), (np.nan, 1.0)])
@@ -111,7 +96,7 @@ def test_limits_that_contradict_each_other_are_refused_by_name(low: float, high:
     bounds = np.array(body.limits)
     bounds[body.dof_names.index("LeftLeg_y")] = low, high
     vars(body)["limits"] = bounds
-    with pytest.raises(ShapeError, match="LeftLeg_y"):
+    with pytest.raises(InvalidInputError, match="LeftLeg_y"):
         Limits(StateSpace(body, body.names, True))
 
 

@@ -13,7 +13,7 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA
-from rtof_kin.solve.uncertainty.residual_statistics import correlation, residual_statistics
+from rtof_kin.solve.uncertainty.residual_statistics import autocorrelation, residual_statistics
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -34,8 +34,8 @@ def errors(number: int, shape: tuple[int, ...] = (240, 21, 2)) -> Array:
 def test_white_residuals_do_not_last_and_a_bias_does() -> None:
     white = residual_statistics(keypoints(errors(0)), MOTION, MOTION.poses)
     biased = residual_statistics(keypoints(errors(1, (21, 2)) + 0.2 * errors(2)), MOTION, MOTION.poses)
-    assert white.lasting < 0.05
-    assert biased.lasting == 1.0
+    assert white.autocorrelation < 0.05
+    assert biased.autocorrelation == 1.0
 
 
 @pytest.mark.parametrize("rate_hz", [30.0, 60.0, 120.0])
@@ -45,14 +45,14 @@ def test_the_correlation_is_that_of_a_fifteenth_of_a_second_at_every_rate(rate_h
     residuals = [rng.normal(size=(40, 2))]
     for _ in range(600):
         residuals.append(stay * residuals[-1] + np.sqrt(1 - stay**2) * rng.normal(size=(40, 2)))
-    found = correlation(np.array(residuals), np.arange(601) / rate_hz)
+    found = autocorrelation(np.array(residuals), np.arange(601) / rate_hz)
     assert found == pytest.approx(np.exp(-1 / (15 * memory)), abs=0.05)
 
 
 def test_outliers_that_stay_do_not_pass_for_a_detector_s_drift() -> None:
     residuals = errors(4)
     residuals[50:100, :2] += 300.0
-    found = correlation(residuals, np.arange(240) / 60)
+    found = autocorrelation(residuals, np.arange(240) / 60)
     assert found is not None
     assert found < 0.3
 
@@ -60,15 +60,15 @@ def test_outliers_that_stay_do_not_pass_for_a_detector_s_drift() -> None:
 def test_unseen_landmarks_are_left_out_and_nothing_is_said_of_too_few() -> None:
     residuals = np.broadcast_to(errors(5, (21, 2)), (240, 21, 2)).copy()
     residuals[::3] = np.nan
-    assert correlation(residuals, np.arange(240) / 60) == pytest.approx(1.0)
-    assert correlation(residuals[:5], np.arange(5) / 60) is None
-    assert correlation(np.full((240, 21, 2), np.nan), np.arange(240) / 60) is None
-    assert correlation(np.zeros((240, 21, 2)), np.arange(240) / 60) is None
+    assert autocorrelation(residuals, np.arange(240) / 60) == pytest.approx(1.0)
+    assert autocorrelation(residuals[:5], np.arange(5) / 60) is None
+    assert autocorrelation(np.full((240, 21, 2), np.nan), np.arange(240) / 60) is None
+    assert autocorrelation(np.zeros((240, 21, 2)), np.arange(240) / 60) is None
 
 
 def test_a_recording_that_tells_nothing_is_taken_for_a_usual_one() -> None:
     told = residual_statistics(keypoints(np.full((240, 21, 2), np.nan)), MOTION, MOTION.poses, ("Hips",))
-    assert (told.lasting, told.torso_sigma, told.sensors) == (1.0, USUAL_TORSO_SIGMA, ("Hips",))
+    assert (told.autocorrelation, told.torso_sigma, told.sensors) == (1.0, USUAL_TORSO_SIGMA, ("Hips",))
 
 
 def test_the_lifter_s_doubt_is_that_of_pelvis_and_upper_trunk() -> None:

@@ -32,7 +32,7 @@ def turn(**degrees: float) -> Array:
 
 
 def posture(skeleton: SkeletonModel, frames: int = 1, **turns: Array) -> PoseSequence:
-    """Somebody in the anatomical posture with some segments turned, in world; fully observed.
+    """The anatomical posture with some segments turned, in world; fully observed.
 
     Args:
         turns: anatomical words with '_' ('right_shank') -> (3, 3) or (frames, 3, 3); 'body' turns all.

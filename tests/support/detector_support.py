@@ -20,7 +20,7 @@ LAYOUTS = ("body25", "body25b", "coco17", "halpe26", "mediapipe33", "human36m17"
 
 
 def points_px(layout: str, motion: MotionSequence, camera: Camera) -> Array:
-    """(T, K, 2) a layout's points in the image, exactly where the table says that they lie."""
+    """Exact image points (T, K, 2) of a layout."""
     skeleton, poses = motion.skeleton, motion.poses
     p, R = poses.p_world_joint, poses.R_world_bone
     bare = replace(SkeletonModel.default().table, landmarks=detector_table().points)

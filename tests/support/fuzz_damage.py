@@ -14,9 +14,9 @@ from pathlib import Path
 from hypothesis import strategies as st
 
 CPU_SECONDS = 5.0
-"""No reader may take longer over a damaged small file."""
+"""Limit of a reader's processor time for a small file."""
 MEMORY_BYTES = 2**30
-"""Nor set aside more than this."""
+"""Limit of its memory."""
 
 # --- damage --------------------------------------------------------------------------------------
 
@@ -28,7 +28,7 @@ EXTREME = (
 JUNK = (
     b"\0", b"\0" * 64, b"\xff\xfe", b"\xb5", b"\r", b"\n", b"\t", b'"', b"{", b"[" * 3000, b"(" * 3000,
 )  # fmt: skip
-"""What is put somewhere: NULs, bytes that are not UTF-8, line ends, brackets."""
+"""Inserted bytes: NULs, invalid UTF-8, line ends, brackets."""
 
 
 class Content(bytes):
@@ -78,7 +78,7 @@ def _damaged(draw: st.DrawFn, content: bytes) -> bytes:
 
 
 def _damaged_member(draw: st.DrawFn, content: bytes) -> bytes:
-    """An archive that is sound but for what is in one of its members, or for a member left out."""
+    """An archive with one damaged or missing member."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     name = draw(st.sampled_from(sorted(members)))

@@ -6,6 +6,7 @@ to read that folder. `test_fuzz_readers` damages each file of it in turn.
 
 from __future__ import annotations
 
+import functools
 import io
 import tempfile
 from collections.abc import Callable, Mapping
@@ -102,10 +103,6 @@ def motion() -> Any:
     return planted.moving(SKELETON, 4)
 
 
-def recording(folder: Path) -> None:
-    planted.recording(planted.moving(SKELETON, 12)).save(folder / "take")
-
-
 def _markers() -> MarkerSequence:
     p = np.random.default_rng(0).normal(size=(4, 3, 3))
     p[1, 1] = np.nan
@@ -199,7 +196,7 @@ def _corpus_index() -> Files:
 
 def _lifter() -> Files:
     lifter = lifting_support.untrained_lifter(channels=4)
-    return made_by(lambda d: save_checkpoint(d / "a.pt", lifter._network, lifter.description))
+    return made_by(lambda d: save_checkpoint(d / "a.pt", lifter.network, lifter.description))
 
 
 def one(name: str, content: Callable[[], bytes] | bytes) -> Callable[[], Files]:
@@ -207,88 +204,92 @@ def one(name: str, content: Callable[[], bytes] | bytes) -> Callable[[], Files]:
     return lambda: {name: content() if callable(content) else content}
 
 
+def given(title: str, name: str, content: Callable[[], bytes] | bytes, read: Callable[[Path], Any]) -> Reader:
+    """A reader of one file with given contents."""
+    return Reader(title, one(name, content), lambda folder: read(folder / name))
+
+
+def written(title: str, name: str, write: Callable[[Path], object], read: Callable[[Path], Any]) -> Reader:
+    """A reader of one file (or folder) made by a writer."""
+    example = functools.partial(made_by, lambda folder: write(folder / name))
+    return Reader(title, example, lambda folder: read(folder / name))
+
+
 def log(name: str, content: Callable[[], bytes] | bytes) -> Reader:
-    """A format of sensors, read as a folder, which recognises it by its content."""
+    """A sensor format, read as a folder and recognised by its content."""
     return Reader(f"sensors {name}", one(name, content), read_sensor_log)
 
 
-def looked_at(name: str, example: Callable[[], Files]) -> Reader:
-    """A file or folder that `inspect` looks at."""
-    return Reader(f"inspect {name}", example, lambda folder: inspect(folder / name))
+def _motion_file(path: Path) -> object:
+    return write_motion_npz(path, motion())
+
+
+def recording(folder: Path) -> None:
+    """Save a recording in ``folder/take``."""
+    _take(folder / "take")
+
+
+def _take(path: Path) -> object:
+    return planted.recording(planted.moving(SKELETON, 12)).save(path)
+
+
+def _model(name: str) -> Callable[[], bytes]:
+    return model_path(name).read_bytes
+
+
+def _gaussian(path: Path) -> object:
+    return read_gaussian(path, detector_table())
+
+
+def _bvh(name: str) -> Callable[[], bytes]:
+    return lambda: real("mocap", name)
 
 
 UV = np.random.default_rng(1).uniform(100, 900, (4, 21, 2))
 CAMERA, SKELETON = planted.camera(), SkeletonModel.default()
+TC = functools.partial(functools.partial, total_capture_file)
 READERS = (
-    Reader("npz", one("a.npz", lambda: npz(a=UV, b=np.eye(3))), lambda d: read_npz(d / "a.npz")),
-    Reader("csv", one("a.csv", b"time,b\n0.0,1e3\n0.1,\n0.2,-3\n"), lambda d: read_csv(d / "a.csv")),
-    Reader(
-        "motion.npz",
-        lambda: made_by(lambda d: write_motion_npz(d / "motion.npz", motion())),
-        lambda d: read_motion_npz(d / "motion.npz"),
+    given("npz", "a.npz", lambda: npz(a=UV, b=np.eye(3)), read_npz),
+    given("csv", "a.csv", b"time,b\n0.0,1e3\n0.1,\n0.2,-3\n", read_csv),
+    written("motion.npz", "motion.npz", _motion_file, read_motion_npz),
+    written(
+        "joint trajectory", "a.csv", lambda p: write_joint_trajectory_csv(p, motion()),
+        read_joint_trajectory_csv,
     ),
-    Reader(
-        "joint trajectory",
-        lambda: made_by(lambda d: write_joint_trajectory_csv(d / "a.csv", motion())),
-        lambda d: read_joint_trajectory_csv(d / "a.csv"),
-    ),
-    Reader(
-        "object npz",
-        one("a.npz", lambda: npz(a=np.array({"S1": [np.eye(2), "x", 1.5]}, dtype=object))),
-        lambda d: read_object_npz(d / "a.npz", ["a"]),
+    given(
+        "object npz", "a.npz", lambda: npz(a=np.array({"S1": [np.eye(2), "x", 1.5]}, dtype=object)),
+        lambda p: read_object_npz(p, ["a"]),
     ),
     # --- motion capture
-    Reader(
-        "BVH", one("a.bvh", lambda: real("mocap", "10_01_excerpt.bvh")),
-        lambda d: read_bvh(d / "a.bvh"),
-    ),
+    given("BVH", "a.bvh", _bvh("10_01_excerpt.bvh"), read_bvh),
     Reader(
         "ASF and AMC",
         lambda: {"a.asf": real("mocap", "16.asf"), "a.amc": real("mocap", "16_15.amc")},
         lambda d: read_asf_amc(d / "a.asf", d / "a.amc"),
     ),
-    Reader(
-        "motion capture", one("a.bvh", lambda: real("mocap", "02_01_excerpt.bvh")),
-        lambda d: read_mocap(d / "a.bvh"),
-    ),
+    given("motion capture", "a.bvh", _bvh("02_01_excerpt.bvh"), read_mocap),
     Reader("motion capture corpus", _corpus_index, lambda d: list(read_mocap_corpus(d))),
-    Reader(
-        "TRC", lambda: made_by(lambda d: write_trc(d / "a.trc", _markers())),
-        lambda d: read_trc(d / "a.trc"),
-    ),
-    Reader(
-        "C3D", lambda: made_by(lambda d: write_c3d(d / "a.c3d", _markers())),
-        lambda d: read_c3d(d / "a.c3d"),
-    ),
+    written("TRC", "a.trc", lambda p: write_trc(p, _markers()), read_trc),
+    written("C3D", "a.c3d", lambda p: write_c3d(p, _markers()), read_c3d),
     # --- cameras
-    Reader(
-        "camera TOML", lambda: made_by(lambda d: write_camera_toml(d / "a.toml", {"left": CAMERA})),
-        lambda d: read_camera_toml(d / "a.toml"),
-    ),
-    Reader("OpenCV YAML", one("a.yml", OPENCV), lambda d: read_opencv_yaml(d / "a.yml")),
-    Reader(
-        "OpenCV JSON",
-        one("a.json", b'{"width": 64, "height": 48, "K": [[9, 0, 3], [0, 9, 2], [0, 0, 1]],\n'
-            b'"rvec": [0.1, 0, 0], "tvec": [0, 0, 4], "D": {"rows": 1, "data": [0.1, 0, 0, 0]}}'),
-        lambda d: read_opencv_yaml(d / "a.json"),
+    written("camera TOML", "a.toml", lambda p: write_camera_toml(p, {"left": CAMERA}), read_camera_toml),
+    given("OpenCV YAML", "a.yml", OPENCV, read_opencv_yaml),
+    given(
+        "OpenCV JSON", "a.json",
+        b'{"width": 64, "height": 48, "K": [[9, 0, 3], [0, 9, 2], [0, 0, 1]],\n'
+        b'"rvec": [0.1, 0, 0], "tvec": [0, 0, 4], "D": {"rows": 1, "data": [0.1, 0, 0, 0]}}',
+        read_opencv_yaml,
     ),
     # --- datasets
-    Reader(
-        "Total Capture positions", one("a.txt", lambda: total_capture_file("gt_skel_gbl_pos.txt")),
-        lambda d: total_capture.read_joints(d / "a.txt", 3),
+    given(
+        "Total Capture positions", "a.txt", TC("gt_skel_gbl_pos.txt"),
+        lambda p: total_capture.read_joints(p, 3),
     ),
-    Reader(
-        "Total Capture sensors", one("a.sensors", lambda: total_capture_file("_xsens.sensors")),
-        lambda d: total_capture.read_sensors(d / "a.sensors"),
+    given("Total Capture sensors", "a.sensors", TC("_xsens.sensors"), total_capture.read_sensors),
+    given(
+        "Total Capture IMU calibration", "a.txt", TC("calib_imu_bone.txt"), total_capture.read_imu_calibration
     ),
-    Reader(
-        "Total Capture IMU calibration", one("a.txt", lambda: total_capture_file("calib_imu_bone.txt")),
-        lambda d: total_capture.read_imu_calibration(d / "a.txt"),
-    ),
-    Reader(
-        "Total Capture cameras", one("a.cal", lambda: total_capture_file("calibration.cal")),
-        lambda d: total_capture.read_cameras(d / "a.cal"),
-    ),
+    given("Total Capture cameras", "a.cal", TC("calibration.cal"), total_capture.read_cameras),
     Reader("Human3.6M archives", _human36m, _read_human36m),
     Reader(
         "Human3.6M cameras in JSON",
@@ -306,57 +307,35 @@ READERS = (
         lambda d: read_detections(d, "S5", "acting3", 1, CAMERA, SKELETON),
     ),
     # --- detectors
-    Reader("OpenPose", one("p_0_keypoints.json", OPENPOSE), lambda d: read_detector_file(d)),
-    Reader(
-        "COCO results",
-        one("a.json", b'[{"image_id": 0, "keypoints": [1.5, 2.5, 0.5, 3, 4, 1], "idx": 1},\n'
-            b'{"image_id": "1.jpg", "keypoints": [1.5, 2.5, 0.5, 3, 4, 1], "idx": 1}]'),
-        lambda d: read_detector_file(d / "a.json"),
+    Reader("OpenPose", one("p_0_keypoints.json", OPENPOSE), read_detector_file),
+    given(
+        "COCO results", "a.json",
+        b'[{"image_id": 0, "keypoints": [1.5, 2.5, 0.5, 3, 4, 1], "idx": 1},\n'
+        b'{"image_id": "1.jpg", "keypoints": [1.5, 2.5, 0.5, 3, 4, 1], "idx": 1}]',
+        read_detector_file,
     ),
-    Reader(
-        "MediaPipe",
-        one("a.json", b'{"frames": [{"time": 0.1, "landmarks": [{"x": 0.5, "y": 0.25, "visibility": 1},\n'
-            b'{"x": 0.75, "y": 0.25, "visibility": 0.5}]}]}'),
-        lambda d: read_detector_file(d / "a.json", 640, 480),
+    given(
+        "MediaPipe", "a.json",
+        b'{"frames": [{"time": 0.1, "landmarks": [{"x": 0.5, "y": 0.25, "visibility": 1},\n'
+        b'{"x": 0.75, "y": 0.25, "visibility": 0.5}]}]}',
+        lambda p: read_detector_file(p, 640, 480),
     ),
-    Reader(
-        "detector npz", one("a.npz", lambda: npz(uv_px=UV)),
-        lambda d: read_detector_file(d / "a.npz"),
-    ),
-    Reader(
-        "detector npy", lambda: made_by(lambda d: np.save(d / "a.npy", UV)),
-        lambda d: read_detector_file(d / "a.npy"),
-    ),
-    Reader(
-        "detector csv", one("a.csv", b"time,nose_x,nose_y,nose_score\n0.0,151.5,212.5,0.5\n0.1,,,0\n"),
-        lambda d: read_detector_file(d / "a.csv"),
+    given("detector npz", "a.npz", lambda: npz(uv_px=UV), read_detector_file),
+    written("detector npy", "a.npy", lambda p: np.save(p, UV), read_detector_file),
+    given(
+        "detector csv", "a.csv", b"time,nose_x,nose_y,nose_score\n0.0,151.5,212.5,0.5\n0.1,,,0\n",
+        read_detector_file,
     ),
     # --- tables of this package
-    Reader(
-        "skeleton table", one("a.toml", lambda: model_path("skeleton.toml").read_bytes()),
-        lambda d: read_skeleton_table(d / "a.toml"),
-    ),
-    Reader(
-        "detector table", one("a.toml", lambda: model_path("detectors.toml").read_bytes()),
-        lambda d: read_detector_table(d / "a.toml"),
-    ),
-    Reader(
-        "point distribution", one("a.npz", lambda: model_path("detectors.npz").read_bytes()),
-        lambda d: read_gaussian(d / "a.npz", detector_table()),
-    ),
-    Reader(
-        "URDF", one("a.urdf", lambda: model_path("skeleton.urdf").read_bytes()),
-        lambda d: SkeletonModel.from_urdf(d / "a.urdf"),
-    ),
-    Reader("recording", lambda: made_by(recording), lambda d: Recording.load(d / "take")),
+    given("skeleton table", "a.toml", _model("skeleton.toml"), read_skeleton_table),
+    given("detector table", "a.toml", _model("detectors.toml"), read_detector_table),
+    given("point distribution", "a.npz", _model("detectors.npz"), _gaussian),
+    given("URDF", "a.urdf", _model("skeleton.urdf"), SkeletonModel.from_urdf),
+    written("recording", "take", _take, Recording.load),
     # --- learning
     Reader("lifter", _lifter, lambda d: load_checkpoint(d / "a.pt")),
-    Reader(
-        "corpus", lambda: made_by(lambda d: lifting_support.tiny_corpus(4, 3).save(d / "a.npz")),
-        lambda d: read_corpus(d / "a.npz"),
-    ),
-    Reader("split", one("a.toml", b'test = ["S9"]\nvalidation = ["S8", "S7"]\n'),
-           lambda d: read_split(d / "a.toml")),
+    written("corpus", "a.npz", lambda p: lifting_support.tiny_corpus(4, 3).save(p), read_corpus),
+    given("split", "a.toml", b'test = ["S9"]\nvalidation = ["S8", "S7"]\n', read_split),
     # --- inertial sensors
     log("a.csv", SENSOR_CSV),
     log("MT_0001.txt", MT),
@@ -365,16 +344,16 @@ READERS = (
     log("hip 0123abcd/Inertial.csv", XIMU),
     log("a.mvnx", MVNX),
     log("a.mat", _mat),
-    log("s1_Xsens.sensors", lambda: total_capture_file("_xsens.sensors")),
+    log("s1_Xsens.sensors", TC("_xsens.sensors")),
     # --- any of them
-    looked_at("motion.npz", lambda: made_by(lambda d: write_motion_npz(d / "motion.npz", motion()))),
-    looked_at("a.trc", lambda: made_by(lambda d: write_trc(d / "a.trc", _markers()))),
-    looked_at("a.c3d", lambda: made_by(lambda d: write_c3d(d / "a.c3d", _markers()))),
-    looked_at("a.bvh", one("a.bvh", lambda: real("mocap", "10_01_excerpt.bvh"))),
-    looked_at("a.yml", one("a.yml", OPENCV)),
-    looked_at("a.csv", one("a.csv", SENSOR_CSV)),
-    looked_at("take", lambda: made_by(recording)),
-    Reader("MVNX", one("a.mvnx", MVNX), lambda d: read_mvnx_file(d / "a.mvnx")),
+    written("inspect motion.npz", "motion.npz", _motion_file, inspect),
+    written("inspect a.trc", "a.trc", lambda p: write_trc(p, _markers()), inspect),
+    written("inspect a.c3d", "a.c3d", lambda p: write_c3d(p, _markers()), inspect),
+    given("inspect a.bvh", "a.bvh", _bvh("10_01_excerpt.bvh"), inspect),
+    given("inspect a.yml", "a.yml", OPENCV, inspect),
+    given("inspect a.csv", "a.csv", SENSOR_CSV, inspect),
+    written("inspect take", "take", _take, inspect),
+    given("MVNX", "a.mvnx", MVNX, read_mvnx_file),
 )  # fmt: skip
 
 

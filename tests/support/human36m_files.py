@@ -1,4 +1,4 @@
-"""Archives and camera files laid out like Human3.6M's, of people and cameras that do not exist."""
+"""Synthetic archives and camera files in the layout of Human3.6M."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ KEPT = [0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27]
 
 @cache
 def body(subject: str) -> SkeletonModel:
-    """Somebody of a size of their own, with hips and shoulders that no table has."""
+    """A subject-specific body, with hips and shoulders unlike the table."""
     rng = np.random.default_rng(int(subject[1:]))
     skeleton = SkeletonModel.human36m().with_height(1.6 + 0.03 * int(subject[1:]))
     own = {name: skeleton.joint_offsets[skeleton.index(name)[0]] + rng.normal(size=3) * 0.02
@@ -48,7 +48,7 @@ def body(subject: str) -> SkeletonModel:
 
 
 def motions(subjects: tuple[str, ...], actions: int = 2, frames: int = 30) -> Positions:
-    """Rigid people who wave a little, a motion of its own for every action; float32 as archived."""
+    """Planted motions of rigid bodies, one per action; float32 as archived."""
     return {
         subject: {
             f"Action {k}": planted.moving(body(subject), frames, 100 * k + int(subject[1:]))
@@ -78,7 +78,7 @@ def projected(p: Array, subject: str, camera: int) -> Array:
 
 
 def of_32(p: Array) -> NDArray[np.float32]:
-    """(T, 32, 3) as archived; the joints that nobody wants stand somewhere else."""
+    """(T, 32, 3) as archived; unused joints are far away."""
     wide = np.full((len(p), 32, 3), 99.0, dtype=np.float32)
     wide[:, KEPT] = p
     return wide

@@ -1,4 +1,4 @@
-"""Sensors on somebody who stands in a pose and then moves: the truth that calibrations recover."""
+"""Sensors on a person who holds a pose and then moves, with the true calibration."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WALK = Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh"
 
 @dataclass(frozen=True)
 class Worn:
-    """Somebody's movement, what sensors measured of it, and the calibration that is right."""
+    """A motion, its sensors and their true calibration."""
 
     skeleton: SkeletonModel
     poses: PoseSequence
@@ -50,7 +50,7 @@ class Worn:
         return np.asarray(np.degrees(so3.angle_between(turn @ R, R_true)).mean(axis=0))
 
     def with_one_reference(self, heading: float) -> Worn:
-        """The same with sensors whose references have one heading, so many rad, in world."""
+        """The sensors with references of one heading, rad, in world."""
         turn = so3.about_axis("z", -heading)
         R = turn @ self.truth.R_world_inertial @ self.imus.R_inertial_sensor
         R_world_inertial = np.broadcast_to(turn.T, self.truth.R_world_inertial.shape)
@@ -61,7 +61,7 @@ class Worn:
         )
 
     def log(self) -> SensorLog:
-        """As a file of each sensor would give it, gyroscope included, each on times of its own."""
+        """Sensor log with gyroscopes, each sensor at its own times."""
         streams = []
         for s, name in enumerate(self.imus.names):
             own = slice(s, len(self.imus) - s)
@@ -78,7 +78,7 @@ def worn(
     noise: ImuNoise | None = None,
     seed: int = 0,
 ) -> Worn:
-    """Sensors on somebody who moves so; without noise where none is given."""
+    """Sensors on a moving person; without noise by default."""
     rng = np.random.default_rng(seed)
     noise = noise or ImuNoise.perfect()
     imus, truth = simulate_imus(rng, poses, skeleton, sensors, poses.times, noise)
@@ -94,14 +94,14 @@ def walking(R_pose: Array | None = None, sensors: Sequence[str] = LIMB_SENSORS, 
 
 
 def free(sensors: Sequence[str] = LIMB_SENSORS, seed: int = 0, **options: object) -> Worn:
-    """Somebody who moves everything at once for six seconds, as people do."""
+    """Six seconds of a motion drawn from the pose prior."""
     skeleton = SkeletonModel.default()
     poses = planted.human(skeleton, 360, seed=seed).poses
     return worn(poses, skeleton, sensors, seed=seed, **options)  # type: ignore[arg-type]
 
 
 def exercising(sensors: Sequence[str] = LIMB_SENSORS, seed: int = 0, **options: object) -> Worn:
-    """Somebody who stands in an N-pose and flexes knees, elbows and the trunk."""
+    """A person in the N-pose who flexes knees, elbows and trunk."""
     skeleton = SkeletonModel.default()
     poses = exercise(skeleton, np.random.default_rng(seed), 4.0)
     return worn(poses, skeleton, sensors, seed=seed, **options)  # type: ignore[arg-type]

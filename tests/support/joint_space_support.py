@@ -131,7 +131,7 @@ def built(kind: str) -> Built:
 
 
 def states(space: StateSpace, frames: int, seed: int = 0, step: float = 0.05) -> Array:
-    """Random smooth states (N, 3 + 4A) of somebody before the camera.
+    """Random smooth states (N, 3 + 4A) in front of the camera.
 
     Args:
         step: radians from frame to frame, and a fifth of it in metres.
@@ -150,7 +150,7 @@ def states(space: StateSpace, frames: int, seed: int = 0, step: float = 0.05) ->
 
 
 def random_data(b: Built, x: Array, seed: int = 1) -> FragmentData:
-    """Observations about states, some wide off, with weights of all sizes and some of zero."""
+    """Random observations of states, with outliers and some weights of zero."""
     rng = np.random.default_rng(seed)
     N, L, S = len(x), len(b.names), len(b.shape.sensors)
     places = np.array([BODY.landmarks[n][1] for n in b.names]).reshape(-1, 3)
@@ -251,7 +251,7 @@ def matrices(quat_wxyz: Array) -> Array:
 
 
 def frame_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
-    """Everything that looks at single frames, of all frames."""
+    """Terms of single frames, for all frames."""
     O, C = data.observation, data.constant
     p, R = poses(b, x)
     root = {name: np.sqrt(O[name]) for name in O if name.startswith("w_")}

@@ -11,9 +11,9 @@ from lifting.body import Body
 from lifting.checkpoint import LifterDescription
 from lifting.corpus import Corpus
 from lifting.model import NetworkConfig, TemporalNetwork
-from lifting.predict import Lifter
+from lifting.predict import LiftedPoses, Lifter
 from lifting.recipes import first_answer
-from lifting.windows import EncodedWindows, Windows
+from lifting.windows import EncodedWindows, Windows, sizes
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton_table import SkeletonTable, read_skeleton_table
 from rtof_kin.core import rotations as so3
@@ -31,7 +31,7 @@ TABLE_17 = read_skeleton_table(model_path("human36m.toml"))
 def moving(
     seed: int, frames: int, table: SkeletonTable = TABLE, rate_hz: float = 60.0
 ) -> tuple[Array, Array]:
-    """Root (T, 3) and orientations (T, J, 3, 3) of somebody standing on the floor and waving."""
+    """Root (T, 3) and orientations (T, J, 3, 3) of a person who stands and waves."""
     rng = np.random.default_rng(seed)
     J, time = len(table.names), np.arange(frames) / rate_hz
     rotvec = np.zeros((frames, J, 3))
@@ -75,13 +75,22 @@ def untrained_lifter(
     """A lifter with random weights: symmetries do not depend on training."""
     body = tiny_corpus(table=table).body()
     torch.manual_seed(seed)
-    shape = NetworkConfig(body.inputs, body.constants, body.outputs, channels=channels, causal=causal)
+    shape = NetworkConfig(*sizes(body), channels=channels, causal=causal)
     network = TemporalNetwork(shape).eval()
     with torch.no_grad():
         for p in network.parameters():
             p.add_(0.02 * torch.randn_like(p))
         network.shrink.bias.add_(first_answer(body))
     return Lifter(network, LifterDescription(body, network.config, rate_hz))
+
+
+def lifted_positions(
+    times: Array, p_world_joint: Array, seen: NDArray[np.bool_], names: tuple[str, ...]
+) -> LiftedPoses:
+    """Lifted poses without orientations and standard deviations."""
+    T, J = p_world_joint.shape[:2]
+    nan = [np.full((T, J, *shape), np.nan) for shape in ((2,), (3, 3), ())]
+    return LiftedPoses(times, p_world_joint, seen, names, *nan)
 
 
 def seen_by(camera: Camera, p_world_joint: Array, rate_hz: float = 60.0) -> KeypointSequence:
@@ -103,8 +112,8 @@ def side_camera() -> Camera:
 
 
 def scene_of(seeds: range, frames: int, table: SkeletonTable = TABLE) -> tuple[Tensor, Tensor]:
-    """Joints (B, 3, W, J) from a camera 1.6 m high some metres away, and axes (B, 3, W, 2, J), of
-    somebody else in each window."""
+    """Joints (B, 3, W, J) from a camera 1.6 m high some metres away, and axes (B, 3, W, 2, J); each
+    window has another motion."""
     points, axes = [], []
     for b, seed in enumerate(seeds):
         p_root, R = moving(seed, frames, table)
@@ -128,10 +137,10 @@ def windows_of(
     height: float = 1.6,
     estimated: int | None = None,
 ) -> Windows:
-    """Windows of a scene: everything seen and sensed, and the bones of `TABLE` known, where not said.
+    """Windows of a scene; by default everything is seen and sensed, and the bones are known.
 
     Args:
-        axes: (B, 3, W, 2, J) of all segments; without, no sensor says anything.
+        axes: (B, 3, W, 2, J) of all segments; if None, nothing is sensed.
     """
     B, _, W, _ = scene.shape
     S = len(body.sensors)
@@ -151,13 +160,13 @@ def windows_of(
 
 
 def assert_same_input(one: EncodedWindows, two: EncodedWindows, atol: float = 1e-9) -> None:
-    """The network cannot tell them apart."""
+    """Assert equal network inputs."""
     torch.testing.assert_close(one.features, two.features, atol=atol, rtol=0)
     torch.testing.assert_close(one.constants, two.constants, atol=atol, rtol=0)
 
 
 def worn_by(seed: int, frames: int, joints: tuple[str, ...], rate_hz: float = 60.0) -> BoneImuSequence:
-    """Exact sensors on segments of `moving` (always at its 60 Hz, told to be at this rate)."""
+    """Exact sensors on segments of `moving` (its 60 Hz frames, stamped at another rate)."""
     _, R = moving(seed, frames)
     index = [TABLE.names.index(joint) for joint in joints]
     none = np.zeros((frames, len(joints), 3))

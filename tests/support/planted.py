@@ -41,33 +41,32 @@ def smooth_noise(seed: int, shape: tuple[int, ...], frames_wide: float, amplitud
     return np.asarray(out * amplitude * np.sqrt(2 * np.sqrt(np.pi) * frames_wide))
 
 
+def _motion(skeleton: SkeletonModel, q: Array, seen: bool = False) -> MotionSequence:
+    """Motion of configurations (T, nq) at `RATE_HZ`, without provenance or seen by the camera."""
+    p, R = skeleton.forward_kinematics(q)
+    provenance = np.full(p.shape[:2], Provenance.CAMERA if seen else Provenance.NOBODY)
+    poses = PoseSequence(np.arange(len(q)) / RATE_HZ, p, R, skeleton.names, provenance)
+    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+
+
 def moving(skeleton: SkeletonModel, frames: int, seed: int = 0, radians: float = 0.25) -> MotionSequence:
-    """Somebody who stands near the origin, waving everything a little at about 1 Hz."""
+    """A person standing near the origin; all joints move smoothly at about 1 Hz."""
     q = np.tile(skeleton.n_pose(), (frames, 1))
     q[:, 7:] += smooth_noise(seed, (frames, skeleton.nq - 7), 15, radians)
     q[:, :3] += smooth_noise(seed + 1, (frames, 3), 40, 0.05) + np.array([0.0, 0.0, 0.95])
     turn = so3.about_axis("z", np.full(frames, 0.3)) @ so3.exp(smooth_noise(seed + 2, (frames, 3), 30, 0.1))
     q[:, 3:7] = np.roll(so3.to_quat_wxyz(turn), -1, axis=-1)
-    p, R = skeleton.forward_kinematics(q)
-    poses = PoseSequence(
-        np.arange(frames) / RATE_HZ, p, R, skeleton.names,
-        provenance=np.full(p.shape[:2], Provenance.CAMERA),
-    )  # fmt: skip
-    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+    return _motion(skeleton, q, seen=True)
 
 
 def seen(skeleton: SkeletonModel, frames: int) -> MotionSequence:
-    """Who is `moving`, with every angle of every segment seen."""
+    """`moving`, with all orientations observed."""
     motion = moving(skeleton, frames)
     return replace(motion, poses=all_observed(motion.poses))
 
 
 def human(skeleton: SkeletonModel, frames: int, seed: int = 0, size: float = 1.0) -> MotionSequence:
-    """Somebody who moves as people do: drawn from the pose prior, hinges and limits kept.
-
-    Args:
-        size: of the poses about the mean one, in the prior's standard deviations.
-    """
+    """A motion drawn from the pose prior, within hinges and limits; `size` in standard deviations."""
     prior = shipped_prior(skeleton.names)
     root = np.linalg.cholesky(prior.covariance + 1e-12 * np.eye(len(prior.covariance)))
     rotvec = size * smooth_noise(seed, (frames, len(root)), 20, 1.0) @ root.T
@@ -82,39 +81,27 @@ def human(skeleton: SkeletonModel, frames: int, seed: int = 0, size: float = 1.0
                 q[:, 7 + skeleton.dof_names.index(dof.urdf)] = 0.0
     low, high = skeleton.limits.T
     q[:, 7:] = np.clip(q[:, 7:], 0.98 * low, 0.98 * high)
-    p, R = skeleton.forward_kinematics(q)
-    poses = PoseSequence(
-        np.arange(frames) / RATE_HZ, p, R, skeleton.names,
-        provenance=np.full(p.shape[:2], Provenance.CAMERA),
-    )  # fmt: skip
-    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+    return _motion(skeleton, q, seen=True)
 
 
 def standing(skeleton: SkeletonModel, frames: int) -> MotionSequence:
-    """The same person, frozen at the first frame of `moving`."""
-    first = moving(skeleton, 1)
-    q = np.tile(first.q, (frames, 1))
-    p, R = skeleton.forward_kinematics(q)
-    poses = PoseSequence(np.arange(frames) / RATE_HZ, p, R, skeleton.names)
-    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+    """A person frozen at the first frame of `moving`."""
+    return _motion(skeleton, np.tile(moving(skeleton, 1).q, (frames, 1)))
 
 
 def upright(skeleton: SkeletonModel, frames: int) -> MotionSequence:
-    """Somebody who stands straight with hanging arms, ankles 0.08 m high."""
+    """A person standing straight with hanging arms, ankles 0.08 m high."""
     q = np.tile(skeleton.n_pose(), (frames, 1))
     q[:, 2] = 0.08 - skeleton.forward_kinematics(q[:1])[0][0, :, 2].min() + q[0, 2]
-    p, R = skeleton.forward_kinematics(q)
-    poses = PoseSequence(np.arange(frames) / RATE_HZ, p, R, skeleton.names)
-    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+    return _motion(skeleton, q)
 
 
 def walking(
     skeleton: SkeletonModel, seconds: float, speed: float = 0.8, stride_s: float = 1.2
 ) -> tuple[MotionSequence, NDArray[np.bool_]]:
-    """Somebody who walks along x on the floor at z = 0, and which ankles stand still (T, 2), left first.
+    """Walking along x on the floor at z = 0, and a mask (T, 2) of stationary ankles, left first.
 
-    A foot stands for 0.6 of a stride, flat, its ankle 0.08 m high, and swings without a jerk to the next
-    place: both stand for a tenth of a stride twice. Without speed, this is walking in place.
+    A foot stands flat for 0.6 of a stride, its ankle 0.08 m high, and swings smoothly to the next place.
     """
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     thigh = -skeleton.joint_offsets[skeleton.index("LeftLeg")[0], 2]
@@ -134,9 +121,7 @@ def walking(
         for name, angle in ((f"{side}UpLeg", lean - bend), (f"{side}Leg", lean + bend)):
             R[:, skeleton.index(name)[0]] = so3.about_axis("y", angle)
     q = skeleton.inverse_kinematics(np.repeat(p_root[:, None], R.shape[1], axis=1), R)
-    p, R = skeleton.forward_kinematics(q)
-    poses = PoseSequence(t, p, R, skeleton.names)
-    return MotionSequence(skeleton, q, poses, skeleton.check(q)), stands
+    return _motion(skeleton, q), stands
 
 
 def camera() -> Camera:
@@ -145,7 +130,7 @@ def camera() -> Camera:
 
 
 def keypoints(poses: PoseSequence, sigma_px: float = 0.0, seed: int = 7) -> KeypointSequence:
-    """What the camera sees of poses, with white noise."""
+    """Projected joints with white noise."""
     cam = camera()
     rng = np.random.default_rng(seed)
     uv = cam.project(poses.p_world_joint)
@@ -154,7 +139,7 @@ def keypoints(poses: PoseSequence, sigma_px: float = 0.0, seed: int = 7) -> Keyp
 
 
 def unseen(seen: KeypointSequence, frames: object, joints: object = slice(None)) -> KeypointSequence:
-    """The same keypoints with some missing."""
+    """Keypoints with some missing."""
     uv = np.array(seen.uv_px)
     uv[frames, joints] = np.nan  # type: ignore[index]
     return replace(seen, uv_px=uv)
@@ -171,8 +156,7 @@ def bone_imus(
     """Sensors at their usual places: true orientation and central second differences, plus errors.
 
     Args:
-        degrees: standard deviation of a slow orientation error per axis. acceleration: of white noise,
-            m/s^2.
+        degrees: standard deviation per axis of a slow orientation error. acceleration: white noise, m/s^2.
     """
     usual: dict[str, ArrayLike] = {joint: lever for joint, lever in skeleton.sensors.values()}
     levers = np.array([usual.get(joint, (0.02, 0.03, -0.1)) for joint in joints]).reshape(-1, 3)
@@ -189,7 +173,7 @@ def bone_imus(
 
 
 def lifted(truth: MotionSequence, radians: float = 0.2, metres: float = 0.15, seed: int = 5) -> Array:
-    """Joint positions (T, J, 3) m as a lifter gives them: wrong angles, bones not rigid, root off."""
+    """Joint positions (T, J, 3), m, with errors of a lifter: of angles, bone lengths and root."""
     skeleton, T = truth.skeleton, len(truth.q)
     q = np.array(truth.q)
     spine = [name.startswith(("Spine", "Neck", "Thorax")) for name in skeleton.dof_names]
@@ -200,13 +184,13 @@ def lifted(truth: MotionSequence, radians: float = 0.2, metres: float = 0.15, se
 
 
 def lifted_poses(truth: MotionSequence, radians: float = 0.2, metres: float = 0.15) -> PoseSequence:
-    """`lifted` as poses; the orientations are of no use to anybody."""
+    """`lifted` as poses with the true orientations."""
     return replace(truth.poses, p_world_joint=lifted(truth, radians, metres))
 
 
 @dataclass(frozen=True)
 class Lifted:
-    """What a lifter returns, as far as the pipeline looks at it."""
+    """Fields of a lifter's result that the pipeline uses."""
 
     p_world_joint: Array
     seen: NDArray[np.bool_]
@@ -216,9 +200,9 @@ class Lifted:
 
 
 class PlantedLifter:
-    """Answers with the truth and smooth errors, at whatever times it is asked for.
+    """A lifter that returns the truth with smooth errors, and NaN in `blind` frames.
 
-    Orientations, where it gives them, are the truth turned by `turned`, and NaN where it is blind.
+    Orientations are those of the truth turned by `turned`, if given.
     """
 
     def __init__(
@@ -261,7 +245,7 @@ class PlantedLifter:
 def recording(
     truth: MotionSequence, sigma_px: float = 0.0, joints: Sequence[str] = LIMBS, degrees: float = 0.0
 ) -> Recording:
-    """A recording of a motion, its IMUs mounted askew with headings of their own, calibrated."""
+    """A recording of a motion with calibrated IMUs of random mountings and headings."""
     bones = bone_imus(truth.skeleton, truth.poses, joints, degrees)
     S = len(bones.joints)
     rng = np.random.default_rng(3)
@@ -284,7 +268,7 @@ def recording(
 
 
 def mpjpe_mm(p: Array, p_true: Array) -> float:
-    """Mean distance of positions (..., 3) in metres, mm."""
+    """Mean distance, mm, of positions (..., 3) in m."""
     return float(1000 * np.linalg.norm(p - p_true, axis=-1).mean())
 
 

@@ -1,4 +1,4 @@
-"""Jobs that do as they are told, light enough for the worker processes of tests."""
+"""Small jobs with a prescribed behaviour for worker processes of tests."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rtof_kin.protocols.jobs import JobResult
 
 @dataclass(frozen=True)
 class Order:
-    """What one job shall do."""
+    """Behaviour of a job."""
 
     name: str
     log: Path

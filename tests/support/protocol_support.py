@@ -11,7 +11,7 @@ from rtof_kin.protocols.tables import Table
 
 
 def read_json(path: Path) -> Any:
-    """A JSON file, read as strictly as its definition says: it has no NaN."""
+    """Read strict JSON, without NaN."""
 
     def refuse(text: str) -> None:
         raise AssertionError(f"{path.name}: {text} is no JSON")
@@ -26,7 +26,7 @@ def row(table: Table, label: str) -> dict[str, Any]:
 
 
 def cells_of(markdown: str) -> list[list[str]]:
-    """Heading and rows of a table in Markdown, read as its definition says."""
+    """Heading and rows of a Markdown table."""
     rows = []
     for line in markdown.splitlines():
         if line.startswith("|"):
@@ -39,7 +39,7 @@ def cells_of(markdown: str) -> list[list[str]]:
 
 
 def facts_of(outcome: Outcome) -> dict[str, dict[str, Any]]:
-    """Everything that was measured but times, which differ from run to run."""
+    """All results except times."""
     return {
         key: facts
         | {

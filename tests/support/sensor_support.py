@@ -9,10 +9,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorStream
 
-UP = np.array([0.0, 0.0, 9.81])
+UP = -GRAVITY_WORLD
 FINE = 20
 
 

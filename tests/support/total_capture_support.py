@@ -18,7 +18,7 @@ from rtof_kin.simulation.noise import ImuNoise
 
 @cache
 def motion(subject: str = "S5", name: str = "acting3", frames: int = 60, seed: int = 0) -> PoseSequence:
-    """Somebody of a subject's body who comes out of a T-pose and waves everything a little."""
+    """A subject who starts in a T-pose and moves all joints smoothly."""
     offsets = body(subject, name)
     poses = planted.moving(SkeletonModel.default().with_offsets(offsets), frames, seed, 0.15).poses
     return from_t_pose(poses, offsets, seed)

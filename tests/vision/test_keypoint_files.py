@@ -73,19 +73,6 @@ def coco_annotations() -> dict[str, Any]:
     }
 
 
-def mmpose() -> dict[str, Any]:
-    return {
-        "meta_info": {},
-        "instance_info": [
-            {"frame_id": t + 1,
-             "instances": [
-                 {"keypoints": UV[t, p].tolist(), "keypoint_scores": [0.8] * K} for p in (0, 1)
-             ]}
-            for t in range(T)
-        ],
-    }  # fmt: skip
-
-
 FORMATS: dict[str, Callable[[Path], Path]] = {
     "OpenPose folder": openpose_folder,
     "OpenPose frames": lambda p: dumped(p, frames("people", "pose_keypoints_2d")),
@@ -96,7 +83,14 @@ FORMATS: dict[str, Callable[[Path], Path]] = {
     ),
     "COCO results": lambda p: dumped(p, entries(lambda t: t)),
     "COCO annotations": lambda p: dumped(p, coco_annotations()),
-    "MMPose": lambda p: dumped(p, mmpose()),
+    "MMPose": lambda p: dumped(p, {"instance_info": frames("instances", "keypoints")}),
+    "MMPose scores": lambda p: dumped(
+        p,
+        [
+            {"instances": [{"keypoints": UV[t, i].tolist(), "keypoint_scores": [0.8] * K} for i in (0, 1)]}
+            for t in range(T)
+        ],
+    ),
     "lists of lists": lambda p: dumped(
         p, np.reshape([[points(t, p) for p in (0, 1)] for t in range(T)], (T, 2, K, 3)).tolist()
     ),
@@ -205,29 +199,24 @@ def test_zeros_and_nan_are_undetected_and_large_confidences_are_clipped(tmp_path
     assert found.confidence.max() == 1.0
 
 
+ROWS = [[1, 2, 1]]
+ENTRY = '[{{"image_id": {}, "keypoints": [9, 9, 1]}}]'
 BROKEN: dict[str, tuple[str, Any, str]] = {
     "no json": ("p.json", "{", "line 1: not readable as JSON"),
     "not text": ("p.json", b"\xff\xfe\x00", "not a text file in UTF-8"),
     "deep": ("p.json", "[" * 100000, "not readable as JSON"),
     "number": ("p.json", "3", "holds a number"),
     "text": ("p.json", '["a"]', "frame 0: holds text"),
-    "nobody": ("p.json", "[]", "nobody in any frame"),
-    "empty frames": ("p.json", '[{"people": []}]', "nobody in any frame"),
+    "empty frames": ("p.json", '[{"people": []}]', "no person in any frame"),
     "odd count": ("p.json", '[{"people": [{"keypoints": [1, 2, 3, 4]}]}]', "4 numbers are not x, y"),
     "words": ("p.json", '[{"people": [{"keypoints": ["a", "b", "c"]}]}]', "its points are not"),
     "no x": ("p.json", '[[{"x": 1, "y": 2}, {"y": 2}]]', "its points are not numbers"),
     "huge number": ("p.json", f'[[{{"x": 1{"0" * 400}, "y": 2}}]]', "its points are not numbers"),
-    "no points": ("p.json", '[{"image_id": 1}]', "nobody in any frame"),
-    "two layouts": (
-        "p.json", json.dumps([[[[1, 2, 1]] * 17], [[[1, 2, 1]] * 18]]), "frame 1: a person has 18 points",
-    ),
-    "far frame": (
-        "p.json", json.dumps([{"image_id": 10**15, "keypoints": [9, 9, 1]}]), "numbered from 10+ to 10+",
-    ),
-    "negative": (
-        "p.json", json.dumps([{"image_id": -1, "keypoints": [9, 9, 1]}]), "numbered from -1",
-    ),
-    "no image": ("p.json", json.dumps([{"image_id": "x.jpg", "keypoints": [9, 9, 1]}]), "has no number"),
+    "no points": ("p.json", '[{"image_id": 1}]', "no person in any frame"),
+    "two layouts": ("p.json", json.dumps([[ROWS * 17], [ROWS * 18]]), "frame 1: a person has 18 points"),
+    "far frame": ("p.json", ENTRY.format(10**15), "numbered from 10+ to 10+"),
+    "negative": ("p.json", ENTRY.format(-1), "numbered from -1"),
+    "no image": ("p.json", ENTRY.format('"x.jpg"'), "has no number"),
     "unknown table": ("p.json", '{"results": 3}', "'results' is no name of a frame"),
     "no npz": ("p.npz", b"PK\x03\x04", "damaged, or no NPZ archive"),
     "no npy": ("p.npy", b"\x93NUMPY\x01\x00", "not a NumPy array"),
@@ -261,7 +250,7 @@ def test_damaged_files_are_refused(name: str, tmp_path: Path) -> None:
         ({"uv_px": UV, "confidence": np.full((T, 2, K), -0.1)}, "give values from 0 to 1"),
         ({"uv_px": UV, "times": np.arange(3)}, "3, but there are 6 frames"),
         ({"uv_px": UV, "times": np.zeros(T)}, "time does not increase"),
-        ({"uv_px": UV[:0]}, "nobody in any frame"),
+        ({"uv_px": UV[:0]}, "no person in any frame"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused(arrays: dict[str, Array], message: str, tmp_path: Path) -> None:

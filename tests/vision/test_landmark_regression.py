@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,12 +13,7 @@ from numpy.typing import NDArray
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
-from rtof_kin.vision.landmark_regression import (
-    LEAST_SHARE,
-    LandmarkRegression,
-    RegressedLandmarks,
-    read_gaussian,
-)
+from rtof_kin.vision.landmark_regression import LEAST_SHARE, LandmarkRegression, read_gaussian
 from rtof_kin.vision.layouts import detector_table
 
 Array = NDArray[np.float64]
@@ -31,7 +27,7 @@ def detected(layout: str) -> tuple[Array, Array]:
     return uv, np.full(uv.shape[:2], 0.8)
 
 
-def errors(found: RegressedLandmarks, turn: Array | None = None) -> Array:
+def errors(found: Any, turn: Array | None = None) -> Array:
     """(T, L) px."""
     truth = landmarks_px(found.names, MOTION, CAMERA) @ (np.eye(2) if turn is None else turn.T)
     return np.asarray(np.linalg.norm(found.uv_px - truth, axis=-1))

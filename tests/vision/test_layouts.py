@@ -68,11 +68,6 @@ def test_named_points_are_found_in_any_order(layout: str) -> None:
     assert form.order(names[1:]) is None
 
 
-def test_an_unknown_layout_is_named_with_those_known() -> None:
-    with pytest.raises(UnknownNameError, match="'halpe25'.*Did you mean 'halpe26'.*mediapipe33"):
-        detector_table().layout("halpe25")
-
-
 @pytest.mark.parametrize(
     "before, after, message",
     [

@@ -18,7 +18,7 @@ IMAGE = (1920.0, 1080.0)
 
 
 def walker(start: float, stop: float, size: float = 1.0, height: float = 540.0) -> Array:
-    """(T, 17, 2) somebody who crosses the image."""
+    """(T, 17, 2) points of a person who crosses the image."""
     u = np.linspace(start, stop, T)
     swing = 10 * np.sin(2 * np.pi * TIMES)[:, None, None] * np.sin(np.arange(34)).reshape(17, 2)
     return size * (BODY + swing) + np.stack([u, np.full(T, height)], axis=-1)[:, None]

@@ -134,7 +134,7 @@ def test_a_person_detector_gives_several_people(film: tuple[Path, Array], folder
     assert found.uv_px.shape == (10, 2, 17, 2)
     assert error_px(found.uv_px[:, 0], uv) < 3.0
     people_model(folder / "yolox.onnx", [[5, 5, 50, 50, 0.01]])
-    with pytest.raises(FileFormatError, match="walk.avi: there is nobody in any frame"):
+    with pytest.raises(FileFormatError, match="walk.avi: there is no person"):
         video.detect_video(path, folder)
 
 
@@ -148,7 +148,7 @@ def test_the_command_writes_keypoints_and_their_recording_toml(
     order = ["detect", str(path), "--model-dir", str(folder), "--out", str(out)]
     assert main(order) == 0
     said = capsys.readouterr().out
-    assert "10 frames of up to 1 people, somebody in 10 of them" in said
+    assert "10 frames of up to 1 people, 10 frames with at least one" in said
     assert 'layout = "coco17"' in said
     assert "load " not in said  # rtmlib prints when it loads a model
     assert read_detector_file(out).uv_px.shape == (10, 1, 17, 2)

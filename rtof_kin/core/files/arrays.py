@@ -167,7 +167,7 @@ def _read_npy(path: Path, name: str, stream: IO[bytes], size: int, kinds: str) -
         raise FileFormatError(path, f"{name}: not a NumPy array ({error})") from error
     if dtype.hasobject or dtype.kind not in kinds:
         raise FileFormatError(
-            path, f"{name}: holds {dtype}, not numbers; pickled objects are never read, so save a "
+            path, f"{name}: has type {dtype}, not numbers; pickled objects are never read, so save a "
             "plain array of numbers"
         )  # fmt: skip
     claimed = math.prod(shape) * dtype.itemsize
@@ -185,7 +185,7 @@ def _as_floats(path: Path, name: str, saved: NDArray[Any]) -> Array:
     with np.errstate(invalid="ignore"):  # casting a signalling NaN
         array: Array = saved.astype(np.float64)
     if not measurable(array):
-        raise FileFormatError(path, f"{name}: holds a number beyond {LARGEST_NUMBER:g}")
+        raise FileFormatError(path, f"{name}: contains a number beyond {LARGEST_NUMBER:g}")
     return array
 
 
@@ -219,7 +219,7 @@ def read_csv(path: Path) -> dict[str, Array]:
         raise FileFormatError(path, f"not a readable CSV file: {error}") from error
     for name, column in columns.items():
         if not measurable(column):
-            raise FileFormatError(path, f"column {name}: holds a number beyond {LARGEST_NUMBER:g}")
+            raise FileFormatError(path, f"column {name}: contains a number beyond {LARGEST_NUMBER:g}")
     return columns
 
 

@@ -105,7 +105,7 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
         more = len(found.foreign) - _NAMED
         names = ", ".join(found.foreign[:_NAMED]) + (f" and {more} more" if more > 0 else "")
         raise OutputExistsError(
-            f"{path}: holds files that this package did not write and that are never replaced: "
+            f"{path}: contains files that this package did not write and that are never replaced: "
             f"{names}; move it elsewhere or name another folder"
         )
     if found.kind != marker:

@@ -117,7 +117,7 @@ class Section:
         if array.shape != tuple(shape):
             raise self.error(field, f"expected {size} numbers, got shape {array.shape}")
         if not (np.all(np.isfinite(array)) and measurable(array)):
-            raise self.error(field, "holds a number that is not finite; every one is needed")
+            raise self.error(field, "contains a number that is not finite; every one is needed")
         return array
 
     def numbers(self, field: str) -> Array:

@@ -134,7 +134,7 @@ def _writable_by_others(status: os.stat_result) -> bool:
 def _doubt(folder: Path) -> str | None:
     """Return why another user could put a library there; None if not possible."""
     if _writable_by_others(folder.stat()):
-        return f"others may write to {folder} (chmod 700 it after a look at what it holds, or delete it)"
+        return f"others may write to {folder} (chmod 700 it after a look at its contents, or delete it)"
     for parent in folder.parents:
         status = parent.stat()
         sticky = status.st_mode & stat.S_ISVTX and status.st_uid in (0, os.geteuid())

@@ -173,7 +173,7 @@ def _check(name: str, array: Array, shape: tuple[int, ...], width: int) -> None:
     if array.dtype != np.float64 or (array.size and array.strides != strides):
         raise ShapeError(f"{name}: give columns of double precision, of one width with the others")
     if array.ndim != len(shape) or (np.array(array.shape) < shape).any():
-        raise ShapeError(f"{name}: {array.shape} where {shape} are wanted")
+        raise ShapeError(f"{name}: {array.shape} where {shape} is expected")
 
 
 def _pointers(arrays: Sequence[NDArray[Any]]) -> Any:

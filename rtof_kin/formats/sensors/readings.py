@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.data.imu_declaration import LARGEST_NUMBER, Declaration
+from rtof_kin.core.files.text import LARGEST_NUMBER
+from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.data.imu_declaration import LARGEST_NUMBER
+from rtof_kin.core.files.text import LARGEST_NUMBER
 
 Array = NDArray[np.float64]
 LARGEST_BYTES: Final = 2**30

@@ -4,16 +4,17 @@
 
     E(X) = k_V E_V + k_I (k_A E_A + k_B E_B + k_S E_S) + E_L + E_P
 
-The state is X (N, J, 3), joint positions in world. Each term is the mean of its squared whitened
-residuals (a residual divided by its standard deviation), so that the k are what they claim to be however
-many residuals a term has. E_L and E_P are what the printed energy lacks (see `CartesianSettings`).
+The state is X (N, J, 3), joint positions in world, m. Each term is the mean of its squared whitened
+residuals (residuals divided by their standard deviations), so that the k do not depend on their number.
+E_L and E_P are added to the printed energy (see `CartesianSettings`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from itertools import combinations
+from typing import Any, Final
 
 import casadi as ca
 import numpy as np
@@ -25,9 +26,11 @@ from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 
 Array = NDArray[np.float64]
-TERMS = ("visual", "acceleration", "bone", "smooth", "length", "prior")
-CURVED_BY = ("rate_hz", "shares", "w_acceleration", "w_bone", "w_smooth", "k")
-"""Parameters that the Hessian of the terms linear in the positions depends on: nothing measured."""
+Bones = tuple[tuple[int, int], ...]
+"""(joint, child) of each bone."""
+TERMS: Final = ("visual", "acceleration", "bone", "smooth", "length", "prior")
+CURVED_BY: Final = ("rate_hz", "shares", "w_acceleration", "w_bone", "w_smooth", "k")
+"""Parameters that the Hessian of the terms with linear residuals depends on."""
 
 
 @dataclass(frozen=True)
@@ -37,64 +40,60 @@ class _Term:
     residual: Any
     """(n,) SX."""
     weight: Any
-    """(n,) SX, 0 where there is no observation; parameters of the problem."""
+    """(n,) SX, 0 without observation."""
     robust: float | None = None
     """Pseudo-Huber threshold of residuals taken in pairs."""
-    curved: bool = False
-    """Whether the Hessian is exact instead of Gauss-Newton's. Gauss-Newton oscillates on the stiff
-    distances of bones parallel to the image plane, whose depth has no first-order effect."""
+    exact: bool = False
+    """Whether the Hessian is exact. Gauss-Newton oscillates on the stiff distances of bones parallel to
+    the image plane, whose depth has no first-order effect."""
 
 
 class FragmentProblem:
-    """The fragment's nonlinear programme, built once; it never changes, every call only passes numbers.
+    """The fragment's nonlinear programme, built once; calls only pass numbers.
 
     Attributes:
         parameters: name -> shape of each parameter, in order.
         solver: (x0, p) -> x, with IPOPT. energy: (x, p) -> one value per term of `TERMS` (weighted).
         gradient: (x, p) -> dE/dx.
-        curvature: values of `CURVED_BY` -> upper triangle of the Hessian of the terms linear in x.
-        slope: p -> their gradient and value at the start.
-        landmark, rigid_distance: the others, one element each: (positions, what it observes, what is the
-            same for all) -> value, gradient, Hessian.
+        curvature: values of `CURVED_BY` -> upper triangle of the Hessian of the terms with linear residuals.
+        slope: p -> their gradient and value at the initial guess.
+        landmark, rigid_distance: one element of the other terms: (positions, its observation, shared
+            parameters) -> value, gradient, Hessian.
+        constraints: (x, p) -> squared distances minus squared lengths, m^2, where lengths are equalities.
+        constraint_gradient: (x, p, lam_g) -> derivative of lam_g . constraints.
     """
 
     def __init__(
-        self,
-        parents: tuple[int, ...],
-        frames: int,
-        sensor_bones: tuple[tuple[int, int], ...],
-        settings: CartesianSettings,
+        self, parents: tuple[int, ...], frames: int, sensor_bones: Bones, settings: CartesianSettings
     ) -> None:
-        """Build for a tree `parents` (J,), N `frames` and the (joint, child) `sensor_bones`."""
+        """Build the programme.
+
+        Args:
+            parents: (J,) of the tree. frames: N. sensor_bones: (joint, child) with sensors.
+            settings: standard deviations; the weights k are parameters.
+        """
         self.parents, self.frames, self.settings = parents, frames, settings
         self.sensor_bones, self.pairs = sensor_bones, rigid_pairs(parents)
         J, N, B = len(parents), frames, len(sensor_bones)
         self.X = ca.SX.sym("X", 3 * J, N)
-        self.parameters: dict[str, Any] = {
-            "R_camera_world": ca.SX.sym("R", 3, 3),
-            "t_camera_world": ca.SX.sym("t", 3),
-            "K": ca.SX.sym("K", 3, 3),
-            "rate_hz": ca.SX.sym("rate"),
-            "sigma_reprojection": ca.SX.sym("sV"),
-            "uv_px": ca.SX.sym("uv", 2, N * J),
-            "w_visual": ca.SX.sym("wV", N * J),
-            "shares": ca.SX.sym("rho", B),
-            "a_world": ca.SX.sym("a", 3 * B, N - 2),
-            "w_acceleration": ca.SX.sym("wA", B, N - 2),
-            "b_world": ca.SX.sym("b", 3 * B, N),
-            "w_bone": ca.SX.sym("wB", B, N),
-            "w_smooth": ca.SX.sym("wS", N - 3),
-            "j_world": ca.SX.sym("j", 3 * J, N - 3 if settings.jerk_target == "sensor" else 0),
-            "w_length": ca.SX.sym("wL", N),
-            "lengths": ca.SX.sym("L", len(self.pairs)),
-            "p_prior": ca.SX.sym("P", 3 * J, N),
-            "k": ca.SX.sym("k", len(TERMS)),
-        }
+        shapes: dict[str, tuple[int, ...]] = {
+            "R_camera_world": (3, 3), "t_camera_world": (3,), "K": (3, 3), "rate_hz": (),
+            "sigma_reprojection": (), "uv_px": (2, N * J), "w_visual": (N * J,), "shares": (B,),
+            "a_world": (3 * B, N - 2), "w_acceleration": (B, N - 2),
+            "b_world": (3 * B, N), "w_bone": (B, N), "w_smooth": (N - 3,),
+            "j_world": (3 * J, N - 3 if settings.jerk_target == "sensor" else 0),
+            "w_length": (N,), "lengths": (len(self.pairs),), "p_prior": (3 * J, N), "k": (len(TERMS),),
+        }  # fmt: skip
+        self.parameters = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
         self.terms = self._terms()
         self._build()
 
     def pack(self, values: dict[str, Array]) -> Array:
-        """The parameter vector of the problem from named arrays (column-major, CasADi's order)."""
+        """Return the parameter vector.
+
+        Args:
+            values: name -> array, with the shapes of `parameters`.
+        """
         return np.concatenate([np.ravel(values[name], order="F") for name in self.parameters])
 
     def _joint(self, index: int) -> Any:
@@ -119,16 +118,13 @@ class FragmentProblem:
             energies.distance(self._joint(a), self._joint(b), P["lengths"][i])
             for i, (a, b) in enumerate(self.pairs)
         ]
+        length = ca.vertcat(*lengths) / s.sigma_length
         return {
             "visual": _Term(ca.vec(visual), ca.vec(ca.repmat(P["w_visual"].T, 2, 1)), s.huber_reprojection),
             "acceleration": _spread(accelerations, P["w_acceleration"], s.sigma_acceleration),
             "bone": _spread(bones, P["w_bone"], s.sigma_bone),
             "smooth": _Term(ca.vec(smooth), ca.vec(ca.repmat(P["w_smooth"].T, 3 * J, 1))),
-            "length": _Term(
-                ca.vec(ca.vertcat(*lengths)) / s.sigma_length,
-                ca.vec(ca.repmat(P["w_length"].T, len(lengths), 1)),
-                curved=True,
-            ),
+            "length": _Term(ca.vec(length), ca.vec(ca.repmat(P["w_length"].T, len(lengths), 1)), exact=True),
             "prior": _Term(ca.vec(self._prior()), ca.SX.ones(3 * J * N) / (3 * J * N)),
         }
 
@@ -157,7 +153,7 @@ class FragmentProblem:
                 continue
             value, curvature = _energy_and_curvature(term)
             values.append(k * value)
-            if term.curved:
+            if term.exact:
                 hessian += ca.hessian(k * value, x)[0]
                 continue
             J_r = ca.jacobian(term.residual, x)
@@ -168,25 +164,22 @@ class FragmentProblem:
         self.gradient = ca.Function("gradient", [x, p], [gradient], ["x", "p"], ["gradient"])
         constraints = self._constraints()
         self.constraints = ca.Function("constraints", [x, p], [constraints], ["x", "p"], ["g"])
-        self.constraint_gradient = self._constraint_gradient(x, p, constraints)
         lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", constraints.numel())
+        by_constraints = ca.jtimes(constraints, x, lam_g, True)
+        self.constraint_gradient = ca.Function("constraint_gradient", [x, p, lam_g], [by_constraints])
         lagrangian = lam_f * hessian
         if constraints.numel():
             lagrangian += ca.hessian(ca.dot(lam_g, constraints), x)[0]
         self.curvature, self.slope = self._quadratic(x, p)
-        hess_lag = ca.Function(
-            "hess_lag",
-            [x, p, lam_f, lam_g],
-            [ca.triu(lagrangian)],
-            ["x", "p", "lam_f", "lam_g"],
-            ["triu_hess_gamma_x_x"],
-        )
+        names = ["x", "p", "lam_f", "lam_g"]
+        upper = [ca.triu(lagrangian)]
+        hess_lag = ca.Function("hess_lag", [x, p, lam_f, lam_g], upper, names, ["triu_hess_gamma_x_x"])
         self.solver = ca.nlpsol(
             "fragment", "ipopt", {"x": x, "p": p, "f": energy, "g": constraints}, self._options(hess_lag)
         )
 
     def _quadratic(self, x: Any, p: Any) -> tuple[Any, Any]:
-        """The terms whose residuals are linear in the positions, as one quadratic form."""
+        """Quadratic form of the terms with linear residuals."""
         value, hessian = ca.SX(0), ca.SX(x.numel(), x.numel())
         for i, name in enumerate(TERMS):
             term, k = self.terms[name], self.parameters["k"][i]
@@ -203,7 +196,7 @@ class FragmentProblem:
 
     @cached_property
     def landmark(self) -> Any:
-        """One landmark's share of the visual term: (p (3); u, v, weight; R, t, K, sigma, k)."""
+        """One landmark of the visual term: (p (3); u, v, weight; R, t, K, sigma, k)."""
         p, own, shared = ca.SX.sym("p", 3), ca.SX.sym("own", 3), ca.SX.sym("shared", 23)
         R, t, K = ca.reshape(shared[:9], 3, 3), shared[9:12], ca.reshape(shared[12:21], 3, 3)
         r = energies.reprojection(R @ p + t, own[:2], K) / shared[21]
@@ -215,7 +208,7 @@ class FragmentProblem:
 
     @cached_property
     def rigid_distance(self) -> Any:
-        """One distance's share of the length term: (both ends (6); length, weight; k)."""
+        """One distance of the length term: (both ends (6); length, weight; k)."""
         ends, own, k = ca.SX.sym("p", 6), ca.SX.sym("own", 2), ca.SX.sym("k")
         r = energies.distance(ends[:3], ends[3:], own[0]) / self.settings.sigma_length
         value = k * own[1] * r**2
@@ -223,14 +216,8 @@ class FragmentProblem:
         outputs = [ca.densify(v) for v in (value, gradient, hessian)]
         return ca.Function("rigid_distance", [ends, own, k], outputs)
 
-    @staticmethod
-    def _constraint_gradient(x: Any, p: Any, constraints: Any) -> Any:
-        """(x, p, lam_g) -> derivative of lam_g . g, what constraints add to the Lagrangian's gradient."""
-        lam = ca.SX.sym("lam_g", constraints.numel())
-        return ca.Function("constraint_gradient", [x, p, lam], [ca.jtimes(constraints, x, lam, True)])
-
     def _constraints(self) -> Any:
-        """Squared distances minus squared lengths, m^2, where bone lengths are equalities."""
+        """Squared distances minus squared lengths, m^2."""
         if self.settings.bone_lengths != "constraint":
             return ca.SX(0, 1)
         rows = []
@@ -241,56 +228,46 @@ class FragmentProblem:
 
     def _options(self, hess_lag: Any) -> dict[str, Any]:
         return {
-            "hess_lag": hess_lag,
-            "print_time": False,
-            "show_eval_warnings": False,
-            "error_on_fail": False,
-            "calc_lam_p": False,
-            "calc_lam_x": False,
+            "hess_lag": hess_lag, "print_time": False, "show_eval_warnings": False, "error_on_fail": False,
+            "calc_lam_p": False, "calc_lam_x": False,
             "ipopt": {
-                "print_level": 0,
-                "sb": "yes",
-                "linear_solver": "mumps",
-                "tol": self.settings.tolerance,
-                "max_iter": self.settings.max_iterations,
-                "mumps_scaling": 0,
-                "mumps_permuting_scaling": 0,
-                "mumps_pivot_order": 0,
-                "nlp_scaling_method": "none",
+                "print_level": 0, "sb": "yes", "linear_solver": "mumps", "tol": self.settings.tolerance,
+                "max_iter": self.settings.max_iterations, "mumps_scaling": 0,
+                "mumps_permuting_scaling": 0, "mumps_pivot_order": 0, "nlp_scaling_method": "none",
             },
-        }
+        }  # fmt: skip
 
 
 def fragment_problem(
-    parents: tuple[int, ...],
-    frames: int,
-    sensor_bones: tuple[tuple[int, int], ...],
-    settings: CartesianSettings,
+    parents: tuple[int, ...], frames: int, sensor_bones: Bones, settings: CartesianSettings
 ) -> FragmentProblem:
-    """The problem of a skeleton's tree, built once for all bodies and weights k that share it."""
+    """Return the problem, built once for all bodies and weights k that share a tree.
+
+    Args:
+        parents, frames, sensor_bones, settings: as for `FragmentProblem`.
+    """
     with BUILDING:
-        return _cached_problem(parents, frames, sensor_bones, replace(settings, **_ANY_WEIGHTS))
+        any_weights = replace(settings, k_V=1.0, k_I=1.0, k_A=1.0, k_B=1.0, k_S=1.0)
+        return _cached_problem(parents, frames, sensor_bones, any_weights)
 
 
-_ANY_WEIGHTS: dict[str, Any] = dict.fromkeys(("k_V", "k_I", "k_A", "k_B", "k_S"), 1.0)
+_cached_problem = lru_cache(maxsize=8)(FragmentProblem)
 
 
-@lru_cache(maxsize=8)
-def _cached_problem(*what: Any) -> FragmentProblem:
-    return FragmentProblem(*what)
+def rigid_pairs(parents: tuple[int, ...]) -> Bones:
+    """Return pairs of joints at a constant distance: bones, and siblings on one segment.
 
-
-def rigid_pairs(parents: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
-    """Pairs of joints whose distance is constant: the bones, and siblings on one rigid segment."""
+    Args:
+        parents: (J,) of the tree.
+    """
     pairs = [(parent, child) for child, parent in enumerate(parents) if parent >= 0]
     for joint in range(len(parents)):
-        children = children_of(parents, joint)
-        pairs += [(a, b) for i, a in enumerate(children) for b in children[i + 1 :]]
+        pairs += combinations(children_of(parents, joint), 2)
     return tuple(pairs)
 
 
 def _spread(residuals: list[Any], weights: Any, sigma: float) -> _Term:
-    """One term of residuals (3, n) a sensor, whose weights (B, n) hold for all three components."""
+    """Term of residuals (3, n) for each sensor, with weights (B, n) for all three components."""
     if not residuals:
         return _Term(ca.SX(0, 1), ca.SX(0, 1))
     stacked = ca.vertcat(*residuals) / sigma
@@ -298,7 +275,7 @@ def _spread(residuals: list[Any], weights: Any, sigma: float) -> _Term:
 
 
 def _energy_and_curvature(term: _Term) -> tuple[Any, Any]:
-    """Value of a term, and the weight of every residual in its Gauss-Newton Hessian."""
+    """Value of a term, and the weights of its residuals in the Gauss-Newton Hessian."""
     if term.robust is None:
         return ca.dot(term.weight, term.residual**2), term.weight
     pairs = ca.reshape(term.residual, 2, -1)

@@ -1,7 +1,4 @@
-"""The paper's solver on joint positions, over the fragments of a recording.
-
-The problem is built once (`solve.cartesian.problem`); solving only passes numbers.
-"""
+"""The paper's solver on joint positions, over the fragments of a recording."""
 
 from __future__ import annotations
 
@@ -9,6 +6,7 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from time import perf_counter
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +29,10 @@ from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 
 Array = NDArray[np.float64]
-_DECREASE = 1e-4
-"""Relative decrease that a step must promise to go on, in tolerances (of a gradient)."""
-Progress = Callable[[int, int], None]
-"""Called with (fragments done, fragments in all)."""
+_DECREASE: Final = 1e-4
+"""Tolerance of the real-time solver on the relative decrease, per tolerance of IPOPT on the gradient."""
+_NORMAL_MEDIAN: Final = 1.177
+"""Median norm of a normal error in two dimensions, in standard deviations of an axis."""
 
 
 class CartesianSolver:
@@ -47,26 +45,22 @@ class CartesianSolver:
         settings: CartesianSettings,
         sensor_joints: tuple[str, ...],
     ) -> None:
-        """Build the problem, with a place for a sensor on each of the segments named."""
+        """Build the problem, with a place for a sensor on each of `sensor_joints`."""
         self.skeleton, self.frames, self.settings = skeleton, frames, settings
         self.sensor_joints = sensor_joints
         bones = [
             (joint, child)
-            for joint in skeleton.index(*self.sensor_joints)
+            for joint in skeleton.index(*sensor_joints)
             for child in kinematics.children_of(skeleton.parents, joint)
-        ]  # leaves (head, feet) have no bone here: a sensor there does not enter
+        ]  # a sensor on a leaf (head, foot) has no bone and is not used
         with BUILDING:
             self._problem = fragment_problem(skeleton.parents, frames, tuple(bones), self.settings)
-            self._energy, self._gradient = (
-                Buffered(function) for function in (self._problem.energy, self._problem.gradient)
-            )
+            self._energy, self._gradient = Buffered(self._problem.energy), Buffered(self._problem.gradient)
             self._banded = BandedProblem(self._problem) if settings.backend == "realtime" else None
         self._one_at_a_time = threading.Lock()
         p = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
         a, b = np.array(self._problem.pairs).T
         self._lengths = np.linalg.norm(p[b] - p[a], axis=1)
-
-    # --- the run over fragments ------------------------------------------------------------------
 
     def run(
         self,
@@ -74,12 +68,12 @@ class CartesianSolver:
         keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | None,
         footholds: Footholds | None,
-        progress: Progress | None,
-        confidence: bool = False,
+        progress: Callable[[int, int], None] | None,
+        confidence: bool = False,  # noqa: ARG002 - this space has no covariances
     ) -> Iterator[Block]:
-        """Blocks of N/2 frames, without any confidence, which is nowhere told in this space."""
+        """Yield blocks of N/2 frames; the arguments are those of `FragmentSolver.solve`."""
         if keypoints is None or footholds is not None:
-            raise SolverError("space 'cartesian' needs keypoints and knows no footholds; use 'joint'")
+            raise SolverError("space 'cartesian' needs keypoints and has no footholds; use 'joint'")
         if not set(keypoints.names) & set(self.skeleton.names):
             raise SolverError("keypoints: none of the landmarks is a joint of the skeleton")
         start = guess.poses
@@ -90,24 +84,22 @@ class CartesianSolver:
         previous: Array | None = None
         reports: list[FragmentReport] = []
         for done, first in enumerate(firsts, start=1):
-            with self._one_at_a_time:  # the buffers are this solver's, whatever threads it runs in
+            with self._one_at_a_time:  # the buffers are shared by all threads
                 X, report = self._solve_fragment(first, start, data)
             reports.append(report)
             if progress is not None:
                 progress(done, len(firsts))
             if previous is not None:
                 frames = slice(first, min(first + half, T))
-                weights = taper[half:], taper[:half]
-                blended = (
-                    weights[0][:, None, None] * previous[half:] + weights[1][:, None, None] * X[:half]
-                ) / (weights[0] + weights[1])[:, None, None]
+                weights = taper[half:, None, None], taper[:half, None, None]
+                blended = (weights[0] * previous[half:] + weights[1] * X[:half]) / sum(weights)
                 p = blended[: frames.stop - first]
                 yield Block(frames, p, start.R_world_bone[frames], tuple(reports))
                 reports = []
             previous = X
 
     def _taper(self) -> Array:
-        """(N,) weight of a fragment's frames when blended with its neighbours'."""
+        """(N,) weights of a fragment's frames in the blend."""
         i = np.arange(self.frames)
         if self.settings.blend == "average":
             return np.ones(self.frames)
@@ -116,7 +108,7 @@ class CartesianSolver:
     def _solve_fragment(
         self, first: int, start: PoseSequence, data: dict[str, Array]
     ) -> tuple[Array, FragmentReport]:
-        """(N, J, 3) optimised positions, and what happened."""
+        """(N, J, 3) optimised positions, and the report."""
         frame = np.arange(first, first + self.frames)
         inside = (frame >= 0) & (frame < len(start))
         index = np.clip(frame, 0, len(start) - 1)
@@ -135,22 +127,16 @@ class CartesianSolver:
         return x.reshape(self.frames, -1, 3), report
 
     def _call(self, x0: Array, values: dict[str, Array], first: int) -> tuple[Array, FragmentReport]:
-        """One solution; everything in the report is measured at the point returned."""
+        """One solution, with a report measured at the returned point."""
         problem, p = self._problem, self._problem.pack(values)
         began = perf_counter()
-        if self._banded is None:
-            x, status, iterations, lam_g = self._ipopt(x0, p)
-        else:
-            x, status, iterations = self._real_time(self._banded, x0, values, p)
-            lam_g = np.zeros(0)
+        solve = self._ipopt if self._banded is None else self._real_time
+        x, status, iterations, lam_g = solve(x0, values, p)
         seconds = perf_counter() - began
         if status is SolverStatus.FAILED or not np.all(np.isfinite(x)):
             status, x = SolverStatus.FAILED, x0
-        g = np.zeros(0)
-        if self._banded is not None:
-            gradient = self._banded.gradient(self._banded.ordered(x))
-        else:
-            gradient = self._gradient(x, p)[0]
+        banded, g = self._banded, np.zeros(0)
+        gradient = self._gradient(x, p)[0] if banded is None else banded.gradient(banded.ordered(x))
         if len(lam_g):
             g = np.asarray(problem.constraints(x, p)).ravel()
             gradient = gradient + np.asarray(problem.constraint_gradient(x, p, lam_g)).ravel()
@@ -165,8 +151,8 @@ class CartesianSolver:
             infeasibility=float(np.abs(g).max(initial=0.0)),
         )
 
-    def _ipopt(self, x0: Array, p: Array) -> tuple[Array, SolverStatus, int, Array]:
-        """Positions, how it ended, iterations, multipliers of the constraints."""
+    def _ipopt(self, x0: Array, _: dict[str, Array], p: Array) -> tuple[Array, SolverStatus, int, Array]:
+        """Positions, status, iterations, multipliers of the constraints."""
         solver = self._problem.solver
         bounds = 0.0 if self.settings.bone_lengths == "constraint" else ()
         with BUILDING:
@@ -176,24 +162,20 @@ class CartesianSolver:
         return x, _status(stats["return_status"]), int(stats["iter_count"]), lam_g
 
     def _real_time(
-        self, banded: BandedProblem, x0: Array, values: dict[str, Array], p: Array
-    ) -> tuple[Array, SolverStatus, int]:
-        """Positions, how it ended, iterations; there are no constraints."""
-        banded.bind(values, p)
-        s = self.settings
+        self, x0: Array, values: dict[str, Array], p: Array
+    ) -> tuple[Array, SolverStatus, int, Array]:
+        """Positions, status, iterations, no multipliers."""
+        assert self._banded is not None
+        self._banded.bind(values, p)
+        most, decrease = self.settings.max_iterations, _DECREASE * self.settings.tolerance
         try:
-            solved = LevenbergMarquardt(banded).solve(
-                banded.ordered(x0), s.max_iterations, _DECREASE * s.tolerance
-            )
+            solved = LevenbergMarquardt(self._banded).solve(self._banded.ordered(x0), most, decrease)
         except SolverError:
-            return x0, SolverStatus.FAILED, 0
-        return banded.positions(solved.x), SolverStatus.of(solved), solved.iterations
+            return x0, SolverStatus.FAILED, 0, np.zeros(0)
+        return self._banded.positions(solved.x), SolverStatus.of(solved), solved.iterations, np.zeros(0)
 
     def _estimated_sigma(self, x: Array, values: dict[str, Array], sigma: float) -> float:
-        """Twice the size of the reprojection residuals at x, px; `sigma` where hardly any are seen.
-
-        The median norm of a normal error in two dimensions is 1.177 of its standard deviation.
-        """
+        """Twice the size of the reprojection residuals at x, px; `sigma` for fewer than 20 landmarks."""
         p_camera = values["R_camera_world"] @ x.reshape(-1, 3).T + values["t_camera_world"][:, None]
         homogeneous = values["K"] @ p_camera
         error = np.linalg.norm(homogeneous[:2] / homogeneous[2] - values["uv_px"], axis=0)
@@ -201,14 +183,12 @@ class CartesianSolver:
         if seen.sum() < 20:
             return sigma
         low, high = self.settings.sigma_reprojection_range
-        return float(np.clip(2 * np.median(error[seen]) / 1.177, low, high))
-
-    # --- observations ----------------------------------------------------------------------------
+        return float(np.clip(2 * np.median(error[seen]) / _NORMAL_MEDIAN, low, high))
 
     def _observations(
         self, start: PoseSequence, keypoints: KeypointSequence, bone_imus: BoneImuSequence | None
     ) -> dict[str, Array]:
-        """Everything observed, per frame of the recording; weights 0 where there is nothing."""
+        """Observations of every frame; weights are 0 where there are none."""
         camera, seen = keypoints.camera, keypoints.select(self.skeleton.names)
         uv = camera.normalise(seen.uv_px) @ camera.K[:2, :2].T + camera.K[:2, 2]
         T, B = len(start), len(self._problem.sensor_bones)
@@ -223,7 +203,7 @@ class CartesianSolver:
                     R, rest = bone_imus.R_world_bone[:, s], self.skeleton.joint_offsets[child]
                     lever = bone_imus.p_bone_sensor[s]
                     shares[k] = np.clip(lever @ rest / (rest @ rest), 0, 1)
-                    # What the lever arm has across the bone moves as the sensor says it turns.
+                    # The lever arm's part across the bone moves as the sensor turns.
                     beside = R @ (lever - shares[k] * rest)
                     own = np.full((T, 3), np.nan)
                     own[1:-1] = signals.derivative(beside, start.rate_hz, 2)
@@ -237,50 +217,34 @@ class CartesianSolver:
             "w_acceleration": np.isfinite(a).all(axis=-1).astype(float),
             "b_world": np.nan_to_num(b),
             "w_bone": np.isfinite(b).all(axis=-1).astype(float),
-            "R_camera_world": camera.R_camera_world,
-            "t_camera_world": camera.t_camera_world,
-            "K": camera.K,
+            **{name: getattr(camera, name) for name in ("R_camera_world", "t_camera_world", "K")},
         }
 
     def _fragment_values(
         self, index: NDArray[np.intp], inside: NDArray[np.bool_], start: PoseSequence, data: dict[str, Array]
     ) -> dict[str, Array]:
-        """The problem's parameters for the frames `index`, of which some lie in the padding."""
+        """Parameters of the problem for the frames `index`, of which those not `inside` are padding."""
         present = np.ones_like(inside) if self.settings.padding == "replicate" else inside
-        visual = data["w_visual"][index] * present[:, None]
-        # 0 at the recording's first and last frame, and so at their copies beyond the ends.
-        acceleration = data["w_acceleration"][index][1:-1].T
-        bone = (data["w_bone"][index] * present[:, None]).T
         smooth = (np.convolve(present, [1] * 4, mode="valid") == 4).astype(float)
-        length = present.astype(float)
-        J = len(self.skeleton.names)
-        columns = (len(index), -1)
-        a = data["a_world"][index].reshape(columns).T
+        J, columns = len(self.skeleton.names), (len(index), -1)
         return {
-            "R_camera_world": data["R_camera_world"],
-            "t_camera_world": data["t_camera_world"],
-            "K": data["K"],
-            "rate_hz": data["rate_hz"],
+            **{n: data[n] for n in ("R_camera_world", "t_camera_world", "K", "rate_hz", "shares")},
             "uv_px": data["uv_px"][index].reshape(-1, 2).T,
-            "w_visual": _mean(visual, 2).ravel(),
-            "shares": data["shares"],
-            "a_world": a[:, 1:-1],
-            "w_acceleration": _mean(acceleration, 3),
+            "w_visual": _mean(data["w_visual"][index] * present[:, None], 2).ravel(),
+            "a_world": data["a_world"][index].reshape(columns).T[:, 1:-1],
+            "w_acceleration": _mean(data["w_acceleration"][index][1:-1].T, 3),  # 0 at both ends
             "b_world": data["b_world"][index].reshape(columns).T,
-            "w_bone": _mean(bone, 3),
+            "w_bone": _mean((data["w_bone"][index] * present[:, None]).T, 3),
             "w_smooth": _mean(smooth, 3 * J),
             "j_world": self._jerk_target(index, data),
-            "w_length": _mean(length, len(self._problem.pairs)),
+            "w_length": _mean(present.astype(float), len(self._problem.pairs)),
             "lengths": self._lengths,
             "p_prior": start.p_world_joint[index].reshape(columns).T,
             "k": np.array([self.settings.term_weights()[term] for term in TERMS]),
         }
 
     def _jerk_target(self, index: NDArray[np.intp], data: dict[str, Array]) -> Array:
-        """(3J, N - 3) m/s^3: the differentiated acceleration of each joint that carries a sensor.
-
-        Zero where one of the two accelerations is missing.
-        """
+        """(3J, N - 3) m/s^3: differentiated acceleration of each joint with a sensor; 0 where missing."""
         J, N = len(self.skeleton.names), len(index)
         if self.settings.jerk_target != "sensor":
             return np.zeros((3 * J, 0))
@@ -293,15 +257,15 @@ class CartesianSolver:
         return target.reshape(N - 3, -1).T
 
     def oriented(
-        self, poses: PoseSequence, keypoints: KeypointSequence | None, bone_imus: BoneImuSequence | None
+        self, poses: PoseSequence, _: KeypointSequence | None, bone_imus: BoneImuSequence | None
     ) -> PoseSequence:
-        """Orientations from the optimised positions, twist from the sensors; positions as they are."""
+        """Return the poses with orientations from their positions, and twist from the sensors."""
         never = InertialGuidedIKSettings(threshold=np.pi)
         return InertialGuidedIK(self.skeleton, never).orient(poses, bone_imus)
 
 
 def _mean(weight: Array, components: int) -> Array:
-    """Weights divided by the number of residuals that have any, so that the term is their mean."""
+    """Weights divided by the number of weighted residuals, so that the term is their mean."""
     count = components * np.count_nonzero(weight)
     return weight / count if count else weight
 

@@ -34,21 +34,14 @@ class FragmentEnergy(Protocol):
     Values are kept for the array `x` itself: pass a new array for a new state.
     """
 
-    @property
-    def space(self) -> StateSpace:
-        """State space, of D tangent coordinates."""
-
-    @property
-    def energy(self) -> FrameEnergy:
-        """Energy of a single frame."""
-
-    @property
-    def frames(self) -> int:
-        """N."""
-
-    @property
-    def sigma_jerk(self) -> Array:
-        """(D,) standard deviations of the jerk, m/s^3 and rad/s^3."""
+    space: StateSpace
+    """State space, of D tangent coordinates."""
+    energy: FrameEnergy
+    """Energy of a single frame."""
+    frames: int
+    """N."""
+    sigma_jerk: Array
+    """(D,) standard deviations of the jerk, m/s^3 and rad/s^3."""
 
     def bind(self, data: FragmentData) -> None:
         """Set the data of the fragment to be evaluated."""

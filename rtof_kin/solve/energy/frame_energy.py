@@ -263,20 +263,13 @@ def _observation(shape: Shape) -> dict[str, Any]:
     """Symbols of what is observed in a frame; weights are 1 / sigma^2, 0 where nothing is."""
     L, S, B, F = len(shape.landmarks), len(shape.sensors), len(shape.bones), len(shape.feet)
     symbols = {
-        "uv_px": ca.SX.sym("uv", 2, L),
-        "w_visual": ca.SX.sym("wv", L),
-        "knee_visual": ca.SX.sym("kv"),
-        "quat_sensor": ca.SX.sym("qs", 4, S),
-        "w_sensor": ca.SX.sym("ws", S),
-        "quat_torso": ca.SX.sym("qt", 4, len(shape.torso)),
-        "w_torso": ca.SX.sym("wt", len(shape.torso)),
-        "b_world": ca.SX.sym("b", 3, B),
-        "w_bone": ca.SX.sym("wb", B),
-        "p_root": ca.SX.sym("pr", 3),
-        "w_root": ca.SX.sym("wr"),
-        "w_floor": ca.SX.sym("wf", F),
-        "w_prior": ca.SX.sym("wp"),
-    }
+        "uv_px": ca.SX.sym("uv", 2, L), "w_visual": ca.SX.sym("wv", L), "knee_visual": ca.SX.sym("kv"),
+        "quat_sensor": ca.SX.sym("qs", 4, S), "w_sensor": ca.SX.sym("ws", S),
+        "quat_torso": ca.SX.sym("qt", 4, len(shape.torso)), "w_torso": ca.SX.sym("wt", len(shape.torso)),
+        "b_world": ca.SX.sym("b", 3, B), "w_bone": ca.SX.sym("wb", B),
+        "p_root": ca.SX.sym("pr", 3), "w_root": ca.SX.sym("wr"),
+        "w_floor": ca.SX.sym("wf", F), "w_prior": ca.SX.sym("wp"),
+    }  # fmt: skip
     if C := len(shape.contacts):
         symbols |= {"p_contact": ca.SX.sym("pc", 3, C), "w_contact": ca.SX.sym("wc", C)}
     return symbols
@@ -287,16 +280,12 @@ def _constant(space: StateSpace, shape: Shape) -> dict[str, Any]:
     S, turning = len(shape.sensors), len(space.joints) - 1
     return {
         "offsets": ca.SX.sym("o", 3, len(space.skeleton.names)),
-        "K": ca.SX.sym("K", 3, 3),
-        "R_camera_world": ca.SX.sym("R", 3, 3),
+        "K": ca.SX.sym("K", 3, 3), "R_camera_world": ca.SX.sym("R", 3, 3),
         "t_camera_world": ca.SX.sym("t", 3),
-        "whitening": ca.SX.sym("W", 9, S),
-        "levers": ca.SX.sym("l", 3, S),
-        "places": ca.SX.sym("c", 3, len(shape.landmarks)),
-        "quat_mean": ca.SX.sym("qm", 4, turning),
-        "precision": ca.SX.sym("P", 3 * turning, 3 * turning),
-        "floor": ca.SX.sym("f"),
-    }
+        "whitening": ca.SX.sym("W", 9, S), "levers": ca.SX.sym("l", 3, S),
+        "places": ca.SX.sym("c", 3, len(shape.landmarks)), "quat_mean": ca.SX.sym("qm", 4, turning),
+        "precision": ca.SX.sym("P", 3 * turning, 3 * turning), "floor": ca.SX.sym("f"),
+    }  # fmt: skip
 
 
 def _function(name: str, inputs: list[Any], outputs: list[Any]) -> Any:

@@ -1,12 +1,14 @@
-"""Jerk of the tangent coordinates: its gradient and its Gauss-Newton Hessian by the states.
+"""Jerk of the tangent coordinates: gradient and Gauss-Newton Hessian by the states.
 
 With v_t the step from frame t to t + 1, the energy is that of the second differences of v. A step changes
 by L_t with the tangent of the later frame and by -L_t^T with that of the earlier one, where L_t is the
-inverse right Jacobian of its rotation vector. Leaving L out of the Hessian (it is near 1) makes it wrong
-by as much as itself in slow motions of the whole fragment, and the solver creep.
+inverse right Jacobian of its rotation vector. Approximating L by 1 in the Hessian slows convergence of
+slow motions of the whole fragment.
 """
 
 from __future__ import annotations
+
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +16,16 @@ from numpy.typing import NDArray
 from rtof_kin.solve.energy.state import StateSpace
 
 Array = NDArray[np.float64]
-LAGS = 4
+LAGS: Final = 4
 """Frames from 0 to 3 apart are coupled."""
 
 
 class Jerk:
-    """Derivatives of the jerk of N frames. `bind` gives it a fragment's weights.
+    """Derivatives of the jerk of N frames.
 
     Attributes:
-        sigma: (D,) of every tangent coordinate, m/s^3 and rad/s^3; equal for the axes of a joint.
-            The root's displacements have that of a body of the length scale that is bound.
+        sigma: (D,) of every tangent coordinate, m/s^3 and rad/s^3, equal for the axes of a joint; those
+            of the root's displacement are multiplied by the bound length scale.
     """
 
     def __init__(self, space: StateSpace, frames: int, sigma: Array) -> None:
@@ -36,8 +38,10 @@ class Jerk:
         self._precision = 1 / sigma[self._columns[:, 0]] ** 2
 
     def bind(self, w_jerk: Array, rate_hz: float, length_scale: float = 1.0) -> None:
-        """Take the weights (N - 3,) of the fragment that is asked about from now on, and how long its
-        body is.
+        """Set the fragment to be evaluated.
+
+        Args:
+            w_jerk: (N - 3,) weights. rate_hz: frames per second. length_scale: of the body.
         """
         N = self.frames
         if length_scale != 1 or self.sigma is not self._sigma:
@@ -46,7 +50,7 @@ class Jerk:
             return
         self._bound = w_jerk.copy(), rate_hz
         second = np.sqrt(w_jerk)[:, None] * np.diff(np.eye(N - 1), n=2, axis=0) * rate_hz**3
-        # S of the steps, with rows and columns of zeros about it.
+        # S of the steps, padded with rows and columns of zeros.
         S = np.zeros((N + 4, N + 4))
         S[1:N, 1:N] = second.T @ second
         t = np.arange(N)
@@ -57,8 +61,8 @@ class Jerk:
         self._plain = [np.diag(square, -k)[:, None] for k in range(LAGS)]
 
     def coefficients(self) -> Array:
-        """(N, 12) what blocks of 0 to 3 frames later are made with: of a frame's derivative of the step
-        before it, of the step after it, and of both where steps turn about one axis; 0 beyond the end.
+        """Return (N, 12) coefficients of the blocks 0 to 3 frames later: of a frame's derivative of the step
+        before it, of the step after it, and of both for steps about one axis; 0 beyond the end.
         """
         out = np.zeros((self.frames, 3 * LAGS))
         parts = [*self._later, *self._earlier, *(plain[:, 0] for plain in self._plain)]
@@ -67,10 +71,11 @@ class Jerk:
         return out
 
     def gradient(self, inverse: Array, pull: Array) -> Array:
-        """(N, D) from the derivative with respect to the steps (N - 1, D).
+        """Return the gradient (N, D).
 
         Args:
             inverse: (N - 1, A, 3, 3) inverse right Jacobians of the steps.
+            pull: (N - 1, D) derivative of the energy by the steps.
         """
         g = np.zeros((self.frames, self.space.size))
         g[1:, :3] += pull[:, :3]
@@ -83,10 +88,11 @@ class Jerk:
         return g
 
     def add_hessian(self, inverse: Array, band: Array) -> None:
-        """Add to a band (N, D, >= 4D), where [t, c, k D + r] is row r of frame t + k, column c of t;
-        what is three frames apart is set, for nothing else is there.
+        """Add the Hessian to a band; blocks three frames apart are set, as nothing else is there.
 
-        Displacements and hinges turn about one axis: their L is 1.
+        Args:
+            inverse: (N - 1, A, 3, 3) inverse right Jacobians of the steps; 1 for displacements and hinges.
+            band: (N, D, >= 4D), where [t, c, k D + r] is row r of frame t + k, column c of t.
         """
         N, D, s = self.frames, self.space.size, self._straight
         L = inverse[:, self._balls]
@@ -99,14 +105,10 @@ class Jerk:
         ]
         rows, columns = self._columns[:, None, :], self._columns[:, :, None]
         later_T, earlier_T = np.swapaxes(later, -1, -2), np.swapaxes(earlier, -1, -2)
+        band[: N - LAGS + 1, :, (LAGS - 1) * D : LAGS * D] = 0.0
         for k in range(LAGS):
             block = later_T[k:] @ SJ[k][: N - k]
             if k + 1 < LAGS:
                 block -= earlier_T[k:] @ SJ[k + 1][: N - k]
-            block = np.swapaxes(block, -1, -2)
-            if k + 1 < LAGS:
-                band[: N - k, columns, k * D + rows] += block
-                band[: N - k, s, k * D + s] += self._plain[k] / self.sigma[s] ** 2
-            else:  # nothing else couples frames that far apart
-                band[: N - k, columns, k * D + rows] = block
-                band[: N - k, s, k * D + s] = self._plain[k] / self.sigma[s] ** 2
+            band[: N - k, columns, k * D + rows] += np.swapaxes(block, -1, -2)
+            band[: N - k, s, k * D + s] += self._plain[k] / self.sigma[s] ** 2

@@ -1,12 +1,14 @@
-"""The state of the joint-space solver: the root's position and a quaternion for every moving joint.
+"""State of the joint-space solver: the root's position and a quaternion for every moving joint.
 
-A step is a tangent vector: the root's displacement in world and, for each joint, a rotation vector in its
-own frame (one number for a hinge), so that there is no singular posture.
+A step is a tangent vector: the root's displacement in world (m) and, for each joint, a rotation vector in
+its own frame (rad; one number for a hinge). No posture is singular.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,23 +21,29 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 
 Array = NDArray[np.float64]
-XYZ = "xyz"
+Index = NDArray[np.intp]
+XYZ: Final = "xyz"
 
 
 class StateSpace:
-    """Which joints of a skeleton move, and how states and poses become each other.
+    """Moving joints of a skeleton, and conversion between states and poses.
 
     A state x (T, 3 + 4A) is the root's position and A quaternions w x y z; a tangent d is (T, D).
 
     Attributes:
-        joints: A indices of the joints that move, root first. names: theirs.
-        hinge_axis: (A,) index of a hinge's one axis, -1 for a ball joint.
+        joints: indices of the A joints that move, root first. names: their names.
+        hinge_axis: (A,) index of a hinge's axis, -1 for a ball joint.
         expand: (3A, D - 3) from tangents to rotation vectors of all joints.
         first: (A,) first tangent coordinate of each joint's rotation.
     """
 
     def __init__(self, skeleton: SkeletonModel, moving: Sequence[str], hinged: bool) -> None:
-        """Joints named in `moving` turn, with knees and elbows as hinges where asked."""
+        """Collect the moving joints.
+
+        Args:
+            skeleton: the body. moving: names of joints that turn; the root always does.
+            hinged: whether knees and elbows turn about one axis only.
+        """
         self.skeleton = skeleton
         self.joints = [j for j, name in enumerate(skeleton.names) if name in moving or j == 0]
         self.names = tuple(skeleton.names[j] for j in self.joints)
@@ -50,22 +58,26 @@ class StateSpace:
         ]
         self.expand = np.eye(3 * len(self.joints))[:, kept]
         self.size = 3 + len(kept)
-        widths = np.where(self.hinge_axis < 0, 3, 1)
-        self.first = 3 + np.cumsum(widths) - widths
+        self._widths = np.where(self.hinge_axis < 0, 3, 1)
+        self.first = 3 + np.cumsum(self._widths) - self._widths
 
     def axes(self, a: int) -> Array:
-        """(3, 1 or 3) axes that the a-th moving joint turns about, in its own frame."""
+        """Return the axes (3, 1 or 3) of the a-th moving joint, in its own frame."""
         axis = int(self.hinge_axis[a])
         return np.eye(3) if axis < 0 else np.eye(3)[:, [axis]]
 
     def columns(self, joint: int) -> slice:
-        """Tangent coordinates of a moving joint; with the root's position those of the root."""
+        """Return the tangent coordinates of a moving joint; the root's include its position."""
         a = self.joints.index(joint)
         first = int(self.first[a])
         return slice(0 if joint == 0 else first, first + (3 if self.hinge_axis[a] < 0 else 1))
 
     def from_poses(self, p_root: Array, R_world_bone: Array) -> Array:
-        """States (T, 3 + 4A) of orientations (T, J, 3, 3); joints that do not move lose their turn."""
+        """Return the states (T, 3 + 4A) of poses, without rotations of fixed joints or off a hinge's axis.
+
+        Args:
+            p_root: (T, 3) m. R_world_bone: (T, J, 3, 3).
+        """
         local = kinematics.local_rotations(self.skeleton.parents, R_world_bone)[:, self.joints]
         q = so3.to_quat_wxyz(local)
         for a, axis in enumerate(self.hinge_axis):
@@ -77,24 +89,28 @@ class StateSpace:
         return np.concatenate([p_root, q.reshape(len(q), -1)], axis=1)
 
     def rotations(self, x: Array) -> Array:
-        """Quaternions (T, A, 4) of a state."""
+        """Return the quaternions (T, A, 4), w x y z, of states."""
         return x[:, 3:].reshape(len(x), -1, 4)
 
     def retract(self, x: Array, d: Array) -> Array:
-        """The state after a step."""
+        """Return the states after tangent steps d (T, D)."""
         turn = quat.exp((d[:, 3:] @ self.expand.T).reshape(len(x), -1, 3))
         q = quat.multiply(self.rotations(x), turn)
         q /= np.linalg.norm(q, axis=-1, keepdims=True)
         return np.concatenate([x[:, :3] + d[:, :3], q.reshape(len(x), -1)], axis=1)
 
     def steps(self, x: Array) -> Array:
-        """(T - 1, 3 + 3A) from each frame to the next: displacement of the root, rotation vectors."""
+        """Return displacements and rotation vectors between frames, (T - 1, 3 + 3A), m and rad."""
         q = self.rotations(x)
         turns = quat.log(quat.multiply(quat.conjugate(q[:-1]), q[1:]))
         return np.concatenate([np.diff(x[:, :3], axis=0), turns.reshape(len(x) - 1, -1)], axis=1)
 
     def low_passed(self, x: Array, rate_hz: float, cutoff_hz: float) -> Array:
-        """The same motion without what is faster than a frequency."""
+        """Return low-pass filtered states.
+
+        Args:
+            x: (T, 3 + 4A). rate_hz: of the frames. cutoff_hz: -3 dB frequency.
+        """
         if len(x) < 4 or cutoff_hz >= rate_hz / 2:
             return x
         q = self.rotations(x)
@@ -107,7 +123,11 @@ class StateSpace:
         return np.concatenate([p, q.reshape(len(x), -1)], axis=1)
 
     def blend(self, x: Array, y: Array, weight_x: Array, weight_y: Array) -> Array:
-        """Weighted means (T, 3 + 4A) of two states, rotations on the shorter arc."""
+        """Return weighted means (T, 3 + 4A) of two sequences of states, rotations on the shorter arc.
+
+        Args:
+            x, y: (T, 3 + 4A). weight_x, weight_y: (T,).
+        """
         q, r = self.rotations(x), self.rotations(y)
         r = np.where(np.sum(q * r, axis=-1, keepdims=True) < 0, -r, r)
         share = (weight_y / (weight_x + weight_y))[:, None]
@@ -117,10 +137,10 @@ class StateSpace:
         return np.concatenate([p, q.reshape(len(x), -1)], axis=1)
 
     def carried_on(self, x: Array, frame: int, known: Array) -> Array:
-        """States (T, 3 + 4A) moved and turned in all frames as one of them must be to be what is known.
+        """Return states moved and turned alike so that one frame becomes a known state.
 
         Args:
-            frame: which one. known: (3 + 4A,) it.
+            x: (T, 3 + 4A). frame: index of the frame. known: (3 + 4A,) its state.
         """
         q, r = self.rotations(x), self.rotations(known[None])[0]
         turn = quat.multiply(quat.conjugate(q[frame]), r)
@@ -128,10 +148,41 @@ class StateSpace:
         return np.concatenate([moved, quat.multiply(q, turn[None]).reshape(len(x), -1)], axis=1)
 
     def poses(self, x: Array) -> tuple[Array, Array]:
-        """Joint positions (T, J, 3) and segment orientations (T, J, 3, 3) of states."""
+        """Return joint positions (T, J, 3), m, and segment orientations (T, J, 3, 3) of states."""
         skeleton = self.skeleton
         R = np.tile(np.eye(3), (len(x), len(skeleton.names), 1, 1))
         R[:, self.joints] = so3.from_quat_wxyz(self.rotations(x))
         R = kinematics.world_rotations(skeleton.parents, R)
         p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, x[:, :3], R)
         return p, R
+
+    @cached_property
+    def _turning(self) -> tuple[Index, Array, NDArray[np.bool_]]:
+        """Joint and axis (3, D - 3) in its frame of each rotation coordinate; segments (J, D - 3) turned."""
+        owners = np.repeat(self.joints, self._widths)
+        axes = np.concatenate([self.axes(a) for a in range(len(self.joints))], axis=1)
+        beyond = np.eye(len(self.skeleton.parents), dtype=bool)
+        for j, parent in enumerate(self.skeleton.parents):
+            if parent >= 0:
+                beyond[j] |= beyond[parent]
+        return owners, axes, beyond[:, owners]
+
+    def turn_rates(self, R: Array) -> Array:
+        """Return derivatives (T, J, D - 3, 3) of segments' rotation vectors in world by the rotations.
+
+        Args:
+            R: (T, J, 3, 3) orientations of the segments.
+        """
+        owners, axes, moves = self._turning
+        turned = np.einsum("tdij,jd->tdi", R[:, owners], axes)
+        return np.where(moves[..., None], turned[:, None], 0.0)
+
+    def point_rates(self, p: Array, turns: Array, joints: Sequence[int], points: Array) -> Array:
+        """Return derivatives (T, K, 3, D) of points on segments by the tangent.
+
+        Args:
+            p: (T, J, 3) joints, m. turns: their `turn_rates`. joints: K segments. points: (T, K, 3) m.
+        """
+        arm = points[:, :, None] - p[:, None, self._turning[0]]
+        moved = np.swapaxes(np.cross(turns[:, list(joints)], arm), -1, -2)
+        return np.concatenate([np.broadcast_to(np.eye(3), (*points.shape, 3)), moved], axis=-1)

@@ -1,6 +1,8 @@
-"""What a landmark is worth, from what is left of it: estimated anew as the solver goes."""
+"""Weights of the landmarks, estimated from their residuals during the optimisation."""
 
 from __future__ import annotations
+
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,39 +11,47 @@ from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
-_NORMAL_MEDIAN = 1.177
+_NORMAL_MEDIAN: Final = 1.177
 """Median norm of a normal error in two dimensions, in standard deviations of an axis."""
-_FEWEST = 20
-"""Landmarks seen in a fragment that an estimate needs."""
-_LEAST = 1e-6
-"""[px] that the size of residuals is at least taken to be."""
-_SETTLED = 0.05
+_FEWEST: Final = 20
+"""Observed landmarks of a fragment that an estimate needs."""
+_LEAST: Final = 1e-6
+"""[px] Lower bound of the residuals' size."""
+_SETTLED: Final = 0.05
 """Relative change below which an estimate is kept."""
 
 
 class Annealing:
-    """Weighs the landmarks by what is left of them, after every step that changes it."""
+    """Callback of `LevenbergMarquardt.solve` that weights the landmarks by their residuals.
+
+    Attributes:
+        sigma: standard deviation of a landmark per axis, px, with the factor.
+        factor: by which autocorrelation increases it.
+    """
 
     def __init__(
         self, settings: JointSpaceSettings, problem: FragmentEnergy, confidence: Array,
         observation: dict[str, Array],
     ) -> None:  # fmt: skip
+        """Set the initial weights.
+
+        Args:
+            settings: bounds of the estimate. problem: with the fragment bound to it.
+            confidence: (N, L) of the landmarks. observation: of the fragment.
+        """
         self._settings, self._problem, self._confidence = settings, problem, confidence
         self._seen, self._others = observation["w_visual"] > 0, observation
-        seen = self._seen
+        seen, given = self._seen, settings.sigma_reprojection
         self._count, self._pairs = int(seen.sum()), int((seen[1:] & seen[:-1]).sum())
-        given = settings.sigma_reprojection
         self.sigma = settings.sigma_reprojection_range[1] if given is None else given
-        """[px] of a landmark per axis."""
         self.factor = 1.0
-        """[1] By how much that is larger because errors last."""
         sees = bool(problem.energy.shape.landmarks)
         self._left = settings.annealing if given is None and sees else 0
         self._found = self.sigma
         self._weigh(None)
 
     def __call__(self, x: Array) -> bool:
-        """Whether the weights were changed for a state."""
+        """Estimate the weights at states x (N, 3 + 4A); return whether they were changed."""
         if self._left == 0:
             return False
         size, factor = self._estimated(self._problem.value(x)[1])
@@ -56,18 +66,17 @@ class Annealing:
         return True
 
     @property
-    def lasting_px(self) -> float:
-        """Size of that part of a landmark's errors that is the same from frame to frame, px per axis."""
+    def constant_px(self) -> float:
+        """Size of the constant part of a landmark's errors, px per axis."""
         square = self.factor**2  # (1 + r) / (1 - r) with the correlation r
         return float(self.sigma / self.factor * np.sqrt((square - 1) / (square + 1)))
 
     def _weigh(self, factor: float | None) -> None:
-        """Weights for errors that correlation in time makes count as if larger by a factor.
+        """Set the weights for errors whose autocorrelation has a factor.
 
-        Outliers are landmarks that are far out by the size of the others. A sensor's error, the start's
-        root and the distance from the prior's mean stay for a whole fragment; counted once a frame, their
-        standard deviations hold beside a vision whose errors stay too. Where those average out they give
-        way.
+        Outliers are relative to the residuals without the factor. The errors of a sensor, of the root of
+        the initial guess and of the prior's mean are constant over a fragment; their weights per frame
+        decrease where the errors of vision average out.
         """
         self._problem.reweigh("w_visual", self._confidence * self._seen / self.sigma**2)
         knee = self._settings.robust_reprojection / (factor or 1.0)
@@ -78,25 +87,17 @@ class Annealing:
             self._problem.reweigh(name, share * self._others[name])
 
     def _estimated(self, residuals: Array) -> tuple[float, float]:
-        """Size of a landmark's residual per axis, px, and the factor for its correlation in time.
+        """Size of a residual per axis, px, and the factor for its autocorrelation.
 
-        Errors that stay (biases, drifts) do not average out over a fragment; with a correlation r from
-        frame to frame they weigh like white ones that are sqrt((1 + r) / (1 - r)) times larger.
+        With a correlation r from frame to frame, errors weigh like white ones that are
+        sqrt((1 + r) / (1 - r)) times larger.
         """
         if self._count < _FEWEST:
             return self._found, 1.0
         squares = np.einsum("tli,tli->tl", residuals, residuals)[self._seen]
-        size = max(float(np.sqrt(_median(squares))) / _NORMAL_MEDIAN, _LEAST)
+        size = max(float(np.sqrt(np.median(squares))) / _NORMAL_MEDIAN, _LEAST)
         clipped = np.minimum(np.maximum(residuals, -3 * size), 3 * size) * self._seen[..., None]
         product = float(np.vdot(clipped[1:], clipped[:-1])) / max(self._pairs, 1)
         square = float(np.vdot(clipped, clipped)) / self._count
         r = float(np.clip(product / max(square, _LEAST**2), 0.0, 0.99))
         return size, float(min(np.sqrt((1 + r) / (1 - r)), self._settings.largest_correlation_factor))
-
-
-def _median(values: Array) -> float:
-    """NumPy's, which for a thousand numbers takes several times as long."""
-    upper = len(values) // 2
-    lower = upper - 1 + len(values) % 2
-    ordered = np.partition(values, [lower, upper])
-    return float(ordered[lower] + ordered[upper]) / 2

@@ -1,15 +1,14 @@
-"""The reference solver: IPOPT on the same energy, limits as inequalities.
+"""Reference solver: IPOPT on the same energy, with limits as inequalities.
 
-IPOPT's variables are the step d (N D) from the starting state, in millimetres and milliradians, so the
-energy at d is that of the state retracted by d. Its derivatives are the problem's own, which are taken at
-the state itself, times the Jacobian T of the retraction: g = T^T g_local, H = T^T H_local T
-(Gauss-Newton).
+IPOPT's variables are the step d (N D) from the initial state, in millimetres and milliradians, so the
+energy at d is that of the state retracted by d. Derivatives at the state are multiplied by the Jacobian T
+of the retraction: g = T^T g_local, H = T^T H_local T (Gauss-Newton).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import casadi as ca
 import numpy as np
@@ -19,19 +18,20 @@ from rtof_kin.core import quaternions as quat
 from rtof_kin.core.numerics.c_compiler import BUILDING
 from rtof_kin.core.numerics.levenberg_marquardt import Solved
 from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
+from rtof_kin.solve.energy.jerk import LAGS
 from rtof_kin.solve.joint_space.limits import Limits
 
 Array = NDArray[np.float64]
-_UNIT = 1e-3
+_UNIT: Final = 1e-3
 """m and rad of IPOPT's variables."""
-_GRADIENT = 100.0
-"""Largest derivative of the energy by a millimetre or milliradian that is left, in tolerances."""
-_METIS = 5
-"""MUMPS' number of the ordering that fills this band least: half the time of the usual one."""
+_GRADIENT: Final = 100.0
+"""Largest remaining derivative of the energy by a variable, in tolerances."""
+_METIS: Final = 5
+"""MUMPS' number of the ordering with the least fill-in for this band."""
 
 
 class Ipopt:
-    """Solves one problem for any data bound to it, as `LevenbergMarquardt` does."""
+    """Solves one problem for any data bound to it."""
 
     def __init__(self, problem: FragmentEnergy, limits: Limits | None) -> None:
         self.problem, self.limits = problem, limits
@@ -41,15 +41,13 @@ class Ipopt:
             self._functions = {name: _Oracle(name, self._point) for name in names}
         self._solvers: dict[tuple[int, float], Any] = {}
 
-    def solve(
-        self, x: Array, max_iterations: int, tolerance: float, multipliers: Array | None = None
-    ) -> Solved:
+    def solve(self, x: Array, max_iterations: int, tolerance: float) -> Solved:
         """Minimise from a state.
 
         Args:
-            tolerance: a hundredth of the largest derivative of the Lagrangian that is left, by a
-                millimetre or milliradian.
-            multipliers: are not used: IPOPT finds its own.
+            x: (N, 3 + 4A) initial state. max_iterations: iteration limit.
+            tolerance: a hundredth of the largest remaining derivative of the Lagrangian, by a millimetre
+                or milliradian.
         """
         self._point.begin(x)
         problem, limits, N = self.problem, self.limits, len(x)
@@ -91,33 +89,26 @@ class Ipopt:
 
 
 class _Point:
-    """Everything IPOPT asks about a step d, from the problem at the state it leads to."""
+    """Energy, limits and their derivatives by IPOPT's variables y (N D)."""
 
     def __init__(self, problem: FragmentEnergy, limits: Limits | None) -> None:
         self.problem, self.limits = problem, limits
-        rest = np.zeros((problem.frames, 3 + 4 * len(problem.space.joints)))
-        rest[:, 3::4] = 1.0
         N, D = problem.frames, problem.space.size
-        self.size, self.constraints = N * D, 0 if limits is None else N * len(limits.names)
-        self.begin(rest)
+        columns = np.zeros(0, int) if limits is None else limits.columns
+        self.size, self.constraints = N * D, N * len(columns)
+        at = (np.arange(N)[:, None] * D + columns).ravel().tolist()
+        self.jacobian_sparsity = ca.Sparsity.triplet(self.constraints, N * D, list(range(len(at))), at)
         self._mask = self._hessian_mask()
-        self.hessian_sparsity = self._hessian_sparsity()
-        M = 0 if limits is None else len(limits.names)
-        self._jacobian_mask = np.zeros((M, D), dtype=bool)
-        if limits is not None:
-            rng = np.random.default_rng(0)
-            y = rng.normal(size=N * D) * 0.3 / _UNIT
-            J = limits.jacobian(self.state(y)) @ self._tangent(y)
-            self._jacobian_mask = (J != 0).any(axis=0)
-        self.jacobian_sparsity = self._jacobian_sparsity()
+        t, c, r = np.nonzero(self._mask)
+        rows = (t - LAGS + 1) * D + r
+        self.hessian_sparsity = ca.Sparsity.triplet(N * D, N * D, rows.tolist(), (t * D + c).tolist())
 
     def begin(self, x: Array) -> None:
-        """Take the state that steps are from."""
+        """Set the state that steps are from."""
         self.start = x
         self._last = np.zeros(self.size), x
 
     def state(self, y: Array) -> Array:
-        """The state after IPOPT's variables."""
         if not np.array_equal(self._last[0], y):
             step = _UNIT * y.reshape(self.problem.frames, -1)
             self._last = y.copy(), self.problem.space.retract(self.start, step)
@@ -147,94 +138,70 @@ class _Point:
         g = self.problem.gradient(self.state(y))
         return np.asarray(np.einsum("tab,ta->tb", self._tangent(y), g)).ravel()
 
-    def jacobian(self, y: Array) -> Array:
-        """Nonzeros of the limits' Jacobian, column by column."""
-        if self.limits is None:
-            return np.zeros(0)
-        J = self.limits.jacobian(self.state(y)) @ self._tangent(y)
-        return np.asarray(np.swapaxes(J, 1, 2)[:, self._jacobian_mask.T]).ravel()
-
-    def _jacobian_sparsity(self) -> Any:
-        N, mask = self.problem.frames, ca.DM(self._jacobian_mask.astype(float))
-        return (
-            ca.diagcat(*[ca.sparsify(mask)] * N).sparsity() if self.constraints else ca.Sparsity(0, self.size)
-        )
+    def jacobian(self, _: Array) -> Array:
+        """Nonzeros of the limits' Jacobian: a hinge's angle is a variable."""
+        return np.full(self.constraints, _UNIT)
 
     def hessian(self, y: Array) -> Array:
         """Nonzeros of the upper triangle, column by column."""
         problem, T = self.problem, self._tangent(y)
         N, D = problem.frames, problem.space.size
         problem.linearise(self.state(y))
-        columns = np.zeros((N, D, 4, D))
-        for k in range(4):  # block (t, t + k) of the upper triangle
+        columns = np.zeros((N, D, LAGS, D))
+        for k in range(LAGS):  # block (t, t + k) of the upper triangle
             block = problem.lower_block(k)  # [t, r, c] = H[(t + k, r), (t, c)]
-            turned = np.swapaxes(T[k:], 1, 2) @ block @ T[: N - k]
-            columns[k:, :, 3 - k] = turned
-        return columns.reshape(N, D, 4 * D)[self._mask]
+            columns[k:, :, LAGS - 1 - k] = np.swapaxes(T[k:], 1, 2) @ block @ T[: N - k]
+        return columns.reshape(N, D, LAGS * D)[self._mask]
 
     def _hessian_mask(self) -> NDArray[np.bool_]:
-        """(N, D, 4D): of each column, which rows of this frame and the three before are kept."""
+        """(N, D, 4D): nonzero rows, of this frame and the three before, of each column."""
         N, D = self.problem.frames, self.problem.space.size
-        mask = np.ones((N, D, 4, D), dtype=bool)
+        mask = np.ones((N, D, LAGS, D), dtype=bool)
         kept = self.problem.space.expand.reshape(-1, 3, D - 3).any(axis=1)  # joint of each tangent
         same = np.eye(D, dtype=bool)
         same[3:, 3:] |= kept.T.astype(float) @ kept.astype(float) > 0
         mask[:, :, 0] = same
-        mask[:, :, 3] = np.tril(np.ones((D, D), dtype=bool))
-        for k in range(1, 4):
-            mask[:k, :, 3 - k] = False
-        return mask.reshape(N, D, 4 * D)
-
-    def _hessian_sparsity(self) -> Any:
-        N, D = self.problem.frames, self.problem.space.size
-        t, c, r = np.nonzero(self._mask)
-        rows = (t - 3) * D + r
-        return ca.Sparsity.triplet(N * D, N * D, rows.tolist(), (t * D + c).tolist())
+        mask[:, :, LAGS - 1] = np.tril(np.ones((D, D), dtype=bool))
+        for k in range(1, LAGS):
+            mask[:k, :, LAGS - 1 - k] = False
+        return mask.reshape(N, D, LAGS * D)
 
 
 class _Oracle(ca.Callback):
-    """One of the functions IPOPT calls, answered by a point; numbers pass through buffers."""
+    """A function that IPOPT calls, evaluated by a `_Point`; numbers pass through buffers."""
 
     def __init__(self, kind: str, point: _Point) -> None:
         ca.Callback.__init__(self)
-        self._kind, self._at = kind, point
+        self._kind = kind
         dense, size, M = ca.Sparsity.dense, point.size, point.constraints
         self._in = (dense(size, 1), dense(0, 0), dense(1, 1), dense(M, 1))
-        self._out = {
-            "nlp": (dense(1, 1), dense(M, 1)),
-            "grad_f": (dense(1, 1), dense(size, 1)),
-            "jac_g": (dense(M, 1), point.jacobian_sparsity),
-            "hess_lag": (point.hessian_sparsity,),
-        }[kind]
-        self._answers: tuple[Callable[[Array], Any], ...] = {
-            "nlp": (point.energy, point.angles),
-            "grad_f": (point.energy, point.gradient),
-            "jac_g": (point.angles, point.jacobian),
-            "hess_lag": (point.hessian,),
-        }[kind]
+        answer = Callable[[Array], Any]
+        outputs: dict[str, tuple[tuple[str, Any, answer], ...]] = {
+            "nlp": (("f", dense(1, 1), point.energy), ("g", dense(M, 1), point.angles)),
+            "grad_f": (("f", dense(1, 1), point.energy), ("grad_f_x", dense(size, 1), point.gradient)),
+            "jac_g": (("g", dense(M, 1), point.angles), ("jac_g_x", point.jacobian_sparsity, point.jacobian)),
+            "hess_lag": (("triu_hess_gamma_x_x", point.hessian_sparsity, point.hessian),),
+        }
+        self._outputs = outputs[kind]
         self.construct(kind, {})
 
     def get_n_in(self) -> int:
         return 4 if self._kind == "hess_lag" else 2
 
     def get_n_out(self) -> int:
-        return len(self._out)
+        return len(self._outputs)
 
     def get_name_in(self, i: int) -> str:
         return ("x", "p", "lam_f", "lam_g")[i]
 
     def get_name_out(self, i: int) -> str:
-        names = {
-            "nlp": ("f", "g"), "grad_f": ("f", "grad_f_x"), "jac_g": ("g", "jac_g_x"),
-            "hess_lag": ("triu_hess_gamma_x_x",),
-        }  # fmt: skip
-        return names[self._kind][i]
+        return self._outputs[i][0]
 
     def get_sparsity_in(self, i: int) -> Any:
         return self._in[i]
 
     def get_sparsity_out(self, i: int) -> Any:
-        return self._out[i]
+        return self._outputs[i][1]
 
     def has_eval_buffer(self) -> bool:
         return True
@@ -242,7 +209,7 @@ class _Oracle(ca.Callback):
     def eval_buffer(self, arguments: Any, results: Any) -> int:
         y = np.frombuffer(arguments[0])
         factor = np.frombuffer(arguments[2])[0] if self._kind == "hess_lag" else 1.0
-        for result, answer in zip(results, self._answers, strict=True):
-            if result is not None and len(result):  # None is what nobody asked for
+        for result, (_, _, answer) in zip(results, self._outputs, strict=True):
+            if result is not None and len(result):  # None where IPOPT does not need it
                 np.frombuffer(result)[:] = factor * np.asarray(answer(y)).ravel()
         return 0

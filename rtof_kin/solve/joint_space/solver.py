@@ -1,4 +1,4 @@
-"""The joint-space solver over a recording: its fragments one after the other, blended."""
+"""Joint-space solver of a recording: one fragment after the other, blended."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from time import perf_counter
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,20 +29,20 @@ from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 
 Array = NDArray[np.float64]
-_STANDS_OUT = 1.8
-"""By how many times the size of a fragment's residuals is more than its neighbour's where it is looked at
-again; biases and outliers change it by less from half a second to the next."""
-_HELD = 4
-"""Fragments that may still be solved again from what comes after them."""
+_LOCAL_MINIMUM: Final = 1.8
+"""Ratio of reprojection sigmas of neighbouring fragments that indicates a local minimum; biases and
+outliers change it by less."""
+_PENDING: Final = 4
+"""Fragments that may still be solved again from a later neighbour."""
 
 
 class JointSpaceSolver:
-    """Optimises the configuration of a skeleton; see `rtof_kin.solve.fragment_solver.FragmentSolver`."""
+    """Optimises configurations of a skeleton; see `rtof_kin.solve.fragment_solver.FragmentSolver`."""
 
     def __init__(
         self, skeleton: SkeletonModel, frames: int, settings: JointSpaceSettings, places: tuple[str, ...] = ()
     ) -> None:
-        """Keep what the problem will be built for; see `Observations` for `places`."""
+        """Keep the arguments of `Observations`."""
         self.skeleton, self.frames, self.settings, self.places = skeleton, frames, settings, places
 
     def run(
@@ -53,37 +54,34 @@ class JointSpaceSolver:
         progress: Callable[[int, int], None] | None,
         confidence: bool = False,
     ) -> Iterator[Block]:
-        """Blocks of N/2 frames."""
+        """Yield blocks of N/2 frames; the arguments are those of `FragmentSolver.solve`."""
         if keypoints is not None and not set(keypoints.names) & set(self.skeleton.landmarks):
             raise SolverError("keypoints: none of the landmarks is one of the skeleton")
         data = Observations(
-            self.skeleton, self.frames, self.settings, guess, keypoints, bone_imus, footholds,
-            self.places,
-        )  # fmt: skip
+            self.skeleton, self.frames, self.settings, guess, keypoints, bone_imus, footholds, self.places
+        )
         fragments = _Fragments(data, self.settings, confidence)
-        half, T = self.frames // 2, len(guess.poses)
+        half, times = self.frames // 2, guess.poses.times
         i = np.arange(self.frames)
         taper = np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
         share = taper[:half] / (taper[half:] + taper[:half])
-        firsts = range(-half, T, half)
         reports: list[FragmentReport] = []
+        firsts = range(-half, len(times), half)
         for previous, piece in pairwise(fragments.settled(firsts, progress)):
-            frames = slice(piece.first, min(piece.first + half, T))
+            frames = slice(piece.first, min(piece.first + half, len(times)))
             count = frames.stop - piece.first
             x = data.space.blend(previous.x[half:], piece.x[:half], taper[half:], taper[:half])
-            x, told = x[:count], None
+            x, known = x[:count], None
             if previous.covariance is not None and piece.covariance is not None:
                 C = blended(previous.covariance[half:], piece.covariance[:half], share)[:count]
-                told = confidence_of(data.space, guess.poses.times[frames], x, C, data.held)
+                known = confidence_of(data.space, times[frames], x, C, data.fixed)
             reports = [piece.report] if reports else [previous.report, piece.report]
-            yield Block(frames, *data.space.poses(x), tuple(reports), told)
+            yield Block(frames, *data.space.poses(x), tuple(reports), known)
 
     def oriented(
-        self, poses: PoseSequence, keypoints: KeypointSequence | None, bone_imus: BoneImuSequence | None
+        self, poses: PoseSequence, keypoints: KeypointSequence | None, _: BoneImuSequence | None
     ) -> PoseSequence:
-        """The poses as they are: their orientations are part of the solution. Landmarks beside the joints
-        show those of the segments that they lie in.
-        """
+        """Return the poses with flags of the orientations that landmarks beside the joints show."""
         if keypoints is None:
             return poses
         levels = levels_by_points(self.skeleton, keypoints)
@@ -103,19 +101,17 @@ class _Piece:
     """(N, 3 + 4A) states."""
     report: FragmentReport
     covariance: Array | None
-    """(N, D, D) of their tangents, where asked for; NaN where the fragment tells nothing."""
+    """(N, D, D) of their tangents, where asked for; NaN where unobserved."""
 
     @property
     def first(self) -> int:
-        """Its first frame."""
         return self.report.first_frame
 
-    def stands_out(self, other: _Piece) -> bool:
-        """Whether its landmarks are off by much more than another's, as in a minimum of its own."""
+    def fits_worse(self, other: _Piece) -> bool:
+        """Whether its reprojection errors are much larger than another's, as in a local minimum."""
         a, b = self.report, other.report
         solved = {a.status, b.status}.isdisjoint((SolverStatus.FAILED, SolverStatus.UNOBSERVED))
-        worse = a.sigma_reprojection > _STANDS_OUT * b.sigma_reprojection
-        return solved and a.sees_enough and worse
+        return solved and a.sees_enough and a.sigma_reprojection > _LOCAL_MINIMUM * b.sigma_reprojection
 
 
 class _Fragments:
@@ -128,28 +124,26 @@ class _Fragments:
         self._ipopt = Ipopt(problem, data.limits) if settings.backend == "ipopt" else None
 
     def settled(self, firsts: Sequence[int], progress: Callable[[int, int], None] | None) -> Iterator[_Piece]:
-        """Fragments one after the other. Of two that overlap, one whose landmarks are off by much more is
-        solved again from where the other is; so are those before it.
-        """
-        held: list[_Piece] = []
+        """Yield the fragments; one that fits much worse than an overlapping one is solved again from it."""
+        pending: list[_Piece] = []
         for done, first in enumerate(firsts, start=1):
-            piece = self.solve(first)
-            if held and piece.stands_out(held[-1]):
-                piece = self._beside(piece, held[-1])
-            held.append(piece)
-            for i in range(len(held) - 1, 0, -1):
-                if not held[i - 1].stands_out(held[i]):
+            piece = self._solve(first)
+            if pending and piece.fits_worse(pending[-1]):
+                piece = self._retried(piece, pending[-1])
+            pending.append(piece)
+            for i in range(len(pending) - 1, 0, -1):
+                if not pending[i - 1].fits_worse(pending[i]):
                     break
-                held[i - 1] = self._beside(held[i - 1], held[i])
+                pending[i - 1] = self._retried(pending[i - 1], pending[i])
             if progress is not None:
                 progress(done, len(firsts))
-            if len(held) > _HELD:
-                yield held.pop(0)
-        yield from held
+            if len(pending) > _PENDING:
+                yield pending.pop(0)
+        yield from pending
 
-    def _beside(self, piece: _Piece, other: _Piece) -> _Piece:
-        """A fragment that starts where a neighbour's states are, and goes on from there as its own start
-        does; as it was, if that is no better.
+    def _retried(self, piece: _Piece, other: _Piece) -> _Piece:
+        """The fragment solved from a neighbour's states, continued by its own initial guess; as it was
+        where that is no better.
         """
         index, _, _ = self.data.fragment(piece.first)
         shared = max(piece.first, other.first) + np.arange(self.data.frames // 2)
@@ -157,14 +151,14 @@ class _Fragments:
         edge = -1 if other.first < piece.first else 0
         x = self.data.space.carried_on(self.data.start[index], own[edge], other.x[theirs[edge]])
         x[own] = other.x[theirs]
-        again = self.solve(piece.first, x)
-        kept = again if piece.stands_out(again) else piece
+        again = self._solve(piece.first, x)
+        kept = again if piece.fits_worse(again) else piece
         a, b = piece.report, again.report
         both = replace(kept.report, iterations=a.iterations + b.iterations, seconds=a.seconds + b.seconds)
         return replace(kept, report=both)
 
-    def solve(self, first: int, start: Array | None = None) -> _Piece:
-        """The frames from `first`, by default from the recording's start (N, 3 + 4A)."""
+    def _solve(self, first: int, start: Array | None = None) -> _Piece:
+        """The frames from `first`, from the initial guess or other states (N, 3 + 4A)."""
         data = self.data
         index, inside, values = data.fragment(first)
         began = perf_counter()
@@ -172,10 +166,10 @@ class _Fragments:
         annealing = Annealing(self.settings, data.problem, data.confidence[index], values.observation)
         x, failed = data.start[index] if start is None else start, True
         try:
-            solved = self._from(x, annealing)
+            solved = self._minimised(x, annealing)
             failed = not np.isfinite(solved.x).all()
         except SolverError:
-            pass  # the report says so
+            pass  # the report has the status FAILED
         if failed:
             M = len(data.limits.names) if data.limits else 0
             solved = Solved(x, 0, False, np.zeros((len(x), M)))
@@ -192,20 +186,19 @@ class _Fragments:
             return np.full((len(solved.x), D, D), np.nan)
         return state_covariances(self.data.problem, self._real_time, solved)
 
-    def _from(self, x: Array, annealing: Annealing) -> Solved:
-        """The solution from a start."""
+    def _minimised(self, x: Array, annealing: Annealing) -> Solved:
         s, solver = self.settings, self._real_time
         anneals = s.annealing if s.sigma_reprojection is None else 0
-        if self._ipopt is not None:
-            prepared = solver.solve(x, anneals, s.tolerance, None, annealing)
-            solved = self._ipopt.solve(prepared.x, s.max_iterations, s.tolerance)
-            return replace(solved, iterations=prepared.iterations + solved.iterations)
-        return solver.solve(x, anneals + s.max_iterations, s.tolerance, None, annealing)
+        if self._ipopt is None:
+            return solver.solve(x, anneals + s.max_iterations, s.tolerance, None, annealing)
+        annealed = solver.solve(x, anneals, s.tolerance, None, annealing)
+        solved = self._ipopt.solve(annealed.x, s.max_iterations, s.tolerance)
+        return replace(solved, iterations=annealed.iterations + solved.iterations)
 
     def _report(
         self, solved: Solved, first: int, sigma: float, seconds: float, inside: NDArray[np.bool_]
     ) -> FragmentReport:
-        """Everything measured at the point returned."""
+        """Report measured at the returned point."""
         data = self.data
         energy, _ = data.problem.value(solved.x)
         gradient, infeasibility = data.problem.gradient(solved.x), 0.0

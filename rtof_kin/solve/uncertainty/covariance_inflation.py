@@ -1,30 +1,26 @@
-"""`CovarianceInflation`: what errors that last add to what the Hessian knows.
+"""`CovarianceInflation`: covariances inflated for autocorrelated errors.
 
-A Hessian takes residuals for independent draws. A detector's bias, a sensor that sits askew or a
-landmark that is no joint centre stay for seconds: they do not average out, and no weight of a fragment
-knows of them. So every covariance C of the Hessian becomes
+A Hessian assumes independent residuals. A detector's bias, a misaligned sensor or a landmark beside the
+joint centre are constant for seconds: they do not average out. So every covariance C becomes
 
 ::
 
     K C K + B^2 + a^2 D      K = k0 + m (k - k0)      B = m d b
 
-with diagonal matrices of a factor k and a floor b for every joint and every pair of segments, the same
-for right and left, which hold for a detector as they are. In what frames something is wrong, *D* says:
-mean squares of the difference between the solution and the start that it was solved from
-(`rtof_kin.solve.uncertainty.disagreement`), with one share a for all joints of a kind. Three things of the recording itself
-(`ResidualStatistics`) say how much of that is in it:
+with diagonal matrices of a factor k and a floor b for every joint and every pair of segments, equal for
+right and left. D are mean squares of the difference between solution and initial guess (`disagreement`),
+with one factor a for all joints of a kind. `ResidualStatistics` of the recording give the rest:
 
-- *m*: how far residuals of its keypoints last. Where they are white they average out as the Hessian
-  says, and only the sensors' errors are left, which k0 stands for.
-- *d*: how sure the lifter is of the trunk, against what is usual; only of what no sensor holds.
-- who saw what:
+- m: autocorrelation of the keypoints' residuals, 0 (white) to 1 (a detector's). k0 stands for the errors
+  of the sensors alone.
+- d: the lifter's sigma of the trunk over the usual one; only without sensors there.
+- the class of the observation:
 
 =======  ==========================================================================================
-camera   there is no sensor anywhere; of positions in world, no limb has one on both of its
-         bones, and the solver leaves the root about where the lifter has it
-fused    there are sensors, but not where the next row says
-sensed   both segments of a pair carry one (or the one that is told against the world); of positions
-         relative to the root, the root's segment does
+camera   no sensors; for positions in world, no limb has sensors on both of its bones
+fused    with sensors, but not as in the next row
+sensed   both segments of a pair (the one of a pair with the world) have a sensor; for positions
+         relative to the root, the root's segment has one
 =======  ==========================================================================================
 
 The numbers were fitted on recordings of other people (``python -m benchmarks.confidence --fit``).
@@ -36,74 +32,75 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.body.limbs import both_bones_sensed
 from rtof_kin.core.checks import checked_names
-from rtof_kin.core.errors import FileFormatError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.solve.uncertainty.disagreement import Disagreement
 
 Array = NDArray[np.float64]
-UNITS = {"position": "m", "relative": "m", "turn": "rad"}
-"""Covariances of a `Confidence`, and the unit of their floors."""
-SEEN = {"camera": tuple(UNITS), "fused": tuple(UNITS), "sensed": ("relative", "turn")}
-"""Who saw it, and of which covariances that is told apart."""
-OTHER = "other"
-"""Name of the widening of what has none of its own."""
-USUAL_TORSO_SIGMA = 0.09
-"""[rad] of pelvis and upper trunk as the lifter tells it of a usual recording."""
-_SHARES = "apart"
-"""Table of the shares in a file."""
-_WHITE_FACTOR = 1.2
-"""k0: errors in such of the Hessian's standard deviations with white 2D and eight real sensors, of
-people of the fit; the same of positions and turns."""
+UNITS: Final = {"position": "m", "relative": "m", "turn": "rad"}
+"""Kinds of covariances of a `Confidence`, and the unit of their floors."""
+SEEN: Final = {"camera": tuple(UNITS), "fused": tuple(UNITS), "sensed": ("relative", "turn")}
+"""Classes of observations, and the kinds of covariances that have them."""
+OTHER: Final = "other"
+"""Name of the default widening."""
+USUAL_TORSO_SIGMA: Final = 0.09
+"""[rad] Usual sigma of pelvis and upper trunk by the lifter."""
+_SHARES: Final = "apart"
+"""Table of the factors a in a file."""
+WHITE_FACTOR: Final = 1.2
+"""k0, fitted with white 2D errors and eight real sensors."""
 
 
 @dataclass(frozen=True)
 class ResidualStatistics:
-    """What a recording tells of its own errors; by default as a usual one without sensors."""
+    """Statistics of a recording's errors; the defaults are those of a usual one without sensors."""
 
     sensors: tuple[str, ...] = ()
     """Joints whose segments carry one."""
-    lasting: float = 1.0
-    """m, 0 to 1: how far residuals of the keypoints last, from white to a detector's."""
+    autocorrelation: float = 1.0
+    """m, 0 to 1: autocorrelation of the keypoints' residuals, from white to a detector's."""
     torso_sigma: float = USUAL_TORSO_SIGMA
-    """[rad] how sure the lifter is of pelvis and upper trunk."""
+    """[rad] The lifter's standard deviation of pelvis and upper trunk."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sensors", checked_names("circumstances sensors", self.sensors))
-        if not 0 <= self.lasting <= 1:
-            raise ShapeError(f"circumstances lasting: {self.lasting} is not in [0, 1]")
+        object.__setattr__(self, "sensors", checked_names("residual statistics sensors", self.sensors))
+        if not 0 <= self.autocorrelation <= 1:
+            raise InvalidInputError(f"autocorrelation: {self.autocorrelation} is not in [0, 1]")
         if not 0 < self.torso_sigma < np.inf:
-            raise ShapeError(f"circumstances torso_sigma: {self.torso_sigma} must be positive and finite")
+            raise InvalidInputError(f"torso_sigma: {self.torso_sigma} must be positive and finite")
 
-    def doubt(self, kind: str, seen: str) -> float:
-        """D of a covariance of `UNITS` by who saw it."""
-        held = kind == "position" or seen == "sensed"
-        return 1.0 if held else self.torso_sigma / USUAL_TORSO_SIGMA
+    def torso_factor(self, kind: str, seen: str) -> float:
+        """Return d.
+
+        Args:
+            kind: of `UNITS`. seen: of `SEEN`.
+        """
+        return 1.0 if kind == "position" or seen == "sensed" else self.torso_sigma / USUAL_TORSO_SIGMA
 
 
 @dataclass(frozen=True)
 class Widening:
-    """Of one covariance."""
+    """Factor and floor of one covariance."""
 
     factor: Array
-    """(3,) by axis: world's of positions, the child segment's of turns. At least 1: nobody knows more
-    than the Hessian."""
+    """k (3,) by axis: world's for positions, the child segment's for turns. At least 1."""
     floor: Array
-    """(3,) standard deviation, m or rad."""
+    """b (3,) standard deviation, m or rad."""
 
     def __post_init__(self) -> None:
         for name, least in (("factor", 1.0), ("floor", 0.0)):
             value = np.asarray(getattr(self, name), dtype=float)
             if value.shape not in ((), (3,)) or not np.all(np.isfinite(value) & (value >= least)):
-                raise ShapeError(
+                raise InvalidInputError(
                     f"widening {name}: {value} must be one or three numbers, none below {least:g}"
                 )
             object.__setattr__(self, name, np.broadcast_to(value, 3))
@@ -114,50 +111,55 @@ class CovarianceInflation:
     """Widenings of all covariances of a skeleton."""
 
     widenings: Mapping[str, Mapping[str, Mapping[str, Widening]]]
-    """By who saw it (`SEEN`), kind (`UNITS`) and `unsided` name of the joint, or of parent and child."""
+    """By class (`SEEN`), kind (`UNITS`) and `unsided` name of the joint, or of parent and child."""
     shares: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """a, by who saw it and kind: standard deviations per distance from the start; 0 where not given."""
+    """a, by class and kind; 0 where not given."""
 
     def __post_init__(self) -> None:
         for seen, shares in self.shares.items():
             for kind, share in shares.items():
                 if kind not in SEEN.get(seen, ()) or not 0 <= share < np.inf:
-                    raise ShapeError(f"inflation: the share {share} of {seen}.{kind} cannot be")
+                    raise InvalidInputError(f"inflation: the share {share} of {seen}.{kind} cannot be")
         for seen, kinds in SEEN.items():
             for kind in kinds:
                 if OTHER not in self.widenings.get(seen, {}).get(kind, {}):
-                    raise ShapeError(f"inflation: no widening {OTHER!r} of {seen}.{kind}")
+                    raise InvalidInputError(f"inflation: no widening {OTHER!r} of {seen}.{kind}")
 
     @classmethod
+    @cache
     def shipped(cls) -> CovarianceInflation:
-        """That of ``models/confidence.toml``, read once."""
-        return _shipped()
+        """Return that of ``models/confidence.toml``, read once."""
+        return cls.read(model_path("confidence.toml"))
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
         """Read a file that `text` wrote.
+
+        Args:
+            path: of the file.
 
         Raises:
             FileFormatError: it is not one.
         """
         data = load_toml(Path(path))
         try:
-            return cls({
+            widenings = {
                 seen: {
                     kind: {name: Widening(**entry) for name, entry in data[seen][kind].items()}
                     for kind in kinds
                 }
                 for seen, kinds in SEEN.items()
-            }, data.get(_SHARES, {}))  # fmt: skip
+            }
+            return cls(widenings, data.get(_SHARES, {}))
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise FileFormatError(path, f"no table of widenings: {error}") from error
 
     def text(self) -> str:
-        """As TOML."""
+        """Return it as TOML."""
         lines = [f"[{_SHARES}]  # of the distance between solution and start"]
         for seen, shares in self.shares.items():
-            told = ", ".join(f"{kind} = {share:.3g}" for kind, share in shares.items())
-            lines.append(f"{seen} = {{ {told} }}")
+            entries = ", ".join(f"{kind} = {share:.3g}" for kind, share in shares.items())
+            lines.append(f"{seen} = {{ {entries} }}")
         lines.append("")
         for seen, kinds in SEEN.items():
             for kind in kinds:
@@ -168,26 +170,29 @@ class CovarianceInflation:
         return "\n".join(lines)
 
     def apply(
-        self, confidence: Confidence, circumstances: ResidualStatistics, apart: Disagreement | None = None
+        self, confidence: Confidence, statistics: ResidualStatistics, apart: Disagreement | None = None
     ) -> Confidence:
-        """A confidence of the Hessian alone, widened.
+        """Return inflated covariances.
 
         Args:
-            apart: the solution from its start, at the same times; none counts where not given.
+            confidence: of the Hessian. statistics: of the recording.
+            apart: of solution and initial guess, at the same times; None: D = 0.
         """
-        names = confidence.names
+        names, root = confidence.names, confidence.names[0]
         pairs = [" ".join(pair) for pair in confidence.pairs]
 
         def widened(kind: str, entries: Sequence[str], covariance: Array) -> Array:
-            factor, floor = self._of(kind, entries, names[0], circumstances)
+            seen = [seen_by(kind, name, root, statistics.sensors) for name in entries]
+            factor, floor = self._scales(kind, entries, seen, statistics)
             scale = factor[:, :, None] * factor[:, None, :]
             wide = covariance * scale + np.eye(3) * floor[:, :, None] ** 2
             if apart is not None:
-                wide += self._shares(kind, entries, names[0], circumstances) ** 2 * getattr(apart, kind)
+                shares = np.array([self.shares.get(who, {}).get(kind, 0.0) for who in seen])
+                wide += shares[:, None, None] ** 2 * getattr(apart, kind)
             return np.asarray(wide)
 
         relative = widened("relative", names, confidence.relative_covariance)
-        relative[:, 0] = 0.0  # the root less itself
+        relative[:, 0] = 0.0  # the root relative to itself
         return replace(
             confidence,
             position_covariance=widened("position", names, confidence.position_covariance),
@@ -195,39 +200,32 @@ class CovarianceInflation:
             turn_covariance=widened("turn", pairs, confidence.turn_covariance),
         )
 
-    def _of(
-        self, kind: str, names: Sequence[str], root: str, circumstances: ResidualStatistics
+    def _scales(
+        self, kind: str, names: Sequence[str], seen: Sequence[str], statistics: ResidualStatistics
     ) -> tuple[Array, Array]:
-        """K and B (n, 3) of some entries of a kind of covariance."""
-        factors, floors = [], []
-        for name in names:
-            seen = seen_by(kind, name, root, circumstances.sensors)
-            known = self.widenings[seen][kind]
+        """K and B (n, 3)."""
+        factors, floors, m = [], [], statistics.autocorrelation
+        for name, who in zip(names, seen, strict=True):
+            known = self.widenings[who][kind]
             widening = known.get(unsided(name), known[OTHER])
-            factors.append(factor_where(widening.factor, circumstances.lasting))
-            floors.append(widening.floor * circumstances.lasting * circumstances.doubt(kind, seen))
+            factors.append(correlated_factor(widening.factor, m))
+            floors.append(widening.floor * m * statistics.torso_factor(kind, who))
         return np.array(factors), np.array(floors)
 
-    def _shares(self, kind: str, names: Sequence[str], root: str, circumstances: ResidualStatistics) -> Array:
-        """A (n, 1, 1) of some entries of a kind of covariance."""
-        seen = [seen_by(kind, name, root, circumstances.sensors) for name in names]
-        return np.array([self.shares.get(who, {}).get(kind, 0.0) for who in seen])[:, None, None]
 
+def correlated_factor(factor: ArrayLike, autocorrelation: ArrayLike) -> Array:
+    """Return K.
 
-def factor_where(factor: ArrayLike, lasting: ArrayLike) -> Array:
-    """K of factors k where residuals last as far as `lasting` says, 0 to 1."""
+    Args:
+        factor: k. autocorrelation: m, 0 to 1.
+    """
     k = np.asarray(factor, dtype=float)
-    white = np.minimum(k, _WHITE_FACTOR)
-    return np.asarray(white + (k - white) * lasting)
-
-
-def factor_rate(factor: float, lasting: ArrayLike) -> Array:
-    """Derivative of `factor_where` by the factor."""
-    return np.asarray(1.0 + (factor > _WHITE_FACTOR) * (np.asarray(lasting, dtype=float) - 1.0))
+    white = np.minimum(k, WHITE_FACTOR)
+    return np.asarray(white + (k - white) * autocorrelation)
 
 
 def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
-    """Who saw what a covariance is of: a key of `SEEN`.
+    """Return the class of the observation of a covariance, a key of `SEEN`.
 
     Args:
         kind: of `UNITS`. name: the joint, or parent and child. root: the root joint's name.
@@ -242,15 +240,14 @@ def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
 
 
 def unsided(name: str) -> str:
-    """A joint's name, or those of a pair, without its side: what is symmetric is fitted once."""
+    """Return a joint's name, or those of a pair, without their side.
+
+    Args:
+        name: of a joint, or of two joints separated by a space.
+    """
     return " ".join(word.removeprefix("Right").removeprefix("Left") for word in name.split())
 
 
 def _text(value: Array) -> str:
     rounded = [f"{max(float(f'{v:.3g}'), 0.0):g}" for v in value]
     return rounded[0] if len(set(rounded)) == 1 else f"[{', '.join(rounded)}]"
-
-
-@cache
-def _shipped() -> CovarianceInflation:
-    return CovarianceInflation.read(model_path("confidence.toml"))

@@ -1,15 +1,15 @@
-"""How far a solution is from the start that it was solved from, frame by frame, as covariances.
+"""Difference between a solution and its initial guess, frame by frame, as covariances.
 
-The start (SF2; without sensors the lifter) and the solution are two estimates of the same pose. Where
-they are further apart than usual one of them is wrong, and the Hessian, which is of the solution's own
-valley, does not know which. `CovarianceInflation` adds a share of this to it.
+The initial guess (SF2; without sensors the lifter) and the solution are two estimates of the same pose.
+Where they differ more than usual one of them is wrong, which the Hessian at the solution does not show.
+`CovarianceInflation` adds a share of the difference.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +20,13 @@ from rtof_kin.data.confidence import WORLD
 from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
-WINDOW = 0.15
-"""[s] before and after a frame that count with it: a start jitters."""
+WINDOW: Final = 0.15
+"""[s] averaged before and after a frame."""
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Mean squares of differences between two estimates of a motion, as a `Confidence` has covariances;
-    zero where one of them is not known.
-    """
+    """Mean squares of differences between two estimates of a motion; zero where one is missing."""
 
     position: Array
     """(T, J, 3, 3) m^2, of joints' positions in world."""
@@ -49,11 +47,11 @@ class Disagreement:
 def disagreement(
     solved: PoseSequence, start: PoseSequence, pairs: Sequence[tuple[str, str]], window: float = WINDOW
 ) -> Disagreement:
-    """That of two estimates.
+    """Return the difference of two estimates.
 
     Args:
         solved, start: of the same joints at the same times. pairs: of segments, as `Confidence.pairs`.
-        window: s before and after a frame that count with it.
+        window: averaged before and after a frame, s.
     """
     off = solved.p_world_joint - start.p_world_joint
     names = (*solved.names, WORLD)

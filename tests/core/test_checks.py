@@ -1,0 +1,68 @@
+"""Validation of arrays and names, and the messages of errors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rtof_kin.core.checks import checked_times, indices_of, readonly
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError, UnknownNameError
+
+
+def test_readonly_copies_and_locks() -> None:
+    mine = np.zeros((2, 3))
+    locked = readonly("x", mine, ("T", 3))
+    mine[0, 0] = 5
+    assert locked[0, 0] == 0
+    with pytest.raises(ValueError, match="read-only"):
+        locked[0, 0] = 1
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (np.zeros((2, 4)), r"x: expected shape \(T, 3\), got \(2, 4\)"),
+        (np.zeros(3), r"x: expected shape \(T, 3\), got \(3,\)"),
+        ([[1, 2, 3], [1, 2]], "x: not an array of numbers"),
+        ([["a", "b", "c"]], "x: not an array of numbers"),
+        ([[None, {}, 1]], "x: not an array of numbers"),
+    ],
+)
+def test_array_of_another_shape_or_kind_is_refused_by_name(value: Any, message: str) -> None:
+    with pytest.raises(ShapeError, match=message):
+        readonly("x", value, ("T", 3))
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        ([], "t: empty"),
+        ([0.0, np.nan, 1.0], "t: not finite at index 1"),
+        ([0.0, 1.0, np.inf], "t: not finite at index 2"),
+        ([0.0, 0.5, 0.5], r"t: time does not increase from index 1 \(0.5 s\) to 2 \(0.5 s\); sort"),
+        ([0.0, 2.0, 1.0, 3.0], r"from index 1 \(2 s\) to 2 \(1 s\)"),
+        ([[0.0, 1.0]], r"t: expected shape \(T\), got \(1, 2\)"),
+    ],
+)
+def test_times_must_increase(times: Any, message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        checked_times("t", times)
+
+
+def test_unknown_name_is_reported_with_valid_names_and_the_nearest_one() -> None:
+    assert indices_of("joint", ["Head", "Hips"], ("Hips", "Head")) == [1, 0]
+    with pytest.raises(UnknownNameError) as caught:
+        indices_of("joint", ["Hips", "Hedd", "tail"], ("Hips", "Head"))
+    assert str(caught.value) == "unknown joint 'Hedd', 'tail'. Did you mean 'Head'? Known: Hips, Head"
+
+
+def test_errors_derive_from_the_package_and_from_python() -> None:
+    assert issubclass(ShapeError, InvalidInputError)
+    assert issubclass(InvalidInputError, RtofError)
+    assert issubclass(InvalidInputError, ValueError)
+    assert issubclass(UnknownNameError, KeyError)
+    error = FileFormatError("a.csv", "seven columns", line=12)
+    assert str(error) == "a.csv, line 12: seven columns"
+    assert (error.path.name, error.line) == ("a.csv", 12)
