@@ -54,10 +54,11 @@ _MODULES = {
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [
     "BoneImuSequence", "CalibrationPriors", "Camera", "CartesianSettings", "FragmentSolution",
-    "FragmentSolver", "ImuCalibration", "ImuSequence", "InertialGuidedIK", "InertialGuidedIKSettings", "InvalidInputError",
-    "JointSpaceSettings", "KeypointSequence", "Metrics", "MotionSequence", "PoseSequence", "Provenance",
-    "Reconstruction", "ReconstructionSettings", "Recording", "RtofError", "SelfCalibration",
-    "SkeletonModel", "SolverStatus", "calibrate_recording", "evaluate", "export", "reconstruct",
+    "FragmentSolver", "ImuCalibration", "ImuSequence", "InertialGuidedIK",
+    "InertialGuidedIKSettings", "InvalidInputError", "JointSpaceSettings", "KeypointSequence",
+    "Metrics", "MotionSequence", "PoseSequence", "Provenance", "Reconstruction",
+    "ReconstructionSettings", "Recording", "RtofError", "SelfCalibration", "SkeletonModel",
+    "SolverStatus", "calibrate_recording", "evaluate", "export", "reconstruct",
 ]  # fmt: skip
 
 

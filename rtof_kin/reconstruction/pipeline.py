@@ -149,6 +149,8 @@ def reconstruct(
     """
     if mode not in MODES:
         raise UnknownNameError("mode", [mode], MODES)
+    if priors is not None and (calibration is not None or not calibrate):
+        raise InvalidInputError("priors: of a calibration that is not made; give calibrate=True alone")
     settings = settings or ReconstructionSettings()
     job = _Job(recording, skeleton, lifter, settings, progress or (lambda stage, done, total: None))
     with naming_wrong_samples(recording):

@@ -86,7 +86,7 @@ class Recording:
             lengths = {str(name): float(length) for name, length in self.bone_lengths.items()}
             set_(self, "bone_lengths", lengths)
         offsets = self.joint_offsets
-        if len(offsets) == 0:
+        if offsets is None or len(offsets) == 0:  # callers may say None
             body = _body(self.skeleton_table, height=self.height, bone_lengths=self.bone_lengths)
             offsets = body.joint_offsets
         J = len(_shipped(self.skeleton_table).names)

@@ -15,7 +15,7 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.choices import CAMERA_MODES
-from rtof_kin.core.errors import CalibrationError, UnknownNameError
+from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import Provenance
 from rtof_kin.reconstruction.pipeline import calibrate_recording, reconstruct
@@ -244,5 +244,10 @@ def test_recording_that_cannot_be_calibrated_is_used_as_given_with_a_warning(cas
     assert "0.12 s in common" in result.warnings[0]
     with pytest.raises(CalibrationError, match=r"delay of 4\.00 s"):
         case.run(calibrate=True, priors=CalibrationPriors(sigma_delay=1.0))
+
+
+def test_priors_of_a_calibration_that_is_not_made_are_refused(case: Case) -> None:
+    with pytest.raises(InvalidInputError, match="calibrate=True"):
+        case.run(calibrate=False, priors=QUICK_PRIORS)
     with pytest.raises(CalibrationError, match="no IMUs.*'rto'"):
         calibrate_recording(replace(case.recording, imus=None, calibration=None))

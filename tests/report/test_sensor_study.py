@@ -24,7 +24,7 @@ from rtof_kin.report.sensor_study import study as sensor_study
 from rtof_kin.report.sensor_study.figures import error_by_number, write_study_figures
 from rtof_kin.report.sensor_study.files import NO_ERROR, sentences, study_data, write_study
 from rtof_kin.report.sensor_study.study import SensorStudy, measure_set, number_of_runs, study_sensors
-from rtof_kin.solve.compiled import building
+from rtof_kin.solve.compiled import fragment_energy
 
 Array = NDArray[np.float64]
 LOSSES = np.radians([8.0, 6.0, 1.0])
@@ -216,9 +216,11 @@ def test_study_of_two_sensors() -> None:
     recording: Recording = replace(planted.recording(truth), joint_offsets=body.joint_offsets)
     assert recording.imus is not None
     recording = replace(recording, imus=recording.imus.select(recording.imus.names[:2]))
-    built = building._energy.cache_info().misses
+    built = fragment_energy._frame_energy.cache_info().misses
     study = study_sensors(recording, lifter=planted.PlantedLifter(truth))
-    assert building._energy.cache_info().misses <= built + 1, "all sets share one compiled problem"
+    assert (
+        fragment_energy._frame_energy.cache_info().misses <= built + 1
+    )  # all sets share one compiled problem
     assert study.has_truth
     assert [len(found.sensors) for found in study.path] == [2, 1, 0]
     assert np.isfinite(study.full.error).any()
