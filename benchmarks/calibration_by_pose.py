@@ -7,6 +7,7 @@ Eight sensors with soft tissue and accelerometer noise. The numbers are angles b
 sensors and in truth over the movement, degrees, turned to one heading: the mean, and the 90th percentile
 over segments. *right calibration* is what soft tissue alone makes of them. *given*: the facing is known.
 *told*: derived from movement, of sensors with one reference. *own*: a heading for each sensor, derived
+from rtof_kin.core.array_types import Array
 from movement.
 """
 
@@ -20,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import track
 
 from benchmarks.harness import write_results
@@ -38,7 +38,6 @@ from rtof_kin.simulation.noise import ImuNoise
 from rtof_kin.simulation.sensors import simulate_imus
 from rtof_kin.simulation.simulate import LIMB_SENSORS
 
-Array = NDArray[np.float64]
 HERE = Path(__file__).parent
 SEED = 1
 POSE_ERRORS_DEG = (0.0, 5.0, 10.0, 15.0)

@@ -19,18 +19,17 @@ from typing import Any
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from benchmarks.harness import write_results
 from benchmarks.views import Views, ViewSettings
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.simulation.mocap import MocapClip, read_corpus
 from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks
 from rtof_kin.vision.layouts import mirrored
 from rtof_kin.vision.recognise import recognise
 
-Array = NDArray[np.float64]
 HERE = Path(__file__).parent
 FOCAL_PX, DISTANCE, RATE_HZ, VIEWS, SEED = 1250.0, 4.0, 5.0, 4, 1
 BIAS_PX, WHITE_PX, HIDDEN = 6.0, 5.0, 0.25

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.poses import pose_rotations, turned_to
 
-Array = NDArray[np.float64]
 HELD, MOVING = 2.0, 1.5
 
 

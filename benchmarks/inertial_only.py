@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.accuracy.__main__ import VALIDATION
 from benchmarks.harness import HERE, SENSOR_SETS, bootstrap, split, whole_clips
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.protocols.tables import Table
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
@@ -35,7 +35,6 @@ from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.noise import ImuNoise
 from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
 
-Array = NDArray[np.float64]
 SETS = {n: SENSOR_SETS[n] for n in ("8", "10")}
 SETS["13"] = (*SETS["10"], "Head", "L_Foot", "R_Foot")
 NOISE = {"exact": ImuNoise.perfect(), "realistic": ImuNoise()}

@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 from rich.progress import track
 
 from benchmarks.harness import SENSOR_SETS, write_results
@@ -37,7 +36,6 @@ from rtof_kin.simulation.noise import ImuNoise
 from rtof_kin.simulation.sensors import simulate_imus
 from rtof_kin.simulation.simulate import low_passed
 
-Array = NDArray[np.float64]
 HERE = Path(__file__).parent
 SEED, POSE = 1, "N"
 SECONDS, LEAST_SECONDS, MOST_PIECES = 12.0, 4.0, 2

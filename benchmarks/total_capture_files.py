@@ -16,17 +16,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import NAMES, PARENTS
 
-Array = NDArray[np.float64]
 C_WORLD_TC = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """World axes of the package from those of the files: (x, y, z) becomes (x, -z, y)."""
 M_TC_BONE = np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]])

@@ -8,7 +8,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from benchmarks.harness import split
@@ -16,13 +15,13 @@ from benchmarks.total_capture_files import C_WORLD_TC, M_TC_BONE
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import ANKLE_HEIGHT, NAMES, PARENTS, MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import low_passed
 
-Array = NDArray[np.float64]
 RATE_HZ = 60.0
 KINDS = ("acting", "freestyle", "rom", "walking")
 TAKES = {

@@ -20,7 +20,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import total_capture_files as files
 from benchmarks.total_capture_motion import (
@@ -34,6 +33,7 @@ from benchmarks.total_capture_motion import (
 )
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuSequence
@@ -43,7 +43,6 @@ from rtof_kin.simulation.noise import ImuNoise
 from rtof_kin.simulation.sensors import simulate_imus
 from rtof_kin.simulation.simulate import SimulationSettings, simulate
 
-Array = NDArray[np.float64]
 WITHOUT_ORIENTATIONS = (("S2", "rom2"), ("S3", "rom1"), ("S3", "rom2"), ("S3", "rom3"))
 WITHOUT_BVH = (("S3", "rom3"),)
 CAMERA_2_BIAS_PX = (20.0, -8.0)

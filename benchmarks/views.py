@@ -10,14 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.vision.layouts import DetectorTable, mirrored, own, point_names
 
-Array = NDArray[np.float64]
 MIRROR = np.diag([1.0, -1.0, 1.0])
 
 

@@ -11,19 +11,18 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lifting.body import Body
 from lifting.corpus import RATE_HZ, Corpus, join_clips
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets import human36m, total_capture
 from rtof_kin.simulation.mocap import ANKLE_HEIGHT, MocapClip
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 """Called with the takes done, their number, and the last one's name, followed by ``skipped:`` and the
 reason if it was left out."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lifting.checkpoint import LifterDescription, load_checkpoint
 from lifting.folded import FoldedNetwork
@@ -16,15 +16,13 @@ from lifting.model import TemporalNetwork, torch_threads
 from lifting.models import RAYS, model_of
 from lifting.source import Source
 from lifting.windows import SIGMA_TURN, Estimate, orthonormal, rotations
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import InvalidInputError, ViewError
 from rtof_kin.core.resources import DEFAULT_LIFTER, lifter_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 MIN_JOINTS = 6
 """Fewest different joints seen in a window that can be lifted."""

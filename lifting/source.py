@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from lifting.body import Body
 from lifting.windows import Picture, Windows
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 MAX_STEP = 0.15
 """Longest time between two frames that is interpolated across, s."""
 

@@ -12,12 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from lifting.models import RAYS
 from lifting.predict import MIN_JOINTS, Lifter, camera_height
 from lifting.source import Source
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_names, indices_of
 from rtof_kin.core.errors import InvalidInputError, ShapeError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,7 @@ class StreamingLifter:
         while len(self._frames) > 2 and self._frames[2].times[0] < first:
             self._frames.popleft()
 
-    def _axes(self, given: Mapping[str, ArrayLike]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def _axes(self, given: Mapping[str, ArrayLike]) -> tuple[NDArray[np.float32], Mask]:
         """X and z axes (2, S, 3), zero where not sensed, and whether sensed (S,)."""
         sensors = self._body.sensors
         axes, sensed = np.zeros((2, len(sensors), 3), np.float32), np.zeros(len(sensors), bool)

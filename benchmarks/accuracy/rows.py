@@ -8,7 +8,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import harness
 from benchmarks.accuracy.cases import Case, cases
@@ -19,6 +18,7 @@ from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -33,7 +33,6 @@ from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, Sol
 from rtof_kin.solve.inertial_ik import InertialGuidedIK
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 FIGURES = {
     "mpjpe_rr_mm": ("rr mm", 1),

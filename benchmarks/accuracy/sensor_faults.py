@@ -8,16 +8,15 @@ from pathlib import Path
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from benchmarks.accuracy.windows import SECOND_AFTER_HALF, bounds
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.formats.sensors.packets import WRAP_16, in_order
 from rtof_kin.recording.recording import Recording
 
-Array = NDArray[np.float64]
 ONE = "L_LowArm"
 """The sensor of faults that befall one: on the left forearm."""
 _SATURATED = 2 * 9.81
@@ -40,7 +39,7 @@ def sensors(recording: Recording) -> ImuSequence:
     return recording.imus
 
 
-def _without(recording: Recording, gone: NDArray[np.bool_]) -> Recording:
+def _without(recording: Recording, gone: Mask) -> Recording:
     """The recording without some samples (T, S)."""
     imus = sensors(recording)
     R = np.where(gone[..., None, None], np.nan, imus.R_inertial_sensor)

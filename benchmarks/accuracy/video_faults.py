@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from benchmarks.accuracy.windows import MIDDLE_HALF_SECOND, MIDDLE_SECOND, SECOND_AFTER_HALF, bounds, inside
 from rtof_kin.recording.recording import Recording
 
-Array = NDArray[np.float64]
 LEFT_LEG = ("LeftUpLeg", "LeftLeg", "LeftFoot")
 LEFT_LIMBS = ("LeftArm", "LeftForeArm", "LeftHand", *LEFT_LEG)
 LEGS = (*LEFT_LEG, *(name.replace("Left", "Right") for name in LEFT_LEG))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rtof_kin.core.array_types import Array, Mask
+
 Window = tuple[float, float]
 """Beginning and end, s after the middle of the video."""
 MIDDLE_SECOND: Window = (-0.5, 0.5)
@@ -19,7 +19,7 @@ def bounds(times: Array, window: Window) -> tuple[float, float]:
     return middle + window[0], middle + window[1]
 
 
-def inside(times: Array, video_times: Array, window: Window) -> NDArray[np.bool_]:
+def inside(times: Array, video_times: Array, window: Window) -> Mask:
     """(T,) which of some times lie in a window of a video."""
     start, stop = bounds(video_times, window)
     return np.asarray((times >= start) & (times < stop))

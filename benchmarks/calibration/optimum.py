@@ -16,7 +16,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import track
 
 from benchmarks import harness
@@ -24,13 +23,12 @@ from benchmarks.calibration.planted_rows import ALL, SESSIONS, Job, Row, recorde
 from lifting.predict import Lifter
 from rtof_kin.calibration.estimate import shared_fragments
 from rtof_kin.calibration.shared_fragments import SharedFragments
+from rtof_kin.core.array_types import Array
 from rtof_kin.reconstruction.prepare import prepare
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.initial_guess import initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-
-Array = NDArray[np.float64]
 
 
 def row(given: Recording, known: Mapping[tuple[str, str], Array], job: Job, lifter: Lifter) -> Row:

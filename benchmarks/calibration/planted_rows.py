@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import harness
 from benchmarks.calibration import planting
@@ -19,12 +18,12 @@ from benchmarks.calibration.sessions import joined
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Detector, SelfCalibration
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.reconstruction.pipeline import calibrate_recording, reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.simulate import simulate, standard_cameras
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 FIGURES = ("mpjpe_rr_mm", "mpjpe_mm", "flexion_deg")
 SESSIONS = {

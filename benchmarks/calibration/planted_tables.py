@@ -6,13 +6,12 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.calibration.planted_rows import ALL, BUT, FIGURES, KNOWN, PLAIN, SEEN, Row
 from benchmarks.calibration.planting import ERRORS
 from rtof_kin.calibration.result import Verdict
+from rtof_kin.core.array_types import Array
 
-Array = NDArray[np.float64]
 UNITS = {
     "delay": (1e3, "ms"), "clock drift": (1e3, "ms/s"), "heading": (180 / np.pi, "deg"),
     "heading drift": (60 * 180 / np.pi, "deg/min"), "mounting": (180 / np.pi, "deg"),

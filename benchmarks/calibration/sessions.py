@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import PARENTS, MocapClip
 
-Array = NDArray[np.float64]
 BETWEEN = 1.5
 """[s] from the end of a motion to the beginning of the next; its path is a cubic."""
 

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import harness
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import reconstruct
@@ -25,7 +25,6 @@ from rtof_kin.solve.uncertainty.covariance_inflation import ResidualStatistics
 from rtof_kin.solve.uncertainty.disagreement import Disagreement, disagreement
 from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
 
-Array = NDArray[np.float64]
 EVERY = 4
 """Step between the frames evaluated; neighbours are correlated."""
 FITTED = (("realistic", "0"), ("realistic", "4"), ("realistic", "8"), ("realistic", "10"))

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import ndtr
 
 from benchmarks.confidence.cases import Case, Errors, errors
+from rtof_kin.core.array_types import Array
 from rtof_kin.solve.uncertainty.covariance_inflation import (
     OTHER,
     SEEN,
@@ -23,7 +23,6 @@ from rtof_kin.solve.uncertainty.covariance_inflation import (
     unsided,
 )
 
-Array = NDArray[np.float64]
 _LEAST = {"position": 1e-3, "relative": 1e-4, "turn": np.radians(0.1)}
 """Floors begin there: nothing is known better."""
 _LARGEST_SHARE = 2.0

@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from benchmarks.confidence.cases import Case, angle_errors, errors
 from benchmarks.harness import bootstrap
+from rtof_kin.core.array_types import Array
 from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation, unsided
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 NOMINAL = (0.5, 0.68, 0.8, 0.9, 0.95, 0.99)
 """Shares of the errors that bands are meant to cover."""

@@ -5,15 +5,14 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.special import erf, k1
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.poses import PoseSequence
 
-Array = NDArray[np.float64]
 Figures = dict[str, float]
 TORSO = {"pelvis": "Hips", "upper trunk": "Spine3"}
 PARTS = ("total", "yaw", "lean")
@@ -22,7 +21,7 @@ DIRECTIONS = {"joints across": 2, "joints along": 1, "root across": 2, "root alo
 """Quantities with a standard deviation -> dimensions of their density."""
 
 
-def position_figures(p: Array, truth: PoseSequence, known: NDArray[np.bool_]) -> Figures:
+def position_figures(p: Array, truth: PoseSequence, known: Mask) -> Figures:
     """Errors of joints (T, J, 3) in the frames known (T,): in mm, m/s^2, m/s^3; of each joint, mm.
 
     As in `rtof_kin.body.metrics`: the root's 0 counts among the root-relative errors.
@@ -40,7 +39,7 @@ def position_figures(p: Array, truth: PoseSequence, known: NDArray[np.bool_]) ->
     return figures | joints
 
 
-def torso_figures(R: Array, truth: PoseSequence, known: NDArray[np.bool_]) -> Figures:
+def torso_figures(R: Array, truth: PoseSequence, known: Mask) -> Figures:
     """Errors of orientation (T, J, 3, 3) of pelvis and upper trunk, degrees: see `turn_parts`."""
     figures: Figures = {}
     for name, joint in TORSO.items():

@@ -8,17 +8,15 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from benchmarks.peers.fragments import Fragment, Material, Score
 from benchmarks.peers.residuals import Residuals, Window, built, column, symbols
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
-
-Array = NDArray[np.float64]
 
 
 class CartesianScene:

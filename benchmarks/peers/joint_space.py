@@ -11,11 +11,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from benchmarks.peers.fragments import Fragment, Material, Score
 from benchmarks.peers.residuals import Residuals, Window, built, cauchy, column, huber, rows_of, symbols
 from rtof_kin.core import quaternions as quat
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.energy.problem import FragmentData, JointProblem
@@ -24,8 +24,6 @@ from rtof_kin.solve.joint_space.initial_guess import initial_guess
 from rtof_kin.solve.joint_space.limits import Limits
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-
-Array = NDArray[np.float64]
 
 
 class JointScene:

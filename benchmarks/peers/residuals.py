@@ -8,12 +8,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.peers.fragments import Fragment
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.c_compiler import compiled
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pyceres
 import torch
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import csr_matrix
 
@@ -18,9 +17,9 @@ from benchmarks.peers.cartesian import CartesianScene
 from benchmarks.peers.fragments import Answer, Fragment, Trace
 from benchmarks.peers.joint_space import JointScene
 from benchmarks.peers.residuals import Residuals, rows_of
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.c_compiler import Buffered
 
-Array = NDArray[np.float64]
 Scene = CartesianScene | JointScene
 Notify = Callable[[Array], None]
 """Called with the variables (N, F), in any shape, at every iteration."""

@@ -7,13 +7,13 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.verdicts.recordings import Job
 from rtof_kin.body.metrics import at_times
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.confidence import WORLD
 from rtof_kin.data.poses import PoseSequence
@@ -22,7 +22,6 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.audit import audit
 from rtof_kin.report.audit_results import Grade, section_verdict
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 EVERY = 6
 """Step between the frames evaluated; neighbours are correlated."""

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc
 from scipy.stats import chi2, rankdata
 
-Array = NDArray[np.float64]
+from rtof_kin.core.array_types import Array, Mask
+
 Ints = NDArray[np.int64]
 NOMINAL = (0.5, 0.68, 0.8, 0.9, 0.95, 0.99)
 _BINS = 10
 
 
-def area(score: Array, bad: NDArray[np.bool_]) -> float:
+def area(score: Array, bad: Mask) -> float:
     """Area under the ROC curve: how often a bad one has the larger score, ties half; NaN where all or
     none is bad.
 
@@ -28,7 +29,7 @@ def area(score: Array, bad: NDArray[np.bool_]) -> float:
     return float((rankdata(score)[bad].sum() - n * (n + 1) / 2) / (n * (len(bad) - n)))
 
 
-def area_within(score: Array, bad: NDArray[np.bool_], stratum: Ints) -> float:
+def area_within(score: Array, bad: Mask, stratum: Ints) -> float:
     """The same counting only pairs of one stratum (n,) of whole numbers."""
     won, pairs = 0.0, 0
     for own in _strata(stratum):
@@ -66,7 +67,7 @@ def probability_above(threshold: float, sigma: Array, freedom: Array) -> Array:
     return np.asarray(gammaincc(freedom / 2, threshold**2 * freedom / (2 * sigma**2)))
 
 
-def calibration(probability: Array, bad: NDArray[np.bool_]) -> list[tuple[float, float, int]]:
+def calibration(probability: Array, bad: Mask) -> list[tuple[float, float, int]]:
     """Mean probability stated, share that is bad, and count, in tenths of the probability."""
     bins = np.minimum((probability * _BINS).astype(int), _BINS - 1)
     found = []
@@ -77,7 +78,7 @@ def calibration(probability: Array, bad: NDArray[np.bool_]) -> list[tuple[float,
     return found
 
 
-def calibration_error(probability: Array, bad: NDArray[np.bool_]) -> float:
+def calibration_error(probability: Array, bad: Mask) -> float:
     """Expected calibration error: the mean difference of what is stated and what is."""
     table = np.array(calibration(probability, bad))
     return float(np.average(np.abs(table[:, 0] - table[:, 1]), weights=table[:, 2]))
@@ -115,7 +116,7 @@ def bootstrap(units: Ints, figure: Callable[[Ints], float], draws: int = 60) -> 
     return float(low), float(high)
 
 
-def roc(score: Array, bad: NDArray[np.bool_], points: int = 101) -> tuple[Sequence[float], Sequence[float]]:
+def roc(score: Array, bad: Mask, points: int = 101) -> tuple[Sequence[float], Sequence[float]]:
     """False and true positive rates of the ROC curve at that many thresholds."""
     false = np.linspace(0, 1, points)
     cut = np.quantile(score[~bad], 1 - false)

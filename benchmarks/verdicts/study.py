@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.verdicts import scores
+from rtof_kin.core.array_types import Array
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Row = dict[str, Any]
 THRESHOLDS = (

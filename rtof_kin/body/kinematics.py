@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 
-Array = NDArray[np.float64]
 _NEAR_OPPOSITE = 1 + np.cos(np.radians(170.0))
 """Value of 1 + cos(angle) below which a swing keeps the twist of the previous frame."""
 _TWIST_RETURN = np.radians(5.0)

@@ -21,16 +21,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence
 
-Array = NDArray[np.float64]
 BEGUN_TOGETHER = "mode imu has no global position: the estimate is shifted to start at the truth"
 """Remark on metrics and figures of mode imu, see `comparable`."""
 _log = logging.getLogger(__name__)

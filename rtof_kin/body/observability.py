@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 NOTHING, DIRECTION, WHOLE = 0, 1, 2
 """Observed part of a segment's orientation."""
 _APART = 0.01

@@ -11,14 +11,12 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import freeze, indices_of, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

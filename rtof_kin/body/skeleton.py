@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.body.urdf import read_urdf, to_urdf
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.resources import model_path
@@ -28,7 +29,6 @@ from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.poses import PoseSequence
 
-Array = NDArray[np.float64]
 SINGULAR_MARGIN = np.radians(5.0)
 """Distance of a middle angle from +-90 degrees below which a posture is flagged as singular."""
 
@@ -37,7 +37,7 @@ SINGULAR_MARGIN = np.radians(5.0)
 class ConfigurationReport:
     """Singular postures and limit violations of configurations, which are never clipped."""
 
-    singular: NDArray[np.bool_]
+    singular: Mask
     """(T, J) True if a ball joint is within 5 degrees of a singular posture."""
     limit_excess: Array
     """(T, D) excess of each revolute beyond its limits, rad; 0 inside."""
@@ -350,7 +350,7 @@ class SkeletonModel:
             q: (T, nq).
         """
         rows: Array = readonly("q", q, ("T", self.nq))
-        singular: NDArray[np.bool_] = np.zeros((len(rows), len(self.names)), dtype=np.bool_)
+        singular: Mask = np.zeros((len(rows), len(self.names)), dtype=np.bool_)
         middle = rows[:, self._q_index[:, 1]]
         singular[:, 1:] = np.abs(np.cos(middle)) < np.sin(SINGULAR_MARGIN)
         index = self._q_index - 7
@@ -383,7 +383,7 @@ class SkeletonModel:
         offsets = np.array([offset for _, offset in self.landmarks.values()])
         return np.asarray(p[:, joints] + np.einsum("tlij,lj->tli", R[:, joints], offsets))
 
-    def orientation_observed(self, sensor_joints: tuple[str, ...] = ()) -> NDArray[np.bool_]:
+    def orientation_observed(self, sensor_joints: tuple[str, ...] = ()) -> Mask:
         """Return a mask (J,) of segments whose three angles follow from joint positions and sensors.
 
         Args:

@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.body_mass import SEGMENTS, SEXES
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import load_toml
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,14 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from rtof_kin.body.body_mass import inertia, mass_fraction
 from rtof_kin.body.skeleton_table import Joint, SkeletonTable, read_skeleton_table
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import read_text
 
-Array = NDArray[np.float64]
 LIGHT_MASS_KG = 1e-3
 LIGHT_INERTIA = 1e-6
 MAX_EFFORT_NM, MAX_VELOCITY = 500.0, 30.0

@@ -11,15 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 
-Array = NDArray[np.float64]
 STEP: Final = 0.1
 """[s] between samples of the sensors' directions."""
 _MOST_FRAMES: Final = 240
@@ -32,7 +31,7 @@ _SIGMA_M: Final = 0.04
 class BoneImages:
     """B bones with sensors, in the image and by the sensors."""
 
-    frames: NDArray[np.intp]
+    frames: Index
     """(F,) index of each frame in the grid of `directions`."""
     vectors: Array
     """(F, B, 2) the bone in the image, in lengths of the bone."""
@@ -44,7 +43,7 @@ class BoneImages:
     """(B,) standard deviations of the differences."""
     weight: Array
     """(B,) 1 / number of bones of the same sensor."""
-    sensors: NDArray[np.intp]
+    sensors: Index
     """(B,) index of the sensor on each bone."""
     sensor_count: int
     """S."""
@@ -124,7 +123,7 @@ def bone_images(
     )
 
 
-def _nearest(times: Array, at: Array) -> NDArray[np.intp]:
+def _nearest(times: Array, at: Array) -> Index:
     """Indices of the samples nearest to instants."""
     middles = (times[1:] + times[:-1]) / 2
     return np.searchsorted(middles, at)

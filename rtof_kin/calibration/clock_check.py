@@ -11,16 +11,15 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.bone_images import STEP, BoneImages, bone_images, exchanged_sides
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 
-Array = NDArray[np.float64]
 NAME: Final = "offset between the clocks of video and sensors"
 LIMIT: Final = 0.2
 """[s] Largest offset that the self-calibration estimates."""

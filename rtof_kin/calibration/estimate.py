@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from rtof_kin.body.skeleton import SkeletonModel
@@ -31,6 +30,7 @@ from rtof_kin.calibration.result import (
 )
 from rtof_kin.calibration.shared_fragments import Shared, SharedFragments, Weights
 from rtof_kin.calibration.unknowns import Bones, Unknown
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -42,7 +42,6 @@ from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations, bone_axis, low_passed, sensor_data
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
-Array = NDArray[np.float64]
 _NORMAL_MEDIAN: Final = 1.177
 """Median norm of a normal error in two dimensions, in standard deviations of an axis."""
 _USUAL_HEIGHT_PX: Final = 500.0

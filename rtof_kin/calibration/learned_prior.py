@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rtof_kin.core.array_types import Array
+
 _ROUNDS: Final = 30
 _ENOUGH: Final = 1e-3
 _LEAST: Final = 0.05

@@ -13,18 +13,17 @@ from functools import cached_property
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
 from rtof_kin.body import kinematics
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.solve.energy.problem import FragmentData
 from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.joint_space.observations import Attached, Observations, fragment_of
 
-Array = NDArray[np.float64]
 _CUTOFF_HZ: Final = 2.0
 """[Hz] Low-pass of accelerations before differentiation."""
 

@@ -11,10 +11,10 @@ from enum import Enum
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
@@ -24,7 +24,6 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 
-Array = NDArray[np.float64]
 _OBSERVED: Final = 0.9
 _WEAKLY: Final = 0.5
 """Least relative reductions of the prior's variance of observed and weakly observed quantities."""

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.calibration.residuals import Changes, Residuals
-
-Array = NDArray[np.float64]
+from rtof_kin.core.array_types import Array
 
 
 class UnknownsHessian:

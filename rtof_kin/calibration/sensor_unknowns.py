@@ -6,14 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals, Changes
 from rtof_kin.calibration.unknowns import Isotropic, Unknown, each, powers_of_time
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 
-Array = NDArray[np.float64]
 Sampled = Callable[[Array], tuple[Array, Array, Array, Array]]
 """Times (T,) -> quaternions (T, S, 4) and their weights (T, S), accelerations, their weights."""
 

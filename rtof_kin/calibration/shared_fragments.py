@@ -22,7 +22,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
 
@@ -30,12 +29,12 @@ from rtof_kin.calibration.learned_prior import learned_precision
 from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals
 from rtof_kin.calibration.schur_complement import UnknownsHessian
 from rtof_kin.calibration.unknowns import Unknown
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.observations import Observations
 
-Array = NDArray[np.float64]
 _DAMPING: Final = 1e-6
 _INNER: Final = 8
 """Iterations of a fragment's states after the first round."""

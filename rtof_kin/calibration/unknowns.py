@@ -25,13 +25,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals, Changes
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.solve.joint_space.observations import Attached
-
-Array = NDArray[np.float64]
 
 
 class Unknown(ABC):
@@ -85,9 +83,9 @@ class Isotropic(Unknown):
 class _Groups:
     """Index of the group of bones that scales each joint, landmark and sensor."""
 
-    bones: NDArray[np.intp]
-    landmarks: NDArray[np.intp]
-    sensors: NDArray[np.intp]
+    bones: Index
+    landmarks: Index
+    sensors: Index
 
 
 @dataclass(frozen=True)
@@ -156,7 +154,7 @@ class Bones(Unknown):
             kinematics.positions(parents, grown * (of.bones == g)[:, None], zero, at.R) for g in own
         ], axis=-1)  # fmt: skip
 
-        def attached(on: Sequence[int], places: Array, groups: NDArray[np.intp]) -> Array:
+        def attached(on: Sequence[int], places: Array, groups: Index) -> Array:
             turned = np.einsum("nkij,jk->nki", at.R[:, list(on)], places / (1 + y[groups]))
             mine = groups[:, None] == np.arange(len(y))
             return np.asarray(p[:, list(on)] + turned[..., None] * mine[:, None])

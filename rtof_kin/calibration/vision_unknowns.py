@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals, Changes
 from rtof_kin.calibration.unknowns import Isotropic, Unknown, each
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 
-Array = NDArray[np.float64]
 _LEAST_SHARE: Final = 0.25
 """Constant part of the errors, per sigma of a bias's prior, below which there is no bias."""
 _CLOSED_PX: Final = 1e-3

@@ -14,17 +14,15 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical import joint_coordinate_systems as jcs
 from rtof_kin.clinical.angle_table import AngleTable, JointCoordinateSystem
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.confidence import BAND_95, Confidence
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 UNIFORM_SIGMA: Final = np.pi / np.sqrt(3)
 """[rad] standard deviation of an angle uniformly distributed on the circle, the largest value reported."""
 _STEP: Final = 1e-5  # [rad] of the central differences

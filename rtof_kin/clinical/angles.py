@@ -33,12 +33,11 @@ from rtof_kin.clinical import joint_coordinate_systems as jcs
 from rtof_kin.clinical.angle_confidence import angle_sigmas, reliable_samples
 from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem, angle_table
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence, Provenance
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Sources = NDArray[np.uint8]
 _ARRAYS: Final[dict[str, type]] = {
     "values": np.float64, "provenance": np.uint8, "singular": np.bool_, "sigma": np.float64,

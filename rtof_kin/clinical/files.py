@@ -32,9 +32,9 @@ from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.repetitions import RepetitionAnalysis
 from rtof_kin.clinical.torques import JointTorques
+from rtof_kin.core.array_types import Array
 from rtof_kin.data.poses import Provenance
 
-Array = NDArray[np.float64]
 MARKER: Final = "angles.csv"
 WRENCH_COLUMNS: Final = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
 _ANGLES_JSON: Final = {

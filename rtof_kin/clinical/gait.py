@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.gait_events import GaitEvents
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 
-Array = NDArray[np.float64]
 LONGEST_STRIDE: Final = 2.5  # [s] between two strikes; longer ones contain a pause or a gap
 UNSTEADY: Final = 0.15  # coefficient of variation of stride times above which a note is given
 LEAST_STANCE: Final = 0.55  # median stance share below which a note is given: walking has a double support

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
 from rtof_kin.body.skeleton import SkeletonModel
@@ -19,9 +18,9 @@ from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
 from rtof_kin.clinical.range_of_motion import smoothed
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.data.poses import PoseSequence
 
-Array = NDArray[np.float64]
 CUTOFF_HZ: Final = 7.0  # low-pass of the feet's path
 HEADING_CUTOFF_HZ: Final = 0.5  # low-pass of the pelvis heading, which removes its rotation within a step
 LEAST_SWING: Final = 0.10  # [m] smallest prominence of an extremum of the heel's path

@@ -11,14 +11,13 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SINGULAR_MARGIN, SkeletonModel
 from rtof_kin.clinical.angle_table import AngleTable
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 
-Array = NDArray[np.float64]
 R_ROS_ISB: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """ISB axes (x forward, y up, z right) in axes x forward, y left, z up."""
 MIRROR: Final = np.array([1.0, 1.0, -1.0])  # reflection in the sagittal plane, in ISB axes
@@ -70,7 +69,7 @@ def decompose(sequence: str, R: Array) -> Array:
     return np.stack([first, -elevation, third], axis=-1)
 
 
-def near_singular(sequence: str, angles: Array) -> NDArray[np.bool_]:
+def near_singular(sequence: str, angles: Array) -> Mask:
     """Return a mask (...) of postures within 5 degrees of one where only the sum of the outer two is defined.
 
     Args:

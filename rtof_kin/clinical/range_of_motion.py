@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 
-Array = NDArray[np.float64]
 CUTOFF_HZ: Final = 6.0  # low-pass before differentiation (Winter, Biomechanics and Motor Control, 2009)
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
 from rtof_kin.body.skeleton import SkeletonModel
@@ -14,10 +13,10 @@ from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.range_of_motion import smoothed
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import UnknownNameError
 from rtof_kin.data.poses import PoseSequence
 
-Array = NDArray[np.float64]
 Interval = tuple[float, float]
 Kind = Literal["squat", "sit_to_stand"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)

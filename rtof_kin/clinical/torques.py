@@ -26,11 +26,11 @@ from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.formats.joint_trajectory import joint_velocities
 
-Array = NDArray[np.float64]
 UNKNOWN: Final = -1  # in `single_support`: both feet, none, or unknown
 SHORTEST: Final = 0.5  # [s] of the shortest stretch that is differentiated twice
 NO_WEIGHT: Final = "not computed: no weight is given, and torques are proportional to it"

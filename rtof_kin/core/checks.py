@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, ShapeError, UnknownNameError
 
-Array = NDArray[np.float64]
 Shape = Sequence[int | str]
 """Lengths of the axes; a letter matches any length."""
 

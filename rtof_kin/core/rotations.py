@@ -19,10 +19,10 @@ camera     x right, y down, z forward (OpenCV)
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
+from rtof_kin.core.array_types import Array
 
 
 def skew(v: ArrayLike) -> Array:

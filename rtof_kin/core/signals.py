@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import signal
 
 from rtof_kin.core import rotations as so3
-
-Array = NDArray[np.float64]
+from rtof_kin.core.array_types import Array, Mask
 
 
 def interpolate(times: Array, values: Array, at: ArrayLike, max_gap: float = np.inf) -> Array:
@@ -31,7 +30,7 @@ def interpolate(times: Array, values: Array, at: ArrayLike, max_gap: float = np.
     return out.reshape(len(at), *values.shape[1:])
 
 
-def _in_gap(t: Array, at: Array, max_gap: float) -> NDArray[np.bool_]:
+def _in_gap(t: Array, at: Array, max_gap: float) -> Mask:
     """Return whether each instant lies strictly between two samples further apart than `max_gap`."""
     right = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
     left = np.maximum(right - 1, 0)

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, checked_times, freeze
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 
-Array = NDArray[np.float64]
 WORLD = "world"
 """Parent of a segment whose orientation is relative to world."""
 BAND_95 = 1.959964

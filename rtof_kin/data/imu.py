@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, freeze, indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError, UnitError
 
-Array = NDArray[np.float64]
 STANDARD_GRAVITY: Final = 9.80665
 """Standard gravity (CGPM 1901), m/s^2."""
 GRAVITY_WORLD: Final[Array] = readonly("gravity", [0.0, 0.0, -STANDARD_GRAVITY], (3,))

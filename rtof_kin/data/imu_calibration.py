@@ -16,14 +16,12 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, freeze, indices_of
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.imu import GRAVITY_WORLD, BoneImuSequence, ImuSequence
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,11 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Literal, Self, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 AccelerationUnit = Literal["m/s2", "g", "mg"]
 Gravity = Literal["included", "removed"]

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, checked_times, freeze, indices_of
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_declaration import Declaration
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

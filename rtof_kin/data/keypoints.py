@@ -10,13 +10,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_names, checked_times, freeze
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ class KeypointSequence:
         )
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def seen(self) -> Mask:
         """Mask (T, L) of detected landmarks."""
         return np.asarray(self.confidence > 0)
 

@@ -12,10 +12,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, freeze, readonly
 from rtof_kin.core.errors import InvalidInputError
-
-Array = NDArray[np.float64]
 
 
 class Provenance(IntEnum):
@@ -48,12 +47,12 @@ class PoseSequence:
     """J joint names."""
     provenance: NDArray[np.uint8] = field(default_factory=_not_given)
     """(T, J) `Provenance` of each joint. Default: NOBODY."""
-    valid: NDArray[np.bool_] = field(default_factory=_not_given)
+    valid: Mask = field(default_factory=_not_given)
     """(T, J) True if the position is reliable. Default: where it is finite."""
-    orientation_observed: NDArray[np.bool_] = field(default_factory=_not_given)
+    orientation_observed: Mask = field(default_factory=_not_given)
     """(T, J), or (J,) for all frames, True if all three angles of the segment were observed; else its twist
     follows the parent. Default: False."""
-    direction_observed: NDArray[np.bool_] = field(default_factory=_not_given)
+    direction_observed: Mask = field(default_factory=_not_given)
     """(T, J), or (J,) for all frames, True if points of the segment other than joints, e.g. the far end of a
     hand, showed its direction. Default: False."""
     sigma_rad: Array = field(default_factory=_not_given)
@@ -113,7 +112,7 @@ class PoseSequence:
         )
 
     @property
-    def position_observed(self) -> NDArray[np.bool_]:
+    def position_observed(self) -> Mask:
         """Mask (T, J) of observed positions; without any provenance, `valid`."""
         given = bool(self.provenance.any())
         return np.asarray(self.valid & ((self.provenance >= Provenance.IMU) | (not given)))

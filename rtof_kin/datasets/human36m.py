@@ -18,11 +18,11 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import CalibrationError, FileFormatError, RtofError, UnitError
 from rtof_kin.data.camera import Camera
@@ -31,7 +31,6 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.human36m_files import Archives, by_number
 from rtof_kin.recording.recording import Recording
 
-Array = NDArray[np.float64]
 SUBJECTS_TRAIN = ("S1", "S5", "S6", "S7", "S8")
 SUBJECTS_TEST = ("S9", "S11")
 RATE_HZ = 50.0

@@ -17,15 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError
 from rtof_kin.core.files.text import load_json, measurable, read_text
 from rtof_kin.data.camera import Camera
 
-Array = NDArray[np.float64]
 CAMERA_IDS = ("54138969", "55011271", "58860488", "60457274")
 """Serial numbers of cameras 0 to 3."""
 _SIZES_PX = ((1000, 1002), (1000, 1000), (1000, 1000), (1000, 1002))

@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.text import LARGEST_NUMBER
 from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS, read_cameras
 from rtof_kin.datasets.object_npz import read_object_npz
 
-Array = NDArray[np.float64]
 JOINTS_OF_32 = (0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27)
 """Indices of the skeleton table's 17 joints among the archive's 32."""
 _CAMERA_FILES: Final = ("camera-parameters.json", "h36m_dataset.py")

@@ -19,10 +19,10 @@ from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
@@ -50,7 +50,6 @@ __all__ = [
     "ACKNOWLEDGEMENT", "CAMERAS", "SUBJECTS", "TEST", "TRAIN", "Take", "TotalCapture",
 ]  # fmt: skip
 
-Array = NDArray[np.float64]
 ACKNOWLEDGEMENT = (
     "Total Capture: M. Trumble, A. Gilbert, C. Malleson, A. Hilton, J. Collomosse, 'Total Capture: 3D "
     "Human Pose Estimation Fusing Video and Inertial Sensors', BMVC 2017. Research use only."

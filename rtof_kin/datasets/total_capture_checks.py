@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -17,7 +17,6 @@ from rtof_kin.datasets.total_capture import Take
 from rtof_kin.datasets.total_capture_files import MISCALIBRATED
 from rtof_kin.datasets.total_capture_truth import RATE_HZ, RIGID_MM
 
-Array = NDArray[np.float64]
 _T_POSE_DEG: Final = 25.0
 """Largest angle of a limb from the T-pose, deg; subjects are up to 20 deg off."""
 _FACING_DEG: Final = 45.0

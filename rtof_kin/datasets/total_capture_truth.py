@@ -12,18 +12,17 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.formats.total_capture import read_joints
 
-Array = NDArray[np.float64]
 RATE_HZ = 60.0
 _INCH: Final = 0.0254
 WORLD_OF_VICON = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -184,7 +183,7 @@ def _why_not_rigid(p: Array, R: Array, skeleton: SkeletonModel, spread_mm: float
     if np.isinf(spread_mm):
         return "there is no frame in which a joint's position and its parent's orientation are known"
     text = f"the skeleton is not rigid: joints move by {spread_mm:.3g} mm in their parents' frames. "
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(R).all(axis=(2, 3)))
+    known: Mask = np.asarray(np.isfinite(R).all(axis=(2, 3)))
     segment = WORLD_OF_VICON.T @ np.where(known[..., None, None], R, np.eye(3)) @ SEGMENT_OF_BONE
     quat_read = so3.to_quat_wxyz(segment)  # what stands in the file was read as x y z w
     as_wxyz = _bone_rotations(so3.from_quat_wxyz(np.roll(quat_read, -1, axis=-1)))
@@ -260,9 +259,9 @@ def _offsets_by_length(
     return skeleton.with_bone_lengths(bones).joint_offsets
 
 
-def _valid(take: tuple[str, str], p: Array, notes: list[str]) -> NDArray[np.bool_]:
+def _valid(take: tuple[str, str], p: Array, notes: list[str]) -> Mask:
     """Return validity (T, J), False in known glitches."""
-    valid: NDArray[np.bool_] = np.asarray(np.isfinite(p).all(axis=-1))
+    valid: Mask = np.asarray(np.isfinite(p).all(axis=-1))
     for first, last in _GLITCHES.get(take, ()):
         valid[max(first - _MARGIN, 0) : last + _MARGIN + 1] = False
         if first - _MARGIN < len(p):

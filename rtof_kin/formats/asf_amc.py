@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
 from rtof_kin.formats.articulated import ArticulatedMotion
 
-Array = NDArray[np.float64]
 Lines = list[tuple[int, str]]
 """Numbered lines that are neither empty nor comments."""
 _INCH: Final = 0.0254

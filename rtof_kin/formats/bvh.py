@@ -13,15 +13,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.kinematics import children_of
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text, write_text
 from rtof_kin.formats.articulated import ArticulatedMotion
 
-Array = NDArray[np.float64]
 Row = tuple[int, str]
 """Number of a line, from 1, and its text."""
 _CHANNELS = {f"{axis}{kind}": (kind, axis) for axis in "xyz" for kind in ("position", "rotation")}

@@ -16,13 +16,13 @@ import c3d
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import check_file
 from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.formats.world_axes import METRES, world_of_file
 
-Array = NDArray[np.float64]
 LARGEST_BYTES: Final = 2**31
 """Largest file that is read, bytes."""
 _BLOCK: Final = 512

@@ -20,16 +20,15 @@ from typing import Any, Final
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError
 from rtof_kin.core.files.section import Section
 from rtof_kin.core.files.text import write_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.world_axes import world_of_file
 
-Array = NDArray[np.float64]
 FURTHEST: Final = 100.0
 """A camera further than this from the origin, m, is in another unit."""
 

@@ -17,16 +17,15 @@ from typing import Any, Final
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.section import Section
 from rtof_kin.core.files.text import write_text
 from rtof_kin.data.imu_calibration import ImuCalibration
 
-Array = NDArray[np.float64]
 _QUATERNION_TOLERANCE: Final = 1e-3
 
 

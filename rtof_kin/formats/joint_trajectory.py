@@ -14,17 +14,16 @@ from typing import Any, Final
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from rtof_kin.body.observability import never_observed, observed_dofs, root_turn_observed
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.signals import runs
 
-Array = NDArray[np.float64]
 BASE_COLUMNS: Final = ("base_x", "base_y", "base_z", "base_qx", "base_qy", "base_qz", "base_qw")
 BASE_TURN: Final = "base_q"
 """Name of the base's orientation as a whole."""

@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, checked_times, readonly
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.text import measurable
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.observability import observed_dofs
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import FileFormatError, RtofError, ShapeError
 from rtof_kin.core.files.arrays import read_npz_as_saved, write_npz
@@ -30,15 +31,15 @@ _COVARIANCES: Final = ("position_covariance", "relative_covariance", "turn_covar
 class MotionFile:
     """Content of a ``motion.npz``."""
 
-    q: NDArray[np.float64]
+    q: Array
     """(T, nq) configurations of the personalised URDF, Pinocchio's order."""
     poses: PoseSequence
     """Joint positions and segment orientations in world, validity and provenance."""
     dof_names: tuple[str, ...]
     """Names of q[:, 7:]; q[:, :7] are the root's position and quaternion x y z w."""
-    joint_offsets: NDArray[np.float64]
+    joint_offsets: Array
     """(J, 3) m, of the skeleton."""
-    singular: NDArray[np.bool_]
+    singular: Mask
     """(T, J) within 5 degrees of a singular posture of the joint's three angles."""
     first_frame: int
     """Number of the first frame in the video the recording was cut from."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.observability import observed_dofs, observed_landmarks, root_turn_observed
 from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.signals import runs
@@ -18,7 +18,6 @@ from rtof_kin.formats.joint_trajectory import BASE_TURN
 from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.formats.world_axes import METRES, world_of_file
 
-Array = NDArray[np.float64]
 MOST_UNEVEN: Final = 0.02
 """Largest deviation of a time from an even grid, frames, in formats without times."""
 
@@ -48,7 +47,7 @@ def landmarks_from_prior(motion: MotionSequence) -> dict[str, float]:
     return {name: share for name, share in shares.items() if name not in motion.poses.names}
 
 
-def _shares(motion: MotionSequence, names: tuple[str, ...], observed: NDArray[np.bool_]) -> dict[str, float]:
+def _shares(motion: MotionSequence, names: tuple[str, ...], observed: Mask) -> dict[str, float]:
     inside = [~observed[start:stop] for start, stop in pieces(motion)]
     shares = np.concatenate(inside).mean(axis=0) if inside else np.zeros(len(names))
     return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0}

@@ -22,16 +22,15 @@ from typing import Any, Final
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import checked_distance
 from rtof_kin.formats.world_axes import world_of_file
 
-Array = NDArray[np.float64]
 LARGEST_BYTES: Final = 4 * 2**20
 """Largest file that is read, bytes."""
 _DEEPEST: Final = 12

@@ -14,18 +14,17 @@ from typing import Final
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import Joint, SkeletonTable
 from rtof_kin.body.urdf import segment_inertia
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.files.text import write_text
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.formats.opensim_mot import Coordinate, coordinates
 from rtof_kin.formats.world_axes import R_WORLD_GROUND
 
-Array = NDArray[np.float64]
 _VERSION: Final = "40000"
 """Version of the format; every OpenSim 4 reads it."""
 _CREDITS: Final = (

@@ -19,19 +19,18 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.observability import never_observed
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names
 from rtof_kin.core.files.text import write_text
 from rtof_kin.formats.joint_trajectory import BASE_TURN
 from rtof_kin.formats.motion_views import check_known, dofs_from_prior, even_times, from_prior
 from rtof_kin.formats.world_axes import R_WORLD_GROUND
 
-Array = NDArray[np.float64]
 ROOT_AXES: Final = "yxz"
 """Rotation axes of the root in world: z, x and y of OpenSim's ground, the first one reversed."""
 _ROOT_ROTATIONS: Final = ("-pelvis_tilt", "pelvis_list", "pelvis_rotation")

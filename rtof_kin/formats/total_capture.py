@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
 from rtof_kin.data.camera import Camera
@@ -21,7 +21,6 @@ from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
-Array = NDArray[np.float64]
 TITLE: Final = "Total Capture .sensors"
 _RATE_HZ: Final = 60.0
 _AGAIN: Final = "the download is probably incomplete; fetch and unpack the file again"

@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text, write_text
 from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.formats.world_axes import METRES, R_WORLD_GROUND, world_of_file
 
-Array = NDArray[np.float64]
 _KEYS: Final = (
     "DataRate", "CameraRate", "NumFrames", "NumMarkers",
     "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 
-Array = NDArray[np.float64]
 UP: Final[dict[str, Array]] = {
     "x": np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]),
     "y": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),

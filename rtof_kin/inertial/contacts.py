@@ -9,19 +9,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_names, readonly
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 FEET = ("LeftFoot", "RightFoot")
 
 

@@ -16,13 +16,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import breadth_first_order
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.inertial.likelihood import MotionLikelihood, SegmentMotion
 
-Array = NDArray[np.float64]
 Score = Callable[[float], float]
 _GRID = 18  # headings of the grid: every 20 degrees
 _BELIEF = 0.2  # [-] weight of the log-likelihood in standard deviations, as errors of pose are common to all

@@ -8,18 +8,16 @@ the joints between, in proportion to their variance.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.pose_prior import shipped_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
-
-Array = NDArray[np.float64]
 
 
 def poses_from_sensors(skeleton: SkeletonModel, bone_imus: BoneImuSequence) -> PoseSequence:

@@ -15,18 +15,16 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.core.signals import runs
 from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY
 from rtof_kin.data.imu_stream import SensorStream
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 GYROSCOPE: Final = "gyroscope against orientation"
 _TURNING_DEG, _TURNING_SHARE = 5.0, 0.15  # [deg/s], [-] RMS difference; recordings: 1-7 deg/s at 50-170
 _JUMP_DEG = 5.0  # [deg] in one step beyond the gyroscope's rotation; recordings have up to 0.5

@@ -22,7 +22,6 @@ from typing import Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.special import gammaln
 
@@ -31,12 +30,12 @@ from rtof_kin.body.pose_prior import has_prior, shipped_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 
-Array = NDArray[np.float64]
 RATE_HZ: Final = 60.0  # of motions
 _EVERY = 4  # sample used of so many, as neighbours are nearly equal
 _MISALIGNMENT_DEG = 12.0  # per axis, of a good calibration and soft tissue

@@ -10,16 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from vqf import VQF, offlineVQF
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 _MOST_STEPS = 100  # of the filter for each sample
 _SHORTEST_PIECE = 1.0  # [s] of samples without a longer gap, for the filter to settle
 

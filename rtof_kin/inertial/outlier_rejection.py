@@ -11,19 +11,17 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.imu import STANDARD_GRAVITY, BoneImuSequence, ImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 _STUCK = 0.25  # [s] over which a working sensor never repeats a sample
 _SAME = 1e-9
 _LEAST_RANGE = 1.5 * STANDARD_GRAVITY  # [m/s^2] smallest range of an accelerometer

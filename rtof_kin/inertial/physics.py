@@ -14,15 +14,14 @@ from itertools import product
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.plausibility import Check
 from rtof_kin.core.signals import runs
 from rtof_kin.data.imu_declaration import CHOICES, Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.inertial import laws
 
-Array = NDArray[np.float64]
 LAWS: Final = (
     laws.FORCE, laws.DIRECTION, laws.MEAN_ACCELERATION, laws.LEVER, laws.GYROSCOPE,
 )  # fmt: skip

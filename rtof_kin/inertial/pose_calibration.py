@@ -18,12 +18,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
@@ -33,7 +34,6 @@ from rtof_kin.inertial.headings import Headings, own_headings, shared_heading, w
 from rtof_kin.inertial.likelihood import RATE_HZ, MotionLikelihood, orientation_rate, segment_motions
 from rtof_kin.inertial.poses import facing_of, pose_rotations, turned_to
 
-Array = NDArray[np.float64]
 _LEAST_MARGIN = 3.0  # [nats] of headings from movement over those more than 45 degrees away
 _RESTLESS_DEG = 5.0  # RMS angle during the pose that is warned of
 _NAMED_POSE_DEG, _MEASURED_POSE_DEG = 10.0, 3.0  # usual error of a segment in a named and a measured pose

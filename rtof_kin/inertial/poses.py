@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_rotations, readonly
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 
-Array = NDArray[np.float64]
 POSES: Final[Mapping[str, str]] = {
     "T": "standing upright, feet and palms as in the skeleton's table: arms sideways, palms down",
     "N": "standing upright, arms hanging, palms towards the thighs",

@@ -12,16 +12,14 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY, ImuSequence
 from rtof_kin.inertial.outlier_rejection import repeated_samples
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 FROZEN, GRAVITY = "longest time of one repeated sample", "mean specific force in world, off gravity"
 _LONGEST_REPEAT = 1.0  # [s] lost radio packets repeat a sample for less
 _LEAST_SECONDS = 2.0  # [s] over which a motion's own acceleration averages out

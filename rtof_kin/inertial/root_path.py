@@ -13,18 +13,17 @@ import copy
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Contacts, detect_contacts
 
-Array = NDArray[np.float64]
 _ROUNDS = 5  # of reweighting the lower foot
 _ORIGIN = 1e-3  # [m] of the first frame's horizontal position about the origin
 _DIFFERENCES = ((1.0,), (-1.0, 1.0), (1.0, -2.0, 1.0))  # of order 0 to 2, forward
@@ -99,7 +98,7 @@ def root_path(
 
 def path_through_gaps(
     poses: PoseSequence,
-    seen: NDArray[np.bool_],
+    seen: Mask,
     bone_imus: BoneImuSequence,
     skeleton: SkeletonModel,
     settings: RootPathSettings | None = None,
@@ -150,7 +149,7 @@ class _System:
         self._band = np.zeros((3, 3, frames))  # coordinate, distance from the diagonal, column
         self._right = np.zeros((3, frames))
 
-    def add(self, order: int, frames: NDArray[np.intp], target: Array, weight: Array | float) -> None:
+    def add(self, order: int, frames: Index, target: Array, weight: Array | float) -> None:
         """Observe derivatives of order 0 to 2 by forward differences from each frame (n,), none twice.
 
         The target (n, 3) or (3,), m/s^order, may be NaN; the weight (n,) or () is an inverse variance.
@@ -210,7 +209,7 @@ def _with_lower_foot(system: _System, feet: Array, sigma: float) -> Array:
     return p
 
 
-def _drift(p: Array, flying: NDArray[np.bool_], rate_hz: float, settings: RootPathSettings) -> Array:
+def _drift(p: Array, flying: Mask, rate_hz: float, settings: RootPathSettings) -> Array:
     """Return the drift (T,), m: by distance walked, and by flights with the square of their duration."""
     walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1))])
     flown = np.zeros(len(p))

@@ -15,11 +15,12 @@ from itertools import product
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
@@ -34,7 +35,6 @@ from rtof_kin.inertial.likelihood import (
 from rtof_kin.inertial.pose_calibration import usual_lever
 from rtof_kin.inertial.poses import pose_rotations, turned_to
 
-Array = NDArray[np.float64]
 LEAST_RATIO: Final = 10.0  # [nats] log-likelihood ratio from which a fault is reported
 _LONE_FACTOR = 2.5  # multiple of it for sensors without one on a neighbouring segment
 _LONGEST = 20.0  # [s] longer movements have the weight of this duration

@@ -22,13 +22,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.files.text import write_text
 
-Array = NDArray[np.float64]
 SETTINGS: Final = "settings.json"
 _MADE_BY: Final = {"made_by": "rtof_kin.protocols"}
 """Entry of the settings that marks a folder of results."""

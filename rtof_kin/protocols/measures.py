@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import rtof_kin
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.formats.motion_npz import write_motion_npz
@@ -20,7 +20,6 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 
-Array = NDArray[np.float64]
 _SNAPSHOTS = 5
 
 

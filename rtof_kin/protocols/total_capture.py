@@ -14,11 +14,11 @@ from time import perf_counter
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.choices import CAMERA_MODES, SPACES, Space
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
@@ -39,7 +39,6 @@ from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.vision.layouts import detector_table
 
-Array = NDArray[np.float64]
 TEST_TAKES = ("walking2", "acting3", "freestyle3")
 CAMERAS = (1, 3, 4, 5, 6, 7, 8)
 """All cameras but the miscalibrated camera 2."""

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence
@@ -25,7 +25,6 @@ from rtof_kin.reconstruction.limb_images import Limbs, sensed_bones
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.outlier_rejection import side_pairs
 
-Array = NDArray[np.float64]
 Undo = Callable[[KeypointSequence], KeypointSequence]
 STEP, PIECE, PIECES = 0.1, 48, 2
 """[s] between the frames of an excerpt, frames of a piece, and number of pieces."""

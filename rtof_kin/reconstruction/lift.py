@@ -7,11 +7,11 @@ from functools import cache
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.observability import WHOLE, levels_by_points
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import ViewError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -19,8 +19,6 @@ from rtof_kin.data.poses import PoseSequence, Provenance
 
 if TYPE_CHECKING:
     from lifting.predict import LiftedPoses
-
-Array = NDArray[np.float64]
 
 
 class LifterLike(Protocol):

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
@@ -28,7 +28,6 @@ from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 """Called with (stage, steps done, steps in all)."""
 _SLOWEST_HZ, _FASTEST_HZ = 2.0, 2000.0

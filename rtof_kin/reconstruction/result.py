@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rtof_kin.body.metrics import Metrics
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.calibration.result import SelfCalibration
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Calibrate, Mode
 from rtof_kin.core.plausibility import Check
 from rtof_kin.core.threads import threads
@@ -24,7 +22,6 @@ from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
 
-Array = NDArray[np.float64]
 _NOT_ENERGY = ("backend", "compile", "floor_height", "ankle_height", "tolerance", "max_iterations")
 """Fields of the solver's settings that leave the energy the same."""
 

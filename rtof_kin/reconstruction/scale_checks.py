@@ -7,7 +7,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.limbs import LIMBS
@@ -22,7 +21,6 @@ from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.reconstruction.image_checks import Picture
 from rtof_kin.reconstruction.limb_images import Limbs
 
-Array = NDArray[np.float64]
 ANKLE_HEIGHT = 0.08
 """[m] of a standing ankle over the floor."""
 LEAST_HEIGHT, LEAST_HEIGHT_SENSED, HEIGHT_PER_DISTANCE = 0.16, 0.12, 0.02

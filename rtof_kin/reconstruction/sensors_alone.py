@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.pose_prior import has_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
@@ -27,7 +27,6 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
-Array = NDArray[np.float64]
 _LOW = 0.75
 """Fraction of the standing root height below which a person sits, kneels or lies."""
 _LONG = 1.0

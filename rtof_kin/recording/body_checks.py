@@ -7,13 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 
-Array = NDArray[np.float64]
 RIGID_MM: Final = 1.0
 """Largest spread of a bone of a skeleton that was solved for, mm."""
 TRIANGULATED_MM: Final = 50.0

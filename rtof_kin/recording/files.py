@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import (
     CalibrationError,
     FileFormatError,
@@ -33,7 +33,6 @@ from rtof_kin.formats.imu_calibration_toml import calibration_of
 from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import detector_table
 
-Array = NDArray[np.float64]
 _OWN_LAYOUT: Final = "joints"
 RECOGNISE: Final = "auto"
 """Layout of a detector that is to be recognised."""

@@ -13,9 +13,10 @@ from typing import Any, Final, Self
 
 import numpy as np
 import tomli_w
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
@@ -29,7 +30,6 @@ from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording import files
 from rtof_kin.recording.session import Session, read_session
 
-Array = NDArray[np.float64]
 SCHEMA_VERSION: Final = 1
 INDEX: Final = "recording.toml"
 _SKELETONS: Final = ("total_capture", "human36m")

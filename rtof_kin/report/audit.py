@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.metrics import hinges
 from rtof_kin.calibration.result import SelfCalibration, Verdict
@@ -26,7 +25,6 @@ from rtof_kin.report.residuals import acceleration_residuals, orientation_residu
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
 
-Array = NDArray[np.float64]
 _MODEL: Final = JointSpaceSettings()
 _LANDMARK: Final = (0.065, 0.13)
 _ALL_LANDMARKS: Final = (0.035, 0.07)

@@ -9,14 +9,13 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from rtof_kin.body.metrics import BEGUN_TOGETHER, comparable, flexion, hinges
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.reconstruction.result import Reconstruction
 
-Array = NDArray[np.float64]
 ESTIMATE: Final = "#c0392b"
 TRUTH: Final = "#2e8b57"
 STAGE_COLORS: Final = {

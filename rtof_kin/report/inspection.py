@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import npz_names
 from rtof_kin.core.plausibility import Check
@@ -41,7 +41,6 @@ from rtof_kin.simulation.mocap_families import recognise_family, recognise_unit
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.recognise import recognise
 
-Array = NDArray[np.float64]
 Bones = Mapping[str, tuple[int, int]]
 _NO_POSE: Final = "There is no pose: the camera is assumed to be level, at the origin"
 _SIGNALS: Final = {
@@ -128,7 +127,7 @@ def _span(times: Array) -> str:
     return f"{len(times)} samples{rate}, {seconds:.1f} s"
 
 
-def _percent(seen: NDArray[np.bool_]) -> str:
+def _percent(seen: Mask) -> str:
     return f"{100 * float(seen.mean()):.0f} %"
 
 

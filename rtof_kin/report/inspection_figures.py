@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.signals import runs
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.data.imu_stream import SensorStream
@@ -15,7 +15,6 @@ from rtof_kin.inertial.laws import at_rest, rates_of_orientation
 from rtof_kin.report.figures import ESTIMATE, TRUTH
 from rtof_kin.report.inspection import Inspection
 
-Array = NDArray[np.float64]
 MOST: Final = 4
 """Largest number of sensors or bones that are plotted; those furthest beyond a limit come first."""
 

@@ -6,18 +6,17 @@ import base64
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.observability import observed_bones
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.gait import PHASES
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.signals import runs
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.report.clinical_findings import SECOND_PELVIS
 
-Array = NDArray[np.float64]
 Data = dict[str, Any]
 SHOWN_HZ: Final = 30.0  # highest frame rate of plots; all figures are computed from all frames
 MOST_SHOWN: Final = 6000  # largest number of plotted frames, unless that is fewer than 10 per second

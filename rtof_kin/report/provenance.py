@@ -6,8 +6,8 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
 
@@ -99,6 +99,6 @@ def _sensors(recording: Recording) -> list[Data]:
     return out
 
 
-def _rate(times: NDArray[np.float64]) -> float | None:
+def _rate(times: Array) -> float | None:
     """Sampling rate, Hz, from the median step; None for a single sample."""
     return float(1 / np.median(np.diff(times))) if len(times) > 1 else None

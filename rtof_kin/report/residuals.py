@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.reconstruction.result import Reconstruction
-
-Array = NDArray[np.float64]
 
 
 def reprojection_errors(result: Reconstruction) -> tuple[Array, float]:

@@ -15,10 +15,10 @@ from typing import Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.text import read_text
@@ -39,8 +39,6 @@ __all__ = [
     "NAMES", "PARENTS", "MocapClip", "find_asf", "read_corpus", "read_mocap", "resample_clip",
     "without_spikes",
 ]  # fmt: skip
-
-Array = NDArray[np.float64]
 
 
 def read_mocap(
@@ -237,7 +235,7 @@ def without_spikes(clip: MocapClip) -> list[MocapClip]:
     ]
 
 
-def _spikes(poses: PoseSequence) -> NDArray[np.bool_]:
+def _spikes(poses: PoseSequence) -> Mask:
     """Return (T - 1,) whether the step to the next frame is a glitch."""
     v = np.diff(poses.p_world_joint, axis=0) * poses.rate_hz
     around = np.pad(v, ((3, 3), (0, 0), (0, 0)), mode="edge")
@@ -250,7 +248,7 @@ def _spikes(poses: PoseSequence) -> NDArray[np.bool_]:
     return np.asarray(fault | np.any(turn > _SPIKE_TURN, axis=1))
 
 
-def _flipped(R_world_bone: Array) -> NDArray[np.bool_]:
+def _flipped(R_world_bone: Array) -> Mask:
     """Return (T,) whether a foot is turned beyond the limit of the ankle."""
     feet = [m for m, name in enumerate(NAMES) if name.endswith("Foot")]
     shanks = [PARENTS[m] for m in feet]

@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton_table import read_skeleton_table
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.resources import model_path
 from rtof_kin.formats.articulated import ArticulatedMotion
 
-Array = NDArray[np.float64]
 Between = tuple[str, str, float]
 """Two source joints and the share of the way from the first to the second."""
 

@@ -12,17 +12,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.simulation.mocap_families import NAMES, PARENTS, Between, Family, restored_offsets
 
-Array = NDArray[np.float64]
 _R_WORLD_FILE = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Files are y up and face z in their rest pose; world is z up, and the T-pose faces x."""
 _DOWN, _LEFT = np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])

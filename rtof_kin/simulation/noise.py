@@ -14,13 +14,11 @@ from typing import Any, Final, Self
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from rtof_kin.core.array_types import Array, Mask
 
 ORIENTATION_MEDIAN_DEG: Final = {
     "Head": 2.0, "Hips": 3.0, "Spine3": 3.9, "LeftFoot": 2.2, "RightFoot": 8.4,

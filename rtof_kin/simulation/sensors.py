@@ -12,13 +12,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import InvalidInputError, UnitError
 from rtof_kin.data.imu import GRAVITY_WORLD, ImuSequence
@@ -26,8 +26,6 @@ from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation import noise as noises
 from rtof_kin.simulation.noise import ImuNoise
-
-Array = NDArray[np.float64]
 
 
 def simulate_imus(

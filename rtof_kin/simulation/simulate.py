@@ -13,13 +13,14 @@ from typing import Final, Self
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
@@ -31,7 +32,6 @@ from rtof_kin.simulation.mocap import PARENTS, MocapClip, read_mocap, resample_c
 from rtof_kin.simulation.noise import ImuNoise, KeypointNoise
 from rtof_kin.simulation.sensors import simulate_imus
 
-Array = NDArray[np.float64]
 LIMB_SENSORS = (
     "L_UpArm", "R_UpArm", "L_LowArm", "R_LowArm", "L_UpLeg", "R_UpLeg", "L_LowLeg", "R_LowLeg",
 )  # fmt: skip
@@ -286,7 +286,7 @@ def _simulate_keypoints(
     )
 
 
-def _inside(camera: Camera, uv_px: Array) -> NDArray[np.bool_]:
+def _inside(camera: Camera, uv_px: Array) -> Mask:
     """Return whether pixels (..., 2) lie inside the image; NaN does not."""
     size = np.array([camera.width_px, camera.height_px])
     return np.asarray(((uv_px >= 0) & (uv_px <= size)).all(axis=-1))

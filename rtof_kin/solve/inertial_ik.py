@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class InertialGuidedIK:
 
     def _rotations(
         self, poses: PoseSequence, bone_imus: BoneImuSequence | None, R_observed: Array | None
-    ) -> tuple[Array, NDArray[np.bool_]]:
+    ) -> tuple[Array, Mask]:
         """R_world_bone (T, J, 3, 3), and which segments have sensor data, (T, J)."""
         self.skeleton.check_joints(poses.names)
         p = poses.p_world_joint
@@ -93,7 +92,7 @@ class InertialGuidedIK:
         R[known] = self._solve(p[known], R_seen[known], R_imu[known])
         return R, np.isfinite(R_imu[:, :, 0, 0])
 
-    def _posed(self, poses: PoseSequence, p: Array, R: Array, sensed: NDArray[np.bool_]) -> PoseSequence:
+    def _posed(self, poses: PoseSequence, p: Array, R: Array, sensed: Mask) -> PoseSequence:
         """The poses with positions and orientations, with sensor data where `sensed`."""
         return replace(
             poses,
@@ -152,7 +151,7 @@ class InertialGuidedIK:
             observed = np.einsum("ti,j->tij", R_observed @ unit, unit)
         return so3.nearest_rotation(observed + weight[:, None, None] * R_imu)
 
-    def _provenance(self, before: NDArray[np.uint8], sensed: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    def _provenance(self, before: NDArray[np.uint8], sensed: Mask) -> NDArray[np.uint8]:
         """Provenance with the IMU for joints whose parent's segment has a sensor."""
         out = before.copy()
         for j, parent in enumerate(self.skeleton.parents):

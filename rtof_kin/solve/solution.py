@@ -8,14 +8,13 @@ from enum import Enum
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import Solved
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence
 
-Array = NDArray[np.float64]
 _MISFIT: Final = 3.0
 """Multiple of the median reprojection error from which a fragment causes a warning."""
 _LEAST_MISFIT_PX: Final = 3.0

@@ -9,10 +9,10 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import InvalidInputError, ShapeError
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 NO_IDENTITY: Final = -1
 _LARGEST_RELATIVE = 3.0  # coordinates of which none is larger are fractions of the image size
@@ -111,7 +111,7 @@ class Detections:
         return len(self.uv_px)
 
     @property
-    def present(self) -> NDArray[np.bool_]:
+    def present(self) -> Mask:
         """(T, P) True where a person was detected."""
         return np.asarray((self.confidence > 0).any(axis=-1))
 

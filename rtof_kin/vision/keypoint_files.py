@@ -26,14 +26,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_csv, read_npy, read_npz
 from rtof_kin.core.files.text import load_json
 from rtof_kin.vision.detections import NO_IDENTITY, Detections, Person
 
-Array = NDArray[np.float64]
 FORMATS = (".json", ".npz", ".npy", ".csv")
 _ENDINGS = {
     "_u_px": "x", "_v_px": "y", "_x": "x", "_y": "y", "_z": "", "_presence": "",

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
@@ -23,8 +23,6 @@ from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks
 from rtof_kin.vision.recognise import Recognition, recognise
 from rtof_kin.vision.tracking import PersonTrack, track_person
-
-Array = NDArray[np.float64]
 
 MOST_OUTSIDE: Final = 0.5  # [-] largest fraction of the detected points that may lie outside the image
 
@@ -143,7 +141,7 @@ def _times(found: Detections, rate_hz: float | None) -> Array:
     return np.arange(len(found)) / rate_hz
 
 
-def _runs(frames: NDArray[np.bool_]) -> str:
+def _runs(frames: Mask) -> str:
     """Format the first three runs of frames."""
     runs = list(signals.runs(frames))
     text = [f"{start}-{stop - 1}" if stop - start > 1 else str(start) for start, stop in runs[:3]]

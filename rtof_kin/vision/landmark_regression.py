@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz
@@ -24,8 +25,6 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.vision.layouts import DetectorTable, Layout, detector_table, own, point_names
 from rtof_kin.vision.pose_gaussian import FEWEST_POINTS, QUARTERS, PoseGaussian
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 LEAST_CONFIDENCE: Final = 0.1  # [-] of a detected point
 LEAST_SHARE: Final = 0.1  # [-] of an observed landmark's expected square error that is detector noise
 

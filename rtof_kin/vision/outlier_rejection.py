@@ -13,12 +13,11 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
 
-Array = NDArray[np.float64]
 _LONGEST = 2.0  # [s] of an interval that is corrected; longer ones are only reported
 _PAST, _FRAMES_OF_PAST, _FEWEST_FRAMES = 0.15, 5, 3  # [s] and frames of a prediction
 _APART, _NEARER = 0.08, 0.5  # [sizes] least error of a point, and its ratio with sides exchanged
@@ -44,7 +43,7 @@ def reject_keypoint_outliers(keypoints: KeypointSequence) -> tuple[KeypointSeque
     return keypoints, tuple(sorted([*found, *faults], key=lambda fault: fault.start))
 
 
-def side_pairs(names: tuple[str, ...]) -> dict[str, NDArray[np.intp]]:
+def side_pairs(names: tuple[str, ...]) -> dict[str, Index]:
     """Return the columns (n, 2) of left and right points of the legs, and of arms and head.
 
     Args:
@@ -89,7 +88,7 @@ class _Past:
 
 
 def _with_sides_corrected(
-    keypoints: KeypointSequence, group: str, pairs: NDArray[np.intp]
+    keypoints: KeypointSequence, group: str, pairs: Index
 ) -> tuple[KeypointSequence, list[StreamFault]]:
     times, faults = keypoints.times, []
     uv, confidence = keypoints.uv_px.copy(), keypoints.confidence.copy()
@@ -105,7 +104,7 @@ def _with_sides_corrected(
     return keypoints, faults
 
 
-def _exchanged(keypoints: KeypointSequence, pairs: NDArray[np.intp]) -> Iterator[tuple[int, int, bool]]:
+def _exchanged(keypoints: KeypointSequence, pairs: Index) -> Iterator[tuple[int, int, bool]]:
     """Generate first and last frame of each interval with sides exchanged, and whether its end was found."""
     times, sides, size = keypoints.times, keypoints.uv_px[:, pairs], _size(keypoints)
     past, first, last = _Past(), None, 0

@@ -15,9 +15,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, readonly
 
-Array = NDArray[np.float64]
 ANYWHERE: Final = 1e4  # [RMS radii squared] variance of a person's place; practically flat
 _UPRIGHT_BONUS = 0.5  # log-likelihood per point by which a turned person must fit better
 QUARTERS: Final = tuple(np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1)))

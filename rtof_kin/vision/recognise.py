@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.vision.landmark_regression import LEAST_CONFIDENCE, LandmarkRegression
 from rtof_kin.vision.layouts import Layout
 from rtof_kin.vision.pose_gaussian import FEWEST_POINTS
 
-Array = NDArray[np.float64]
 _FRAMES = 60  # persons, spread over the recording, that are tested
 _LEAST_MARGIN = 1.0  # log-likelihood per point over the next layout; wrong ones are 4 to 8 worse
 _LARGEST_MISFIT = 3.0  # median squared distance per degree of freedom; persons 0.6 to 2.7, wrong order 3 to 5

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.vision.detections import NO_IDENTITY, Detections
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 NOBODY = -1
 _LONGEST_GAP = 1.0  # [s] after which a person is at first treated as a new one
 _REACH, _REACH_RATE, _FURTHEST = 0.25, 2.0, 1.5  # [sizes], [sizes/s], [sizes] from the predicted position

@@ -26,7 +26,6 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.vision.detections import Detections, Person
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 _INSTALL = "pip install 'rtof_kin[video]'"
 _MODELS = (

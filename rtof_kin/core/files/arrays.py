@@ -22,11 +22,11 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable, read_text
 
-Array = NDArray[np.float64]
 LARGEST_BYTES = 4 * 2**30
 """Default limit of the total size of the arrays, bytes."""
 _LARGEST_CSV = 2**30

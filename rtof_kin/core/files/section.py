@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.text import LARGEST_NUMBER, load_toml, measurable
-
-Array = NDArray[np.float64]
 
 
 class Section:

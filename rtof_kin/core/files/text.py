@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.folder import new_file
 
@@ -101,7 +101,7 @@ def load_json(path: str | Path, limit: int = LARGEST_TEXT, what: str = "JSON") -
         raise FileFormatError(path, f"not readable as JSON: {str(error)[:200]}") from error
 
 
-def measurable(array: NDArray[np.float64]) -> bool:
+def measurable(array: Array) -> bool:
     """Return whether all finite numbers are within `LARGEST_NUMBER`.
 
     Args:

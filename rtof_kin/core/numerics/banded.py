@@ -17,13 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, SolverError
 from rtof_kin.core.numerics.c_compiler import SWITCH, built, cache_folder, native
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

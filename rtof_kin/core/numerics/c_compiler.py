@@ -16,11 +16,10 @@ from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.library_cache import Origin, kept, make, trusted
 
-Array = NDArray[np.float64]
 Built = TypeVar("Built")
 _log = logging.getLogger(__name__)
 _OPTIONS = ("-O1", "-shared", "-fPIC")

@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from typing import Final, Protocol, cast, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import SolverError
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 _LEAST_DAMPING: Final = 1e-6
 _MOST_DAMPING: Final = 1e6
 _TRUSTED: Final = (0.5, 2.0)
@@ -80,7 +78,7 @@ class Limits(Protocol):
     def force(self, x: Array, push: Array) -> Array:
         """Return the gradient of forces (N, M) on the angles."""
 
-    def curvature(self, x: Array, pushed: NDArray[np.bool_]) -> tuple[Index, Index, Index, Array]:
+    def curvature(self, x: Array, pushed: Mask) -> tuple[Index, Index, Index, Array]:
         """Return the Hessian entries of half the sum of squares of the selected angles (N, M)."""
 
 

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.numerics.c_compiler import built, native
 from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction, c_name, identity, source
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 _OPTIONS = ("-O1", "-fexpensive-optimizations", "-fno-math-errno")
 """The second avoids slow transitions between vector instruction sets with GCC."""

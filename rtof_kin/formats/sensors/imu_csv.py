@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog
@@ -30,7 +30,6 @@ from rtof_kin.formats.sensors.packets import lost
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 from rtof_kin.formats.sensors.sensor_text import SensorTable, cells, read_table
 
-Array = NDArray[np.float64]
 TITLE: Final = "plain CSV"
 _GROUPS: Final = {"f": "xyz", "w": "xyz", "m": "xyz", "q": "wxyz"}
 _ENDINGS: Final = tuple(f"_{kind}{axis}" for kind, axes in _GROUPS.items() for axis in axes)

@@ -13,16 +13,15 @@ from pathlib import Path
 from typing import IO, Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import io as scipy_io
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats.sensors.packets import lost
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
-Array = NDArray[np.float64]
 TITLE: Final = "MATLAB structs"
 LARGEST_BYTES = 2**30
 """Largest uncompressed content that is read, bytes."""

@@ -21,6 +21,7 @@ from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import iterparse
 from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_declaration import Declaration
@@ -28,7 +29,6 @@ from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats.sensors.packets import lost
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
-Array = NDArray[np.float64]
 TITLE: Final = "Xsens MVNX"
 LARGEST_BYTES = 2**33
 """Largest file that is read, bytes; an hour of MVN at 60 Hz with all its tags has about 4 GB."""

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
@@ -22,7 +21,6 @@ from rtof_kin.formats.sensors.packets import lost
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 from rtof_kin.formats.sensors.sensor_text import MOST_HEADER_LINES, text_lines
 
-Array = NDArray[np.float64]
 TITLE: Final = "OpenSense .sto"
 _SUFFIX: Final = "_imu"
 _END: Final = "endheader"

@@ -15,9 +15,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 
-Array = NDArray[np.float64]
 Count = NDArray[np.int64]
 WRAP_16: Final = 2**16
 WRAP_32: Final = 2**32

@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import LARGEST_NUMBER
 
-Array = NDArray[np.float64]
 LARGEST_BYTES: Final = 2**30
 """Largest file that is read, bytes; a day of one sensor at 100 Hz."""
 LONGEST_LINE: Final = 2**16

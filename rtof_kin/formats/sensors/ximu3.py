@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog
@@ -26,7 +26,6 @@ from rtof_kin.formats.sensors.packets import in_order, lost
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 from rtof_kin.formats.sensors.sensor_text import cells, read_table
 
-Array = NDArray[np.float64]
 TITLE: Final = "x-IMU3 folders"
 _STAMP: Final = "Timestamp (us)"
 _GYROSCOPE: Final = tuple(f"Gyroscope {axis} (deg/s)" for axis in "XYZ")

@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog
@@ -31,7 +31,6 @@ from rtof_kin.formats.sensors.packets import WRAP_16, WRAP_32, Packets, aligned,
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 from rtof_kin.formats.sensors.sensor_text import SensorTable, cells, read_table
 
-Array = NDArray[np.float64]
 Groups = tuple[tuple[str, ...], ...]
 MT_TITLE: Final = "Xsens MT Manager text"
 DOT_TITLE: Final = "Movella DOT CSV"

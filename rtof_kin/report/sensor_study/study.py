@@ -14,10 +14,10 @@ from itertools import count
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import BAND_95
@@ -28,7 +28,6 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 TOLERANCE: Final = np.radians(5.0)
 """[rad] largest RMS of an angle that is kept: differences beyond 5 degrees may mislead a clinical decision
@@ -78,7 +77,7 @@ class SensorStudy:
         """Return (A,) rad: errors if there is a reference, else differences from the full set."""
         return found.error if self.has_truth else found.difference
 
-    def kept(self, found: SensorSet, tolerance: float = TOLERANCE) -> NDArray[np.bool_]:
+    def kept(self, found: SensorSet, tolerance: float = TOLERANCE) -> Mask:
         """Return (A,) whether angles are observed and within the tolerance, rad."""
         return np.asarray((found.seen >= LEAST_SEEN) & (self.measure(found) <= tolerance))
 

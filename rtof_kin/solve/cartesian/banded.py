@@ -14,11 +14,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import blas
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.choices import Compile
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.numerics.banded import Factor, Store, StoredFactor, factorise
@@ -26,9 +26,6 @@ from rtof_kin.core.numerics.c_compiler import Buffered
 from rtof_kin.core.numerics.simd import Mapped, compile_simd
 from rtof_kin.core.numerics.simd_codegen import FrameFunction
 from rtof_kin.solve.cartesian.problem import CURVED_BY, FragmentProblem
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 class BandedProblem:

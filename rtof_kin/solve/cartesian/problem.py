@@ -18,14 +18,13 @@ from typing import Any, Final
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.kinematics import children_of
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.c_compiler import BUILDING
 from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 
-Array = NDArray[np.float64]
 Bones = tuple[tuple[int, int], ...]
 """(joint, child) of each bone."""
 TERMS: Final = ("visual", "acceleration", "bone", "smooth", "length", "prior")

@@ -9,11 +9,11 @@ from time import perf_counter
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.c_compiler import BUILDING, Buffered
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
@@ -28,7 +28,6 @@ from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSetting
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 
-Array = NDArray[np.float64]
 _DECREASE: Final = 1e-4
 """Tolerance of the real-time solver on the relative decrease, per tolerance of IPOPT on the gradient."""
 _NORMAL_MEDIAN: Final = 1.177
@@ -221,7 +220,7 @@ class CartesianSolver:
         }
 
     def _fragment_values(
-        self, index: NDArray[np.intp], inside: NDArray[np.bool_], start: PoseSequence, data: dict[str, Array]
+        self, index: Index, inside: Mask, start: PoseSequence, data: dict[str, Array]
     ) -> dict[str, Array]:
         """Parameters of the problem for the frames `index`, of which those not `inside` are padding."""
         present = np.ones_like(inside) if self.settings.padding == "replicate" else inside
@@ -243,7 +242,7 @@ class CartesianSolver:
             "k": np.array([self.settings.term_weights()[term] for term in TERMS]),
         }
 
-    def _jerk_target(self, index: NDArray[np.intp], data: dict[str, Array]) -> Array:
+    def _jerk_target(self, index: Index, data: dict[str, Array]) -> Array:
         """(3J, N - 3) m/s^3: differentiated acceleration of each joint with a sensor; 0 where missing."""
         J, N = len(self.skeleton.names), len(index)
         if self.settings.jerk_target != "sensor":

@@ -12,10 +12,10 @@ from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.pose_prior import shipped_prior
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.choices import Compile
 from rtof_kin.core.numerics.banded import Factor, Store, StoredFactor
 from rtof_kin.core.numerics.c_compiler import BUILDING, compiled
@@ -23,9 +23,6 @@ from rtof_kin.solve.compiled.simd_problem import SimdFunctions, SimdProblem
 from rtof_kin.solve.energy.frame_energy import FrameEnergy, Shape
 from rtof_kin.solve.energy.problem import FragmentData, JointProblem
 from rtof_kin.solve.energy.state import StateSpace
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 class FragmentEnergy(Protocol):

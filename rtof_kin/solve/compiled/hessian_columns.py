@@ -13,14 +13,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Index
 from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction
 from rtof_kin.solve.compiled.stencils import OPTION, Neighbours, balls, blocks, frame_inputs
 from rtof_kin.solve.energy.frame_energy import FrameEnergy
 from rtof_kin.solve.energy.jerk import LAGS
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.numerics.banded import Store, StoredFactor
 from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd
 from rtof_kin.core.numerics.simd_codegen import FrameFunction
@@ -22,9 +22,6 @@ from rtof_kin.solve.compiled.hessian_columns import HessianColumns
 from rtof_kin.solve.energy.frame_energy import FrameEnergy
 from rtof_kin.solve.energy.jerk import LAGS, Jerk
 from rtof_kin.solve.energy.problem import BEYOND, TERMS, FragmentData
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.solve.energy.state import StateSpace
 
-Array = NDArray[np.float64]
 LAGS: Final = 4
 """Frames from 0 to 3 apart are coupled."""
 

@@ -19,9 +19,9 @@ from typing import Any, Final
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import quaternions as quat
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.numerics.banded import Factor, factorise
 from rtof_kin.core.numerics.c_compiler import Buffered
 from rtof_kin.solve import residuals as energies
@@ -29,8 +29,6 @@ from rtof_kin.solve.energy import frame_energy
 from rtof_kin.solve.energy.jerk import Jerk
 from rtof_kin.solve.energy.state import StateSpace
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 TERMS: Final = (*frame_energy.TERMS, "acceleration", "smooth")
 BEYOND: Final = 2
 """Rows below the third block's diagonal that the axes of a joint reach."""

@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import hinges
@@ -19,9 +18,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Index, Mask
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 XYZ: Final = "xyz"
 
 
@@ -157,7 +155,7 @@ class StateSpace:
         return p, R
 
     @cached_property
-    def _turning(self) -> tuple[Index, Array, NDArray[np.bool_]]:
+    def _turning(self) -> tuple[Index, Array, Mask]:
         """Joint and axis (3, D - 3) in its frame of each rotation coordinate; segments (J, D - 3) turned."""
         owners = np.repeat(self.joints, self._widths)
         axes = np.concatenate([self.axes(a) for a in range(len(self.joints))], axis=1)

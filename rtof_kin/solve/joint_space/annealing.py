@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
-Array = NDArray[np.float64]
 _NORMAL_MEDIAN: Final = 1.177
 """Median norm of a normal error in two dimensions, in standard deviations of an axis."""
 _FEWEST: Final = 20

@@ -12,10 +12,10 @@ from collections.abc import Collection
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.banded import inverse_diagonal
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
@@ -24,7 +24,6 @@ from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.energy.jerk import LAGS
 from rtof_kin.solve.energy.state import StateSpace
 
-Array = NDArray[np.float64]
 _DAMPING: Final = 1e-6
 """Added to the Hessian's diagonal: an unobserved root gets a sigma of 1 km."""
 _NOWHERE: Final = 3.0

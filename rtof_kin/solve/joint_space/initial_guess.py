@@ -11,19 +11,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.initial_poses import poses_from_sensors
 from rtof_kin.inertial.root_path import path_through_gaps
 from rtof_kin.inertial.root_position import refit_root as refitted
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ def initial_guess(
     return InitialGuess(_posed(start, ~seen, skeleton, path.p_world, start.R_world_bone), path.sigma)
 
 
-def _turned(start: PoseSequence, seen: NDArray[np.bool_], sensed: Array) -> Array:
+def _turned(start: PoseSequence, seen: Mask, sensed: Array) -> Array:
     """Measured orientations (T, J, 3, 3) with their offset at both ends of a gap interpolated over it."""
     offset = np.swapaxes(sensed, -1, -2) @ start.R_world_bone
     offset[~seen] = np.nan
@@ -78,9 +76,7 @@ def _turned(start: PoseSequence, seen: NDArray[np.bool_], sensed: Array) -> Arra
     return np.asarray(sensed @ signals.interpolate_rotations(start.times, offset, at))
 
 
-def _posed(
-    start: PoseSequence, frames: NDArray[np.bool_], skeleton: SkeletonModel, root: Array, R: Array
-) -> PoseSequence:
+def _posed(start: PoseSequence, frames: Mask, skeleton: SkeletonModel, root: Array, R: Array) -> PoseSequence:
     """Poses with other roots (T, 3) and orientations (T, J, 3, 3) in the frames chosen."""
     p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, root, R)
     p = np.where(frames[:, None, None], p, start.p_world_joint)

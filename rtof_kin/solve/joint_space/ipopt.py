@@ -12,16 +12,15 @@ from typing import Any, Final
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import quaternions as quat
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.numerics.c_compiler import BUILDING
 from rtof_kin.core.numerics.levenberg_marquardt import Solved
 from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.energy.jerk import LAGS
 from rtof_kin.solve.joint_space.limits import Limits
 
-Array = NDArray[np.float64]
 _UNIT: Final = 1e-3
 """m and rad of IPOPT's variables."""
 _GRADIENT: Final = 100.0
@@ -153,7 +152,7 @@ class _Point:
             columns[k:, :, LAGS - 1 - k] = np.swapaxes(T[k:], 1, 2) @ block @ T[: N - k]
         return columns.reshape(N, D, LAGS * D)[self._mask]
 
-    def _hessian_mask(self) -> NDArray[np.bool_]:
+    def _hessian_mask(self) -> Mask:
         """(N, D, 4D): nonzero rows, of this frame and the three before, of each column."""
         N, D = self.problem.frames, self.problem.space.size
         mask = np.ones((N, D, LAGS, D), dtype=bool)

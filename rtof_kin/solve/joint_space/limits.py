@@ -8,13 +8,10 @@ to hold a measured thigh within them (`benchmarks/results/limits.md`). Ball join
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.solve.energy.state import XYZ, StateSpace
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 class Limits:
@@ -64,7 +61,7 @@ class Limits:
         out[:, self.columns] = push
         return out
 
-    def curvature(self, x: Array, pushed: NDArray[np.bool_]) -> tuple[Index, Index, Index, Array]:  # noqa: ARG002
+    def curvature(self, x: Array, pushed: Mask) -> tuple[Index, Index, Index, Array]:  # noqa: ARG002
         """Return frames, rows, columns and values (n,) of J^T J of the angles chosen (T, M)."""
         frames, m = np.nonzero(pushed)
         at = np.asarray(self.columns[m], dtype=np.intp)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.limbs import LIMBS, bare, both_bones_sensed
@@ -15,6 +14,7 @@ from rtof_kin.body.pose_prior import shipped_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
@@ -27,7 +27,6 @@ from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.limits import Limits
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
-Array = NDArray[np.float64]
 _ROOT_BESIDE_SENSORS: Final = 2.0
 """Factor on sigma_root where there are both landmarks and sensors."""
 _FIRM: Final = np.radians(1.0)
@@ -116,7 +115,7 @@ class Observations:
             contacts = detect_contacts(smooth, at_frames, skeleton, from_poses=True)
             self.rows["w_floor"] = contacts.standing / settings.sigma_floor**2
 
-    def fragment(self, first: int) -> tuple[NDArray[np.intp], NDArray[np.bool_], FragmentData]:
+    def fragment(self, first: int) -> tuple[Index, Mask, FragmentData]:
         """Return the indices of a fragment's frames, which of them exist, and their data.
 
         Args:
@@ -126,7 +125,7 @@ class Observations:
             self.rows, self.constant, self.a_world, self.w_acceleration, self.rate_hz, first, self.frames
         )
 
-    def anything_seen(self, first: int, inside: NDArray[np.bool_]) -> bool:
+    def anything_seen(self, first: int, inside: Mask) -> bool:
         """Return whether a landmark or a sensor has data in a fragment.
 
         Args:
@@ -247,7 +246,7 @@ class Observations:
 def fragment_of(
     rows: Mapping[str, Array], constant: Mapping[str, Array], a_world: Array, w_acceleration: Array,
     rate_hz: float, first: int, frames: int,
-) -> tuple[NDArray[np.intp], NDArray[np.bool_], FragmentData]:  # fmt: skip
+) -> tuple[Index, Mask, FragmentData]:  # fmt: skip
     """Return the indices of a fragment's frames, which of them exist, and their data.
 
     Args:

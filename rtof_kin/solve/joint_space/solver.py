@@ -9,10 +9,10 @@ from time import perf_counter
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.observability import DIRECTION, WHOLE, levels_by_points
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.data.imu import BoneImuSequence
@@ -28,7 +28,6 @@ from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 
-Array = NDArray[np.float64]
 _LOCAL_MINIMUM: Final = 1.8
 """Ratio of reprojection sigmas of neighbouring fragments that indicates a local minimum; biases and
 outliers change it by less."""
@@ -196,7 +195,7 @@ class _Fragments:
         return replace(solved, iterations=annealed.iterations + solved.iterations)
 
     def _report(
-        self, solved: Solved, first: int, sigma: float, seconds: float, inside: NDArray[np.bool_]
+        self, solved: Solved, first: int, sigma: float, seconds: float, inside: Mask
     ) -> FragmentReport:
         """Report measured at the returned point."""
         data = self.data

@@ -35,9 +35,10 @@ from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rtof_kin.body.limbs import both_bones_sensed
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import load_toml
@@ -45,7 +46,6 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.solve.uncertainty.disagreement import Disagreement
 
-Array = NDArray[np.float64]
 UNITS: Final = {"position": "m", "relative": "m", "turn": "rad"}
 """Kinds of covariances of a `Confidence`, and the unit of their floors."""
 SEEN: Final = {"camera": tuple(UNITS), "fused": tuple(UNITS), "sensed": ("relative", "turn")}

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
 from rtof_kin.data.confidence import WORLD
 from rtof_kin.data.poses import PoseSequence
 
-Array = NDArray[np.float64]
 WINDOW: Final = 0.15
 """[s] averaged before and after a frame."""
 

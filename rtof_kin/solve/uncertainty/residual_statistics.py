@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.core.array_types import Array
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve.energy.frame_energy import TORSO
 from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA, ResidualStatistics
 
-Array = NDArray[np.float64]
 _LAG: Final = 1 / 15
 """[s] Lag of the autocorrelation."""
 _DETECTORS_CORRELATION: Final = 0.8
