@@ -29,8 +29,7 @@ from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.poses import PoseSequence
 
-SINGULAR_MARGIN = np.radians(5.0)
-"""Distance of a middle angle from +-90 degrees below which a posture is flagged as singular."""
+SINGULAR_MARGIN = np.radians(5.0)  # of a middle angle from +-90 degrees; closer postures are singular
 
 
 @dataclass(frozen=True)
@@ -71,9 +70,8 @@ class MotionSequence:
             raise InvalidInputError("motion: its confidence is of other joints or other times")
 
     def __getitem__(self, frames: slice) -> MotionSequence:
-        report = replace(
-            self.report, singular=self.report.singular[frames], limit_excess=self.report.limit_excess[frames]
-        )
+        singular, excess = self.report.singular[frames], self.report.limit_excess[frames]
+        report = replace(self.report, singular=singular, limit_excess=excess)
         confidence = None if self.confidence is None else self.confidence[frames]
         return replace(self, q=self.q[frames], poses=self.poses[frames], report=report, confidence=confidence)
 

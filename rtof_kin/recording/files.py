@@ -34,10 +34,8 @@ from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import detector_table
 
 _OWN_LAYOUT: Final = "joints"
-RECOGNISE: Final = "auto"
-"""Layout of a detector that is to be recognised."""
-_SHORTEST_FOCAL: Final = 0.1
-"""A focal length below this share of the image's width is in another unit."""
+RECOGNISE: Final = "auto"  # a detector's layout that is to be recognised
+_SHORTEST_FOCAL: Final = 0.1  # of the image's width; a shorter focal length is in another unit
 _QUATERNION_TOLERANCE: Final = 1e-3
 _KEYPOINT_COLUMNS: Final = ("_u_px", "_v_px", "_confidence")
 _IMU_COLUMNS: Final = ("_qw", "_qx", "_qy", "_qz", "_fx", "_fy", "_fz")
