@@ -335,12 +335,9 @@ def _calibrate(
     prepared = own.prepare("sf2", calibration=known)
     slipped = _slipped(own, prepared)
     assert prepared.bone_imus is not None  # without IMUs, mode sf2 has raised
-    solver = own.settings.fragment  # calibration is always solved in joint space
-    solver = (
-        solver
-        if isinstance(solver, JointSpaceSettings)
-        else JointSpaceSettings(floor_height=recording.floor_height)
-    )
+    solver = own.settings.fragment
+    if not isinstance(solver, JointSpaceSettings):  # calibration is always solved in joint space
+        solver = JointSpaceSettings(floor_height=recording.floor_height)
     used = replace(
         prepared,
         bone_imus=mask_faults(prepared.bone_imus, slipped),
