@@ -219,11 +219,15 @@ class _Reader(pickle.Unpickler):
 
 
 def _numbers(shape: Any, dtype: np.dtype[Any], fortran: bool, data: bytes) -> NDArray[Any]:
-    """Return a read-only array of numbers; its size is compared with the data before it is made."""
+    """Return a read-only array of numbers in native byte order, once its size agrees with the data."""
     if dtype.kind not in "fiub":
         raise _RefusedError(f"an array of {dtype}, not of numbers")
     if not (isinstance(shape, tuple) and len(shape) <= 8 and all(type(n) is int for n in shape)):
         raise _RefusedError("an array whose shape is not a tuple of at most 8 integers")
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != len(data):
         raise _RefusedError(f"an array of shape {shape} and type {dtype} with {len(data)} bytes")
-    return np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C")
+    array = np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C")
+    if not dtype.isnative:
+        array = array.astype(dtype.newbyteorder("="))
+        array.flags.writeable = False
+    return array

@@ -76,7 +76,7 @@ def read(path: Path, data: bytes) -> Any:
 
 def assert_same(a: Any, b: Any) -> None:
     if isinstance(b, np.ndarray):
-        assert (a.dtype, a.shape) == (b.dtype, b.shape)
+        assert (a.dtype, a.shape) == (b.dtype.newbyteorder("="), b.shape)
         assert not a.flags.writeable
         np.testing.assert_array_equal(a, b)
     elif isinstance(b, dict):

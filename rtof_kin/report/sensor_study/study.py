@@ -129,7 +129,9 @@ def study_sensors(
         raise InvalidInputError(f"recording {recording.name}: has no IMUs, so there is nothing to omit")
     camera, names = recording.keypoints is not None, imus.names
     if not camera and len(names) < 2:
-        raise InvalidInputError(f"recording {recording.name}: a single sensor without a camera")
+        raise InvalidInputError(
+            f"recording {recording.name}: has one sensor and no camera, so there is nothing to omit"
+        )
     settings = settings or ReconstructionSettings()
     settings = replace(settings, sensor_joints=(*settings.sensor_joints, *bone_imus.joints))
     done, total = count(), number_of_runs(len(names), camera, greedy)
