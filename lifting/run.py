@@ -262,7 +262,8 @@ class Run:
                 )
             if state["corpus"] != self.digest:
                 raise FileFormatError(
-                    path, "belongs to a training on other motion; delete it or do not resume"
+                    path,
+                    "belongs to a training on other motion; give that motion, delete it or do not resume",
                 )
         return state
 

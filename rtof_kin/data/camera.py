@@ -33,6 +33,8 @@ class Camera:
     """Assumed, not measured, properties in words, e.g. 'focal length', 'pose'."""
 
     def __post_init__(self) -> None:
+        if self.distortion is None:  # callers may say None
+            object.__setattr__(self, "distortion", np.zeros(5))
         freeze(self, "camera", K=(3, 3), R_camera_world=(3, 3), t_camera_world=(3,), distortion=(5,))
         if not so3.is_rotation(self.R_camera_world, tolerance=1e-4):
             raise InvalidInputError("camera R_camera_world: not a rotation matrix")

@@ -53,7 +53,9 @@ class Detections:
             raise InvalidInputError("there is no person in any frame; check the detector's output")
         low, high = float(np.nanmin(confidence, initial=0.0)), float(np.nanmax(confidence, initial=0.0))
         if high > _HIGHEST_CONFIDENCE or low < 0:
-            problem = f"ranges from {low:g} to {high:g}; give values from 0 to 1"
+            problem = (
+                f"ranges from {low:g} to {high:g}; give values from 0 to 1 (divide by the detector's maximum)"
+            )
             raise InvalidInputError(f"detections confidence: {problem}")
         confidence = np.clip(np.nan_to_num(confidence), 0.0, 1.0)
         missing = ~np.isfinite(uv).all(axis=-1) | (confidence == 0)
