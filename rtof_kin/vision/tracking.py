@@ -153,8 +153,8 @@ def track_person(
         own = [trail for trail in trails if (where, person) in zip(trail.frames, trail.people, strict=True)]
         if not own:
             known = np.flatnonzero(present[where]).tolist() if 0 <= where < len(present) else []
-            problem = f"there is no such person; of {len(present)} frames, that one has {known or 'none'}; count both from 0"
-            raise InvalidInputError(f"person {person} in frame {where}: {problem}")
+            problem = f"there is no such person; of {len(present)} frames, that one has {known or 'none'}"
+            raise InvalidInputError(f"person {person} in frame {where}: {problem} (both count from 0)")
         chosen, reason = own[0], f"asked for: person {person} in frame {where}"
     return _joined(chosen, trails, measures, times, reason)
 
