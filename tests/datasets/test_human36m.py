@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +18,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, FileFormatError, UnitError, UnknownNameError
 from rtof_kin.data.camera import Camera
-from rtof_kin.datasets.human36m import RATE_HZ, Human36M, bone_lengths, measured_offsets
+from rtof_kin.datasets.human36m import RATE_HZ, Human36M, bone_lengths
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS, read_cameras
 from rtof_kin.datasets.human36m_files import JOINTS_OF_32
 
@@ -63,9 +62,7 @@ def own(template: tuple[Path, files.Positions], tmp_path: Path) -> tuple[Path, f
 # --- positions -----------------------------------------------------------------------------------
 
 
-def test_the_17_joints_are_taken_from_the_32_in_the_skeletons_order(
-    root: Path, truth: files.Positions
-) -> None:
+def test_the_17_joints_have_the_skeletons_order(root: Path, truth: files.Positions) -> None:
     data = Human36M(root)
     assert data.sequences == tuple((s, a) for s in TWO for a in ("Action 0", "Action 1"))  # S9 before S11
     motion = data.motion("S9", "Action 1")
@@ -122,9 +119,7 @@ def test_orientations_and_offsets_reproduce_the_positions(root: Path) -> None:
         np.testing.assert_allclose(p, poses.p_world_joint, atol=2e-6)
 
 
-def test_truth_and_detected_keypoints_are_cut_to_the_shorter(
-    root: Path, own: tuple[Path, files.Positions]
-) -> None:
+def test_truth_and_detections_are_cut_to_the_shorter(root: Path, own: tuple[Path, files.Positions]) -> None:
     recording = Human36M(root, keypoints="cpn_ft_h36m_dbb").recording("S9", "Action 0", 3)
     assert recording.truth is not None
     assert len(recording.video) == len(recording.truth) == 30
@@ -178,9 +173,6 @@ def test_a_body_is_recovered_from_positions(root: Path, subject: str) -> None:
     unit = so3.unit(SKELETON.joint_offsets)
     np.testing.assert_allclose(so3.unit(offsets)[one_child], unit[one_child], atol=1e-9)
     p = np.array(Human36M(root).motion(subject, "Action 0").p_world_joint)
-    R = so3.exp(np.random.default_rng(0).normal(size=3))
-    turned = measured_offsets(SKELETON, p @ R.T + [5.0, -3.0, 1.0])
-    np.testing.assert_allclose(turned, measured_offsets(SKELETON, p), atol=1e-7)
     p[:5] *= 100.0  # medians survive a few wild frames
     np.testing.assert_allclose(bone_lengths(SKELETON, p), lengths, atol=1e-5)
 
@@ -259,7 +251,7 @@ LAST = CAMERA_IDS[3]
     (setter("extrinsics", "S9", LAST, "t", value=[[1.0], [2.0]]), r"shape \(3\), got \(2, 1\)"),
     (setter("extrinsics", "S9", LAST, "t", value=[[np.nan], [1.0], [2.0]]), "t is not finite"),
 ])  # fmt: skip
-def test_a_wrong_json_file_is_refused_with_the_field(
+def test_a_wrong_json_file_is_refused(
     tmp_path: Path, change: Callable[[dict[str, Any]], Any], message: str
 ) -> None:
     path = tmp_path / "cameras.json"
@@ -300,7 +292,7 @@ def test_a_wrong_source_is_refused_with_the_field(tmp_path: Path, old: str, new:
     ("translation", [2.1e6, 4.9e6, 1.6e6], UnitError, r"would stand 5.57e\+03 m from"),
     ("orientation", [1.0, 1.0, 0.0, 0.0], FileFormatError, "orientation is not a unit quaternion"),
 ])  # fmt: skip
-def test_implausible_cameras_are_refused(
+def test_implausible_cameras(
     tmp_path: Path, field: str, value: list[float], error: type[Exception], message: str
 ) -> None:
     intrinsics, extrinsics = files.camera_source(("S9",))
@@ -350,7 +342,7 @@ def test_cameras_of_another_subject_are_refused(own: tuple[Path, files.Positions
 @pytest.mark.parametrize("change", [
     lambda uv: [uv[1], uv[0], uv[2], uv[3]], lambda uv: [one / 500 - 1 for one in uv],
 ])  # fmt: skip
-def test_keypoints_of_other_cameras_or_units_are_refused(
+def test_keypoints_of_other_cameras_are_refused(
     own: tuple[Path, files.Positions], change: Callable[[Any], Any]
 ) -> None:
     root, positions = own
@@ -405,7 +397,7 @@ def test_unknown_names_are_refused_with_the_known_ones(root: Path, tmp_path: Pat
     (np.full((5, 32, 3), np.nan, dtype=np.float32), "in no frame are all joints finite"),
     (np.zeros((5, 32, 3), dtype=np.float32), "the bone that ends at RHip is 0.000 m long, but 0.1"),
 ])  # fmt: skip
-def test_a_corrupt_action_is_refused_and_the_others_are_usable(
+def test_a_corrupt_action_is_refused_alone(
     own: tuple[Path, files.Positions], entry: Any, message: str
 ) -> None:
     root, positions = own
@@ -455,33 +447,20 @@ def test_corrupt_keypoints_are_refused(own: tuple[Path, files.Positions], entry:
     {"num_joints": 17, "keypoints_symmetry": ["a", None]},
     {}, [], None,
 ])  # fmt: skip
-def test_17_points_that_are_not_human36ms_are_refused(
-    own: tuple[Path, files.Positions], metadata: Any
-) -> None:
+def test_17_points_of_another_layout_are_refused(own: tuple[Path, files.Positions], metadata: Any) -> None:
     root, positions = own
     files.write_keypoints(root, files.keypoints(positions), "detectron_pt_coco", metadata)
     with pytest.raises(FileFormatError, match=r"coco\.npz: metadata: .*only Human3\.6M's own 17"):
         Human36M(root, keypoints="detectron_pt_coco").recording("S9", "Action 0", 0)
 
 
-class Harm:
-    """Pickled as a command."""
-
-    def __reduce__(self) -> Any:
-        return (os.system, ("touch 'it ran'",))
-
-
 @pytest.mark.parametrize("content, message", [
     (None, "not a dictionary of subjects"), ([1], "not a dictionary"), ({"S9": [1, 2]}, "not a dictionary"),
-    ({"S9": None}, "not a dictionary"), (Harm(), r"wants to run (posix|nt)\.system"),
+    ({"S9": None}, "not a dictionary"),
 ])  # fmt: skip
-def test_an_archive_of_something_else_is_refused(
-    tmp_path: Path, content: Any, message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_an_archive_of_something_else_is_refused(tmp_path: Path, content: Any, message: str) -> None:
     box = np.empty((), dtype=object)
     box[()] = content
     np.savez(tmp_path / "data_3d_h36m.npz", positions_3d=box)
     with pytest.raises(FileFormatError, match=rf"data_3d_h36m\.npz: positions_3d: .*{message}"):
         Human36M(tmp_path).motion("S9", "Action 0")
-    assert not (tmp_path / "it ran").exists()

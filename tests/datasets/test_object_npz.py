@@ -102,9 +102,7 @@ def test_a_dictionary_saved_by_numpy_is_read_back(path: Path) -> None:
 
 @pytest.mark.parametrize("protocol", [2, 3, 4])
 @pytest.mark.parametrize("module", [b"numpy._core.multiarray", b"numpy.core.multiarray"])
-def test_protocols_2_to_4_and_pickles_of_older_numpy_are_read(
-    path: Path, protocol: int, module: bytes
-) -> None:
+def test_protocols_2_to_4_and_older_numpy_are_read(path: Path, protocol: int, module: bytes) -> None:
     data = pickled_array(DATA, protocol)
     if protocol < 4:  # its strings have no length to correct
         data = data.replace(b"numpy._core.multiarray", module)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -212,7 +211,7 @@ def scalar_last(paths: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("spoil", [exchanged, of_another_take, scalar_last])
-def test_a_wrong_calibration_fails_the_checks_of_most_sensors(
+def test_a_wrong_calibration_fails_most_checks(
     spoil: Callable[[dict[str, Path]], None], tmp_path: Path, paths: dict[str, Path]
 ) -> None:
     spoil(paths)
@@ -244,6 +243,7 @@ def test_a_take_that_does_not_begin_in_the_t_pose_fails_its_checks(take: Take) -
     bad = failed(check_take(replace(take, truth=hanging, imus=None, calibration=None)))
     assert len(bad) == 1
     assert "T-pose" in bad[0].message
+    assert "(RightArm to RightForeArm)" in bad[0].message
     assert bad[0].value == pytest.approx(70, abs=8)
 
 
@@ -290,7 +290,7 @@ def test_every_layout_and_spelling_is_the_same_dataset(layout: str, tmp_path: Pa
     assert not found.missing
 
 
-def test_foreign_files_are_ignored(
+def test_foreign_files(
     tmp_path: Path, paths: dict[str, Path], take: Take, caplog: pytest.LogCaptureFixture
 ) -> None:
     for path in list(paths.values()):
@@ -352,7 +352,7 @@ def test_a_take_without_truth_or_sensors(tmp_path: Path, paths: dict[str, Path])
 
 
 @pytest.mark.parametrize("gone", [["orientations"], ["orientations", "positions"]])
-def test_the_bvh_file_replaces_missing_files(
+def test_bvh_replaces_missing_files(
     gone: list[str], tmp_path: Path, paths: dict[str, Path], take: Take
 ) -> None:
     for kind in gone:
@@ -408,9 +408,7 @@ def test_offsets_of_a_body_of_another_size_are_not_used(tmp_path: Path) -> None:
 # --- files that do not fit or are broken ---------------------------------------------------------
 
 
-def test_files_that_differ_by_a_few_frames_are_cut(
-    tmp_path: Path, paths: dict[str, Path], take: Take
-) -> None:
+def test_files_that_differ_by_few_frames_are_cut(tmp_path: Path, paths: dict[str, Path], take: Take) -> None:
     rows = support.lines(paths["positions"])
     whole = len(take.truth)
     paths["positions"].write_text("".join(rows[:-3]))
@@ -426,10 +424,6 @@ def test_files_that_differ_by_a_few_frames_are_cut(
 
 def too_short(paths: dict[str, Path]) -> None:
     paths["positions"].write_text("".join(support.lines(paths["positions"])[:-20]))
-
-
-def half(kind: str) -> Callable[[dict[str, Path]], None]:
-    return lambda paths: os.truncate(paths[kind], paths[kind].stat().st_size // 2)
 
 
 def scalar_first(paths: dict[str, Path]) -> None:
@@ -469,9 +463,6 @@ def bvh_at_120_hz(paths: dict[str, Path]) -> None:
 
 @pytest.mark.parametrize(("spoil", "message"), [
     (too_short, r"gt_skel_gbl_ori.txt: 70 frames of positions and 90 of orientations"),
-    (half("positions"), r"gt_skel_gbl_pos.txt.*(again|cut off)"),
-    (half("orientations"), r"gt_skel_gbl_ori.txt.*(again|cut off)"),
-    (half("sensors"), r"Xsens.sensors.*(again|cut off)"),
     (scalar_first, r"gt_skel_gbl_ori.txt: .*w x y z"),
     (another_motion, r"gt_skel_gbl_ori.txt: .*mm"),
     (other_joint, r"gt_skel_gbl_pos.txt.*LeftFoot"),
@@ -514,9 +505,7 @@ def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("short", [3, 20])
-def test_sensor_data_that_end_early_are_padded(
-    short: int, tmp_path: Path, paths: dict[str, Path], take: Take
-) -> None:
+def test_short_sensor_data_are_padded(short: int, tmp_path: Path, paths: dict[str, Path], take: Take) -> None:
     whole, imus = len(take.truth), support.take().imus
     cut = replace(
         imus,
@@ -534,7 +523,7 @@ def test_sensor_data_that_end_early_are_padded(
     assert np.isnan(bones.R_world_bone[whole - short :]).all()
 
 
-def test_zeros_in_positions_and_orientations_are_unknown(
+def test_zero_positions_and_orientations_are_unknown(
     tmp_path: Path, paths: dict[str, Path], take: Take
 ) -> None:
     quat = QUAT_XYZW.copy()
@@ -621,13 +610,6 @@ def test_a_sensor_written_by_hand_gives_its_bone_and_no_acceleration(tmp_path: P
 # --- checks --------------------------------------------------------------------------------------
 
 
-def test_noisy_keypoints_pass_the_reprojection_check(take: Take) -> None:
-    (check,) = check_keypoints(take, 1, take.recording(1, noise_px=3.0).video)
-    assert check.passed
-    assert (check.subject, check.unit, check.limit) == ("camera 1", "px", 20)
-    assert check.value == pytest.approx(3 * np.sqrt(2 * np.log(2)), rel=0.05)
-
-
 def test_camera_2_fails_its_check_without_keypoints(take: Take) -> None:
     for camera in CAMERAS:
         bad = failed(check_camera(camera))
@@ -651,17 +633,6 @@ def test_a_slipped_sensor_is_distinguished_from_the_calibration_of_another_take(
     bads = failed(check_take(replace(take, calibration=replace(take.calibration, R_sensor_bone=R))))
     assert len(bads) == 9
     assert all("9 of 13 sensors fail this: is it the calibration of another take?" in b.message for b in bads)
-
-
-def test_the_limb_that_is_not_in_the_t_pose_is_named(take: Take) -> None:
-    R = np.array(take.truth.R_world_bone)
-    arm = [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")]
-    R[:, arm] = R[:, arm] @ so3.about_axis("z", np.radians(40))
-    p = positions(PARENTS, take.joint_offsets, take.truth.p_world_joint[:, 0], R)
-    bent = replace(take.truth, p_world_joint=p, R_world_bone=R)
-    (bad,) = failed(check_take(replace(take, truth=bent, imus=None, calibration=None)))
-    assert "(LeftForeArm to LeftHand)" in bad.message
-    assert bad.value == pytest.approx(40, abs=6)
 
 
 def test_bones_of_a_take_without_orientations_are_checked_by_their_length(tmp_path: Path) -> None:
@@ -688,7 +659,7 @@ def test_bones_of_a_take_without_orientations_are_checked_by_their_length(tmp_pa
     ({"noise_px": np.nan}, InvalidInputError, "noise_px: nan"),
     ({"noise_px": 2.0, "seed": -1}, InvalidInputError, "seed: -1 is negative"),
 ])  # fmt: skip
-def test_wrong_options_are_refused(
+def test_wrong_options(
     options: dict[str, Any], error: type[Exception], message: str, take: Take, root: Path
 ) -> None:
     with pytest.raises(error, match=message):

@@ -107,9 +107,7 @@ def test_trc_gap_is_empty_cells_with_all_their_tabs(markers: MarkerSequence, tmp
     assert lines[5 + 4].split("\t")[5:8] == ["", "", ""]
 
 
-def test_trc_in_opensims_ground_keeps_x_and_has_z_on_the_right(
-    markers: MarkerSequence, tmp_path: Path
-) -> None:
+def test_trc_in_opensims_ground_has_z_on_the_right(markers: MarkerSequence, tmp_path: Path) -> None:
     path = tmp_path / "out.trc"
     write_trc(path, markers, up="opensim")
     assert_same(read_trc(path, up="opensim"), markers, 1e-9)
@@ -264,7 +262,7 @@ def test_c3d_of_every_storage_of_numbers(processor: int, as_integers: bool, tmp_
         ({"LABELS": [], "LABELS2": 3}, ("*1", "*2")),
     ],
 )
-def test_c3d_leaves_out_derived_points_and_names_unlabelled_ones(
+def test_c3d_derived_and_unlabelled_points(
     changes: dict[str, object], names: tuple[str, ...], tmp_path: Path
 ) -> None:
     assert read_c3d(written(tmp_path, c3d_bytes(84, False, changes))).names == names

@@ -138,11 +138,6 @@ def test_opensim_reads_markers_and_gaps(motion: MotionSequence, opensim: dict[st
     assert np.isfinite(found[HAND_UNSEEN, 0]).all()
 
 
-def test_unobserved_marker_leaves_its_tabs(folder: Path, motion: MotionSequence) -> None:
-    rows = (folder / "motion.trc").read_text().splitlines()[5:]
-    assert {row.count("\t") for row in rows} == {2 + 3 * len(motion.skeleton.landmarks)}
-
-
 @pytest.mark.parametrize("ending", ["mot", "sto"])
 def test_header_names_unobserved_joints_and_coordinates(folder: Path, ending: str) -> None:
     head, _ = (folder / f"motion_2.{ending}").read_text().split("endheader")
@@ -170,7 +165,7 @@ def test_ezc3d_reads_points_with_residual_minus_one_in_gaps(folder: Path, motion
 
 
 @pytest.mark.parametrize(("number", "piece"), PIECES)
-def test_another_bvh_reader_finds_the_same_joints(
+def test_another_bvh_reader_agrees(
     folder: Path, motion: MotionSequence, number: int, piece: tuple[int, int]
 ) -> None:
     bvh = pytest.importorskip("bvh", reason="of the extra dev")
@@ -287,9 +282,7 @@ def test_index_describes_every_file(folder: Path, motion: MotionSequence) -> Non
     assert unseen["LeftHandEnd"] == unseen["LeftHand_x"] == 1.0
     assert unseen["LeftToe"] == unseen["LeftLeg_y"] == pytest.approx(10 / 51)
     assert "LeftArm_x" not in unseen
-    for name in ("motion_2.mot", "ros_joint_trajectory_1.json"):
-        assert set(index["files"][name]["left_out"]) == WRIST
-    assert "left_out" not in index["files"]["motion_2.sto"]
+    assert set(index["files"]["motion_2.mot"]["left_out"]) == WRIST
     assert index["dofs"]["RightUpLeg_y"]["opensim"] == "-hip_flexion_r"
     assert index["landmarks"]["RightHeel"] == "RightFoot"
 
@@ -302,9 +295,7 @@ def test_motion_without_gaps_is_one_file_of_each_format(motion: MotionSequence, 
     }  # fmt: skip
 
 
-def test_c3d_that_begins_between_frames_or_before_zero_states_its_offset(
-    motion: MotionSequence, tmp_path: Path
-) -> None:
+def test_c3d_with_any_first_time_states_its_offset(motion: MotionSequence, tmp_path: Path) -> None:
     for start in (0.0252, -3.0, 1.7e9):
         poses = replace(motion.poses, times=start + np.arange(T) / 60)
         folder = tmp_path / str(start)
@@ -337,7 +328,7 @@ def test_bridged_motion_has_nothing_for_opensim(motion: MotionSequence, tmp_path
         write_motion_files(tmp_path, motion[BRIDGED], ["mot"])
 
 
-def test_parquet_without_pyarrow_names_the_extra(
+def test_parquet_needs_pyarrow(
     motion: MotionSequence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)

@@ -94,7 +94,7 @@ def test_confidence_is_read_back_to_single_precision(tmp_path: Path, confident: 
         ({"position_covariance": np.zeros((12, 20, 3, 3))}, "position_covariance: expected shape"),
     ],
 )
-def test_invalid_confidence_is_refused(
+def test_invalid_confidence(
     tmp_path: Path, confident: MotionSequence, changes: dict[str, Any], message: str
 ) -> None:
     write_motion_npz(tmp_path / "motion.npz", confident)

@@ -99,9 +99,7 @@ def test_markers_are_the_landmarks_where_their_joint_is_valid(motion: MotionSequ
 
 @pytest.mark.parametrize("up", UP)
 @pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("cm", 0.01), ("mm", 0.001)])
-def test_tree_reproduces_the_motion_in_any_axes_and_unit(
-    motion: MotionSequence, up: str, unit: str, metres: float
-) -> None:
+def test_tree_reproduces_the_motion(motion: MotionSequence, up: str, unit: str, metres: float) -> None:
     tree = joint_tree(motion, up=up, unit=unit)
     p, R = tree.forward_kinematics()
     np.testing.assert_allclose(p * metres @ UP[up].T, motion.poses.p_world_joint, atol=1e-12)

@@ -10,7 +10,7 @@ from sensor_files import mvnx_text, truth
 
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.formats.sensors import mvnx
-from rtof_kin.formats.sensors.mvnx import is_mvnx, read_mvnx, read_mvnx_file
+from rtof_kin.formats.sensors.mvnx import read_mvnx, read_mvnx_file
 
 TRUTHS = [truth(1, T=6), truth(2, T=6)]
 
@@ -68,17 +68,12 @@ def test_missing_frames_are_a_gap(tmp_path: Path) -> None:
     assert stream.notes == ("2 packets (33.3%) lost in 1 gap, the longest of 0.03 s",)
 
 
-BOMB = """<?xml version="1.0"?><!DOCTYPE mvnx [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;">
-<!ENTITY c "&b;&b;&b;&b;">]><mvnx>&c;</mvnx>"""
-EXTERNAL = '<?xml version="1.0"?><!DOCTYPE mvnx [<!ENTITY x SYSTEM "file:///etc/passwd">]><mvnx>&x;</mvnx>'
 ONE_FRAME = mvnx_text(TRUTHS, frame(0, orientations()))
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (BOMB, "DTDForbidden"),
-        (EXTERNAL, "DTDForbidden"),
         ('<!DOCTYPE mvnx SYSTEM "http://x/y"><mvnx/>', "refused: DTDForbidden"),
         ("<mvnx>", "line 1: broken XML"),
         ("<html><mvnx/></html>", "its root is <html>, not <mvnx>"),
@@ -121,9 +116,7 @@ def test_damaged_and_hostile_files_are_refused(tmp_path: Path, text: str, messag
         f"<a b='{'1' * 120000}'/>",  # one long attribute
     ],
 )
-def test_element_of_unbounded_size_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: str
-) -> None:
+def test_element_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: str) -> None:
     monkeypatch.setattr(mvnx, "LARGEST_FRAME", 2**14)
     with pytest.raises(FileFormatError, match="an element in it is larger"):
         read_mvnx(written(tmp_path, mvnx_text(TRUTHS, frames)))
@@ -142,8 +135,3 @@ def test_frames_are_dropped_after_use(tmp_path: Path, monkeypatch: pytest.Monkey
     path = written(tmp_path, mvnx_text(TRUTHS, "".join(frame(i, orientations()) for i in range(4000))))
     assert path.stat().st_size > 2**18
     assert len(read_mvnx(path).streams[0]) == 4000
-
-
-def test_file_is_recognised_by_its_root() -> None:
-    assert is_mvnx(ONE_FRAME[:200])
-    assert not is_mvnx("<html>")

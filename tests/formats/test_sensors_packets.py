@@ -30,7 +30,7 @@ def ordered(counters: list[float], wrap: int = WRAP_16, late: int = 10) -> Packe
     ],
     ids=["in order", "wrap", "late across a wrap", "repeated"],
 )
-def test_packets_are_sorted_once_each(
+def test_packets_are_sorted(
     counters: list[float], rows: list[int], count: list[int], note: str | None
 ) -> None:
     got = ordered(counters)

@@ -181,12 +181,9 @@ BAD = {
         ["--actions", "Action 1,Acton 0"],
         "unknown action 'Acton 0'. Did you mean 'Action 0'?",
     ),
-    "a camera that is not": (["--cameras", "4"], "unknown camera '4'"),
     "a mode with sensors": (["--modes", "rtof"], "unknown mode without sensors 'rtof'"),
-    "no mode": (["--modes", ""], "modes: none are named"),
     "no lifter": (["--lifter", "{tmp}/none.pt"], "none.pt: no such file; train a lifter"),
     "no archives": (["--root", "{tmp}"], "data_3d_h36m.npz"),
-    "no worker": (["--workers", "0"], "workers: 0"),
 }
 
 

@@ -289,9 +289,7 @@ def noisy(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Outcome:
 
 
 @pytest.mark.slow
-def test_two_processes_and_a_resumed_run_give_the_same_tables(
-    root: Path, tmp_path: Path, noisy: Outcome
-) -> None:
+def test_two_processes_and_a_resumed_run_agree(root: Path, tmp_path: Path, noisy: Outcome) -> None:
     about = protocol(root, noise_px=4.0, seed=3)
     two = run(about, tmp_path, workers=2)
     assert facts_of(two) == facts_of(noisy)
@@ -498,8 +496,6 @@ def test_the_studies_vary_n_and_k_v_alone(monkeypatch: pytest.MonkeyPatch) -> No
 
 BAD = {
     "an unknown subject": (["--subjects", "S1,S6"], "unknown subject 'S6'"),
-    "a misspelt take": (["--takes", "actng3"], "unknown take 'actng3'. Did you mean 'acting3'?"),
-    "a camera that is not": (["--cameras", "1,9"], "unknown camera '9'"),
     "a misspelt sensor": (["--sensors", "L_LowrArm"], "Did you mean 'L_LowArm'?"),
     "an unknown mode": (["--modes", "rtoff"], "unknown mode 'rtoff'"),
     "no mode": (["--modes", ""], "modes: none are named"),
@@ -508,17 +504,13 @@ BAD = {
         ["--keypoints", "{tmp}", "--noise-px", "3"],
         "noise is added to ground-truth 2D only",
     ),
-    "negative noise": (["--noise-px=-1"], "noise_px: -1 is not a standard deviation"),
-    "a negative seed": (["--seed=-1"], "seed: -1 is negative"),
     "no folder of detections": (["--keypoints", "{tmp}/none"], "no such folder of detections"),
     "no lifter": (["--lifter", "{tmp}/none.pt"], "none.pt: no such file; give the path of a trained"),
     "no layout": (["--keypoints", "{tmp}", "--layout", "coco"], "unknown layout 'coco'. Did you mean"),
     "a layout of nothing": (["--layout", "auto"], "layout is that of a detector's points"),
     "no data set": (["--root", "{tmp}/none"], "none: there is no such folder"),
     "an empty data set": (["--root", "{tmp}"], "holds no file of Total Capture"),
-    "a folder for the JSON": (["--json", "{tmp}"], "is a folder; name a file"),
     "a file for the results": (["-o", "{tmp}/file"], "cannot be written"),
-    "no worker": (["--workers", "0"], "workers: 0"),
 }
 
 
@@ -541,9 +533,7 @@ def test_bad_input_is_refused_and_nothing_written(
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_the_example_is_the_command(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_example_is_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     import runpy
     import sys
 

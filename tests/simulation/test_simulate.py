@@ -87,7 +87,7 @@ def test_aligned_samples_equal_the_central_differences_of_the_truth() -> None:
     ("rate_hz", "start", "largest"),
     [(240.0, 0.9, 0.05), (100.0, 0.3, 0.15), (60.0, 0.5, 0.4), (50.0, 0.2, 0.4)],
 )
-def test_samples_at_other_instants_approximate_the_central_differences(
+def test_samples_at_other_instants_approximate_differences(
     rate_hz: float, start: float, largest: float
 ) -> None:
     settings = replace(NOISELESS, imu_rate_hz=rate_hz, imu_start_frames=(start, start))
@@ -230,15 +230,6 @@ def test_outliers_have_their_share_and_duration() -> None:
     assert np.quantile(lengths, 0.95) < 1.1, "two may overlap, rarely"
 
 
-def test_confidence_hardly_correlates_with_the_error() -> None:
-    uv = errors(FIXED, ["Hips"] * 30)
-    confidence = noises.confidences(np.random.default_rng(1), TIMES, uv, FIXED)
-    assert confidence.min() > 0
-    assert confidence.max() <= 1
-    tells = np.corrcoef(confidence.ravel(), np.linalg.norm(uv, axis=-1).ravel())[0, 1]
-    assert -0.3 < tells < -0.02
-
-
 def test_a_person_who_leaves_the_image_is_lost_for_some_time() -> None:
     inside = np.ones((6000, 21), dtype=bool)
     inside[1000:1002] = False  # gone for two frames only
@@ -262,12 +253,8 @@ def test_parameters_are_drawn_anew_for_each_recording() -> None:
     bias = np.array([noise.bias_px for noise in drawn])
     assert np.median(bias) == pytest.approx(6.0, rel=0.06)
     assert np.log(bias).std() == pytest.approx(0.25, rel=0.15)
-    shares = np.array([noise.outlier_share[0] for noise in drawn])
-    assert 0.03 <= shares.min() < 0.031
-    assert 0.049 < shares.max() <= 0.05
     assert KeypointNoise.white(5.0).drawn(np.random.default_rng(0)) == KeypointNoise.white(5.0)
-    noise = ImuNoise().drawn(np.random.default_rng(0))
-    assert noise != ImuNoise()
+    assert ImuNoise().drawn(np.random.default_rng(0)) != ImuNoise()
     assert ImuNoise.perfect().drawn(np.random.default_rng(0)) == ImuNoise.perfect()
     lags = replace(SimulationSettings.realistic(), sensors=())
     assert {simulated(lags, POSES[:20], seed=seed).first_frame for seed in range(20)} == {2, 3, 4}
@@ -323,12 +310,6 @@ def test_soft_tissue_errors_follow_the_motion_and_are_small_at_rest() -> None:
 
     assert size(0.0) < 1e-9
     assert size(0.02) < 0.3 * size(0.5)
-    R = local_motion(0.5)
-    again = R[np.argsort(np.random.default_rng(0).random(len(R)))]
-    first, second = (
-        noises.mounting_errors(np.random.default_rng(0), SLOW, "LeftLeg", axis, M, noise) for M in (R, again)
-    )
-    assert not np.allclose(first, second)
 
 
 def test_the_misalignment_is_two_degrees_per_axis_and_not_in_the_calibration() -> None:
@@ -407,9 +388,7 @@ MOCAP = Path(__file__).parents[1] / "fixtures" / "mocap"
 @pytest.mark.parametrize(
     ("name", "rate_hz", "smooth_hz"), [("02_01_excerpt.bvh", 30.0, 10.0), ("16_15.amc", 3.0, None)]
 )
-def test_a_motion_capture_file_becomes_a_recording(
-    name: str, rate_hz: float, smooth_hz: float | None
-) -> None:
+def test_motion_capture_file_becomes_a_recording(name: str, rate_hz: float, smooth_hz: float | None) -> None:
     def recorded(camera: Camera | int) -> Recording:
         return simulate_file(
             MOCAP / name, settings=SimulationSettings.perfect(), seed=5, camera=camera,
@@ -449,7 +428,7 @@ JITTER = 0.02 * np.random.default_rng(0).normal(size=(120, 1, 3))
     ({}, replace(POSES, p_world_joint=GAP), InvalidInputError, "frame 7 is not complete; cut the motion"),
     ({}, replace(POSES, p_world_joint=POSES.p_world_joint + JITTER), InvalidInputError, "needs `low_passed`"),
 ])  # fmt: skip
-def test_wrong_input_is_refused(
+def test_wrong_input(
     settings: dict[str, tuple[str, ...]], poses: PoseSequence, error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=message):

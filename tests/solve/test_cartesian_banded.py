@@ -136,14 +136,6 @@ def test_energy_gradient_and_hessian_equal_ipopts(name: str) -> None:
         check_numbers(problem, *fragment(problem, seed))
 
 
-@pytest.mark.parametrize("term", range(len(TERMS)))
-def test_weight_of_zero_removes_a_term(term: int) -> None:
-    # One problem serves all weights k: they come with the data, not with the settings.
-    problem = problem_of(CartesianSettings())
-    x, values = fragment(problem)
-    check_numbers(problem, x, values | {"k": values["k"] * (np.arange(len(TERMS)) != term)})
-
-
 def test_binding_replaces_the_previous_fragment() -> None:
     problem = problem_of(CartesianSettings())
     (x, one), (_, two) = fragment(problem, 0), fragment(problem, 1)
@@ -207,27 +199,13 @@ def body_problem(joints: tuple[str, ...], set_: CartesianSettings, frames: int =
     (planted.LIMBS, {"bone_lengths": "weighted"}, 8, 21),
     ((), {"prior": "bones"}, 8, 21),
 ])  # fmt: skip
-def test_bandwidth_is_three_frames_of_the_largest_group(
+def test_bandwidth_is_that_of_the_largest_group(
     joints: tuple[str, ...], change: dict[str, Any], frames: int, group: int
 ) -> None:
     # 27 below the diagonal for the printed energy with eight limb sensors, 189 with lengths.
     banded = body_problem(joints, replace(PRINTED, **change), frames)
     assert banded.at[1].max() == 9 * group
     assert banded._band.shape == (frames * 63, 9 * group + 1)
-
-
-def test_unknowns_are_ordered_by_limb_and_frame() -> None:
-    banded = body_problem(planted.LIMBS, PRINTED)
-    frame, rest = np.divmod(banded.ordered(np.arange(N * 63.0)).astype(int), 63)
-    joint, axis = np.divmod(rest, 3)
-    arm = BODY.index("LeftArm", "LeftForeArm", "LeftHand")
-    leg = BODY.index("RightUpLeg", "RightLeg", "RightFoot")
-    (head,) = BODY.index("Head")
-    for limb in (arm, leg, [head]):
-        at = np.flatnonzero(np.isin(joint, limb))
-        assert at[-1] - at[0] + 1 == len(at) == 3 * N * len(limb)
-        np.testing.assert_array_equal(frame[at], np.repeat(np.arange(N), 3 * len(limb)))
-        np.testing.assert_array_equal(axis[at], np.tile([0, 1, 2], N * len(limb)))
 
 
 @pytest.fixture

@@ -53,14 +53,6 @@ def test_states_and_poses_round_trip(space: StateSpace) -> None:
     np.testing.assert_allclose(quat.log(difference), 0, atol=1e-7)
 
 
-def test_poses_equal_forward_kinematics() -> None:
-    truth = planted.moving(BODY, 10)
-    x = FREE.from_poses(truth.poses.p_world_joint[:, 0], truth.poses.R_world_bone)
-    p, R = FREE.poses(x)
-    np.testing.assert_allclose(p, truth.poses.p_world_joint, atol=1e-12)
-    np.testing.assert_allclose(R, truth.poses.R_world_bone, atol=1e-12)
-
-
 def test_fixed_joints_follow_their_parents() -> None:
     truth = planted.moving(BODY, 6)
     space = StateSpace(BODY, INNER, hinged=False)

@@ -115,6 +115,8 @@ def test_sensor_without_a_place_is_refused(scene: Scene, space: str) -> None:
 def test_start_and_keypoints_need_the_same_times(scene: Scene, solver: FragmentSolver) -> None:
     with pytest.raises(InvalidInputError, match="start and keypoints: must have the same times"):
         solver.solve(scene.start[:20], scene.seen[1:21])
+    with pytest.raises(InvalidInputError, match="start and keypoints: must have the same times"):
+        next(solver.stream(scene.start[:20], scene.seen[1:21]))
 
 
 def test_a_start_with_a_gap_is_refused_with_its_frame(scene: Scene, solver: FragmentSolver) -> None:
@@ -175,11 +177,6 @@ def test_unknown_landmarks_only_are_refused(scene: Scene, solver: FragmentSolver
     strangers = replace(scene.seen, names=tuple(f"point {i}" for i in range(21)))
     with pytest.raises(SolverError, match="keypoints: none of the landmarks is "):
         solver.solve(scene.start, strangers)
-
-
-def test_stream_checks_its_input_first(scene: Scene, solver: FragmentSolver) -> None:
-    with pytest.raises(InvalidInputError, match="start and keypoints: must have the same times"):
-        next(solver.stream(scene.start[:20], scene.seen[1:21]))
 
 
 @pytest.mark.parametrize("frames", [1, 4, 11])
@@ -248,17 +245,6 @@ def test_unobserved_recording_is_solved_and_reported(scene: Scene, solver: Fragm
     assert {f.status for f in out.fragments} == {SolverStatus.UNOBSERVED}
     with_sensors = solver.solve(scene.start, blind, scene.imus)
     assert SolverStatus.UNOBSERVED not in {f.status for f in with_sensors.fragments}
-
-
-@pytest.mark.parametrize("frames", [1, 7])
-def test_recording_shorter_than_a_fragment_is_solved(
-    scene: Scene, solver: FragmentSolver, frames: int
-) -> None:
-    given = scene.start[:frames], scene.seen[:frames], scene.imus[:frames]
-    out = FragmentSolver(BODY, 12, solver.settings).solve(*given)
-    assert [f.first_frame for f in out.fragments] == [-6, 0] + ([6] if frames > 6 else [])
-    p, p_true = out.poses.p_world_joint, scene.truth.poses.p_world_joint[:frames]
-    assert planted.root_relative_mm(p, p_true) < 50
 
 
 def test_initial_guess_may_be_given_instead_of_poses(scene: Scene, solver: FragmentSolver) -> None:

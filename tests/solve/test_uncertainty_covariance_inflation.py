@@ -68,7 +68,7 @@ def test_a_covariance_is_scaled_on_both_sides_and_gets_a_floor() -> None:
         (("Hips", "LeftUpLeg", "LeftLeg"), 2, 3, [3, 3]),
     ],
 )
-def test_class_depends_on_the_sensors(
+def test_class_by_sensors(
     sensors: tuple[str, ...], position: float, relative: float, turns: list[float]
 ) -> None:
     found = inflation().apply(confidence(), ResidualStatistics(sensors))
