@@ -46,9 +46,6 @@ def read(tmp_path: Path, camera: Camera) -> Any:
     return of
 
 
-# --- where it lies -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "name",
     [
@@ -116,9 +113,6 @@ def test_unseen_points_have_no_value_or_no_confidence(tmp_path: Path, read: Any)
     found = read()
     assert set(map(tuple, np.argwhere(~found.seen).tolist())) == {(2, 3)}
     assert set(np.unique(found.confidence)) == {0.0, 1.0}
-
-
-# --- what is wrong -------------------------------------------------------------------------------
 
 
 def test_missing_and_contradicting_files_are_refused(tmp_path: Path, camera: Camera, read: Any) -> None:
@@ -191,9 +185,6 @@ def test_wrong_names_of_landmarks_are_refused(tmp_path: Path, read: Any) -> None
     (tmp_path / "S5_acting3_cam1.csv").write_text("left_hip_u_px,left_hip_v_px\n1,2\n")
     with pytest.raises(UnknownNameError, match="name of their layout.*left_hip"):
         read()
-
-
-# --- a detector's own files ----------------------------------------------------------------------
 
 
 def test_points_of_a_layout_are_converted_to_landmarks(tmp_path: Path) -> None:

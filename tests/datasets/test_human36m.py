@@ -89,7 +89,6 @@ def test_the_archives_32_joints_have_the_places_that_human36m_gives_them() -> No
 def test_a_recording_has_keypoints_truth_and_labels(root: Path, truth: files.Positions) -> None:
     for camera in range(4):
         recording = Human36M(root).recording("S9", "Action 1", camera)
-        assert recording.truth is not None
         seen = recording.video.camera.project(recording.truth.p_world_joint)
         error_px = np.linalg.norm(seen - recording.video.uv_px, axis=-1)
         assert error_px.max() < 0.3  # Human3.6M's formula of distortion differs from OpenCV's
@@ -102,7 +101,6 @@ def test_a_recording_has_keypoints_truth_and_labels(root: Path, truth: files.Pos
     assert recording.video.names == SKELETON.names
     assert (recording.video.confidence == 1).all()
     np.testing.assert_allclose(recording.video.times, np.arange(30) / RATE_HZ, atol=1e-12)
-    assert recording.truth is not None
     np.testing.assert_array_equal(recording.truth.p_world_joint, truth["S9"]["Action 1"])
     assert recording.truth.valid.all()
     observed = recording.truth.orientation_observed[0]
@@ -114,14 +112,12 @@ def test_orientations_and_offsets_reproduce_the_positions(root: Path) -> None:
     for subject, action in data.sequences:
         recording = data.recording(subject, action, 0)
         poses, offsets = recording.truth, recording.joint_offsets
-        assert poses is not None
         p = kinematics.positions(SKELETON.parents, offsets, poses.p_world_joint[:, 0], poses.R_world_bone)
         np.testing.assert_allclose(p, poses.p_world_joint, atol=2e-6)
 
 
 def test_truth_and_detections_are_cut_to_the_shorter(root: Path, own: tuple[Path, files.Positions]) -> None:
     recording = Human36M(root, keypoints="cpn_ft_h36m_dbb").recording("S9", "Action 0", 3)
-    assert recording.truth is not None
     assert len(recording.video) == len(recording.truth) == 30
     seen = recording.video.camera.project(recording.truth.p_world_joint)
     assert 7 < np.median(np.linalg.norm(seen - recording.video.uv_px, axis=-1)) < 12  # 8 px per axis
@@ -131,7 +127,6 @@ def test_truth_and_detections_are_cut_to_the_shorter(root: Path, own: tuple[Path
     sides = (list(files.METADATA["keypoints_symmetry"][0]), files.METADATA["keypoints_symmetry"][1])  # type: ignore[index]
     files.write_keypoints(folder, entries, "gt", {"num_joints": np.int64(17), "keypoints_symmetry": sides})
     recording = Human36M(folder).recording("S9", "Action 0", 0)
-    assert recording.truth is not None
     assert (len(recording.video), len(recording.truth)) == (7, 7)
     assert len(Human36M(folder).motion("S9", "Action 0").p_world_joint) == 12
 
@@ -145,7 +140,6 @@ def test_values_that_are_not_finite_are_missing(own: tuple[Path, files.Positions
     files.write_keypoints(root, entries)
     files.write_positions(root, positions)
     recording = Human36M(root).recording("S9", "Action 0", 0)
-    assert recording.truth is not None
     assert np.argwhere(recording.keypoints.confidence == 0).tolist() == [[2, 5]]
     assert np.isnan(recording.keypoints.uv_px[2, 5]).all()
     assert np.argwhere(~recording.truth.valid).tolist() == [[4, 8], [5, 8]]

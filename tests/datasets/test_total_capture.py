@@ -83,9 +83,7 @@ def test_the_truth_is_read_in_link_axes_of_a_z_up_world(take: Take) -> None:
 
 
 def test_sensors_and_their_calibration_give_orientation_and_acceleration_of_bones(take: Take) -> None:
-    assert take.imus is not None
     found, planted = take.calibration, support.take().calibration
-    assert found is not None
     assert set(found.sensors) == set(planted.sensors)
     planted = planted.select(found.sensors)
     assert found.joints == planted.joints
@@ -124,17 +122,14 @@ def test_a_recording_has_the_projected_joints_and_the_sensors_asked_for(take: Ta
     assert recording.video.names == NAMES
     assert recording.name == "S5 acting3 cam3"
     assert "Trumble" in recording.acknowledgement
-    assert recording.truth is not None
     np.testing.assert_array_equal(recording.joint_offsets, take.joint_offsets)
     bones = recording.bone_imus()
-    assert bones is not None
     assert bones.joints == ("LeftForeArm", "Hips")
     assert len(bones) == len(recording.video)
     recording.save(tmp_path / "saved")
     again = type(recording).load(tmp_path / "saved")
     np.testing.assert_array_equal(again.video.uv_px, recording.video.uv_px)
     whole = take.recording(1).imus
-    assert whole is not None
     assert len(whole.names) == 13
 
 
@@ -175,7 +170,6 @@ def test_detections_of_camera_2_fail_the_reprojection_check(take: Take, detected
     assert bad.value > bad.limit == 20
     short = take.recording(1, found[1][:50])  # a video that ends early
     assert len(short.video) == 50
-    assert short.truth is not None
     assert len(short.truth) == 50
     assert short.bone_imus() is not None
     for times in (found[1].times * 2, found[1].times + 0.5):
@@ -254,7 +248,6 @@ def test_a_body_in_another_unit_fails_the_check_of_its_height(take: Take, unit: 
 
 
 def test_scaled_acceleration_fails_the_check_of_its_sensor(take: Take) -> None:
-    assert take.imus is not None
     f = np.array(take.imus.f_sensor)
     f[:, 0] *= 1.1
     (bad,) = failed(check_take(replace(take, imus=replace(take.imus, f_sensor=f))))
@@ -269,11 +262,7 @@ def test_scaled_acceleration_fails_the_check_of_its_sensor(take: Take) -> None:
 def same(one: Take, two: Take) -> None:
     np.testing.assert_array_equal(one.truth.p_world_joint, two.truth.p_world_joint)
     np.testing.assert_array_equal(one.truth.R_world_bone, two.truth.R_world_bone)
-    assert one.imus is not None
-    assert two.imus is not None
     np.testing.assert_array_equal(one.imus.f_sensor, two.imus.f_sensor)
-    assert one.calibration is not None
-    assert two.calibration is not None
     np.testing.assert_array_equal(one.calibration.R_sensor_bone, two.calibration.R_sensor_bone)
     assert set(one.cameras) == set(two.cameras)
 
@@ -485,7 +474,6 @@ def test_zero_acceleration_and_the_first_frames_are_unknown(tmp_path: Path, path
     f[:, imus.names.index("R_UpLeg")] = 0.0
     files.write_sensors(paths["sensors"], imus_without_check(imus, f))
     found = TotalCapture(tmp_path).take(*ONE)
-    assert found.imus is not None
     s = found.imus.names.index("R_UpLeg")
     assert np.isnan(found.imus.f_sensor[:, s]).all()
     assert np.isnan(found.imus.f_sensor[:10]).all()
@@ -518,7 +506,6 @@ def test_short_sensor_data_are_padded(short: int, tmp_path: Path, paths: dict[st
     assert f"{whole - short} frames" in said(found)
     assert len(found.truth) == whole
     bones = found.recording(1).bone_imus()
-    assert bones is not None
     assert np.isfinite(bones.R_world_bone[: whole - short]).all()
     assert np.isnan(bones.R_world_bone[whole - short :]).all()
 
@@ -552,7 +539,6 @@ def test_a_sensor_without_calibration_is_left_out(tmp_path: Path, paths: dict[st
     rows[0] = "12\n"
     paths["ref"].write_text("".join(rows))
     found = TotalCapture(tmp_path).take(*ONE)
-    assert found.imus is not None
     assert len(found.imus.names) == 12
     assert "L_Foot" not in found.imus.names
     assert "L_Foot" in said(found)
@@ -598,16 +584,11 @@ def test_a_sensor_written_by_hand_gives_its_bone_and_no_acceleration(tmp_path: P
     found = TotalCapture(tmp_path).take("S1", "walking1")
     quarter = so3.about_axis("z", np.pi / 2)
     np.testing.assert_allclose(found.truth.R_world_bone[:, 0], np.tile(quarter, (T, 1, 1)), atol=1e-5)
-    assert found.imus is not None
-    assert found.calibration is not None
     bones = found.calibration.apply(found.imus)
     assert bones.joints == ("Hips",)
     np.testing.assert_allclose(bones.R_world_bone[:, 0], np.tile(quarter, (T, 1, 1)), atol=1e-5)
     np.testing.assert_allclose(bones.a_world[10:, 0], 0, atol=1e-4)
     assert any("not in s1_walking1_Xsens.sensors: Head, Sternum" in note for note in found.notes)
-
-
-# --- checks --------------------------------------------------------------------------------------
 
 
 def test_camera_2_fails_its_check_without_keypoints(take: Take) -> None:
@@ -621,7 +602,6 @@ def test_camera_2_fails_its_check_without_keypoints(take: Take) -> None:
 
 
 def test_a_slipped_sensor_is_distinguished_from_the_calibration_of_another_take(take: Take) -> None:
-    assert take.calibration is not None
     R = np.array(take.calibration.R_sensor_bone)
     turn = so3.about_axis("x", np.radians(30))
     R[4] = R[4] @ turn
@@ -647,9 +627,6 @@ def test_bones_of_a_take_without_orientations_are_checked_by_their_length(tmp_pa
     assert any(
         "bone lengths" in check.name for check in failed(check_take(TotalCapture(tmp_path).take(*ONE)))
     )
-
-
-# --- refusals ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("options", "error", "message"), [

@@ -201,9 +201,6 @@ def test_inconsistent_motion_is_refused(field, value, says):
         ArticulatedMotion(**GOOD).index("c")
 
 
-# --- writing -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("order", ["zxy", "xzy", "yxz"])
 def test_written_motion_is_read_back(tmp_path, order):
     motion = read_bvh(EXCERPT)[:20]

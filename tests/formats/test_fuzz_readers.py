@@ -81,9 +81,6 @@ def test_damaged_file_is_refused_by_name_or_read_as_something_valid(reader: Read
     assert reader.read(tmp_path) is not None
 
 
-# --- files made to do harm -----------------------------------------------------------------------
-
-
 class Canary:
     """Leaves a file where it is unpickled."""
 

@@ -43,9 +43,6 @@ def messages(folder: Path, motion: MotionSequence) -> tuple[dict[str, Any], dict
     return json.loads(joints.read_text()), json.loads(base.read_text())
 
 
-# --- velocities ----------------------------------------------------------------------------------
-
-
 def test_velocities_are_central_differences_on_the_manifold(motion: MotionSequence) -> None:
     v = joint_velocities(BODY, motion.q, motion.times)
     assert v.shape == (T, BODY.nv)
@@ -62,9 +59,6 @@ def test_velocities_use_the_times_given(times: list[float], expected: list[float
     q[:, 7] = [0.0, 0.1, 0.4]
     v = joint_velocities(BODY, q[: len(times)], np.array(times))
     np.testing.assert_allclose(v[:, 6], expected)
-
-
-# --- CSV -----------------------------------------------------------------------------------------
 
 
 def test_written_table_is_read_back(table: Path, motion: MotionSequence) -> None:
@@ -103,9 +97,6 @@ def test_other_table_is_refused_with_its_name(tmp_path: Path, text: str) -> None
     (tmp_path / "walk.csv").write_text(text)
     with pytest.raises(FileFormatError, match=r"walk\.csv"):
         read_joint_trajectory_csv(tmp_path / "walk.csv")
-
-
-# --- ROS -----------------------------------------------------------------------------------------
 
 
 def test_messages_have_angles_velocities_and_root_pose(tmp_path: Path, motion: MotionSequence) -> None:

@@ -89,9 +89,6 @@ def test_existing_file_and_folder_as_path_are_refused(write, markers: MarkerSequ
         write(tmp_path / "other", markers, up="w")
 
 
-# --- TRC -----------------------------------------------------------------------------------------
-
-
 def test_trc_is_read_by_its_header(tmp_path: Path) -> None:
     markers = read_trc(written(tmp_path, TRC))
     assert markers.names == ("Left heel", "C7")
@@ -167,9 +164,6 @@ def test_invalid_trc_and_arguments_are_refused(markers: MarkerSequence, tmp_path
     odd = MarkerSequence(markers.times, ("a\tb", "c", "d"), markers.p_world)
     with pytest.raises(InvalidInputError, match="a tab"):
         write_trc(tmp_path / "a.trc", odd)
-
-
-# --- C3D -----------------------------------------------------------------------------------------
 
 
 def test_c3d_of_more_markers_than_one_parameter_can_name(tmp_path: Path) -> None:

@@ -78,8 +78,6 @@ def test_written_motion_is_read_back(path: Path, motion: MotionSequence) -> None
 def test_confidence_is_read_back_to_single_precision(tmp_path: Path, confident: MotionSequence) -> None:
     write_motion_npz(tmp_path / "motion.npz", confident)
     given, read = confident.confidence, read_motion_npz(tmp_path / "motion.npz").motion().confidence
-    assert given is not None
-    assert read is not None
     assert (read.pairs, read.names) == (given.pairs, given.names)
     for field in ("position_covariance", "relative_covariance", "turn_covariance"):
         np.testing.assert_allclose(getattr(read, field), getattr(given, field), rtol=1e-6)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from rtof_kin.body.skeleton import MotionSequence
@@ -22,16 +20,6 @@ def test_columns_have_different_names_and_a_row_per_frame(motion: MotionSequence
     assert {column.unit for column in columns} == {"s", "m", "1", "rad", ""}
     hip = columns[names.index("RightUpLeg_y")]
     assert hip.also == {"clinical": "-right hip flexion", "opensim": "-hip_flexion_r"}
-
-
-def test_foot_of_unobserved_orientation_is_not_valid_but_its_joint_is(motion: MotionSequence) -> None:
-    observed = np.array(motion.poses.orientation_observed)
-    observed[:, motion.poses.names.index("RightFoot")] = False
-    motion = replace(motion, poses=replace(motion.poses, orientation_observed=observed))
-    columns = {column.name: column for column in motion_columns(motion)}
-    wrong = {n for n, c in columns.items() if n.endswith("_valid") and not c.values.any()}
-    points = ("RightFoot_y", "RightFoot_x", "RightFoot_z", "RightHeel", "RightToe", "RightToeBase")
-    assert wrong == {f"{name}_valid" for name in points}
 
 
 @pytest.mark.parametrize("write", [write_motion_csv, write_motion_parquet])

@@ -123,7 +123,6 @@ def test_recording_takes_its_camera_from_a_file(table: dict[str, object], tmp_pa
     content = tomllib.loads(index.read_text()) | {"camera": {"file": "camera.yml", **table}}
     index.write_text(tomli_w.dumps(content))
     keypoints = Recording.load(tmp_path / "take").keypoints
-    assert keypoints is not None
     unit = float(table.get("metres_per_unit", 1.0))  # type: ignore[arg-type]
     np.testing.assert_allclose(keypoints.camera.t_camera_world, TVEC * unit)
     index.write_text(tomli_w.dumps(content | {"camera": {"file": "camera.yml", "width_px": 9}}))

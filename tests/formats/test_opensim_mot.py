@@ -14,8 +14,6 @@ from rtof_kin.core.errors import InvalidInputError, OutputExistsError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.opensim_mot import coordinate_values, coordinates, write_mot, write_sto
 
-# --- coordinates ---------------------------------------------------------------------------------
-
 
 def values_of(skeleton: SkeletonModel, q: np.ndarray | None = None, **angles: float) -> dict[str, float]:
     """Coordinates of a configuration, by default the T-pose with some revolutes turned, rad."""
@@ -83,9 +81,6 @@ def test_duplicate_name_is_refused(skeleton: SkeletonModel) -> None:
     table = replace(skeleton.table, joints=tuple(joints))
     with pytest.raises(InvalidInputError, match="lumbar_bending"):
         coordinates(table)
-
-
-# --- files ---------------------------------------------------------------------------------------
 
 
 def read(path: Path) -> tuple[list[str], list[str], np.ndarray]:

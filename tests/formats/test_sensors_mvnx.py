@@ -38,7 +38,6 @@ def test_sensors_segments_and_calibration_poses(tmp_path: Path) -> None:
     assert list(content.poses) == ["tpose"]
     np.testing.assert_array_equal(content.poses["tpose"].quat_wxyz, [[1, 0, 0, 0]])
     assert content.poses["tpose"].p_world is None
-    assert content.p_world_segment is not None
     np.testing.assert_allclose(content.p_world_segment[:, 0, 2], np.arange(6) / 100)
     log = read_mvnx(path)
     assert log.notes == ("calibration poses (tpose) are no samples; see read_mvnx_file",)

@@ -37,9 +37,6 @@ def free(one: Truth, names: str = "XYZ") -> str:
     return text
 
 
-# --- MT Manager ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("orientation", ["Quat", "Mat", "Euler"])
 @pytest.mark.parametrize("delimiter", ["\t", ";", ","])
 def test_mt_every_orientation_and_separator(tmp_path: Path, orientation: str, delimiter: str) -> None:
@@ -137,7 +134,6 @@ def test_mt_missing_matrix_is_nan_and_another_matrix_an_error(tmp_path: Path) ->
         return mt(tmp_path, "\n".join([*lines[:6], "\t".join(row), *lines[7:]]))
 
     (stream,) = read_xsens_mt([with_row([*cells[:10], *[""] * 9])]).streams
-    assert stream.R_inertial_sensor is not None
     missing = np.isnan(stream.R_inertial_sensor).all(axis=(1, 2))
     np.testing.assert_array_equal(missing, np.arange(20) == 3)
     with pytest.raises(FileFormatError, match="00B40001: the matrix of sample 3"):
@@ -148,9 +144,6 @@ def test_mt_free_acceleration_needs_an_orientation(tmp_path: Path) -> None:
     rows = [line.split("\t")[:10] for line in free(ONE).splitlines()]
     with pytest.raises(FileFormatError, match="orientation"):
         read_xsens_mt([mt(tmp_path, "\n".join("\t".join(row) for row in rows))])
-
-
-# --- DOT -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("raw", [False, True])

@@ -36,9 +36,6 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
-# --- joints --------------------------------------------------------------------------------------
-
-
 def test_written_positions_and_orientations_are_read(paths: dict[str, Path]) -> None:
     poses = support.motion()
     positions = read_joints(paths["positions"], 3)
@@ -78,9 +75,6 @@ def test_invalid_joint_tables_are_refused_with_their_line(paths: dict[str, Path]
     write(paths["positions"], "".join(rows))
     with pytest.raises(FileFormatError, match="line 5: .*1,25"):
         read_joints(paths["positions"], 3)
-
-
-# --- sensors -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["sensors", "aux"])
@@ -132,17 +126,6 @@ def test_invalid_sensors_file_is_refused(
         read_sensors(paths["sensors"])
 
 
-def test_missing_columns_are_an_error_with_the_line(paths: dict[str, Path]) -> None:
-    rows = support.lines(paths["sensors"])
-    rows[20] = "\t".join(rows[20].split("\t")[:6]) + "\n"
-    write(paths["sensors"], "".join(rows))
-    with pytest.raises(FileFormatError, match="line 21"):
-        read_sensors(paths["sensors"])
-
-
-# --- calibration of the IMUs ---------------------------------------------------------------------
-
-
 def test_calibration_by_hand_is_x_y_z_w(tmp_path: Path) -> None:
     text = "2\r\nHead -0.698693 -0.000693276 0.030256 0.714781 \r\n\r\nPelvis\t0 0 0 1\r\n"
     found = read_imu_calibration(write(tmp_path / "ref.txt", text))
@@ -168,9 +151,6 @@ def test_calibration_by_hand_is_x_y_z_w(tmp_path: Path) -> None:
 def test_invalid_calibration_is_refused(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=rf"ref.txt.*{message}"):
         read_imu_calibration(write(tmp_path / "ref.txt", text))
-
-
-# --- cameras -------------------------------------------------------------------------------------
 
 
 def test_written_cameras_are_read_in_the_files_world(paths: dict[str, Path]) -> None:
@@ -222,9 +202,6 @@ def test_camera_by_hand(tmp_path: Path) -> None:
 def test_invalid_camera_file_is_refused(changed: dict[str, str], message: str, tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=f"c.cal.*({message})"):
         read_cameras(write(tmp_path / "c.cal", one_camera(**changed)))
-
-
-# --- all of them ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", READERS)

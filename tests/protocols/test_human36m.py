@@ -65,9 +65,6 @@ def table_of(about: Human36MProtocol, outcome: Outcome) -> dict[str, Table]:
     return {table.name: table for table in all_tables(about, outcome)}
 
 
-# --- by hand -------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def measured(root: Path, lifter: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One action of each subject in both modes by the command, with everything it can write."""
@@ -151,9 +148,6 @@ def test_means_are_over_the_frames_of_all_actions(root: Path, lifter: Path, tmp_
     assert usual.settings()["lifter_sha256"] == hashlib.sha256(perfect).hexdigest()
 
 
-# --- what is damaged or not there ----------------------------------------------------------------
-
-
 def test_damaged_actions_and_absent_subjects_are_reported(lifter: Path, tmp_path: Path) -> None:
     positions: dict[str, dict[str, Any]] = dict(archive(tmp_path, ("S9",)))
     positions["S9"] = positions["S9"] | {"Action 0": np.zeros((30, 5))}
@@ -172,8 +166,6 @@ def test_damaged_actions_and_absent_subjects_are_reported(lifter: Path, tmp_path
     with pytest.raises(FileFormatError, match="has no action by S11"):
         protocol(tmp_path, lifter, subjects=("S11",)).jobs()
 
-
-# --- bad input -----------------------------------------------------------------------------------
 
 BAD = {
     "an unknown subject": (["--subjects", "S2"], "unknown subject 'S2'"),

@@ -187,13 +187,10 @@ def test_the_default_protocol_is_that_of_the_paper() -> None:
     assert usual.cameras == CAMERAS == (1, 3, 4, 5, 6, 7, 8)
     assert set(usual.modes) == set(MODES)
     assert len(usual.jobs()) == 15 * (7 + 1)
-    left_out = {"Spine1", "Spine2", "Spine3", "RightShoulder", "LeftShoulder"}
     assert len(set(SIXTEEN)) == len(SIXTEEN) == 16
-    assert set(NAMES) - set(SIXTEEN) == left_out
     known = SkeletonModel.default().sensors
     for count, sensors in SENSOR_SETS.items():
-        assert len(set(sensors)) == len(sensors) == int(count)
-        assert set(sensors) <= set(known)
+        assert len(set(sensors) & set(known)) == len(sensors) == int(count)
     joints = {known[sensor][0] for sensor in usual.sensors}
     assert joints == {f"{side}{limb}" for side in ("Left", "Right")
                       for limb in ("Arm", "ForeArm", "UpLeg", "Leg")}  # fmt: skip

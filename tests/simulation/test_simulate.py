@@ -51,13 +51,8 @@ def sensor_accelerations(poses: PoseSequence, sensors: tuple[str, ...]) -> Array
     return np.asarray((p[2:] - 2 * p[1:-1] + p[:-2]) * poses.rate_hz**2)
 
 
-# --- without noise -------------------------------------------------------------------------------
-
-
 def test_without_noise_the_calibrated_orientation_is_that_of_the_bones() -> None:
     recording = simulated(replace(NOISELESS, sensors=ALL_SENSORS))
-    assert recording.imus is not None
-    assert recording.calibration is not None
     bones = recording.calibration.apply(recording.imus)
     truth = POSES.R_world_bone[:, SKELETON.index(*bones.joints)]
     assert np.abs(bones.R_world_bone - truth).max() < 1e-12
@@ -66,8 +61,6 @@ def test_without_noise_the_calibrated_orientation_is_that_of_the_bones() -> None
 def test_a_sensor_at_rest_reads_one_gravity_upwards() -> None:
     recording = simulated(NOISELESS, planted.standing(SKELETON, 30).poses)
     imus, calibration = recording.imus, recording.calibration
-    assert imus is not None
-    assert calibration is not None
     f_inertial = np.einsum("tsij,tsj->tsi", imus.R_inertial_sensor, imus.f_sensor)
     np.testing.assert_allclose(f_inertial, np.broadcast_to(-GRAVITY_WORLD, f_inertial.shape), atol=1e-9)
     assert np.ptp(imus.f_sensor[0], axis=0).max() > 1, "every sensor is mounted in another way"
@@ -78,7 +71,6 @@ def test_a_sensor_at_rest_reads_one_gravity_upwards() -> None:
 
 def test_aligned_samples_equal_the_central_differences_of_the_truth() -> None:
     bones = simulated(NOISELESS).bone_imus()
-    assert bones is not None
     error = bones.a_world[1:-1] - sensor_accelerations(POSES, LIMB_SENSORS)
     assert np.abs(error).max() < 1e-8
 
@@ -93,8 +85,6 @@ def test_samples_at_other_instants_approximate_differences(
     settings = replace(NOISELESS, imu_rate_hz=rate_hz, imu_start_frames=(start, start))
     recording = simulated(settings)
     bones = recording.bone_imus()
-    assert recording.imus is not None
-    assert bones is not None
     np.testing.assert_allclose(recording.imus.times[0], POSES.times[0] + start / rate_hz)
     np.testing.assert_allclose(np.diff(recording.imus.times), 1 / rate_hz)
     expected = sensor_accelerations(POSES, LIMB_SENSORS)
@@ -140,7 +130,6 @@ def test_a_late_video_shows_earlier_instants() -> None:
     recording = simulated(replace(NOISELESS, video_lag_frames=(3.0, 3.0)))
     uv = CAMERA.project(POSES.p_world_joint)
     assert recording.first_frame == 3
-    assert recording.truth is not None
     np.testing.assert_array_equal(recording.joint_offsets, SKELETON.joint_offsets)
     np.testing.assert_array_equal(recording.keypoints.times, POSES.times[3:])
     np.testing.assert_array_equal(recording.truth.times, POSES.times[3:])
@@ -151,12 +140,7 @@ def test_a_late_video_shows_earlier_instants() -> None:
     np.testing.assert_allclose(between.uv_px, middle, atol=0.3)
 
 
-# --- determinism ---------------------------------------------------------------------------------
-
-
 def everything(recording: Recording) -> Array:
-    assert recording.imus is not None
-    assert recording.calibration is not None
     parts = (recording.keypoints.uv_px, recording.keypoints.confidence, recording.imus.times,
              recording.imus.R_inertial_sensor, recording.imus.f_sensor,
              recording.calibration.R_sensor_bone, recording.calibration.R_world_inertial)  # fmt: skip
@@ -173,16 +157,12 @@ def test_equal_seeds_give_equal_recordings() -> None:
 def test_a_subset_of_the_sensors_has_the_same_errors_as_the_whole_set() -> None:
     whole = simulated(replace(SimulationSettings.perfect(), sensors=ALL_SENSORS))
     few = simulated(replace(SimulationSettings.perfect(), sensors=("R_LowLeg", "Pelvis")))
-    assert whole.imus is not None
-    assert few.imus is not None
     assert few.imus.names == ("R_LowLeg", "Pelvis")
     np.testing.assert_array_equal(whole.imus.select(few.imus.names).f_sensor, few.imus.f_sensor)
     np.testing.assert_array_equal(
         whole.imus.select(few.imus.names).R_inertial_sensor, few.imus.R_inertial_sensor
     )
 
-
-# --- noise of the keypoints ----------------------------------------------------------------------
 
 TIMES = np.arange(6000) / 60
 FIXED = replace(KeypointNoise(), parameter_spread=0.0)
@@ -260,8 +240,6 @@ def test_parameters_are_drawn_anew_for_each_recording() -> None:
     assert {simulated(lags, POSES[:20], seed=seed).first_frame for seed in range(20)} == {2, 3, 4}
 
 
-# --- noise of the IMUs ---------------------------------------------------------------------------
-
 SLOW = np.arange(2000) / 10
 FIXED_IMU = replace(ImuNoise(), parameter_spread=0.0)
 
@@ -290,7 +268,6 @@ def test_slip_turns_the_sensor_and_keeps_the_acceleration() -> None:
     along = []
     for seed in range(8):
         bones = simulated(settings, seed=seed).bone_imus()
-        assert bones is not None
         truth = POSES.R_world_bone[:, SKELETON.index("RightForeArm")]
         error = so3.log(np.swapaxes(truth, -1, -2) @ bones.R_world_bone)
         along.append((error[..., 1] ** 2).sum() / (error**2).sum())
@@ -318,7 +295,6 @@ def test_the_misalignment_is_two_degrees_per_axis_and_not_in_the_calibration() -
     found = []
     for seed in range(12):
         bones = simulated(settings, POSES[:8], seed=seed).bone_imus()
-        assert bones is not None
         truth = POSES.R_world_bone[:8, SKELETON.index(*bones.joints)]
         error = np.degrees(so3.log(np.swapaxes(truth, -1, -2) @ bones.R_world_bone))
         assert np.ptp(error, axis=0).max() < 1e-6, "constant"
@@ -341,9 +317,6 @@ def test_accelerometer_errors_have_white_coloured_and_constant_parts() -> None:
     error = noises.accelerometer_errors(rng, TIMES, still, coloured)
     assert error.std() == pytest.approx(0.5, rel=0.15)
     assert correlation_of(error, 12) == pytest.approx(np.exp(-1), abs=0.1)
-
-
-# --- cameras and motion --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -399,9 +372,7 @@ def test_motion_capture_file_becomes_a_recording(name: str, rate_hz: float, smoo
     for recording in recordings:
         assert recording.name == Path(name).stem
         assert recording.acknowledgement == "CMU"
-        assert recording.truth is not None
         assert recording.truth.rate_hz == pytest.approx(rate_hz)
-        assert recording.imus is not None
         assert np.median(np.diff(recording.imus.times)) == pytest.approx(1 / 60)
         assert np.median(np.linalg.norm(recording.imus.f_sensor, axis=-1)) < 20
         seen = recording.keypoints.camera.project(recording.truth.p_world_joint)
@@ -412,8 +383,6 @@ def test_motion_capture_file_becomes_a_recording(name: str, rate_hz: float, smoo
     with pytest.raises(UnknownNameError, match=r"standard camera '4'\. Known: 0, 1, 2, 3"):
         recorded(4)
 
-
-# --- wrong input ---------------------------------------------------------------------------------
 
 GAP = np.where(np.arange(120)[:, None, None] == 7, np.nan, POSES.p_world_joint)
 JITTER = 0.02 * np.random.default_rng(0).normal(size=(120, 1, 3))

@@ -162,26 +162,18 @@ def test_hessian_is_exact_for_linear_residuals() -> None:
     problem = problem_of(SETTINGS["plain squares, no visual"])
     X, values = fragment(problem, seed=2)
     p = problem.pack(values)
-
-    def gradient(x: Array) -> Array:
-        return np.array(problem.gradient(x, p)).ravel()
-
-    H, peer = hessian(problem, flat(X), p), central_differences(gradient, flat(X), 1e-5)
+    peer = central_differences(lambda x: np.array(problem.gradient(x, p)).ravel(), flat(X), 1e-5)
+    H = hessian(problem, flat(X), p)
     np.testing.assert_allclose(H, peer, atol=1e-6 * np.abs(peer).max())
 
 
 def test_visual_hessian_is_exact_for_zero_residuals_and_positive() -> None:
     problem = problem_of(CartesianSettings(k_I=0.0, bone_lengths="free"))
     X, values = fragment(problem, seed=3)
-    p = problem.pack(values)
-    assert np.linalg.eigvalsh(hessian(problem, flat(X), p)).min() > 0
+    assert np.linalg.eigvalsh(hessian(problem, flat(X), problem.pack(values))).min() > 0
     values["uv_px"] = planted.camera().project(X).reshape(-1, 2).T
     p = problem.pack(values)
-
-    def gradient(x: Array) -> Array:
-        return np.array(problem.gradient(x, p)).ravel()
-
-    peer = central_differences(gradient, flat(X), 1e-6)
+    peer = central_differences(lambda x: np.array(problem.gradient(x, p)).ravel(), flat(X), 1e-6)
     np.testing.assert_allclose(hessian(problem, flat(X), p), peer, atol=1e-5 * np.abs(peer).max())
 
 

@@ -57,7 +57,6 @@ class Both:
         self.built, self._plain, self._simd = KINDS[kind](), {}, {}  # type: ignore[var-annotated]
         self.limits = Limits(self.built.space)
         functions = SimdFunctions.compiled(self.built.energy, js.DELTA_ACCELERATION)
-        assert functions is not None
         self.functions = functions
 
     def problems(self, frames: int) -> tuple[JointProblem, SimdProblem]:

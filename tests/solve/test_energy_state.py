@@ -109,17 +109,6 @@ def test_steps_lead_from_each_state_to_the_next(space: StateSpace) -> None:
     np.testing.assert_allclose(same, 1.0, atol=1e-13)
 
 
-def test_hinges_and_unit_norms_are_kept_over_many_steps() -> None:
-    x = random_states(BENT, 1)
-    for seed in range(200):
-        x = BENT.retract(x, np.random.default_rng(seed).normal(size=(1, BENT.size)))
-    q = BENT.rotations(x)
-    np.testing.assert_allclose(np.linalg.norm(q, axis=-1), 1.0, atol=1e-15)
-    for a, axis in enumerate(BENT.hinge_axis):
-        if axis >= 0:
-            assert np.abs(np.delete(q[0, a, 1:], axis)).max() < 1e-15
-
-
 def test_blend_follows_the_shorter_arc() -> None:
     x = random_states(BENT, 5)
     d = 0.4 * np.random.default_rng(3).normal(size=(5, BENT.size))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import planted
 import pytest
+from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.choices import SPACES
@@ -20,6 +22,7 @@ from rtof_kin.solve.joint_space.initial_guess import initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.joint_space.solver import JointSpaceSolver
 
+Array = NDArray[np.float64]
 BODY, SMALL = SkeletonModel.default(), SkeletonModel.human36m()
 T = 40
 QUICK = {
@@ -119,11 +122,31 @@ def test_start_and_keypoints_need_the_same_times(scene: Scene, solver: FragmentS
         next(solver.stream(scene.start[:20], scene.seen[1:21]))
 
 
-def test_a_start_with_a_gap_is_refused_with_its_frame(scene: Scene, solver: FragmentSolver) -> None:
-    p = np.array(scene.start.p_world_joint)
-    p[13, 4, 1] = np.nan
-    with pytest.raises(InvalidInputError, match="pose of frame 13 is not finite; bridge gaps first"):
-        solver.solve(replace(scene.start, p_world_joint=p), scene.seen)
+def changed(array: Array, where: Any, by: float) -> Array:
+    out = np.array(array)
+    out[where] += by
+    return out
+
+
+@pytest.mark.parametrize(
+    ("what", "where", "by", "error", "message"),
+    [
+        ("p_world_joint", (13, 4, 1), np.nan, InvalidInputError, "pose of frame 13 is not finite; bridge"),
+        ("p_world_joint", (7, slice(None), 0), 8.0, ViewError, "frame 7 is behind the camera or in it"),
+        ("times", slice(30, None), 0.008, InvalidInputError, "not evenly spaced; resample the keypoints"),
+    ],
+)
+def test_wrong_initial_poses_are_refused(
+    scene: Scene, solver: FragmentSolver, what: str, where: Any, by: float, error: Any, message: str
+) -> None:
+    start = replace(scene.start, **{what: changed(getattr(scene.start, what), where, by)})
+    with pytest.raises(error, match=message):
+        solver.solve(start, replace(scene.seen, times=start.times))
+
+
+def test_unknown_landmarks_only_are_refused(scene: Scene, solver: FragmentSolver) -> None:
+    with pytest.raises(SolverError, match="keypoints: none of the landmarks is "):
+        solver.solve(scene.start, replace(scene.seen, names=tuple(f"point {i}" for i in range(21))))
 
 
 def test_only_joint_space_needs_the_orientations_of_the_start(scene: Scene) -> None:
@@ -157,26 +180,6 @@ def one_sensor(imus: BoneImuSequence, joint: str) -> BoneImuSequence:
         imus, joints=(joint,), R_world_bone=imus.R_world_bone[:, s], a_world=imus.a_world[:, s],
         p_bone_sensor=imus.p_bone_sensor[s],
     )  # fmt: skip
-
-
-def test_uneven_frames_are_refused(scene: Scene, solver: FragmentSolver) -> None:
-    times = np.array(scene.start.times)
-    times[30:] += 0.008
-    with pytest.raises(InvalidInputError, match="not evenly spaced; resample the keypoints first"):
-        solver.solve(replace(scene.start, times=times), replace(scene.seen, times=times))
-
-
-def test_a_person_behind_the_camera_is_refused_with_the_frame(scene: Scene, solver: FragmentSolver) -> None:
-    p = np.array(scene.start.p_world_joint)
-    p[7] += [8.0, 0.0, 0.0]
-    with pytest.raises(ViewError, match="frame 7 is behind the camera or in it; check R_camera_world"):
-        solver.solve(replace(scene.start, p_world_joint=p), scene.seen)
-
-
-def test_unknown_landmarks_only_are_refused(scene: Scene, solver: FragmentSolver) -> None:
-    strangers = replace(scene.seen, names=tuple(f"point {i}" for i in range(21)))
-    with pytest.raises(SolverError, match="keypoints: none of the landmarks is "):
-        solver.solve(scene.start, strangers)
 
 
 @pytest.mark.parametrize("frames", [1, 4, 11])

@@ -54,7 +54,6 @@ def solved(poses: PoseSequence, seed: int = 0, **changes: Any) -> FragmentSoluti
 
 
 def known(solution: FragmentSolution) -> Confidence:
-    assert solution.confidence is not None
     return solution.confidence
 
 

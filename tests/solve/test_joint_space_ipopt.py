@@ -162,17 +162,6 @@ def test_iteration_limit_is_kept(limited: bool, most: int) -> None:
         np.testing.assert_allclose(solved.x, start.x, atol=1e-12)
 
 
-def test_equal_calls_give_equal_results() -> None:
-    start = Start()
-    solver, before = Ipopt(start.problem, start.limits), start.x.copy()
-    first = solver.solve(start.x, 8, TIGHT)
-    solver.solve(js.states(start.problem.space, N, 3), 3, TIGHT)
-    again = solver.solve(start.x, 8, TIGHT)
-    np.testing.assert_array_equal(start.x, before)
-    np.testing.assert_array_equal(again.x, first.x)
-    np.testing.assert_array_equal(again.multipliers, first.multipliers)
-
-
 class Oracles:
     """The functions IPOPT calls, at variables a tenth of a radian or more from the start."""
 

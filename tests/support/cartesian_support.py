@@ -1,0 +1,58 @@
+"""A small recording for the solver in Cartesian space, and a solver whose fragments can be inspected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import planted
+from numpy.typing import NDArray
+
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.solve.fragment_solver import FragmentReport, FragmentSolver
+from rtof_kin.solve.inertial_ik import InertialGuidedIK
+
+Array = NDArray[np.float64]
+BODY, SMALL = SkeletonModel.default(), SkeletonModel.human36m()
+SMALL_SENSORS = ("LElbow", "RKnee", "LHip", "Hip")
+
+
+class Inspected(FragmentSolver):
+    """A solver that keeps the values of each fragment and its solution before blending."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.answers: list[Array] = []
+        self.values: list[dict[str, Array]] = []
+        self.inner: Any = self._solver
+        solve, call = self.inner._solve_fragment, self.inner._call
+
+        def kept(*arguments: Any) -> tuple[Array, FragmentReport]:
+            X, report = solve(*arguments)
+            self.answers.append(X)
+            return X, report
+
+        def called(x: Array, values: dict[str, Array], first: int) -> Any:
+            self.values.append(values)
+            return call(x, values, first)
+
+        self.inner._solve_fragment, self.inner._call = kept, called
+
+
+class Scene:
+    """A motion, its observations with or without gaps, and an initial guess."""
+
+    def __init__(self, skeleton: SkeletonModel, frames: int, seed: int = 0, gappy: bool = False) -> None:
+        joints = planted.LIMBS if skeleton is BODY else SMALL_SENSORS
+        self.truth: MotionSequence = planted.moving(skeleton, frames, 3 * seed)
+        self.p = self.truth.poses.p_world_joint
+        self.seen = planted.keypoints(self.truth.poses, 4.0, 7 + seed)
+        self.imus = planted.bone_imus(skeleton, self.truth.poses, joints, 4.0, 0.4, 11 + seed)
+        self.lifted = planted.lifted_poses(self.truth)
+        self.start = InertialGuidedIK(skeleton).refine(self.lifted, self.imus)
+        if gappy:
+            self.seen = planted.unseen(planted.unseen(self.seen, slice(3, 7)), slice(None), [2, 5])
+            R, a = np.array(self.imus.R_world_bone), np.array(self.imus.a_world)
+            R[:6, 0], a[4:, 1], R[8, 2], a[2, 3] = np.nan, np.nan, np.nan, np.nan
+            self.imus = replace(self.imus, R_world_bone=R, a_world=a)
