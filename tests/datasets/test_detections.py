@@ -137,7 +137,6 @@ def test_missing_and_contradicting_files_are_refused(tmp_path: Path, camera: Cam
     [
         ({"uv_px": None}, r"no array 'uv_px' of shape \(T, L, 2\)"),
         ({"uv_px": np.zeros((T, 21))}, r"uv_px: expected shape \(T, L, 2\)"),
-        ({"uv_px": np.zeros((T, 21, 3))}, r"\(7, 21, 3\), and 21 landmarks .*landmarks.txt"),
         ({"uv_px": np.zeros((T, 17, 2))}, r"\(7, 17, 2\), and 21 landmarks .*landmarks.txt"),
         ({"confidence": np.ones((T, 20))}, r"confidence.*\(7, 20\)"),
         ({"times": np.arange(T - 1) / 30}, "cam1.npz"),

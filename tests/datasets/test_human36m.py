@@ -238,7 +238,6 @@ LAST = CAMERA_IDS[3]
     (setter("extrinsics", value={}), "there is no camera of any subject"),
     (setter("intrinsics", LAST, value=None), f"S9, camera {LAST}: intrinsics: missing"),
     (setter("intrinsics", LAST, "distortion", value=None), f"S9, camera {LAST}: distortion is missing"),
-    (setter("intrinsics", LAST, "distortion", value=[0.0] * 4), r"not of shape \(5,\)"),
     (setter("intrinsics", LAST, "calibration_matrix", value=np.zeros((3, 3)).tolist()), "singular"),
     (setter("extrinsics", "S9", LAST, "R", value=np.ones((3, 3)).tolist()), "not a rotation matrix"),
     (setter("extrinsics", "S9", LAST, "R", value="abc"), "R is not made of numbers"),
@@ -385,9 +384,7 @@ def test_unknown_names_are_refused_with_the_known_ones(root: Path, tmp_path: Pat
 
 @pytest.mark.parametrize("entry, message", [
     (np.zeros((5, 31, 3), dtype=np.float32), r"expected shape \(T, 32, 3\), got \(5, 31, 3\)"),
-    (np.zeros((32, 3), dtype=np.float32), r"got \(32, 3\)"),
     ([1, 2], "got list"),
-    ("text", "got str"),
     (np.full((5, 32, 3), np.nan, dtype=np.float32), "in no frame are all joints finite"),
     (np.zeros((5, 32, 3), dtype=np.float32), "the bone that ends at RHip is 0.000 m long, but 0.1"),
 ])  # fmt: skip
@@ -438,7 +435,6 @@ def test_corrupt_keypoints_are_refused(own: tuple[Path, files.Positions], entry:
     {**files.METADATA, "num_joints": 16},
     {"num_joints": 17, "keypoints_symmetry": [[1, 3, 5, 7, 9, 11, 13, 15], [2, 4, 6, 8, 10, 12, 14, 16]]},
     {"num_joints": 17, "keypoints_symmetry": 5},
-    {"num_joints": 17, "keypoints_symmetry": ["a", None]},
     {}, [], None,
 ])  # fmt: skip
 def test_17_points_of_another_layout_are_refused(own: tuple[Path, files.Positions], metadata: Any) -> None:

@@ -163,8 +163,6 @@ def test_missing_array_is_named(path: Path, name: str) -> None:
     ("R_world_bone", np.zeros((12, 21, 3, 3)), "rotation"),
     ("joint_offsets", np.zeros((20, 3)), r"joint_offsets: expected shape \(21, 3\)"),
     ("singular", np.zeros((12, 3), dtype=bool), r"singular: expected shape \(12, 21\)"),
-    ("provenance", np.zeros(12), "provenance: expected shape"),
-    ("names", np.array("Hips"), "names"),
     ("names", np.array(["Hips"] * 21), "Hips"),
     ("dof_names", np.array(["a"]), "q: expected shape"),
     ("first_frame", np.arange(3), ""),

@@ -78,7 +78,6 @@ ONE_FRAME = mvnx_text(TRUTHS, frame(0, orientations()))
         ("<html><mvnx/></html>", "its root is <html>, not <mvnx>"),
         ("", "broken XML"),
         ("<mvnx/>", "has no frame of a recording"),
-        (mvnx_text(TRUTHS, ""), "has no frame of a recording"),
         (mvnx_text(TRUTHS, frame(0, "")), "no frame has sensorOrientation or sensorFreeAcceleration"),
         (mvnx_text(TRUTHS, frame(0, orientations(3))),
          "frame 0: sensorOrientation has 12 numbers, and 8 are needed"),

@@ -169,14 +169,6 @@ def test_accelerations_are_low_passed() -> None:
     np.testing.assert_allclose(observed(start(), imus, plain).a_world, imus.a_world)
 
 
-def test_low_pass_precedes_resampling() -> None:
-    times = np.arange(4 * T) / 240
-    a = np.random.default_rng(2).normal(size=(4 * T, 1, 3))
-    imus = replace(worn("LeftLeg").resample(times), a_world=a)
-    slow = replace(imus, a_world=signals.low_pass(a, 240.0, 12.0)).resample(POSES.times)
-    np.testing.assert_allclose(observed(start(), imus).a_world, np.nan_to_num(slow.a_world), atol=1e-9)
-
-
 PLACES = ("Hips", "Head", "LeftArm", "LeftForeArm", "LeftFoot", "RightLeg")
 
 
