@@ -244,9 +244,7 @@ LAST = CAMERA_IDS[3]
     (setter("extrinsics", "S9", LAST, "t", value=[[1.0], [2.0]]), r"shape \(3\), got \(2, 1\)"),
     (setter("extrinsics", "S9", LAST, "t", value=[[np.nan], [1.0], [2.0]]), "t is not finite"),
 ])  # fmt: skip
-def test_a_wrong_json_file_is_refused(
-    tmp_path: Path, change: Callable[[dict[str, Any]], Any], message: str
-) -> None:
+def test_wrong_json_is_refused(tmp_path: Path, change: Callable[[dict[str, Any]], Any], message: str) -> None:
     path = tmp_path / "cameras.json"
     path.write_text(change_json(change))
     with pytest.raises(FileFormatError, match=rf"cameras\.json: .*{message}"):
@@ -335,9 +333,7 @@ def test_cameras_of_another_subject_are_refused(own: tuple[Path, files.Positions
 @pytest.mark.parametrize("change", [
     lambda uv: [uv[1], uv[0], uv[2], uv[3]], lambda uv: [one / 500 - 1 for one in uv],
 ])  # fmt: skip
-def test_keypoints_of_other_cameras_are_refused(
-    own: tuple[Path, files.Positions], change: Callable[[Any], Any]
-) -> None:
+def test_keypoints_of_other_cameras(own: tuple[Path, files.Positions], change: Callable[[Any], Any]) -> None:
     root, positions = own
     entries = files.keypoints(positions)
     changed = {s: {a: change(uv) for a, uv in actions.items()} for s, actions in entries.items()}
@@ -388,9 +384,7 @@ def test_unknown_names_are_refused_with_the_known_ones(root: Path, tmp_path: Pat
     (np.full((5, 32, 3), np.nan, dtype=np.float32), "in no frame are all joints finite"),
     (np.zeros((5, 32, 3), dtype=np.float32), "the bone that ends at RHip is 0.000 m long, but 0.1"),
 ])  # fmt: skip
-def test_a_corrupt_action_is_refused_alone(
-    own: tuple[Path, files.Positions], entry: Any, message: str
-) -> None:
+def test_corrupt_action_is_refused_alone(own: tuple[Path, files.Positions], entry: Any, message: str) -> None:
     root, positions = own
     before = Human36M(root).motion("S9", "Action 0").joint_offsets
     spoiled: dict[str, Any] = {**positions, "S9": {**positions["S9"], "Bad": entry}}

@@ -205,7 +205,7 @@ def scalar_last(paths: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("spoil", [exchanged, of_another_take, scalar_last])
-def test_a_wrong_calibration_fails_most_checks(
+def test_wrong_calibration(
     spoil: Callable[[dict[str, Path]], None], tmp_path: Path, paths: dict[str, Path]
 ) -> None:
     spoil(paths)
@@ -339,9 +339,7 @@ def test_a_take_without_truth_or_sensors(tmp_path: Path, paths: dict[str, Path])
 
 
 @pytest.mark.parametrize("gone", [["orientations"], ["orientations", "positions"]])
-def test_bvh_replaces_missing_files(
-    gone: list[str], tmp_path: Path, paths: dict[str, Path], take: Take
-) -> None:
+def test_bvh_fills_in_for_files(gone: list[str], tmp_path: Path, paths: dict[str, Path], take: Take) -> None:
     for kind in gone:
         paths[kind].unlink()
     found = TotalCapture(tmp_path).take(*ONE)
@@ -508,9 +506,7 @@ def test_short_sensor_data_are_padded(short: int, tmp_path: Path, paths: dict[st
     assert np.isnan(bones.R_world_bone[whole - short :]).all()
 
 
-def test_zero_positions_and_orientations_are_unknown(
-    tmp_path: Path, paths: dict[str, Path], take: Take
-) -> None:
+def test_zero_position_or_orientation_is_unknown(tmp_path: Path, paths: dict[str, Path], take: Take) -> None:
     quat = QUAT_XYZW.copy()
     quat[33] = quat[40, 5] = 0.0
     files.write_joints(paths["orientations"], quat)

@@ -256,9 +256,7 @@ def test_c3d_of_every_storage_of_numbers(processor: int, as_integers: bool, tmp_
         ({"LABELS": [], "LABELS2": 3}, ("*1", "*2")),
     ],
 )
-def test_c3d_derived_and_unlabelled_points(
-    changes: dict[str, object], names: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_c3d_unlabelled_points(changes: dict[str, object], names: tuple[str, ...], tmp_path: Path) -> None:
     assert read_c3d(written(tmp_path, c3d_bytes(84, False, changes))).names == names
 
 

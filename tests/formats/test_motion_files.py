@@ -159,9 +159,7 @@ def test_ezc3d_reads_points_with_residual_minus_one_in_gaps(folder: Path, motion
 
 
 @pytest.mark.parametrize(("number", "piece"), PIECES)
-def test_another_bvh_reader_agrees(
-    folder: Path, motion: MotionSequence, number: int, piece: tuple[int, int]
-) -> None:
+def test_other_bvh_reader(folder: Path, motion: MotionSequence, number: int, piece: tuple[int, int]) -> None:
     bvh = pytest.importorskip("bvh", reason="of the extra dev")
     file = bvh.Bvh((folder / f"motion_{number}.bvh").read_text())
     poses = motion.poses[slice(*piece)]
@@ -311,9 +309,7 @@ def test_bridged_motion_has_nothing_for_opensim(motion: MotionSequence, tmp_path
         write_motion_files(tmp_path, motion[BRIDGED], ["mot"])
 
 
-def test_parquet_needs_pyarrow(
-    motion: MotionSequence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parquet_extra(motion: MotionSequence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(RtofError, match=r"\[parquet\]"):
         write_motion_files(tmp_path, motion, ["parquet"])

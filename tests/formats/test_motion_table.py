@@ -23,9 +23,7 @@ def test_columns_have_different_names_and_a_row_per_frame(motion: MotionSequence
 
 
 @pytest.mark.parametrize("write", [write_motion_csv, write_motion_parquet])
-def test_existing_table_is_kept_unless_overwritten(
-    write: object, motion: MotionSequence, tmp_path: Path
-) -> None:
+def test_existing_table_is_not_overwritten(write: object, motion: MotionSequence, tmp_path: Path) -> None:
     assert callable(write)
     path = tmp_path / "motion.table"
     write(path, motion)

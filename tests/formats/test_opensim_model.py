@@ -24,7 +24,7 @@ def body(any_skeleton: SkeletonModel) -> SkeletonModel:
     return any_skeleton.with_height(1.83).with_mass(68, "female")
 
 
-def test_opensim_finds_mass_and_inertia(
+def test_opensim_mass_and_inertia(
     body: SkeletonModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_osim(tmp_path / "skeleton.osim", body)

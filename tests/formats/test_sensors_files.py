@@ -117,9 +117,7 @@ def test_missing_file_is_an_error(name: str | None, says: str, tmp_path: Path) -
         ("qmt_fullbody_16imu", "MATLAB structs", ("hip", "foot_left"), 100, 150),
     ],
 )
-def test_real_recordings_measure_gravity(
-    name: str, title: str, sensors: tuple[str, ...], rate: float, samples: int
-) -> None:
+def test_real_recordings(name: str, title: str, sensors: tuple[str, ...], rate: float, samples: int) -> None:
     log = read_sensor_log(REAL / name)
     assert (log.format, log.names) == (title, sensors)
     stream = log.streams[-1]

@@ -30,9 +30,7 @@ def ordered(counters: list[float], wrap: int = WRAP_16, late: int = 10) -> Packe
     ],
     ids=["in order", "wrap", "late across a wrap", "repeated"],
 )
-def test_packets_are_sorted(
-    counters: list[float], rows: list[int], count: list[int], note: str | None
-) -> None:
+def test_sorted_packets(counters: list[float], rows: list[int], count: list[int], note: str | None) -> None:
     got = ordered(counters)
     assert (got.rows.tolist(), got.count.tolist()) == (rows, count)
     assert got.notes == () if note is None else any(note in one for one in got.notes)

@@ -62,9 +62,7 @@ def test_cut_last_line_is_left_out_with_a_note(tmp_path: Path) -> None:
         (HEAD + "1," + "2" * 70000 + ",ok\n", 4, "longer than 65536 bytes"),
     ],
 )
-def test_damaged_table_is_an_error(
-    tmp_path: Path, content: str | bytes, line: int | None, message: str
-) -> None:
+def test_damaged_table(tmp_path: Path, content: str | bytes, line: int | None, message: str) -> None:
     with pytest.raises(FileFormatError, match=message) as caught:
         table(tmp_path, content)
     assert caught.value.line == line

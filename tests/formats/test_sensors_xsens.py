@@ -76,9 +76,7 @@ def test_mt_free_acceleration_under_the_wrong_name_can_be_declared() -> None:
     ],
     ids=["16 bits that wrap", "32 bits"],
 )
-def test_mt_counters_share_a_clock(
-    tmp_path: Path, early: np.ndarray, late: np.ndarray, seconds: float
-) -> None:
+def test_mt_counters_of_a_trial(tmp_path: Path, early: np.ndarray, late: np.ndarray, seconds: float) -> None:
     paths = [mt(tmp_path, mt_text(ONE, c), n) for c, n in ((early, "00B40001"), (late, "00B40002"))]
     a, b = read_xsens_mt(paths).streams
     np.testing.assert_allclose(b.times - a.times, seconds)

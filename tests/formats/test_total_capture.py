@@ -118,9 +118,7 @@ def test_cut_sensors_file_states_the_whole_frames(rest: str, paths: dict[str, Pa
     ],
     ids=["count", "frame number", "renamed once", "no number", "twice once", "twice", "frames", "sensors"],
 )
-def test_invalid_sensors_file_is_refused(
-    old: str, new: str, count: int, message: str, paths: dict[str, Path]
-) -> None:
+def test_invalid_sensors_file(old: str, new: str, count: int, message: str, paths: dict[str, Path]) -> None:
     support.edit(paths["sensors"], old, new, count=count)
     with pytest.raises(FileFormatError, match=rf"Xsens.sensors, {message}"):
         read_sensors(paths["sensors"])

@@ -186,7 +186,7 @@ def unpictured(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("unpictured")
 @pytest.mark.parametrize("bad", BAD)
-def test_bad_input_is_refused_and_nothing_written(
+def test_bad_input_writes_nothing(
     bad: str, root: Path, lifter: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given, expected = BAD[bad]

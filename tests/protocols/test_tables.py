@@ -291,9 +291,7 @@ def outcome_with(folder: Path, takes: dict[str, float], modes: Sequence[str]) ->
     (("lift", "sf2", "rto"), ["baseline (lift): mean 20.0", "rto: mean 20.0"]),
     (("sf2",), ["sf2: mean 20.0"]),
 ])  # fmt: skip
-def test_curves_compare_baseline_and_best_mode(
-    modes: tuple[str, ...], shown: list[str], tmp_path: Path
-) -> None:
+def test_curves_of_baseline_and_best(modes: tuple[str, ...], shown: list[str], tmp_path: Path) -> None:
     outcome = outcome_with(tmp_path, {"walking2": 1.0}, modes)
     axes = error_curves(outcome, ["S1_walking2_cam1"], 60.0).axes
     assert [[line.get_label() for line in ax.get_lines()] for ax in axes] == [shown, shown]

@@ -79,9 +79,7 @@ def test_aligned_samples_equal_the_central_differences_of_the_truth() -> None:
     ("rate_hz", "start", "largest"),
     [(240.0, 0.9, 0.05), (100.0, 0.3, 0.15), (60.0, 0.5, 0.4), (50.0, 0.2, 0.4)],
 )
-def test_samples_at_other_instants_approximate_differences(
-    rate_hz: float, start: float, largest: float
-) -> None:
+def test_samples_at_other_instants_are_close(rate_hz: float, start: float, largest: float) -> None:
     settings = replace(NOISELESS, imu_rate_hz=rate_hz, imu_start_frames=(start, start))
     recording = simulated(settings)
     bones = recording.bone_imus()

@@ -166,9 +166,7 @@ def body_problem(joints: tuple[str, ...], set_: CartesianSettings, frames: int =
     (planted.LIMBS, {"bone_lengths": "weighted"}, 8, 21),
     ((), {"prior": "bones"}, 8, 21),
 ])  # fmt: skip
-def test_bandwidth_is_that_of_the_largest_group(
-    joints: tuple[str, ...], change: dict[str, Any], frames: int, group: int
-) -> None:
+def test_bandwidth_by_group(joints: tuple[str, ...], change: dict[str, Any], frames: int, group: int) -> None:
     # 27 below the diagonal for the printed energy with eight limb sensors, 189 with lengths.
     banded = body_problem(joints, replace(PRINTED, **change), frames)
     assert banded.at[1].max() == 9 * group

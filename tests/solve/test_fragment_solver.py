@@ -1,4 +1,4 @@
-"""The door to both fragment solvers: which one is chosen, and what neither of them is given."""
+"""Fragment solvers of either space: choice of the space, refused input, streaming and progress."""
 
 from __future__ import annotations
 
@@ -183,11 +183,11 @@ def one_sensor(imus: BoneImuSequence, joint: str) -> BoneImuSequence:
 
 
 @pytest.mark.parametrize("frames", [1, 4, 11])
-def test_progress_is_told_after_every_fragment(scene: Scene, solver: FragmentSolver, frames: int) -> None:
-    told: list[tuple[int, int]] = []
-    solution = solver.solve(scene.start[:frames], scene.seen[:frames], None, lambda *at: told.append(at))
+def test_progress_is_reported_after_every_fragment(scene: Scene, solver: FragmentSolver, frames: int) -> None:
+    reports: list[tuple[int, int]] = []
+    solution = solver.solve(scene.start[:frames], scene.seen[:frames], None, lambda *at: reports.append(at))
     count = -(-frames // 4) + 1
-    assert told == [(i + 1, count) for i in range(count)]
+    assert reports == [(i + 1, count) for i in range(count)]
     assert [f.first_frame for f in solution.fragments] == [4 * i - 4 for i in range(count)]
     np.testing.assert_array_equal(solution.poses.times, scene.start.times[:frames])
 

@@ -37,7 +37,7 @@ EXACT = replace(
     DEFAULT, sigma_reprojection=0.5, sigma_swing=0.01, sigma_twist=0.01, sigma_acceleration=0.2,
     prior_inflation=20.0, sigma_torso=None, sigma_bone=None, max_iterations=100,
 )  # fmt: skip
-"""Of somebody who knows that nothing is wrong with the observations."""
+"""Settings for exact observations."""
 LIMIT = np.radians(0.1)
 """By how much a limit may be missed, rad."""
 
@@ -197,12 +197,12 @@ def test_individual_limits_are_kept(source: str, tmp_path: Path) -> None:
     truth, dof = planted.human(BODY, N), BODY.dof_names.index("LeftLeg_y")
     p, R = BODY.forward_kinematics(changed(truth.q, np.s_[:, 7 + dof], 0.6))
     poses = replace(truth.poses, p_world_joint=p, R_world_bone=R)
-    somebody = SkeletonModel(with_limit(0.0, 0.3))
+    subject = SkeletonModel(with_limit(0.0, 0.3))
     if source == "URDF":
-        (tmp_path / "somebody.urdf").write_text(somebody.to_urdf(), encoding="utf-8")
-        somebody = SkeletonModel.from_urdf(tmp_path / "somebody.urdf")
-    assert somebody.limits[dof] == pytest.approx((0.0, 0.3))
-    solver = FragmentSolver(somebody, N, DEFAULT)
+        (tmp_path / "subject.urdf").write_text(subject.to_urdf(), encoding="utf-8")
+        subject = SkeletonModel.from_urdf(tmp_path / "subject.urdf")
+    assert subject.limits[dof] == pytest.approx((0.0, 0.3))
+    solver = FragmentSolver(subject, N, DEFAULT)
     out = solver.solve(poses, planted.keypoints(poses), planted.bone_imus(BODY, poses)).poses
     knee = BODY.inverse_kinematics(out.p_world_joint, out.R_world_bone)[:, 7 + dof]
     assert knee.max() < 0.3 + 2 * LIMIT
@@ -252,7 +252,7 @@ def test_sigma_stays_in_its_range_unless_given(scene: Scene) -> None:
 
 
 def test_landmarks_are_weighted_by_confidence(scene: Scene) -> None:
-    # The left half of the body is 40 px off and says that it is hardly to be believed.
+    # The left half of the body is 40 px off, with a low confidence.
     left = [name.startswith("Left") for name in BODY.names]
     uv, errors = scene.exact.uv_px + 40.0 * np.array(left)[:, None], []
     for trust in (1.0, 1e-4):
@@ -397,7 +397,7 @@ def test_any_number_of_frames_is_solved(frames: int) -> None:
 
 
 def test_known_floor_limits_the_height_of_the_feet() -> None:
-    # Somebody stands still, seen 10 % too large: too near, and from above that is too high.
+    # Standing still, with keypoints 10 % too large: the body is too near, thus too high.
     q = np.tile(BODY.n_pose(), (N, 1))
     q[:, 2] += 0.95
     p, R = BODY.forward_kinematics(q)
@@ -425,14 +425,12 @@ def bent_over(start: PoseSequence, frames: slice) -> PoseSequence:
 
 
 @pytest.mark.parametrize("frames", [slice(18, 40), slice(0, 18)])
-def test_fragment_in_a_local_minimum_is_retried(
-    scene: Scene, frames: slice, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_local_minimum_is_retried(scene: Scene, frames: slice, monkeypatch: pytest.MonkeyPatch) -> None:
     start = bent_over(scene.start, frames)
-    told: dict[str, Any] = {"start": start, "keypoints": scene.exact, "bone_imus": scene.imus}
-    found = scene.solve(**told)
+    given_: dict[str, Any] = {"start": start, "keypoints": scene.exact, "bone_imus": scene.imus}
+    found = scene.solve(**given_)
     monkeypatch.setattr(solver_module, "_LOCAL_MINIMUM", np.inf)
-    caught = scene.solve(**told)
+    caught = scene.solve(**given_)
     assert max(f.sigma_reprojection for f in caught.fragments) > 5.0
     assert max(f.sigma_reprojection for f in found.fragments) < 1.5
     assert scene.mm(found.poses) < 0.25 * scene.mm(caught.poses)
