@@ -46,9 +46,6 @@ def read(tmp_path: Path, camera: Camera) -> Any:
     return of
 
 
-# --- where it lies -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "name",
     [
@@ -118,9 +115,6 @@ def test_unseen_points_have_no_value_or_no_confidence(tmp_path: Path, read: Any)
     assert set(np.unique(found.confidence)) == {0.0, 1.0}
 
 
-# --- what is wrong -------------------------------------------------------------------------------
-
-
 def test_missing_and_contradicting_files_are_refused(tmp_path: Path, camera: Camera, read: Any) -> None:
     one = write(tmp_path / "S5_acting3_cam2.npz")
     with pytest.raises(FileFormatError, match=r"S5 acting3 camera 1: .*TC_S5_acting3_cam1\.npz"):
@@ -143,7 +137,6 @@ def test_missing_and_contradicting_files_are_refused(tmp_path: Path, camera: Cam
     [
         ({"uv_px": None}, r"no array 'uv_px' of shape \(T, L, 2\)"),
         ({"uv_px": np.zeros((T, 21))}, r"uv_px: expected shape \(T, L, 2\)"),
-        ({"uv_px": np.zeros((T, 21, 3))}, r"\(7, 21, 3\), and 21 landmarks .*landmarks.txt"),
         ({"uv_px": np.zeros((T, 17, 2))}, r"\(7, 17, 2\), and 21 landmarks .*landmarks.txt"),
         ({"confidence": np.ones((T, 20))}, r"confidence.*\(7, 20\)"),
         ({"times": np.arange(T - 1) / 30}, "cam1.npz"),
@@ -191,9 +184,6 @@ def test_wrong_names_of_landmarks_are_refused(tmp_path: Path, read: Any) -> None
     (tmp_path / "S5_acting3_cam1.csv").write_text("left_hip_u_px,left_hip_v_px\n1,2\n")
     with pytest.raises(UnknownNameError, match="name of their layout.*left_hip"):
         read()
-
-
-# --- a detector's own files ----------------------------------------------------------------------
 
 
 def test_points_of_a_layout_are_converted_to_landmarks(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +18,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, FileFormatError, UnitError, UnknownNameError
 from rtof_kin.data.camera import Camera
-from rtof_kin.datasets.human36m import RATE_HZ, Human36M, bone_lengths, measured_offsets
+from rtof_kin.datasets.human36m import RATE_HZ, Human36M, bone_lengths
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS, read_cameras
 from rtof_kin.datasets.human36m_files import JOINTS_OF_32
 
@@ -63,9 +62,7 @@ def own(template: tuple[Path, files.Positions], tmp_path: Path) -> tuple[Path, f
 # --- positions -----------------------------------------------------------------------------------
 
 
-def test_the_17_joints_are_taken_from_the_32_in_the_skeletons_order(
-    root: Path, truth: files.Positions
-) -> None:
+def test_the_17_joints_have_the_skeletons_order(root: Path, truth: files.Positions) -> None:
     data = Human36M(root)
     assert data.sequences == tuple((s, a) for s in TWO for a in ("Action 0", "Action 1"))  # S9 before S11
     motion = data.motion("S9", "Action 1")
@@ -92,7 +89,6 @@ def test_the_archives_32_joints_have_the_places_that_human36m_gives_them() -> No
 def test_a_recording_has_keypoints_truth_and_labels(root: Path, truth: files.Positions) -> None:
     for camera in range(4):
         recording = Human36M(root).recording("S9", "Action 1", camera)
-        assert recording.truth is not None
         seen = recording.video.camera.project(recording.truth.p_world_joint)
         error_px = np.linalg.norm(seen - recording.video.uv_px, axis=-1)
         assert error_px.max() < 0.3  # Human3.6M's formula of distortion differs from OpenCV's
@@ -105,7 +101,6 @@ def test_a_recording_has_keypoints_truth_and_labels(root: Path, truth: files.Pos
     assert recording.video.names == SKELETON.names
     assert (recording.video.confidence == 1).all()
     np.testing.assert_allclose(recording.video.times, np.arange(30) / RATE_HZ, atol=1e-12)
-    assert recording.truth is not None
     np.testing.assert_array_equal(recording.truth.p_world_joint, truth["S9"]["Action 1"])
     assert recording.truth.valid.all()
     observed = recording.truth.orientation_observed[0]
@@ -117,16 +112,12 @@ def test_orientations_and_offsets_reproduce_the_positions(root: Path) -> None:
     for subject, action in data.sequences:
         recording = data.recording(subject, action, 0)
         poses, offsets = recording.truth, recording.joint_offsets
-        assert poses is not None
         p = kinematics.positions(SKELETON.parents, offsets, poses.p_world_joint[:, 0], poses.R_world_bone)
         np.testing.assert_allclose(p, poses.p_world_joint, atol=2e-6)
 
 
-def test_truth_and_detected_keypoints_are_cut_to_the_shorter(
-    root: Path, own: tuple[Path, files.Positions]
-) -> None:
+def test_truth_and_detections_are_cut_to_the_shorter(root: Path, own: tuple[Path, files.Positions]) -> None:
     recording = Human36M(root, keypoints="cpn_ft_h36m_dbb").recording("S9", "Action 0", 3)
-    assert recording.truth is not None
     assert len(recording.video) == len(recording.truth) == 30
     seen = recording.video.camera.project(recording.truth.p_world_joint)
     assert 7 < np.median(np.linalg.norm(seen - recording.video.uv_px, axis=-1)) < 12  # 8 px per axis
@@ -136,7 +127,6 @@ def test_truth_and_detected_keypoints_are_cut_to_the_shorter(
     sides = (list(files.METADATA["keypoints_symmetry"][0]), files.METADATA["keypoints_symmetry"][1])  # type: ignore[index]
     files.write_keypoints(folder, entries, "gt", {"num_joints": np.int64(17), "keypoints_symmetry": sides})
     recording = Human36M(folder).recording("S9", "Action 0", 0)
-    assert recording.truth is not None
     assert (len(recording.video), len(recording.truth)) == (7, 7)
     assert len(Human36M(folder).motion("S9", "Action 0").p_world_joint) == 12
 
@@ -150,7 +140,6 @@ def test_values_that_are_not_finite_are_missing(own: tuple[Path, files.Positions
     files.write_keypoints(root, entries)
     files.write_positions(root, positions)
     recording = Human36M(root).recording("S9", "Action 0", 0)
-    assert recording.truth is not None
     assert np.argwhere(recording.keypoints.confidence == 0).tolist() == [[2, 5]]
     assert np.isnan(recording.keypoints.uv_px[2, 5]).all()
     assert np.argwhere(~recording.truth.valid).tolist() == [[4, 8], [5, 8]]
@@ -178,9 +167,6 @@ def test_a_body_is_recovered_from_positions(root: Path, subject: str) -> None:
     unit = so3.unit(SKELETON.joint_offsets)
     np.testing.assert_allclose(so3.unit(offsets)[one_child], unit[one_child], atol=1e-9)
     p = np.array(Human36M(root).motion(subject, "Action 0").p_world_joint)
-    R = so3.exp(np.random.default_rng(0).normal(size=3))
-    turned = measured_offsets(SKELETON, p @ R.T + [5.0, -3.0, 1.0])
-    np.testing.assert_allclose(turned, measured_offsets(SKELETON, p), atol=1e-7)
     p[:5] *= 100.0  # medians survive a few wild frames
     np.testing.assert_allclose(bone_lengths(SKELETON, p), lengths, atol=1e-5)
 
@@ -252,16 +238,13 @@ LAST = CAMERA_IDS[3]
     (setter("extrinsics", value={}), "there is no camera of any subject"),
     (setter("intrinsics", LAST, value=None), f"S9, camera {LAST}: intrinsics: missing"),
     (setter("intrinsics", LAST, "distortion", value=None), f"S9, camera {LAST}: distortion is missing"),
-    (setter("intrinsics", LAST, "distortion", value=[0.0] * 4), r"not of shape \(5,\)"),
     (setter("intrinsics", LAST, "calibration_matrix", value=np.zeros((3, 3)).tolist()), "singular"),
     (setter("extrinsics", "S9", LAST, "R", value=np.ones((3, 3)).tolist()), "not a rotation matrix"),
     (setter("extrinsics", "S9", LAST, "R", value="abc"), "R is not made of numbers"),
     (setter("extrinsics", "S9", LAST, "t", value=[[1.0], [2.0]]), r"shape \(3\), got \(2, 1\)"),
     (setter("extrinsics", "S9", LAST, "t", value=[[np.nan], [1.0], [2.0]]), "t is not finite"),
 ])  # fmt: skip
-def test_a_wrong_json_file_is_refused_with_the_field(
-    tmp_path: Path, change: Callable[[dict[str, Any]], Any], message: str
-) -> None:
+def test_wrong_json_is_refused(tmp_path: Path, change: Callable[[dict[str, Any]], Any], message: str) -> None:
     path = tmp_path / "cameras.json"
     path.write_text(change_json(change))
     with pytest.raises(FileFormatError, match=rf"cameras\.json: .*{message}"):
@@ -300,7 +283,7 @@ def test_a_wrong_source_is_refused_with_the_field(tmp_path: Path, old: str, new:
     ("translation", [2.1e6, 4.9e6, 1.6e6], UnitError, r"would stand 5.57e\+03 m from"),
     ("orientation", [1.0, 1.0, 0.0, 0.0], FileFormatError, "orientation is not a unit quaternion"),
 ])  # fmt: skip
-def test_implausible_cameras_are_refused(
+def test_implausible_cameras(
     tmp_path: Path, field: str, value: list[float], error: type[Exception], message: str
 ) -> None:
     intrinsics, extrinsics = files.camera_source(("S9",))
@@ -350,9 +333,7 @@ def test_cameras_of_another_subject_are_refused(own: tuple[Path, files.Positions
 @pytest.mark.parametrize("change", [
     lambda uv: [uv[1], uv[0], uv[2], uv[3]], lambda uv: [one / 500 - 1 for one in uv],
 ])  # fmt: skip
-def test_keypoints_of_other_cameras_or_units_are_refused(
-    own: tuple[Path, files.Positions], change: Callable[[Any], Any]
-) -> None:
+def test_keypoints_of_other_cameras(own: tuple[Path, files.Positions], change: Callable[[Any], Any]) -> None:
     root, positions = own
     entries = files.keypoints(positions)
     changed = {s: {a: change(uv) for a, uv in actions.items()} for s, actions in entries.items()}
@@ -399,15 +380,11 @@ def test_unknown_names_are_refused_with_the_known_ones(root: Path, tmp_path: Pat
 
 @pytest.mark.parametrize("entry, message", [
     (np.zeros((5, 31, 3), dtype=np.float32), r"expected shape \(T, 32, 3\), got \(5, 31, 3\)"),
-    (np.zeros((32, 3), dtype=np.float32), r"got \(32, 3\)"),
     ([1, 2], "got list"),
-    ("text", "got str"),
     (np.full((5, 32, 3), np.nan, dtype=np.float32), "in no frame are all joints finite"),
     (np.zeros((5, 32, 3), dtype=np.float32), "the bone that ends at RHip is 0.000 m long, but 0.1"),
 ])  # fmt: skip
-def test_a_corrupt_action_is_refused_and_the_others_are_usable(
-    own: tuple[Path, files.Positions], entry: Any, message: str
-) -> None:
+def test_corrupt_action_is_refused_alone(own: tuple[Path, files.Positions], entry: Any, message: str) -> None:
     root, positions = own
     before = Human36M(root).motion("S9", "Action 0").joint_offsets
     spoiled: dict[str, Any] = {**positions, "S9": {**positions["S9"], "Bad": entry}}
@@ -452,36 +429,22 @@ def test_corrupt_keypoints_are_refused(own: tuple[Path, files.Positions], entry:
     {**files.METADATA, "num_joints": 16},
     {"num_joints": 17, "keypoints_symmetry": [[1, 3, 5, 7, 9, 11, 13, 15], [2, 4, 6, 8, 10, 12, 14, 16]]},
     {"num_joints": 17, "keypoints_symmetry": 5},
-    {"num_joints": 17, "keypoints_symmetry": ["a", None]},
     {}, [], None,
 ])  # fmt: skip
-def test_17_points_that_are_not_human36ms_are_refused(
-    own: tuple[Path, files.Positions], metadata: Any
-) -> None:
+def test_17_points_of_another_layout_are_refused(own: tuple[Path, files.Positions], metadata: Any) -> None:
     root, positions = own
     files.write_keypoints(root, files.keypoints(positions), "detectron_pt_coco", metadata)
     with pytest.raises(FileFormatError, match=r"coco\.npz: metadata: .*only Human3\.6M's own 17"):
         Human36M(root, keypoints="detectron_pt_coco").recording("S9", "Action 0", 0)
 
 
-class Harm:
-    """Pickled as a command."""
-
-    def __reduce__(self) -> Any:
-        return (os.system, ("touch 'it ran'",))
-
-
 @pytest.mark.parametrize("content, message", [
     (None, "not a dictionary of subjects"), ([1], "not a dictionary"), ({"S9": [1, 2]}, "not a dictionary"),
-    ({"S9": None}, "not a dictionary"), (Harm(), r"wants to run (posix|nt)\.system"),
+    ({"S9": None}, "not a dictionary"),
 ])  # fmt: skip
-def test_an_archive_of_something_else_is_refused(
-    tmp_path: Path, content: Any, message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_an_archive_of_something_else_is_refused(tmp_path: Path, content: Any, message: str) -> None:
     box = np.empty((), dtype=object)
     box[()] = content
     np.savez(tmp_path / "data_3d_h36m.npz", positions_3d=box)
     with pytest.raises(FileFormatError, match=rf"data_3d_h36m\.npz: positions_3d: .*{message}"):
         Human36M(tmp_path).motion("S9", "Action 0")
-    assert not (tmp_path / "it ran").exists()

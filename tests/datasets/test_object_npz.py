@@ -91,9 +91,6 @@ def assert_same(a: Any, b: Any) -> None:
         assert a == b
 
 
-# --- round trip ----------------------------------------------------------------------------------
-
-
 def test_a_dictionary_saved_by_numpy_is_read_back(path: Path) -> None:
     contents: dict[str, Any] = {"positions": DATA | {"no frames": np.zeros((0, 17, 2))}, "plain": np.eye(3)}
     np.savez_compressed(path, **contents)
@@ -102,9 +99,7 @@ def test_a_dictionary_saved_by_numpy_is_read_back(path: Path) -> None:
 
 @pytest.mark.parametrize("protocol", [2, 3, 4])
 @pytest.mark.parametrize("module", [b"numpy._core.multiarray", b"numpy.core.multiarray"])
-def test_protocols_2_to_4_and_pickles_of_older_numpy_are_read(
-    path: Path, protocol: int, module: bytes
-) -> None:
+def test_protocols_2_to_4_and_older_numpy_are_read(path: Path, protocol: int, module: bytes) -> None:
     data = pickled_array(DATA, protocol)
     if protocol < 4:  # its strings have no length to correct
         data = data.replace(b"numpy._core.multiarray", module)
@@ -121,9 +116,6 @@ def test_an_object_that_is_shared_many_times_is_converted_once(path: Path) -> No
     for _ in range(15):
         lists = [lists] * 10  # 10^15 leaves
     assert len(read(path, pickled_array(lists))) == 10
-
-
-# --- hostile pickles -----------------------------------------------------------------------------
 
 
 class Harm:
@@ -200,9 +192,6 @@ def test_a_pickle_that_does_anything_else_is_refused(path: Path, content: bytes,
             read(path, npy(holding(content)))
     finally:
         copyreg.remove_extension("os", "system", 77)
-
-
-# --- damaged archives ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("data, message", [

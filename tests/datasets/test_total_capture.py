@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -84,9 +83,7 @@ def test_the_truth_is_read_in_link_axes_of_a_z_up_world(take: Take) -> None:
 
 
 def test_sensors_and_their_calibration_give_orientation_and_acceleration_of_bones(take: Take) -> None:
-    assert take.imus is not None
     found, planted = take.calibration, support.take().calibration
-    assert found is not None
     assert set(found.sensors) == set(planted.sensors)
     planted = planted.select(found.sensors)
     assert found.joints == planted.joints
@@ -125,17 +122,14 @@ def test_a_recording_has_the_projected_joints_and_the_sensors_asked_for(take: Ta
     assert recording.video.names == NAMES
     assert recording.name == "S5 acting3 cam3"
     assert "Trumble" in recording.acknowledgement
-    assert recording.truth is not None
     np.testing.assert_array_equal(recording.joint_offsets, take.joint_offsets)
     bones = recording.bone_imus()
-    assert bones is not None
     assert bones.joints == ("LeftForeArm", "Hips")
     assert len(bones) == len(recording.video)
     recording.save(tmp_path / "saved")
     again = type(recording).load(tmp_path / "saved")
     np.testing.assert_array_equal(again.video.uv_px, recording.video.uv_px)
     whole = take.recording(1).imus
-    assert whole is not None
     assert len(whole.names) == 13
 
 
@@ -176,7 +170,6 @@ def test_detections_of_camera_2_fail_the_reprojection_check(take: Take, detected
     assert bad.value > bad.limit == 20
     short = take.recording(1, found[1][:50])  # a video that ends early
     assert len(short.video) == 50
-    assert short.truth is not None
     assert len(short.truth) == 50
     assert short.bone_imus() is not None
     for times in (found[1].times * 2, found[1].times + 0.5):
@@ -212,7 +205,7 @@ def scalar_last(paths: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("spoil", [exchanged, of_another_take, scalar_last])
-def test_a_wrong_calibration_fails_the_checks_of_most_sensors(
+def test_wrong_calibration(
     spoil: Callable[[dict[str, Path]], None], tmp_path: Path, paths: dict[str, Path]
 ) -> None:
     spoil(paths)
@@ -244,6 +237,7 @@ def test_a_take_that_does_not_begin_in_the_t_pose_fails_its_checks(take: Take) -
     bad = failed(check_take(replace(take, truth=hanging, imus=None, calibration=None)))
     assert len(bad) == 1
     assert "T-pose" in bad[0].message
+    assert "(RightArm to RightForeArm)" in bad[0].message
     assert bad[0].value == pytest.approx(70, abs=8)
 
 
@@ -254,7 +248,6 @@ def test_a_body_in_another_unit_fails_the_check_of_its_height(take: Take, unit: 
 
 
 def test_scaled_acceleration_fails_the_check_of_its_sensor(take: Take) -> None:
-    assert take.imus is not None
     f = np.array(take.imus.f_sensor)
     f[:, 0] *= 1.1
     (bad,) = failed(check_take(replace(take, imus=replace(take.imus, f_sensor=f))))
@@ -269,11 +262,7 @@ def test_scaled_acceleration_fails_the_check_of_its_sensor(take: Take) -> None:
 def same(one: Take, two: Take) -> None:
     np.testing.assert_array_equal(one.truth.p_world_joint, two.truth.p_world_joint)
     np.testing.assert_array_equal(one.truth.R_world_bone, two.truth.R_world_bone)
-    assert one.imus is not None
-    assert two.imus is not None
     np.testing.assert_array_equal(one.imus.f_sensor, two.imus.f_sensor)
-    assert one.calibration is not None
-    assert two.calibration is not None
     np.testing.assert_array_equal(one.calibration.R_sensor_bone, two.calibration.R_sensor_bone)
     assert set(one.cameras) == set(two.cameras)
 
@@ -290,7 +279,7 @@ def test_every_layout_and_spelling_is_the_same_dataset(layout: str, tmp_path: Pa
     assert not found.missing
 
 
-def test_foreign_files_are_ignored(
+def test_foreign_files(
     tmp_path: Path, paths: dict[str, Path], take: Take, caplog: pytest.LogCaptureFixture
 ) -> None:
     for path in list(paths.values()):
@@ -313,19 +302,17 @@ def test_each_missing_file_is_reported(kind: str, tmp_path: Path, paths: dict[st
     paths[kind].unlink()
     dataset = TotalCapture(tmp_path)
     missing = dataset.take(*ONE).missing
-    words = {"positions": "positions", "orientations": "orientations", "sensors": "", "ref": "ref",
-             "bone": "bone", "cameras": "calibration.cal"}  # fmt: skip
     if kind in ("bvh", "aux", "sensors"):  # others replace these
         assert not missing
     else:
         (line,) = missing
-        assert words[kind] in line
+        assert kind.removesuffix("s").replace("camera", "calibration.cal") in line
     found = dataset.take(*ONE)
     np.testing.assert_allclose(found.truth.p_world_joint, take.truth.p_world_joint, atol=1e-5)
     if kind in ("ref", "bone"):
         assert found.imus is None
         assert found.calibration is None
-        assert words[kind] in said(found)
+        assert kind in said(found)
     if kind == "cameras":
         assert not found.cameras
         with pytest.raises((UnknownNameError, FileFormatError), match=r"camera"):
@@ -352,9 +339,7 @@ def test_a_take_without_truth_or_sensors(tmp_path: Path, paths: dict[str, Path])
 
 
 @pytest.mark.parametrize("gone", [["orientations"], ["orientations", "positions"]])
-def test_the_bvh_file_replaces_missing_files(
-    gone: list[str], tmp_path: Path, paths: dict[str, Path], take: Take
-) -> None:
+def test_bvh_fills_in_for_files(gone: list[str], tmp_path: Path, paths: dict[str, Path], take: Take) -> None:
     for kind in gone:
         paths[kind].unlink()
     found = TotalCapture(tmp_path).take(*ONE)
@@ -408,9 +393,7 @@ def test_offsets_of_a_body_of_another_size_are_not_used(tmp_path: Path) -> None:
 # --- files that do not fit or are broken ---------------------------------------------------------
 
 
-def test_files_that_differ_by_a_few_frames_are_cut(
-    tmp_path: Path, paths: dict[str, Path], take: Take
-) -> None:
+def test_files_that_differ_by_few_frames_are_cut(tmp_path: Path, paths: dict[str, Path], take: Take) -> None:
     rows = support.lines(paths["positions"])
     whole = len(take.truth)
     paths["positions"].write_text("".join(rows[:-3]))
@@ -426,10 +409,6 @@ def test_files_that_differ_by_a_few_frames_are_cut(
 
 def too_short(paths: dict[str, Path]) -> None:
     paths["positions"].write_text("".join(support.lines(paths["positions"])[:-20]))
-
-
-def half(kind: str) -> Callable[[dict[str, Path]], None]:
-    return lambda paths: os.truncate(paths[kind], paths[kind].stat().st_size // 2)
 
 
 def scalar_first(paths: dict[str, Path]) -> None:
@@ -469,9 +448,6 @@ def bvh_at_120_hz(paths: dict[str, Path]) -> None:
 
 @pytest.mark.parametrize(("spoil", "message"), [
     (too_short, r"gt_skel_gbl_ori.txt: 70 frames of positions and 90 of orientations"),
-    (half("positions"), r"gt_skel_gbl_pos.txt.*(again|cut off)"),
-    (half("orientations"), r"gt_skel_gbl_ori.txt.*(again|cut off)"),
-    (half("sensors"), r"Xsens.sensors.*(again|cut off)"),
     (scalar_first, r"gt_skel_gbl_ori.txt: .*w x y z"),
     (another_motion, r"gt_skel_gbl_ori.txt: .*mm"),
     (other_joint, r"gt_skel_gbl_pos.txt.*LeftFoot"),
@@ -494,7 +470,6 @@ def test_zero_acceleration_and_the_first_frames_are_unknown(tmp_path: Path, path
     f[:, imus.names.index("R_UpLeg")] = 0.0
     files.write_sensors(paths["sensors"], imus_without_check(imus, f))
     found = TotalCapture(tmp_path).take(*ONE)
-    assert found.imus is not None
     s = found.imus.names.index("R_UpLeg")
     assert np.isnan(found.imus.f_sensor[:, s]).all()
     assert np.isnan(found.imus.f_sensor[:10]).all()
@@ -514,9 +489,7 @@ def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("short", [3, 20])
-def test_sensor_data_that_end_early_are_padded(
-    short: int, tmp_path: Path, paths: dict[str, Path], take: Take
-) -> None:
+def test_short_sensor_data_are_padded(short: int, tmp_path: Path, paths: dict[str, Path], take: Take) -> None:
     whole, imus = len(take.truth), support.take().imus
     cut = replace(
         imus,
@@ -529,14 +502,11 @@ def test_sensor_data_that_end_early_are_padded(
     assert f"{whole - short} frames" in said(found)
     assert len(found.truth) == whole
     bones = found.recording(1).bone_imus()
-    assert bones is not None
     assert np.isfinite(bones.R_world_bone[: whole - short]).all()
     assert np.isnan(bones.R_world_bone[whole - short :]).all()
 
 
-def test_zeros_in_positions_and_orientations_are_unknown(
-    tmp_path: Path, paths: dict[str, Path], take: Take
-) -> None:
+def test_zero_position_or_orientation_is_unknown(tmp_path: Path, paths: dict[str, Path], take: Take) -> None:
     quat = QUAT_XYZW.copy()
     quat[33] = quat[40, 5] = 0.0
     files.write_joints(paths["orientations"], quat)
@@ -563,7 +533,6 @@ def test_a_sensor_without_calibration_is_left_out(tmp_path: Path, paths: dict[st
     rows[0] = "12\n"
     paths["ref"].write_text("".join(rows))
     found = TotalCapture(tmp_path).take(*ONE)
-    assert found.imus is not None
     assert len(found.imus.names) == 12
     assert "L_Foot" not in found.imus.names
     assert "L_Foot" in said(found)
@@ -609,23 +578,11 @@ def test_a_sensor_written_by_hand_gives_its_bone_and_no_acceleration(tmp_path: P
     found = TotalCapture(tmp_path).take("S1", "walking1")
     quarter = so3.about_axis("z", np.pi / 2)
     np.testing.assert_allclose(found.truth.R_world_bone[:, 0], np.tile(quarter, (T, 1, 1)), atol=1e-5)
-    assert found.imus is not None
-    assert found.calibration is not None
     bones = found.calibration.apply(found.imus)
     assert bones.joints == ("Hips",)
     np.testing.assert_allclose(bones.R_world_bone[:, 0], np.tile(quarter, (T, 1, 1)), atol=1e-5)
     np.testing.assert_allclose(bones.a_world[10:, 0], 0, atol=1e-4)
     assert any("not in s1_walking1_Xsens.sensors: Head, Sternum" in note for note in found.notes)
-
-
-# --- checks --------------------------------------------------------------------------------------
-
-
-def test_noisy_keypoints_pass_the_reprojection_check(take: Take) -> None:
-    (check,) = check_keypoints(take, 1, take.recording(1, noise_px=3.0).video)
-    assert check.passed
-    assert (check.subject, check.unit, check.limit) == ("camera 1", "px", 20)
-    assert check.value == pytest.approx(3 * np.sqrt(2 * np.log(2)), rel=0.05)
 
 
 def test_camera_2_fails_its_check_without_keypoints(take: Take) -> None:
@@ -639,7 +596,6 @@ def test_camera_2_fails_its_check_without_keypoints(take: Take) -> None:
 
 
 def test_a_slipped_sensor_is_distinguished_from_the_calibration_of_another_take(take: Take) -> None:
-    assert take.calibration is not None
     R = np.array(take.calibration.R_sensor_bone)
     turn = so3.about_axis("x", np.radians(30))
     R[4] = R[4] @ turn
@@ -651,17 +607,6 @@ def test_a_slipped_sensor_is_distinguished_from_the_calibration_of_another_take(
     bads = failed(check_take(replace(take, calibration=replace(take.calibration, R_sensor_bone=R))))
     assert len(bads) == 9
     assert all("9 of 13 sensors fail this: is it the calibration of another take?" in b.message for b in bads)
-
-
-def test_the_limb_that_is_not_in_the_t_pose_is_named(take: Take) -> None:
-    R = np.array(take.truth.R_world_bone)
-    arm = [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")]
-    R[:, arm] = R[:, arm] @ so3.about_axis("z", np.radians(40))
-    p = positions(PARENTS, take.joint_offsets, take.truth.p_world_joint[:, 0], R)
-    bent = replace(take.truth, p_world_joint=p, R_world_bone=R)
-    (bad,) = failed(check_take(replace(take, truth=bent, imus=None, calibration=None)))
-    assert "(LeftForeArm to LeftHand)" in bad.message
-    assert bad.value == pytest.approx(40, abs=6)
 
 
 def test_bones_of_a_take_without_orientations_are_checked_by_their_length(tmp_path: Path) -> None:
@@ -678,9 +623,6 @@ def test_bones_of_a_take_without_orientations_are_checked_by_their_length(tmp_pa
     )
 
 
-# --- refusals ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("options", "error", "message"), [
     ({"camera": 9}, UnknownNameError, r"camera '9'.*1, 2, 3"),
     ({"sensors": ("L_Hand",)}, UnknownNameError, r"sensor.*'L_Hand'.*Head"),
@@ -688,7 +630,7 @@ def test_bones_of_a_take_without_orientations_are_checked_by_their_length(tmp_pa
     ({"noise_px": np.nan}, InvalidInputError, "noise_px: nan"),
     ({"noise_px": 2.0, "seed": -1}, InvalidInputError, "seed: -1 is negative"),
 ])  # fmt: skip
-def test_wrong_options_are_refused(
+def test_wrong_options(
     options: dict[str, Any], error: type[Exception], message: str, take: Take, root: Path
 ) -> None:
     with pytest.raises(error, match=message):

@@ -35,9 +35,7 @@ def put(root: Path, *paths: str) -> None:
         ("S2/acting1/s1_acting3_Xsens.sensors", ("S1", "acting3"), "sensors"),
     ],
 )
-def test_subject_and_take_are_read_from_the_name_or_the_nearest_folder(
-    path: str, take: tuple[str, str], kind: str, tmp_path: Path
-) -> None:
+def test_subject_and_take_come_from_path(path: str, take: tuple[str, str], kind: str, tmp_path: Path) -> None:
     put(tmp_path, path)
     index = find_files(tmp_path)
     assert index.files == {take: {kind: [tmp_path / path]}}

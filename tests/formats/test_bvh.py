@@ -125,7 +125,6 @@ def test_file_without_a_frame_time_needs_a_declared_rate(write, line):
         ("ROOT Base", "ROOT", 3, "no name"),
         ("1.0 2.0 3.0", "1.0 2.0", 5, "three offset numbers, found 'CHANNELS'"),
         ("  OFFSET 1.0 2.0 3.0\n", "", 14, "'Base' (line 2) has no OFFSET"),
-        ("CHANNELS 3 Z", "CHANNELS 4 Z", 10, "unknown channel 'End'"),
         ("CHANNELS 3 Z", "CHANNELS 2 Z", 9, "'Yrotation' does not belong"),
         ("CHANNELS 3 Z", "CHANNELS 9 Z", 9, "0 to 6 channels"),
         ("End Site\n    {", "End Site\n    { CHANNELS 3", 11, "an end site has no channels, not 3"),
@@ -199,9 +198,6 @@ def test_inconsistent_motion_is_refused(field, value, says):
         ArticulatedMotion(**GOOD | {field: value})
     with pytest.raises(UnknownNameError, match="'c'"):
         ArticulatedMotion(**GOOD).index("c")
-
-
-# --- writing -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("order", ["zxy", "xzy", "yxz"])

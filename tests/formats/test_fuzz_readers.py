@@ -26,7 +26,6 @@ from fuzz_support import READERS, Reader, made_by, npz, recording, write_files
 from hypothesis import HealthCheck, given, settings
 
 from rtof_kin.core.errors import FileFormatError, RtofError
-from rtof_kin.formats.opencv_yaml import read_opencv_yaml
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import read_corpus
 
@@ -80,9 +79,6 @@ def test_damaged_file_is_refused_by_name_or_read_as_something_valid(reader: Read
         damage(reader, tmp_path, name, content)
         (tmp_path / name).write_bytes(content)
     assert reader.read(tmp_path) is not None
-
-
-# --- files made to do harm -----------------------------------------------------------------------
 
 
 class Canary:
@@ -186,9 +182,7 @@ def test_growing_text_is_refused_within_time_and_memory(reader: Reader, name: st
 
 
 @pytest.mark.parametrize("reader, name", readers_of(".npz", ".npy"))
-def test_array_with_a_false_header_is_refused_within_memory(
-    reader: Reader, name: str, tmp_path: Path
-) -> None:
+def test_array_with_a_false_header_is_refused(reader: Reader, name: str, tmp_path: Path) -> None:
     write_files(tmp_path, reader.files)
     for array in ARRAYS.values():
         hostile = zipped(array, members(reader.files[name])) if name.endswith("z") else array
@@ -280,9 +274,3 @@ def test_folder_device_and_missing_file_are_refused(reader: Reader, tmp_path: Pa
     path.parent.mkdir(exist_ok=True)
     path.symlink_to("/dev/zero")
     assert str(tmp_path) in message_or_folder(reader, tmp_path)
-
-
-def test_alias_bomb_is_refused_with_its_line(tmp_path: Path) -> None:
-    (tmp_path / "a.yml").write_text(ALIASES)
-    with pytest.raises(FileFormatError, match="line 2: an alias"):
-        read_opencv_yaml(tmp_path / "a.yml")

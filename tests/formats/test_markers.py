@@ -89,9 +89,6 @@ def test_existing_file_and_folder_as_path_are_refused(write, markers: MarkerSequ
         write(tmp_path / "other", markers, up="w")
 
 
-# --- TRC -----------------------------------------------------------------------------------------
-
-
 def test_trc_is_read_by_its_header(tmp_path: Path) -> None:
     markers = read_trc(written(tmp_path, TRC))
     assert markers.names == ("Left heel", "C7")
@@ -107,9 +104,7 @@ def test_trc_gap_is_empty_cells_with_all_their_tabs(markers: MarkerSequence, tmp
     assert lines[5 + 4].split("\t")[5:8] == ["", "", ""]
 
 
-def test_trc_in_opensims_ground_keeps_x_and_has_z_on_the_right(
-    markers: MarkerSequence, tmp_path: Path
-) -> None:
+def test_trc_in_opensims_ground_has_z_on_the_right(markers: MarkerSequence, tmp_path: Path) -> None:
     path = tmp_path / "out.trc"
     write_trc(path, markers, up="opensim")
     assert_same(read_trc(path, up="opensim"), markers, 1e-9)
@@ -169,9 +164,6 @@ def test_invalid_trc_and_arguments_are_refused(markers: MarkerSequence, tmp_path
     odd = MarkerSequence(markers.times, ("a\tb", "c", "d"), markers.p_world)
     with pytest.raises(InvalidInputError, match="a tab"):
         write_trc(tmp_path / "a.trc", odd)
-
-
-# --- C3D -----------------------------------------------------------------------------------------
 
 
 def test_c3d_of_more_markers_than_one_parameter_can_name(tmp_path: Path) -> None:
@@ -264,9 +256,7 @@ def test_c3d_of_every_storage_of_numbers(processor: int, as_integers: bool, tmp_
         ({"LABELS": [], "LABELS2": 3}, ("*1", "*2")),
     ],
 )
-def test_c3d_leaves_out_derived_points_and_names_unlabelled_ones(
-    changes: dict[str, object], names: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_c3d_unlabelled_points(changes: dict[str, object], names: tuple[str, ...], tmp_path: Path) -> None:
     assert read_c3d(written(tmp_path, c3d_bytes(84, False, changes))).names == names
 
 

@@ -78,8 +78,6 @@ def test_written_motion_is_read_back(path: Path, motion: MotionSequence) -> None
 def test_confidence_is_read_back_to_single_precision(tmp_path: Path, confident: MotionSequence) -> None:
     write_motion_npz(tmp_path / "motion.npz", confident)
     given, read = confident.confidence, read_motion_npz(tmp_path / "motion.npz").motion().confidence
-    assert given is not None
-    assert read is not None
     assert (read.pairs, read.names) == (given.pairs, given.names)
     for field in ("position_covariance", "relative_covariance", "turn_covariance"):
         np.testing.assert_allclose(getattr(read, field), getattr(given, field), rtol=1e-6)
@@ -94,7 +92,7 @@ def test_confidence_is_read_back_to_single_precision(tmp_path: Path, confident: 
         ({"position_covariance": np.zeros((12, 20, 3, 3))}, "position_covariance: expected shape"),
     ],
 )
-def test_invalid_confidence_is_refused(
+def test_invalid_confidence(
     tmp_path: Path, confident: MotionSequence, changes: dict[str, Any], message: str
 ) -> None:
     write_motion_npz(tmp_path / "motion.npz", confident)
@@ -165,8 +163,6 @@ def test_missing_array_is_named(path: Path, name: str) -> None:
     ("R_world_bone", np.zeros((12, 21, 3, 3)), "rotation"),
     ("joint_offsets", np.zeros((20, 3)), r"joint_offsets: expected shape \(21, 3\)"),
     ("singular", np.zeros((12, 3), dtype=bool), r"singular: expected shape \(12, 21\)"),
-    ("provenance", np.zeros(12), "provenance: expected shape"),
-    ("names", np.array("Hips"), "names"),
     ("names", np.array(["Hips"] * 21), "Hips"),
     ("dof_names", np.array(["a"]), "q: expected shape"),
     ("first_frame", np.arange(3), ""),

@@ -12,15 +12,7 @@ from hypothesis import strategies as st
 
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.data.poses import Provenance
-from rtof_kin.formats.motion_views import (
-    check_known,
-    even_times,
-    from_prior,
-    joint_tree,
-    landmark_markers,
-    pieces,
-)
+from rtof_kin.formats.motion_views import check_known, even_times, joint_tree, landmark_markers, pieces
 from rtof_kin.formats.world_axes import UP
 
 
@@ -62,26 +54,6 @@ def test_jitter_of_stamps_is_evened_and_more_is_refused() -> None:
         even_times(times)
 
 
-def test_unobserved_joint_has_no_markers_and_comes_from_the_prior(motion: MotionSequence) -> None:
-    names = motion.poses.names
-    leg = [names.index(name) for name in ("LeftUpLeg", "LeftLeg", "LeftFoot")]
-    provenance = np.full(motion.poses.valid.shape, Provenance.CAMERA)
-    provenance[:, leg] = Provenance.PRIOR
-    provenance[:30, leg[2]] = Provenance.IMU
-    hidden = with_gap(replace(motion, poses=replace(motion.poses, provenance=provenance)))
-    markers = landmark_markers(hidden)
-    seen = np.isfinite(markers.p_world).all(axis=-1).T
-    seen_by_name = dict(zip(markers.names, seen, strict=True))
-    assert not seen_by_name["LeftLeg"].any()
-    np.testing.assert_array_equal(seen_by_name["LeftHeel"], np.arange(60) < 30)
-    assert seen_by_name["RightHeel"][:40].all()
-    shares = from_prior(hidden)
-    assert shares == {"LeftUpLeg": 1.0, "LeftLeg": 1.0, "LeftFoot": pytest.approx(25 / 52)}
-    assert from_prior(motion) == {}
-    bridged = np.zeros_like(motion.poses.valid)
-    assert from_prior(replace(motion, poses=replace(motion.poses, valid=bridged))) == {}
-
-
 def test_markers_are_the_landmarks_where_their_joint_is_valid(motion: MotionSequence) -> None:
     valid = np.array(motion.poses.valid)
     foot = motion.poses.names.index("RightFoot")
@@ -99,9 +71,7 @@ def test_markers_are_the_landmarks_where_their_joint_is_valid(motion: MotionSequ
 
 @pytest.mark.parametrize("up", UP)
 @pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("cm", 0.01), ("mm", 0.001)])
-def test_tree_reproduces_the_motion_in_any_axes_and_unit(
-    motion: MotionSequence, up: str, unit: str, metres: float
-) -> None:
+def test_tree_reproduces_the_motion(motion: MotionSequence, up: str, unit: str, metres: float) -> None:
     tree = joint_tree(motion, up=up, unit=unit)
     p, R = tree.forward_kinematics()
     np.testing.assert_allclose(p * metres @ UP[up].T, motion.poses.p_world_joint, atol=1e-12)

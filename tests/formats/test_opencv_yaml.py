@@ -123,7 +123,6 @@ def test_recording_takes_its_camera_from_a_file(table: dict[str, object], tmp_pa
     content = tomllib.loads(index.read_text()) | {"camera": {"file": "camera.yml", **table}}
     index.write_text(tomli_w.dumps(content))
     keypoints = Recording.load(tmp_path / "take").keypoints
-    assert keypoints is not None
     unit = float(table.get("metres_per_unit", 1.0))  # type: ignore[arg-type]
     np.testing.assert_allclose(keypoints.camera.t_camera_world, TVEC * unit)
     index.write_text(tomli_w.dumps(content | {"camera": {"file": "camera.yml", "width_px": 9}}))
@@ -196,10 +195,8 @@ def test_up_axis_unit_and_size_are_declared(tmp_path: Path) -> None:
         (PLAIN, "a: " + "9" * 5000, "not readable as YAML: .*integer"),
         ("K:", "K: [1, 2]\nX:", "camera, camera_matrix: expected 9 finite numbers, found 2"),
         ("1250.5", "f", "camera, camera_matrix: not a matrix of numbers"),
-        ("1250.5", ".inf", "camera, camera_matrix: expected 9 finite numbers"),
         ("1250.5", "-1250.5", "camera: camera K"),
         ("rvec", "vec", "camera, R: missing; it may be called R, rvec"),
-        ("tvec", "vec", "camera, T: missing; it may be called T, t, tvec"),
         ("1.688, 1.048", "1.688", "camera, R: expected 3 or 9 finite numbers, found 2"),
         ("dist: [", "dist: [1, 2, 3, ", "distortion_coefficients: 8 coefficients"),
         ("dist:", "distortion_model: equidistant\ndist:", "'equidistant'; undistort"),

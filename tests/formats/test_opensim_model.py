@@ -12,7 +12,6 @@ from opensim_support import read_by_opensim
 
 from rtof_kin.body import urdf
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import OutputExistsError
 from rtof_kin.formats.opensim_model import to_osim, write_osim
 from rtof_kin.formats.opensim_mot import coordinates, write_mot
 
@@ -25,7 +24,7 @@ def body(any_skeleton: SkeletonModel) -> SkeletonModel:
     return any_skeleton.with_height(1.83).with_mass(68, "female")
 
 
-def test_opensim_finds_the_mass_and_inertia_of_the_urdf(
+def test_opensim_mass_and_inertia(
     body: SkeletonModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_osim(tmp_path / "skeleton.osim", body)
@@ -74,12 +73,3 @@ def test_file_states_axes_zero_and_standard_gravity(skeleton: SkeletonModel) -> 
     assert "x forward, y left, z up in the T-pose, where every coordinate is zero" in text
     assert "<gravity>0.0 -9.80665 0.0</gravity>" in text
     assert "nan" not in text.lower()
-
-
-def test_existing_model_is_replaced_only_when_asked(skeleton: SkeletonModel, tmp_path: Path) -> None:
-    path = tmp_path / "skeleton.osim"
-    write_osim(path, skeleton)
-    with pytest.raises(OutputExistsError, match=r"skeleton\.osim"):
-        write_osim(path, skeleton)
-    write_osim(path, skeleton.with_height(1.5), overwrite=True)
-    assert path.read_text() == to_osim(skeleton.with_height(1.5))

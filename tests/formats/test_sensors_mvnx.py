@@ -10,7 +10,7 @@ from sensor_files import mvnx_text, truth
 
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.formats.sensors import mvnx
-from rtof_kin.formats.sensors.mvnx import is_mvnx, read_mvnx, read_mvnx_file
+from rtof_kin.formats.sensors.mvnx import read_mvnx, read_mvnx_file
 
 TRUTHS = [truth(1, T=6), truth(2, T=6)]
 
@@ -38,7 +38,6 @@ def test_sensors_segments_and_calibration_poses(tmp_path: Path) -> None:
     assert list(content.poses) == ["tpose"]
     np.testing.assert_array_equal(content.poses["tpose"].quat_wxyz, [[1, 0, 0, 0]])
     assert content.poses["tpose"].p_world is None
-    assert content.p_world_segment is not None
     np.testing.assert_allclose(content.p_world_segment[:, 0, 2], np.arange(6) / 100)
     log = read_mvnx(path)
     assert log.notes == ("calibration poses (tpose) are no samples; see read_mvnx_file",)
@@ -68,23 +67,17 @@ def test_missing_frames_are_a_gap(tmp_path: Path) -> None:
     assert stream.notes == ("2 packets (33.3%) lost in 1 gap, the longest of 0.03 s",)
 
 
-BOMB = """<?xml version="1.0"?><!DOCTYPE mvnx [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;">
-<!ENTITY c "&b;&b;&b;&b;">]><mvnx>&c;</mvnx>"""
-EXTERNAL = '<?xml version="1.0"?><!DOCTYPE mvnx [<!ENTITY x SYSTEM "file:///etc/passwd">]><mvnx>&x;</mvnx>'
 ONE_FRAME = mvnx_text(TRUTHS, frame(0, orientations()))
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (BOMB, "DTDForbidden"),
-        (EXTERNAL, "DTDForbidden"),
         ('<!DOCTYPE mvnx SYSTEM "http://x/y"><mvnx/>', "refused: DTDForbidden"),
         ("<mvnx>", "line 1: broken XML"),
         ("<html><mvnx/></html>", "its root is <html>, not <mvnx>"),
         ("", "broken XML"),
         ("<mvnx/>", "has no frame of a recording"),
-        (mvnx_text(TRUTHS, ""), "has no frame of a recording"),
         (mvnx_text(TRUTHS, frame(0, "")), "no frame has sensorOrientation or sensorFreeAcceleration"),
         (mvnx_text(TRUTHS, frame(0, orientations(3))),
          "frame 0: sensorOrientation has 12 numbers, and 8 are needed"),
@@ -121,9 +114,7 @@ def test_damaged_and_hostile_files_are_refused(tmp_path: Path, text: str, messag
         f"<a b='{'1' * 120000}'/>",  # one long attribute
     ],
 )
-def test_element_of_unbounded_size_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: str
-) -> None:
+def test_element_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: str) -> None:
     monkeypatch.setattr(mvnx, "LARGEST_FRAME", 2**14)
     with pytest.raises(FileFormatError, match="an element in it is larger"):
         read_mvnx(written(tmp_path, mvnx_text(TRUTHS, frames)))
@@ -142,8 +133,3 @@ def test_frames_are_dropped_after_use(tmp_path: Path, monkeypatch: pytest.Monkey
     path = written(tmp_path, mvnx_text(TRUTHS, "".join(frame(i, orientations()) for i in range(4000))))
     assert path.stat().st_size > 2**18
     assert len(read_mvnx(path).streams[0]) == 4000
-
-
-def test_file_is_recognised_by_its_root() -> None:
-    assert is_mvnx(ONE_FRAME[:200])
-    assert not is_mvnx("<html>")

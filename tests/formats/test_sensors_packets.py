@@ -30,9 +30,7 @@ def ordered(counters: list[float], wrap: int = WRAP_16, late: int = 10) -> Packe
     ],
     ids=["in order", "wrap", "late across a wrap", "repeated"],
 )
-def test_packets_are_sorted_once_each(
-    counters: list[float], rows: list[int], count: list[int], note: str | None
-) -> None:
+def test_sorted_packets(counters: list[float], rows: list[int], count: list[int], note: str | None) -> None:
     got = ordered(counters)
     assert (got.rows.tolist(), got.count.tolist()) == (rows, count)
     assert got.notes == () if note is None else any(note in one for one in got.notes)
@@ -63,12 +61,9 @@ def test_sent_packets_are_recovered(first: int, steps: list[int], seed: int) -> 
     ("counters", "line", "message"),
     [
         ([29848, 29849, 1, 2], 7, "goes from 29849 back to 1: it started anew; make a file of each"),
-        ([100, 60000, 101], 7, "goes from 60000 back to 101"),
         ([1, 2.5, 3], 6, "is 2.5, not a whole number from 0 to 65535"),
         ([1, np.nan], 6, "is nan, not a whole number"),
-        ([1, -2], 6, "is -2, not a whole number"),
         ([1, 65536], 6, "is 65536, not a whole number"),
-        ([1, np.inf], 6, "is inf, not a whole number"),
         ([4, 4, 4], 6, "2 of 3 lines repeat a PacketCounter: it started anew, or does not count"),
         ([1, 2, 3, 4, 1, 2, 3, 4], 9, "4 of 8 lines repeat a PacketCounter: it started anew"),
     ],

@@ -23,9 +23,7 @@ def table(tmp_path: Path, content: str | bytes) -> SensorTable:
 @pytest.mark.parametrize("delimiter", ["\t", ",", ";"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
-def test_separators_line_ends_and_byte_order_marks(
-    tmp_path: Path, delimiter: str, end: str, mark: bytes
-) -> None:
+def test_separators_line_ends_and_marks(tmp_path: Path, delimiter: str, end: str, mark: bytes) -> None:
     lines = ["// © made here", "t,x,Status", "1, 2.5 ,ok", "", "2,,", "3,-4e-1,bad,", ""]
     got = table(tmp_path, mark + end.join(lines).replace(",", delimiter).encode())
     assert got.names == ("t", "x")
@@ -64,9 +62,7 @@ def test_cut_last_line_is_left_out_with_a_note(tmp_path: Path) -> None:
         (HEAD + "1," + "2" * 70000 + ",ok\n", 4, "longer than 65536 bytes"),
     ],
 )
-def test_damaged_table_is_an_error_with_its_line(
-    tmp_path: Path, content: str | bytes, line: int | None, message: str
-) -> None:
+def test_damaged_table(tmp_path: Path, content: str | bytes, line: int | None, message: str) -> None:
     with pytest.raises(FileFormatError, match=message) as caught:
         table(tmp_path, content)
     assert caught.value.line == line

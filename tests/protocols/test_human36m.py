@@ -65,9 +65,6 @@ def table_of(about: Human36MProtocol, outcome: Outcome) -> dict[str, Table]:
     return {table.name: table for table in all_tables(about, outcome)}
 
 
-# --- by hand -------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def measured(root: Path, lifter: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One action of each subject in both modes by the command, with everything it can write."""
@@ -151,9 +148,6 @@ def test_means_are_over_the_frames_of_all_actions(root: Path, lifter: Path, tmp_
     assert usual.settings()["lifter_sha256"] == hashlib.sha256(perfect).hexdigest()
 
 
-# --- what is damaged or not there ----------------------------------------------------------------
-
-
 def test_damaged_actions_and_absent_subjects_are_reported(lifter: Path, tmp_path: Path) -> None:
     positions: dict[str, dict[str, Any]] = dict(archive(tmp_path, ("S9",)))
     positions["S9"] = positions["S9"] | {"Action 0": np.zeros((30, 5))}
@@ -173,20 +167,15 @@ def test_damaged_actions_and_absent_subjects_are_reported(lifter: Path, tmp_path
         protocol(tmp_path, lifter, subjects=("S11",)).jobs()
 
 
-# --- bad input -----------------------------------------------------------------------------------
-
 BAD = {
     "an unknown subject": (["--subjects", "S2"], "unknown subject 'S2'"),
     "a misspelt action": (
         ["--actions", "Action 1,Acton 0"],
         "unknown action 'Acton 0'. Did you mean 'Action 0'?",
     ),
-    "a camera that is not": (["--cameras", "4"], "unknown camera '4'"),
     "a mode with sensors": (["--modes", "rtof"], "unknown mode without sensors 'rtof'"),
-    "no mode": (["--modes", ""], "modes: none are named"),
     "no lifter": (["--lifter", "{tmp}/none.pt"], "none.pt: no such file; train a lifter"),
     "no archives": (["--root", "{tmp}"], "data_3d_h36m.npz"),
-    "no worker": (["--workers", "0"], "workers: 0"),
 }
 
 
@@ -197,7 +186,7 @@ def unpictured(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("unpictured")
 @pytest.mark.parametrize("bad", BAD)
-def test_bad_input_is_refused_and_nothing_written(
+def test_bad_input_writes_nothing(
     bad: str, root: Path, lifter: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given, expected = BAD[bad]

@@ -31,9 +31,6 @@ def runs(tmp_path: Path) -> Path:
     return folder
 
 
-# --- results and resuming ------------------------------------------------------------------------
-
-
 def test_results_keep_the_order_of_the_jobs_and_nan_becomes_null(log: Path, runs: Path) -> None:
     fact = {"mean": float("nan"), "most": [1.5, (float("inf"), "text", None, 3)]}
     jobs = {**orders(log, z="work", a="work"), "m": Order("m", log, fact=fact)}
@@ -64,9 +61,6 @@ def test_an_interrupted_run_resumes(log: Path, runs: Path) -> None:
     outcome = run_jobs(obey, orders(log, a="work", b="work", c="work"), runs, workers=1)
     assert calls(log) == ["a", "b", "b", "c"]
     assert values(outcome.done) == {"a": 0.0, "b": 1.0, "c": 2.0}
-
-
-# --- failures and progress -----------------------------------------------------------------------
 
 
 def test_failures_are_reported_by_job_and_do_not_stop_the_others(
@@ -102,9 +96,6 @@ def test_progress_is_called_after_every_job(log: Path, runs: Path, caplog: pytes
     assert reports[4] == (2, 3, "2 of 3 were done before")
     with pytest.raises(InvalidInputError, match="workers: 0"):
         run_jobs(obey, jobs, runs, 0)
-
-
-# --- processes -----------------------------------------------------------------------------------
 
 
 def test_worker_processes_have_one_thread_each_and_change_no_result(
@@ -164,9 +155,6 @@ def test_an_interruption_terminates_the_worker_processes_only(log: Path, runs: P
         other.kill()
         other.join()
     assert sorted(path.name for path in runs.iterdir()) == ["a.json", "a.npz"]
-
-
-# --- folders -------------------------------------------------------------------------------------
 
 
 def opened(folder: Path, overwrite: bool = False, save: Path | None = None, **changed: Any) -> Path:

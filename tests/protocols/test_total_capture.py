@@ -68,7 +68,7 @@ class Measured:
     save: Path
     json: Path
     printed: str
-    told: str
+    errors: str
 
     def arguments(self, root: Path) -> list[str]:
         return ["total-capture", "--root", str(root), "--subjects", "s1,s5", "--takes",
@@ -85,10 +85,10 @@ def measured(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Measured:
     """
     folder = tmp_path_factory.mktemp("measured")
     result = Measured(folder / "out", folder / "motions", folder / "deep" / "all.json", "", "")
-    printed, told = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(told):
+    printed, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(errors):
         assert main(result.arguments(root)) == 0
-    return replace(result, printed=printed.getvalue(), told=told.getvalue())
+    return replace(result, printed=printed.getvalue(), errors=errors.getvalue())
 
 
 @pytest.fixture
@@ -187,13 +187,10 @@ def test_the_default_protocol_is_that_of_the_paper() -> None:
     assert usual.cameras == CAMERAS == (1, 3, 4, 5, 6, 7, 8)
     assert set(usual.modes) == set(MODES)
     assert len(usual.jobs()) == 15 * (7 + 1)
-    left_out = {"Spine1", "Spine2", "Spine3", "RightShoulder", "LeftShoulder"}
     assert len(set(SIXTEEN)) == len(SIXTEEN) == 16
-    assert set(NAMES) - set(SIXTEEN) == left_out
     known = SkeletonModel.default().sensors
     for count, sensors in SENSOR_SETS.items():
-        assert len(set(sensors)) == len(sensors) == int(count)
-        assert set(sensors) <= set(known)
+        assert len(set(sensors) & set(known)) == len(sensors) == int(count)
     joints = {known[sensor][0] for sensor in usual.sensors}
     assert joints == {f"{side}{limb}" for side in ("Left", "Right")
                       for limb in ("Arm", "ForeArm", "UpLeg", "Leg")}  # fmt: skip
@@ -229,8 +226,8 @@ def test_the_json_has_settings_and_rows_and_the_tables_are_complete(measured: Me
     assert len(content["rows"]) == 2 * (len(MODES) + 2)
     absent = {"S1_acting3", "S1_acting3_cam1", "S5_walking2", "S5_walking2_cam1"}
     assert set(content["failed"]) == absent
-    assert measured.told.count("S1_acting3_cam1 failed: unknown take") == 1
-    assert "8/8" in measured.told
+    assert measured.errors.count("S1_acting3_cam1 failed: unknown take") == 1
+    assert "8/8" in measured.errors
     tables = content["tables"]
     assert list(tables) == ["by_take", "inertial_only", "ablation", "sixteen_joints", "state_of_data"]
     incomplete = "INCOMPLETE, without: S1 acting3; S5 walking2."
@@ -289,9 +286,7 @@ def noisy(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Outcome:
 
 
 @pytest.mark.slow
-def test_two_processes_and_a_resumed_run_give_the_same_tables(
-    root: Path, tmp_path: Path, noisy: Outcome
-) -> None:
+def test_two_processes_and_a_resumed_run_agree(root: Path, tmp_path: Path, noisy: Outcome) -> None:
     about = protocol(root, noise_px=4.0, seed=3)
     two = run(about, tmp_path, workers=2)
     assert facts_of(two) == facts_of(noisy)
@@ -324,8 +319,8 @@ def test_a_take_without_sensors_has_the_modes_that_need_none(tmp_path: Path) -> 
     for name in ("by_take", "inertial_only", "ablation", "sixteen_joints"):
         (sentence,) = [note for note in tables[name].notes if note.startswith("INCOMPLETE")]
         assert "S5 acting3 (sf2)" in sentence
-    told = [cells for cells in tables["state_of_data"].rows if cells[0] == "S5 acting3 camera 1"]
-    (note,) = [str(cells[2]) for cells in told]
+    rows = tables["state_of_data"].rows
+    (note,) = [str(cells[2]) for cells in rows if cells[0] == "S5 acting3 camera 1"]
     assert "sf2 and rtof are left out, without the sensors L_UpArm" in note
     # What no run could write is not waited for.
     before = (tmp_path / "out/runs/S5_acting3_cam1.json").stat().st_mtime_ns
@@ -498,8 +493,6 @@ def test_the_studies_vary_n_and_k_v_alone(monkeypatch: pytest.MonkeyPatch) -> No
 
 BAD = {
     "an unknown subject": (["--subjects", "S1,S6"], "unknown subject 'S6'"),
-    "a misspelt take": (["--takes", "actng3"], "unknown take 'actng3'. Did you mean 'acting3'?"),
-    "a camera that is not": (["--cameras", "1,9"], "unknown camera '9'"),
     "a misspelt sensor": (["--sensors", "L_LowrArm"], "Did you mean 'L_LowArm'?"),
     "an unknown mode": (["--modes", "rtoff"], "unknown mode 'rtoff'"),
     "no mode": (["--modes", ""], "modes: none are named"),
@@ -508,23 +501,19 @@ BAD = {
         ["--keypoints", "{tmp}", "--noise-px", "3"],
         "noise is added to ground-truth 2D only",
     ),
-    "negative noise": (["--noise-px=-1"], "noise_px: -1 is not a standard deviation"),
-    "a negative seed": (["--seed=-1"], "seed: -1 is negative"),
     "no folder of detections": (["--keypoints", "{tmp}/none"], "no such folder of detections"),
     "no lifter": (["--lifter", "{tmp}/none.pt"], "none.pt: no such file; give the path of a trained"),
     "no layout": (["--keypoints", "{tmp}", "--layout", "coco"], "unknown layout 'coco'. Did you mean"),
     "a layout of nothing": (["--layout", "auto"], "layout is that of a detector's points"),
     "no data set": (["--root", "{tmp}/none"], "none: there is no such folder"),
     "an empty data set": (["--root", "{tmp}"], "holds no file of Total Capture"),
-    "a folder for the JSON": (["--json", "{tmp}"], "is a folder; name a file"),
     "a file for the results": (["-o", "{tmp}/file"], "cannot be written"),
-    "no worker": (["--workers", "0"], "workers: 0"),
 }
 
 
 @pytest.mark.usefixtures("unpictured")
 @pytest.mark.parametrize("bad", BAD)
-def test_bad_input_is_refused_and_nothing_written(
+def test_bad_input_writes_nothing(
     bad: str, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given, expected = BAD[bad]
@@ -541,9 +530,7 @@ def test_bad_input_is_refused_and_nothing_written(
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_the_example_is_the_command(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_example_is_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     import runpy
     import sys
 

@@ -51,13 +51,8 @@ def sensor_accelerations(poses: PoseSequence, sensors: tuple[str, ...]) -> Array
     return np.asarray((p[2:] - 2 * p[1:-1] + p[:-2]) * poses.rate_hz**2)
 
 
-# --- without noise -------------------------------------------------------------------------------
-
-
 def test_without_noise_the_calibrated_orientation_is_that_of_the_bones() -> None:
     recording = simulated(replace(NOISELESS, sensors=ALL_SENSORS))
-    assert recording.imus is not None
-    assert recording.calibration is not None
     bones = recording.calibration.apply(recording.imus)
     truth = POSES.R_world_bone[:, SKELETON.index(*bones.joints)]
     assert np.abs(bones.R_world_bone - truth).max() < 1e-12
@@ -66,8 +61,6 @@ def test_without_noise_the_calibrated_orientation_is_that_of_the_bones() -> None
 def test_a_sensor_at_rest_reads_one_gravity_upwards() -> None:
     recording = simulated(NOISELESS, planted.standing(SKELETON, 30).poses)
     imus, calibration = recording.imus, recording.calibration
-    assert imus is not None
-    assert calibration is not None
     f_inertial = np.einsum("tsij,tsj->tsi", imus.R_inertial_sensor, imus.f_sensor)
     np.testing.assert_allclose(f_inertial, np.broadcast_to(-GRAVITY_WORLD, f_inertial.shape), atol=1e-9)
     assert np.ptp(imus.f_sensor[0], axis=0).max() > 1, "every sensor is mounted in another way"
@@ -78,7 +71,6 @@ def test_a_sensor_at_rest_reads_one_gravity_upwards() -> None:
 
 def test_aligned_samples_equal_the_central_differences_of_the_truth() -> None:
     bones = simulated(NOISELESS).bone_imus()
-    assert bones is not None
     error = bones.a_world[1:-1] - sensor_accelerations(POSES, LIMB_SENSORS)
     assert np.abs(error).max() < 1e-8
 
@@ -87,14 +79,10 @@ def test_aligned_samples_equal_the_central_differences_of_the_truth() -> None:
     ("rate_hz", "start", "largest"),
     [(240.0, 0.9, 0.05), (100.0, 0.3, 0.15), (60.0, 0.5, 0.4), (50.0, 0.2, 0.4)],
 )
-def test_samples_at_other_instants_approximate_the_central_differences(
-    rate_hz: float, start: float, largest: float
-) -> None:
+def test_samples_at_other_instants_are_close(rate_hz: float, start: float, largest: float) -> None:
     settings = replace(NOISELESS, imu_rate_hz=rate_hz, imu_start_frames=(start, start))
     recording = simulated(settings)
     bones = recording.bone_imus()
-    assert recording.imus is not None
-    assert bones is not None
     np.testing.assert_allclose(recording.imus.times[0], POSES.times[0] + start / rate_hz)
     np.testing.assert_allclose(np.diff(recording.imus.times), 1 / rate_hz)
     expected = sensor_accelerations(POSES, LIMB_SENSORS)
@@ -140,7 +128,6 @@ def test_a_late_video_shows_earlier_instants() -> None:
     recording = simulated(replace(NOISELESS, video_lag_frames=(3.0, 3.0)))
     uv = CAMERA.project(POSES.p_world_joint)
     assert recording.first_frame == 3
-    assert recording.truth is not None
     np.testing.assert_array_equal(recording.joint_offsets, SKELETON.joint_offsets)
     np.testing.assert_array_equal(recording.keypoints.times, POSES.times[3:])
     np.testing.assert_array_equal(recording.truth.times, POSES.times[3:])
@@ -151,12 +138,7 @@ def test_a_late_video_shows_earlier_instants() -> None:
     np.testing.assert_allclose(between.uv_px, middle, atol=0.3)
 
 
-# --- determinism ---------------------------------------------------------------------------------
-
-
 def everything(recording: Recording) -> Array:
-    assert recording.imus is not None
-    assert recording.calibration is not None
     parts = (recording.keypoints.uv_px, recording.keypoints.confidence, recording.imus.times,
              recording.imus.R_inertial_sensor, recording.imus.f_sensor,
              recording.calibration.R_sensor_bone, recording.calibration.R_world_inertial)  # fmt: skip
@@ -173,16 +155,12 @@ def test_equal_seeds_give_equal_recordings() -> None:
 def test_a_subset_of_the_sensors_has_the_same_errors_as_the_whole_set() -> None:
     whole = simulated(replace(SimulationSettings.perfect(), sensors=ALL_SENSORS))
     few = simulated(replace(SimulationSettings.perfect(), sensors=("R_LowLeg", "Pelvis")))
-    assert whole.imus is not None
-    assert few.imus is not None
     assert few.imus.names == ("R_LowLeg", "Pelvis")
     np.testing.assert_array_equal(whole.imus.select(few.imus.names).f_sensor, few.imus.f_sensor)
     np.testing.assert_array_equal(
         whole.imus.select(few.imus.names).R_inertial_sensor, few.imus.R_inertial_sensor
     )
 
-
-# --- noise of the keypoints ----------------------------------------------------------------------
 
 TIMES = np.arange(6000) / 60
 FIXED = replace(KeypointNoise(), parameter_spread=0.0)
@@ -230,15 +208,6 @@ def test_outliers_have_their_share_and_duration() -> None:
     assert np.quantile(lengths, 0.95) < 1.1, "two may overlap, rarely"
 
 
-def test_confidence_hardly_correlates_with_the_error() -> None:
-    uv = errors(FIXED, ["Hips"] * 30)
-    confidence = noises.confidences(np.random.default_rng(1), TIMES, uv, FIXED)
-    assert confidence.min() > 0
-    assert confidence.max() <= 1
-    tells = np.corrcoef(confidence.ravel(), np.linalg.norm(uv, axis=-1).ravel())[0, 1]
-    assert -0.3 < tells < -0.02
-
-
 def test_a_person_who_leaves_the_image_is_lost_for_some_time() -> None:
     inside = np.ones((6000, 21), dtype=bool)
     inside[1000:1002] = False  # gone for two frames only
@@ -262,18 +231,12 @@ def test_parameters_are_drawn_anew_for_each_recording() -> None:
     bias = np.array([noise.bias_px for noise in drawn])
     assert np.median(bias) == pytest.approx(6.0, rel=0.06)
     assert np.log(bias).std() == pytest.approx(0.25, rel=0.15)
-    shares = np.array([noise.outlier_share[0] for noise in drawn])
-    assert 0.03 <= shares.min() < 0.031
-    assert 0.049 < shares.max() <= 0.05
     assert KeypointNoise.white(5.0).drawn(np.random.default_rng(0)) == KeypointNoise.white(5.0)
-    noise = ImuNoise().drawn(np.random.default_rng(0))
-    assert noise != ImuNoise()
+    assert ImuNoise().drawn(np.random.default_rng(0)) != ImuNoise()
     assert ImuNoise.perfect().drawn(np.random.default_rng(0)) == ImuNoise.perfect()
     lags = replace(SimulationSettings.realistic(), sensors=())
     assert {simulated(lags, POSES[:20], seed=seed).first_frame for seed in range(20)} == {2, 3, 4}
 
-
-# --- noise of the IMUs ---------------------------------------------------------------------------
 
 SLOW = np.arange(2000) / 10
 FIXED_IMU = replace(ImuNoise(), parameter_spread=0.0)
@@ -303,7 +266,6 @@ def test_slip_turns_the_sensor_and_keeps_the_acceleration() -> None:
     along = []
     for seed in range(8):
         bones = simulated(settings, seed=seed).bone_imus()
-        assert bones is not None
         truth = POSES.R_world_bone[:, SKELETON.index("RightForeArm")]
         error = so3.log(np.swapaxes(truth, -1, -2) @ bones.R_world_bone)
         along.append((error[..., 1] ** 2).sum() / (error**2).sum())
@@ -323,12 +285,6 @@ def test_soft_tissue_errors_follow_the_motion_and_are_small_at_rest() -> None:
 
     assert size(0.0) < 1e-9
     assert size(0.02) < 0.3 * size(0.5)
-    R = local_motion(0.5)
-    again = R[np.argsort(np.random.default_rng(0).random(len(R)))]
-    first, second = (
-        noises.mounting_errors(np.random.default_rng(0), SLOW, "LeftLeg", axis, M, noise) for M in (R, again)
-    )
-    assert not np.allclose(first, second)
 
 
 def test_the_misalignment_is_two_degrees_per_axis_and_not_in_the_calibration() -> None:
@@ -337,7 +293,6 @@ def test_the_misalignment_is_two_degrees_per_axis_and_not_in_the_calibration() -
     found = []
     for seed in range(12):
         bones = simulated(settings, POSES[:8], seed=seed).bone_imus()
-        assert bones is not None
         truth = POSES.R_world_bone[:8, SKELETON.index(*bones.joints)]
         error = np.degrees(so3.log(np.swapaxes(truth, -1, -2) @ bones.R_world_bone))
         assert np.ptp(error, axis=0).max() < 1e-6, "constant"
@@ -360,9 +315,6 @@ def test_accelerometer_errors_have_white_coloured_and_constant_parts() -> None:
     error = noises.accelerometer_errors(rng, TIMES, still, coloured)
     assert error.std() == pytest.approx(0.5, rel=0.15)
     assert correlation_of(error, 12) == pytest.approx(np.exp(-1), abs=0.1)
-
-
-# --- cameras and motion --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -407,9 +359,7 @@ MOCAP = Path(__file__).parents[1] / "fixtures" / "mocap"
 @pytest.mark.parametrize(
     ("name", "rate_hz", "smooth_hz"), [("02_01_excerpt.bvh", 30.0, 10.0), ("16_15.amc", 3.0, None)]
 )
-def test_a_motion_capture_file_becomes_a_recording(
-    name: str, rate_hz: float, smooth_hz: float | None
-) -> None:
+def test_motion_capture_file_becomes_a_recording(name: str, rate_hz: float, smooth_hz: float | None) -> None:
     def recorded(camera: Camera | int) -> Recording:
         return simulate_file(
             MOCAP / name, settings=SimulationSettings.perfect(), seed=5, camera=camera,
@@ -420,9 +370,7 @@ def test_a_motion_capture_file_becomes_a_recording(
     for recording in recordings:
         assert recording.name == Path(name).stem
         assert recording.acknowledgement == "CMU"
-        assert recording.truth is not None
         assert recording.truth.rate_hz == pytest.approx(rate_hz)
-        assert recording.imus is not None
         assert np.median(np.diff(recording.imus.times)) == pytest.approx(1 / 60)
         assert np.median(np.linalg.norm(recording.imus.f_sensor, axis=-1)) < 20
         seen = recording.keypoints.camera.project(recording.truth.p_world_joint)
@@ -433,8 +381,6 @@ def test_a_motion_capture_file_becomes_a_recording(
     with pytest.raises(UnknownNameError, match=r"standard camera '4'\. Known: 0, 1, 2, 3"):
         recorded(4)
 
-
-# --- wrong input ---------------------------------------------------------------------------------
 
 GAP = np.where(np.arange(120)[:, None, None] == 7, np.nan, POSES.p_world_joint)
 JITTER = 0.02 * np.random.default_rng(0).normal(size=(120, 1, 3))
@@ -449,7 +395,7 @@ JITTER = 0.02 * np.random.default_rng(0).normal(size=(120, 1, 3))
     ({}, replace(POSES, p_world_joint=GAP), InvalidInputError, "frame 7 is not complete; cut the motion"),
     ({}, replace(POSES, p_world_joint=POSES.p_world_joint + JITTER), InvalidInputError, "needs `low_passed`"),
 ])  # fmt: skip
-def test_wrong_input_is_refused(
+def test_wrong_input(
     settings: dict[str, tuple[str, ...]], poses: PoseSequence, error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=message):

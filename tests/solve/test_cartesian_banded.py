@@ -3,32 +3,29 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import planted
 import pytest
+from cartesian_support import BODY, SMALL, SMALL_SENSORS, Inspected, Scene, parameters
 from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.numerics import c_compiler as compiled
 from rtof_kin.solve.cartesian.banded import BandedProblem
-from rtof_kin.solve.cartesian.problem import TERMS, FragmentProblem
+from rtof_kin.solve.cartesian.problem import FragmentProblem
 from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.fragment_solver import FragmentReport, FragmentSolution, FragmentSolver, SolverStatus
-from rtof_kin.solve.inertial_ik import InertialGuidedIK
+from rtof_kin.solve.fragment_solver import FragmentReport, SolverStatus
 
 Array = NDArray[np.float64]
-BODY, SMALL = SkeletonModel.default(), SkeletonModel.human36m()
-SMALL_SENSORS = ("LElbow", "RKnee", "LHip", "Hip")
-N, RATE = 8, 60.0
+N = 8
 TREE = (-1, 0, 1, 1, 3, 0, 5)
 """A small body: two siblings on the root, two on joint 1."""
 J = len(TREE)
@@ -51,14 +48,6 @@ def problem_of(set_: CartesianSettings, bones: tuple[tuple[int, int], ...] = BON
     return FragmentProblem(TREE, N, bones, set_)
 
 
-def gaps(rng: np.random.Generator, weight: Array) -> Array:
-    """The same weights (n, frames), some 0: here and there, for some frames, for a whole row."""
-    out = weight * (rng.uniform(size=weight.shape) < 0.8)
-    out[:, 2:4] = 0.0
-    out[-1:] = 0.0
-    return np.asarray(out)
-
-
 def fragment(problem: FragmentProblem, seed: int = 0) -> tuple[Array, dict[str, Array]]:
     """Positions (N 3J,), and parameters with weights of every size and gaps."""
     rng = np.random.default_rng(seed)
@@ -67,31 +56,9 @@ def fragment(problem: FragmentProblem, seed: int = 0) -> tuple[Array, dict[str, 
     for joint, parent in enumerate(TREE[1:], start=1):
         p[joint] = p[parent] + offsets[joint]
     X = p + planted.smooth_noise(seed, (N, J, 3), 5, 0.05)
-    cam, B = planted.camera(), len(problem.sensor_bones)
-    w_visual = gaps(rng, rng.uniform(0, 0.01, (J, N))).T.ravel()
-    uv = (cam.project(X) + rng.normal(size=(N, J, 2)) * 15).reshape(-1, 2)
-    jerks = N - 3 if problem.settings.jerk_target == "sensor" else 0
-    a, b = np.array(problem.pairs).T
-    return X.ravel() + rng.normal(size=X.size) * 0.02, {
-        "R_camera_world": cam.R_camera_world,
-        "t_camera_world": cam.t_camera_world,
-        "K": cam.K + np.array([[0, 3.0, 0], [0, 0, 0], [0, 0, 0]]),
-        "rate_hz": np.array([RATE]),
-        "sigma_reprojection": np.array([7.0]),
-        "uv_px": np.where(w_visual[:, None] > 0, uv, 0.0).T,
-        "w_visual": w_visual,
-        "shares": rng.uniform(0.2, 0.9, B),
-        "a_world": rng.normal(size=(3 * B, N - 2)) * 5,
-        "w_acceleration": gaps(rng, rng.uniform(0, 0.1, (B, N - 2))),
-        "b_world": rng.normal(size=(3 * B, N)) * 0.2,
-        "w_bone": gaps(rng, rng.uniform(0, 0.1, (B, N))),
-        "w_smooth": rng.uniform(0, 0.01, N - 3),
-        "j_world": rng.normal(size=(3 * J, jerks)) * 100,
-        "w_length": gaps(rng, rng.uniform(0, 0.1, (2, N)))[0],
-        "lengths": np.linalg.norm(p[b] - p[a], axis=-1) + 0.01 * rng.normal(size=len(a)),
-        "p_prior": (X + rng.normal(size=X.shape) * 0.05).reshape(N, -1).T,
-        "k": rng.uniform(0.3, 2.0, len(TERMS)),
-    }
+    values = parameters(problem, X, seed)
+    values["K"] = values["K"] + np.array([[0, 3.0, 0], [0, 0, 0], [0, 0, 0]])
+    return X.ravel() + rng.normal(size=X.size) * 0.02, values
 
 
 def bound(problem: FragmentProblem, values: dict[str, Array], compile: str = "never") -> BandedProblem:
@@ -136,14 +103,6 @@ def test_energy_gradient_and_hessian_equal_ipopts(name: str) -> None:
         check_numbers(problem, *fragment(problem, seed))
 
 
-@pytest.mark.parametrize("term", range(len(TERMS)))
-def test_weight_of_zero_removes_a_term(term: int) -> None:
-    # One problem serves all weights k: they come with the data, not with the settings.
-    problem = problem_of(CartesianSettings())
-    x, values = fragment(problem)
-    check_numbers(problem, x, values | {"k": values["k"] * (np.arange(len(TERMS)) != term)})
-
-
 def test_binding_replaces_the_previous_fragment() -> None:
     problem = problem_of(CartesianSettings())
     (x, one), (_, two) = fragment(problem, 0), fragment(problem, 1)
@@ -172,7 +131,7 @@ def test_a_factor_solves_the_damped_hessian(set_: CartesianSettings, damping: fl
     right = np.random.default_rng(0).normal(size=x.shape)
     step = banded.factorise(damping).solve(banded.ordered(right))
     expected = np.linalg.solve(kept + damping * np.eye(len(x)), right)
-    np.testing.assert_allclose(banded.positions(step), expected, rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(banded.positions(step), expected, atol=1e-9 * np.abs(expected).max())
     np.testing.assert_array_equal(dense(banded), kept)
 
 
@@ -207,27 +166,11 @@ def body_problem(joints: tuple[str, ...], set_: CartesianSettings, frames: int =
     (planted.LIMBS, {"bone_lengths": "weighted"}, 8, 21),
     ((), {"prior": "bones"}, 8, 21),
 ])  # fmt: skip
-def test_bandwidth_is_three_frames_of_the_largest_group(
-    joints: tuple[str, ...], change: dict[str, Any], frames: int, group: int
-) -> None:
+def test_bandwidth_by_group(joints: tuple[str, ...], change: dict[str, Any], frames: int, group: int) -> None:
     # 27 below the diagonal for the printed energy with eight limb sensors, 189 with lengths.
     banded = body_problem(joints, replace(PRINTED, **change), frames)
     assert banded.at[1].max() == 9 * group
     assert banded._band.shape == (frames * 63, 9 * group + 1)
-
-
-def test_unknowns_are_ordered_by_limb_and_frame() -> None:
-    banded = body_problem(planted.LIMBS, PRINTED)
-    frame, rest = np.divmod(banded.ordered(np.arange(N * 63.0)).astype(int), 63)
-    joint, axis = np.divmod(rest, 3)
-    arm = BODY.index("LeftArm", "LeftForeArm", "LeftHand")
-    leg = BODY.index("RightUpLeg", "RightLeg", "RightFoot")
-    (head,) = BODY.index("Head")
-    for limb in (arm, leg, [head]):
-        at = np.flatnonzero(np.isin(joint, limb))
-        assert at[-1] - at[0] + 1 == len(at) == 3 * N * len(limb)
-        np.testing.assert_array_equal(frame[at], np.repeat(np.arange(N), 3 * len(limb)))
-        np.testing.assert_array_equal(axis[at], np.tile([0, 1, 2], N * len(limb)))
 
 
 @pytest.fixture
@@ -266,77 +209,30 @@ def test_compiled_elements_equal_interpreted_ones(cache_folder: Path) -> None:
         assert fast.total(unknowns) != pytest.approx(energy, rel=1e-9)
 
 
-class Inspected(FragmentSolver):
-    """A solver that keeps the answer of each fragment before they are blended, and what it is of."""
-
-    def __init__(self, backend: str, set_: CartesianSettings = GIVEN, **given: Any) -> None:
-        arguments = {"skeleton": SMALL, "sensor_joints": SMALL_SENSORS, **given}
-        super().__init__(frames=N, settings=replace(set_, backend=backend), **arguments)
-        self.answers: list[Array] = []
-        self.values: list[dict[str, Array]] = []
-        self.inner = cast(Any, self._solver)
-        solve, call = self.inner._solve_fragment, self.inner._call
-
-        def kept(*arguments: Any) -> tuple[Array, FragmentReport]:
-            X, report = solve(*arguments)
-            self.answers.append(X)
-            return X, report
-
-        def called(x: Array, values: dict[str, Array], first: int) -> Any:
-            self.values.append(values)
-            return call(x, values, first)
-
-        self.inner._solve_fragment, self.inner._call = kept, called
+def inspected(backend: str, set_: CartesianSettings = GIVEN) -> Inspected:
+    return Inspected(SMALL, N, replace(set_, backend=backend), SMALL_SENSORS)
 
 
-class Scene:
-    """A motion, what was observed of it with gaps, and poses to start from."""
-
-    def __init__(
-        self, seed: int, frames: int = 12, skeleton: SkeletonModel = SMALL, gappy: bool = False
-    ) -> None:
-        joints = planted.LIMBS if skeleton is BODY else SMALL_SENSORS
-        self.truth: MotionSequence = planted.moving(skeleton, frames, 3 * seed)
-        self.seen = planted.keypoints(self.truth.poses, 4.0, seed)
-        self.imus = planted.bone_imus(skeleton, self.truth.poses, joints, 4.0, 0.4, seed)
-        self.lifted = planted.lifted_poses(self.truth)
-        self.start = InertialGuidedIK(skeleton).refine(self.lifted, self.imus)
-        if gappy:
-            self.seen = planted.unseen(planted.unseen(self.seen, slice(3, 7)), slice(None), [2, 5])
-            R, a = np.array(self.imus.R_world_bone), np.array(self.imus.a_world)
-            R[:6, 0], a[4:, 1], R[8, 2], a[2, 3] = np.nan, np.nan, np.nan, np.nan
-            self.imus = replace(self.imus, R_world_bone=R, a_world=a)
-
-    def solve(self, solver: FragmentSolver, **change: Any) -> FragmentSolution:
-        observed: dict[str, Any] = {
-            "start": self.start, "keypoints": self.seen, "bone_imus": self.imus, **change
-        }  # fmt: skip
-        return solver.solve(**observed)
-
-    def cases(self) -> list[dict[str, Any]]:
-        """As observed; without sensors, from further away."""
-        return [{}, {"bone_imus": None, "start": self.lifted}]
+def cases(scene: Scene) -> list[dict[str, Any]]:
+    """All observations; without sensors, from an initial guess further away."""
+    observed = {"start": scene.start, "keypoints": scene.seen, "bone_imus": scene.imus}
+    return [observed, observed | {"bone_imus": None, "start": scene.lifted}]
 
 
 def total(report: FragmentReport) -> float:
     return sum(report.energy.values())
 
 
-def check_agreement(
-    solvers: list[Inspected],
-    scene: Scene,
-    change: dict[str, Any],
-    slack: Callable[[FragmentReport, FragmentReport], float] = lambda a, b: 0.0,
-) -> None:
-    """Both converge; energies are within 1e-6 relative (and the slack), positions within 0.1 mm."""
+def check_agreement(solvers: list[Inspected], observed: dict[str, Any]) -> None:
+    """Both converge; energies are within 1e-6 relative, positions within 0.1 mm."""
     for solver in solvers:
         solver.answers.clear()
-    fragments = [scene.solve(solver, **change).fragments for solver in solvers]
+    fragments = [solver.solve(**observed).fragments for solver in solvers]
     assert len(fragments[0]) == 4
     for a, b, X, Y in zip(*fragments, *(s.answers for s in solvers), strict=True):
         assert a.status is b.status is SolverStatus.CONVERGED
         assert a.first_frame == b.first_frame
-        assert abs(total(a) - total(b)) <= 1e-6 * total(a) + slack(a, b)
+        assert abs(total(a) - total(b)) <= 1e-6 * total(a)
         assert 1000 * np.linalg.norm(X - Y, axis=-1).max() < 0.1
 
 
@@ -351,24 +247,22 @@ AGREEING = {
 
 @pytest.mark.parametrize("name", AGREEING)
 def test_real_time_and_ipopt_find_the_same_minimum(name: str) -> None:
-    solvers = [Inspected(backend, AGREEING[name]) for backend in ("ipopt", "realtime")]
+    solvers = [inspected(backend, AGREEING[name]) for backend in ("ipopt", "realtime")]
     for seed in range(2):
-        scene = Scene(seed, gappy=seed > 0)
-        for change in scene.cases():
-            check_agreement(solvers, scene, change)
+        for observed in cases(Scene(SMALL, 12, seed, gappy=seed > 0)):
+            check_agreement(solvers, observed)
 
 
 def test_real_time_minimum_is_a_minimum_of_ipopt() -> None:
     # Lengths with a weak prior: a bone may lean to the camera or from it, and either solver may end
     # at either. What counts as converged is a minimum for IPOPT as well.
     set_ = replace(GIVEN, jerk_target="sensor", prior="positions")
-    quick, ipopt = Inspected("realtime", set_), Inspected("ipopt", set_)
+    quick, ipopt = inspected("realtime", set_), inspected("ipopt", set_)
     for seed in range(2):
-        scene = Scene(seed)
-        for change in scene.cases():
+        for observed in cases(Scene(SMALL, 12, seed)):
             quick.answers.clear()
             quick.values.clear()
-            reports = scene.solve(quick, **change).fragments
+            reports = quick.solve(**observed).fragments
             for report, X, values in zip(reports, quick.answers, quick.values, strict=True):
                 assert report.status is SolverStatus.CONVERGED
                 p = ipopt.inner._problem.pack(values)
@@ -383,8 +277,8 @@ def test_bone_lengths_as_constraints_need_ipopt() -> None:
     message = "bone_lengths 'constraint' needs backend 'ipopt', or take 'weighted'"
     constraint = replace(GIVEN, bone_lengths="constraint")
     with pytest.raises(InvalidInputError, match=message):
-        Inspected("realtime", constraint)
+        inspected("realtime", constraint)
     with pytest.raises(InvalidInputError, match=message):
         BandedProblem(problem_of(constraint))
     with pytest.raises(InvalidInputError, match="backend: 'quick' is none of"):
-        Inspected("quick")
+        inspected("quick")

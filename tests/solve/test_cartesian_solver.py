@@ -10,69 +10,27 @@ from typing import Any
 import numpy as np
 import planted
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from cartesian_support import BODY, SMALL, SMALL_SENSORS, Inspected, Scene
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.imu import BoneImuSequence
-from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.data.poses import Provenance
 from rtof_kin.solve.cartesian.problem import rigid_pairs
 from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.fragment_solver import FragmentReport, FragmentSolution, FragmentSolver, SolverStatus
-from rtof_kin.solve.inertial_ik import InertialGuidedIK
+from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
 
 Array = NDArray[np.float64]
-BODY, SMALL = SkeletonModel.default(), SkeletonModel.human36m()
-SMALL_SENSORS = ("LElbow", "RKnee", "LHip", "Hip")
 N = 16
 DEFAULT = CartesianSettings()
 PLAIN = CartesianSettings(sigma_reprojection=8.0, refit_root=False)
 """One solver call a fragment, from the start as it is given."""
 
 
-class Inspected(FragmentSolver):
-    """A solver that keeps the answer of each fragment before they are blended."""
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.answers: list[Array] = []
-        solver: Any = self._solver
-        solve = solver._solve_fragment
-
-        def kept(*arguments: Any) -> tuple[Array, FragmentReport]:
-            X, report = solve(*arguments)
-            self.answers.append(X)
-            return X, report
-
-        solver._solve_fragment = kept
-
-
 @cache
 def body(set_: CartesianSettings = DEFAULT, frames: int = N) -> FragmentSolver:
     return FragmentSolver(BODY, frames, set_)
-
-
-class Scene:
-    """A motion, what was observed of it, and poses to start from."""
-
-    def __init__(self, skeleton: SkeletonModel, frames: int, sigma_px: float = 4.0, seed: int = 0) -> None:
-        joints = planted.LIMBS if skeleton is BODY else SMALL_SENSORS
-        self.truth: MotionSequence = planted.moving(skeleton, frames, seed)
-        self.seen = planted.keypoints(self.truth.poses, sigma_px)
-        self.imus = planted.bone_imus(skeleton, self.truth.poses, joints, 4.0, 0.4)
-        self.lifted = planted.lifted_poses(self.truth)
-        self.start = InertialGuidedIK(skeleton).refine(self.lifted, self.imus)
-
-    @property
-    def p(self) -> Array:
-        return self.truth.poses.p_world_joint
-
-    def part(self, frames: slice) -> tuple[PoseSequence, KeypointSequence, BoneImuSequence]:
-        return self.start[frames], self.seen[frames], self.imus[frames]
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +65,7 @@ def documented(
     scene: Scene, set_: CartesianSettings, frames: int, part: slice = slice(None)
 ) -> Callable[[Array], dict[str, Array]]:
     """x -> residuals of the frames of one fragment that lie inside the recording."""
-    start, seen, imus = scene.part(part)
+    start, seen, imus = scene.start[part], scene.seen[part], scene.imus[part]
 
     def residuals(x: Array) -> dict[str, Array]:
         X = x.reshape(len(start), -1, 3)
@@ -185,20 +143,6 @@ def test_errors_decrease_from_lifter_to_sf2_to_optimum(scene: Scene, solution: F
     assert absolute[0] < 0.5 * absolute[1]
 
 
-def test_vision_only_improves_on_the_lifter_and_sensors_on_vision(
-    scene: Scene, solution: FragmentSolution
-) -> None:
-    start = InertialGuidedIK(BODY).refine(scene.lifted)
-    rto = body().solve(start, scene.seen)
-    assert {f.energy["acceleration"] for f in rto.fragments} == {0.0}
-    assert {f.energy["bone"] for f in rto.fragments} == {0.0}
-    before = planted.root_relative_mm(start.p_world_joint, scene.p)
-    after = planted.root_relative_mm(rto.poses.p_world_joint, scene.p)
-    assert planted.root_relative_mm(solution.poses.p_world_joint, scene.p) < after < 0.9 * before
-    (hand,) = BODY.index("LeftHand")
-    assert np.all(rto.poses.provenance[:, hand] == Provenance.CAMERA)
-
-
 @pytest.mark.parametrize("sigma_px", [3.0, 7.0])
 def test_estimated_sigma_is_twice_the_reprojection_error(sigma_px: float) -> None:
     truth = planted.moving(BODY, 32)
@@ -210,23 +154,12 @@ def test_estimated_sigma_is_twice_the_reprojection_error(sigma_px: float) -> Non
 
 
 def test_the_estimated_sigma_stays_in_its_range_and_a_given_one_is_kept(scene: Scene) -> None:
-    start, seen, imus = scene.part(slice(8))
+    start, seen, imus = scene.start[:8], scene.seen[:8], scene.imus[:8]
     narrow = replace(DEFAULT, sigma_reprojection_range=(3.0, 4.0))
     for report in body(narrow).solve(start, seen, imus).fragments:
         assert report.sigma_reprojection == 4.0
     for report in body(PLAIN).solve(start, seen, imus).fragments:
         assert report.sigma_reprojection == 8.0
-
-
-def test_masked_padding_has_smaller_errors_at_the_ends() -> None:
-    truth = planted.moving(BODY, 40, radians=0.5)
-    imus, seen = planted.bone_imus(BODY, truth.poses), planted.keypoints(truth.poses)
-    ends = {}
-    for padding in ("masked", "replicate"):
-        out = body(replace(DEFAULT, padding=padding)).solve(truth.poses, seen, imus)
-        error = out.poses.p_world_joint - truth.poses.p_world_joint
-        ends[padding] = np.linalg.norm(error[[0, 1, -2, -1]], axis=-1).mean()
-    assert ends["masked"] < 0.5 * ends["replicate"]
 
 
 def test_blends_are_means_or_tapered_weights_of_both_fragments() -> None:
@@ -285,60 +218,7 @@ def test_unobserved_joints_and_frames_are_bridged(scene: Scene) -> None:
     assert gap < start_gap
 
 
-@pytest.mark.parametrize("rate", [1, 2])
-def test_sensor_without_data_has_no_effect(scene: Scene, rate: int) -> None:
-    imus = scene.imus
-    silent = replace(
-        imus,
-        R_world_bone=np.where(np.arange(8)[:, None, None] < 3, np.nan, imus.R_world_bone),
-        a_world=np.where(np.arange(8)[:, None] < 3, np.nan, imus.a_world),
-    )
-    start, seen = scene.start[:24:rate], scene.seen[:24:rate]
-    one = body().solve(start, seen, silent)
-    two = body().solve(start, seen, imus.select(imus.joints[3:]))
-    np.testing.assert_allclose(one.poses.p_world_joint, two.poses.p_world_joint, atol=1e-9)
-    np.testing.assert_array_equal(one.poses.provenance, two.poses.provenance)
-
-
-@settings(max_examples=8, deadline=None)
-@given(joints=st.sets(st.sampled_from(["Hips", "Spine3", "Head", "LeftFoot", *planted.LIMBS])))
-def test_any_subset_of_sensors_is_taken(joints: set[str]) -> None:
-    truth = planted.moving(BODY, 8)
-    imus = planted.bone_imus(BODY, truth.poses, sorted(joints))
-    seen = planted.keypoints(truth.poses)
-    solution = body().solve(truth.poses, seen, imus)
-    assert planted.mpjpe_mm(solution.poses.p_world_joint, truth.poses.p_world_joint) < 3.0
-    has_bone = joints - {"Head", "LeftFoot"}
-    assert (solution.energy["acceleration"] > 0) == bool(has_bone)
-
-
-def test_sensors_are_resampled_to_the_frames() -> None:
-    truth = planted.moving(BODY, 121)
-    imus = planted.bone_imus(BODY, truth.poses)
-    frames = slice(20, 80, 4)
-    poses = truth.poses[frames]
-    out = body().solve(poses, planted.keypoints(poses), imus)
-    assert poses.rate_hz == pytest.approx(15.0)
-    assert planted.mpjpe_mm(out.poses.p_world_joint, poses.p_world_joint) < 10
-    assert out.energy["acceleration"] < 0.05
-    assert out.poses.orientation_observed[:, BODY.index(*planted.LIMBS)].all()
-
-
-def test_prior_on_bones_tolerates_a_wrong_root() -> None:
-    truth = planted.moving(BODY, 24)
-    seen, imus = planted.keypoints(truth.poses), planted.bone_imus(BODY, truth.poses)
-    start = replace(truth.poses, p_world_joint=truth.poses.p_world_joint + np.array([0.5, 0.0, 0.0]))
-    bent = {}
-    for prior in ("bones", "positions"):
-        set_ = replace(DEFAULT, prior=prior, refit_root=False)
-        out = body(set_).solve(start, seen, imus).poses.p_world_joint
-        bent[prior] = planted.root_relative_mm(out, truth.poses.p_world_joint)
-    assert bent["bones"] < bent["positions"]
-
-
-def test_orientations_follow_positions_and_provenance_the_sensors(
-    scene: Scene, solution: FragmentSolution
-) -> None:
+def test_orientations_follow_positions_and_sensors(scene: Scene, solution: FragmentSolution) -> None:
     poses = solution.poses
     for joint in planted.LIMBS:
         (j,) = BODY.index(joint)
@@ -365,31 +245,3 @@ def test_failed_fragment_returns_the_initial_poses() -> None:
     ]  # fmt: skip
     assert solution.status is SolverStatus.FAILED
     np.testing.assert_allclose(solution.poses.p_world_joint[4:], s.start.p_world_joint[4:], atol=1e-12)
-
-
-def test_result_of_a_failed_solver_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    s = Scene(SMALL, 8)
-    solver = FragmentSolver(SMALL, 8, PLAIN, SMALL_SENSORS)
-
-    class GaveUp:
-        def __call__(self, x0: Array, **arguments: object) -> dict[str, Array]:
-            return {"x": x0 + 1.0, "lam_g": np.zeros(0)}
-
-        def stats(self) -> dict[str, object]:
-            return {"return_status": "Restoration_Failed", "iter_count": 7}
-
-    monkeypatch.setattr(solver._solver._problem, "solver", GaveUp())
-    solution = solver.solve(s.start, s.seen, s.imus)
-    assert solution.status is SolverStatus.FAILED
-    assert solution.iterations == 3 * 7
-    np.testing.assert_allclose(solution.poses.p_world_joint, s.start.p_world_joint, atol=1e-12)
-
-
-def test_sensor_jerk_as_target_has_less_smoothness_energy() -> None:
-    truth = planted.moving(BODY, 40, radians=0.6)
-    seen, imus = planted.keypoints(truth.poses, 2.0), planted.bone_imus(BODY, truth.poses)
-    smooth = {}
-    for target in ("sensor", "zero"):
-        out = body(replace(DEFAULT, jerk_target=target)).solve(truth.poses, seen, imus)
-        smooth[target] = out.energy["smooth"]
-    assert smooth["sensor"] < smooth["zero"]

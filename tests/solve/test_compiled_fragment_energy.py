@@ -57,7 +57,6 @@ class Both:
         self.built, self._plain, self._simd = KINDS[kind](), {}, {}  # type: ignore[var-annotated]
         self.limits = Limits(self.built.space)
         functions = SimdFunctions.compiled(self.built.energy, js.DELTA_ACCELERATION)
-        assert functions is not None
         self.functions = functions
 
     def problems(self, frames: int) -> tuple[JointProblem, SimdProblem]:
@@ -145,25 +144,6 @@ def test_other_weights_and_data_give_the_same_numbers(both: Both) -> None:
     assert own.total(x) == pytest.approx(plain.total(x), rel=1e-12)
     for k in range(4):
         assert_same(own.lower_block(k), plain.lower_block(k), 1e-12)
-
-
-def test_values_are_added_to_the_same_entries(both: Both) -> None:
-    plain, own, x = both.bound()
-    rng, D, N = np.random.default_rng(0), both.built.space.size, len(x)
-    frames = np.array([0, 3, 3, N - 1])[:, None, None]
-    first = rng.integers(0, D - 3, 4)[:, None, None]
-    values = rng.normal(size=(4, 3, 3))
-    values = 1e4 * (values + np.swapaxes(values, 1, 2))
-    where = frames, first + np.arange(3)[:, None], first + np.arange(3)
-    for problem in (plain, own):
-        problem.linearise(x)
-        problem.add_to_diagonal(*where, values)
-    for k in range(2):
-        assert_same(own.lower_block(k), plain.lower_block(k), 1e-12)
-    own.linearise(x)
-    before = own.lower_block(0)
-    plain.linearise(x)
-    assert_same(before, plain.lower_block(0), 1e-12)
 
 
 def test_both_solve_a_fragment_alike(both: Both) -> None:

@@ -114,21 +114,6 @@ def test_indefinite_hessian_is_a_solver_error(fragment: Fragment) -> None:
         problem.factorise(1e-3)
 
 
-def test_results_do_not_depend_on_earlier_calls(fragment: Fragment) -> None:
-    problem = fragment.bind()
-    first = problem.linearise(fragment.x), dense(problem), problem.value(fragment.x)[0]
-    problem.bind(js.random_data(fragment.built, fragment.x, 77))
-    problem.linearise(js.states(problem.space, N, 9))
-    somewhere = np.zeros(1, dtype=int)
-    problem.add_to_diagonal(somewhere, somewhere, somewhere, np.ones(1))
-    problem.bind(fragment.data)
-    again = problem.linearise(fragment.x), dense(problem), problem.value(fragment.x)[0]
-    assert again[0][0] == first[0][0]
-    np.testing.assert_array_equal(again[0][1], first[0][1])
-    np.testing.assert_array_equal(again[1], first[1])
-    assert again[2] == first[2]
-
-
 @pytest.mark.parametrize("name", ["w_visual", "w_prior", "w_root", "w_torso", "w_bone"])
 def test_reweighing_equals_binding_other_weights(name: str) -> None:
     fragment = Fragment("whole")

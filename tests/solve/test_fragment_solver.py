@@ -1,13 +1,15 @@
-"""The door to both fragment solvers: which one is chosen, and what neither of them is given."""
+"""Fragment solvers of either space: choice of the space, refused input, streaming and progress."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import planted
 import pytest
+from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.choices import SPACES
@@ -20,6 +22,7 @@ from rtof_kin.solve.joint_space.initial_guess import initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.joint_space.solver import JointSpaceSolver
 
+Array = NDArray[np.float64]
 BODY, SMALL = SkeletonModel.default(), SkeletonModel.human36m()
 T = 40
 QUICK = {
@@ -115,13 +118,35 @@ def test_sensor_without_a_place_is_refused(scene: Scene, space: str) -> None:
 def test_start_and_keypoints_need_the_same_times(scene: Scene, solver: FragmentSolver) -> None:
     with pytest.raises(InvalidInputError, match="start and keypoints: must have the same times"):
         solver.solve(scene.start[:20], scene.seen[1:21])
+    with pytest.raises(InvalidInputError, match="start and keypoints: must have the same times"):
+        next(solver.stream(scene.start[:20], scene.seen[1:21]))
 
 
-def test_a_start_with_a_gap_is_refused_with_its_frame(scene: Scene, solver: FragmentSolver) -> None:
-    p = np.array(scene.start.p_world_joint)
-    p[13, 4, 1] = np.nan
-    with pytest.raises(InvalidInputError, match="pose of frame 13 is not finite; bridge gaps first"):
-        solver.solve(replace(scene.start, p_world_joint=p), scene.seen)
+def changed(array: Array, where: Any, by: float) -> Array:
+    out = np.array(array)
+    out[where] += by
+    return out
+
+
+@pytest.mark.parametrize(
+    ("what", "where", "by", "error", "message"),
+    [
+        ("p_world_joint", (13, 4, 1), np.nan, InvalidInputError, "pose of frame 13 is not finite; bridge"),
+        ("p_world_joint", (7, slice(None), 0), 8.0, ViewError, "frame 7 is behind the camera or in it"),
+        ("times", slice(30, None), 0.008, InvalidInputError, "not evenly spaced; resample the keypoints"),
+    ],
+)
+def test_wrong_initial_poses_are_refused(
+    scene: Scene, solver: FragmentSolver, what: str, where: Any, by: float, error: Any, message: str
+) -> None:
+    start = replace(scene.start, **{what: changed(getattr(scene.start, what), where, by)})
+    with pytest.raises(error, match=message):
+        solver.solve(start, replace(scene.seen, times=start.times))
+
+
+def test_unknown_landmarks_only_are_refused(scene: Scene, solver: FragmentSolver) -> None:
+    with pytest.raises(SolverError, match="keypoints: none of the landmarks is "):
+        solver.solve(scene.start, replace(scene.seen, names=tuple(f"point {i}" for i in range(21))))
 
 
 def test_only_joint_space_needs_the_orientations_of_the_start(scene: Scene) -> None:
@@ -157,37 +182,12 @@ def one_sensor(imus: BoneImuSequence, joint: str) -> BoneImuSequence:
     )  # fmt: skip
 
 
-def test_uneven_frames_are_refused(scene: Scene, solver: FragmentSolver) -> None:
-    times = np.array(scene.start.times)
-    times[30:] += 0.008
-    with pytest.raises(InvalidInputError, match="not evenly spaced; resample the keypoints first"):
-        solver.solve(replace(scene.start, times=times), replace(scene.seen, times=times))
-
-
-def test_a_person_behind_the_camera_is_refused_with_the_frame(scene: Scene, solver: FragmentSolver) -> None:
-    p = np.array(scene.start.p_world_joint)
-    p[7] += [8.0, 0.0, 0.0]
-    with pytest.raises(ViewError, match="frame 7 is behind the camera or in it; check R_camera_world"):
-        solver.solve(replace(scene.start, p_world_joint=p), scene.seen)
-
-
-def test_unknown_landmarks_only_are_refused(scene: Scene, solver: FragmentSolver) -> None:
-    strangers = replace(scene.seen, names=tuple(f"point {i}" for i in range(21)))
-    with pytest.raises(SolverError, match="keypoints: none of the landmarks is "):
-        solver.solve(scene.start, strangers)
-
-
-def test_stream_checks_its_input_first(scene: Scene, solver: FragmentSolver) -> None:
-    with pytest.raises(InvalidInputError, match="start and keypoints: must have the same times"):
-        next(solver.stream(scene.start[:20], scene.seen[1:21]))
-
-
 @pytest.mark.parametrize("frames", [1, 4, 11])
-def test_progress_is_told_after_every_fragment(scene: Scene, solver: FragmentSolver, frames: int) -> None:
-    told: list[tuple[int, int]] = []
-    solution = solver.solve(scene.start[:frames], scene.seen[:frames], None, lambda *at: told.append(at))
+def test_progress_is_reported_after_every_fragment(scene: Scene, solver: FragmentSolver, frames: int) -> None:
+    reports: list[tuple[int, int]] = []
+    solution = solver.solve(scene.start[:frames], scene.seen[:frames], None, lambda *at: reports.append(at))
     count = -(-frames // 4) + 1
-    assert told == [(i + 1, count) for i in range(count)]
+    assert reports == [(i + 1, count) for i in range(count)]
     assert [f.first_frame for f in solution.fragments] == [4 * i - 4 for i in range(count)]
     np.testing.assert_array_equal(solution.poses.times, scene.start.times[:frames])
 
@@ -248,17 +248,6 @@ def test_unobserved_recording_is_solved_and_reported(scene: Scene, solver: Fragm
     assert {f.status for f in out.fragments} == {SolverStatus.UNOBSERVED}
     with_sensors = solver.solve(scene.start, blind, scene.imus)
     assert SolverStatus.UNOBSERVED not in {f.status for f in with_sensors.fragments}
-
-
-@pytest.mark.parametrize("frames", [1, 7])
-def test_recording_shorter_than_a_fragment_is_solved(
-    scene: Scene, solver: FragmentSolver, frames: int
-) -> None:
-    given = scene.start[:frames], scene.seen[:frames], scene.imus[:frames]
-    out = FragmentSolver(BODY, 12, solver.settings).solve(*given)
-    assert [f.first_frame for f in out.fragments] == [-6, 0] + ([6] if frames > 6 else [])
-    p, p_true = out.poses.p_world_joint, scene.truth.poses.p_world_joint[:frames]
-    assert planted.root_relative_mm(p, p_true) < 50
 
 
 def test_initial_guess_may_be_given_instead_of_poses(scene: Scene, solver: FragmentSolver) -> None:

@@ -31,11 +31,11 @@ HONEST = JointSpaceSettings(
     robust_orientation=50.0, sigma_torso=None, sigma_bone=None, prior_inflation=5.0, jerk=20.0,
     limits=False, refit_root=False, smooth_start_hz=29.0,
 )  # fmt: skip
-"""Of somebody who knows how large errors are, and of motion next to nothing."""
+"""Settings with the true sizes of errors and hardly any smoothing."""
 
 
 def truth(frames: int, seed: int = 0) -> PoseSequence:
-    """As people move, but less than they do, so that it is nothing beside what is allowed."""
+    """A human motion of half its usual size."""
     return planted.human(BODY, frames, seed, size=0.5).poses
 
 
@@ -54,7 +54,6 @@ def solved(poses: PoseSequence, seed: int = 0, **changes: Any) -> FragmentSoluti
 
 
 def known(solution: FragmentSolution) -> Confidence:
-    assert solution.confidence is not None
     return solution.confidence
 
 
@@ -96,8 +95,8 @@ def test_pose_covariances_equal_those_of_perturbed_states() -> None:
         before, after = (seen_from(R, parent, child) for R in (back[1], there[1]))
         turned = so3.log(np.swapaxes(before, 1, 2) @ after) / (2 * h)
         if child in space.names:
-            told = found.turn(parent, child)[0]
-            np.testing.assert_allclose(turned.T @ turned, told, rtol=1e-5, atol=1e-5)
+            turn = found.turn(parent, child)[0]
+            np.testing.assert_allclose(turned.T @ turned, turn, rtol=1e-5, atol=1e-5)
 
 
 def seen_from(R: Array, parent: str, child: str) -> Array:
@@ -106,19 +105,19 @@ def seen_from(R: Array, parent: str, child: str) -> Array:
 
 
 def test_covariances_cover_white_errors() -> None:
-    """Without any inflation: nothing lasts here, so the Hessian knows all there is."""
+    """Without inflation, as errors are white."""
     poses = truth(3 * N)
     inside = {name: list[Array]() for name in ("position", "relative", "turn")}
     for seed in range(4):
         solution = solved(poses, seed)
-        told, p, R = known(solution), solution.poses.p_world_joint, solution.poses.R_world_bone
+        found, p, R = known(solution), solution.poses.p_world_joint, solution.poses.R_world_bone
         error = p - poses.p_world_joint
         limbs = BODY.index(*planted.LIMBS)
         turned = so3.log(np.swapaxes(poses.R_world_bone[:, limbs], 2, 3) @ R[:, limbs])
-        turns = np.stack([told.turn(WORLD, name) for name in planted.LIMBS], axis=1)
+        turns = np.stack([found.turn(WORLD, name) for name in planted.LIMBS], axis=1)
         for name, off, covariance in (
-            ("position", error, told.position_covariance),
-            ("relative", (error - error[:, :1])[:, 1:], told.relative_covariance[:, 1:]),
+            ("position", error, found.position_covariance),
+            ("relative", (error - error[:, :1])[:, 1:], found.relative_covariance[:, 1:]),
             ("turn", turned, turns),
         ):
             sigma = np.sqrt(np.diagonal(covariance, axis1=2, axis2=3))
@@ -130,21 +129,21 @@ def test_covariances_cover_white_errors() -> None:
 def test_unobserved_root_is_unknown() -> None:
     poses = truth(6 * N)
     seen = planted.unseen(planted.keypoints(poses, SIGMA_PX), slice(N, None))
-    told = known(solved(poses, keypoints=seen, bone_imus=None))
-    assert np.isfinite(told.position_sigma[: N // 2]).all()
-    assert np.isnan(told.position_sigma[-N:]).all()
-    assert np.isnan(told.turn_covariance[-N:]).all()
+    found = known(solved(poses, keypoints=seen, bone_imus=None))
+    assert np.isfinite(found.position_sigma[: N // 2]).all()
+    assert np.isnan(found.position_sigma[-N:]).all()
+    assert np.isnan(found.turn_covariance[-N:]).all()
 
 
 def test_segment_fixed_to_its_parent_is_unknown() -> None:
-    told = known(solved(truth(2 * N)))
+    found = known(solved(truth(2 * N)))
     for name in ("LeftHand", "RightFoot", "Head"):
-        assert np.isnan(told.turn(WORLD, name)).all(), name
-    assert np.isfinite(told.position_covariance).all()
+        assert np.isnan(found.turn(WORLD, name)).all(), name
+    assert np.isfinite(found.position_covariance).all()
 
 
 def test_active_limit_reduces_the_covariance() -> None:
-    """Bent knees on somebody whose knees do not bend."""
+    """Bent knees on a body whose knees do not bend."""
     poses = truth(2 * N)
     joints = tuple(
         replace(joint, limits=np.tile([-0.02, 0.02], (3, 1))) if joint.name == "LeftLeg" else joint
@@ -152,8 +151,8 @@ def test_active_limit_reduces_the_covariance() -> None:
     )
     body, seen, sigma = SkeletonModel(replace(BODY.table, joints=joints)), observed(poses, 0), []
     for settings in (HONEST, replace(HONEST, limits=True)):
-        told = known(FragmentSolver(body, N, settings).solve(poses, confidence=True, **seen))
-        knee = told.turn("LeftUpLeg", "LeftLeg")
+        found = known(FragmentSolver(body, N, settings).solve(poses, confidence=True, **seen))
+        knee = found.turn("LeftUpLeg", "LeftLeg")
         sigma.append(np.degrees(np.sqrt(np.trace(knee, axis1=1, axis2=2))))
     assert np.all(sigma[0] > 1.0)
     assert np.all(sigma[1] < 0.8 * sigma[0])

@@ -27,7 +27,7 @@ T = len(TRUTH)
 
 
 def hidden(*gaps: tuple[float, float]) -> NDArray[np.bool_]:
-    """(T,) whether somebody was seen, but for these times, s."""
+    """(T,) whether the person is observed, given the gaps in s."""
     return ~np.any([(TRUTH.times >= a) & (TRUTH.times < b) for a, b in gaps], axis=0)
 
 
@@ -80,9 +80,9 @@ def test_unobserved_turn_is_recovered_from_limb_sensors() -> None:
     )  # fmt: skip
     seen = hidden((2.2, 3.8))
     last = np.maximum.accumulate(np.where(seen, np.arange(T), 0))
-    held = replace(turned, R_world_bone=turned.R_world_bone[last])
-    start, _ = bridged(held, seen, planted.bone_imus(BODY, turned, LIMBS))
-    off, was = (so3.angle_between(turned.R_world_bone[:, 0], p.R_world_bone[:, 0]) for p in (start, held))
+    frozen = replace(turned, R_world_bone=turned.R_world_bone[last])
+    start, _ = bridged(frozen, seen, planted.bone_imus(BODY, turned, LIMBS))
+    off, was = (so3.angle_between(turned.R_world_bone[:, 0], p.R_world_bone[:, 0]) for p in (start, frozen))
     assert off.max() < np.radians(10)
     assert was.max() > 1.0
 

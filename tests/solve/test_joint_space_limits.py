@@ -52,13 +52,6 @@ def test_knees_and_elbows_have_the_limits_of_the_urdf() -> None:
     np.testing.assert_allclose([limits().lower, limits().upper], BODY.limits[rows].T)
 
 
-def test_a_space_without_hinges_has_no_limits() -> None:
-    free = Limits(StateSpace(BODY, BODY.names, False))
-    x = np.tile(np.eye(4)[0], 21)[None]
-    assert free.names == ()
-    assert free.values(np.concatenate([np.zeros((1, 3)), x], axis=1)).shape == (1, 0)
-
-
 def test_values_are_the_angles_of_the_configuration() -> None:
     q = configurations(200)
     np.testing.assert_allclose(limits().values(states_of(q)), q[:, columns()], atol=1e-9)

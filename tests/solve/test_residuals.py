@@ -67,15 +67,6 @@ def test_derivative_equals_finite_differences(name: str) -> None:
     np.testing.assert_allclose(J, np.stack(columns, axis=1), rtol=1e-6, atol=1e-6 * np.abs(J).max())
 
 
-def test_constant_acceleration_has_no_residual() -> None:
-    t = np.arange(9) / RATE
-    a = np.array([[0.0], [2.0], [-9.81]])
-    p = np.array([[1.0], [0.0], [2.0]]) + np.array([[3.0], [0.5], [0.0]]) * t + a * t**2 / 2
-    residual = np.array(energies.acceleration(ca.DM(p), np.tile(a, 7), RATE))
-    np.testing.assert_allclose(residual, 0, atol=1e-9)
-    np.testing.assert_allclose(np.array(energies.jerk(ca.DM(p), np.zeros((3, 6)), RATE)), 0, atol=1e-6)
-
-
 @given(residual=st.floats(0, 1e4), delta=st.floats(0.1, 10))
 def test_pseudo_huber_lies_below_the_square_and_below_its_asymptote(residual: float, delta: float) -> None:
     value = float(energies.pseudo_huber(ca.DM(residual**2), delta))

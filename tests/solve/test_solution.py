@@ -1,4 +1,4 @@
-"""What a fragment solver gives back."""
+"""Summary, status and warnings of a solution."""
 
 from __future__ import annotations
 
@@ -62,16 +62,16 @@ def fitted(*sizes: float) -> tuple[str, ...]:
 
 
 def test_fragments_with_larger_errors_cause_a_warning() -> None:
-    (told,) = fitted(0.5, 0.5, 0.6, 3.9, 12.5, 0.5, 0.5, 0.5, 0.5)
-    assert told.startswith("1.0 to 2.4 s: joints lie 12 px per axis from where they were seen (0.5 is")
+    (warning,) = fitted(0.5, 0.5, 0.6, 3.9, 12.5, 0.5, 0.5, 0.5, 0.5)
+    assert warning.startswith("1.0 to 2.4 s: joints lie 12 px per axis from where they were seen (0.5 is")
     assert len(fitted(0.5, 4.0, 0.5, 0.5, 0.5, 0.5, 0.5, 9.0, 0.5)) == 2
 
 
 def test_equal_errors_cause_a_warning_only_at_the_limit() -> None:
     assert fitted(4.0, 6.0, 9.0, 11.0, 5.0, 0.5, 4.0, 4.0, 5.0) == ()
     assert fitted(0.5, 0.5, 0.5, 2.9, 0.5, 0.5, 0.5, 0.5, 0.5) == ()
-    (told,) = fitted(*[25.0] * 9)
-    assert told.startswith("0.0 to 3.9 s")
+    (warning,) = fitted(*[25.0] * 9)
+    assert warning.startswith("0.0 to 3.9 s")
 
 
 def test_hardly_observed_fragments_cause_no_warning() -> None:

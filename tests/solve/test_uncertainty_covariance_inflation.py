@@ -1,4 +1,4 @@
-"""What is added to the Hessian's covariances: by whom a thing was seen, and from which file."""
+"""Inflation of covariances by class of observation; its file."""
 
 from __future__ import annotations
 
@@ -68,9 +68,7 @@ def test_a_covariance_is_scaled_on_both_sides_and_gets_a_floor() -> None:
         (("Hips", "LeftUpLeg", "LeftLeg"), 2, 3, [3, 3]),
     ],
 )
-def test_class_depends_on_the_sensors(
-    sensors: tuple[str, ...], position: float, relative: float, turns: list[float]
-) -> None:
+def test_sensor_class(sensors: tuple[str, ...], position: float, relative: float, turns: list[float]) -> None:
     found = inflation().apply(confidence(), ResidualStatistics(sensors))
     np.testing.assert_allclose(found.position_sigma, position)
     np.testing.assert_allclose(found.relative_sigma[:, 1:], relative)
@@ -84,8 +82,8 @@ def test_share_of_the_disagreement_is_added() -> None:
     off = np.zeros((2, 3, 3, 3))
     off[1, 1, 0, 0] = 4.0
     apart = Disagreement(off, off, off[:, :2])
-    told = ResidualStatistics(("LeftLeg",))
-    plain, wide = (found.apply(confidence(), told, of) for of in (None, apart))
+    statistics = ResidualStatistics(("LeftLeg",))
+    plain, wide = (found.apply(confidence(), statistics, of) for of in (None, apart))
     np.testing.assert_allclose(wide.relative_covariance - plain.relative_covariance, 0.25 * off)
     np.testing.assert_allclose(wide.turn_covariance - plain.turn_covariance, off[:, :2] / 16)
     np.testing.assert_array_equal(wide.position_covariance, plain.position_covariance)  # no share
@@ -104,9 +102,9 @@ def test_uncertain_lifter_raises_floors_without_sensors() -> None:
     unsure = ResidualStatistics(torso_sigma=2 * USUAL_TORSO_SIGMA)
     found = inflation(camera=wide, sensed=wide)
     free = found.apply(confidence(), unsure)
-    held = found.apply(confidence(), replace(unsure, sensors=("Hips",)))
+    sensed = found.apply(confidence(), replace(unsure, sensors=("Hips",)))
     assert free.turn_covariance[0, 0, 0, 0] == pytest.approx(2.0**2 + 1.0)
-    assert held.turn_covariance[0, 0, 0, 0] == pytest.approx(2.0**2 + 0.25)
+    assert sensed.turn_covariance[0, 0, 0, 0] == pytest.approx(2.0**2 + 0.25)
 
 
 @pytest.mark.parametrize(
