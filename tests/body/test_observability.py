@@ -35,6 +35,7 @@ ELBOWS_AND_KNEES = {
 }  # fmt: skip
 LEAVES = ("Head", "LeftHand", "RightHand", "LeftFoot", "RightFoot")
 ENDS = {f"{leaf}_{axis}" for leaf in LEAVES for axis in "xyz"}
+HAND = {"RightHand_x", "RightHand_y", "RightHand_z"}
 
 
 def seen_by(motion: MotionSequence, *sensors: str) -> MotionSequence:
@@ -59,9 +60,6 @@ def with_landmarks(names: tuple[str, ...], camera: Camera) -> KeypointSequence:
     return KeypointSequence(camera, [0.0], np.ones((1, len(names), 2)), np.ones((1, len(names))), names)
 
 
-# --- degrees of freedom --------------------------------------------------------------------------
-
-
 def test_angles_fixed_by_the_solver_are_not_observed() -> None:
     """Limbs with sensors, in joint space: pronation, ankles, wrists and axial rotation of the neck."""
     motion = hinged(seen_by(planted.moving(BODY, T), *planted.LIMBS))
@@ -69,14 +67,17 @@ def test_angles_fixed_by_the_solver_are_not_observed() -> None:
     assert root_turn_observed(motion).all()
 
 
-def test_sensor_on_a_segment_observes_its_joint() -> None:
-    motion = seen_by(planted.moving(BODY, T), *planted.LIMBS, "RightFoot", "Head")
-    assert unobserved(motion) == {n for n in ENDS if not n.startswith(("RightFoot", "Head"))}
-
-
-def test_joint_positions_do_not_observe_axial_rotations_of_end_segments() -> None:
-    none = unobserved(seen_by(planted.moving(BODY, T)))
-    assert none == ENDS | {"Neck_z", "LeftLeg_z", "RightLeg_z", "LeftForeArm_y", "RightForeArm_y"}
+@pytest.mark.parametrize(
+    ("sensors", "missing"),
+    [
+        ((), ENDS | {"Neck_z", "LeftLeg_z", "RightLeg_z", "LeftForeArm_y", "RightForeArm_y"}),
+        ((*planted.LIMBS, "RightFoot", "Head"), {n for n in ENDS if n[:5] not in ("Right", "Head_")} | HAND),
+    ],
+)
+def test_sensors_observe_axial_rotations_that_joint_positions_do_not(
+    sensors: tuple[str, ...], missing: set[str]
+) -> None:
+    assert unobserved(seen_by(planted.moving(BODY, T), *sensors)) == missing
 
 
 def test_joint_of_an_unobserved_segment_is_not_observed_in_those_frames() -> None:
@@ -129,9 +130,6 @@ def test_never_observed_angles_do_not_move_joints() -> None:
     np.testing.assert_allclose(p, BODY.forward_kinematics(motion.q)[0], atol=1e-12)
 
 
-# --- landmarks -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("names", "segment", "level"),
     [
@@ -168,7 +166,7 @@ def test_far_end_of_a_hand_does_not_observe_its_axial_rotation() -> None:
     directed = np.isin(BODY.names, "RightHand")
     motion = replace(motion, poses=replace(motion.poses, direction_observed=directed))
     assert (segment_levels(motion.poses, BODY)[:, directed] == DIRECTION).all()
-    assert unobserved(motion) & {"RightHand_x", "RightHand_y", "RightHand_z"} == {"RightHand_y"}
+    assert unobserved(motion) & HAND == {"RightHand_y"}
     landmarks = dict(zip(BODY.landmarks, observed_landmarks(motion).T, strict=True))
     assert landmarks["RightHandEnd"].all()
     assert not landmarks["LeftHandEnd"].any()
@@ -179,9 +177,6 @@ def test_heel_is_observed_only_with_the_orientation_of_its_foot() -> None:
     seen = observed_landmarks(motion)
     names = {n for n, whole in zip(BODY.landmarks, seen.all(axis=0), strict=True) if whole}
     assert names == {*BODY.names, "LeftHeel", "LeftToe", "LeftToeBase"}
-
-
-# --- bones ---------------------------------------------------------------------------------------
 
 
 def test_bone_is_observed_by_both_ends_or_by_a_sensor() -> None:

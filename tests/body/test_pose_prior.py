@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import planted
 import pytest
 from numpy.typing import NDArray
 
@@ -34,9 +33,6 @@ def saved(folder: Path, **changes: Any) -> Path:
     path = folder / "prior.npz"
     write_npz(path, {k: np.asarray(v) for k, v in arrays(**changes).items() if v is not None})
     return path
-
-
-# --- the shipped one -----------------------------------------------------------------------------
 
 
 def test_prior_is_shipped_for_the_21_joints_only() -> None:
@@ -78,17 +74,6 @@ def test_left_and_right_are_mirror_images() -> None:
     np.testing.assert_allclose(same, 1.0, atol=1e-3)
 
 
-def test_mean_pose_is_within_the_limits_of_the_skeleton() -> None:
-    truth = planted.human(BODY, 1, size=0.0)
-    assert not truth.report.violations
-    p = truth.poses.p_world_joint[0]
-    head, hips, foot = (p[BODY.index(n)[0], 2] for n in ("Head", "Hips", "LeftFoot"))
-    assert head > hips > foot
-
-
-# --- precision -----------------------------------------------------------------------------------
-
-
 def test_precision_is_the_inverse_of_the_inflated_covariance() -> None:
     joints, least = BODY.names[1:], np.radians(3.0)
     P = PRIOR.precision(joints, 2.0, least)
@@ -107,9 +92,6 @@ def test_precision_of_some_joints_is_that_of_their_marginal() -> None:
 def test_precision_of_an_unknown_joint_is_refused() -> None:
     with pytest.raises(UnknownNameError, match=r"unknown joint of the pose prior 'LeftShin'"):
         PRIOR.precision(("LeftArm", "LeftShin"), 1.0, 0.1)
-
-
-# --- files ---------------------------------------------------------------------------------------
 
 
 def test_prior_from_a_file_is_read_as_written(tmp_path: Path) -> None:
@@ -133,15 +115,12 @@ def test_prior_of_another_skeleton_or_a_damaged_file_is_refused(tmp_path: Path) 
 @pytest.mark.parametrize("change, message", [
     ({"covariance": None}, "covariance"),
     ({"sigma_jerk": np.ones(2)}, r"prior sigma_jerk: expected shape \(3\)"),
-    ({"sigma_root_jerk": None}, "sigma_root_jerk"),
     ({"sigma_root_jerk": np.ones(2)}, "sigma_root_jerk"),
     ({"covariance": -np.eye(6)}, "not symmetric and positive semidefinite"),
     ({"covariance": np.triu(np.ones((6, 6))) + 5 * np.eye(6)}, "not symmetric"),
     ({"covariance": np.full((6, 6), np.nan)}, "not symmetric"),
     ({"mean_quat_wxyz": np.zeros((2, 4))}, "not unit quaternions"),
-    ({"mean_quat_wxyz": np.full((2, 4), np.nan)}, "not unit quaternions"),
     ({"sigma_jerk": np.array([300.0, 0.0, 1.0])}, "jerk must be positive and finite"),
-    ({"sigma_jerk": np.array([300.0, np.inf, 1.0])}, "jerk must be positive and finite"),
     ({"sigma_root_jerk": np.array(np.nan)}, "jerk must be positive and finite"),
 ])  # fmt: skip
 def test_invalid_prior_is_refused_with_its_field(

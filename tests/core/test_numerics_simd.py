@@ -70,9 +70,6 @@ def code_of(*given: FrameFunction) -> dict[str, Any]:
     return code
 
 
-# --- the same numbers ----------------------------------------------------------------------------
-
-
 @pytest.mark.usefixtures("vectors")
 def test_every_operation_equals_the_interpreter() -> None:
     given, shared = everything(), np.array([0.7, -1.3])
@@ -114,15 +111,6 @@ def test_neighbouring_frames_are_the_shifted_array_and_zero_beyond() -> None:
     assert not columns.rows(out)[9].any()
 
 
-def test_padding_frames_give_zero() -> None:
-    x = ca.SX.sym("x", 1)
-    given = FrameFunction(ca.Function("inverted", [x], [1 / x]))
-    columns = Columns(5)
-    here, out = columns.given(np.full((5, 1), 4.0)), columns.zeros(1)
-    Over(code_of(given)["inverted"], given, 5, [columns.at(here)], [columns.at(out)])()
-    assert out.sum() == 1.25
-
-
 @pytest.mark.usefixtures("vectors")
 def test_placed_output_is_scattered_in_every_frame() -> None:
     x = ca.SX.sym("x", 3)
@@ -142,19 +130,16 @@ def test_placed_output_is_scattered_in_every_frame() -> None:
     np.testing.assert_allclose(columns.rows(total)[:, 0], rows.sum(axis=1), rtol=1e-13, atol=1e-14)
 
 
-# --- arrays --------------------------------------------------------------------------------------
-
-
-def test_columns_are_aligned_and_padded() -> None:
-    for frames in (1, 8, 50):
-        columns = Columns(frames)
-        array = columns.zeros(3)
-        assert array.ctypes.data % 64 == 0
-        assert array.strides[0] % 64 == 0
-        assert array.shape[1] >= whole(frames) + 2 * GROUP
-        rows = np.arange(3.0 * frames).reshape(frames, 3)
-        np.testing.assert_array_equal(columns.rows(columns.given(rows)), rows)
-    assert [whole(n) for n in (1, 8, 9)] == [8, 8, 16]
+@pytest.mark.parametrize("frames, padded", [(1, 8), (8, 8), (9, 16), (50, 56)])
+def test_columns_are_aligned_and_padded(frames: int, padded: int) -> None:
+    assert whole(frames) == padded
+    columns = Columns(frames)
+    array = columns.zeros(3)
+    assert array.ctypes.data % 64 == 0
+    assert array.strides[0] % 64 == 0
+    assert array.shape[1] >= padded + 2 * GROUP
+    rows = np.arange(3.0 * frames).reshape(frames, 3)
+    np.testing.assert_array_equal(columns.rows(columns.given(rows)), rows)
 
 
 def test_arrays_of_wrong_shape_or_layout_are_refused() -> None:
@@ -193,9 +178,6 @@ def test_places_outside_the_rows_are_refused() -> None:
             Over(code, given, 4, here, [np.zeros((rows, 20))], np.array([place]))
     with pytest.raises(ShapeError, match="numbers of double precision that lie together"):
         Over(code, given, 4, here, [np.zeros((4, 40))[:, ::2]], np.array([0]))
-
-
-# --- the library ---------------------------------------------------------------------------------
 
 
 def test_library_is_cached_by_function_and_sharing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:

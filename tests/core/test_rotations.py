@@ -78,9 +78,6 @@ def test_unit_keeps_the_zero_vector() -> None:
     assert_close(out, np.array([[0, 0, 0], [0.6, 0, 0.8], [1, 0, 0]]))
 
 
-# --- minimal rotation -------------------------------------------------------------------------------
-
-
 @given(VECTORS, VECTORS)
 def test_minimal_rotation_turns_a_to_b_by_their_angle(a: Array, b: Array) -> None:
     a, b = a + np.array([0, 0, 4.5]), b + np.array([4.5, 0, 0])  # neither is zero
@@ -110,9 +107,6 @@ def test_minimal_rotation_of_opposite_equal_and_zero_vectors() -> None:
     assert_close(so3.minimal_rotation([0, 0, 0], [0, 0, 5.0]), np.eye(3))
     b = RNG.normal(size=(4, 5, 3))
     assert_close(so3.minimal_rotation([0, 0, 1.0], b)[..., 2], so3.unit(b), 1e-15)
-
-
-# --- nearest rotation, heading, quaternions -----------------------------------------------------------
 
 
 def test_nearest_rotation_equals_kabsch_of_scipy_and_never_reflects() -> None:
@@ -161,9 +155,6 @@ def test_is_rotation_refuses_reflections_scaling_nan_and_infinity() -> None:
     assert not so3.is_rotation(np.full((3, 3), np.nan))
     assert not so3.is_rotation(np.full((3, 3), np.inf))
     assert not so3.is_rotation(np.stack([np.eye(3), np.full((3, 3), np.nan)]))
-
-
-# --- Euler angles -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("order", ORDERS)
