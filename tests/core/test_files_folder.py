@@ -32,8 +32,16 @@ def fail(path: Path, error: BaseException, overwrite: bool = False) -> None:
         raise error
 
 
-def not_supported(*_: object) -> None:
-    raise PermissionError(1, "Operation not permitted")
+def failing(error: BaseException) -> Callable[..., None]:
+    """A function that raises an error."""
+
+    def raise_(*_: object) -> None:
+        raise error
+
+    return raise_
+
+
+not_supported = failing(OSError(22, "Invalid argument"))
 
 
 @pytest.fixture(params=["exchange", "no exchange"])
@@ -241,11 +249,7 @@ def test_interrupted_export_is_complete_or_absent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     write(tmp_path / "out", "old")
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(folder_module, step, interrupt)
+    monkeypatch.setattr(folder_module, step, failing(KeyboardInterrupt()))
     with pytest.raises(KeyboardInterrupt):
         write(tmp_path / "out", overwrite=True)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
@@ -303,7 +307,7 @@ def test_file_that_appeared_meanwhile_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
 ) -> None:
     if not links:
-        monkeypatch.setattr(os, "link", not_supported)
+        monkeypatch.setattr(os, "link", failing(PermissionError(1, "Operation not permitted")))
     with new_file(tmp_path / "other") as file:
         file.write_text("whole")
     with (
