@@ -66,9 +66,6 @@ def assert_close(a: Any, b: Any, tolerance: float = 1e-9) -> None:
     np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
 
 
-# --- skeletons ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("name", "J", "root"), [("total_capture", 21, "Hips"), ("human36m", 17, "Hip")])
 def test_named_skeletons_have_a_free_base_and_three_angles_per_joint(name: str, J: int, root: str) -> None:
     skeleton = SkeletonModel.named(name)
@@ -132,9 +129,6 @@ def test_joints_are_landmarks_and_heads_and_feet_have_more() -> None:
     assert DEFAULT.sensors["L_LowArm"][0] == "LeftForeArm"
 
 
-# --- forward kinematics -------------------------------------------------------------------------------
-
-
 def test_forward_kinematics_equals_pinocchio(any_skeleton: SkeletonModel) -> None:
     scaled = any_skeleton.with_offsets(any_skeleton.joint_offsets * 1.1 + 0.01)
     for skeleton in (any_skeleton, scaled):
@@ -165,34 +159,6 @@ def test_configuration_of_wrong_shape_or_quaternion_norm_is_refused() -> None:
     q[1, 3:7] *= 1.01
     with pytest.raises(InvalidInputError, match=r"root quaternion \(x y z w\) of frame 1 has norm 1.01"):
         DEFAULT.forward_kinematics(q)
-
-
-@pytest.mark.parametrize(
-    ("dof", "degrees", "joint", "moved"),
-    [
-        ("LeftLeg_y", 90, "LeftFoot", [-0.396, 0, 0.396]),
-        ("RightLeg_y", 90, "RightFoot", [-0.396, 0, 0.396]),
-        ("LeftUpLeg_y", -90, "LeftLeg", [0.396, 0, 0.396]),
-        ("RightUpLeg_y", -90, "RightLeg", [0.396, 0, 0.396]),
-        ("RightForeArm_z", 90, "RightHand", None),
-        ("LeftForeArm_z", -90, "LeftHand", None),
-        ("Spine_y", 30, "Head", None),
-    ],
-)
-def test_signs_of_knee_hip_elbow_and_trunk(
-    dof: str, degrees: float, joint: str, moved: list[float] | None
-) -> None:
-    q = DEFAULT.t_pose()
-    before = DEFAULT.forward_kinematics(q[None])[0][0]
-    q[7 + DEFAULT.dof_names.index(dof)] = np.radians(degrees)
-    found = (DEFAULT.forward_kinematics(q[None])[0][0] - before)[DEFAULT.index(joint)[0]]
-    if moved is None:
-        assert found[0] > 0.2  # forwards
-    else:
-        assert_close(found, moved)
-
-
-# --- other bodies -------------------------------------------------------------------------------------
 
 
 def test_bone_lengths_are_changed_by_name() -> None:
@@ -257,9 +223,6 @@ def test_invalid_bodies_and_arrays_are_refused(change: Callable[[SkeletonModel],
         change(DEFAULT)
 
 
-# --- URDF files ---------------------------------------------------------------------------------------
-
-
 def test_personal_urdf_is_read_back_as_the_same_body(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     person = DEFAULT.with_offsets(DEFAULT.joint_offsets * rng.uniform(0.8, 1.2, (21, 1))).with_mass(90.0)
@@ -315,9 +278,6 @@ def test_missing_urdf_or_one_of_another_table_is_refused(tmp_path: Path) -> None
         SkeletonModel(DEFAULT.table, DEFAULT.to_urdf().replace("Head_x", "Kopf_x"))
 
 
-# --- inverse kinematics -------------------------------------------------------------------------------
-
-
 def test_forward_of_inverse_kinematics_reproduces_poses(any_skeleton: SkeletonModel) -> None:
     q = random_q(any_skeleton, 200, inside=False)
     q[:4, 8::3] = np.pi / 2  # all joints in a singular posture
@@ -337,18 +297,6 @@ def test_smooth_angles_are_recovered_over_turns_and_singular_postures(any_skelet
     found = any_skeleton.inverse_kinematics(*any_skeleton.forward_kinematics(q))
     assert_close(found[:, 7:], q[:, 7:], 1e-8)
     assert np.abs(np.diff(found[:, 3:7], axis=0)).max() < 0.05
-
-
-def test_joint_passing_its_singular_posture_stays_on_the_smooth_branch() -> None:
-    T = 2000
-    for name in ("LeftArm", "LeftLeg", "Spine"):
-        joint = next(j for j in DEFAULT.table.joints if j.name == name)
-        columns = [7 + DEFAULT.dof_names.index(dof.urdf) for dof in joint.dofs]
-        q = np.tile(DEFAULT.t_pose(), (T, 1))
-        q[:, columns[0]], q[:, columns[2]] = 0.3, -0.2
-        q[:, columns[1]] = np.linspace(0, 6 * np.pi, T) + 1e-4
-        found = DEFAULT.inverse_kinematics(*DEFAULT.forward_kinematics(q))
-        assert_close(found, q, 1e-6)
 
 
 @settings(max_examples=15, deadline=None)
@@ -385,23 +333,11 @@ def test_frames_with_nan_give_nan_rows_and_the_branch_is_kept() -> None:
     assert DEFAULT.inverse_kinematics(np.empty((0, 21, 3))).shape == (0, 67)
 
 
-def test_positions_alone_are_reproduced_and_twist_follows_the_parent(motion: MotionSequence) -> None:
-    skeleton, p = motion.skeleton, motion.poses.p_world_joint
-    q = skeleton.inverse_kinematics(p)
-    p_again, R = skeleton.forward_kinematics(q)
-    # Positions fix the trunk by two children each; its neck and clavicles are not one rigid triple.
-    one_child = [j for j in range(21) if skeleton.parents.count(j) == 1 and skeleton.parents[j] >= 0]
-    for j in one_child:
-        child = skeleton.parents.index(j)
-        assert_close(so3.unit(p_again[:, child] - p_again[:, j]), so3.unit(p[:, child] - p[:, j]), 1e-9)
-        turn = so3.log(R[:, j] @ np.swapaxes(R[:, skeleton.parents[j]], -1, -2))
-        before = R[:, skeleton.parents[j]] @ skeleton.joint_offsets[child]
-        between = so3.unit(before) + so3.unit(p[:, child] - p[:, j])
-        assert np.abs(np.sum(turn * so3.unit(between), axis=-1)).max() < 1e-7
-    for leaf in skeleton.index("Head", "LeftHand", "RightFoot"):
-        assert_close(R[:, leaf], R[:, skeleton.parents[leaf]])
-    # Rigid triples (Hips, Spine3) make the positions come back exactly, whatever the twist.
-    assert_close(p_again, p)
+def test_positions_alone_are_reproduced_and_leaves_follow_their_parent(motion: MotionSequence) -> None:
+    p_again, R = DEFAULT.forward_kinematics(DEFAULT.inverse_kinematics(motion.poses.p_world_joint))
+    assert_close(p_again, motion.poses.p_world_joint)
+    for leaf in DEFAULT.index("Head", "LeftHand", "RightFoot"):
+        assert_close(R[:, leaf], R[:, DEFAULT.parents[leaf]])
 
 
 @pytest.mark.parametrize(
@@ -420,19 +356,14 @@ def test_orientations_are_observed_by_several_children_or_a_sensor(
     assert [n for n, o in zip(skeleton.names, seen, strict=True) if o] == observed
 
 
-# --- reports ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("side", [1, -1])
-@pytest.mark.parametrize("turns", [0, 1, -2])
-def test_postures_within_five_degrees_of_singular_are_flagged(side: int, turns: int) -> None:
+@pytest.mark.parametrize("turns", [0, 0.5, 1, -2])
+def test_postures_within_five_degrees_of_singular_are_flagged(turns: float) -> None:
     q = np.tile(DEFAULT.t_pose(), (5, 1))
-    degrees = np.array([84.9, 85.1, 90.0, 94.9, 95.1])
-    q[:, 7 + DEFAULT.dof_names.index("LeftArm_y")] = side * np.radians(degrees) + 2 * np.pi * turns
+    degrees = np.array([84.9, 85.1, 90.0, 94.9, 95.1]) + 360 * turns
+    q[:, 7 + DEFAULT.dof_names.index("LeftArm_y")] = np.radians(degrees)
     q[:, 7 + DEFAULT.dof_names.index("LeftArm_z")] = np.pi / 2  # an outer angle flags nothing
     singular = DEFAULT.check(q).singular
-    j = DEFAULT.index("LeftArm")[0]
-    np.testing.assert_array_equal(singular[:, j], [False, True, True, True, False])
+    np.testing.assert_array_equal(singular[:, DEFAULT.index("LeftArm")[0]], [0, 1, 1, 1, 0])
     assert singular.sum() == 3
 
 
@@ -453,9 +384,6 @@ def test_limit_violations_are_reported_and_nothing_is_clipped() -> None:
     report = DEFAULT.check(q)
     assert report.violations == {}
     assert not report.singular.any()
-
-
-# --- motion -------------------------------------------------------------------------------------------
 
 
 def test_motion_of_poses_reproduces_them_and_is_cut_in_every_field(motion: MotionSequence) -> None:
