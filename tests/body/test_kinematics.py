@@ -153,13 +153,6 @@ def test_twist_of_an_opposite_first_frame_is_carried_over_and_returns() -> None:
     assert steps_deg(R)[0] < 20 + 5 + 0.5
 
 
-def test_swing_is_equivariant_to_rotation_of_the_body() -> None:
-    observed, R_world = passing(5.0), random_rotations(1)[0]
-    R = kinematics.swing(STILL, DOWN, observed)
-    turned = kinematics.swing(R_world @ STILL, DOWN, observed @ R_world.T)
-    assert_close(turned, R_world @ R, 1e-9)
-
-
 def test_rotating_parent_carries_the_twist() -> None:
     """Bone opposite in the parent's frame all the time, the parent spinning: a rigid body."""
     R_parent = so3.about_axis("z", np.radians(3.0) * np.arange(60))

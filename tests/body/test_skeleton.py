@@ -167,8 +167,8 @@ def test_bone_lengths_are_changed_by_name() -> None:
     assert new.bone_lengths["Neck"] == pytest.approx(0.3)
     assert DEFAULT.bone_lengths["LeftLeg"] == pytest.approx(0.396)
     assert_close(so3.unit(new.joint_offsets), so3.unit(DEFAULT.joint_offsets))
-    others = set(DEFAULT.bone_lengths) - {"LeftLeg", "Neck"}
-    assert all(new.bone_lengths[n] == DEFAULT.bone_lengths[n] for n in others)
+    changed = {n for n, length in new.bone_lengths.items() if length != DEFAULT.bone_lengths[n]}
+    assert changed == {"LeftLeg", "Neck"}
 
 
 @pytest.mark.parametrize("height", [1.0, 1.5, 2.1])
@@ -230,8 +230,6 @@ def test_personal_urdf_is_read_back_as_the_same_body(tmp_path: Path) -> None:
     path.write_text(person.to_urdf().replace('upper="2.87979326579"', 'upper="2"'))
     back = SkeletonModel.from_urdf(path)
     assert_close(back.joint_offsets, person.joint_offsets, 1e-12)
-    q = random_q(person, 3)
-    assert_close(back.forward_kinematics(q)[0], person.forward_kinematics(q)[0], 1e-11)
     assert back.height == pytest.approx(person.height, abs=1e-9)
     for name, (joint, offset) in person.landmarks.items():
         assert back.landmarks[name][0] == joint
@@ -274,8 +272,6 @@ def test_missing_urdf_or_one_of_another_table_is_refused(tmp_path: Path) -> None
         SkeletonModel.from_urdf(tmp_path / "no.urdf")
     with pytest.raises(FileFormatError, match=r"human36m\.urdf: there is no joint Spine1_y"):
         SkeletonModel.from_urdf(model_path("human36m.urdf"))
-    with pytest.raises(InvalidInputError, match=r"differ in the joints .*Head_x"):
-        SkeletonModel(DEFAULT.table, DEFAULT.to_urdf().replace("Head_x", "Kopf_x"))
 
 
 def test_forward_of_inverse_kinematics_reproduces_poses(any_skeleton: SkeletonModel) -> None:

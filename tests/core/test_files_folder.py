@@ -123,14 +123,6 @@ def test_foreign_folders_files_and_links_are_never_replaced(tmp_path: Path, over
     assert tree(tmp_path) == before
 
 
-def test_output_is_checked_before_long_computations(tmp_path: Path) -> None:
-    check_replaceable(str(tmp_path / "new"), MARKER)
-    write(tmp_path / "out")
-    check_replaceable(tmp_path / "out", MARKER, overwrite=True)
-    with pytest.raises(OutputExistsError):
-        check_replaceable(tmp_path / "out", MARKER)
-
-
 def tree(folder: Path) -> dict[str, str]:
     files = [path for path in folder.rglob("*") if path.is_file()]
     return {str(path.relative_to(folder)): path.read_text() for path in files}
@@ -166,7 +158,9 @@ def test_files_of_the_user_in_a_folder_are_named_and_kept(
 
 
 def test_folder_of_another_kind_is_not_replaced(tmp_path: Path) -> None:
+    check_replaceable(str(tmp_path / "out"), MARKER)
     write(tmp_path / "out", "old")
+    check_replaceable(tmp_path / "out", MARKER, overwrite=True)
     with (
         pytest.raises(OutputExistsError, match=r"another command \(index.toml\)"),
         new_folder(tmp_path / "out", "deep", overwrite=True),
@@ -185,17 +179,13 @@ def test_folder_that_appeared_meanwhile_is_kept(tmp_path: Path, overwrite: bool)
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "notes.txt").write_text("mine")
     assert tree(tmp_path) == {"out/notes.txt": "mine"}
-
-
-def test_second_of_two_runs_into_one_folder_is_refused(tmp_path: Path) -> None:
     with (
-        pytest.raises(OutputExistsError, match="out: is there already"),
-        new_folder(tmp_path / "out", MARKER) as folder,
+        pytest.raises(OutputExistsError, match="second: is there already"),
+        new_folder(tmp_path / "second", MARKER) as folder,
     ):
         (folder / MARKER).write_text("second")
-        write(tmp_path / "out", "first")
-    assert (tmp_path / "out" / MARKER).read_text() == "first"
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+        write(tmp_path / "second", "first")  # of another run
+    assert (tmp_path / "second" / MARKER).read_text() == "first"
 
 
 def test_concurrent_overwriting_leaves_the_complete_output_of_one(tmp_path: Path) -> None:
@@ -319,7 +309,9 @@ def test_file_that_appeared_meanwhile_is_kept(
     assert tree(tmp_path) == {"page": "theirs", "other": "whole"}
 
 
-def test_replaced_file_keeps_permissions_and_links(tmp_path: Path) -> None:
+def test_replaced_file_keeps_permissions_and_links_and_a_device_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(OutputExistsError, match="null: is a device"), new_file("/dev/null", True):
+        pass
     (tmp_path / "page").write_text("old")
     (tmp_path / "page").chmod(0o600)
     (tmp_path / "link").symlink_to("page")
@@ -330,8 +322,3 @@ def test_replaced_file_keeps_permissions_and_links(tmp_path: Path) -> None:
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "page").read_text() == "new"
     assert (tmp_path / "page").stat().st_mode & 0o777 == 0o600
-
-
-def test_device_is_never_replaced() -> None:
-    with pytest.raises(OutputExistsError, match="null: is a device"), new_file("/dev/null", True):
-        pass

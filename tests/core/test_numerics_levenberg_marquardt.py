@@ -110,16 +110,6 @@ def test_looser_tolerance_stops_earlier_and_an_optimum_takes_no_iteration(start:
     np.testing.assert_array_equal(again.x, tight.x)
 
 
-def test_equal_calls_give_equal_results_whatever_was_solved_between(start: Start) -> None:
-    solver = LevenbergMarquardt(start.problem, start.limits)
-    first = solver.solve(start.x, 30, 1e-6)
-    solver.solve(js.states(start.problem.space, N, 3), 10, 1e-6)
-    again = solver.solve(start.x, 30, 1e-6)
-    np.testing.assert_array_equal(again.x, first.x)
-    np.testing.assert_array_equal(again.multipliers, first.multipliers)
-    assert again.iterations == first.iterations
-
-
 def check_optimality(start: Start, solved: Solved) -> None:
     """Check the Karush-Kuhn-Tucker conditions."""
     limits, m = start.limits, solved.multipliers
