@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -29,14 +27,6 @@ def assert_close(a: Array, b: Array, tolerance: float = 1e-12) -> None:
     np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
 
 
-# --- chains -----------------------------------------------------------------------------------------
-
-
-def test_children_are_in_order() -> None:
-    assert kinematics.children_of(PARENTS, 1) == [2, 3]
-    assert kinematics.children_of(PARENTS, 5) == []
-
-
 def test_positions_follow_the_parent_segments() -> None:
     R, root = random_rotations(7, 6), RNG.normal(size=(7, 3))
     p = kinematics.positions(PARENTS, OFFSETS, root, R)
@@ -55,16 +45,16 @@ def test_local_and_world_rotations_are_inverse_for_any_batch() -> None:
     assert kinematics.positions(PARENTS, OFFSETS, np.zeros((4, 3, 3)), R).shape == (4, 3, 6, 3)
 
 
-# --- one segment ----------------------------------------------------------------------------------------
-
-
 def test_several_children_determine_a_segment_like_scipy() -> None:
     p = RNG.normal(size=(5, 6, 3))
-    R = kinematics.segment_rotation(PARENTS, OFFSETS, 1, p, random_rotations(5))
+    R_parent = random_rotations(5)
+    R = kinematics.segment_rotation(PARENTS, OFFSETS, 1, p, R_parent)
     for t in range(5):
         bones = p[t, [2, 3]] - p[t, 1]
         expected, _ = Rotation.align_vectors(bones, OFFSETS[[2, 3]])
         assert_close(R[t], expected.as_matrix(), 1e-7)
+    leaf = kinematics.segment_rotation(PARENTS, OFFSETS, 5, p, R_parent)
+    assert_close(leaf, R_parent, 0)
 
 
 def test_one_child_determines_the_swing_and_the_twist_follows_the_parent() -> None:
@@ -76,19 +66,6 @@ def test_one_child_determines_the_swing_and_the_twist_follows_the_parent() -> No
     expected = R_parent @ so3.unit(OFFSETS[5])
     assert np.abs(np.sum(so3.unit(turn) * (expected + bone), axis=-1)).max() < 1e-6  # no twist
     assert_close(np.linalg.norm(turn, axis=-1), np.arccos(np.sum(expected * bone, axis=-1)), 1e-6)
-
-
-def test_leaf_has_the_orientation_of_its_parent() -> None:
-    R_parent = random_rotations(5)
-    p = RNG.normal(size=(5, 6, 3))
-    assert_close(kinematics.segment_rotation(PARENTS, OFFSETS, 5, p, R_parent), R_parent, 0)
-
-
-@given(st.floats(0.2, 3.0))
-def test_orientations_do_not_depend_on_bone_lengths(factor: float) -> None:
-    p = RNG.normal(size=(3, 6, 3))
-    R = kinematics.rotations_from_positions(PARENTS, OFFSETS, p)
-    assert_close(kinematics.rotations_from_positions(PARENTS, OFFSETS, factor * p), R, 1e-10)
 
 
 def test_rotations_without_twist_are_recovered_from_positions() -> None:
@@ -105,7 +82,8 @@ def test_rotations_without_twist_are_recovered_from_positions() -> None:
             local[:, j] = so3.exp(0.8 * so3.unit(axis) * RNG.normal(size=(T, 1)))
     R = kinematics.world_rotations(skeleton.parents, local)
     p = kinematics.positions(skeleton.parents, rest, RNG.normal(size=(T, 3)), R)
-    assert_close(kinematics.rotations_from_positions(skeleton.parents, rest, p), R, 1e-9)
+    for scale in (1.0, 2.5):  # bone lengths do not matter
+        assert_close(kinematics.rotations_from_positions(skeleton.parents, rest, scale * p), R, 1e-9)
 
 
 def test_frame_with_a_missing_joint_is_nan() -> None:
@@ -118,9 +96,6 @@ def test_frame_with_a_missing_joint_is_nan() -> None:
     assert_close(R[[0, 1, 3, 5]], whole[[0, 1, 3, 5]])
     p[:] = np.nan
     assert np.isnan(kinematics.rotations_from_positions(PARENTS, OFFSETS, p)).all()
-
-
-# --- near half a turn -----------------------------------------------------------------------------------
 
 
 def passing(miss_deg: float, frames: int = 161, reach_deg: float = 80.0) -> Array:
@@ -163,12 +138,9 @@ def test_twist_returns_to_the_parents_afterwards() -> None:
     R = kinematics.swing(R_parent, DOWN, observed)
     smallest = so3.minimal_rotation(DOWN, observed)
     assert_close(R[-1], smallest[-1])
-    assert_close(R[:60], smallest[:60])  # and before it never left it
-
-
-def test_swing_is_the_smallest_rotation_away_from_opposite() -> None:
-    observed = passing(12.0)
-    assert_close(kinematics.swing(STILL, DOWN, observed), so3.minimal_rotation(DOWN, observed))
+    assert_close(R[:60], smallest[:60])  # before, it is the smallest rotation
+    far = passing(12.0)
+    assert_close(kinematics.swing(STILL, DOWN, far), so3.minimal_rotation(DOWN, far))
 
 
 def test_twist_of_an_opposite_first_frame_is_carried_over_and_returns() -> None:
@@ -179,13 +151,6 @@ def test_twist_of_an_opposite_first_frame_is_carried_over_and_returns() -> None:
     leaving = passing(0.5)[[80, 100, 101]]  # one frame opposite, the next twenty degrees further
     R = kinematics.swing(STILL[:3], DOWN, leaving)
     assert steps_deg(R)[0] < 20 + 5 + 0.5
-
-
-def test_swing_is_equivariant_to_rotation_of_the_body() -> None:
-    observed, R_world = passing(5.0), random_rotations(1)[0]
-    R = kinematics.swing(STILL, DOWN, observed)
-    turned = kinematics.swing(R_world @ STILL, DOWN, observed @ R_world.T)
-    assert_close(turned, R_world @ R, 1e-9)
 
 
 def test_rotating_parent_carries_the_twist() -> None:

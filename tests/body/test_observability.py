@@ -9,7 +9,6 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.body.kinematics import children_of
 from rtof_kin.body.observability import (
     DIRECTION,
     NOTHING,
@@ -35,6 +34,7 @@ ELBOWS_AND_KNEES = {
 }  # fmt: skip
 LEAVES = ("Head", "LeftHand", "RightHand", "LeftFoot", "RightFoot")
 ENDS = {f"{leaf}_{axis}" for leaf in LEAVES for axis in "xyz"}
+HAND = {"RightHand_x", "RightHand_y", "RightHand_z"}
 
 
 def seen_by(motion: MotionSequence, *sensors: str) -> MotionSequence:
@@ -59,24 +59,30 @@ def with_landmarks(names: tuple[str, ...], camera: Camera) -> KeypointSequence:
     return KeypointSequence(camera, [0.0], np.ones((1, len(names), 2)), np.ones((1, len(names))), names)
 
 
-# --- degrees of freedom --------------------------------------------------------------------------
-
-
 def test_angles_fixed_by_the_solver_are_not_observed() -> None:
     """Limbs with sensors, in joint space: pronation, ankles, wrists and axial rotation of the neck."""
     motion = hinged(seen_by(planted.moving(BODY, T), *planted.LIMBS))
     assert unobserved(motion) == ELBOWS_AND_KNEES | ENDS | {"Neck_z"}
     assert root_turn_observed(motion).all()
+    # Axial rotation of the neck moves the head, which is observed; the others move no joint.
+    assert set(never_observed(motion)) == ELBOWS_AND_KNEES | ENDS
+    q = np.array(motion.q)
+    q[:, [7 + BODY.dof_names.index(name) for name in never_observed(motion)]] = 0.0
+    p, _ = BODY.forward_kinematics(q)
+    np.testing.assert_allclose(p, BODY.forward_kinematics(motion.q)[0], atol=1e-12)
 
 
-def test_sensor_on_a_segment_observes_its_joint() -> None:
-    motion = seen_by(planted.moving(BODY, T), *planted.LIMBS, "RightFoot", "Head")
-    assert unobserved(motion) == {n for n in ENDS if not n.startswith(("RightFoot", "Head"))}
-
-
-def test_joint_positions_do_not_observe_axial_rotations_of_end_segments() -> None:
-    none = unobserved(seen_by(planted.moving(BODY, T)))
-    assert none == ENDS | {"Neck_z", "LeftLeg_z", "RightLeg_z", "LeftForeArm_y", "RightForeArm_y"}
+@pytest.mark.parametrize(
+    ("sensors", "missing"),
+    [
+        ((), ENDS | {"Neck_z", "LeftLeg_z", "RightLeg_z", "LeftForeArm_y", "RightForeArm_y"}),
+        ((*planted.LIMBS, "RightFoot", "Head"), {n for n in ENDS if n[:5] not in ("Right", "Head_")} | HAND),
+    ],
+)
+def test_sensors_observe_axial_rotations_that_joint_positions_do_not(
+    sensors: tuple[str, ...], missing: set[str]
+) -> None:
+    assert unobserved(seen_by(planted.moving(BODY, T), *sensors)) == missing
 
 
 def test_joint_of_an_unobserved_segment_is_not_observed_in_those_frames() -> None:
@@ -88,20 +94,16 @@ def test_joint_of_an_unobserved_segment_is_not_observed_in_those_frames() -> Non
     poses = replace(motion.poses, provenance=provenance, orientation_observed=observed)
     found = observed_dofs(replace(motion, poses=poses))
     for name in ("LeftUpLeg_y", "LeftLeg_y"):
-        np.testing.assert_array_equal(
-            np.flatnonzero(~found[:, BODY.dof_names.index(name)]), [3, 4], err_msg=name
-        )
+        assert np.flatnonzero(~found[:, BODY.dof_names.index(name)]).tolist() == [3, 4], name
     assert found[:, BODY.dof_names.index("RightLeg_y")].all()
 
 
 def test_without_a_camera_joints_between_sensors_are_not_observed() -> None:
-    motion = seen_by(planted.moving(BODY, T), *planted.LIMBS)
-    names = set(BODY.names) - {n for j in BODY.index(*planted.LIMBS) for n in
-                               (BODY.names[c] for c in children_of(BODY.parents, j))}  # fmt: skip
-    provenance = np.full((T, len(BODY.names)), Provenance.IMU)
-    provenance[:, BODY.index(*names)] = Provenance.PRIOR
-    observed = np.isin(BODY.names, planted.LIMBS)
-    poses = replace(motion.poses, provenance=provenance, orientation_observed=observed)
+    motion = planted.moving(BODY, T)
+    sensed = np.isin(BODY.names, planted.LIMBS)
+    reached = sensed | np.isin([BODY.names[p] for p in BODY.parents], planted.LIMBS)
+    provenance = np.tile(np.where(reached, Provenance.IMU, Provenance.PRIOR), (T, 1))
+    poses = replace(motion.poses, provenance=provenance, orientation_observed=sensed)
     motion = replace(motion, poses=poses)
     assert not root_turn_observed(motion).any()
     moved = {"LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm"}
@@ -117,19 +119,6 @@ def test_motion_without_provenance_is_observed_where_finite() -> None:
     assert not never_observed(motion)
     assert observed_landmarks(motion).all()
     np.testing.assert_array_equal(np.flatnonzero(~root_turn_observed(motion)), [2])
-
-
-def test_never_observed_angles_do_not_move_joints() -> None:
-    """Axial rotation of the neck moves the head, which is observed; a wrist moves no joint."""
-    motion = hinged(seen_by(planted.moving(BODY, T), *planted.LIMBS))
-    assert set(never_observed(motion)) == ELBOWS_AND_KNEES | ENDS
-    q = np.array(motion.q)
-    q[:, [7 + BODY.dof_names.index(name) for name in never_observed(motion)]] = 0.0
-    p, _ = BODY.forward_kinematics(q)
-    np.testing.assert_allclose(p, BODY.forward_kinematics(motion.q)[0], atol=1e-12)
-
-
-# --- landmarks -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -168,7 +157,7 @@ def test_far_end_of_a_hand_does_not_observe_its_axial_rotation() -> None:
     directed = np.isin(BODY.names, "RightHand")
     motion = replace(motion, poses=replace(motion.poses, direction_observed=directed))
     assert (segment_levels(motion.poses, BODY)[:, directed] == DIRECTION).all()
-    assert unobserved(motion) & {"RightHand_x", "RightHand_y", "RightHand_z"} == {"RightHand_y"}
+    assert unobserved(motion) & HAND == {"RightHand_y"}
     landmarks = dict(zip(BODY.landmarks, observed_landmarks(motion).T, strict=True))
     assert landmarks["RightHandEnd"].all()
     assert not landmarks["LeftHandEnd"].any()
@@ -179,9 +168,6 @@ def test_heel_is_observed_only_with_the_orientation_of_its_foot() -> None:
     seen = observed_landmarks(motion)
     names = {n for n, whole in zip(BODY.landmarks, seen.all(axis=0), strict=True) if whole}
     assert names == {*BODY.names, "LeftHeel", "LeftToe", "LeftToeBase"}
-
-
-# --- bones ---------------------------------------------------------------------------------------
 
 
 def test_bone_is_observed_by_both_ends_or_by_a_sensor() -> None:

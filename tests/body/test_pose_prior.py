@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import planted
 import pytest
 from numpy.typing import NDArray
 
@@ -18,7 +17,6 @@ from rtof_kin.core.files.arrays import write_npz
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
 PRIOR = shipped_prior(BODY.names)
-LARGEST, SMALLEST = np.radians(90.0), np.radians(0.3)
 
 
 def arrays(**changes: Any) -> dict[str, Any]:
@@ -36,9 +34,6 @@ def saved(folder: Path, **changes: Any) -> Path:
     return path
 
 
-# --- the shipped one -----------------------------------------------------------------------------
-
-
 def test_prior_is_shipped_for_the_21_joints_only() -> None:
     assert has_prior("total_capture")
     assert not has_prior("human36m")
@@ -49,7 +44,7 @@ def test_prior_is_shipped_for_the_21_joints_only() -> None:
 def test_covariance_and_jerk_are_physiological() -> None:
     assert np.linalg.eigvalsh(PRIOR.covariance)[0] > -1e-12
     sigma = np.sqrt(np.diag(PRIOR.covariance)).reshape(-1, 3)
-    assert sigma.max() < LARGEST
+    assert sigma.max() < np.radians(90.0)
     arm, spine = (BODY.index(name)[0] - 1 for name in ("LeftArm", "Spine1"))
     assert np.linalg.norm(sigma[arm]) > 3 * np.linalg.norm(sigma[spine])
     assert np.all((PRIOR.sigma_jerk >= 200.0) & (PRIOR.sigma_jerk < 20000.0))
@@ -78,38 +73,18 @@ def test_left_and_right_are_mirror_images() -> None:
     np.testing.assert_allclose(same, 1.0, atol=1e-3)
 
 
-def test_mean_pose_is_within_the_limits_of_the_skeleton() -> None:
-    truth = planted.human(BODY, 1, size=0.0)
-    assert not truth.report.violations
-    p = truth.poses.p_world_joint[0]
-    head, hips, foot = (p[BODY.index(n)[0], 2] for n in ("Head", "Hips", "LeftFoot"))
-    assert head > hips > foot
-
-
-# --- precision -----------------------------------------------------------------------------------
-
-
-def test_precision_is_the_inverse_of_the_inflated_covariance() -> None:
-    joints, least = BODY.names[1:], np.radians(3.0)
-    P = PRIOR.precision(joints, 2.0, least)
-    np.testing.assert_allclose(P @ (4 * PRIOR.covariance + least**2 * np.eye(60)), np.eye(60), atol=1e-8)
-    assert np.linalg.eigvalsh(P)[0] > 0
-
-
-def test_precision_of_some_joints_is_that_of_their_marginal() -> None:
-    joints = ("LeftArm", "Spine", "Head")
+@pytest.mark.parametrize("joints, scale", [(BODY.names[1:], 2.0), (("LeftArm", "Spine", "Head"), 1.0)])
+def test_precision_is_the_inverse_of_the_inflated_marginal(joints: tuple[str, ...], scale: float) -> None:
     rows = np.concatenate([3 * (BODY.index(n)[0] - 1) + np.arange(3) for n in joints])
-    expected = PRIOR.covariance[np.ix_(rows, rows)] + SMALLEST**2 * np.eye(9)
-    P = PRIOR.precision(joints, 1.0, SMALLEST)
-    np.testing.assert_allclose(np.linalg.inv(P), expected, atol=1e-10)
+    inflated = scale**2 * PRIOR.covariance[np.ix_(rows, rows)] + np.radians(3.0) ** 2 * np.eye(len(rows))
+    P = PRIOR.precision(joints, scale, np.radians(3.0))
+    np.testing.assert_allclose(P @ inflated, np.eye(len(rows)), atol=1e-8)
+    assert np.linalg.eigvalsh(P)[0] > 0
 
 
 def test_precision_of_an_unknown_joint_is_refused() -> None:
     with pytest.raises(UnknownNameError, match=r"unknown joint of the pose prior 'LeftShin'"):
         PRIOR.precision(("LeftArm", "LeftShin"), 1.0, 0.1)
-
-
-# --- files ---------------------------------------------------------------------------------------
 
 
 def test_prior_from_a_file_is_read_as_written(tmp_path: Path) -> None:
@@ -133,15 +108,12 @@ def test_prior_of_another_skeleton_or_a_damaged_file_is_refused(tmp_path: Path) 
 @pytest.mark.parametrize("change, message", [
     ({"covariance": None}, "covariance"),
     ({"sigma_jerk": np.ones(2)}, r"prior sigma_jerk: expected shape \(3\)"),
-    ({"sigma_root_jerk": None}, "sigma_root_jerk"),
     ({"sigma_root_jerk": np.ones(2)}, "sigma_root_jerk"),
     ({"covariance": -np.eye(6)}, "not symmetric and positive semidefinite"),
     ({"covariance": np.triu(np.ones((6, 6))) + 5 * np.eye(6)}, "not symmetric"),
     ({"covariance": np.full((6, 6), np.nan)}, "not symmetric"),
     ({"mean_quat_wxyz": np.zeros((2, 4))}, "not unit quaternions"),
-    ({"mean_quat_wxyz": np.full((2, 4), np.nan)}, "not unit quaternions"),
     ({"sigma_jerk": np.array([300.0, 0.0, 1.0])}, "jerk must be positive and finite"),
-    ({"sigma_jerk": np.array([300.0, np.inf, 1.0])}, "jerk must be positive and finite"),
     ({"sigma_root_jerk": np.array(np.nan)}, "jerk must be positive and finite"),
 ])  # fmt: skip
 def test_invalid_prior_is_refused_with_its_field(

@@ -26,7 +26,6 @@ def test_readonly_copies_and_locks() -> None:
         (np.zeros((2, 4)), r"x: expected shape \(T, 3\), got \(2, 4\)"),
         (np.zeros(3), r"x: expected shape \(T, 3\), got \(3,\)"),
         ([[1, 2, 3], [1, 2]], "x: not an array of numbers"),
-        ([["a", "b", "c"]], "x: not an array of numbers"),
         ([[None, {}, 1]], "x: not an array of numbers"),
     ],
 )
@@ -40,7 +39,6 @@ def test_array_of_another_shape_or_kind_is_refused_by_name(value: Any, message: 
     [
         ([], "t: empty"),
         ([0.0, np.nan, 1.0], "t: not finite at index 1"),
-        ([0.0, 1.0, np.inf], "t: not finite at index 2"),
         ([0.0, 0.5, 0.5], r"t: time does not increase from index 1 \(0.5 s\) to 2 \(0.5 s\); sort"),
         ([0.0, 2.0, 1.0, 3.0], r"from index 1 \(2 s\) to 2 \(1 s\)"),
         ([[0.0, 1.0]], r"t: expected shape \(T\), got \(1, 2\)"),

@@ -32,8 +32,16 @@ def fail(path: Path, error: BaseException, overwrite: bool = False) -> None:
         raise error
 
 
-def not_supported(*_: object) -> None:
-    raise OSError(22, "Invalid argument")
+def failing(error: BaseException) -> Callable[..., None]:
+    """A function that raises an error."""
+
+    def raise_(*_: object) -> None:
+        raise error
+
+    return raise_
+
+
+not_supported = failing(OSError(22, "Invalid argument"))
 
 
 @pytest.fixture(params=["exchange", "no exchange"])
@@ -51,6 +59,9 @@ def test_folder_appears_complete_and_readable_by_others(tmp_path: Path) -> None:
     assert (tmp_path / "a" / "b" / MARKER).read_text() == "x"
     assert (tmp_path / "a" / "b").stat().st_mode & 0o777 == 0o755
     assert [p.name for p in (tmp_path / "a").iterdir()] == ["b"]
+    (tmp_path / "empty").mkdir()
+    write(tmp_path / "empty")
+    assert (tmp_path / "empty" / MARKER).read_text() == "new"
 
 
 @pytest.mark.parametrize(
@@ -69,8 +80,6 @@ def test_failure_leaves_nothing_or_the_old_folder(tmp_path: Path, error: BaseExc
 
 
 def test_full_disk_is_an_error_that_names_the_final_folder(tmp_path: Path) -> None:
-    with pytest.raises(WritingError, match=r"out: cannot be written \(.*No space left"):
-        fail(tmp_path / "out", OSError(28, "No space left on device"))
     with (
         pytest.raises(WritingError, match=r"out: cannot be written \(.*No space left") as caught,
         new_folder(tmp_path / "out", MARKER) as folder,
@@ -83,8 +92,9 @@ def test_full_disk_is_an_error_that_names_the_final_folder(tmp_path: Path) -> No
 
 def test_folder_of_the_kind_is_replaced_as_a_whole_on_request(tmp_path: Path, exchange: str) -> None:
     with new_folder(tmp_path / "out", MARKER) as folder:
-        for name in (MARKER, "stale"):
+        for name in (MARKER, "stale", "deleted"):
             (folder / name).write_text("old")
+    (tmp_path / "out" / "deleted").unlink()  # by the user
     with pytest.raises(OutputExistsError, match=r"out: is there already; ask to .*--overwrite"):
         write(tmp_path / "out", "new")
     assert (tmp_path / "out" / MARKER).read_text() == "old"
@@ -113,41 +123,9 @@ def test_foreign_folders_files_and_links_are_never_replaced(tmp_path: Path, over
     assert tree(tmp_path) == before
 
 
-def test_empty_folder_may_be_filled(tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    write(tmp_path / "out")
-    assert (tmp_path / "out" / MARKER).read_text() == "new"
-
-
-def test_output_is_checked_before_long_computations(tmp_path: Path) -> None:
-    check_replaceable(str(tmp_path / "new"), MARKER)
-    write(tmp_path / "out")
-    check_replaceable(tmp_path / "out", MARKER, overwrite=True)
-    with pytest.raises(OutputExistsError):
-        check_replaceable(tmp_path / "out", MARKER)
-
-
-# --- files of the user ---------------------------------------------------------------------------
-
-
-def edit(out: Path) -> None:
-    (out / "deep" / "data").write_text("corrected by hand")
-
-
-def add(out: Path) -> None:
-    (out / "notes.txt").write_text("mine")
-
-
-def add_folder(out: Path) -> None:
-    (out / "clinical").mkdir()
-
-
-def add_deep(out: Path) -> None:
-    (out / "deep" / "mine").write_text("mine")
-
-
-def add_link(out: Path) -> None:
-    (out / "video").symlink_to(out.parent)
+def tree(folder: Path) -> dict[str, str]:
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_text() for path in files}
 
 
 def replace_by_link(out: Path) -> None:
@@ -155,29 +133,21 @@ def replace_by_link(out: Path) -> None:
     (out / "deep").symlink_to(out.parent / "elsewhere")
 
 
-def forget(out: Path) -> None:
-    (out / MANIFEST).unlink()
-
-
-def damage(out: Path) -> None:
-    (out / MANIFEST).write_text("{")
-
-
-def tree(folder: Path) -> dict[str, str]:
-    files = [path for path in folder.rglob("*") if path.is_file()]
-    return {str(path.relative_to(folder)): path.read_text() for path in files}
-
-
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        (edit, r"deep/data \(changed\)"), (add, "notes.txt"), (add_folder, "clinical/"),
-        (add_deep, "deep/mine"), (add_link, "video/"), (replace_by_link, "deep/"),
-        (forget, "deep/, index.toml"), (damage, rf"{MANIFEST}, deep/, index.toml"),
+        (lambda out: (out / "deep" / "data").write_text("corrected by hand"), r"deep/data \(changed\)"),
+        (lambda out: (out / "notes.txt").write_text("mine"), "notes.txt"),
+        (lambda out: (out / "clinical").mkdir(), "clinical/"),
+        (lambda out: (out / "deep" / "mine").write_text("mine"), "deep/mine"),
+        (lambda out: (out / "video").symlink_to(out.parent), "video/"),
+        (replace_by_link, "deep/"),
+        (lambda out: (out / MANIFEST).unlink(), "deep/, index.toml"),
+        (lambda out: (out / MANIFEST).write_text("{"), rf"{MANIFEST}, deep/, index.toml"),
     ],
-)  # fmt: skip
+)
 def test_files_of_the_user_in_a_folder_are_named_and_kept(
-    tmp_path: Path, change: Callable[[Path], None], named: str
+    tmp_path: Path, change: Callable[[Path], object], named: str
 ) -> None:
     write(tmp_path / "out", "old")
     change(tmp_path / "out")
@@ -188,23 +158,15 @@ def test_files_of_the_user_in_a_folder_are_named_and_kept(
 
 
 def test_folder_of_another_kind_is_not_replaced(tmp_path: Path) -> None:
+    check_replaceable(str(tmp_path / "out"), MARKER)
     write(tmp_path / "out", "old")
+    check_replaceable(tmp_path / "out", MARKER, overwrite=True)
     with (
         pytest.raises(OutputExistsError, match=r"another command \(index.toml\)"),
         new_folder(tmp_path / "out", "deep", overwrite=True),
     ):
         pass
     assert (tmp_path / "out" / MARKER).read_text() == "old"
-
-
-def test_file_deleted_by_the_user_does_not_prevent_replacement(tmp_path: Path) -> None:
-    write(tmp_path / "out", "old")
-    (tmp_path / "out" / "deep" / "data").unlink()
-    write(tmp_path / "out", overwrite=True)
-    assert (tmp_path / "out" / "deep" / "data").read_text() == "new"
-
-
-# --- concurrent changes --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
@@ -215,19 +177,15 @@ def test_folder_that_appeared_meanwhile_is_kept(tmp_path: Path, overwrite: bool)
     ):
         (folder / MARKER).write_text("new")
         (tmp_path / "out").mkdir()
-        add(tmp_path / "out")
+        (tmp_path / "out" / "notes.txt").write_text("mine")
     assert tree(tmp_path) == {"out/notes.txt": "mine"}
-
-
-def test_second_of_two_runs_into_one_folder_is_refused(tmp_path: Path) -> None:
     with (
-        pytest.raises(OutputExistsError, match="out: is there already"),
-        new_folder(tmp_path / "out", MARKER) as folder,
+        pytest.raises(OutputExistsError, match="second: is there already"),
+        new_folder(tmp_path / "second", MARKER) as folder,
     ):
         (folder / MARKER).write_text("second")
-        write(tmp_path / "out", "first")
-    assert (tmp_path / "out" / MARKER).read_text() == "first"
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+        write(tmp_path / "second", "first")  # of another run
+    assert (tmp_path / "second" / MARKER).read_text() == "first"
 
 
 def test_concurrent_overwriting_leaves_the_complete_output_of_one(tmp_path: Path) -> None:
@@ -246,7 +204,7 @@ def test_files_added_at_the_last_moment_are_kept_beside(
     exchanged = folder_module._exchange
 
     def late(new: Path, path: Path) -> None:
-        add(path)
+        (path / "notes.txt").write_text("mine")
         exchanged(new, path)
 
     monkeypatch.setattr(folder_module, "_exchange", late)
@@ -281,11 +239,7 @@ def test_interrupted_export_is_complete_or_absent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     write(tmp_path / "out", "old")
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(folder_module, step, interrupt)
+    monkeypatch.setattr(folder_module, step, failing(KeyboardInterrupt()))
     with pytest.raises(KeyboardInterrupt):
         write(tmp_path / "out", overwrite=True)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
@@ -316,22 +270,14 @@ def test_next_run_removes_leftovers_of_killed_runs_only(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([mine.name, "living", "next"])
 
 
-# --- files ---------------------------------------------------------------------------------------
-
-
 def test_file_appears_complete_and_readable(tmp_path: Path) -> None:
+    (tmp_path / "usual").touch()
     with new_file(tmp_path / "page") as file:
         file.write_text("new")
         assert not (tmp_path / "page").exists()
     assert (tmp_path / "page").read_text() == "new"
-    assert (tmp_path / "page").stat().st_mode & 0o777 == 0o666 & ~_umask()
-    assert [path.name for path in tmp_path.iterdir()] == ["page"]
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+    assert (tmp_path / "page").stat().st_mode == (tmp_path / "usual").stat().st_mode
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["page", "usual"]
 
 
 @pytest.mark.parametrize("error", [ValueError("oops"), KeyboardInterrupt(), OSError(28, "No space left")])
@@ -350,11 +296,8 @@ def test_failure_leaves_the_old_file(tmp_path: Path, error: BaseException) -> No
 def test_file_that_appeared_meanwhile_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
 ) -> None:
-    def unknown(*_: object) -> None:
-        raise PermissionError(1, "Operation not permitted")
-
     if not links:
-        monkeypatch.setattr(os, "link", unknown)
+        monkeypatch.setattr(os, "link", failing(PermissionError(1, "Operation not permitted")))
     with new_file(tmp_path / "other") as file:
         file.write_text("whole")
     with (
@@ -366,7 +309,9 @@ def test_file_that_appeared_meanwhile_is_kept(
     assert tree(tmp_path) == {"page": "theirs", "other": "whole"}
 
 
-def test_replaced_file_keeps_permissions_and_links(tmp_path: Path) -> None:
+def test_replaced_file_keeps_permissions_and_links_and_a_device_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(OutputExistsError, match="null: is a device"), new_file("/dev/null", True):
+        pass
     (tmp_path / "page").write_text("old")
     (tmp_path / "page").chmod(0o600)
     (tmp_path / "link").symlink_to("page")
@@ -377,8 +322,3 @@ def test_replaced_file_keeps_permissions_and_links(tmp_path: Path) -> None:
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "page").read_text() == "new"
     assert (tmp_path / "page").stat().st_mode & 0o777 == 0o600
-
-
-def test_device_is_never_replaced() -> None:
-    with pytest.raises(OutputExistsError, match="null: is a device"), new_file("/dev/null", True):
-        pass

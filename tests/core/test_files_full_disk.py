@@ -31,6 +31,7 @@ from rtof_kin.vision.video import write_detections
 ROOM = 2000
 """Largest file on the full disk, bytes."""
 NOISE = np.random.default_rng(0).uniform(size=(4, 2, 17, 2))
+DETECTIONS = Detections(NOISE, NOISE[..., 0])
 
 
 @pytest.fixture(scope="module")
@@ -49,18 +50,6 @@ def full_disk(room: int = ROOM) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def picture(path: Path, motion: MotionSequence) -> None:
-    save_figures({path.stem: Figure()}, path.parent)
-
-
-def curves(path: Path, motion: MotionSequence) -> None:
-    write_curves(str(path).removesuffix(".curves.json"), {"seed": "x" * ROOM}, [])
-
-
-def detections(path: Path, motion: MotionSequence) -> None:
-    write_detections(path, Detections(NOISE, NOISE[..., 0]), overwrite=True)
-
-
 WRITERS: dict[str, Callable[[Path, MotionSequence], object]] = {
     "page.html": lambda path, motion: write_text(path, "x" * 2 * ROOM, overwrite=True),
     "motion.c3d": lambda path, motion: write_c3d(path, landmark_markers(motion), overwrite=True),
@@ -68,9 +57,9 @@ WRITERS: dict[str, Callable[[Path, MotionSequence], object]] = {
     "motion.parquet": lambda path, motion: write_motion_parquet(path, motion, overwrite=True),
     "trajectory.csv": write_joint_trajectory_csv,
     "ros_joint_trajectory.json": lambda path, motion: write_ros_trajectory(path.parent, motion),
-    "keypoints.npz": detections,
-    "skeletons.png": picture,
-    "x.curves.json": curves,
+    "keypoints.npz": lambda path, motion: write_detections(path, DETECTIONS, overwrite=True),
+    "skeletons.png": lambda path, motion: save_figures({"skeletons": Figure()}, path.parent),
+    "x.curves.json": lambda path, motion: write_curves(path.parent / "x", {"seed": "x" * ROOM}, []),
     "lifter.pt": lambda path, motion: save_tensors({"weights": torch.rand(ROOM)}, path, overwrite=True),
 }
 

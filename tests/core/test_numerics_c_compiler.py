@@ -73,9 +73,6 @@ def test_frame_energy_is_the_same_compiled_and_interpreted() -> None:
         np.testing.assert_allclose(*outputs, rtol=1e-9, atol=1e-9)
 
 
-# --- the cache -----------------------------------------------------------------------------------
-
-
 def test_cache_folder_follows_the_environment(
     compile_cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -148,51 +145,28 @@ def test_only_one_of_several_processes_compiles(tmp_path: Path, monkeypatch: pyt
     assert calls.read_text().split() == ["once"]
 
 
-# --- without compilation -------------------------------------------------------------------------
-
-
-def test_without_a_compiler_functions_are_interpreted_with_a_warning(
-    compile_cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("reason", ["no compiler", "failing compiler", "no cache", "environment"])
+def test_functions_that_cannot_be_compiled_are_interpreted(
+    compile_cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, reason: str
 ) -> None:
-    monkeypatch.setattr(shutil, "which", lambda name: None)
+    message = "the energy could not be compiled"
+    if reason == "no compiler":
+        monkeypatch.setattr(shutil, "which", lambda name: None)
+        message = "(there is no C compiler): it is interpreted, which is slower"
+    elif reason == "failing compiler":
+        broken = compile_cache.parent / "cc"
+        broken.write_text("#!/bin/sh\necho no >&2\nexit 1\n")
+        broken.chmod(0o755)
+        monkeypatch.setattr(shutil, "which", lambda name: str(broken))
+    elif reason == "no cache":
+        compile_cache.write_text("not a folder")
+    else:
+        monkeypatch.setenv("RTOF_KIN_COMPILE", "never")
     given = functions()
     assert compiled(given) == given
-    assert [r.levelno for r in caplog.records] == [logging.WARNING]
-    assert "(there is no C compiler): it is interpreted, which is slower" in caplog.text
-    assert not compile_cache.exists()
-
-
-def test_failing_compiler_leaves_the_functions_interpreted_with_a_warning(
-    compile_cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
-) -> None:
-    broken = tmp_path / "cc"
-    broken.write_text("#!/bin/sh\necho no >&2\nexit 1\n")
-    broken.chmod(0o755)
-    monkeypatch.setattr(shutil, "which", lambda name: str(broken))
-    given = functions()
-    assert compiled(given) == given
-    assert "the energy could not be compiled" in caplog.text
-    assert {path.suffix for path in compile_cache.iterdir()} <= {".lock"}
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_read_only_cache_leaves_the_functions_interpreted(compile_cache: Path) -> None:
-    compile_cache.mkdir(mode=0o500)
-    given = functions()
-    assert compiled(given) == given
-
-
-def test_cache_that_is_a_file_leaves_the_functions_interpreted(
-    compile_cache: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    compile_cache.write_text("not a folder")
-    given = functions()
-    assert compiled(given) == given
-    assert "the energy could not be compiled" in caplog.text
-
-
-def test_environment_turns_compilation_off(compile_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("RTOF_KIN_COMPILE", "never")
-    given = functions()
-    assert compiled(given) == given
-    assert not compile_cache.exists()
+    if reason == "environment":
+        assert not caplog.records
+    else:
+        assert [r.levelno for r in caplog.records][-1] == logging.WARNING
+        assert message in caplog.text
+    assert not list(compile_cache.parent.glob("cache/*.so"))

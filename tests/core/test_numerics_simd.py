@@ -70,9 +70,6 @@ def code_of(*given: FrameFunction) -> dict[str, Any]:
     return code
 
 
-# --- the same numbers ----------------------------------------------------------------------------
-
-
 @pytest.mark.usefixtures("vectors")
 def test_every_operation_equals_the_interpreter() -> None:
     given, shared = everything(), np.array([0.7, -1.3])
@@ -114,15 +111,6 @@ def test_neighbouring_frames_are_the_shifted_array_and_zero_beyond() -> None:
     assert not columns.rows(out)[9].any()
 
 
-def test_padding_frames_give_zero() -> None:
-    x = ca.SX.sym("x", 1)
-    given = FrameFunction(ca.Function("inverted", [x], [1 / x]))
-    columns = Columns(5)
-    here, out = columns.given(np.full((5, 1), 4.0)), columns.zeros(1)
-    Over(code_of(given)["inverted"], given, 5, [columns.at(here)], [columns.at(out)])()
-    assert out.sum() == 1.25
-
-
 @pytest.mark.usefixtures("vectors")
 def test_placed_output_is_scattered_in_every_frame() -> None:
     x = ca.SX.sym("x", 3)
@@ -142,66 +130,54 @@ def test_placed_output_is_scattered_in_every_frame() -> None:
     np.testing.assert_allclose(columns.rows(total)[:, 0], rows.sum(axis=1), rtol=1e-13, atol=1e-14)
 
 
-# --- arrays --------------------------------------------------------------------------------------
+@pytest.mark.parametrize("frames, padded", [(1, 8), (8, 8), (9, 16), (50, 56)])
+def test_columns_are_aligned_and_padded(frames: int, padded: int) -> None:
+    assert whole(frames) == padded
+    columns = Columns(frames)
+    array = columns.zeros(3)
+    assert array.ctypes.data % 64 == array.strides[0] % 64 == 0
+    assert array.shape[1] >= padded + 2 * GROUP
+    rows = np.arange(3.0 * frames).reshape(frames, 3)
+    np.testing.assert_array_equal(columns.rows(columns.given(rows)), rows)
 
 
-def test_columns_are_aligned_and_padded() -> None:
-    for frames in (1, 8, 50):
-        columns = Columns(frames)
-        array = columns.zeros(3)
-        assert array.ctypes.data % 64 == 0
-        assert array.strides[0] % 64 == 0
-        assert array.shape[1] >= whole(frames) + 2 * GROUP
-        rows = np.arange(3.0 * frames).reshape(frames, 3)
-        np.testing.assert_array_equal(columns.rows(columns.given(rows)), rows)
-    assert [whole(n) for n in (1, 8, 9)] == [8, 8, 16]
+def zeros(rows: int, frames: int = 9) -> Array:
+    return Columns(frames).at(Columns(frames).zeros(rows))
 
 
-def test_arrays_of_wrong_shape_or_layout_are_refused() -> None:
-    given, columns = everything(), Columns(9)
-    code = code_of(given)["everything"]
-    out = [columns.zeros(29), columns.zeros(4)]
-    right = columns.at(columns.zeros(4)), np.zeros(2)
-
-    def bind(x: Array = right[0], s: Array = right[1], out: list[Array] = out, frames: int = 9) -> None:
-        Over(code, given, frames, [x, s], [columns.at(array) for array in out])
-
-    bind()
-    with pytest.raises(ShapeError, match=r"everything input 0: \(3, 24\) where \(4, 16\)"):
-        bind(x=columns.at(columns.zeros(3)))
-    with pytest.raises(ShapeError, match=r"input 0: \(4, 24\) where \(4, 32\) is expected"):
-        bind(frames=25)
-    with pytest.raises(ShapeError, match=r"input 1: \(1,\) where \(2,\) is expected"):
-        bind(s=np.zeros(1))
-    with pytest.raises(ShapeError, match="output 0: give columns of double precision, of one width"):
-        bind(out=[Columns(40).zeros(29), out[1]])
-    with pytest.raises(ShapeError, match="input 0: give columns of double precision"):
-        bind(x=right[0].astype(np.float32))  # type: ignore[arg-type]
-    with pytest.raises(ShapeError, match="everything: give 2 inputs and 2 outputs"):
-        bind(out=out[:1])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"x": zeros(3)}, r"input 0: \(3, 24\) where \(4, 16\)"),
+        ({"frames": 25}, r"input 0: \(4, 24\) where \(4, 32\) is expected"),
+        ({"s": np.zeros(1)}, r"input 1: \(1,\) where \(2,\) is expected"),
+        ({"out": [zeros(29, 40), zeros(4)]}, "output 0: give columns of double precision, of one width"),
+        ({"x": zeros(4).astype(np.float32)}, "input 0: give columns of double precision"),
+        ({"out": [zeros(29)]}, "everything: give 2 inputs and 2 outputs"),
+    ],
+)
+def test_arrays_of_wrong_shape_or_layout_are_refused(change: dict[str, Any], message: str) -> None:
+    given = everything()
+    right = {"x": zeros(4), "s": np.zeros(2), "out": [zeros(29), zeros(4)], "frames": 9}
+    x, s, out, frames = (right | change).values()
+    with pytest.raises(ShapeError, match=message):
+        Over(code_of(given)["everything"], given, frames, [x, s], out)
 
 
 def test_places_outside_the_rows_are_refused() -> None:
     x = ca.SX.sym("x", 1)
     given = FrameFunction(ca.Function("put", [x], [ca.repmat(x, GROUP, 1)]), placed=True)
-    columns, code = Columns(4), code_of(given)["put"]
-    here = [columns.at(columns.zeros(1))]
+    code, here = code_of(given)["put"], [zeros(1, 4)]
     with pytest.raises(ShapeError, match="put output 0: give a place for each group of 8 of 8"):
         Over(code, given, 4, here, [np.zeros((4, 20))])
     for rows, place in [(4, 13), (3, 0), (4, -1)]:
         with pytest.raises(ShapeError, match=rf"put output 0: \({rows}, 20\) for 4 rows of"):
             Over(code, given, 4, here, [np.zeros((rows, 20))], np.array([place]))
-    with pytest.raises(ShapeError, match="numbers of double precision that lie together"):
-        Over(code, given, 4, here, [np.zeros((4, 40))[:, ::2]], np.array([0]))
-
-
-# --- the library ---------------------------------------------------------------------------------
 
 
 def test_library_is_cached_by_function_and_sharing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given = everything()
     code_of(given)
-    assert len(list(cache.glob("*.so"))) == 1
     code_of(FrameFunction(given.function, ()))
     assert len(list(cache.glob("*.so"))) == 2
     monkeypatch.setattr(shutil, "which", lambda name: None)

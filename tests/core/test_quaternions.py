@@ -32,9 +32,6 @@ def scipy(q: Array) -> Rotation:
     return Rotation.from_quat(q.reshape(-1, 4), scalar_first=True)
 
 
-# --- against SciPy -------------------------------------------------------------------------------
-
-
 def test_products_and_conjugates_equal_scipy() -> None:
     a, b = random_quats(50), random_quats(50)
     expected = (scipy(a) * scipy(b).inv()).as_matrix()
@@ -78,9 +75,6 @@ def test_log_from_half_a_turn_on_is_the_shorter_rotation() -> None:
     np.testing.assert_allclose(quat.log(quat.exp(v)), expected, atol=1e-12)
     for axis in np.eye(3):
         np.testing.assert_allclose(quat.log(np.array([0.0, *axis])), np.pi * axis, atol=1e-15)
-
-
-# --- Jacobians -----------------------------------------------------------------------------------
 
 
 def log_of_product(v: Array, d: Array) -> Array:

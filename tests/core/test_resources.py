@@ -9,10 +9,6 @@ from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.resources import LIFTERS, lifter_path, model_path
 
 
-def test_shipped_files_are_found() -> None:
-    assert model_path("skeleton.toml").read_text(encoding="utf-8").startswith("#")
-
-
 def test_installed_package_takes_precedence_over_the_checkout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
@@ -42,16 +41,12 @@ def one_after_the_other(kind: str) -> list[Array]:
     return [solve(kind, i) for i in range(4)]
 
 
-def at_once(task: Callable[[int], Array], numbers: list[int]) -> list[Array]:
-    with ThreadPoolExecutor(4) as pool:
-        return list(pool.map(task, numbers))
-
-
 @pytest.mark.parametrize("kind", SETTINGS)
 def test_four_threads_give_the_results_of_one(kind: str) -> None:
     expected = one_after_the_other(kind)
-    for found, alone in zip(at_once(lambda i: solve(kind, i), [0, 1, 2, 3]), expected, strict=True):
-        np.testing.assert_array_equal(found, alone)
+    with ThreadPoolExecutor(4) as pool:
+        for found, alone in zip(pool.map(lambda i: solve(kind, i), range(4)), expected, strict=True):
+            np.testing.assert_array_equal(found, alone)
 
 
 @pytest.mark.parametrize("kind", ["joint", "cartesian"])
@@ -59,8 +54,9 @@ def test_solver_may_be_shared_by_threads(kind: str) -> None:
     solver = FragmentSolver(BODY, N, SETTINGS[kind])
     expected = one_after_the_other(kind)
     numbers = [0, 3, 0, 3]  # of the same body
-    for i, found in zip(numbers, at_once(lambda i: solve(kind, i, solver), numbers), strict=True):
-        np.testing.assert_array_equal(found, expected[i])
+    with ThreadPoolExecutor(4) as pool:
+        for i, found in zip(numbers, pool.map(lambda i: solve(kind, i, solver), numbers), strict=True):
+            np.testing.assert_array_equal(found, expected[i])
 
 
 @pytest.mark.parametrize("kind", ["joint", "cartesian"])

@@ -35,17 +35,14 @@ def with_value(array: Array, index: Any, value: float) -> Array:
         ({"K": np.eye(2)}, r"K: expected shape \(3, 3\), got \(2, 2\)"),
         ({"R_camera_world": np.eye(3) * 1.1}, "R_camera_world: not a rotation"),
         ({"R_camera_world": np.diag([1.0, 1, -1])}, "R_camera_world: not a rotation"),
-        ({"R_camera_world": np.full((3, 3), np.nan)}, "R_camera_world: not a rotation"),
         ({"t_camera_world": np.zeros((3, 1))}, r"t_camera_world: expected shape \(3\), got"),
         ({"t_camera_world": np.array([0, np.nan, 0])}, "t_camera_world: not finite"),
         ({"K": with_value(K, (0, 0), 0.0)}, "K: singular; it needs positive focal lengths"),
-        ({"K": with_value(K, (1, 1), -5.0)}, "K: singular"),
         ({"K": with_value(K, (2, 2), 0.0)}, "K: singular.*0, 0, 1 as its last row"),
         ({"K": with_value(K, (0, 0), np.inf)}, "K: not finite"),
         ({"distortion": np.zeros(4)}, r"distortion: expected shape \(5\), got \(4,\)"),
         ({"distortion": np.array([0, 0, np.nan, 0, 0])}, "distortion: not finite"),
         ({"width_px": 0}, "width_px and height_px must be positive"),
-        ({"height_px": -3}, "width_px and height_px must be positive"),
     ],
 )
 def test_invalid_camera_is_refused(changes: dict[str, Any], message: str) -> None:

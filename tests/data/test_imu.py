@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnitError
-from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY, BoneImuSequence, ImuSequence
+from rtof_kin.data.imu import STANDARD_GRAVITY, BoneImuSequence, ImuSequence
 
 Array = NDArray[np.float64]
 
@@ -21,16 +21,11 @@ def at_rest(frames: int = 6, scale: float = 1.0) -> ImuSequence:
     return ImuSequence(np.arange(frames) / 60, R, f, ("chest", "wrist"))
 
 
-def test_gravity_points_down() -> None:
-    np.testing.assert_array_equal(GRAVITY_WORLD, [0, 0, -STANDARD_GRAVITY])
-
-
 @pytest.mark.parametrize(
     ("scale", "message"),
     [
         (1 / STANDARD_GRAVITY, "1.00, which is one gravity in g; multiply"),
         (0.01, r"0.10 m/s\^2, so gravity was removed; give"),
-        (0.3, r"2.94 m/s\^2, so gravity was removed"),
         (1000 / STANDARD_GRAVITY, r"1e\+03, far above one gravity; give m/s\^2"),
     ],
 )
@@ -104,12 +99,9 @@ def test_resampling_is_geodesic_for_orientation_and_averages_acceleration() -> N
     np.testing.assert_array_equal(out.times, video)
 
 
-def test_resampling_at_the_same_rate_is_1_4_1_over_6_and_leaves_long_gaps() -> None:
+def test_resampling_leaves_long_gaps() -> None:
     times, R = np.arange(60) / 60, np.tile(np.eye(3), (60, 1, 1, 1))
     a = np.random.default_rng(0).normal(size=(60, 1, 3))
-    sequence = BoneImuSequence(times, R, a, np.zeros((1, 3)), ("Hips",))
-    averaged = sequence.resample(times).a_world[1:-1]
-    np.testing.assert_allclose(averaged, (a[:-2] + 4 * a[1:-1] + a[2:]) / 6, atol=1e-12)
     R[20:30], a[20:30] = np.nan, np.nan
     gap = BoneImuSequence(times, R, a, np.zeros((1, 3)), ("Hips",))
     out = gap.resample(times, max_gap=0.1)

@@ -18,8 +18,6 @@ CPU_SECONDS = 5.0
 MEMORY_BYTES = 2**30
 """Limit of its memory."""
 
-# --- damage --------------------------------------------------------------------------------------
-
 NUMBER = re.compile(rb"-?\d+(\.\d*)?([eE][-+]?\d+)?")
 EXTREME = (
     b"1e400", b"NaN", b"-1", b"0", b"999999999999", b"text", b"", b"inf", b"1e300", b"-1e-300",
@@ -91,9 +89,6 @@ def _damaged_member(draw: st.DrawFn, content: bytes) -> bytes:
         for member, data in members.items():
             archive.writestr(member, data)
     return stream.getvalue()
-
-
-# --- limits --------------------------------------------------------------------------------------
 
 
 class TooSlowError(BaseException):

@@ -76,9 +76,6 @@ class Reader:
         return self.name
 
 
-# --- examples ------------------------------------------------------------------------------------
-
-
 def made_by(write: Callable[[Path], object]) -> Files:
     """The files that a function writes into a folder."""
     with tempfile.TemporaryDirectory() as name:
@@ -220,10 +217,6 @@ def log(name: str, content: Callable[[], bytes] | bytes) -> Reader:
     return Reader(f"sensors {name}", one(name, content), read_sensor_log)
 
 
-def _motion_file(path: Path) -> object:
-    return write_motion_npz(path, motion())
-
-
 def recording(folder: Path) -> None:
     """Save a recording in ``folder/take``."""
     _take(folder / "take")
@@ -237,21 +230,13 @@ def _model(name: str) -> Callable[[], bytes]:
     return model_path(name).read_bytes
 
 
-def _gaussian(path: Path) -> object:
-    return read_gaussian(path, detector_table())
-
-
-def _bvh(name: str) -> Callable[[], bytes]:
-    return lambda: real("mocap", name)
-
-
 UV = np.random.default_rng(1).uniform(100, 900, (4, 21, 2))
 CAMERA, SKELETON = planted.camera(), SkeletonModel.default()
 TC = functools.partial(functools.partial, total_capture_file)
 READERS = (
     given("npz", "a.npz", lambda: npz(a=UV, b=np.eye(3)), read_npz),
     given("csv", "a.csv", b"time,b\n0.0,1e3\n0.1,\n0.2,-3\n", read_csv),
-    written("motion.npz", "motion.npz", _motion_file, read_motion_npz),
+    written("motion.npz", "motion.npz", lambda p: write_motion_npz(p, motion()), read_motion_npz),
     written(
         "joint trajectory", "a.csv", lambda p: write_joint_trajectory_csv(p, motion()),
         read_joint_trajectory_csv,
@@ -261,13 +246,13 @@ READERS = (
         lambda p: read_object_npz(p, ["a"]),
     ),
     # --- motion capture
-    given("BVH", "a.bvh", _bvh("10_01_excerpt.bvh"), read_bvh),
+    given("BVH", "a.bvh", lambda: real("mocap", "10_01_excerpt.bvh"), read_bvh),
     Reader(
         "ASF and AMC",
         lambda: {"a.asf": real("mocap", "16.asf"), "a.amc": real("mocap", "16_15.amc")},
         lambda d: read_asf_amc(d / "a.asf", d / "a.amc"),
     ),
-    given("motion capture", "a.bvh", _bvh("02_01_excerpt.bvh"), read_mocap),
+    given("motion capture", "a.bvh", lambda: real("mocap", "02_01_excerpt.bvh"), read_mocap),
     Reader("motion capture corpus", _corpus_index, lambda d: list(read_mocap_corpus(d))),
     written("TRC", "a.trc", lambda p: write_trc(p, _markers()), read_trc),
     written("C3D", "a.c3d", lambda p: write_c3d(p, _markers()), read_c3d),
@@ -329,7 +314,7 @@ READERS = (
     # --- tables of this package
     given("skeleton table", "a.toml", _model("skeleton.toml"), read_skeleton_table),
     given("detector table", "a.toml", _model("detectors.toml"), read_detector_table),
-    given("point distribution", "a.npz", _model("detectors.npz"), _gaussian),
+    given("point distribution", "a.npz", _model("detectors.npz"), lambda p: read_gaussian(p, detector_table())),
     given("URDF", "a.urdf", _model("skeleton.urdf"), SkeletonModel.from_urdf),
     written("recording", "take", _take, Recording.load),
     # --- learning
@@ -346,10 +331,10 @@ READERS = (
     log("a.mat", _mat),
     log("s1_Xsens.sensors", TC("_xsens.sensors")),
     # --- any of them
-    written("inspect motion.npz", "motion.npz", _motion_file, inspect),
+    written("inspect motion.npz", "motion.npz", lambda p: write_motion_npz(p, motion()), inspect),
     written("inspect a.trc", "a.trc", lambda p: write_trc(p, _markers()), inspect),
     written("inspect a.c3d", "a.c3d", lambda p: write_c3d(p, _markers()), inspect),
-    given("inspect a.bvh", "a.bvh", _bvh("10_01_excerpt.bvh"), inspect),
+    given("inspect a.bvh", "a.bvh", lambda: real("mocap", "10_01_excerpt.bvh"), inspect),
     given("inspect a.yml", "a.yml", OPENCV, inspect),
     given("inspect a.csv", "a.csv", SENSOR_CSV, inspect),
     written("inspect take", "take", _take, inspect),

@@ -33,13 +33,6 @@ EXTRA = ("Nose", "LeftHeel", "LeftToe", "RightHandEnd")
 ALL_SENSORS = (*planted.LIMBS, "Hips", "Head", "LeftFoot")
 
 
-# --- losses --------------------------------------------------------------------------------------
-
-
-def square(s: Array) -> tuple[Array, Array]:
-    return s, np.ones_like(s)
-
-
 def pseudo_huber(delta: float) -> Loss:
     return lambda s: (
         2 * delta**2 * (np.sqrt(1 + s / delta**2) - 1), 1 / np.sqrt(1 + s / delta**2)
@@ -87,9 +80,6 @@ def derivatives(terms: Callable[[Array], list[Term]], size: int, step: float = 1
     slopes = [np.repeat(t.loss(np.sum(t.residuals**2, axis=-1))[1], t.residuals.shape[1]) for t in here]
     slope = np.concatenate(slopes)
     return J.T @ (slope * r), (J.T * slope) @ J
-
-
-# --- problems ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -222,9 +212,6 @@ def problem(kind: str, frames: int) -> JointProblem:
     return JointProblem(b.space, functions, b.energy, frames, sigma_jerk(b.space), DELTA_ACCELERATION)
 
 
-# --- the energy, from its description ------------------------------------------------------------
-
-
 def poses(b: Built, x: Array) -> tuple[Array, Array]:
     """Joint positions and segment orientations of states, joint by joint."""
     N = len(x)
@@ -285,7 +272,7 @@ def frame_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
     turns = inverse_mean @ matrices(local.reshape(-1, 4)).reshape(*local.shape[:2], 3, 3)
     vectors = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(len(x), -1)
     white = vectors @ np.linalg.cholesky(C["precision"])
-    return [*out, Term("prior", root["w_prior"][:, None] * white, square)]
+    return [*out, Term("prior", root["w_prior"][:, None] * white, lambda s: (s, np.ones_like(s)))]
 
 
 def temporal_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
@@ -304,7 +291,7 @@ def temporal_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
         steps.append(turn if axis < 0 else turn[:, axis : axis + 1])
     jerk = np.diff(np.concatenate(steps, axis=1), n=2, axis=0) * data.rate_hz**3
     white = np.sqrt(data.w_jerk)[:, None] * jerk / sigma_jerk(b.space)
-    return [*out, Term("smooth", white, square)]
+    return [*out, Term("smooth", white, lambda s: (s, np.ones_like(s)))]
 
 
 def terms_about(b: Built, x: Array, data: FragmentData) -> Callable[[Array], list[Term]]:

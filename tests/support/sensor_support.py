@@ -31,11 +31,8 @@ def moved(
     Rates and accelerations are differences on a fine grid, by NumPy and SciPy alone.
 
     Args:
-        seconds, rate_hz: of the recording.
-        seed: of postures and noise.
-        rests: whether it comes to rest in every posture, or is always on its way.
-        noise: multiple of what a cheap sensor has.
-        name: of the sensor.
+        seconds, rate_hz: of the recording. seed: of postures and noise. rests: comes to rest in every
+            posture. noise: multiple of that of a cheap sensor.
     """
     rng = np.random.default_rng(seed)
     dt = 1 / (FINE * rate_hz)
