@@ -314,7 +314,9 @@ READERS = (
     # --- tables of this package
     given("skeleton table", "a.toml", _model("skeleton.toml"), read_skeleton_table),
     given("detector table", "a.toml", _model("detectors.toml"), read_detector_table),
-    given("point distribution", "a.npz", _model("detectors.npz"), lambda p: read_gaussian(p, detector_table())),
+    given(
+        "point distribution", "a.npz", _model("detectors.npz"), lambda p: read_gaussian(p, detector_table())
+    ),
     given("URDF", "a.urdf", _model("skeleton.urdf"), SkeletonModel.from_urdf),
     written("recording", "take", _take, Recording.load),
     # --- learning
