@@ -81,7 +81,7 @@ def made_by(write: Callable[[Path], object]) -> Files:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write(folder)
-        paths = sorted(path for path in folder.rglob("*") if path.is_file())
+        paths = sorted(filter(Path.is_file, folder.rglob("*")))
         return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
@@ -122,11 +122,9 @@ def _read_human36m(folder: Path) -> Any:
 
 
 @cache
-def _total_capture() -> dict[str, bytes]:
-    def write(folder: Path) -> None:
-        total_capture_support.dataset(folder, total_capture_support.take(frames=30))
-
-    return dict(made_by(write))
+def _total_capture() -> Files:
+    take = total_capture_support.take(frames=30)
+    return made_by(lambda folder: total_capture_support.dataset(folder, take))
 
 
 def total_capture_file(ending: str) -> bytes:
@@ -314,7 +312,9 @@ READERS = (
     # --- tables of this package
     given("skeleton table", "a.toml", _model("skeleton.toml"), read_skeleton_table),
     given("detector table", "a.toml", _model("detectors.toml"), read_detector_table),
-    given("point distribution", "a.npz", _model("detectors.npz"), lambda p: read_gaussian(p, detector_table())),
+    given(
+        "point distribution", "a.npz", _model("detectors.npz"), lambda p: read_gaussian(p, detector_table())
+    ),
     given("URDF", "a.urdf", _model("skeleton.urdf"), SkeletonModel.from_urdf),
     written("recording", "take", _take, Recording.load),
     # --- learning
