@@ -116,8 +116,7 @@ def test_n_pose_has_hanging_arms_within_the_limits(any_skeleton: SkeletonModel) 
 def test_joints_are_landmarks_and_heads_and_feet_have_more() -> None:
     assert DEFAULT.landmarks["LeftArm"][0] == "LeftArm"
     assert {"HeadTop", "Nose", "LeftEar", "RightHeel", "LeftToe", "LeftHandEnd"} <= set(DEFAULT.landmarks)
-    q = random_q(DEFAULT, 4)
-    p, R = DEFAULT.forward_kinematics(q)
+    p, R = DEFAULT.forward_kinematics(random_q(DEFAULT, 4))
     points = DEFAULT.landmark_positions(p, R)
     assert points.shape == (4, len(DEFAULT.landmarks), 3)
     assert_close(points[:, :21], p)
