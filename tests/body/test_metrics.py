@@ -187,15 +187,6 @@ def test_aligned_error_is_invariant_to_similarity_transforms(
     assert two["mpjpe_pa_mm"] == pytest.approx(one["mpjpe_pa_mm"], rel=1e-6)
 
 
-def test_relative_error_is_invariant_to_root_position(truth: PoseSequence) -> None:
-    rng = np.random.default_rng(0)
-    noisy = shifted(truth, rng.normal(size=(T, J, 3)) * 0.02)
-    walked = shifted(noisy, rng.normal(size=(T, 1, 3)))
-    one, two = evaluate(noisy, truth), evaluate(walked, truth)
-    assert two["mpjpe_rr_mm"] == pytest.approx(one["mpjpe_rr_mm"])
-    assert two["mpjpe_mm"] > 10 * one["mpjpe_mm"]
-
-
 def test_truth_at_other_times_is_interpolated_and_only_common_frames_count(truth: PoseSequence) -> None:
     fine = planted.moving(BODY, 121).poses
     estimate = fine[10:100:2]
@@ -252,14 +243,10 @@ def test_metrics_are_a_mapping_with_joints_and_frames(truth: PoseSequence) -> No
         "mpjpe_mm", "mpjpe_rr_mm", "mpjpe_pa_mm", "mpjae", "mpjje", "mpjae_frame_mm",
         "mpjje_frame_mm", "angle_deg", "flexion_deg", "coverage",
     ]  # fmt: skip
-    assert len(figures) == 10
-    assert dict(figures) == figures.pooled
     assert tuple(figures.per_joint) == BODY.names
     assert figures.over_time["mpjpe_rr_mm"].shape == (T,)
     mean = np.mean([figures.per_joint[name]["mpjpe_mm"] for name in BODY.names])
     assert figures["mpjpe_mm"] == pytest.approx(mean)
-    for name in figures:
-        assert name in (metrics.__doc__ or "")
 
 
 def test_poses_of_other_joints_or_order_are_refused(truth: PoseSequence) -> None:

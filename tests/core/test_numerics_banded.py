@@ -80,25 +80,18 @@ def test_any_size_and_width_leaves_no_residual(solver: Solver, size: int, width:
     assert np.abs(H @ solved - right).max() < 1e-12 * (1 + np.abs(H).max() * np.abs(solved).max())
 
 
-def test_solution_has_the_shape_of_the_right_hand_side_which_is_not_changed(solver: Solver) -> None:
-    right = np.random.default_rng(1).normal(size=24)
-    factor, before = solver(system(24, 5), 5), right.copy()
+def test_factor_serves_right_hand_sides_of_any_shape_and_outlives_other_factors(solver: Solver) -> None:
+    H, right = system(24, 5), np.random.default_rng(1).normal(size=24)
+    factor, before = solver(H, 5), right.copy()
     flat = factor.solve(right)
-    for array in (right.reshape(4, 6), right.reshape(2, 4, 3), np.asfortranarray(right.reshape(4, 6))):
+    solver(system(24, 5, 1), 5).solve(np.ones(24))
+    for array in (right, right.reshape(2, 4, 3), np.asfortranarray(right.reshape(4, 6))):
         solved = factor.solve(array)
         assert solved.shape == array.shape
         np.testing.assert_array_equal(solved.ravel(), flat)
     np.testing.assert_array_equal(right, before)
-
-
-def test_factor_serves_several_right_hand_sides_and_outlives_other_factors(solver: Solver) -> None:
-    H = system(30, 4)
-    factor = solver(H, 4)
-    inverse = np.array([factor.solve(row) for row in np.eye(30)])
-    solver(system(30, 4, 1), 4).solve(np.ones(30))
-    np.testing.assert_array_equal([factor.solve(row) for row in np.eye(30)], inverse)
-    np.testing.assert_allclose(inverse @ H, np.eye(30), atol=1e-10)
-    np.testing.assert_allclose(factor.solve_columns(np.eye(30)[:, :3]), inverse[:3].T, rtol=1e-12)
+    columns = factor.solve_columns(np.eye(24)[:, :3])
+    np.testing.assert_allclose(H @ columns, np.eye(24)[:, :3], atol=1e-10)
 
 
 def test_right_hand_side_of_another_size_is_refused(solver: Solver) -> None:
@@ -158,16 +151,6 @@ def test_store_needs_compiled_code(monkeypatch: pytest.MonkeyPatch) -> None:
 def diagonal_of_inverse(H: Array, size: int) -> Array:
     inverse = np.linalg.inv(H).reshape(len(H) // size, size, -1, size)
     return np.array([inverse[t, :, t] for t in range(len(inverse))])
-
-
-def test_blocks_are_those_of_the_cholesky_factor(solver: Solver) -> None:
-    H = system(60, 18)
-    L, blocks = np.linalg.cholesky(H), solver(H, 18).blocks(6, 4)
-    assert blocks.shape == (10, 4, 6, 6)
-    for t, k in ((0, 0), (3, 2), (9, 0), (6, 3)):
-        expected = L[6 * (t + k) : 6 * (t + k + 1), 6 * t : 6 * (t + 1)]
-        np.testing.assert_allclose(blocks[t, k], expected, atol=1e-12)
-    assert not blocks[9, 1:].any()
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.numerics import c_compiler as module
 from rtof_kin.core.numerics.c_compiler import cache_folder, compiled
-from rtof_kin.solve.energy.frame_energy import FrameEnergy, Shape
-from rtof_kin.solve.energy.state import StateSpace
 
 pytestmark = [
     pytest.mark.skipif(not any(map(shutil.which, module.COMPILERS)), reason="there is no C compiler"),
@@ -37,19 +34,6 @@ def functions(scale: float = 1.0) -> list[Any]:
     ]
 
 
-def tiny_energy() -> FrameEnergy:
-    """Energy of a body of which only the legs move."""
-    body = SkeletonModel.default()
-    legs = ("LeftUpLeg", "LeftLeg", "RightUpLeg", "RightLeg")
-    hips, knee, foot = body.index("Hips", "LeftLeg", "LeftFoot")
-    shape = Shape(
-        landmarks=((knee, True), (foot, True), (foot, False)), sensors=(knee,), torso=(hips,),
-        bones=((knee, foot),), feet=(foot,), robust_orientation=3.0,
-        floor_cutoff=0.2,
-    )  # fmt: skip
-    return FrameEnergy(StateSpace(body, legs, hinged=True), shape)
-
-
 def check_compiled(given: list[Any], made: list[Any]) -> None:
     """Check that functions are machine code and give the numbers of the interpreted ones."""
     assert [f.name() for f in made] == [f.name() for f in given]
@@ -58,19 +42,6 @@ def check_compiled(given: list[Any], made: list[Any]) -> None:
         assert a.sparsity_out(0) == b.sparsity_out(0)
         for x, y in zip(a.call([POINT]), b.call([POINT]), strict=True):
             np.testing.assert_allclose(np.array(x), np.array(y), rtol=1e-14)
-
-
-def test_frame_energy_is_the_same_compiled_and_interpreted() -> None:
-    rng = np.random.default_rng(0)
-    interpreted = tiny_energy().functions()
-    for one, two in zip(interpreted, compiled(interpreted), strict=True):
-        assert two.class_name() == "External"
-        inputs = [rng.normal(size=one.size_in(i)) for i in range(one.n_in())]
-        for a, b in zip(one.call(inputs), two.call(inputs), strict=True):
-            np.testing.assert_allclose(np.array(a), np.array(b), rtol=1e-9, atol=1e-9)
-        mapped = [np.tile(v, (1, 4)) if v.shape[1] == 1 else v for v in inputs]
-        outputs = [np.array(f.map(4).call(mapped)[0]) for f in (one, two)]
-        np.testing.assert_allclose(*outputs, rtol=1e-9, atol=1e-9)
 
 
 def test_cache_folder_follows_the_environment(

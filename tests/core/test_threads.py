@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
 BODIES = (BODY, BODY.with_height(1.6), BODY.with_height(1.9), BODY)
 N, FRAMES = 8, 12
-SETTINGS = {
+SETTINGS: dict[str, JointSpaceSettings | CartesianSettings] = {
     "joint": JointSpaceSettings(), "cartesian": CartesianSettings(),
     "cartesian by IPOPT": CartesianSettings(backend="ipopt"),
 }  # fmt: skip
@@ -57,19 +57,3 @@ def test_solver_may_be_shared_by_threads(kind: str) -> None:
     with ThreadPoolExecutor(4) as pool:
         for i, found in zip(numbers, pool.map(lambda i: solve(kind, i, solver), numbers), strict=True):
             np.testing.assert_array_equal(found, expected[i])
-
-
-@pytest.mark.parametrize("kind", ["joint", "cartesian"])
-def test_recordings_solved_alternately_do_not_mix(kind: str) -> None:
-    """Fragment by fragment, with solvers of two bodies."""
-    streams = []
-    for i in (0, 1):
-        body, truth = BODIES[i], planted.human(BODIES[i], FRAMES, seed=i)
-        imus = planted.bone_imus(body, truth.poses, degrees=3.0, seed=i)
-        start = planted.human(body, FRAMES, seed=i, size=0.9).poses
-        solver = FragmentSolver(body, N, SETTINGS[kind])
-        streams.append(solver.stream(start, planted.keypoints(truth.poses, 2.0, seed=i), imus))
-    pieces = list(zip(*streams, strict=True))
-    for i in (0, 1):
-        found = np.concatenate([piece[i].p_world_joint for piece in pieces])
-        np.testing.assert_array_equal(found, one_after_the_other(kind)[i])

@@ -19,8 +19,8 @@ import human36m_files
 import lifting_support
 import numpy as np
 import planted
+import sensor_files
 import total_capture_support
-from scipy.io import savemat
 
 from lifting.checkpoint import load_checkpoint, save_checkpoint
 from lifting.corpus import read_corpus
@@ -81,7 +81,7 @@ def made_by(write: Callable[[Path], object]) -> Files:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write(folder)
-        paths = sorted(path for path in folder.rglob("*") if path.is_file())
+        paths = sorted(filter(Path.is_file, folder.rglob("*")))
         return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
@@ -106,12 +106,8 @@ def _markers() -> MarkerSequence:
     return MarkerSequence(np.arange(4) / 50, ("LASI", "RASI", "C7"), p)
 
 
-@cache
 def _human36m() -> Files:
-    def write(folder: Path) -> None:
-        human36m_files.write_dataset(folder, human36m_files.motions(("S9",), 1, 4))
-
-    return made_by(write)
+    return made_by(lambda folder: human36m_files.write_dataset(folder, ("S9",), 1, 4))
 
 
 def _read_human36m(folder: Path) -> Any:
@@ -122,11 +118,9 @@ def _read_human36m(folder: Path) -> Any:
 
 
 @cache
-def _total_capture() -> dict[str, bytes]:
-    def write(folder: Path) -> None:
-        total_capture_support.dataset(folder, total_capture_support.take(frames=30))
-
-    return dict(made_by(write))
+def _total_capture() -> Files:
+    take = total_capture_support.take(frames=30)
+    return made_by(lambda folder: total_capture_support.dataset(folder, take))
 
 
 def total_capture_file(ending: str) -> bytes:
@@ -149,41 +143,18 @@ distortion_coefficients: [ 0.1, -0.05, 0., 0., 1.0e-03 ]
 R: [ 0.1, 0.2, 0.3 ]
 T: [ 0.5, 1.5, 4. ]
 """
-SENSOR_CSV = b"time,A_fx,A_fy,A_fz,A_wx,A_wy,A_wz,A_qw,A_qx,A_qy,A_qz\n" + b"".join(
-    b"%.2f,0.1,0.2,9.8,0.01,0.02,0.03,1,0,0,0\n" % (i / 100) for i in range(6)
-)
-MT = b"// Update Rate: 100.0Hz\nPacketCounter\tSampleTimeFine\tAcc_X\tAcc_Y\tAcc_Z"
-MT += b"\tGyr_X\tGyr_Y\tGyr_Z\tQuat_q0\tQuat_q1\tQuat_q2\tQuat_q3\n" + b"".join(
-    b"%05d\t\t0.1\t0.2\t9.8\t0.01\t0.02\t0.03\t1.0\t0.0\t0.0\t0.0\n" % (100 + i) for i in range(6)
-)
-DOT = b"DeviceTag:,D1\nOutputRate:,60Hz\n\nPacketCounter,SampleTimeFine,Quat_W,Quat_X,Quat_Y,Quat_Z,"
-DOT += b"FreeAcc_X,FreeAcc_Y,FreeAcc_Z\n" + b"".join(
-    b"%d,%d,1.0,0.0,0.0,0.0,0.1,0.2,0.3\n" % (i, 5000 + 16667 * i) for i in range(6)
-)
-STO = b"DataRate=100\nDataType=Quaternion\nversion=3\nendheader\ntime\tpelvis_imu\ttibia_r_imu\n"
-STO += b"".join(b"%.2f\t1,0,0,0\t0.8,0.6,0,0\n" % (i / 100) for i in range(4))
-XIMU = b"Timestamp (us),Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s),Accelerometer X (g),"
-XIMU += b"Accelerometer Y (g),Accelerometer Z (g)\n" + b"".join(
-    b"%d,1.0,2.0,3.0,0.1,0.2,1.0\n" % (1000000 + 10000 * i) for i in range(5)
-)
-MVNX = b"""<?xml version="1.0" encoding="UTF-8"?>
-<mvnx version="4"><subject label="A" frameRate="60"><segments><segment label="Pelvis" id="1"/></segments>
-<sensors><sensor label="Pelvis"/></sensors><frames segmentCount="1" sensorCount="1">
-%s</frames></subject></mvnx>
-""" % b"".join(
-    b'<frame time="%d" index="%d" type="normal"><orientation>1 0 0 0</orientation><position>0 0 1'
-    b"</position><sensorFreeAcceleration>0.1 0.2 0.3</sensorFreeAcceleration><sensorOrientation>"
-    b"1 0 0 0</sensorOrientation></frame>\n" % (17 * i, i)
-    for i in range(4)
-)
 
 
-def _mat() -> bytes:
-    stream = io.BytesIO()
-    T = 5
-    sensor = {"acc": np.tile([0, 0, 9.81], (T, 1)), "quat": np.tile([1.0, 0, 0, 0], (T, 1))}
-    savemat(stream, {"t": np.arange(T) / 100, "hip": {**sensor, "gyr": np.zeros((T, 3))}})
-    return stream.getvalue()
+def sensor_file(title: str) -> Files:
+    """Six samples of a sensor or two in a format of `sensor_files.WRITERS`."""
+    truths = [sensor_files.truth(seed, T=6) for seed in (0, 1)]
+    files = made_by(lambda folder: sensor_files.WRITERS[title](folder, truths))
+    return {name: files[name] for name in files if sensor_files.SERIALS[1] not in name}
+
+
+def sensors(title: str) -> Reader:
+    """A sensor format, read as a folder and recognised by its content."""
+    return Reader(f"sensors {title}", functools.partial(sensor_file, title), read_sensor_log)
 
 
 def _corpus_index() -> Files:
@@ -210,11 +181,6 @@ def written(title: str, name: str, write: Callable[[Path], object], read: Callab
     """A reader of one file (or folder) made by a writer."""
     example = functools.partial(made_by, lambda folder: write(folder / name))
     return Reader(title, example, lambda folder: read(folder / name))
-
-
-def log(name: str, content: Callable[[], bytes] | bytes) -> Reader:
-    """A sensor format, read as a folder and recognised by its content."""
-    return Reader(f"sensors {name}", one(name, content), read_sensor_log)
 
 
 def recording(folder: Path) -> None:
@@ -324,23 +290,16 @@ READERS = (
     written("corpus", "a.npz", lambda p: lifting_support.tiny_corpus(4, 3).save(p), read_corpus),
     given("split", "a.toml", b'test = ["S9"]\nvalidation = ["S8", "S7"]\n', read_split),
     # --- inertial sensors
-    log("a.csv", SENSOR_CSV),
-    log("MT_0001.txt", MT),
-    log("D1_20260102_101112.csv", DOT),
-    log("a.sto", STO),
-    log("hip 0123abcd/Inertial.csv", XIMU),
-    log("a.mvnx", MVNX),
-    log("a.mat", _mat),
-    log("s1_Xsens.sensors", TC("_xsens.sensors")),
+    *map(sensors, sensor_files.WRITERS),
     # --- any of them
     written("inspect motion.npz", "motion.npz", lambda p: write_motion_npz(p, motion()), inspect),
     written("inspect a.trc", "a.trc", lambda p: write_trc(p, _markers()), inspect),
     written("inspect a.c3d", "a.c3d", lambda p: write_c3d(p, _markers()), inspect),
     given("inspect a.bvh", "a.bvh", lambda: real("mocap", "10_01_excerpt.bvh"), inspect),
     given("inspect a.yml", "a.yml", OPENCV, inspect),
-    given("inspect a.csv", "a.csv", SENSOR_CSV, inspect),
+    Reader("inspect a.csv", lambda: sensor_file("plain CSV"), lambda d: inspect(d / "trial.csv")),
     written("inspect take", "take", _take, inspect),
-    given("MVNX", "a.mvnx", MVNX, read_mvnx_file),
+    Reader("MVNX", lambda: sensor_file("Xsens MVNX"), lambda d: read_mvnx_file(d / "trial.mvnx")),
 )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Asks OpenSim, in a process of its own, what it makes of a folder of files."""
+"""OpenSim in its own process, reading a folder of exported files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ READER = Path(__file__).with_name("opensim_reader.py")
 
 
 def read_by_opensim(folder: Path, out: Path) -> dict[str, NDArray[np.float64]]:
-    """What `opensim_reader` found in a folder, by name of file and kind, passed in the file `out`."""
+    """Return the results of `opensim_reader` by name of file and kind; `out` is a temporary file."""
     done = subprocess.run(
         [sys.executable, str(READER), str(folder), str(out)], capture_output=True, text=True, check=False
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -188,17 +189,6 @@ def lifted_poses(truth: MotionSequence, radians: float = 0.2, metres: float = 0.
     return replace(truth.poses, p_world_joint=lifted(truth, radians, metres))
 
 
-@dataclass(frozen=True)
-class Lifted:
-    """Fields of a lifter's result that the pipeline uses."""
-
-    p_world_joint: Array
-    seen: NDArray[np.bool_]
-    R_world_bone: Array
-    sigma_rad: Array
-    sigma_m: Array
-
-
 class PlantedLifter:
     """A lifter that returns the truth with smooth errors, and NaN in `blind` frames.
 
@@ -239,7 +229,10 @@ class PlantedLifter:
         seen[self.blind] = False
         R, sigma = np.array(self.R[nearest]), np.array(self.sigma_rad[nearest])
         R[~seen], sigma[~seen] = np.nan, np.nan
-        return Lifted(self.p[nearest], seen, R, sigma, np.full((*sigma.shape, 2), np.nan))
+        sigma_m = np.full((*sigma.shape, 2), np.nan)
+        return SimpleNamespace(
+            p_world_joint=self.p[nearest], seen=seen, R_world_bone=R, sigma_rad=sigma, sigma_m=sigma_m
+        )
 
 
 def recording(
