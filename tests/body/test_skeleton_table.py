@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtof_kin.body.body_mass import SEGMENTS
 from rtof_kin.body.skeleton_table import Joint, SkeletonTable, read_skeleton_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError
@@ -16,6 +17,19 @@ from rtof_kin.core.resources import model_path
 
 Array = NDArray[np.float64]
 TABLES = {name: read_skeleton_table(model_path(f"{name}.toml")) for name in ("skeleton", "human36m")}
+TOTAL_CAPTURE = (
+    "Hips", "Spine", "Spine1", "Spine2", "Spine3", "Neck", "Head",
+    "RightShoulder", "RightArm", "RightForeArm", "RightHand",
+    "LeftShoulder", "LeftArm", "LeftForeArm", "LeftHand",
+    "RightUpLeg", "RightLeg", "RightFoot", "LeftUpLeg", "LeftLeg", "LeftFoot",
+)  # fmt: skip
+TOTAL_CAPTURE_PARENTS = (
+    -1, 0, 1, 2, 3, 4, 5, 4, 7, 8, 9, 4, 11, 12, 13, 0, 15, 16, 0, 18, 19,
+)  # fmt: skip
+HUMAN36M = (
+    "Hip", "RHip", "RKnee", "RFoot", "LHip", "LKnee", "LFoot", "Spine", "Thorax", "Neck", "Head",
+    "LShoulder", "LElbow", "LWrist", "RShoulder", "RElbow", "RWrist",
+)  # fmt: skip
 GOOD = """
 name = "stick"
 mass_kg = 70
@@ -59,6 +73,9 @@ def read(tmp_path: Path, *changes: tuple[str, str]) -> SkeletonTable:
     return read_skeleton_table(path)
 
 
+# --- reading ----------------------------------------------------------------------------------------
+
+
 def test_table_is_read_in_metres_and_radians(tmp_path: Path) -> None:
     table = read(tmp_path)
     assert (table.name, table.mass_kg, table.sex) == ("stick", 70.0, "female")
@@ -81,6 +98,7 @@ def test_table_is_read_in_metres_and_radians(tmp_path: Path) -> None:
     [
         ('name = "stick"', "name =", "not readable as TOML: .*line 2"),
         ("mass_kg = 70", "", "the field 'mass_kg' is missing"),
+        ("end_mm = [0, 0, 200]", "", "the field 'end_mm' is missing"),
         ('segment = "shank", ', "", "the field 'segment' is missing"),
         ("mass_kg = 70", 'mass_kg = "heavy"', "a field is not of the right kind: .*heavy"),
         ("offset_mm = [0, 0, 100]", "offset_mm = [0, 100]", r"a field .*: \[0, 100\] is no point"),
@@ -89,12 +107,14 @@ def test_table_is_read_in_metres_and_radians(tmp_path: Path) -> None:
         ('sex = "female"', 'sex = "f"', ".* and sex 'f' one of .'male', 'female'"),
         ('parent = "Base"', 'parent = "Rod"', "joint Rod: its parent must come before it"),
         ('parent = "Base"\noffset_mm = [0, 0, 100]\naxes = "yxz"\n', "", "joint Rod: its parent must come"),
+        ('parent = "Base"', 'parent = "Sky"', "joint Rod: its parent must come before it"),
         ('name = "Rod"', 'name = "Base"', "joint Base occurs twice"),
         ('axes = "yxz"', 'axes = "yxy"', "joint Rod: axes 'yxy' are not x, y and z in some order"),
         ('axes = "yxz"', "", "joint Rod: axes '' are not x, y and z"),
         ('name = "Base"', 'name = "Base"\naxes = "xyz"', "joint Base: axes 'xyz' .*none for the root"),
         ('["rod flexion", "", ""]', '["rod flexion"]', "joint Rod: needs three clinical and three"),
         ("[[-10, 20]", "[[20, -10]", "joint Rod: limits are not three ranges low, high"),
+        ("[[-10, 20]", "[[nan, 20]", "joint Rod: limits are not three ranges"),
         (", [-40, 40]", "", "joint Rod: limits are not three ranges"),
         ("end_mm = [0, 0, 200]", "end_mm = [0, 0, 0]", "joint Rod: end_mm or offset_mm is a bone"),
         ("offset_mm = [0, 0, 100]", "", "joint Rod: end_mm or offset_mm is a bone of no length"),
@@ -114,38 +134,42 @@ def test_invalid_table_is_refused_with_file_and_joint(
         read(tmp_path, (old, new))
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"\xff\xfe\x00", "not a text file in UTF-8, so not TOML"),
-        (b"name = 'x'\nmass_kg = 1\njoint = []", "there is no joint in it"),
-        (b"name = 'x'\nmass_kg = 1\njoint = 3", "a field is not of the right kind"),
-    ],
-)
-def test_binary_file_or_one_without_joints_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
-    path = tmp_path / "table.toml"
-    path.write_bytes(content)
-    with pytest.raises(FileFormatError, match=f"table.toml: .*{message}"):
-        read_skeleton_table(path)
+def test_missing_binary_or_empty_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match=r"no\.toml: there is no such file"):
+        read_skeleton_table(tmp_path / "no.toml")
+    (tmp_path / "b.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FileFormatError, match="not a text file in UTF-8, so not TOML"):
+        read_skeleton_table(tmp_path / "b.toml")
+    (tmp_path / "c.toml").write_text("name = 'x'\nmass_kg = 1\njoint = []")
+    with pytest.raises(FileFormatError, match="there is no joint in it"):
+        read_skeleton_table(tmp_path / "c.toml")
+    (tmp_path / "d.toml").write_text("name = 'x'\nmass_kg = 1\njoint = 3")
+    with pytest.raises(FileFormatError, match="a field is not of the right kind"):
+        read_skeleton_table(tmp_path / "d.toml")
+
+
+# --- another body -------------------------------------------------------------------------------------
 
 
 def test_offsets_scale_the_points_of_each_segment() -> None:
     table = TABLES["skeleton"]
-    knee, thigh, elbow, head = map(table.names.index, ("LeftLeg", "LeftUpLeg", "RightForeArm", "Head"))
-    longer, bowed = np.array(table.offsets), np.array(table.offsets)
-    longer[knee] *= 1.2
-    bowed[knee] += [0.02, -0.01, 0.0]
-    for offsets in (longer, bowed):
-        new = table.scaled_to(offsets)
-        np.testing.assert_array_equal(new.offsets, offsets)
-        np.testing.assert_array_equal(new.joints[thigh].end, offsets[knee])
-        np.testing.assert_array_equal(new.joints[elbow].end, table.joints[elbow].end)
-        np.testing.assert_array_equal(lever(new, "R_UpLeg"), lever(table, "R_UpLeg"))
-    np.testing.assert_allclose(lever(table.scaled_to(longer), "L_UpLeg"), 1.2 * lever(table, "L_UpLeg"))
-    overall = np.linalg.norm(longer, axis=1).sum() / np.linalg.norm(table.offsets, axis=1).sum()
-    end = table.scaled_to(longer).joints[head].end
-    np.testing.assert_allclose(end, overall * table.joints[head].end)
-    assert table.offsets[knee][2] == -0.396  # the original is unchanged
+    offsets = np.array(table.offsets)
+    knee, elbow = table.names.index("LeftLeg"), table.names.index("RightForeArm")
+    offsets[knee] *= 1.2  # a longer thigh
+    new = table.scaled_to(offsets)
+    np.testing.assert_array_equal(new.offsets, offsets)
+    thigh = table.names.index("LeftUpLeg")
+    np.testing.assert_array_equal(new.joints[thigh].end, offsets[knee])
+    offsets[knee] += [0.02, -0.01, 0.0]  # and one that is bowed: it ends where the knee is
+    np.testing.assert_array_equal(table.scaled_to(offsets).joints[thigh].end, offsets[knee])
+    offsets[knee] -= [0.02, -0.01, 0.0]
+    np.testing.assert_allclose(lever(new, "L_UpLeg"), 1.2 * lever(table, "L_UpLeg"))
+    np.testing.assert_array_equal(lever(new, "R_UpLeg"), lever(table, "R_UpLeg"))
+    np.testing.assert_array_equal(new.joints[elbow].end, table.joints[elbow].end)
+    overall = np.linalg.norm(offsets, axis=1).sum() / np.linalg.norm(table.offsets, axis=1).sum()
+    head = table.names.index("Head")
+    np.testing.assert_allclose(new.joints[head].end, overall * table.joints[head].end)
+    assert table.offsets[knee][2] == -0.396  # the old one is as it was
 
 
 def test_scaling_there_and_back_gives_the_same_table() -> None:
@@ -163,6 +187,26 @@ def test_scaling_there_and_back_gives_the_same_table() -> None:
 
 def lever(table: SkeletonTable, sensor: str) -> Array:
     return next(point.offset for point in table.sensors if point.name == sensor)
+
+
+# --- anatomy of the shipped tables --------------------------------------------------------------------
+
+
+def test_joints_are_those_of_total_capture_and_human36m() -> None:
+    assert TABLES["skeleton"].names == TOTAL_CAPTURE
+    assert TABLES["skeleton"].parents == TOTAL_CAPTURE_PARENTS
+    assert TABLES["human36m"].names == HUMAN36M
+    assert TABLES["human36m"].parents == (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 9, 8, 11, 12, 8, 14, 15)
+
+
+@pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
+def test_mass_of_every_segment_is_carried_once(table: SkeletonTable) -> None:
+    shares: dict[str, float] = {}
+    for joint in table.joints:
+        for segment, share in joint.mass_shares:
+            shares[segment] = shares.get(segment, 0.0) + share
+    trunk = ("head", "upper trunk", "middle trunk", "lower trunk")
+    assert shares == pytest.approx({name: 1.0 if name in trunk else 2.0 for name in SEGMENTS})
 
 
 def side_of(name: str) -> int:
@@ -186,16 +230,18 @@ def test_left_and_right_are_mirror_images(table: SkeletonTable) -> None:
         twin = by_name[mirrored_name(joint.name)]
         np.testing.assert_allclose(joint.offset, mirror * twin.offset, atol=1e-12)
         np.testing.assert_allclose(joint.end, mirror * twin.end, atol=1e-12)
-        assert joint.axes == twin.axes
-        assert (joint.mass_shares, joint.radius) == (twin.mass_shares, twin.radius)
+        assert (joint.axes, joint.mass_shares, joint.radius) == (
+            twin.axes, twin.mass_shares, twin.radius
+        )  # fmt: skip
         assert joint.offset[1] * side_of(joint.name) >= 0
         # A mirror keeps turns about y and reverses those about x and z.
         for axis, mine, its in zip(joint.axes, joint.limits, twin.limits, strict=True):
             np.testing.assert_allclose(mine, its if axis == "y" else -its[::-1])
     points = {point.name: point for point in table.landmarks}
     for point in table.landmarks:
-        twin_offset = points[mirrored_name(point.name)].offset
-        np.testing.assert_allclose(point.offset, mirror * twin_offset, atol=1e-12)
+        np.testing.assert_allclose(
+            point.offset, mirror * points[mirrored_name(point.name)].offset, atol=1e-12
+        )
 
 
 FORWARD, BACK, LEFT, UP, DOWN = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, 0, -1.0]])
@@ -273,7 +319,7 @@ DOFS = [
 
 
 @pytest.mark.parametrize(("joint", "i"), DOFS)
-def test_signs_of_clinical_and_opensim_names_are_anatomical(joint: Joint, i: int) -> None:
+def test_sign_of_every_clinical_name_is_anatomical(joint: Joint, i: int) -> None:
     sign, name = signed(joint.dofs[i].clinical)
     side = side_of(joint.name)
     assert name.startswith("left ") == (side == 1) or side == 0
@@ -282,26 +328,69 @@ def test_signs_of_clinical_and_opensim_names_are_anatomical(joint: Joint, i: int
     moved = so3.about_axis(joint.axes[i], 0.1) @ start - start  # by a positive URDF angle
     assert np.sign(moved @ target) == sign
     assert abs(moved @ target) > 0.09  # and it is this axis that does it
-    assert joint.limits[i][0] < 0 < joint.limits[i][1]  # the T-pose is inside
-    if joint.dofs[i].opensim:
-        opensim_sign, coordinate = signed(joint.dofs[i].opensim)
-        suffix = {1: "_l", -1: "_r", 0: ""}[side]
-        assert coordinate.endswith(suffix)
-        plain = coordinate.removesuffix(suffix)
-        opposite = f"-{plain}" in OPENSIM
-        assert OPENSIM[f"-{plain}" if opposite else plain] == movement(name)
-        assert opensim_sign == sign * (-1 if opposite else 1)
+
+
+@pytest.mark.parametrize(("joint", "i"), DOFS)
+def test_sign_of_every_opensim_name_agrees_with_the_clinical_one(joint: Joint, i: int) -> None:
+    if not joint.dofs[i].opensim:
+        return
+    sign, coordinate = signed(joint.dofs[i].opensim)
+    clinical_sign, name = signed(joint.dofs[i].clinical)
+    side = {1: "_l", -1: "_r", 0: ""}[side_of(joint.name)]
+    assert coordinate.endswith(side)
+    plain = coordinate.removesuffix(side) if side else coordinate
+    opposite = f"-{plain}" in OPENSIM
+    assert OPENSIM[f"-{plain}" if opposite else plain] == movement(name)
+    assert sign == clinical_sign * (-1 if opposite else 1)
+
+
+def test_every_movement_occurs_in_the_tables() -> None:
+    joints = [joint for table in TABLES.values() for joint in table.joints]
+    named = {movement(signed(dof.clinical)[1]) for joint in joints for dof in joint.dofs}
+    assert named == set(MOVEMENTS)
+
+
+RANGES = {
+    # degrees a healthy adult reaches, and beyond which no limit should lie
+    "hip flexion": ((-20, 120), (-70, 150)),
+    "hip adduction": ((-45, 30), (-90, 60)),
+    "knee flexion": ((0, 150), (-15, 170)),
+    "knee adduction": ((-5, 5), (-15, 15)),
+    "knee internal rotation": ((-10, 10), (-30, 30)),
+    "ankle dorsiflexion": ((-50, 20), (-80, 60)),
+    "elbow flexion": ((0, 150), (-15, 165)),
+    "elbow carrying angle": ((0, 15), (-35, 35)),
+    "forearm pronation": ((-50, 50), (-60, 60)),
+    "shoulder horizontal adduction": ((-30, 130), (-80, 160)),
+    "shoulder elevation above horizontal": ((-90, 90), (-130, 120)),
+    "clavicle elevation": ((-10, 40), (-30, 60)),
+}
+
+
+@pytest.mark.parametrize(("joint", "i"), DOFS)
+def test_limits_contain_the_physiological_range(joint: Joint, i: int) -> None:
+    sign, name = signed(joint.dofs[i].clinical)
+    low, high = sorted(sign * np.degrees(joint.limits[i]))
+    if movement(name) in RANGES:
+        (need_low, need_high), (most_low, most_high) = RANGES[movement(name)]
+        assert most_low - 1e-9 <= low <= need_low
+        assert need_high <= high <= most_high + 1e-9
+    assert low < 0 < high  # the T-pose is inside
 
 
 def test_thirteen_sensors_of_total_capture_are_on_their_segments() -> None:
     table = TABLES["skeleton"]
+    joints = {sensor.name: sensor.joint for sensor in table.sensors}
     limbs = {"UpArm": "Arm", "LowArm": "ForeArm", "UpLeg": "UpLeg", "LowLeg": "Leg", "Foot": "Foot"}
     expected = {"Head": "Head", "Sternum": "Spine3", "Pelvis": "Hips"}
     expected |= {f"{s[0]}_{k}": s + v for s in ("Left", "Right") for k, v in limbs.items()}
-    assert {sensor.name: sensor.joint for sensor in table.sensors} == expected
+    assert joints == expected
+    by_name = {joint.name: joint for joint in table.joints}
     for sensor in table.sensors:
-        joint = table.joints[table.names.index(sensor.joint)]
-        along = np.clip(sensor.offset @ joint.end / (joint.end @ joint.end), 0, 1)
-        assert np.linalg.norm(sensor.offset - along * joint.end) < joint.radius + 0.09, sensor.name
-    assert lever(table, "Sternum")[0] > 0.1  # in front
-    assert lever(table, "Pelvis")[0] < -0.05  # behind
+        end = by_name[sensor.joint].end
+        along = np.clip(sensor.offset @ end / (end @ end), 0, 1)
+        off_the_bone = np.linalg.norm(sensor.offset - along * end)
+        assert off_the_bone < by_name[sensor.joint].radius + 0.09, sensor.name
+    front, behind = lever(table, "Sternum"), lever(table, "Pelvis")
+    assert front[0] > 0.1
+    assert behind[0] < -0.05

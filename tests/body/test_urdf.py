@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import re
-import runpy
+import importlib.util
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -16,11 +18,13 @@ import pinocchio as pin
 import pytest
 import yourdfpy
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from rtof_kin.body.body_mass import inertia
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import SkeletonTable, read_skeleton_table
 from rtof_kin.body.urdf import LIGHT_MASS_KG, to_urdf
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
 
 Array = NDArray[np.float64]
@@ -28,6 +32,15 @@ MODELS = Path(__file__).parents[2] / "models"
 NAMES = ("skeleton", "human36m")
 TABLES = {name: read_skeleton_table(model_path(f"{name}.toml")) for name in NAMES}
 every_table = pytest.mark.parametrize("table", TABLES.values(), ids=NAMES)
+
+
+def build_urdf() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("build_urdf", MODELS / "build_urdf.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def floats(text: str) -> Array:
@@ -49,6 +62,14 @@ def links(urdf: str) -> dict[str, ET.Element]:
     return {link.attrib["name"]: link for link in ET.fromstring(urdf).iter("link")}
 
 
+# --- the committed files ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_committed_urdf_equals_that_of_the_table(name: str) -> None:
+    assert (MODELS / f"{name}.urdf").read_bytes() == to_urdf(TABLES[name]).encode()
+
+
 def test_build_script_checks_from_the_command_line() -> None:
     done = subprocess.run(
         [sys.executable, str(MODELS / "build_urdf.py"), "--check"],
@@ -62,9 +83,10 @@ def test_build_script_checks_from_the_command_line() -> None:
 def test_build_script_reports_a_stale_file_and_writes_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for path in [*MODELS.glob("*.toml"), *MODELS.glob("*.urdf")]:
-        shutil.copy(path, tmp_path)
-    main = runpy.run_path(str(MODELS / "build_urdf.py"))["main"]
+    for name in NAMES:
+        shutil.copy(MODELS / f"{name}.toml", tmp_path)
+        shutil.copy(MODELS / f"{name}.urdf", tmp_path)
+    main: Callable[..., int] = build_urdf().main
     assert main(["--check"], tmp_path) == 0
     table = tmp_path / "skeleton.toml"
     table.write_text(table.read_text().replace("mass_kg = 75.0", "mass_kg = 76.0"))
@@ -72,41 +94,93 @@ def test_build_script_reports_a_stale_file_and_writes_it(
     before = (tmp_path / "skeleton.urdf").read_bytes()
     capsys.readouterr()
     assert main(["--check"], tmp_path) == 1
-    printed = capsys.readouterr().out
-    assert "skeleton.urdf: differs from skeleton.toml; run python models/build_urdf.py" in printed
-    assert "human36m.urdf: differs from human36m.toml" in printed
+    said = capsys.readouterr().out
+    assert "skeleton.urdf: differs from skeleton.toml; run python models/build_urdf.py" in said
+    assert "human36m.urdf: differs from human36m.toml" in said
     assert (tmp_path / "skeleton.urdf").read_bytes() == before
     assert main([], tmp_path) == 0
     assert main(["--check"], tmp_path) == 0
     assert (tmp_path / "skeleton.urdf").read_text() == to_urdf(read_skeleton_table(table))
 
 
+# --- the tree -----------------------------------------------------------------------------------------
+
+
+@every_table
+def test_ball_joint_is_three_revolutes_through_one_point(table: SkeletonTable) -> None:
+    robot = ET.fromstring(to_urdf(table))
+    joints = list(robot.iter("joint"))
+    assert len(joints) == 3 * (len(table.joints) - 1)
+    by_child = {part(j, "child").attrib["link"]: j for j in joints}
+    for joint in table.joints[1:]:
+        link, axes, origins = joint.name, "", []
+        for _ in range(3):
+            element = by_child[link]
+            assert element.attrib["type"] == "revolute"
+            assert element.attrib["name"] == f"{joint.name}_{element.attrib['name'][-1]}"
+            axis = floats(part(element, "axis").attrib["xyz"])
+            axes = "xyz"[int(np.argmax(axis))] + axes
+            assert sorted(axis) == [0, 0, 1]
+            origin = part(element, "origin")
+            assert not floats(origin.attrib["rpy"]).any()
+            origins.append(floats(origin.attrib["xyz"]))
+            link = part(element, "parent").attrib["link"]
+        assert (axes, link) == (joint.axes, joint.parent)
+        np.testing.assert_allclose(origins, [np.zeros(3), np.zeros(3), joint.offset], atol=1e-12)
+
+
+@every_table
+def test_root_link_has_no_parent(table: SkeletonTable) -> None:
+    robot = ET.fromstring(to_urdf(table))
+    children = {element.attrib["link"] for element in robot.iter("child")}
+    assert {link.attrib["name"] for link in robot.iter("link")} - children == {table.names[0]}
+
+
+@every_table
+def test_limits_are_those_of_the_table(table: SkeletonTable) -> None:
+    limits = {j.attrib["name"]: part(j, "limit").attrib for j in ET.fromstring(to_urdf(table)).iter("joint")}
+    for joint in table.joints[1:]:
+        for dof, (low, high) in zip(joint.dofs, joint.limits, strict=True):
+            assert float(limits[dof.urdf]["lower"]) == pytest.approx(low, abs=1e-11)
+            assert float(limits[dof.urdf]["upper"]) == pytest.approx(high, abs=1e-11)
+            assert float(limits[dof.urdf]["effort"]) > 0
+            assert float(limits[dof.urdf]["velocity"]) > 0
+
+
 @every_table
 def test_numbers_have_no_rounding_noise(table: SkeletonTable) -> None:
     """No rounding noise (1e-19, -0) that another processor would round otherwise."""
-    assert not re.search(r'(effort|velocity)="-?0(\.0)?"', to_urdf(table))  # simulators need them
-    numbers = re.findall(r'(?<=[" ])[-+]?\d[\d.]*(?:e[-+]?\d+)?(?=[" ])', to_urdf(table))
-    assert len(numbers) > 1000
-    for number in numbers:
-        assert number != "-0"
-        assert float(number) == 0 or abs(float(number)) > 1e-7
+    for element in ET.fromstring(to_urdf(table)).iter():
+        for key in set(element.attrib) & {"xyz", "rpy", "lower", "upper", "radius", "length", "mass",
+                                          "value", "ixx", "ixy", "ixz", "iyy", "iyz", "izz"}:  # fmt: skip
+            for word in element.attrib[key].split():
+                assert word != "-0"
+                assert float(word) == 0 or abs(float(word)) > 1e-7
+
+
+# --- masses and inertias ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sex", ["male", "female", None])
 @every_table
-def test_inertias_are_physical_and_masses_sum_to_the_body_mass(table: SkeletonTable, sex: str | None) -> None:
-    total = 0.0
-    for name, link in links(to_urdf(replace(table, sex=sex, mass_kg=80.0))).items():
+def test_inertias_are_physical(table: SkeletonTable, sex: str | None) -> None:
+    for name, link in links(to_urdf(replace(table, sex=sex))).items():
         inertial = part(link, "inertial")
-        moments = np.sort(np.linalg.eigvalsh(matrix_of(inertial)))
+        matrix = matrix_of(inertial)
+        moments = np.sort(np.linalg.eigvalsh(matrix))
         assert moments[0] > 0, name
         assert moments[2] <= moments[0] + moments[1] + 1e-12, name
-        mass = float(part(inertial, "mass").attrib["value"])
-        assert (mass == LIGHT_MASS_KG) == (name not in table.names)
-        total += mass
+        assert float(part(inertial, "mass").attrib["value"]) > 0
+        light = name not in table.names
+        assert (float(part(inertial, "mass").attrib["value"]) == LIGHT_MASS_KG) == light
+
+
+@pytest.mark.parametrize(("sex", "total"), [("male", 1.0), ("female", 0.9999), (None, 0.99995)])
+@every_table
+def test_masses_sum_to_the_body_mass(table: SkeletonTable, sex: str | None, total: float) -> None:
+    model = pin.buildModelFromXML(to_urdf(replace(table, sex=sex, mass_kg=80.0)), pin.JointModelFreeFlyer())
     light = LIGHT_MASS_KG * 2 * (len(table.joints) - 1)
-    share = {"male": 1.0, "female": 0.9999, None: 0.99995}[sex]
-    assert total == pytest.approx(80 * share + light, abs=1e-9)
+    assert pin.computeTotalMass(model) == pytest.approx(80 * total + light, abs=1e-9)
     assert light < 0.001 * 80
 
 
@@ -142,11 +216,57 @@ def test_link_with_two_segments_has_their_composite_inertia() -> None:
     np.testing.assert_allclose(matrix_of(link), whole.inertia, atol=1e-11)
 
 
-@pytest.mark.parametrize(("name", "skeleton"), [("skeleton", "total_capture"), ("human36m", "human36m")])
-def test_yourdfpy_shows_the_height_and_arm_span(name: str, skeleton: str) -> None:
-    low, high = yourdfpy.URDF.load(str(model_path(f"{name}.urdf"))).scene.bounds
-    height = SkeletonModel.named(skeleton).height
-    assert high[2] - low[2] == pytest.approx(height, abs=0.12)  # half a head's sphere more
-    assert 0.9 < (high[1] - low[1]) / height < 1.15  # arm span of the T-pose
+# --- what viewers show --------------------------------------------------------------------------------
+
+
+@every_table
+def test_visuals_extend_from_joint_to_end(table: SkeletonTable) -> None:
+    drawn = links(to_urdf(table))
+    for joint in table.joints:
+        spheres = []
+        for visual in drawn[joint.name].iter("visual"):
+            origin, geometry = part(visual, "origin"), part(visual, "geometry")
+            at = floats(origin.attrib["xyz"])
+            if (cylinder := geometry.find("cylinder")) is not None:
+                turn = Rotation.from_euler("xyz", floats(origin.attrib["rpy"])).as_matrix()
+                half = turn[:, 2] * float(cylinder.attrib["length"]) / 2
+                np.testing.assert_allclose(at + half, joint.end, atol=1e-9)
+                np.testing.assert_allclose(at - half, 0, atol=1e-9)
+            else:
+                spheres.append(at)
+        np.testing.assert_allclose(spheres, [np.zeros(3), joint.end], atol=1e-11)
+    light = set(drawn) - set(table.names)
+    assert all(drawn[name].find("visual") is None for name in light)
+
+
+@pytest.fixture(params=NAMES)
+def viewed(request: pytest.FixtureRequest) -> tuple[Any, SkeletonModel]:
+    """The shipped file in yourdfpy, and the same skeleton in Pinocchio."""
+    robot = yourdfpy.URDF.load(str(model_path(f"{request.param}.urdf")))
+    table = {"skeleton": "total_capture"}.get(request.param, request.param)
+    return robot, SkeletonModel.named(table)
+
+
+def test_yourdfpy_shows_the_height_and_arm_span(viewed: tuple[Any, SkeletonModel]) -> None:
+    robot, skeleton = viewed
+    low, high = robot.scene.bounds
+    assert high[2] - low[2] == pytest.approx(skeleton.height, abs=0.12)  # half a head's sphere more
+    assert 0.9 < (high[1] - low[1]) / skeleton.height < 1.15  # arm span of the T-pose
     assert 0.25 < high[0] - low[0] < 0.45
     assert high[1] == pytest.approx(-low[1])
+
+
+def test_forward_kinematics_equals_yourdfpy(viewed: tuple[Any, SkeletonModel]) -> None:
+    robot, skeleton = viewed
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        q = skeleton.t_pose()
+        q[7:] = rng.uniform(skeleton.limits[:, 0], skeleton.limits[:, 1])
+        robot.update_cfg(dict(zip(skeleton.dof_names, q[7:], strict=True)))
+        p, R = skeleton.forward_kinematics(q[None])
+        for j, name in enumerate(skeleton.names):
+            T_root_bone = robot.get_transform(name, skeleton.root)
+            np.testing.assert_allclose(T_root_bone[:3, 3], p[0, j], atol=1e-9)
+            np.testing.assert_allclose(T_root_bone[:3, :3], R[0, j], atol=1e-9)
+    assert not np.allclose(R[0], np.eye(3))
+    assert so3.is_rotation(R)
