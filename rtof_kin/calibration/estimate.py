@@ -56,6 +56,7 @@ def calibrate(
     frames: int = 50,
     progress: Callable[[int, int], None] | None = None,
     left_out: tuple[StreamFault, ...] = (),
+    bone_imus: BoneImuSequence | None = None,
 ) -> SelfCalibration:
     """Estimate the unknowns of a recording.
 
@@ -66,6 +67,7 @@ def calibrate(
         settings: of the joint-space solver. frames: N of a fragment.
         progress: called with (steps done, steps in all).
         left_out: faults of sensors, by segment, whose samples are not used.
+        bone_imus: sensors at the keypoints' times without those faults; by default made of the recording.
 
     Raises:
         CalibrationError: there are no IMUs, or they and the video have too little time in common.
@@ -73,7 +75,7 @@ def calibrate(
     """
     priors = priors or CalibrationPriors.of(recording)
     settings = settings or JointSpaceSettings(floor_height=recording.floor_height)
-    fragments = shared_fragments(recording, guess, priors, settings, frames, left_out)
+    fragments = shared_fragments(recording, guess, priors, settings, frames, left_out, bone_imus)
     shared = fragments.estimate(priors.rounds, progress, priors.overcount)
     quantities = _quantities(fragments, shared, priors.overcount)
     return SelfCalibration(
@@ -91,6 +93,7 @@ def shared_fragments(
     settings: JointSpaceSettings,
     frames: int,
     left_out: tuple[StreamFault, ...] = (),
+    bone_imus: BoneImuSequence | None = None,
 ) -> SharedFragments:
     """Return the problem that `calibrate` solves; arguments and errors are those of `calibrate`."""
     imus, seen = recording.imus, recording.keypoints
@@ -102,7 +105,7 @@ def shared_fragments(
     _check_long_enough(seen, imus, priors)
     start = guess.poses
     native = mask_faults(recording.calibration.apply(imus), left_out)
-    bone_imus = native.resample(start.times)
+    bone_imus = native.resample(start.times) if bone_imus is None else bone_imus
     data = Observations(recording.skeleton, frames, settings, guess, seen, bone_imus, places=native.joints)
     slow = low_passed(_with_even_noise(native), settings)
 

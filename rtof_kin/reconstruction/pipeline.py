@@ -346,6 +346,7 @@ def _calibrate(
     found = estimate_calibration(
         replace(prepared.recording, keypoints=prepared.keypoints), used.guess, priors, solver,
         own.settings.frames, lambda done, total: own.progress("calibrate", done, total), slipped,
+        used.bone_imus,
     )  # fmt: skip
     return (found if known is None else known.followed_by(found)), slipped
 
