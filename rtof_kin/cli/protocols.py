@@ -146,7 +146,7 @@ def _job_progress() -> Iterator[Callable[[int, int, str], None]]:
     progress = Progress(*columns, console=err)
     task = progress.add_task("jobs", total=None, last="")
 
-    def tell(done: int, total: int, last: str) -> None:
+    def update(done: int, total: int, last: str) -> None:
         progress.start()  # not before there are jobs: an error stands alone
         if " failed: " in last:
             progress.console.print(last, soft_wrap=True)
@@ -154,7 +154,7 @@ def _job_progress() -> Iterator[Callable[[int, int, str], None]]:
         progress.update(task, completed=done, total=total, last=last)
 
     try:
-        yield tell
+        yield update
     finally:
         if progress.live.is_started:
             progress.stop()
@@ -203,7 +203,7 @@ def _add_run(parser: argparse.ArgumentParser, default: str, save_example: str) -
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there as well")
     parser.add_argument("--workers", type=int, metavar="N", help="processes; one per core if not given")
     add_output(parser, default, "folder for tables, figures and what is done so far: the same "
-               "command goes on there after an interruption")  # fmt: skip
+               "command resumes there after an interruption")  # fmt: skip
 
 
 def _add_total_capture(commands: Any) -> None:
@@ -270,7 +270,7 @@ def _add_human36m(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--cameras-file", type=Path, metavar="FILE",
-        help="camera-parameters.json or VideoPose3D's h36m_dataset.py; looked for in DIR otherwise",
+        help="camera-parameters.json or VideoPose3D's h36m_dataset.py; default: found in DIR",
     )  # fmt: skip
     parser.add_argument(
         "--keypoints", default="gt", metavar="KIND", help="gt, cpn_ft_h36m_dbb, detectron_ft_h36m"

@@ -112,7 +112,7 @@ def _train(options: argparse.Namespace) -> None:
     with Progress(*columns, console=err, disable=not _first()) as progress:
         task = progress.add_task("training", total=1.0, note="")
 
-        def tell(report: Mapping[str, Any]) -> None:
+        def update(report: Mapping[str, Any]) -> None:
             note = f"loss {report['loss_mm']:.0f} mm, {report['windows_per_second']:,.0f} windows/s"
             progress.update(task, completed=report["share_done"], note=note)
             for name, value in report.get("validation", {}).items():
@@ -122,12 +122,12 @@ def _train(options: argparse.Namespace) -> None:
 
         try:
             path = train(
-                config, corpus, options.output, tell, options.resume, options.start, options.overwrite
+                config, corpus, options.output, update, options.resume, options.start, options.overwrite
             )
         except KeyboardInterrupt:
             if _first():
                 where = f"{options.output}.state; curves so far: {figure_file(options.output)}"
-                err.print(f"--resume goes on from {where}", soft_wrap=True)
+                err.print(f"--resume continues from {where}", soft_wrap=True)
             raise
     if _first():
         out.print(f"wrote {path}", soft_wrap=True)
@@ -165,10 +165,10 @@ def _corpus(options: argparse.Namespace) -> Corpus | str:
         raise InvalidInputError("train: name one of CORPUS, --total-capture DIR and --human36m DIR")
     if options.corpus is not None:
         return str(options.corpus)
-    with _reading() as tell:
+    with _reading() as update:
         if options.total_capture is not None:
-            return total_capture_corpus(options.total_capture, tell)
-        return human36m_corpus(options.human36m, tell)
+            return total_capture_corpus(options.total_capture, update)
+        return human36m_corpus(options.human36m, update)
 
 
 @contextmanager
@@ -178,9 +178,9 @@ def _reading() -> Iterator[Callable[[int, int, str], None]]:
     with Progress(*columns, console=err, disable=not _first()) as progress:
         task = progress.add_task("takes", total=None)
 
-        def tell(done: int, total: int, note: str) -> None:
+        def update(done: int, total: int, note: str) -> None:
             progress.update(task, completed=done, total=total)
             if " skipped: " in note:
                 progress.console.print(note, soft_wrap=True)
 
-        yield tell
+        yield update
