@@ -132,6 +132,7 @@ class _SharedBatchNorm(nn.BatchNorm1d):
         self.train(norm.training)
 
     def forward(self, x: Tensor) -> Tensor:
+        """Normalise (B, C) by the mean and variance over the batches of all processes."""
         if not self.training:
             return super().forward(x)
         values, rows = x.float(), len(x) * self.count

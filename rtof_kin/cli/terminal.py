@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -111,7 +112,8 @@ def print_summary(result: Reconstruction, headline: Headline, folder: str | Path
     """
     poses, mode = result.motion.poses, result.mode
     source = f"{len(poses) / poses.rate_hz:.1f} s at {poses.rate_hz:.0f} Hz"
-    parts = [part for part in (_with_camera(result), _with_sensors(result)) if part]
+    parts = ["one camera"] if result.keypoints is not None else []
+    parts += [f"{len(result.bone_imus.joints)} IMUs"] if result.bone_imus is not None else []
     lines = {
         "recording": f"{result.recording.name}: {source}, {' and '.join(parts)}, mode {mode}; "
         f"subject {result.motion.skeleton.height:.2f} m tall",
@@ -123,14 +125,6 @@ def print_summary(result: Reconstruction, headline: Headline, folder: str | Path
     for name, text in lines.items():
         style = _STYLES.get(headline.grade.value, "") if name == "caution" else ""
         out.print(Text(f"{name:9} ", "bold"), Text(text, style), soft_wrap=True, sep="")
-
-
-def _with_camera(result: Reconstruction) -> str:
-    return "one camera" if result.keypoints is not None else ""
-
-
-def _with_sensors(result: Reconstruction) -> str:
-    return "" if result.bone_imus is None else f"{len(result.bone_imus.joints)} IMUs"
 
 
 def _accuracy(result: Reconstruction) -> str:
@@ -244,9 +238,9 @@ def _files(folder: str | Path) -> list[str]:
 
 def _entries(folder: str | Path) -> list[str]:
     """Files of a folder, and its subfolders with their number of files."""
-    inner = [name.split("/")[0] for name in _files(folder) if "/" in name]
-    own = [name for name in _files(folder) if "/" not in name]
-    return own + [f"{name}/ ({inner.count(name)})" for name in dict.fromkeys(inner)]
+    parts = [name.partition("/") for name in _files(folder)]
+    inner = Counter(top for top, slash, _ in parts if slash)
+    return [top for top, slash, _ in parts if not slash] + [f"{top}/ ({n})" for top, n in inner.items()]
 
 
 def print_files(folder: str | Path) -> None:

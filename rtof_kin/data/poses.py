@@ -29,7 +29,7 @@ class Provenance(IntEnum):
 
 
 def _not_given() -> Any:
-    """Return the placeholder of a default that depends on other fields, see `__post_init__`."""
+    """Return None, for which `__post_init__` computes the default from the other fields."""
     return None
 
 

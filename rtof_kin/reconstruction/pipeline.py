@@ -22,7 +22,7 @@ from rtof_kin.inertial.outlier_rejection import find_disagreements, mask_faults
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
 from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned, prepare, without_sensors
+from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned, prepare
 from rtof_kin.reconstruction.result import Choices, Reconstruction
 from rtof_kin.reconstruction.sensor_checks import (
     check_sensor_evidence,
@@ -197,7 +197,7 @@ def _optimised(
     if mode == "rtof" and job.settings.guard_streams and prepared.bone_imus is not None:
         wrong = find_disagreements(solution.poses, prepared.bone_imus, prepared.skeleton)
         if wrong:
-            prepared = without_sensors(prepared, wrong, calibration)
+            prepared = prepared.without(wrong)
             solution = job.solve(prepared, job.settings.confidence, mode)
     return prepared, solution.poses, solution
 

@@ -49,10 +49,10 @@ class Prepared:
     """Poses after 'lift' and, with sensors, 'sf2'."""
     start: PoseSequence
     """Poses that the solver starts from: those of SF2; without sensors the lift with rigid bones."""
-    keypoints: KeypointSequence
-    """Keypoints at the landmarks of the skeleton: calibrated landmark offsets are removed."""
     outliers: tuple[StreamFault, ...]
     settings: ReconstructionSettings
+    calibration: SelfCalibration | None = None
+    """The self-calibration that was applied to the recording before."""
     rejected: tuple[StreamFault, ...] = ()
     """Intervals of sensors that are not used because they contradict the motion, by segment."""
 
@@ -62,11 +62,29 @@ class Prepared:
         return (*self.outliers, *self.rejected)
 
     @cached_property
+    def keypoints(self) -> KeypointSequence:
+        """Keypoints at the landmarks of the skeleton: calibrated landmark offsets are removed."""
+        video = self.recording.video
+        return video if self.calibration is None else self.calibration.moved(video, self.start)
+
+    @cached_property
     def guess(self) -> InitialGuess:
         """What the fragment solver and the calibration start from."""
         solver = self.settings.solver(self.skeleton)
         sensors = self.bone_imus if isinstance(solver, JointSpaceSettings) else None
         return initial_guess(self.start, self.keypoints, sensors, self.skeleton, refit_root=solver.refit_root)
+
+    def without(self, wrong: tuple[StreamFault, ...]) -> Prepared:
+        """Return the same with sensors rejected; SF2 runs again on the same lift.
+
+        Args:
+            wrong: further intervals of sensors that are not used, by segment.
+        """
+        assert self.bone_imus is not None
+        bone_imus = mask_faults(self.bone_imus, wrong)
+        stages, start = _refined(self.lifted, self.skeleton, "rtof", bone_imus, self.settings)
+        rejected = merge_faults((*self.rejected, *wrong))
+        return replace(self, bone_imus=bone_imus, stages=stages, start=start, rejected=rejected)
 
 
 def prepare(
@@ -80,7 +98,7 @@ def prepare(
         recording: with keypoints. skeleton: the subject's.
         mode: a mode with a camera. lifter: default: the shipped one.
         rejected: intervals of sensors that are not used, by segment.
-        calibration: applied to the recording before; its landmark offsets move the keypoints.
+        calibration: applied to the recording before.
 
     Raises:
         InvalidInputError: times or points are in another unit; there are no keypoints, or no IMUs in a
@@ -102,29 +120,8 @@ def prepare(
     lifted = lift(keypoints, skeleton, lifter, sensors, recording.floor_height)
     progress("lift", 1, 1)
     stages, start = _refined(lifted, skeleton, mode, bone_imus, settings)
-    moved = keypoints if calibration is None else calibration.moved(keypoints, start)
-    return Prepared(recording, skeleton, lifted, bone_imus, stages, start, moved, faults, settings, rejected)
-
-
-def without_sensors(
-    prepared: Prepared, wrong: tuple[StreamFault, ...], calibration: SelfCalibration | None = None
-) -> Prepared:
-    """Return the same with sensors rejected; SF2 runs again on the same lift.
-
-    Args:
-        prepared: of mode rtof. wrong: further intervals that are not used. calibration: see `prepare`.
-    """
-    assert prepared.bone_imus is not None
-    bone_imus = mask_faults(prepared.bone_imus, wrong)
-    stages, start = _refined(prepared.lifted, prepared.skeleton, "rtof", bone_imus, prepared.settings)
-    video = prepared.recording.video
-    return replace(
-        prepared,
-        bone_imus=bone_imus,
-        stages=stages,
-        start=start,
-        keypoints=video if calibration is None else calibration.moved(video, start),
-        rejected=merge_faults((*prepared.rejected, *wrong)),
+    return Prepared(
+        recording, skeleton, lifted, bone_imus, stages, start, faults, settings, calibration, rejected
     )
 
 

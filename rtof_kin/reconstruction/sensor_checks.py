@@ -97,7 +97,11 @@ def check_sensor_evidence(
         best_exchange(seen, reading, lifted, skeleton) <= _EXCHANGED for reading in readings
     ):
         return (*form, clocks, Check(SETUP, "sensors", 0.0, _SURE, "nats"))
-    setup = _check_setup(recording, skeleton, lifter, settings, view_suspect)
+    if prepared.bone_imus is None and prepared.calibration is None:
+        image_only = prepared
+    else:
+        image_only = prepare(recording, skeleton, "lift", lifter, settings, lambda *_: None)
+    setup = _check_setup(image_only, recording.calibration, view_suspect)
     return (*form, clocks, setup)
 
 
@@ -144,19 +148,15 @@ def _rolled(names: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
         yield names[shift:] + names[:shift]
 
 
-def _check_setup(
-    recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None,
-    settings: ReconstructionSettings, view_suspect: bool,
-) -> Check:  # fmt: skip
-    """Diagnose placement and world frame of the sensors from movement and an image-only lift."""
-    seen = prepare(recording, skeleton, "lift", lifter, settings, lambda *_: None)
-    bone_imus = seen.recording.bone_imus()
+def _check_setup(image_only: Prepared, calibration: ImuCalibration, view_suspect: bool) -> Check:
+    """Diagnose placement and world frame of the sensors from movement and a lift without sensors."""
+    bone_imus, visual = image_only.recording.bone_imus(), image_only.stages["lift"]
     if bone_imus is None or not _long_enough(bone_imus):
         why = f"video and sensors have less than {_LEAST_SECONDS:g} s in common"
         return Check.unknown(SETUP, "sensors", "nats", why)
     found = [
         fault for pose, kinds in (("T", tuple(FaultKind)), ("N", _ELSEWHERE)) for fault in diagnose_setup(
-            bone_imus, skeleton, pose=pose, visual=seen.start, calibration=recording.calibration,
+            bone_imus, image_only.skeleton, pose=pose, visual=visual, calibration=calibration,
             kinds=kinds, most=1)
     ]  # fmt: skip
     if not found:

@@ -87,6 +87,7 @@ class _Trail:
     identity: int = NO_IDENTITY
 
     def extend(self, measures: _Measures, t: int, person: int, now: float) -> None:
+        """Append person number `person` of frame `t`, at time `now`, s."""
         points, size = measures.uv[t, person], float(measures.size[t, person])
         if self.frames:
             moved = points - self.points

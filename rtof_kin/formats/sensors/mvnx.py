@@ -196,6 +196,7 @@ class _Content:
     unread: set[str] = field(default_factory=set)
 
     def take(self, element: Element) -> None:
+        """Read an element of the file, in the order of the file."""
         tag = _tag(element)
         if tag == "subject":
             self.rate_hz = self._number(element.get("frameRate"), "frameRate of <subject>")
@@ -265,6 +266,7 @@ class _Content:
         return np.asarray(readonly(tag, table, table.shape))
 
     def mvnx(self) -> Mvnx:
+        """Return what was read; raise `FileFormatError` where it is no recording."""
         if not self.index or np.isnan(self.rate_hz):
             raise FileFormatError(self.path, "has no frame of a recording in a <subject>")
         T = len(self.index)
