@@ -135,10 +135,12 @@ def _accuracy(result: Reconstruction) -> str:
             f"knees and elbows {m['flexion_deg']:.1f} deg (mean errors against the truth)"
         )
     confidence = result.motion.confidence
-    if confidence is None:
-        return f"not estimated in mode {result.mode}; the recording has no truth to compare with"
     import numpy as np
 
+    if confidence is None:
+        return f"not estimated in mode {result.mode}; the recording has no truth to compare with"
+    if not np.isfinite(confidence.position_covariance).any():
+        return "unknown: no fragment determines the pose, and the recording has no truth to compare with"
     relative, world = (
         1000 * _MEAN_NORM * float(np.nanmean(sigma))
         for sigma in (confidence.relative_sigma[:, 1:], confidence.position_sigma)
