@@ -195,7 +195,7 @@ def _offsets(
     turned = np.einsum("tkh,khj->tkj", harmonics(toward), view)
 
     def fixed(frames: tuple[str, ...], offset: Array) -> Array:
-        return np.einsum("tkij,kj->tki", R_camera_bone[:, skeleton.index(*frames)], offset)
+        return np.asarray(np.einsum("tkij,kj->tki", R_camera_bone[:, skeleton.index(*frames)], offset))
 
     in_frames = fixed(places.frame, places.mean + own) + fixed(places.second_frame, places.pose)
     return np.asarray(in_frames + turned @ np.swapaxes(R_camera_pelvis, -1, -2))

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.rotations import unit
 
 _TRUNK = ("Hips", "Neck", 0.11, 0.12)
@@ -17,7 +17,7 @@ _SPHERES = 6
 """Spheres that make a capsule."""
 
 
-def self_occluded(p_camera_joint: Array, p_camera_point: Array, limb: Array, skeleton: SkeletonModel) -> Mask:
+def self_occluded(p_camera_joint: Array, p_camera_point: Array, limb: Index, skeleton: SkeletonModel) -> Mask:
     """Return which points (T, K) stand behind the trunk, or behind the other leg if they are of a leg.
 
     Args:
