@@ -42,6 +42,7 @@ HERE = Path(__file__).parent
 KEYPOINTS = {
     "perfect": SimulationSettings.perfect,
     "white": SimulationSettings.white,
+    "independent": SimulationSettings.independent,
     "realistic": SimulationSettings.realistic,
 }
 SENSOR_SETS = {

@@ -24,8 +24,8 @@ from rtof_kin.vision.keypoints import keypoints_from_detections
 
 Apply = Callable[[Recording, Generator], Recording]
 ORDINARY = "ordinary"
-SIMULATED, SAMPLED = "realistic", "mediapipe"
-"""2D of the package's simulation, and drawn from a model fitted to real detections of MediaPipe."""
+SIMULATED, SAMPLED = "independent", "mediapipe"
+"""2D with independent errors of the joints, and drawn from a model fitted to real detections of MediaPipe."""
 SENSORS = ("0", "4", "8", "10")
 RIGS = {
     "SNU": ("snu_balance", "snu_dance", "snu_kick", "snu_pirouette"),

@@ -24,11 +24,12 @@ Array = NDArray[np.float64]
 SKELETON = SkeletonModel.default().with_height(1.68)
 TABLE = detector_error_table()
 POSES = planted.moving(SKELETON, 120).poses
-STANDING = planted.standing(SKELETON, 1800).poses
+STANDING = planted.upright(SKELETON, 900).poses
 NONE = DetectorErrors.none()
-HIPS = STANDING.p_world_joint[0, 0]
-FRONT = Camera.looking_at(HIPS + [4.0, 0.0, 0.2], HIPS, 1250.0)
-LEFT = Camera.looking_at(HIPS + [0.0, 4.0, 0.2], HIPS, 1250.0)
+HIPS, FORWARD, LEFTWARD = STANDING.p_world_joint[0, 0], *STANDING.R_world_bone[0, 0].T[:2]
+UP = np.array([0.0, 0.0, 1.0])
+FRONT = Camera.looking_at(HIPS + 4.0 * FORWARD + 0.2 * UP, HIPS, 1250.0)
+LEFT = Camera.looking_at(HIPS + 4.0 * LEFTWARD + 0.2 * UP, HIPS, 1250.0)
 
 
 def found(
@@ -41,7 +42,8 @@ def found(
 def errors_mm(errors: DetectorErrors, camera: Camera = FRONT, seed: int = 0) -> Array:
     """Errors (T, K, 2) of a standing person at the depth of the points, mm."""
     depth = camera.to_camera(STANDING.p_world_joint[0, list(SKELETON.index(*TABLE.places.anchor))])[:, 2:]
-    difference = found(errors, camera=camera, seed=seed)[0] - found(NONE, camera=camera)[0]
+    exact = found(NONE, STANDING[:2], camera)[0][0]
+    difference = found(errors, camera=camera, seed=seed)[0] - exact
     return np.asarray(difference * depth / 1250 * 1e3)
 
 
@@ -114,14 +116,22 @@ def test_the_constant_errors_have_the_covariance_of_the_table() -> None:
 @pytest.fixture(scope="module")
 def coloured() -> Array:
     """Coloured errors (S, T, K, 2) of a person who stands and is seen from the front, mm."""
-    return np.array([errors_mm(replace(NONE, coloured=1.0), seed=seed) for seed in range(24)])
+    return np.array([errors_mm(replace(NONE, coloured=1.0), seed=seed) for seed in range(32)])
 
 
-@pytest.mark.parametrize(("name", "far"), [("left_hip", 0.0), ("nose", 0.0), ("right_shoulder", 0.0)])
-def test_coloured_errors_have_the_size_of_the_table(coloured: Array, name: str, far: float) -> None:
+@pytest.mark.parametrize("name", ["left_hip", "nose", "right_shoulder"])
+def test_coloured_errors_have_the_size_of_the_table(coloured: Array, name: str) -> None:
     k = point(name)
     size = np.sqrt(np.diag(dense(TABLE.coloured, 0)).reshape(33, 2)[k]) * TABLE.kinds.amplitude["gain"][k]
     np.testing.assert_allclose(np.sqrt((coloured[:, :, k] ** 2).mean(axis=(0, 1))), size, rtol=0.2)
+
+
+def windowed(lag: float) -> Array:
+    """Autocovariance (C,) of an unsmoothed unit process of each time constant under the window."""
+    steps = np.linspace(-4, 4, 161)
+    weight = np.exp(-0.5 * steps**2)
+    lags = np.abs(lag + np.sqrt(2) * TABLE.smoothing * steps)
+    return np.asarray(weight @ np.exp(-lags[:, None] / np.maximum(TABLE.time_constants, 1e-6)) / weight.sum())
 
 
 @pytest.mark.parametrize("group", ["face", "hip", "wrist"])
@@ -132,20 +142,17 @@ def test_coloured_errors_have_the_correlation_times_of_the_table(coloured: Array
         steps, slow = round(lag * 60), TABLE.time_constants > 0
         x = coloured[:, :, k]
         measured = (x[:, steps:] * x[:, :-steps]).mean() / (x**2).mean()
-        expected = (shares[slow] * np.exp(-lag / TABLE.time_constants[slow])).sum()
+        expected = (shares[slow] * windowed(lag)[slow]).sum() / (shares[slow] * windowed(0.0)[slow]).sum()
         expected *= np.exp(-(mood_sd**2) * (1 - np.exp(-lag / 0.3)))
         assert measured == pytest.approx(expected, abs=0.1), lag
 
 
-def test_shoulders_and_hips_widen_together_as_in_the_table(coloured: Array) -> None:
-    a, b = np.zeros((2, 33, 2))
-    a[[point("left_shoulder"), point("right_shoulder")], 0] = 1, -1
-    b[[point("left_hip"), point("right_hip")], 0] = 1, -1
-    C, a, b = dense(TABLE.coloured, 0), a.ravel(), b.ravel()
-    x = coloured.reshape(-1, 66)
-    expected = a @ C @ b / np.sqrt((a @ C @ a) * (b @ C @ b))
-    assert expected > 0.2
-    assert np.corrcoef(x @ a, x @ b)[0, 1] == pytest.approx(expected, abs=0.12)
+def test_errors_of_shoulders_and_hips_are_correlated_as_in_the_table(coloured: Array) -> None:
+    own = (2 * TABLE.points_of(["shoulder", "hip"])[:, None] + [0, 1]).ravel()
+    C = dense(TABLE.coloured, 0)[np.ix_(own, own)]
+    expected = C / np.sqrt(np.outer(np.diag(C), np.diag(C)))
+    assert np.abs(expected - np.eye(8)).max() > 0.5
+    np.testing.assert_allclose(np.corrcoef(coloured.reshape(-1, 66)[:, own].T), expected, atol=0.2)
 
 
 def test_a_body_in_profile_hides_its_other_side_which_errs_more_and_is_less_visible() -> None:
@@ -191,7 +198,7 @@ def test_limbs_jump_and_the_person_is_lost_for_some_frames() -> None:
     )
     assert 0.01 < jumped[point("left_wrist")] < 0.04
     assert jumped[TABLE.points_of(["face", "shoulder", "hip"])].max() == 0
-    aside = Camera.looking_at(HIPS + [4.0, 0.0, 0.2], HIPS + [0.0, 0.0, 2.3], 1250.0)
+    aside = Camera.looking_at(FRONT.center_world, HIPS + 2.7 * UP, 1250.0)
     uv, visibility = found(DetectorErrors(), camera=aside)
     lost = np.isnan(uv).all(axis=(1, 2))
     assert lost.mean() > 0.5
@@ -199,9 +206,9 @@ def test_limbs_jump_and_the_person_is_lost_for_some_frames() -> None:
 
 
 def test_the_camera_stands_a_little_differently_from_what_is_said() -> None:
-    exact, found_px = found(NONE, POSES[:1])[0][0], []
+    exact, found_px = found(NONE, POSES[:2])[0][0], []
     for seed in range(100):
-        found_px.append(found(replace(NONE, camera=1.0), POSES[:1], seed=seed)[0][0])
+        found_px.append(found(replace(NONE, camera=1.0), POSES[:2], seed=seed)[0][0])
     z, w = (uv @ [1, 1j] for uv in (exact, np.array(found_px)))
     z0, w0 = z - z.mean(), w - w.mean(axis=1, keepdims=True)
     scale = (w0 @ z0.conj()) / (z0 @ z0.conj())
@@ -224,7 +231,9 @@ def test_the_delay_is_in_what_the_frames_show(rate_hz: float) -> None:
     (uv, times, _), (late, late_times, first) = recorded(0), recorded(2)
     assert first == frames
     np.testing.assert_array_equal(late_times, times[frames:])
-    np.testing.assert_allclose(late, uv[:-frames], atol=1e-6)
+    both = np.isfinite(late) & np.isfinite(uv[:-frames])
+    assert np.median(np.abs(late - uv[:-frames])[both]) < 1e-6
+    assert np.nanmedian(np.abs(late - uv[frames:])) > 0.2, "or else the test says nothing"
 
 
 def test_a_realistic_recording_has_the_keypoints_of_a_detectors_file_and_the_camera_as_said() -> None:
