@@ -102,7 +102,7 @@ class ImuNoise:
     """Errors of IMUs on a body: of orientation (`ORIENTATION_MEDIAN_DEG`) and of the accelerometer."""
 
     misalignment_deg: float = 0.9  # [deg] per axis, constant per sensor
-    orientation_factor: float = 1.03  # [-] on the medians of each segment; 0 for none
+    orientation_factor: float = 1.0  # [-] on the medians of each segment; 0 for none
     drift_memory: float = 20.0  # [s] correlation time of the slip
     wobble_share: float = 0.3  # [-] of the variance, correlated with the segment's motion
     white: float = 0.4  # [m/s^2] per axis and sample, at rest
