@@ -23,7 +23,7 @@ from rtof_kin.data.confidence import Confidence
 def row(motion: str, frames: int, value: float, **fields: Any) -> dict[str, Any]:
     """One row of results with the same value everywhere."""
     figures = dict.fromkeys(COLUMNS, value)
-    base = {"motion": motion, "rig": "snu", "frames": frames, "keypoints": "perfect"}
+    base = {"motion": motion, "rig": "snu", "held out": "rigs", "frames": frames, "keypoints": "perfect"}
     return {**base, "mode": "rtof", **figures, **fields}
 
 
