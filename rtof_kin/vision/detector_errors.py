@@ -92,13 +92,13 @@ def read_detector_points(path: str | Path, layout: str) -> dict[str, DetectorPoi
         FileFormatError: not TOML, a field missing or of the wrong kind. UnknownNameError: unknown layout.
     """
     path = Path(path)
-    data, table = load_toml(path), detector_table()
-    places = {point.name: point for point in table.points}
+    data, names = load_toml(path), detector_table().layout(layout).points
+    places = {point.name: point for point in detector_table().points}
     try:
         measured, views = (data.get(key, {}).get(layout, {}) for key in ("measured", "view"))
         parts = {name: part for part in data["part"] for name in part["points"]}
         found = dict[str, DetectorPoint]()
-        for name in table.layout(layout).points:
+        for name in names:
             right = name.replace("Left", "Right", 1) if name.startswith("Left") else name
             if right in parts:
                 point = _point(parts[right], places[right], measured.get(right), views.get(right))
@@ -125,7 +125,6 @@ def _point(
         anchor = measured["anchor"]
         place, second = (_metres(measured[key], (3,)) for key in ("place_mm", "second_mm"))
         moving = measured["frame"], place, measured["second"], second
-        skeleton.index(anchor, measured["frame"], measured["second"])
     frame, place, second_frame, second_place = moving
     return DetectorPoint(
         anchor, frame, place, float(part["size_mm"]) / 1000, float(part["independent"]),

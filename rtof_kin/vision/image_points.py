@@ -46,6 +46,8 @@ class ImagePoints:
     """(L, 3) in the second segments' link frames, m."""
     views: Array
     """(L, 8, 3) displacement by the direction of view in the pelvis frame, m."""
+    R_bone_pelvis: Array
+    """(3, 3) frame of the views in the root's link frame."""
 
     def positions(self, p_world_joint: Array, R_world_bone: Array) -> Array:
         """Return the points (T, L, 3) in world, m.
@@ -65,12 +67,12 @@ class ImagePoints:
             camera: that sees them. p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3).
         """
         toward = so3.unit(camera.center_world - p_world_joint[:, list(self.anchors)])
-        R_root = R_world_bone[:, 0]
-        by_view = np.einsum("tlh,lhi->tli", harmonics(np.einsum("tji,tlj->tli", R_root, toward)), self.views)
+        R_pelvis = R_world_bone[:, 0] @ self.R_bone_pelvis
+        by_view = np.einsum("tlh,lhi->tli", harmonics(np.einsum("tji,tlj->tli", R_pelvis, toward)), self.views)
         second = np.einsum("tlij,lj->tli", R_world_bone[:, list(self.seconds)], self.second_places)
         at = self.positions(p_world_joint, R_world_bone)
         camera = camera.undistorted()
-        off = second + np.einsum("tij,tlj->tli", R_root, by_view)
+        off = second + np.einsum("tij,tlj->tli", R_pelvis, by_view)
         return np.asarray(camera.project(at + off) - camera.project(at))
 
     def slopes(self, camera: Camera, p_world_joint: Array, R_world_bone: Array) -> Array:
@@ -98,7 +100,7 @@ def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
     leg = 1.0 if not any(known) else float(np.mean([
         skeleton.bone_lengths[f"{side}Leg"] + skeleton.bone_lengths[f"{side}Foot"] for side in ("Left", "Right")
     ]))  # fmt: skip
-    turns = _turns(skeleton) if any(known) else np.zeros((0, 3, 3))
+    turns = _turns(skeleton) if any(known) else np.eye(3)[None]
     places, seconds, views = np.zeros((L, 3)), np.zeros((L, 3)), np.zeros((L, 8, 3))
     sizes, independent, covariance = np.ones(L), np.ones(L), np.zeros((L, 3, 3))
     segments, anchors, others = list[int](), list[int](), list[int]()
@@ -110,7 +112,7 @@ def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
             j, anchor, second = index(point.frame), index(point.anchor), index(point.second)
             at = np.zeros(3) if anchor == j else skeleton.joint_offsets[anchor]
             places[i] = at + leg * turns[j] @ point.place
-            seconds[i], views[i] = leg * turns[second] @ point.second_place, leg * point.view @ turns[0].T
+            seconds[i], views[i] = leg * turns[second] @ point.second_place, leg * point.view
             sizes[i], independent[i] = point.size, point.independent
             spread = leg * turns[j] * point.place_sd
             covariance[i] = spread @ spread.T
@@ -122,7 +124,7 @@ def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
         sizes /= np.exp(np.log(sizes).mean())
     return ImagePoints(
         tuple(names), on, places, sizes, independent, covariance, tuple(anchors),
-        tuple(others), seconds, views,
+        tuple(others), seconds, views, turns[0],
     )  # fmt: skip
 
 

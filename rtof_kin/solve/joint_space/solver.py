@@ -27,6 +27,7 @@ from rtof_kin.solve.joint_space.ipopt import Ipopt
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
+from rtof_kin.vision.image_points import measurements
 
 _LOCAL_MINIMUM: Final = 1.8
 """Ratio of reprojection sigmas of neighbouring fragments that indicates a local minimum; biases and
@@ -54,8 +55,10 @@ class JointSpaceSolver:
         confidence: bool = False,
     ) -> Iterator[Block]:
         """Yield blocks of N/2 frames; the arguments are those of `FragmentSolver.solve`."""
-        if keypoints is not None and not set(keypoints.names) & set(self.skeleton.landmarks):
-            raise SolverError("keypoints: none of the landmarks is one of the skeleton")
+        if keypoints is not None:
+            used = measurements(keypoints, self.skeleton)
+            if not set(used.names) & set(keypoints.names):
+                raise SolverError("keypoints: none of the landmarks is one of the skeleton")
         data = Observations(
             self.skeleton, self.frames, self.settings, guess, keypoints, bone_imus, footholds, self.places
         )
