@@ -11,7 +11,9 @@ from rtof_kin.reconstruction.result import Reconstruction
 
 
 def reprojection_errors(result: Reconstruction) -> tuple[Array, float]:
-    """Return reprojection errors (T, L) of the landmarks, px, NaN where unknown, and the median height of the body, px.
+    """Return reprojection errors (T, L) of the landmarks and the median height of the body, px.
+
+    Errors are NaN where unknown.
 
     Args:
         result: with keypoints.

@@ -39,7 +39,8 @@ def harmonics(direction: Array) -> Array:
 @dataclass(frozen=True)
 class DetectorPoint:
     """A detector's point on a body with a leg (thigh and shank) of 1 m; vectors are in link frames of the
-    shipped skeleton."""
+    shipped skeleton.
+    """
 
     anchor: str
     """Joint next to it."""

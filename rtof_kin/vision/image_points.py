@@ -1,8 +1,8 @@
 """Points of a body that keypoints show, with their places in its segments.
 
-The skeleton's landmarks are fixed in their segments. A detector's own points lie where `detector_errors` says,
-turned from the shipped skeleton's link frames to those of this rig and scaled by the length of the leg. What
-moves them beside their segment, a second segment and the direction of view, is evaluated at known poses
+The skeleton's landmarks are fixed in their segments. A detector's own points lie where `detector_errors`
+says, turned from the shipped skeleton's link frames to those of this rig and scaled by the length of the leg.
+What moves them beside their segment, a second segment and the direction of view, is evaluated at known poses
 (`ImagePoints.displaced`).
 """
 
@@ -35,7 +35,7 @@ class ImagePoints:
     sizes: Array
     """(L,) expected errors relative to those of the others."""
     independent: Array
-    """(L,) weights beside correlated neighbours."""
+    """(L,) weights beside correlated neighbours, relative to those of the others."""
     place_covariance: Array
     """(L, 3, 3) of the places between persons, m^2; zero for the skeleton's landmarks."""
     anchors: tuple[int, ...]
@@ -68,7 +68,9 @@ class ImagePoints:
         """
         toward = so3.unit(camera.center_world - p_world_joint[:, list(self.anchors)])
         R_pelvis = R_world_bone[:, 0] @ self.R_bone_pelvis
-        by_view = np.einsum("tlh,lhi->tli", harmonics(np.einsum("tji,tlj->tli", R_pelvis, toward)), self.views)
+        by_view = np.einsum(
+            "tlh,lhi->tli", harmonics(np.einsum("tji,tlj->tli", R_pelvis, toward)), self.views
+        )
         second = np.einsum("tlij,lj->tli", R_world_bone[:, list(self.seconds)], self.second_places)
         at = self.positions(p_world_joint, R_world_bone)
         camera = camera.undistorted()
@@ -97,9 +99,7 @@ def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
     L, index = len(names), skeleton.names.index
     known = [_measurement(name) for name in names]
     own = [skeleton.landmarks.get(name) for name in names]
-    leg = 1.0 if not any(known) else float(np.mean([
-        skeleton.bone_lengths[f"{side}Leg"] + skeleton.bone_lengths[f"{side}Foot"] for side in ("Left", "Right")
-    ]))  # fmt: skip
+    leg = _leg(skeleton) if any(known) else 1.0
     turns = _turns(skeleton) if any(known) else np.eye(3)[None]
     places, seconds, views = np.zeros((L, 3)), np.zeros((L, 3)), np.zeros((L, 8, 3))
     sizes, independent, covariance = np.ones(L), np.ones(L), np.zeros((L, 3, 3))
@@ -122,6 +122,7 @@ def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
     on = tuple((j, name in skeleton.names) for j, name in zip(segments, names, strict=True))
     if L:
         sizes /= np.exp(np.log(sizes).mean())
+        independent /= independent.mean()
     return ImagePoints(
         tuple(names), on, places, sizes, independent, covariance, tuple(anchors),
         tuple(others), seconds, views, turns[0],
@@ -144,6 +145,12 @@ def measurements(keypoints: KeypointSequence, skeleton: SkeletonModel) -> Keypoi
 @cache
 def _shipped() -> SkeletonModel:
     return SkeletonModel.default()
+
+
+def _leg(skeleton: SkeletonModel) -> float:
+    """Length of thigh and shank, mean of the two sides, m."""
+    length = skeleton.bone_lengths
+    return float(sum(length[f"{side}{joint}"] for side in ("Left", "Right") for joint in ("Leg", "Foot")) / 2)
 
 
 def _turns(skeleton: SkeletonModel) -> Array:

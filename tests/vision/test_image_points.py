@@ -95,7 +95,7 @@ def test_measurements_are_the_detectors_points_or_else_the_landmarks() -> None:
     [
         ("size_mm = 14", "", "the field 'size_mm' is missing"),
         ("[74.4, 0, 25.8]", "[74.4, 0]", "is not an array of shape"),
-        ('independent = 0.26', 'independent = "a"', "not of the right kind"),
+        ("independent = 0.26", 'independent = "a"', "not of the right kind"),
     ],
 )
 def test_a_damaged_table_is_named(old: str, new: str, message: str, tmp_path: Path) -> None:

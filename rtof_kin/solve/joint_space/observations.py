@@ -58,7 +58,8 @@ class Observations:
     """Observations of T frames, and the energy of fragments built for them.
 
     Attributes:
-        names: L landmarks or detector's points. points: their places. sensors: S segments with a place for a sensor. attached: their segments.
+        names: L landmarks, or the detector's own points. points: their places.
+        sensors: S segments with a place for a sensor. attached: segments of landmarks, sensors, ankles.
         fixed: joints of the state space that keep their orientation because their sensor has no data.
         rows, a_world, w_acceleration: observations of every frame. constant: body, camera, prior, floor.
         start: (T, 3 + 4A) initial states. confidence: (T, L) relative weights of the landmarks, 0 where
