@@ -26,25 +26,30 @@ _FEWEST, _FEWEST_PAIRS = 4, 2  # points that identify a person, pairs that show 
 _LOWER = ("Leg", "Foot", "Toe", "Heel", "Hip", "Knee")
 
 
-def reject_keypoint_outliers(keypoints: KeypointSequence) -> tuple[KeypointSequence, tuple[StreamFault, ...]]:
+def reject_keypoint_outliers(
+    keypoints: KeypointSequence, *, sides: bool = True, person: bool = True
+) -> tuple[KeypointSequence, tuple[StreamFault, ...]]:
     """Exchange swapped sides back and set another person's keypoints to NaN.
 
     The landmarks decide; the detector's own points are treated as they are.
 
     Args:
         keypoints: at any times; names of sides begin with ``Left`` and ``Right``, or ``L`` and ``R``.
+        sides: look for exchanged sides. person: look for another person.
 
     Returns:
         The keypoints, unchanged without faults, and the faults.
     """
     found: list[StreamFault] = []
     landmarks, every = side_pairs(keypoints.landmarks.names), side_pairs(keypoints.names)
-    for group, pairs in landmarks.items():
+    for group, pairs in landmarks.items() if sides else ():
         faults, exchanged = _exchanges(keypoints.landmarks, group, pairs)
         found += faults
         keypoints = _with_sides_corrected(keypoints, exchanged, every[group])
-    keypoints, faults = _without_other_people(keypoints)
-    return keypoints, tuple(sorted([*found, *faults], key=lambda fault: fault.start))
+    if person:
+        keypoints, faults = _without_other_people(keypoints)
+        found += faults
+    return keypoints, tuple(sorted(found, key=lambda fault: fault.start))
 
 
 def side_pairs(names: tuple[str, ...]) -> dict[str, Index]:

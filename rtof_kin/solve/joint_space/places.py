@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 
 _NORMAL_MEDIAN: Final = 1.177
 """Median norm of a normal error in two dimensions, in standard deviations of an axis."""
@@ -49,7 +49,7 @@ def estimated_places(residuals: Array, slopes: Array, weights: Array, covariance
     return offsets
 
 
-def _frames_as_one(residuals: Array, seen: Array) -> float:
+def _frames_as_one(residuals: Array, seen: Mask) -> float:
     """Number of frames in a row with the information of one: 1 + 2 sum of the autocorrelations.
 
     Args:
