@@ -19,7 +19,9 @@ from torch import Tensor
 from lifting.body import Body, bone_groups
 from lifting.corpus import Corpus
 from lifting.draws import Draw, about_axis
+from lifting.joint_errors import View
 from lifting.noise import HALF_HEIGHT, HALF_WIDTH, PERFECT, TRAINING_NOISE, NoiseConfig, add_noise, runs
+from lifting.rigs import RigConfig, trunk_segments, turns
 from lifting.sensors import SensorConfig, with_errors, worn
 from lifting.windows import Picture, Windows
 from rtof_kin.body import kinematics
@@ -57,6 +59,8 @@ class AugmentConfig:
     """Share of windows on the skeleton of their motion; the rest have another one of the bank."""
     recombine: float = 0.2
     """Share of windows whose upper body comes from another motion."""
+    rigs: RigConfig = field(default_factory=RigConfig)
+    """How other rigs and people differ in the trunk."""
     hide_bones: float = 0.2
     """Share of windows without known bones."""
     bone_error: float = 0.003
@@ -80,7 +84,7 @@ def plain(noise: NoiseConfig = PERFECT) -> AugmentConfig:
     return AugmentConfig(
         mirror=0.0, tilt=0.0, warp=(1.0, 1.0), overall_scale=0.0, bone_scale=0.0, own_skeleton=1.0,
         recombine=0.0, hide_bones=0.0, bone_error=0.0, hide_height=1.0, noise=noise,
-        sensors=SensorConfig(none=1.0),
+        sensors=SensorConfig(none=1.0), rigs=RigConfig(share=0.0),
     )  # fmt: skip
 
 
@@ -151,6 +155,24 @@ class _Moving:
         exchange(self.axes, upper.axes, segments)
         exchange(self.carried, upper.carried, sensors)
 
+    def vary(self, body: Body, rows: Tensor, R: Tensor, segments: list[int], estimated: int) -> None:
+        """Turn segments by rotations R (B', W, n, 3, 3) in world in some rows (B',), with their bones."""
+        for i, j in enumerate(segments):
+            columns = R[:, :, i].permute(3, 0, 2, 1)  # (3, B', 3, W)
+
+            def turn(x: Tensor, columns: Tensor = columns) -> Tensor:
+                """Vectors (B', 3, W, ...) turned."""
+                shape = (*columns[0].shape, *[1] * (x.ndim - 3))
+                parts = (columns[k].reshape(shape) * x[:, k : k + 1] for k in range(3))
+                return sum(parts, torch.zeros(()))
+
+            for child in kinematics.children_of(body.parents, j):
+                self.bones[rows, ..., child - 1] = turn(self.bones[rows, ..., child - 1])
+            self.axes[rows, ..., j] = R[:, estimated, i] @ self.axes[rows, ..., j]
+            if j in body.sensor_joints:
+                s = body.sensor_joints.index(j)
+                self.carried[rows, ..., s] = turn(self.carried[rows, ..., s])
+
 
 class MotionBank:
     """A corpus as tensors on one device, to draw windows from."""
@@ -194,6 +216,7 @@ class MotionBank:
         self.bone_axes = _bone_axes(corpus, self.body).to(device)
         groups = bone_groups(self.body.names)
         self.groups = len(groups)
+        self.trunk = trunk_segments(self.body)
         self.group_of_joint = torch.zeros(len(self.body.names), dtype=torch.long, device=device)
         for i, joints in enumerate(groups.values()):
             self.group_of_joint[joints] = i
@@ -240,7 +263,8 @@ class MotionBank:
         ahead = draw.between(config.distance, batch)
         towards_root = torch.stack([ahead, torch.zeros_like(height), root_height - height], 1)
         p = pose.add_((moving.root + towards_root[:, :, None])[..., None])
-        rays, seen, picture = self._observe(p, towards_root, config, draw)
+        body = View(p[:, :, estimated], moving.axes, moving.offsets * factor[:, :, None])
+        rays, seen, picture = self._observe(p, towards_root, body, config, draw)
         bones = bones + config.bone_error * draw.normal(*bones.shape)
         bones = torch.where(draw.uniform(batch, 1) < config.hide_bones, torch.nan, bones)
         height = height + config.height_error * draw.normal(batch)
@@ -255,10 +279,12 @@ class MotionBank:
         offset = step[None] * speed
         lag = draw.between(config.sensors.lag, len(frames))[:, None] * speed
         moving, heading = self._at(frames, offset, lag, self._bodies(config, draw))
+        self._vary(moving, frames, offset, config.rigs, draw)
         count = round(config.recombine * len(frames))
         if count:
             other, body = draw.integers(len(self))[:count], self._bodies(config, draw)[:count]
             upper, other_heading = self._at(other, offset[:count], lag[:count], body)
+            self._vary(upper, other, offset[:count], config.rigs, draw)
             upper = upper.turned(about_axis(2, heading[:count] - other_heading))
             sensors = self.upper_segments[self.body.sensor_joints]
             moving.put_on(count, upper, self.upper, self.upper_segments, sensors)
@@ -285,6 +311,25 @@ class MotionBank:
             bones.transpose(1, 2).contiguous(), root, self.offsets[body, self.clip[frames]],
             self.axes[frames], self.carried[nearest].transpose(1, 2).contiguous(),
         ), self.heading[frames]  # fmt: skip
+
+    def _vary(
+        self, moving: _Moving, frames: Tensor, offset: Tensor, config: RigConfig, draw: Draw
+    ) -> None:
+        """Give some of the bodies the trunk of another rig, in place."""
+        rows = (draw.uniform(len(frames)) < config.share).nonzero()[:, 0]
+        if not len(rows) or not self.trunk:
+            return
+        W, estimated = offset.shape[1], int(offset[0].abs().argmin())
+        keys = [0, W // 2, W - 1]  # the estimated frame is one of them
+        nearest = self._between(frames[rows], offset[rows][:, keys] + 0.5)[0]
+        axes = self.axes[..., self.trunk][nearest].transpose(1, 2)
+        R = turns(axes, config, replace(draw, batch=len(rows)))
+        at = torch.linspace(0, 2, W, device=self.device)
+        low = at.floor().long().clamp(max=1)
+        moving.vary(
+            self.body, rows, torch.lerp(R[:, low], R[:, low + 1], (at - low)[:, None, None, None]),
+            self.trunk, estimated,
+        )  # fmt: skip
 
     def _between(self, frames: Tensor, offset: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Frames (B, W) before and after, and the weight (B, W, 1, 1) of the one after."""
@@ -328,7 +373,7 @@ class MotionBank:
         return tilt @ about_axis(2, yaw)
 
     def _observe(
-        self, p: Tensor, towards_root: Tensor, config: AugmentConfig, draw: Draw
+        self, p: Tensor, towards_root: Tensor, body: View, config: AugmentConfig, draw: Draw
     ) -> tuple[Tensor, Tensor, Picture]:
         """Rays (B, 3, W, J) in world, visibility and image of a camera that has the root in its image."""
         right = (2 * draw.uniform(draw.batch) - 1) * config.off_axis * HALF_WIDTH
@@ -341,7 +386,8 @@ class MotionBank:
         q = torch.bmm(R_camera_world, p.flatten(2)).reshape(p.shape)
         seen = q[:, 2] > 0.2
         xy = q[:, :2] / q[:, 2:].clamp_min(0.2)
-        xy, seen = add_noise(self.body, config.noise, xy, seen, draw, self.rate_hz)
+        view = body.turned(R_camera_world) if self.trunk else None
+        xy, seen = add_noise(self.body, config.noise, xy, seen, draw, self.rate_hz, view)
         ray = torch.cat([xy, torch.ones_like(xy[:, :1])], dim=1)
         world = torch.bmm(R_camera_world.transpose(1, 2), ray.flatten(2))
         return world.reshape(p.shape), seen, Picture(xy / HALF_WIDTH, R_camera_world)
