@@ -20,8 +20,9 @@ from lifting.body import Body, bone_groups
 from lifting.corpus import Corpus
 from lifting.draws import Draw, about_axis
 from lifting.joint_errors import View
+from lifting.moving import Moving
 from lifting.noise import HALF_HEIGHT, HALF_WIDTH, PERFECT, TRAINING_NOISE, NoiseConfig, add_noise, runs
-from lifting.rigs import RigConfig, trunk_segments, turns
+from lifting.rigs import RigConfig, places, trunk_segments, turns
 from lifting.sensors import SensorConfig, with_errors, worn
 from lifting.windows import Picture, Windows
 from rtof_kin.body import kinematics
@@ -120,60 +121,6 @@ class Batch:
     """(B, 3, 2, J) x and z axes of the segments in world."""
 
 
-@dataclass
-class _Moving:
-    """Moving bodies, before a camera is placed."""
-
-    bones: Tensor
-    """(B, 3, W, J-1) bone vectors in world, m."""
-    root: Tensor
-    """(B, 3, W) path of the root from the estimated frame, m."""
-    offsets: Tensor
-    """(B, J, 3) joint offsets, m."""
-    axes: Tensor
-    """(B, 3, 2, J) x and z axes of all segments in the estimated frame."""
-    carried: Tensor
-    """(B, 3, W, 2, S) those of the segments that may carry sensors, at the sensors' times."""
-
-    def turned(self, R: Tensor) -> _Moving:
-        """Return the bodies turned by rotations (B, 3, 3)."""
-
-        def turn(x: Tensor) -> Tensor:
-            return torch.bmm(R, x.flatten(2)).reshape(x.shape)
-
-        bones, root, axes, carried = map(turn, (self.bones, self.root, self.axes, self.carried))
-        return _Moving(bones, root, self.offsets, axes, carried)
-
-    def put_on(self, count: int, upper: _Moving, joints: Tensor, segments: Tensor, sensors: Tensor) -> None:
-        """Replace the upper bodies of the first rows; masks (J,), (J,), (S,) select what is upper."""
-
-        def exchange(mine: Tensor, other: Tensor, mask: Tensor) -> None:
-            mine[:count] = torch.where(mask, other, mine[:count])
-
-        exchange(self.bones, upper.bones, joints[1:])
-        exchange(self.offsets, upper.offsets, joints[:, None])
-        exchange(self.axes, upper.axes, segments)
-        exchange(self.carried, upper.carried, sensors)
-
-    def vary(self, body: Body, rows: Tensor, R: Tensor, segments: list[int], estimated: int) -> None:
-        """Turn segments by rotations R (B', W, n, 3, 3) in world in some rows (B',), with their bones."""
-        for i, j in enumerate(segments):
-            columns = R[:, :, i].permute(3, 0, 2, 1)  # (3, B', 3, W)
-
-            def turn(x: Tensor, columns: Tensor = columns) -> Tensor:
-                """Vectors (B', 3, W, ...) turned."""
-                shape = (*columns[0].shape, *[1] * (x.ndim - 3))
-                parts = (columns[k].reshape(shape) * x[:, k : k + 1] for k in range(3))
-                return sum(parts, torch.zeros(()))
-
-            for child in kinematics.children_of(body.parents, j):
-                self.bones[rows, ..., child - 1] = turn(self.bones[rows, ..., child - 1])
-            self.axes[rows, ..., j] = R[:, estimated, i] @ self.axes[rows, ..., j]
-            if j in body.sensor_joints:
-                s = body.sensor_joints.index(j)
-                self.carried[rows, ..., s] = turn(self.carried[rows, ..., s])
-
-
 class MotionBank:
     """A corpus as tensors on one device, to draw windows from."""
 
@@ -207,6 +154,8 @@ class MotionBank:
         self.lowest = tensor(np.concatenate([part[:, :, 2].min(axis=1) for part in p]))
         self.heading = tensor(so3.heading(R[:, 0]))
         self.axes = tensor(np.ascontiguousarray(R[..., [0, 2]].transpose(0, 2, 3, 1)))
+        self.trunk = trunk_segments(self.body)
+        self.axes_of_trunk = self.axes[..., self.trunk]
         self.carried = self.axes[..., self.body.sensor_joints]
         self.clip = tensor(clip, torch.long)
         self.first, self.last = tensor((last - count + 1)[clip], torch.long), tensor(last[clip], torch.long)
@@ -216,7 +165,6 @@ class MotionBank:
         self.bone_axes = _bone_axes(corpus, self.body).to(device)
         groups = bone_groups(self.body.names)
         self.groups = len(groups)
-        self.trunk = trunk_segments(self.body)
         self.group_of_joint = torch.zeros(len(self.body.names), dtype=torch.long, device=device)
         for i, joints in enumerate(groups.values()):
             self.group_of_joint[joints] = i
@@ -273,7 +221,7 @@ class MotionBank:
         windows = Windows(rays, seen, bones, height, axes, sensed, estimated, picture)
         return Batch(windows, now, towards_root, moving.axes)
 
-    def _motion(self, frames: Tensor, step: Tensor, config: AugmentConfig, draw: Draw) -> _Moving:
+    def _motion(self, frames: Tensor, step: Tensor, config: AugmentConfig, draw: Draw) -> Moving:
         """Motion at offsets `step` (W,) from frames (B,), re-timed."""
         speed = draw.between(config.warp, len(frames))[:, None]
         offset = step[None] * speed
@@ -297,7 +245,7 @@ class MotionBank:
             return torch.zeros(draw.batch, dtype=torch.long, device=self.device)
         return (1 + draw.integers(others)) * (draw.uniform(draw.batch) >= config.own_skeleton)
 
-    def _at(self, frames: Tensor, offset: Tensor, lag: Tensor, body: Tensor) -> tuple[_Moving, Tensor]:
+    def _at(self, frames: Tensor, offset: Tensor, lag: Tensor, body: Tensor) -> tuple[Moving, Tensor]:
         """Motion at offsets (B, W) from frames, within their clip, and the heading (B,) in the frames.
 
         Segments with sensors are taken `lag` (B, 1) frames later, from the nearest frame.
@@ -307,23 +255,23 @@ class MotionBank:
         root = torch.lerp(self.roots[low], self.roots[high], share[..., 0])
         root = (root - self.roots[frames][:, None]).transpose(1, 2)
         nearest = self._between(frames, offset + lag + 0.5)[0]
-        return _Moving(
+        return Moving(
             bones.transpose(1, 2).contiguous(), root, self.offsets[body, self.clip[frames]],
             self.axes[frames], self.carried[nearest].transpose(1, 2).contiguous(),
         ), self.heading[frames]  # fmt: skip
 
-    def _vary(
-        self, moving: _Moving, frames: Tensor, offset: Tensor, config: RigConfig, draw: Draw
-    ) -> None:
+    def _vary(self, moving: Moving, frames: Tensor, offset: Tensor, config: RigConfig, draw: Draw) -> None:
         """Give some of the bodies the trunk of another rig, in place."""
         rows = (draw.uniform(len(frames)) < config.share).nonzero()[:, 0]
         if not len(rows) or not self.trunk:
             return
         W, estimated = offset.shape[1], int(offset[0].abs().argmin())
+        nearest = self._between(frames[rows], offset[rows] + 0.5)[0]
+        axes = self.axes_of_trunk[nearest].permute(0, 2, 1, 3, 4)
+        some = replace(draw, batch=len(rows))
+        moving.displace(self.body, rows, axes, self.trunk, places(self.body, config, some), estimated)
         keys = [0, W // 2, W - 1]  # the estimated frame is one of them
-        nearest = self._between(frames[rows], offset[rows][:, keys] + 0.5)[0]
-        axes = self.axes[..., self.trunk][nearest].transpose(1, 2)
-        R = turns(axes, config, replace(draw, batch=len(rows)))
+        R = turns(axes[:, :, keys], config, some)
         at = torch.linspace(0, 2, W, device=self.device)
         low = at.floor().long().clamp(max=1)
         moving.vary(
@@ -339,7 +287,7 @@ class MotionBank:
         high = torch.minimum(low + 1, self.last[frames][:, None])
         return low, high, (at - low)[..., None, None]
 
-    def _mirror(self, moving: _Moving, which: Tensor) -> None:
+    def _mirror(self, moving: Moving, which: Tensor) -> None:
         """Mirror the bodies selected by a mask (B,), in place."""
         rows = which.nonzero()[:, 0]
         order = self.body.mirrored

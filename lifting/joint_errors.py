@@ -1,14 +1,14 @@
-"""Errors of joints regressed from a real detector's points: fixed in the body, correlated, larger where hidden.
+"""Errors of joints regressed from a real detector's points: fixed in the body, correlated, larger if hidden.
 
-The table ``models/joint_errors.npz`` is fitted by ``models/build_joint_errors.py`` to the simulated points of a
-real detector (`rtof_kin.simulation`). An error is in the image plane at the joint's depth, in m (pixels x depth / f):
+The table ``models/joint_errors.npz`` is fitted by ``models/build_joint_errors.py`` to the simulated points of
+a real detector. An error is in the image plane at the joint's depth, in m (pixels x depth / f):
 
-    place in the segment + vector of the pelvis that depends on the view - where the rig has the joint, projected
-    + limb's mood x hidden x sum over parts of (front or back, left or right) factor x paths,
+    place in the segment + vector of the pelvis that depends on the view - where the rig has the joint
+    + limb's mood x hidden x sum over parts of (front or back, left or right) factor x paths.
 
-where a part has one time constant; the first is constant over a window. Limbs jump and exchange sides besides.
-A detector's points are of the person: regressed joints of the trunk lie where most rigs have them, whatever the
-rig at hand (`rig_places`).
+The first line is projected. A part has one time constant; that of the first is infinite. A detector's points
+are of the person: regressed joints of the trunk lie where most rigs have them, whatever the rig at hand
+(`rig_places`). Limbs jump and exchange sides besides.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from lifting.draws import Draw, cross
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
 
+NEAREST_M: Final = 0.2
+"""Least depth of a joint, m."""
 MEMORY_S: Final = (float("inf"), 0.5, 0.08)
 """Time constants of the parts of an error, s."""
 TRUNK_HEIGHT: Final = {
@@ -51,7 +53,7 @@ JUMP_M: Final = 0.17
 
 @dataclass(frozen=True)
 class JointErrors:
-    """Fitted numbers for J joints; sides are mirrored, views are front, back and left."""
+    """Fitted numbers for J joints. Views are front, back and left; the right is their mirror image."""
 
     place: Tensor
     """(J, 3) offset in the frame of the joint's segment, m."""
@@ -82,14 +84,15 @@ class JointErrors:
     def blended(self, body: Body, view: View) -> tuple[Tensor, Tensor]:
         """Return factor (B, parts, 2 J, 2 rank) and rest (B, parts, 2 J) of views between the fitted ones."""
         sin, cos = (x[:, None, None] for x in view.azimuth())
-        ahead, left = torch.where(cos[:, 0, 0] < 0, 1, 0), sin[..., None] >= 0
-        pairs = torch.arange(2 * len(body.names)).reshape(-1, 2)
-        across = torch.tensor([-1.0, 1.0]).repeat(len(body.names))[:, None]
-        mirrored = pairs[body.mirrored].flatten()
-        side = torch.where(left, self.factor[2], self.factor[2][:, mirrored] * across)
-        side_rest = torch.where(left[..., 0], self.rest[2], self.rest[2][:, mirrored])
-        factor = [cos.abs()[..., None] * self.factor[ahead], sin.abs()[..., None] * side]
-        return torch.cat(factor, dim=-1), torch.hypot(cos * self.rest[ahead], sin * side_rest)
+        ahead = (cos[:, 0, 0] < 0).long()
+        factor = [cos.abs()[..., None] * self.factor[ahead], sin.abs()[..., None] * self.factor[2]]
+        rest = torch.hypot(cos * self.rest[ahead], sin * self.rest[2])
+        order = torch.arange(2 * len(body.names), device=sin.device).reshape(-1, 2)
+        mirrored = order[body.mirrored].flatten()
+        flip = sin.new_tensor([-1.0, 1.0]).repeat(len(body.names))[:, None]
+        right, both = sin < 0, torch.cat(factor, dim=-1)
+        both = torch.where(right[..., None], both[:, :, mirrored] * flip, both)
+        return both, torch.where(right, rest[:, :, mirrored], rest)
 
 
 @dataclass(frozen=True)
@@ -116,23 +119,24 @@ class View:
         x, z = self.axes.unbind(dim=2)
         return torch.stack([x, cross(z, x), z], dim=-1).transpose(1, 2)
 
-    def azimuth(self) -> Tensor:
-        """Return the sine and cosine (B,) of the direction to the camera in the pelvis frame; left is positive."""
-        x, y = (self.segments()[:, 0].transpose(1, 2) @ -self.joints[:, :, :1])[:, :2, 0].unbind(dim=1)
+    def azimuth(self) -> tuple[Tensor, Tensor]:
+        """Return the sine and cosine (B,) of the direction to the camera in the pelvis; left is positive."""
+        toward = self.segments()[:, 0].transpose(1, 2) @ -self.joints[:, :, :1]
+        x, y = toward[:, 0, 0], toward[:, 1, 0]
         away = (x * x + y * y).sqrt().clamp_min(1e-9)
         return y / away, x / away
 
 
 def harmonics(v: Tensor) -> Tensor:
-    """Return 1 and the spherical harmonics of the first and second order (..., 9) of unit vectors (..., 3)."""
+    """Return 1 and the spherical harmonics of first and second order (..., 9) of unit vectors (..., 3)."""
     x, y, z = v.unbind(dim=-1)
     parts = [torch.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1]
     return torch.stack(parts, dim=-1)
 
 
 def rig_places(body: Body, offsets: Tensor) -> Tensor:
-    """Return where rigs have the joints of the trunk (B, J, 3), upright, from the line between the middles of hips
-    and shoulders, in lengths of a leg; zero for limbs.
+    """Return where rigs have the joints of the trunk (B, J, 3), upright, from the line between the middles of
+    hips and shoulders, in lengths of a leg; zero for limbs.
 
     Args:
         body: J joints. offsets: (B, J, 3) m.
@@ -150,8 +154,11 @@ def rig_places(body: Body, offsets: Tensor) -> Tensor:
 
 
 def designs(view: View) -> tuple[Tensor, Tensor, Tensor]:
-    """Return what the mean error is linear in: segments (B, J, 3, 3) and pelvis (B, 3, 3) in the camera's frame,
-    and harmonics (B, J, 9)."""
+    """Return what the mean error is linear in.
+
+    Returns:
+        Segments (B, J, 3, 3) and pelvis (B, 3, 3) in the camera's frame, and harmonics (B, J, 9).
+    """
     R = view.segments()
     p = view.joints.transpose(1, 2)
     toward = -p / p.norm(dim=-1, keepdim=True) @ R[:, 0]
@@ -160,8 +167,9 @@ def designs(view: View) -> tuple[Tensor, Tensor, Tensor]:
 
 def projected(view: View, offset: Tensor) -> Tensor:
     """Return offsets (B, J, 3) of the joints as errors (B, J, 2) in the image plane, m."""
-    slope = view.joints[:, :2] / view.joints[:, 2:].clamp_min(0.2)
-    return offset[..., :2] - slope.transpose(1, 2) * offset[..., 2:]
+    slope = view.joints[:, :2] / view.joints[:, 2:].clamp_min(NEAREST_M)
+    error: Tensor = offset[..., :2] - slope.transpose(1, 2) * offset[..., 2:]
+    return error
 
 
 def mean_error(body: Body, table: JointErrors, view: View, amplitude: Tensor) -> Tensor:
@@ -190,7 +198,8 @@ def _behind(points: Tensor, start: Tensor, stop: Tensor, radius: float, margin: 
     centres = torch.lerp(start[:, None], stop[:, None], share[:, None])
     along = (points / length) @ centres.transpose(1, 2)  # (B, n, 6)
     away = (centres * centres).sum(dim=-1)[:, None] - along * along
-    return ((away < radius**2) & (along < length - margin)).any(dim=-1)
+    behind: Tensor = (away < radius**2) & (along < length - margin)
+    return behind.any(dim=-1)
 
 
 def smooth_errors(
@@ -259,12 +268,12 @@ def jumps(body: Body, view: View, frames: int, draw: Draw, rate_hz: float) -> Te
 
 
 def exchanged(body: Body, view: View, xy: Tensor, draw: Draw, rate_hz: float) -> Tensor:
-    """Return detections (B, 2, W, J) in units of focal length with left and right sides exchanged at times."""
+    """Return detections (B, 2, W, J) in units of focal length, with sides exchanged at times."""
     groups = {
         "legs": [j for leg in body.legs for j in leg[1:]], "arms": [j for arm in body.arms for j in arm[1:]],
         "shoulders": [arm[0] for arm in body.arms], "hips": [leg[0] for leg in body.legs],
     }  # fmt: skip
-    at = view.joints[:, :2] / view.joints[:, 2:].clamp_min(0.2)
+    at = view.joints[:, :2] / view.joints[:, 2:].clamp_min(NEAREST_M)
     apart = (at - at[..., body.mirrored]).norm(dim=1) * view.joints[:, 2]
     sin, _ = view.azimuth()
     per_minute = torch.stack(
@@ -291,4 +300,4 @@ def _brief(per_minute: Tensor, frames: int, draw: Draw, rate_hz: float) -> Tenso
     start = -length + span * draw.uniform(*shape)
     there = draw.uniform(*shape) < per_minute / 60 * span
     time = (torch.arange(frames, device=draw.device) + 0.5)[None, :, None] / rate_hz
-    return (there[:, None]) & (time >= start[:, None]) & (time < (start + length)[:, None])
+    return there[:, None] & (time >= start[:, None]) & (time < (start + length)[:, None])

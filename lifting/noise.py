@@ -17,7 +17,7 @@ from torch import Tensor
 
 from lifting.body import Body
 from lifting.draws import Draw
-from lifting.joint_errors import JointErrors, View, exchanged, jumps, path_basis, smooth_errors
+from lifting.joint_errors import NEAREST_M, JointErrors, View, exchanged, jumps, path_basis, smooth_errors
 
 FOCAL_PX: Final = 1250.0
 HALF_WIDTH, HALF_HEIGHT = 960 / FOCAL_PX, 540 / FOCAL_PX
@@ -91,7 +91,7 @@ def add_noise(
     rate_hz: float = RATE_HZ,
     view: View | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Simulate detections; the first windows stay clean, the next are white, then independent, then realistic.
+    """Simulate detections; the first windows stay clean, then come white, independent and realistic ones.
 
     Args:
         body: joints. config: frequencies and sizes.
@@ -115,11 +115,11 @@ def add_noise(
         rows = slice(white, independent)
         some = replace(draw, batch=independent - white)
         noisy[rows] += _independent(body, config, xy.shape[2], some, rate_hz)
-    if view and B > independent:
+    if view and independent < B:
         rows = slice(independent, B)
         some = replace(draw, batch=B - independent)
         noisy[rows] = _realistic(body, config, xy[rows], view[rows], some, rate_hz)
-    if B > white:
+    if white < B:
         some = replace(draw, batch=B - white)
         seen = torch.cat([seen[:white], _detected(body, config, noisy[white:], seen[white:], some, rate_hz)])
     return noisy, seen
@@ -138,11 +138,9 @@ def _independent(body: Body, config: NoiseConfig, W: int, draw: Draw, rate_hz: f
     return error / FOCAL_PX
 
 
-def _realistic(
-    body: Body, config: NoiseConfig, xy: Tensor, view: View, draw: Draw, rate_hz: float
-) -> Tensor:
+def _realistic(body: Body, config: NoiseConfig, xy: Tensor, view: View, draw: Draw, rate_hz: float) -> Tensor:
     """Detections (B, 2, W, J) of joints regressed from a real detector's points."""
-    W, depth = xy.shape[2], view.joints[:, 2:, None].clamp_min(0.2)
+    W, depth = xy.shape[2], view.joints[:, 2:, None].clamp_min(NEAREST_M)
     table = JointErrors.fitted().to(draw.device)
     amplitude = draw.between(config.amplitude, draw.batch)
     error = smooth_errors(body, table, view, amplitude, W, draw, rate_hz)

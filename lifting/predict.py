@@ -165,7 +165,8 @@ class Lifter:
 
         Returns:
             Positions (B, J, 3) from the optical centre, m; their sigma (B, J, 2), m; orientations
-            (B, J, 3, 3) of the segments' shared frames; their sigma (B, J), rad; whether enough joints were seen (B,).
+            (B, J, 3, 3) of the segments' shared frames; their sigma (B, J), rad; whether enough joints were
+            seen (B,).
         """
         body, network = self.description.body, self.network
         model = model_of(network.config.model)
@@ -202,7 +203,7 @@ class Lifter:
             )
 
     def bones_of(self, joint_offsets: ArrayLike | None) -> Array:
-        """Return a person's bones as the network takes them, in shared frames, see `Body.bones_of`; NaN if None.
+        """Return a person's bones in shared frames, as the network takes them (`Body.bones_of`); NaN if None.
 
         Args:
             joint_offsets: (J, 3) m, each joint in its parent's link frame.

@@ -283,8 +283,9 @@ def _readable(path: Path) -> Iterator[None]:
 
 
 def shipped_skeleton(corpus: Corpus) -> list[NDArray[np.float32]]:
-    """Return the joint offsets (J, 3) of the package's skeleton with the corpus's joints, if any, in shared
-    frames, m."""
+    """Return the joint offsets (J, 3) in shared frames of the package's skeleton with the corpus's joints,
+    if there is one, m.
+    """
     tables = [read_skeleton_table(model_path(f"{name}.toml")) for name in ("skeleton", "human36m")]
     joints = corpus.names, corpus.parents
     found = [t for t in tables if (t.names, t.parents) == joints]

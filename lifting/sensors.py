@@ -2,7 +2,7 @@
 
 Errors are constant over the half second of a window: misalignment of the calibration, roll by soft tissue
 about the bone, heading of the sensor's reference frame, lag between camera and sensors. At amplitude 1 they
-turn the bone of a limb by 2.7 degrees and its segment about the bone by 4.7 degrees in the median, as measured on
+turn a limb's bone by 2.7 degrees and its segment about the bone by 4.7 degrees in the median, as measured on
 real recordings; the camera's detections come 1-3 frames late.
 """
 
