@@ -1,9 +1,10 @@
-"""The benchmark everything is measured by: test motions x cameras x kinds of 2D, as JSON and a table.
+"""The benchmark everything is measured by: test motions x cameras x kinds of 2D, as JSON and tables.
 
 ``python -m benchmarks.harness --corpus DIR`` with DIR the folder of free motion (see README.md here).
-Split and motions come from split.toml, cameras and noise from `rtof_kin.simulation.simulate`, seeds fixed.
-Every number is a mean over frames pooled over motions and cameras; the interval beside a root-relative
-error is the 95 % bootstrap over motions, the unit that is independent.
+Split and motions come from split.toml, which holds out rigs as well as people; cameras and noise from
+`rtof_kin.simulation.simulate`; seeds are fixed. Every number is pooled over frames of all motions and
+cameras; the interval beside a root-relative error is the 95 % bootstrap over motions, the unit that is
+independent. One number of sensors takes six minutes on two cores with every kind of 2D, as given.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import os
 import sys
 import tomllib
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,9 +26,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.progress import Progress
 
+from benchmarks import scoring
 from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.protocols.measures import reconstructions
+from rtof_kin.protocols.tables import Cell, Table
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import (
@@ -42,6 +45,7 @@ HERE = Path(__file__).parent
 KEYPOINTS = {
     "perfect": SimulationSettings.perfect,
     "white": SimulationSettings.white,
+    "independent": SimulationSettings.independent,
     "realistic": SimulationSettings.realistic,
 }
 SENSOR_SETS = {
@@ -49,26 +53,36 @@ SENSOR_SETS = {
     "8": LIMB_SENSORS,
     "10": (*LIMB_SENSORS, "Pelvis", "Sternum"),
 }
+STILL, STARTED = "zero motion", "lift with sensors"
+MODES = (STILL, *CAMERA_MODES[:1], STARTED, *CAMERA_MODES[1:])
+"""*lift with sensors* is what sf2 and rtof begin with, *lift* the image's alone."""
 COLUMNS = {
-    "mpjpe_rr_mm": "rr mm",
-    "mpjpe_mm": "abs mm",
-    "mpjpe_pa_mm": "PA mm",
-    "mpjae": "MPJAE m/s2",
-    "mpjje": "MPJJE m/s3",
-    "angle_deg": "joint angle deg",
-    "flexion_deg": "flexion deg",
-}
+    "mpjpe_rr_mm": ("rr mm", 1), "mpjpe_mm": ("abs mm", 1), "mpjpe_pa_mm": ("PA mm", 1),
+    "hips_deg": ("hips deg", 1), "trunk_deg": ("upper trunk deg", 1),
+    "flexion_deg": ("flexion deg", 1), "angle_deg": ("joint angle deg", 1),
+    "mpjae": ("MPJAE m/s2", 2), "mpjje": ("MPJJE m/s3", 0), "coverage": ("valid", 2),
+}  # fmt: skip
+"""Heading and digits of each figure."""
+BANDS = {
+    f"{figure}_{kind}{unit}": (f"{kind}: {heading}", 2 if not unit else 1)
+    for kind in ("relative", "world")
+    for figure, unit, heading in (
+        ("inside", "", "inside 95 % bands"), ("sigma", "_mm", "stated mm"), ("rms", "_mm", "actual mm"),
+        ("rho", "", "rank correlation"),
+    )
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Job:
-    """One motion seen by one camera."""
+    """One motion seen by one camera, with so many sensors."""
 
     clip: MocapClip
     camera: int
     keypoints: tuple[str, ...]
     modes: tuple[str, ...]
-    sensors: tuple[str, ...]
+    sensors: str
+    calibrate: bool
     seed: int
     lifter: str | None
 
@@ -81,8 +95,17 @@ def split() -> dict[str, Any]:
 def test_clips(corpus: Path) -> list[MocapClip]:
     """The benchmark's motions, cut to their middle."""
     rows = split()
-    clips = whole_clips(corpus, rows["test"], rows["benchmark"]["motions"])
-    return [middle(clip, rows["benchmark"]["seconds"]) for clip in clips]
+    motions, parts = rows["benchmark"]["motions"], rows["benchmark"]["parts"]
+    clips = whole_clips(corpus, rows["test"], motions)
+    return [part for clip in clips for part in parts_of(clip, parts.get(clip.name, 1))]
+
+
+def parts_of(clip: MocapClip, count: int) -> Iterator[MocapClip]:
+    """The middle of each of so many parts of a motion, as long as the benchmark's motions."""
+    for i, index in enumerate(np.array_split(np.arange(len(clip.poses)), count), start=1):
+        name = clip.name if count == 1 else f"{clip.name}-{i}"
+        part = replace(clip, name=name, poses=clip.poses[index[0] : index[-1] + 1])
+        yield middle(part, split()["benchmark"]["seconds"])
 
 
 def whole_clips(corpus: Path, subjects: list[str], wanted: list[str]) -> list[MocapClip]:
@@ -125,42 +148,45 @@ def run(job: Job) -> list[dict[str, Any]]:
     lifter = Path(job.lifter) if job.lifter else None
     rows = []
     for kind in job.keypoints:
-        recording = recorded(job.clip, job.camera, kind, job.sensors, job.seed)
-        skeleton = recording.skeleton
-        results = reconstructions(recording, job.modes, lifter)
-        scores = {mode: result.stage_metrics[mode] for mode, result in results.items()}
+        recording = recorded(job.clip, job.camera, kind, SENSOR_SETS.get(job.sensors, ()), job.seed)
+        results = reconstructions(recording, job.modes, lifter, calibrate=job.calibrate)
+        scores = {mode: scoring.figures(result, mode) for mode, result in results.items()}
+        inertial = results.get("rtof", results.get("sf2"))
+        if inertial is not None:
+            scores[STARTED] = scoring.figures(inertial, "lift")
         truth = recording.truth
         assert truth is not None
-        scores["zero motion"] = evaluate(motionless(truth), truth, skeleton)
-        for mode, metrics in scores.items():
-            rows.append(
-                {
-                    "motion": job.clip.name,
-                    "category": job.clip.category,
-                    "camera": job.camera,
-                    "keypoints": kind,
-                    "mode": mode,
-                    "frames": len(recording.keypoints),
-                    **dict(metrics),
-                }
-            )
+        still = motionless(truth)
+        scores[STILL] = dict(evaluate(still, truth, recording.skeleton)) | scoring.torso(still, truth)
+        about = {
+            "motion": job.clip.name, "rig": job.clip.rig, "subject": job.clip.subject,
+            "held out": "rigs" if job.clip.rig in split()["benchmark"]["rigs"] else "people",
+            "category": job.clip.category, "camera": job.camera, "keypoints": kind,
+            "sensors": job.sensors, "calibrate": job.calibrate, "frames": len(recording.video),
+        }  # fmt: skip
+        rows += [about | {"mode": mode} | figures for mode, figures in scores.items()]
     return rows
 
 
 def pooled(
-    rows: Iterable[dict[str, Any]], columns: Iterable[str] = COLUMNS, unit: str = "motion"
+    rows: Iterable[dict[str, Any]], columns: Iterable[str] = (*COLUMNS, *BANDS), unit: str = "motion"
 ) -> dict[str, Any]:
     """Means over all frames, with the bootstrap interval of the root-relative error over motions.
 
     Args:
-        columns: the figures wanted. unit: what the rows of one independent unit have in common.
+        rows: those without a figure do not count for it.
+        columns: the figures wanted; of those that are root mean squares, the root mean square.
+        unit: what the rows of one independent unit have in common.
     """
     rows = list(rows)
     frames = np.array([row["frames"] for row in rows], dtype=float)
-    figures: dict[str, Any] = {
-        name: float(np.average([row[name] for row in rows], weights=frames))
-        for name in (*columns, "coverage")
-    }
+    figures: dict[str, Any] = {}
+    for name in columns:
+        power = 2 if name.startswith(("sigma_", "rms_")) else 1
+        values = np.array([row.get(name, np.nan) for row in rows]) ** power
+        known = np.isfinite(values)
+        mean = np.average(values[known], weights=frames[known]) if known.any() else np.nan
+        figures[name] = float(mean ** (1 / power))
     units = [row[unit] for row in rows]
     figures["rr_interval"] = bootstrap(units, [row["mpjpe_rr_mm"] for row in rows], frames)
     return figures
@@ -188,49 +214,52 @@ def bootstrap(units: Sequence[Any], values: ArrayLike, weights: ArrayLike) -> li
     return [float(v) for v in np.percentile(draws[:, 0] / draws[:, 1], [2.5, 97.5])]
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    """The rows pooled by kind of 2D and mode, as Markdown."""
-    lines = [
-        "| 2D | mode | " + " | ".join(COLUMNS.values()) + " | rr 95 % | valid |",
-        "|---|---|" + "---|" * (len(COLUMNS) + 2),
+def tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
+    """The rows pooled by kind of 2D and mode: all, of held-out people and rigs, by rig; and the bands."""
+    ours = [row for row in rows if row["mode"] in (STARTED, "sf2", "rto", "rtof")]
+    stating = [row for row in rows if "rho_world" in row]
+    return [
+        _table("all", "All motions", rows, ("keypoints", "mode"), COLUMNS),
+        _table("held_out", "Held-out people and rigs", ours, ("keypoints", "held out", "mode"), COLUMNS),
+        _table("rigs", "By rig", ours, ("keypoints", "rig", "mode"), COLUMNS),
+        _table("bands", "Stated errors of positions", stating, ("keypoints", "mode"), BANDS),
+        _table("bands_rigs", "The same by rig", stating, ("keypoints", "held out", "rig", "mode"), BANDS),
     ]
-    for kind in dict.fromkeys(row["keypoints"] for row in rows):
-        for mode in ("zero motion", *CAMERA_MODES):
-            chosen = [r for r in rows if r["keypoints"] == kind and r["mode"] == mode]
-            if not chosen:
-                continue
-            figures = pooled(chosen)
-            cells = [_cell(name, figures[name]) for name in COLUMNS]
-            low, high = figures["rr_interval"]
-            cells += [f"{low:.1f}-{high:.1f}", f"{100 * figures['coverage']:.0f} %"]
-            lines.append(f"| {kind} | {mode} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
 
 
-def _cell(name: str, value: float) -> str:
-    return f"{value:.0f}" if name == "mpjje" else f"{value:.2f}" if name == "mpjae" else f"{value:.1f}"
+def _table(
+    name: str, title: str, rows: Sequence[dict[str, Any]], by: tuple[str, ...],
+    columns: dict[str, tuple[str, int]],
+) -> Table:  # fmt: skip
+    """Rows pooled by what they have in common in some fields."""
+    found: list[tuple[Cell, ...]] = []
+    for key in dict.fromkeys(tuple(row[field] for field in by) for row in in_order(rows, by)):
+        figures = pooled(row for row in rows if tuple(row[field] for field in by) == key)
+        low, high = figures["rr_interval"]
+        found.append((*key, *(figures[column] for column in columns), f"{low:.1f}-{high:.1f}"))
+    headings, digits = zip(*columns.values(), strict=True)
+    labels = tuple("2D" if field == "keypoints" else field for field in by)
+    notes = ("Sizes of errors are root mean squares, stated and actual.",) if columns is BANDS else ()
+    return Table(
+        name, title, (*labels, *headings, "rr 95 %"), (0,) * len(by) + digits + (0,), tuple(found), notes
+    )
+
+
+def in_order(rows: Iterable[dict[str, Any]], by: Sequence[str]) -> list[dict[str, Any]]:
+    """Rows sorted by fields; kinds of 2D and modes in their own order."""
+    order = {"keypoints": list(KEYPOINTS).index, "mode": MODES.index}
+    return sorted(rows, key=lambda row: [order.get(field, lambda own: own)(row[field]) for field in by])
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.harness", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
-    parser.add_argument("--keypoints", default="perfect,white,realistic", help="kinds of 2D")
-    parser.add_argument("--modes", default="lift,sf2,rto,rtof", help="stages to measure")
-    parser.add_argument("--sensors", default="8", choices=[*SENSOR_SETS, "0"], help="how many IMUs")
-    parser.add_argument("--cameras", type=int, default=4, help="of the four around each motion")
-    parser.add_argument("--motions", help="only these, separated by commas")
-    parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "harness.json")
-    options = parser.parse_args(arguments)
+    options = _parser().parse_args(arguments)
     clips = test_clips(options.corpus)
     if options.motions:
         clips = [clip for clip in clips if clip.name in options.motions.split(",")]
     jobs = [
         Job(clip, camera, tuple(options.keypoints.split(",")), tuple(options.modes.split(",")),
-            SENSOR_SETS.get(options.sensors, ()), options.seed, options.lifter)
+            options.sensors, options.calibrate == "yes", options.seed, options.lifter)
         for clip in clips for camera in range(options.cameras)
     ]  # fmt: skip
     rows: list[dict[str, Any]] = []
@@ -239,21 +268,40 @@ def main(arguments: list[str] | None = None) -> int:
         for future in as_completed([pool.submit(run, job) for job in jobs]):
             rows += future.result()
             progress.advance(task)
-    rows.sort(key=lambda r: (r["keypoints"], r["motion"], r["camera"], r["mode"]))
-    text = table(sorted(rows, key=lambda r: list(KEYPOINTS).index(r["keypoints"])))
+    rows = in_order(rows, ("keypoints", "motion", "camera", "mode"))
+    words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR")
     result = {
-        "command": "python -m benchmarks.harness " + " ".join(sys.argv[1:]).replace(
-            str(options.corpus), "DIR"),
+        "command": f"python -m benchmarks.harness {words}",
         "split_sha256": hashlib.sha256((HERE / "split.toml").read_bytes()).hexdigest(),
-        "seed": options.seed,
-        "sensors": options.sensors,
         "rows": rows,
-    }  # fmt: skip
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    options.out.with_suffix(".md").write_text(text + "\n", encoding="utf-8")
+    }
+    text = "\n".join(table.markdown() for table in tables(rows))
+    write_results(options.out, json.loads(json.dumps(result), parse_float=_rounded), text)
     print(text)
     return 0
+
+
+def _rounded(text: str) -> float:
+    return float(f"{float(text):.6g}")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.harness", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser.add_argument("--keypoints", default=",".join(KEYPOINTS), help="kinds of 2D")
+    parser.add_argument("--modes", default="lift,sf2,rto,rtof", help="stages to measure")
+    parser.add_argument("--sensors", default="8", choices=["0", *SENSOR_SETS], help="how many IMUs")
+    parser.add_argument("--calibrate", default="no", choices=("yes", "no"), help="from the recording itself")
+    parser.add_argument("--cameras", type=int, default=4, help="of the four around each motion")
+    parser.add_argument("--motions", help="only these, separated by commas")
+    parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--out", type=Path, default=HERE / "results" / "harness.json")
+    return parser
 
 
 if __name__ == "__main__":

@@ -48,7 +48,7 @@ NEIGHBOURS = (("Leg", "UpLeg"), ("Foot", "Leg"), ("ForeArm", "Arm"))
 def pieces(corpus: Path, subset: str) -> Iterator[MocapClip]:
     """Motion of the subjects of a subset, low-passed, at 60 Hz, in pieces of `SECONDS`."""
     split = tomllib.loads((HERE / "split.toml").read_text(encoding="utf-8"))
-    held_out = {*split["test"], *split["validation"], *split["excluded"]}
+    held_out = {*split["test"], *split["validation"]}
     for clip in read_corpus(corpus, split["validation"] if subset == "validation" else None):
         if subset == "train" and clip.subject in held_out:
             continue

@@ -212,7 +212,7 @@ def _pieces(clip: MocapClip, length: int) -> Iterator[_Piece]:
 def choose_motions(corpus: Path, seconds: float) -> dict[tuple[str, str], MocapClip]:
     """The motion of every subject and take, from the right side of the split."""
     rows = split()
-    left_out = {*rows["test"], *rows["validation"], *rows["excluded"]}
+    left_out = {*rows["test"], *rows["validation"]}
     test: list[MocapClip] = []
     train: list[MocapClip] = []
     for clip in read_corpus(corpus, output_rate_hz=120.0):

@@ -190,7 +190,8 @@ def write_detections(folder: Path, take: StandInTake, number: int, camera: Camer
         np.concatenate([*(one.R_world_bone for one in before), poses.R_world_bone]),
         poses.names,
     )
-    settings = replace(SimulationSettings.realistic(), sensors=(), video_lag_frames=(float(lag), float(lag)))
+    late = (float(lag), float(lag))
+    settings = replace(SimulationSettings.independent(), sensors=(), video_lag_frames=late)
     random = int(np.random.default_rng([seed, about_take, number]).integers(2**31))
     recording = simulate(padded, take.joint_offsets, camera=camera, settings=settings, seed=random)
     shorter = _SHORTER_VIDEO.get((take.subject, take.name), 0)

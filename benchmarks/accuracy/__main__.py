@@ -20,11 +20,9 @@ import os
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.progress import Progress
 
 from benchmarks import harness
@@ -37,26 +35,24 @@ from rtof_kin.protocols.tables import Table
 from rtof_kin.simulation.mocap import MocapClip
 
 VALIDATION = {
-    "131_03": 3, "ad_rokoko_jesse_dance": 3, "131_01": 1, "131_02": 1, "08_04": 1, "08_05": 1,
-    "08_11": 1, "pymo_8walk_meredith": 1,
-}  # fmt: skip
-"""Motions to tune on, and into how many parts each is cut. Only the first two of what the validation
-subjects do are neither walking nor running, so each gives three of the twelve."""
+    "131_03": 3,
+    "131_01": 1,
+    "131_02": 1,
+    "08_04": 1,
+    "08_05": 1,
+    "08_11": 1,
+    "pymo_8walk_meredith": 1,
+}
+"""Motions to tune on, and into how many parts each is cut: only the first one of what the validation
+subjects do is neither walking nor running."""
 
 
 def clips(corpus: Path, subset: str) -> list[MocapClip]:
     """The motions of a subset: at most as many seconds each as the benchmark's."""
     if subset == "test":
         return harness.test_clips(corpus)
-    rows = harness.split()
-    found = []
-    for clip in harness.whole_clips(corpus, rows["validation"], list(VALIDATION)):
-        parts = VALIDATION[clip.name]
-        for i, index in enumerate(np.array_split(np.arange(len(clip.poses)), parts)):
-            name = clip.name if parts == 1 else f"{clip.name}/{i + 1}"
-            part = replace(clip, name=name, poses=clip.poses[index[0] : index[-1] + 1])
-            found.append(harness.middle(part, rows["benchmark"]["seconds"]))
-    return found
+    whole = harness.whole_clips(corpus, harness.split()["validation"], list(VALIDATION))
+    return [part for clip in whole for part in harness.parts_of(clip, VALIDATION[clip.name])]
 
 
 def jobs(table: str, motions: Sequence[MocapClip], options: argparse.Namespace) -> list[Job]:

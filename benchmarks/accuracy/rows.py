@@ -149,7 +149,7 @@ def run(job: Job) -> list[Row]:
     for case in cases(job.table):
         about = {
             "motion": job.clip.name,
-            "source": job.clip.name.partition("/")[0],
+            "source": job.clip.name.partition("-")[0],
             "category": job.clip.category,
             "camera": job.camera,
             "keypoints": case.keypoints,

@@ -7,10 +7,7 @@ everyone else's: a constant of theirs, not of the method's.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from benchmarks import harness
 from rtof_kin.simulation.mocap import MocapClip
@@ -51,12 +48,6 @@ def person(motion: str) -> str:
 
 def clips(corpus: Path) -> list[MocapClip]:
     """The middle of every part, as long as the benchmark's motions."""
-    seconds = harness.split()["benchmark"]["seconds"]
     parts = {name: count for motions in FITTED_ON.values() for name, count in motions.items()}
-    found = []
-    for clip in harness.whole_clips(corpus, list(FITTED_ON), list(parts)):
-        for i, index in enumerate(np.array_split(np.arange(len(clip.poses)), parts[clip.name]), start=1):
-            name = clip.name if parts[clip.name] == 1 else f"{clip.name}-{i}"
-            part = replace(clip, name=name, poses=clip.poses[index[0] : index[-1] + 1])
-            found.append(harness.middle(part, seconds))
-    return found
+    whole = harness.whole_clips(corpus, list(FITTED_ON), list(parts))
+    return [part for clip in whole for part in harness.parts_of(clip, parts[clip.name])]

@@ -24,20 +24,18 @@ from rtof_kin.vision.keypoints import keypoints_from_detections
 
 Apply = Callable[[Recording, Generator], Recording]
 ORDINARY = "ordinary"
-SIMULATED, SAMPLED = "realistic", "mediapipe"
-"""2D of the package's simulation, and drawn from a model fitted to real detections of MediaPipe."""
+SIMULATED, SAMPLED = "independent", "mediapipe"
+"""2D with independent errors of the joints, and drawn from a model fitted to real detections of MediaPipe."""
 SENSORS = ("0", "4", "8", "10")
 RIGS = {
-    "SNU": ("snu_balance", "snu_dance", "snu_kick", "snu_pirouette"),
     "Meredith": ("pymo_8walk_meredith",),
-    "rokoko": ("ad_rokoko_jesse_dance",),
     "CMU (martial, 135?)": ("martial_03", "martial_04", "martial_06"),
     "CMU060/061 (one of)": ("salsa_01", "salsa_05"),
     "CMU060/061 (the other)": ("salsa_16",),
 }
-"""Motions by subject on skeletons other than those of the confidence's fit. The lifter was trained on the
-salsa and the martial arts, and on none of the others."""
-_PARTS = {"ad_rokoko_jesse_dance": 2, "pymo_8walk_meredith": 2}
+"""Motions by subject, besides those of the benchmark, on skeletons other than those of the confidence's
+fit. The lifter was trained on the salsa and the martial arts."""
+_PARTS = {"pymo_8walk_meredith": 2}
 
 
 def _longer_focal(recording: Recording, rng: Generator) -> Recording:
@@ -136,13 +134,13 @@ def jobs(
 
 def held_out_clips(corpus: Path) -> list[tuple[str, MocapClip]]:
     """The benchmark's motions, and those of `RIGS`, with their group."""
-    people = [("people", clip) for clip in harness.test_clips(corpus)]
-    return people + [("rigs", clip) for clip in _rig_clips(corpus)]
+    clips = [*harness.test_clips(corpus), *_rig_clips(corpus)]
+    return [("people" if clip.rig.startswith("cmu") else "rigs", clip) for clip in clips]
 
 
 def _rig_clips(corpus: Path) -> list[MocapClip]:
     """The middle of the longest piece of every file, or of its parts."""
-    seconds, longest = harness.split()["benchmark"]["seconds"], dict[str, MocapClip]()
+    longest = dict[str, MocapClip]()
     for clip in read_corpus(corpus, list(RIGS), output_rate_hz=120.0):
         name = clip.name.partition("[")[0]
         if name in RIGS[clip.subject] and len(clip.poses) > len(getattr(longest.get(name), "poses", ())):
@@ -150,11 +148,7 @@ def _rig_clips(corpus: Path) -> list[MocapClip]:
     found = []
     for name, clip in longest.items():
         whole = resample_clip(low_passed(clip, 10.0), 60.0)
-        parts = _PARTS.get(name, 1)
-        for i, index in enumerate(np.array_split(np.arange(len(whole.poses)), parts), start=1):
-            part = replace(whole, name=name if parts == 1 else f"{name}-{i}")
-            part = replace(part, poses=whole.poses[index[0] : index[-1] + 1])
-            found.append(harness.middle(part, seconds))
+        found += harness.parts_of(replace(whole, name=name), _PARTS.get(name, 1))
     return found
 
 

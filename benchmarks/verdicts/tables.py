@@ -81,7 +81,7 @@ def _by_part(found: Mapping[str, Row]) -> Table:
     return Table(
         "parts", "The same by recordings: AUC / ECE / rank correlation", ("recordings", *found),
         (0,) * (1 + len(found)), rows,
-        ("realistic: the package's simulated detector; mediapipe: drawn from a model fitted to real "
+        ("independent: errors of each joint by itself; mediapipe: drawn from a model fitted to real "
          "detections. Rigs: motions on skeletons other than those of any fit.",),
     )  # fmt: skip
 

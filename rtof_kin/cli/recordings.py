@@ -319,9 +319,9 @@ def _add_simulate(commands: Any) -> None:
     add_output(parser, None, "folder to write")
     parser.add_argument(
         "--keypoints",
-        choices=["perfect", "white", "realistic"],
+        choices=["perfect", "white", "independent", "realistic"],
         default="realistic",
-        help="errors of the 2D: none; white noise of 5 px; those of real detectors",
+        help="errors of the 2D: none; white noise of 5 px; of each joint by itself; those of a real detector",
     )
     parser.add_argument(
         "--sensors",

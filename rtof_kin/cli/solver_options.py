@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from rtof_kin.core.choices import SPACES, Space
+from rtof_kin.core.choices import GUARDS, SPACES, Space
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.threads import USUAL, limit_threads
 from rtof_kin.solve.cartesian.settings import CartesianSettings
@@ -37,7 +37,11 @@ def add_solver_options(parser: argparse.ArgumentParser) -> None:
         help="the energy as printed, in cartesian space; the paper calibrates nothing: --no-calibrate",
     )  # fmt: skip
     group.add_argument(
-        "--no-guards", dest="guards", action="store_false",
+        "--guards", default=GUARDS, type=lambda text: tuple(text.split(",")), metavar=",".join(GUARDS),
+        help="which outliers of keypoints and sensors are rejected; default: all of these",
+    )  # fmt: skip
+    group.add_argument(
+        "--no-guards", dest="guards", action="store_const", const=(),
         help="use keypoints and sensors as given, without outlier rejection",
     )  # fmt: skip
     group.add_argument(
@@ -85,7 +89,7 @@ def settings_of(options: argparse.Namespace, mode: str = "rtof") -> Reconstructi
         if mode == "calibrate":
             raise InvalidInputError(f"calibration is solved in joint space; leave out {named}")
     settings = ReconstructionSettings(
-        frames=options.frames, space=space, backend=options.backend, guard_streams=options.guards,
+        frames=options.frames, space=space, backend=options.backend, guards=options.guards,
         lift_with_sensors=options.lift_with_sensors,
     )  # fmt: skip
     if not options.paper:

@@ -13,6 +13,9 @@ Backend = Literal["realtime", "ipopt"]
 """Numerical solver of a fragment."""
 Calibrate = Literal["yes", "given", "no"]
 """'yes': from the recording itself. 'given': an earlier calibration of it was applied."""
+Guard = Literal["sides", "person", "samples", "motion"]
+"""What is rejected. sides: keypoints with left and right exchanged. person: keypoints of another person.
+samples: stuck and saturated samples of sensors. motion: sensors that contradict the solved motion."""
 Compile = Literal["auto", "never"]
 """auto: compile the energy to machine code if a C compiler exists. never: interpret it."""
 
@@ -20,3 +23,4 @@ MODES: Final[tuple[Mode, ...]] = get_args(Mode)
 CAMERA_MODES: Final[tuple[Mode, ...]] = MODES[:-1]
 SPACES: Final[tuple[Space, ...]] = get_args(Space)
 BACKENDS: Final[tuple[Backend, ...]] = get_args(Backend)
+GUARDS: Final[tuple[Guard, ...]] = get_args(Guard)

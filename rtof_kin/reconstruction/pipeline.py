@@ -194,7 +194,7 @@ def _optimised(
     if mode not in ("rto", "rtof"):
         return prepared, prepared.stages[mode], None
     solution = job.solve(prepared, job.settings.confidence, mode)
-    if mode == "rtof" and job.settings.guard_streams and prepared.bone_imus is not None:
+    if mode == "rtof" and "motion" in job.settings.guards and prepared.bone_imus is not None:
         wrong = find_disagreements(solution.poses, prepared.bone_imus, prepared.skeleton)
         if wrong:
             prepared = prepared.without(wrong)
@@ -215,7 +215,7 @@ def _result(
     skeleton, settings, recording = prepared.skeleton, job.settings, job.recording
     warnings += _quality_warnings(prepared, solution, settings)
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
-    suspect = mode == "rtof" and settings.guard_streams and bool(warnings or disagree)
+    suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
     camera = check_camera_evidence(declared.recording, prepared, poses, skeleton, job.lifter)
     view_suspect = any(check.failed for check in camera)
     sensors = check_sensor_evidence(
@@ -355,7 +355,7 @@ def _slipped(job: _Job, prepared: Prepared) -> tuple[StreamFault, ...]:
     """Intervals in which a sensor contradicts the motion solved with all of them, but for those of nearly
     the whole recording, which a constant mounting error explains.
     """
-    if not job.settings.guard_streams or prepared.bone_imus is None:
+    if "motion" not in job.settings.guards or prepared.bone_imus is None:
         return ()
     poses = job.solve(prepared, confidence=False).poses
     most = _MISALIGNED_FRACTION * (poses.times[-1] - poses.times[0])

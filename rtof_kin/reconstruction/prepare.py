@@ -164,9 +164,11 @@ def cleaned(
         camera: clean the keypoints too.
     """
     keypoints, imus, faults = recording.keypoints, recording.imus, tuple[StreamFault, ...]()
-    if settings.guard_streams and camera and keypoints is not None:
-        keypoints, faults = reject_keypoint_outliers(keypoints)
-    if settings.guard_streams and imus is not None:
+    if camera and keypoints is not None:
+        keypoints, faults = reject_keypoint_outliers(
+            keypoints, sides="sides" in settings.guards, person="person" in settings.guards
+        )
+    if "samples" in settings.guards and imus is not None:
         imus, of_sensors = reject_imu_outliers(imus)
         faults += of_sensors
     return (replace(recording, keypoints=keypoints, imus=imus) if faults else recording), faults

@@ -48,7 +48,7 @@ class Choices:
             "backend": None if fragment is None else fragment.backend,
             "energy": None if fragment is None else _energy_name(fragment),
             "frames": None if fragment is None else s.frames,
-            "guard_streams": s.guard_streams,
+            "guards": ",".join(s.guards),
             "lift_with_sensors": s.lift_with_sensors,
             "lifter": self.lifter,
             "calibrate": self.calibrate,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.choices import SPACES, Backend, Space
+from rtof_kin.core.choices import GUARDS, SPACES, Backend, Guard, Space
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings
 from rtof_kin.solve.cartesian.settings import CartesianSettings
@@ -30,8 +30,8 @@ class ReconstructionSettings:
     """Solver of a fragment where `fragment` is not given. Default: that of the space."""
     frames: int = 50
     """N, frames of a fragment."""
-    guard_streams: bool = True
-    """Repair or reject outliers of keypoints and sensors first (`Reconstruction.faults`)."""
+    guards: tuple[Guard, ...] = GUARDS
+    """Which outliers of keypoints and sensors are rejected (`Reconstruction.faults`)."""
     confidence: bool = True
     """Compute pose covariances (`MotionSequence.confidence`) in modes rto and rtof in joint space."""
     sensor_joints: tuple[str, ...] = ()
@@ -47,6 +47,8 @@ class ReconstructionSettings:
             )
         if self.space is not None and self.space not in SPACES:
             raise UnknownNameError("space", [self.space], SPACES)
+        if unknown := sorted({*self.guards} - {*GUARDS}):
+            raise UnknownNameError("guard", unknown, GUARDS)
 
     def solver(
         self, skeleton: SkeletonModel, calibrated: bool = False

@@ -149,7 +149,7 @@ def _settings(settings: dict[str, Any]) -> list[list[str]]:
     return [
         *rows,
         ["Self-calibration", f"{settings.get('calibrate')}{prior}"],
-        ["Outlier rejection", "on" if settings.get("guard_streams") else "off"],
+        ["Outlier rejection", settings.get("guards") or "off"],
         ["Threads", str(settings.get("threads") or "not limited")],
     ]
 

@@ -48,6 +48,8 @@ class MocapClip:
     """walking, running, acting, freestyle, rom or other, from an index."""
     quality: str = ""
     """Remark of an index; contains GLITCH where the original has spikes."""
+    rig: str = ""
+    """Family of the source's skeleton, see `mocap_families`."""
 
     def __post_init__(self) -> None:
         offsets = readonly("clip joint_offsets", self.joint_offsets, (len(self.poses.names), 3))
@@ -79,7 +81,7 @@ def map_motion(
     R_world_bone = R_turned @ np.swapaxes(R_canonical @ R_rest, -1, -2)
     p, R = _aimed(R_world_bone, joint_offsets, p_wanted, family.aim)
     times = np.arange(len(motion)) / rate_hz
-    return MocapClip(name, PoseSequence(times, p, R, NAMES), joint_offsets)
+    return MocapClip(name, PoseSequence(times, p, R, NAMES), joint_offsets, rig=family.name)
 
 
 def _t_pose(motion: ArticulatedMotion, family: Family, offsets: Array) -> tuple[Array, Array]:

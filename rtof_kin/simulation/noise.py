@@ -101,7 +101,7 @@ class KeypointNoise:
 class ImuNoise:
     """Errors of IMUs on a body: of orientation (`ORIENTATION_MEDIAN_DEG`) and of the accelerometer."""
 
-    misalignment_deg: float = 2.0  # [deg] per axis, constant per sensor
+    misalignment_deg: float = 0.9  # [deg] per axis, constant per sensor
     orientation_factor: float = 1.0  # [-] on the medians of each segment; 0 for none
     drift_memory: float = 20.0  # [s] correlation time of the slip
     wobble_share: float = 0.3  # [-] of the variance, correlated with the segment's motion

@@ -28,9 +28,11 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation import noise as noises
+from rtof_kin.simulation.detector_errors import DetectorErrors, simulate_detections
 from rtof_kin.simulation.mocap import PARENTS, MocapClip, read_mocap, resample_clip
 from rtof_kin.simulation.noise import ImuNoise, KeypointNoise
 from rtof_kin.simulation.sensors import simulate_imus
+from rtof_kin.vision.keypoints import keypoints_from_detections
 
 LIMB_SENSORS = (
     "L_UpArm", "R_UpArm", "L_LowArm", "R_LowArm", "L_UpLeg", "R_UpLeg", "L_LowLeg", "R_LowLeg",
@@ -47,14 +49,14 @@ _FEWEST_FRAMES: Final = 4
 class SimulationSettings:
     """Sensors, landmarks and errors of a simulated recording."""
 
-    keypoints: KeypointNoise = field(default_factory=KeypointNoise)
+    keypoints: KeypointNoise | DetectorErrors = field(default_factory=DetectorErrors)
     imu: ImuNoise = field(default_factory=ImuNoise)
     # A pair is the range of a uniform distribution.
     imu_rate_hz: float = 60.0  # [Hz]
     imu_start_frames: tuple[float, float] = (0.0, 1.0)  # [samples] after the poses
-    video_lag_frames: tuple[float, float] = (1.0, 4.0)  # [frames] video behind IMUs
+    video_lag_frames: tuple[float, float] = (0.0, 0.0)  # [frames] video behind IMUs, a detector's delay aside
     sensors: tuple[str, ...] = LIMB_SENSORS  # names in the skeleton's table; none: no IMUs
-    landmarks: tuple[str, ...] = ()  # what the detector finds; none: the joints
+    landmarks: tuple[str, ...] = ()  # what the detector finds; none: the joints, or all that it shows
 
     @classmethod
     def noiseless(cls) -> Self:
@@ -64,7 +66,7 @@ class SimulationSettings:
     @classmethod
     def perfect(cls) -> Self:
         """Return exact 2D on the IMUs' clock, with realistic IMUs."""
-        return cls(keypoints=KeypointNoise.perfect(), video_lag_frames=(0.0, 0.0))
+        return cls(keypoints=KeypointNoise.perfect())
 
     @classmethod
     def white(cls, sigma_px: float = 5.0) -> Self:
@@ -76,8 +78,17 @@ class SimulationSettings:
         return replace(cls.perfect(), keypoints=KeypointNoise.white(sigma_px))
 
     @classmethod
+    def independent(cls) -> Self:
+        """Return joints with errors that are independent of each other and of the pose, with realistic IMUs.
+
+        Each joint has a constant bias, a slow drift and outliers of its own (`KeypointNoise`); the video is
+        late by 1 to 4 frames. Real detectors' errors are correlated and depend on the view (`realistic`).
+        """
+        return cls(keypoints=KeypointNoise(), video_lag_frames=(1.0, 4.0))
+
+    @classmethod
     def realistic(cls) -> Self:
-        """Return a detector's 2D, late by a few frames, with realistic IMUs."""
+        """Return the 2D of a real detector (`DetectorErrors`), its delay included, with realistic IMUs."""
         return cls()
 
 
@@ -113,10 +124,12 @@ def simulate(
     _check(clip_poses, skeleton)
     draws, video, imu = np.random.default_rng(seed).spawn(3)
     lag = float(draws.uniform(*settings.video_lag_frames)) / clip_poses.rate_hz
+    start = float(draws.uniform(*settings.imu_start_frames)) / settings.imu_rate_hz
+    if isinstance(settings.keypoints, DetectorErrors):
+        lag += settings.keypoints.draw_delay(draws)
     cut = int(np.searchsorted(clip_poses.times, clip_poses.times[0] + lag - 1e-9))
     if len(clip_poses) - cut < _FEWEST_FRAMES:
         raise InvalidInputError(f"simulation: {len(clip_poses)} poses are too few for a lag of {lag:g} s")
-    start = float(draws.uniform(*settings.imu_start_frames)) / settings.imu_rate_hz
     imus, calibration = None, None
     if settings.sensors:
         imu_times = _imu_times(clip_poses.times, start, settings.imu_rate_hz)
@@ -264,7 +277,32 @@ def _simulate_keypoints(
     lag: float,
     cut: int,
 ) -> KeypointSequence:
-    names = settings.landmarks or skeleton.names
+    if isinstance(settings.keypoints, KeypointNoise):
+        names = settings.landmarks or skeleton.names
+        return _noisy_landmarks(rng, poses, skeleton, camera, settings.keypoints, names, lag, cut)
+    shown = _shown(poses, poses.times[cut:] - lag)
+    found = simulate_detections(rng, shown, skeleton, camera, settings.keypoints)
+    keypoints = keypoints_from_detections(found, poses.times[cut:], camera).keypoints
+    return keypoints.select(settings.landmarks) if settings.landmarks else keypoints
+
+
+def _shown(poses: PoseSequence, times: Array) -> PoseSequence:
+    """Return the poses at other times, up to rounding within those of the motion."""
+    times = np.maximum(times, poses.times[0])
+    R = signals.interpolate_rotations(poses.times, poses.R_world_bone, times)
+    return PoseSequence(times, CubicSpline(poses.times, poses.p_world_joint)(times), R, poses.names)
+
+
+def _noisy_landmarks(
+    rng: Generator,
+    poses: PoseSequence,
+    skeleton: SkeletonModel,
+    camera: Camera,
+    noise: KeypointNoise,
+    names: tuple[str, ...],
+    lag: float,
+    cut: int,
+) -> KeypointSequence:
     known = list(skeleton.landmarks)
     places = [skeleton.landmarks[known[i]] for i in indices_of("landmark", names, known)]
     joints = [joint for joint, _ in places]
@@ -272,7 +310,7 @@ def _simulate_keypoints(
     p = poses.p_world_joint[:, index] + np.einsum("tlij,lj->tli", poses.R_world_bone[:, index], offsets)
     times = poses.times[cut:]
     p = CubicSpline(poses.times, p)(times - lag) if lag > 0 else p
-    noise = settings.keypoints.drawn(rng)
+    noise = noise.drawn(rng)
     uv = camera.project(p)
     errors = noises.keypoint_errors(rng, times, joints, noise)
     confidence = noises.confidences(rng, times, errors, noise)

@@ -26,21 +26,26 @@ _FEWEST, _FEWEST_PAIRS = 4, 2  # points that identify a person, pairs that show 
 _LOWER = ("Leg", "Foot", "Toe", "Heel", "Hip", "Knee")
 
 
-def reject_keypoint_outliers(keypoints: KeypointSequence) -> tuple[KeypointSequence, tuple[StreamFault, ...]]:
+def reject_keypoint_outliers(
+    keypoints: KeypointSequence, *, sides: bool = True, person: bool = True
+) -> tuple[KeypointSequence, tuple[StreamFault, ...]]:
     """Exchange swapped sides back and set another person's keypoints to NaN.
 
     Args:
         keypoints: at any times; names of sides begin with ``Left`` and ``Right``, or ``L`` and ``R``.
+        sides: look for exchanged sides. person: look for another person.
 
     Returns:
         The keypoints, unchanged without faults, and the faults.
     """
     found: list[StreamFault] = []
-    for group, pairs in side_pairs(keypoints.names).items():
+    for group, pairs in side_pairs(keypoints.names).items() if sides else ():
         keypoints, faults = _with_sides_corrected(keypoints, group, pairs)
         found += faults
-    keypoints, faults = _without_other_people(keypoints)
-    return keypoints, tuple(sorted([*found, *faults], key=lambda fault: fault.start))
+    if person:
+        keypoints, faults = _without_other_people(keypoints)
+        found += faults
+    return keypoints, tuple(sorted(found, key=lambda fault: fault.start))
 
 
 def side_pairs(names: tuple[str, ...]) -> dict[str, Index]:

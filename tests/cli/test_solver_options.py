@@ -13,6 +13,7 @@ import pytest
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli.solver_options import add_solver_options, settings_of
+from rtof_kin.core.choices import GUARDS
 from rtof_kin.core.threads import limit_threads, threads
 from rtof_kin.reconstruction.result import _energy_name
 from rtof_kin.solve.cartesian.settings import CartesianSettings
@@ -34,7 +35,7 @@ def test_terminal_summary_and_page_agree_and_state_each_thing_once(
     assert settings.pop("fragment")["jerk"] == 2.5
     assert settings == {
         "space": "joint", "backend": "realtime", "energy": "default", "frames": 16,
-        "guard_streams": True, "lift_with_sensors": True, "lifter": "detections", "calibrate": "no",
+        "guards": ",".join(GUARDS), "lift_with_sensors": True, "lifter": "detections", "calibrate": "no",
         "known_of_another_recording": False, "threads": threads(),
     }  # fmt: skip
     words = ("recording ", "accuracy ", "caution ", verdict["headline"], "files ", "next ", "section verdict")
@@ -56,7 +57,7 @@ def test_paper_is_solved_in_cartesian_space(stuck: Path, tmp_path: Path, cli: An
     found = summary["settings"]
     assert (found["space"], found["backend"], found["energy"]) == ("cartesian", "ipopt", "as printed")
     assert (found["fragment"]["k_V"], found["fragment"]["bone_lengths"]) == (0.9, "free")
-    assert (found["guard_streams"], found["lift_with_sensors"]) == (False, False)
+    assert (found["guards"], found["lift_with_sensors"]) == ("", False)
     assert found["lifter"] == "causal"
     assert "stream_faults" not in summary
 

@@ -100,7 +100,7 @@ def test_the_header_has_session_body_sensors_and_headline(html: str, page: Page)
 def test_the_header_has_options_and_settings(tmp_path: Path) -> None:
     settings = {"space": "cartesian", "backend": "ipopt", "energy": "as printed", "frames": 20,
                 "lifter": "causal", "lift_with_sensors": False, "calibrate": "no", "threads": 1,
-                "guard_streams": False}  # fmt: skip
+                "guards": ""}  # fmt: skip
     folder = folder_of(walk(), tmp_path / "out", inputs=INPUTS, settings=settings, audit=None)
     top = text_of(folder, session=Session(subject="P08"))
     for text in (

@@ -105,12 +105,12 @@ def test_perfect_keypoints_are_the_projections_of_everything_in_front_of_the_cam
     np.testing.assert_array_equal(simulated(SimulationSettings.perfect(), camera=near).video.seen, ~behind)
 
 
-def test_realistic_keypoints_outside_the_image_are_unseen() -> None:
+def test_independent_keypoints_outside_the_image_are_unseen() -> None:
     near = Camera.looking_at([1.8, 0.3, 1.2], [0.0, 0.0, 1.2], 1250.0)
     uv = near.project(POSES.p_world_joint)
     outside = ((uv < 0) | (uv > [1920, 1080])).any(axis=-1)
     assert 0.02 < outside.mean() < 0.5
-    settings = replace(SimulationSettings.realistic(), video_lag_frames=(0.0, 0.0))
+    settings = replace(SimulationSettings.independent(), video_lag_frames=(0.0, 0.0))
     assert not simulated(settings, camera=near).video.seen[outside].any()
 
 
@@ -234,7 +234,7 @@ def test_parameters_are_drawn_anew_for_each_recording() -> None:
     assert KeypointNoise.white(5.0).drawn(np.random.default_rng(0)) == KeypointNoise.white(5.0)
     assert ImuNoise().drawn(np.random.default_rng(0)) != ImuNoise()
     assert ImuNoise.perfect().drawn(np.random.default_rng(0)) == ImuNoise.perfect()
-    lags = replace(SimulationSettings.realistic(), sensors=())
+    lags = replace(SimulationSettings.independent(), sensors=())
     assert {simulated(lags, POSES[:20], seed=seed).first_frame for seed in range(20)} == {2, 3, 4}
 
 
@@ -258,6 +258,22 @@ def slips(joint: str, axis: Array, amplitude: float = 0.5, seeds: int = 12) -> A
 def test_the_median_orientation_error_is_that_of_real_sensors(joint: str) -> None:
     error = np.degrees(np.linalg.norm(slips(joint, np.array([0, 1.0, 0])), axis=-1))
     assert np.median(error) == pytest.approx(ORIENTATION_MEDIAN_DEG[joint], rel=0.2)
+
+
+def test_limb_sensors_err_in_swing_and_twist_as_real_ones_do() -> None:
+    poses = planted.moving(SKELETON, 1200).poses[::6]
+    settings = replace(NOISELESS, imu=ImuNoise(), imu_rate_hz=poses.rate_hz)
+    joints = SKELETON.index(*(SKELETON.sensors[name][0] for name in LIMB_SENSORS))
+    along = so3.unit(np.array([SKELETON.table.joints[j].end for j in joints]))
+    swing, twist = [], []
+    for seed in range(120):
+        bones = simulated(settings, poses, seed=seed).bone_imus()
+        error = (np.swapaxes(poses.R_world_bone[:, joints], -1, -2) @ bones.R_world_bone)[1:-1]
+        turned = np.einsum("tsij,sj,si->ts", error, along, along)
+        swing.append(np.degrees(np.arccos(np.minimum(turned, 1))))
+        twist.append(np.degrees(np.abs(np.einsum("tsi,si->ts", so3.log(error), along))))
+    assert np.median(swing) == pytest.approx(2.7, rel=0.08)
+    assert np.median(twist) == pytest.approx(4.7, rel=0.08)
 
 
 def test_slip_turns_the_sensor_and_keeps_the_acceleration() -> None:

@@ -100,14 +100,10 @@ class JointSpaceSettings:
 
     @classmethod
     def calibrated(cls) -> Self:
-        """Return the settings for a self-calibrated recording.
-
-        Mounting errors are then corrected, so orientations have smaller standard deviations, and
-        accelerations and jerk larger ones.
+        """Return the settings for a self-calibrated recording: larger standard deviations of accelerations
+        and jerk. Those of orientations stay: what a calibration leaves is no smaller on real recordings.
         """
-        return cls(
-            sigma_swing=np.radians(2.0), sigma_twist=np.radians(12.0), sigma_acceleration=2.5, jerk=3.0
-        )
+        return cls(sigma_acceleration=2.5, jerk=3.0)
 
     def __post_init__(self) -> None:
         for field, values in {"backend": BACKENDS, "compile": get_args(Compile)}.items():

@@ -1,0 +1,303 @@
+"""Detections of a known motion with the errors of a real detector (``models/detector_errors.toml``).
+
+A point stands at its place in the body, which differs from person to person and moves with the pose and the
+view. Its error in the image has a part that is constant over the recording and a coloured one, both
+correlated over the points; the coloured part grows where the body hides the point. Limbs jump, left and
+right are exchanged, the person is lost, the whole picture is late by some frames, and the camera stands a
+little differently from what its calibration says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.random import Generator
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.simulation.detector_error_table import DetectorErrorTable, detector_error_table, harmonics
+from rtof_kin.simulation.random_processes import episodes, ornstein_uhlenbeck, smoothed
+from rtof_kin.simulation.self_occlusion import self_occluded
+from rtof_kin.vision.detections import Detections
+
+DELAY_RATE_HZ: Final = 60.0
+"""Frame rate that `DetectorErrors.delay_frames` are counted at, Hz."""
+_LIMBS: Final = 5
+_RIGID: Final = "face"  # kind of points that differ between persons by one displacement, not mirrored
+_FAR, _FAR_RANGE = 0.2, 1.5
+"""Unit of the depth behind the hips, m, and its largest value in that unit."""
+_FASTEST: Final = 3.0  # [m/s] speed beyond which errors grow no more
+_LOG_ERROR, _LEAST_ERROR = 0.03, 0.005  # [m] unit of the errors that visibility depends on, and the least
+
+
+@dataclass(frozen=True)
+class DetectorErrors:
+    """Which errors a simulated detector has: factors on those of the table, 0 for none."""
+
+    person: float = 1.0  # [-] on the spread of places between persons
+    view: float = 1.0  # [-] on the displacement that turns with the view
+    constant: float = 1.0  # [-] on the errors that last for the recording
+    coloured: float = 1.0  # [-] on the coloured errors
+    jumps: float = 1.0  # [-] on how often a limb is found elsewhere
+    exchanges: float = 1.0  # [-] on how often left and right are exchanged
+    losses: float = 1.0  # [-] on how often the person is lost inside the image
+    camera: float = 1.0  # [-] on the error of the camera's calibration
+    delay_frames: tuple[float, ...] = (1, 1, 1, 2, 2, 3)  # [frames at 60 Hz] of which one is drawn
+
+    @classmethod
+    def none(cls) -> Self:
+        """Return a detector that finds the points at the mean of their places, seen by an exact camera."""
+        return cls(
+            person=0, view=0, constant=0, coloured=0, jumps=0, exchanges=0, losses=0, camera=0,
+            delay_frames=(0,),
+        )  # fmt: skip
+
+    def draw_delay(self, rng: Generator) -> float:
+        """Return by how much the detections of a recording are late, s.
+
+        Args:
+            rng: source of randomness.
+        """
+        return float(rng.choice(self.delay_frames)) / DELAY_RATE_HZ
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What the camera would see without errors in the image, in camera axes."""
+
+    lens: Camera
+    """The camera, with its axes as world."""
+    p_joint: Array
+    """(T, K, 3) joints that the points are anchored at, m."""
+    p_point: Array
+    """(T, K, 3) places of the points, m."""
+    azimuth: Array
+    """(T,) of the camera in the pelvis frame, rad; 0 in front, positive to the left."""
+    hidden: Mask
+    """(T, K) points that the body hides."""
+    far: Array
+    """(T, K) depth behind the hips in units of `_FAR`, limited."""
+    speed: Array
+    """(T, K) m/s, limited."""
+    rate_hz: float
+    """Frames per second."""
+
+    @property
+    def px_per_m(self) -> Array:
+        """(T, K) scale of the image at the points' depth."""
+        focal = np.trace(self.lens.K[:2, :2]) / 2
+        return np.asarray(focal / self.p_point[..., 2])
+
+
+def simulate_detections(
+    rng: Generator, poses: PoseSequence, skeleton: SkeletonModel, camera: Camera, errors: DetectorErrors
+) -> Detections:
+    """Simulate what a detector finds of one person.
+
+    Each part of the errors has a random stream of its own: switching one off leaves the others as they are.
+
+    Args:
+        rng: source of randomness, of this person, detector, camera mounting and recording.
+        poses: motion at the instants that the frames show; an even rate is assumed. skeleton: of the person.
+        camera: as its calibration says. errors: what is wrong.
+
+    Returns:
+        One person in the table's layout, with visibility as confidence; points outside of the image included.
+
+    Raises:
+        UnknownNameError: the skeleton lacks a joint that the points are anchored at.
+    """
+    table = detector_error_table()
+    standing, person, lasting, colour, moods, jumps, swaps, seeing, losing = rng.spawn(9)
+    true_camera = _true_camera(standing, camera, poses.p_world_joint[:, 0].mean(axis=0), table, errors.camera)
+    scene = _scene(person, poses, skeleton, true_camera, table, errors)
+    T = len(poses)
+    error = errors.coloured * _coloured(colour, scene, table) * _amplitude(moods, scene, table)[..., None]
+    error += errors.constant * _correlated(lasting, table.constant.factor, table.constant.rest)
+    error += _jumps(jumps, scene, table, errors.jumps)
+    p_found = scene.p_point + np.concatenate([error, np.zeros((T, len(table.layout), 1))], axis=-1)
+    uv = _exchanged(swaps, scene.lens.project(p_found), scene, table, errors.exchanges)
+    uv_joint = scene.lens.project(scene.p_joint)
+    inside = np.all((uv_joint > 0) & (uv_joint < [camera.width_px, camera.height_px]), axis=-1)
+    visibility = _visibility(seeing, uv, scene, inside, table)
+    lost = _lost(losing, inside, scene.rate_hz, table, errors.losses)
+    uv[lost], visibility[lost] = np.nan, 0.0
+    return Detections(uv[:, None], visibility[:, None], names=table.layout.names)
+
+
+# --- what is to be seen --------------------------------------------------------------------------
+
+
+def _true_camera(
+    rng: Generator, camera: Camera, p_world_centre: Array, table: DetectorErrorTable, factor: float
+) -> Camera:
+    """Return the camera as it really stands: turned about the middle of the scene and moved a little."""
+    size = table.numbers["camera"]
+    turn = np.radians(size["rotation_sd_deg"]) * rng.standard_normal(3)
+    moved = np.array(size["translation_sd_mm"]) / 1e3 * rng.standard_normal(3)
+    focal = np.exp(factor * size["focal_sd"] * rng.standard_normal())
+    R_true_camera = so3.exp(factor * turn)
+    p_camera_centre = camera.to_camera(p_world_centre)
+    t = R_true_camera @ (camera.t_camera_world - p_camera_centre) + p_camera_centre + factor * moved
+    K = camera.K @ np.diag([focal, focal, 1.0])
+    return replace(camera, K=K, R_camera_world=R_true_camera @ camera.R_camera_world, t_camera_world=t)
+
+
+def _scene(
+    rng: Generator,
+    poses: PoseSequence,
+    skeleton: SkeletonModel,
+    camera: Camera,
+    table: DetectorErrorTable,
+    errors: DetectorErrors,
+) -> _Scene:
+    p_camera_joint = camera.to_camera(poses.p_world_joint)
+    R_camera_bone = camera.R_camera_world @ poses.R_world_bone
+    hips = skeleton.index("Hips")[0]
+    R_camera_pelvis, p_hips = R_camera_bone[:, hips], p_camera_joint[:, hips]
+    anchor = p_camera_joint[:, skeleton.index(*table.places.anchor)]
+    offset = _offsets(rng, R_camera_bone, R_camera_pelvis, anchor, skeleton, table, errors)
+    forward, leftward = np.moveaxis(np.einsum("tji,tj->ti", R_camera_pelvis, -p_hips), -1, 0)[:2]
+    speed = np.linalg.norm(np.gradient(anchor, axis=0), axis=-1) * poses.rate_hz
+    return _Scene(
+        lens=replace(camera, R_camera_world=np.eye(3), t_camera_world=np.zeros(3)),
+        p_joint=anchor,
+        p_point=anchor + _leg_length(poses, skeleton) / table.places.leg * offset,
+        azimuth=np.arctan2(leftward, forward),
+        hidden=self_occluded(p_camera_joint, anchor, table.limb, skeleton),
+        far=np.clip((anchor[..., 2] - p_hips[:, None, 2]) / _FAR, -_FAR_RANGE, _FAR_RANGE),
+        speed=np.minimum(speed, _FASTEST),
+        rate_hz=poses.rate_hz,
+    )
+
+
+def _offsets(
+    rng: Generator,
+    R_camera_bone: Array,
+    R_camera_pelvis: Array,
+    anchor: Array,
+    skeleton: SkeletonModel,
+    table: DetectorErrorTable,
+    errors: DetectorErrors,
+) -> Array:
+    """Return the places (T, K, 3) from the anchors in camera axes, m, for a leg as in the table."""
+    places = table.places
+    own = errors.person * (places.person_sd * rng.standard_normal(places.person_sd.shape))[table.kind]
+    own[table.left & (table.kind != table.group.index(_RIGID)), 1] *= -1
+    toward = so3.unit(-anchor) @ R_camera_pelvis
+    view = errors.view * np.exp(places.view_spread * rng.standard_normal()) * places.view
+    turned = np.einsum("tkh,khj->tkj", harmonics(toward), view)
+
+    def fixed(frames: tuple[str, ...], offset: Array) -> Array:
+        return np.asarray(np.einsum("tkij,kj->tki", R_camera_bone[:, skeleton.index(*frames)], offset))
+
+    in_frames = fixed(places.frame, places.mean + own) + fixed(places.second_frame, places.pose)
+    return np.asarray(in_frames + turned @ np.swapaxes(R_camera_pelvis, -1, -2))
+
+
+def _leg_length(poses: PoseSequence, skeleton: SkeletonModel) -> float:
+    """Return the mean length of thigh and shank together, m."""
+    legs = [skeleton.index(f"{side}UpLeg", f"{side}Leg", f"{side}Foot") for side in ("Left", "Right")]
+    bones = np.diff(poses.p_world_joint[0, legs], axis=1)
+    return float(np.linalg.norm(bones, axis=-1).sum(axis=1).mean())
+
+
+# --- errors in the image, m at the depth of the points -------------------------------------------
+
+
+def _correlated(rng: Generator, factor: Array, rest: Array) -> Array:
+    """Return normal errors (K, 2) of covariance ``factor factor^T + diag(rest^2)``."""
+    return np.asarray(factor @ rng.standard_normal(factor.shape[-1]) + rest * rng.standard_normal(rest.shape))
+
+
+def _coloured(rng: Generator, scene: _Scene, table: DetectorErrorTable) -> Array:
+    """Return (T, K, 2) the sum over views and time constants of Ornstein-Uhlenbeck processes."""
+    T, (factor, rest) = len(scene.azimuth), (table.coloured.factor, table.coloured.rest)
+    V, K, _, r = factor.shape
+    along, across = np.cos(scene.azimuth), np.sin(scene.azimuth)
+    weight = np.maximum(np.stack([along, -along, across, -across], axis=-1), 0)
+    out = np.zeros((T, K, 2))
+    for memory, share in zip(table.time_constants * scene.rate_hz, table.kinds.shares.T, strict=True):
+        shared = ornstein_uhlenbeck(rng, T, (V, r), memory) * weight[..., None]
+        own = ornstein_uhlenbeck(rng, T, (V, K, 2), memory) * weight[..., None, None]
+        together = np.einsum("tvr,vkir->tki", shared, factor, optimize=True)
+        out += np.sqrt(share)[:, None] * (together + np.einsum("tvki,vki->tki", own, rest))
+    return smoothed(out, table.smoothing * scene.rate_hz)
+
+
+def _amplitude(rng: Generator, scene: _Scene, table: DetectorErrorTable) -> Array:
+    """Return the factor (T, K) on coloured errors."""
+    numbers, kind, rate = table.numbers["amplitude"], table.kinds.amplitude, scene.rate_hz
+    exponent = kind["hidden"] * scene.hidden + kind["far"] * scene.far + kind["speed"] * scene.speed
+    mood = ornstein_uhlenbeck(rng, len(exponent), (_LIMBS,), numbers["mood_memory"] * rate)
+    mood = smoothed(mood, numbers["mood_smoothing"] * rate)[:, table.limb] * kind["mood_sd"]
+    return np.asarray(
+        kind["gain"] * np.exp(np.clip(exponent, *numbers["log_range"]) + mood - kind["mood_sd"] ** 2)
+    )
+
+
+def _jumps(rng: Generator, scene: _Scene, table: DetectorErrorTable, factor: float) -> Array:
+    """Return displacements (T, K, 2) of whole limbs for some frames."""
+    numbers = table.numbers["jumps"]
+    out = np.zeros((*scene.hidden.shape, 2))
+    small = np.isin(np.arange(len(table.kind)), table.points_of(numbers["small"]["groups"]))
+    share = np.where(small, numbers["small"]["factor"], 1.0)[:, None]
+    for limb in numbers["limbs"]:
+        points = table.points_of(limb["groups"])
+        for side in (points[table.left[points]], points[~table.left[points]]):
+            often = np.where(scene.hidden[:, side].mean(axis=1) > 0.5, numbers["when_hidden"], 1.0)
+            for frames in _episodes(rng, factor * limb["per_minute"] * often, scene.rate_hz, numbers):
+                size = numbers["size_mm"] / 1e3 * np.exp(numbers["size_spread"] * rng.standard_normal())
+                out[frames, side] += size * rng.standard_normal(2) * share[side]
+    return out
+
+
+def _exchanged(rng: Generator, uv: Array, scene: _Scene, table: DetectorErrorTable, factor: float) -> Array:
+    """Return points (T, K, 2) with left and right exchanged for some frames, mostly in profile."""
+    numbers = table.numbers["exchanges"]
+    apart = np.linalg.norm(uv - uv[:, table.mirror], axis=-1) / scene.px_per_m * 1e3
+    out = uv.copy()
+    for row in numbers["rates"]:
+        points = table.points_of(row["groups"])
+        beyond = np.maximum(apart[:, points].mean(axis=1) - numbers["near_mm"], 0)
+        likely = np.sin(scene.azimuth) ** 2 * (numbers["always"] + np.exp(-beyond / numbers["near_mm"]))
+        for frames in _episodes(rng, factor * row["per_minute"] * likely, scene.rate_hz, numbers):
+            out[frames, points] = out[frames][:, table.mirror[points]]
+    return out
+
+
+def _episodes(rng: Generator, per_minute: Array, rate_hz: float, numbers: Mapping[str, Any]) -> list[slice]:
+    return episodes(rng, per_minute, rate_hz, numbers["duration"], numbers["duration_spread"])
+
+
+# --- what the detector says ----------------------------------------------------------------------
+
+
+def _visibility(rng: Generator, uv: Array, scene: _Scene, inside: Mask, table: DetectorErrorTable) -> Array:
+    """Return what the detector reports of each point (T, K)."""
+    kind = table.kinds.visibility
+    memory = table.numbers["visibility"]["memory"] * scene.rate_hz
+    T, K = inside.shape
+    error = np.linalg.norm(uv - scene.lens.project(scene.p_point), axis=-1) / scene.px_per_m
+    shared = ornstein_uhlenbeck(rng, T, (_LIMBS,), memory)[:, table.limb]
+    residual = (shared + ornstein_uhlenbeck(rng, T, (K,), memory)) / np.sqrt(2)
+    logit = kind["base"] + kind["hidden"] * scene.hidden + kind["far"] * scene.far
+    logit += kind["log_error"] * np.log(np.maximum(error, _LEAST_ERROR) / _LOG_ERROR)
+    logit += kind["outside"] * ~inside + kind["residual_sd"] * residual
+    return np.asarray(1 / (1 + np.exp(-logit)))
+
+
+def _lost(rng: Generator, inside: Mask, rate_hz: float, table: DetectorErrorTable, factor: float) -> Mask:
+    """Return the frames (T,) without the person: too little of it in the image, or lost by itself."""
+    numbers, T = table.numbers["lost"], len(inside)
+    wandering = ornstein_uhlenbeck(rng, T, (), numbers["share_memory"] * rate_hz)
+    out = inside.mean(axis=1) < numbers["share_inside"] + numbers["share_sd"] * wandering
+    for frames in _episodes(rng, np.full(T, factor * numbers["per_minute"]), rate_hz, numbers):
+        out[frames] = True
+    return np.asarray(out)
