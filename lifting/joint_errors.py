@@ -243,7 +243,8 @@ def path_basis(frames: int, rate_hz: float, memory: float, rank: int = 8) -> Ten
     time = torch.arange(frames) / rate_hz
     values, vectors = torch.linalg.eigh(torch.exp(-(time[:, None] - time).abs() / memory))
     basis: Tensor = vectors[:, -rank:] * values[-rank:].clamp_min(0).sqrt()
-    return basis / basis.norm(dim=1, keepdim=True)
+    basis /= basis.norm(dim=1, keepdim=True)
+    return basis
 
 
 def jumps(body: Body, view: View, frames: int, draw: Draw, rate_hz: float) -> Tensor:

@@ -63,8 +63,8 @@ class Moving:
             for child in kinematics.children_of(body.parents, j):
                 change = shift[:, child] - shift[:, j]
                 self.offsets[rows, child] += change
-                self.bones[rows, ..., child - 1] += _combined(columns[..., i], change)
-        path = _combined(columns[..., 0], shift[:, 0])
+                self.bones[rows, ..., child - 1] += _turned(columns[..., i], change[..., None])
+        path = _turned(columns[..., 0], shift[:, 0, :, None])
         self.root[rows] += path - path[..., estimated : estimated + 1]
 
     def vary(self, body: Body, rows: Tensor, R: Tensor, segments: list[int], estimated: int) -> None:
@@ -81,11 +81,7 @@ class Moving:
 
 
 def _turned(columns: Tensor, v: Tensor) -> Tensor:
-    """Vectors (B, 3, W) turned by rotations with columns (3, B, 3, W)."""
+    """Vectors (B, 3, W or 1) turned by rotations with columns (3, B, 3, W), as (B, 3, W)."""
     x, y, z = columns
-    return x * v[:, :1] + y * v[:, 1:2] + z * v[:, 2:]
-
-
-def _combined(columns: Tensor, v: Tensor) -> Tensor:
-    """Constant vectors (B, 3) turned by rotations with columns (3, B, 3, W), as (B, 3, W)."""
-    return _turned(columns, v[:, :, None])
+    turned: Tensor = x * v[:, :1] + y * v[:, 1:2] + z * v[:, 2:]
+    return turned

@@ -118,7 +118,7 @@ def test_training_noise_is_chosen_by_name(body: Body) -> None:
     error, _ = noise_of(body, TRAINING_NOISE["realistic"])
     one_step = (error[:, :, 1:] - error[:, :, :-1]).std(dim=(1, 2, 3))
     assert (1 - (one_step / error.std(dim=(1, 2, 3))) ** 2 / 2).min() > 0.5
-    with pytest.raises(UnknownNameError, match="'real'.*Known: mixed, perfect, realistic"):
+    with pytest.raises(UnknownNameError, match="'real'.*Known: mixed, perfect, realistic, independent"):
         augmentation("real")
 
 
