@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import lifting_support as support
 import numpy as np
@@ -26,6 +27,12 @@ from lifting.joint_errors import (
     smooth_errors,
 )
 from lifting.noise import TRAINING_NOISE
+from rtof_kin.body.shared_frames import shared_frames, to_shared
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.data.camera import Camera
+from rtof_kin.simulation.detector_errors import DetectorErrors, simulate_detections
+from rtof_kin.simulation.mocap import read_mocap
+from rtof_kin.vision.landmark_regression import LandmarkRegression
 
 B, W, RATE_HZ = 4000, 27, 60.0
 TABLE = JointErrors.fitted()
@@ -197,3 +204,29 @@ def test_realistic_windows_err_as_the_table_says() -> None:
     error = ((xy - p[:, :2] / p[:, 2:]) * p[:, 2:]).norm(dim=1).median(dim=0).values
     assert error.min() > 0.015
     assert error.max() < 0.09
+
+
+def test_drawn_errors_are_as_large_as_those_of_the_simulated_detector(body: Body) -> None:
+    """Independent reference: points of a held-out person's motion, regressed to joints."""
+    clip = read_mocap(Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh")
+    skeleton = SkeletonModel.default().with_offsets(clip.joint_offsets)
+    R_bone_shared = shared_frames(body.names, clip.joint_offsets)
+    offsets = to_shared(R_bone_shared, body.parents, clip.joint_offsets)
+    R_shared, p_root = clip.poses.R_world_bone @ R_bone_shared, clip.poses.p_world_joint[:, 0].mean(axis=0)
+    seen, drawn = [], []
+    for seed in range(16):
+        eye = p_root + [4 * np.cos(seed * 0.4), 4 * np.sin(seed * 0.4), 0.7]
+        camera = Camera.looking_at(eye, p_root, 1250.0)
+        quiet = DetectorErrors(jumps=0.0, exchanges=0.0, camera=0.0, delay_frames=(0.0,))
+        found = simulate_detections(np.random.default_rng(seed), clip.poses, skeleton, camera, quiet)
+        joints = LandmarkRegression.default().apply("mediapipe33", found.uv_px[:, 0], found.confidence[:, 0])
+        p = camera.to_camera(clip.poses.p_world_joint)
+        error = joints.uv_px[:, :21] - camera.project(clip.poses.p_world_joint)
+        seen.append(error * p[..., 2:] / 1250.0)
+        axes = (camera.R_camera_world @ R_shared)[..., [0, 2]].transpose(0, 2, 3, 1)
+        known = (torch.from_numpy(np.ascontiguousarray(x)).float() for x in (p.swapaxes(1, 2), axes))
+        view = View(*known, torch.from_numpy(offsets).float().expand(len(p), -1, -1))
+        drawn.append(errors(body, view, seed=seed)[:, :, W // 2].transpose(1, 2).numpy())
+    rms = [np.sqrt(np.nanmean(np.concatenate(x) ** 2, axis=(0, 2))) for x in (seen, drawn)]
+    np.testing.assert_allclose(np.log(rms[1] / rms[0]), 0.0, atol=0.5)
+    assert abs(np.median(np.log(rms[1] / rms[0]))) < 0.2
