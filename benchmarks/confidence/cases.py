@@ -21,16 +21,20 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.solve.uncertainty.covariance_inflation import ResidualStatistics
+from rtof_kin.solve.uncertainty.covariance_inflation import (
+    CovarianceInflation,
+    ResidualStatistics,
+    outer_squares,
+)
 from rtof_kin.solve.uncertainty.disagreement import Disagreement, disagreement
 from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
 
 EVERY = 4
 """Step between the frames evaluated; neighbours are correlated."""
-FITTED = (("realistic", "0"), ("realistic", "4"), ("realistic", "8"), ("realistic", "10"))
-"""2D and numbers of sensors that the inflation is fitted on."""
-KINDS = (*FITTED, ("white", "8"), ("perfect", "8"))
-"""Those that it is looked at with."""
+SENSORS = ("0", "4", "8", "10")
+"""Numbers of sensors that the inflation is fitted on, with realistic 2D."""
+KINDS = (*(("realistic", count) for count in SENSORS), ("white", "8"), ("perfect", "8"))
+"""2D and numbers of sensors that it is looked at with."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,14 @@ class Case:
     """At the motion's times."""
     apart: Disagreement
     """The solution from its start."""
+    p_camera_joint: Array
+    """(T, J, 3) m, joints as seen from the camera, world axes."""
+    rig: str
+
+    def stated(self, inflation: CovarianceInflation) -> Confidence:
+        """Return the confidence that an inflation makes."""
+        assert self.motion.confidence is not None
+        return inflation.apply(self.motion.confidence, self.circumstances, self.apart, self.p_camera_joint)
 
     @property
     def motion_name(self) -> str:
@@ -66,6 +78,8 @@ class Errors:
     """(n, 3, 3)."""
     apart: Array
     """(n, 3, 3) mean squares of the solution's difference from its start."""
+    depth: Array | None = None
+    """(n, 3, 3) squares of the vectors from the camera, of positions in world."""
 
 
 def reconstructed(
@@ -79,11 +93,11 @@ def reconstructed(
         recording, mode="rtof" if own else "rto", lifter=_lifter(lifter),
         calibrate=calibrate and bool(own),
     )  # fmt: skip
-    return case_of(result, f"{clip.name}/{camera}", keypoints, sensors)
+    return case_of(result, clip, camera, keypoints, sensors)
 
 
-def case_of(result: Reconstruction, name: str, keypoints: str, sensors: str) -> Case:
-    """A reconstruction as a case."""
+def case_of(result: Reconstruction, clip: MocapClip, camera: int, keypoints: str, sensors: str) -> Case:
+    """A reconstruction of a motion as a case."""
     solution, truth, lifted = result.solution, result.recording.truth, result.stages["lift"]
     assert truth is not None
     assert result.keypoints is not None
@@ -94,7 +108,12 @@ def case_of(result: Reconstruction, name: str, keypoints: str, sensors: str) -> 
     stated = residual_statistics(result.keypoints, result.motion, lifted, carriers)
     start = result.stages.get("sf2", lifted)
     apart = disagreement(result.motion.poses, start, solution.confidence.pairs)[::EVERY]
-    return Case(name, keypoints, sensors, stated, motion, at_times(truth, motion.times), apart)
+    p_camera_joint = motion.poses.p_world_joint - result.keypoints.camera.center_world
+    true = at_times(truth, motion.times)
+    return Case(
+        f"{clip.name}/{camera}", keypoints, sensors, stated, motion, true, apart, p_camera_joint,
+        clip.rig,
+    )  # fmt: skip
 
 
 @cache
@@ -120,7 +139,10 @@ def errors(case: Case, confidence: Confidence | None = None) -> Iterator[tuple[s
         ("position", "relative"), seen, covariances, (apart.position, apart.relative), strict=True
     ):
         for j, name in enumerate(stated.names):
-            if kind == "position" or j > 0:
+            if kind == "position":
+                depth = outer_squares(case.p_camera_joint[:, j])
+                yield kind, name, _known(error[:, j], covariance[:, j], off[:, j], depth)
+            elif j > 0:
                 yield kind, name, _known(error[:, j], covariance[:, j], off[:, j])
     R, R_true = case.motion.poses.R_world_bone, case.truth.R_world_bone
     for k, (parent, child) in enumerate(stated.pairs):
@@ -149,6 +171,6 @@ def _seen_from(R: Array, names: Sequence[str], parent: str, child: str) -> Array
     return own if parent == WORLD else np.swapaxes(R[:, names.index(parent)], -1, -2) @ own
 
 
-def _known(error: Array, covariance: Array, apart: Array) -> Errors:
+def _known(error: Array, covariance: Array, apart: Array, depth: Array | None = None) -> Errors:
     known = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
-    return Errors(error[known], covariance[known], apart[known])
+    return Errors(error[known], covariance[known], apart[known], None if depth is None else depth[known])

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize
 from scipy.special import ndtr
 
 from benchmarks.confidence.cases import Case, Errors, errors
@@ -25,9 +25,8 @@ from rtof_kin.solve.uncertainty.covariance_inflation import (
 
 _LEAST = {"position": 1e-3, "relative": 1e-4, "turn": np.radians(0.1)}
 """Floors begin there: nothing is known better."""
-_LARGEST_SHARE = 2.0
-_MOST = 20_000
-"""Errors that the share, one number, is found by."""
+_MOST = 10_000
+"""Errors, of three axes, that the factors of all joints together are found by."""
 _NOTHING = 1e-9
 """m or rad: keeps a standard deviation positive where neither the model nor the recording has any."""
 
@@ -43,8 +42,9 @@ class _Sample:
     """(n, 3) `ResidualStatistics.autocorrelation`."""
     doubt: Array
     """(n, 3) `ResidualStatistics.torso_factor`."""
-    apart: Array
-    """(n, 3) mean square of the solution's difference from its start."""
+    shared: Array
+    """(n, 3, p) what all joints have in common, for factors of 1: the mean square of the solution's
+    difference from its start; of positions in world also the distance's."""
 
 
 def fitted(cases: Sequence[Case]) -> CovarianceInflation:
@@ -59,88 +59,107 @@ def fitted(cases: Sequence[Case]) -> CovarianceInflation:
                 found[who, kind][unsided(name)].append(sample)
     widenings: dict[str, dict[str, dict[str, Widening]]] = {who: {} for who in SEEN}
     shares: dict[str, dict[str, float]] = {who: {} for who in SEEN}
+    depths: dict[str, float] = {}
     for who, kinds in SEEN.items():
         for kind in kinds:
             own = found[who, kind]
             everything = [sample for parts in own.values() for sample in parts]
-            share = shares[who][kind] = _share(kind, everything)
-            widenings[who][kind] = {name: _fitted(kind, parts, share) for name, parts in own.items()}
-            widenings[who][kind][OTHER] = _fitted(kind, everything, share)
-    return CovarianceInflation(widenings, shares)
+            common = _shares(kind, everything)
+            shares[who][kind] = float(common[0])
+            if kind == "position":
+                depths[who] = float(common[1])
+            widenings[who][kind] = {name: _fitted(kind, parts, common) for name, parts in own.items()}
+            widenings[who][kind][OTHER] = _fitted(kind, everything, common)
+    return CovarianceInflation(widenings, shares, depths)
 
 
 def _sample(kind: str, both: Errors, lasting: float, doubt: float) -> _Sample:
     """Turns by the segment's axes, positions along those of the covariance, of which one is depth."""
+    shared = [both.apart] if both.depth is None else [both.apart, lasting**2 * both.depth]
     if kind == "turn":
         error, variance = both.error, np.diagonal(both.covariance, axis1=1, axis2=2)
-        apart = np.diagonal(both.apart, axis1=1, axis2=2)
+        along = [np.diagonal(part, axis1=1, axis2=2) for part in shared]
     else:
         variance, axes = np.linalg.eigh(both.covariance)
         error = np.einsum("nij,ni->nj", axes, both.error)
-        apart = np.einsum("nij,nik,nkj->nj", axes, both.apart, axes)
+        along = [np.einsum("nij,nik,nkj->nj", axes, part, axes) for part in shared]
     shape = error.shape
-    return _Sample(error, np.maximum(variance, 0.0), np.full(shape, lasting), np.full(shape, doubt), apart)
+    return _Sample(
+        error, np.maximum(variance, 0.0), np.full(shape, lasting), np.full(shape, doubt),
+        np.stack(along, axis=-1),
+    )  # fmt: skip
 
 
 def _joined(own: Sequence[_Sample]) -> list[Array]:
-    """(N, 3) of every field of many samples."""
+    """(N, 3, ...) of every field of many samples."""
     return [np.concatenate([getattr(one, field.name) for one in own]) for field in fields(_Sample)]
 
 
-def _share(kind: str, own: Sequence[_Sample]) -> float:
-    """The share of all errors of one kind together: it scores best with one factor and one floor."""
-    values = [value.ravel() for value in _joined(own)]
-    values = [value[:: 1 + len(value) // _MOST] for value in values]  # they are much alike
-    found = minimize_scalar(
-        lambda share: sharpest(*values[:4], share**2 * values[4], least=_LEAST[kind])[2],
-        bounds=(0.0, _LARGEST_SHARE), method="bounded", options={"xatol": 0.05},
-    )  # fmt: skip
-    return float(found.x)
+def _shares(kind: str, own: Sequence[_Sample]) -> Array:
+    """The factors (p,) of what all joints have in common: they score best with one factor and one floor."""
+    *values, shared = (value[:: 1 + len(value) // _MOST] for value in _joined(own))  # they are much alike
+    flat = shared.reshape(-1, shared.shape[-1])
+    return sharpest(*(value.ravel() for value in values), least=_LEAST[kind], shared=flat)[2:]
 
 
-def _fitted(kind: str, own: Sequence[_Sample], share: float) -> Widening:
+def _fitted(kind: str, own: Sequence[_Sample], common: Array) -> Widening:
     """Fit one quantity: positions by one factor and one floor, rotations by one per axis."""
-    *values, apart = _joined(own)
-    values.append(share**2 * apart)
-    if kind == "turn":
-        found = [sharpest(*(value[:, i] for value in values), least=_LEAST[kind])[:2] for i in range(3)]
-    else:
-        found = [sharpest(*(value.ravel() for value in values), least=_LEAST[kind])[:2]]
+    *values, shared = _joined(own)
+    axes = [slice(i, i + 1) for i in range(3)] if kind == "turn" else [slice(None)]
+    found = [
+        sharpest(
+            *(value[:, axis].ravel() for value in values), least=_LEAST[kind],
+            more=(shared[:, axis] @ common**2).ravel(),
+        )
+        for axis in axes
+    ]  # fmt: skip
     factor, floor = np.transpose(found)
     return Widening(factor, floor) if kind == "turn" else Widening(factor[0], floor[0])
 
 
 def sharpest(
-    error: Array, variance: Array, lasting: Array, doubt: Array, more: Array, least: float
-) -> tuple[float, float, float]:
-    """Fit the factor k >= 1 and the floor b >= least of normal errors (n,), and with their score.
+    error: Array, variance: Array, lasting: Array, doubt: Array, *, least: float,
+    shared: Array | None = None, more: Array | float = 0.0,
+) -> Array:  # fmt: skip
+    """Fit the factor k >= 1, the floor b >= least and the factors a of `shared` of normal errors (n,).
 
-    The variance is ``K^2 variance + B^2 + more``, see `rtof_kin.solve.uncertainty.covariance_inflation`; the
-    score is the continuous ranked probability (Gneiting & Raftery 2007, eq. 21), robust to outliers.
+    The variance is ``K^2 variance + B^2 + a^2 shared + more``, see
+    `rtof_kin.solve.uncertainty.covariance_inflation`; the score is the continuous ranked probability
+    (Gneiting & Raftery 2007, eq. 21), robust to outliers.
+
+    Args:
+        shared: (n, p); none: p = 0.
+
+    Returns:
+        k, b, a (2 + p,).
     """
+    shared = np.zeros((len(error), 0)) if shared is None else shared
     size, expected = np.sqrt(np.mean(error**2)) + least, np.sqrt(np.mean(variance))
     free = expected > 1e-6  # else the model has no such freedom, and the factor no meaning
+    typical = np.sqrt(shared.mean(axis=0)) + _NOTHING
 
     def score(logs: Array) -> tuple[float, Array]:
-        """The mean score, and its derivatives by the logarithms of factor and floor."""
-        k, b = np.exp(logs)
+        """The mean score, and its derivatives by the logarithms of all factors and the floor."""
+        k, b, *a = np.exp(logs)
         factor, floor = correlated_factor(k, lasting), b * lasting * doubt
-        sigma = np.sqrt(factor**2 * variance + floor**2 + more) + _NOTHING
+        parts = shared * np.square(a)
+        sigma = np.sqrt(factor**2 * variance + floor**2 + parts.sum(axis=1) + more) + _NOTHING
         z = error / sigma
         ranked = sigma * (z * (2 * ndtr(z) - 1) + (np.sqrt(2) * np.exp(-(z**2) / 2) - 1) / np.sqrt(np.pi))
         by_sigma = (np.sqrt(2) * np.exp(-(z**2) / 2) - 1) / np.sqrt(np.pi) / sigma
         slope = 1.0 + (k > WHITE_FACTOR) * (lasting - 1.0)  # of the factor by k
         by_factor = factor * variance * k * slope
-        rates = [np.mean(by_sigma * by_factor), np.mean(by_sigma * floor**2)]
+        rates = [np.mean(by_sigma * by_factor), np.mean(by_sigma * floor**2), *(by_sigma @ parts / len(z))]
         return float(np.mean(ranked) / size), np.array(rates) / size
 
     bounds = [(0.0, np.log(30.0) if free else 0.0), (np.log(least), np.log(10 * size))]
-    starts = [(0.0, np.log(size))]
+    bounds += [(np.log(1e-3 * size / one), np.log(3 * size / one)) for one in typical]
+    others = list(np.log(size / 3 / typical))
+    starts = [[0.0, np.log(size), *others]]
     if free:
-        starts.append((np.log(np.clip(size / expected, 1.0, 20.0)), np.log(max(least, size / 3))))
+        starts.append([np.log(np.clip(size / expected, 1.0, 20.0)), np.log(max(least, size / 3)), *others])
     found = min(
         (minimize(score, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in starts),
         key=lambda result: float(result.fun),
     )
-    factor, floor = np.exp(found.x)
-    return float(factor), float(floor), float(found.fun)
+    return np.asarray(np.exp(found.x))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -40,21 +40,12 @@ class _Collected:
         self.sigmas.append(sigma.ravel())
 
 
-def rows(
-    cases: Sequence[Case], inflation: CovarianceInflation | Callable[[Case], CovarianceInflation],
-    group: Callable[[Case], str] = lambda case: case.motion_name,
-) -> list[Row]:  # fmt: skip
-    """A row for every kind of 2D, number of sensors, joint and clinical angle; both sides together.
-
-    Args:
-        inflation: of all cases, or of each.
-        group: what is independent, for the intervals.
-    """
+def rows(cases: Sequence[Case], inflation: CovarianceInflation) -> list[Row]:
+    """A row for every kind of 2D, number of sensors, joint and clinical angle; both sides together."""
     found: dict[tuple[str, str, str, str], _Collected] = defaultdict(_Collected)
     for case in cases:
-        own = inflation if isinstance(inflation, CovarianceInflation) else inflation(case)
-        for kind, name, error, sigma in _told(case, own):
-            found[case.keypoints, case.sensors, kind, name].add(group(case), error, sigma)
+        for kind, name, error, sigma in _told(case, inflation):
+            found[case.keypoints, case.sensors, kind, name].add(case.motion_name, error, sigma)
     return [
         {"keypoints": keypoints, "sensors": sensors, "kind": kind, "name": name, **_measured(kind, own)}
         for (keypoints, sensors, kind, name), own in found.items()
@@ -68,8 +59,7 @@ def honest(row: Row) -> bool:
 
 def _told(case: Case, inflation: CovarianceInflation) -> Iterator[tuple[str, str, Array, Array]]:
     """Kind, name, errors and standard deviations of everything there is a row of."""
-    assert case.motion.confidence is not None
-    confidence = inflation.apply(case.motion.confidence, case.circumstances, case.apart)
+    confidence = case.stated(inflation)
     for kind, name, both in errors(case, confidence):
         if kind in UNITS and len(both.error):
             yield kind, unsided(name), both.error, np.sqrt(np.diagonal(both.covariance, axis1=1, axis2=2))

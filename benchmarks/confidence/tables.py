@@ -13,19 +13,18 @@ TITLES = {
 }
 
 
-def report(found: Sequence[Row], how: str, independent: str = "motions") -> str:
+def report(found: Sequence[Row], how: str) -> str:
     """The whole text.
 
     Args:
         how: a sentence that describes the data.
-        independent: what the intervals are over.
     """
     parts = [
         "# How honest the bands are\n",
         f"{how} A cell has the share of errors inside the 95 % band, the root mean square error, and "
         "the band's mean width from edge to edge in such errors; of positions all three axes count. "
         "Errors last: frames of a recording are much alike. The share is over frames, cameras and "
-        f"motions together, and only the {independent} are independent (95 % bootstrap over them, "
+        "motions together, and only the motions are independent (95 % bootstrap over them, "
         "median over the rows: see the end). Bold: less than "
         f"{100 * COVERED[0]:.0f} % or more than {100 * COVERED[1]:.0f} %, or wider than {WIDEST:g}.\n",
     ]

@@ -270,7 +270,8 @@ def _with_covariances(
     statistics = residual_statistics(prepared.keypoints, motion, prepared.stages["lift"], sensors)
     start = prepared.stages.get("sf2", prepared.stages["lift"])
     apart = disagreement(motion.poses, start, solution.confidence.pairs)
-    inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart)
+    p_camera_joint = motion.poses.p_world_joint - prepared.keypoints.camera.center_world
+    inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart, p_camera_joint)
     return replace(motion, confidence=inflated)
 
 

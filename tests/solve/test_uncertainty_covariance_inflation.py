@@ -89,6 +89,19 @@ def test_share_of_the_disagreement_is_added() -> None:
     np.testing.assert_array_equal(wide.position_covariance, plain.position_covariance)  # no share
 
 
+def test_positions_in_world_err_in_proportion_to_the_distance_along_the_line_of_sight() -> None:
+    given, statistics = inflation(), ResidualStatistics(autocorrelation=0.5)
+    found = CovarianceInflation(given.widenings, depths={"camera": 0.2})
+    away = np.random.default_rng(0).normal(size=(2, 3, 3))
+    plain, wide = (found.apply(confidence(), statistics, None, p) for p in (None, away))
+    more = wide.position_covariance - plain.position_covariance
+    distance = np.linalg.norm(away, axis=-1)
+    np.testing.assert_allclose(np.sqrt(np.trace(more, axis1=2, axis2=3)), 0.1 * distance)
+    along = np.einsum("tji,tjik,tjk->tj", away, more, away) / distance**2
+    np.testing.assert_allclose(np.sqrt(along), 0.1 * distance)
+    np.testing.assert_array_equal(wide.relative_covariance, plain.relative_covariance)
+
+
 def test_white_residuals_have_the_least_inflation() -> None:
     wide = {"world Hips": Widening(3.0, 0.5), "Hips UpLeg": Widening(1.1, 0.5)}
     white = inflation(camera=wide).apply(confidence(), ResidualStatistics(autocorrelation=0.0))
@@ -129,11 +142,11 @@ def test_right_and_left_have_equal_widenings() -> None:
 
 def test_file_round_trip(tmp_path: Path) -> None:
     plain = inflation(sensed={"Hips UpLeg": Widening([1.0, 2.5, 3.0], [0.0, 0.01, 0.02])})
-    given = CovarianceInflation(plain.widenings, {"fused": {"position": 0.0, "turn": 0.25}})
+    given = CovarianceInflation(plain.widenings, {"fused": {"position": 0.0, "turn": 0.25}}, {"camera": 0.02})
     (tmp_path / "a.toml").write_text(given.text())
     read = CovarianceInflation.read(tmp_path / "a.toml")
     assert read.text() == given.text()
-    assert read.shares == given.shares
+    assert (read.shares, read.depths) == (given.shares, given.depths)
     np.testing.assert_array_equal(read.widenings["sensed"]["turn"]["Hips UpLeg"].factor, [1.0, 2.5, 3.0])
 
 
@@ -168,6 +181,12 @@ def test_invalid_file_is_refused(tmp_path: Path, text: str, message: str) -> Non
     (tmp_path / "a.toml").write_text(text)
     with pytest.raises(FileFormatError, match=message):
         CovarianceInflation.read(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("depths", [{"sensed": 0.1}, {"fused": -0.1}, {"us": 1.0}])
+def test_invalid_depths_are_refused(depths: dict[str, float]) -> None:
+    with pytest.raises(InvalidInputError, match="depth cannot be"):
+        CovarianceInflation(inflation().widenings, depths=depths)
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,18 @@
 """`CovarianceInflation`: covariances inflated for autocorrelated errors.
 
-A Hessian assumes independent residuals. A detector's bias, a misaligned sensor or a landmark beside the
-joint centre are constant for seconds: they do not average out. So every covariance C becomes
+A Hessian assumes independent residuals. A detector's bias, a misaligned sensor, a landmark beside the
+joint centre, a neutral posture or a camera that is not where it is said to be are constant for seconds or
+for the whole recording: they do not average out. So every covariance C becomes
 
 ::
 
-    K C K + B^2 + a^2 D      K = k0 + m (k - k0)      B = m d b
+    K C K + B^2 + a^2 D + (m f)^2 r r^T      K = k0 + m (k - k0)      B = m d b
 
 with diagonal matrices of a factor k and a floor b for every joint and every pair of segments, equal for
 right and left. D are mean squares of the difference between solution and initial guess (`disagreement`),
-with one factor a for all joints of a kind. `ResidualStatistics` of the recording give the rest:
+with one factor a for all joints of a kind. r is the vector from the camera to a joint, of positions in
+world only: how far a person is away follows from the apparent size, and is known to a share f of it.
+`ResidualStatistics` of the recording give the rest:
 
 - m: autocorrelation of the keypoints' residuals, 0 (white) to 1 (a detector's). k0 stands for the errors
   of the sensors alone.
@@ -56,6 +59,8 @@ USUAL_TORSO_SIGMA: Final = 0.09
 """[rad] Usual sigma of pelvis and upper trunk by the lifter."""
 _SHARES: Final = "apart"
 """Table of the factors a in a file."""
+_DEPTHS: Final = "depth"
+"""Table of the shares f in a file."""
 WHITE_FACTOR: Final = 1.2
 """k0, fitted with white 2D errors and eight real sensors."""
 
@@ -114,8 +119,13 @@ class CovarianceInflation:
     """By class (`SEEN`), kind (`UNITS`) and `unsided` name of the joint, or of parent and child."""
     shares: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """a, by class and kind; 0 where not given."""
+    depths: Mapping[str, float] = field(default_factory=dict)
+    """f, by class; 0 where not given."""
 
     def __post_init__(self) -> None:
+        for seen, share in self.depths.items():
+            if "position" not in SEEN.get(seen, ()) or not 0 <= share < np.inf:
+                raise InvalidInputError(f"inflation: the share {share} of {seen}.depth cannot be")
         for seen, shares in self.shares.items():
             for kind, share in shares.items():
                 if kind not in SEEN.get(seen, ()) or not 0 <= share < np.inf:
@@ -150,7 +160,7 @@ class CovarianceInflation:
                 }
                 for seen, kinds in SEEN.items()
             }
-            return cls(widenings, data.get(_SHARES, {}))
+            return cls(widenings, data.get(_SHARES, {}), data.get(_DEPTHS, {}))
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise FileFormatError(path, f"no table of widenings: {error}") from error
 
@@ -160,6 +170,8 @@ class CovarianceInflation:
         for seen, shares in self.shares.items():
             entries = ", ".join(f"{kind} = {share:.3g}" for kind, share in shares.items())
             lines.append(f"{seen} = {{ {entries} }}")
+        lines += ["", f"[{_DEPTHS}]  # of the distance from the camera"]
+        lines += [f"{seen} = {share:.3g}" for seen, share in self.depths.items()]
         lines.append("")
         for seen, kinds in SEEN.items():
             for kind in kinds:
@@ -170,13 +182,15 @@ class CovarianceInflation:
         return "\n".join(lines)
 
     def apply(
-        self, confidence: Confidence, statistics: ResidualStatistics, apart: Disagreement | None = None
-    ) -> Confidence:
+        self, confidence: Confidence, statistics: ResidualStatistics, apart: Disagreement | None = None,
+        p_camera_joint: Array | None = None,
+    ) -> Confidence:  # fmt: skip
         """Return inflated covariances.
 
         Args:
             confidence: of the Hessian. statistics: of the recording.
             apart: of solution and initial guess, at the same times; None: D = 0.
+            p_camera_joint: (T, J, 3) m, joints as seen from the camera, world axes; None: f = 0.
         """
         names, root = confidence.names, confidence.names[0]
         pairs = [" ".join(pair) for pair in confidence.pairs]
@@ -193,9 +207,13 @@ class CovarianceInflation:
 
         relative = widened("relative", names, confidence.relative_covariance)
         relative[:, 0] = 0.0  # the root relative to itself
+        position = widened("position", names, confidence.position_covariance)
+        if p_camera_joint is not None:
+            depth = self.depths.get(seen_by("position", root, root, statistics.sensors), 0.0)
+            position += (statistics.autocorrelation * depth) ** 2 * outer_squares(p_camera_joint)
         return replace(
             confidence,
-            position_covariance=widened("position", names, confidence.position_covariance),
+            position_covariance=position,
             relative_covariance=relative,
             turn_covariance=widened("turn", pairs, confidence.turn_covariance),
         )
@@ -237,6 +255,11 @@ def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
         return "fused" if both_bones_sensed(sensors) else "camera"
     needs = {root} if kind == "relative" else {*name.split()} - {WORLD}
     return "sensed" if needs <= {*sensors} else "fused"
+
+
+def outer_squares(vectors: Array) -> Array:
+    """Return the matrices ``v v^T`` (..., 3, 3) of vectors (..., 3)."""
+    return np.asarray(vectors[..., :, None] * vectors[..., None, :])
 
 
 def unsided(name: str) -> str:
