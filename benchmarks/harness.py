@@ -27,11 +27,13 @@ from numpy.typing import ArrayLike
 from rich.progress import Progress
 
 from benchmarks import scoring
+from benchmarks.rerigged import rerigged
 from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.protocols.measures import reconstructions
 from rtof_kin.protocols.tables import Cell, Table
 from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.detector_errors import DetectorErrors
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import (
     LIMB_SENSORS,
@@ -47,6 +49,7 @@ KEYPOINTS = {
     "white": SimulationSettings.white,
     "independent": SimulationSettings.independent,
     "realistic": SimulationSettings.realistic,
+    "unexchanged": lambda: SimulationSettings(keypoints=DetectorErrors(exchanges=0.0)),
 }
 SENSOR_SETS = {
     "4": ("L_LowArm", "R_LowArm", "L_LowLeg", "R_LowLeg"),
@@ -95,9 +98,11 @@ def split() -> dict[str, Any]:
 def test_clips(corpus: Path) -> list[MocapClip]:
     """The benchmark's motions, cut to their middle."""
     rows = split()
-    motions, parts = rows["benchmark"]["motions"], rows["benchmark"]["parts"]
-    clips = whole_clips(corpus, rows["test"], motions)
-    return [part for clip in clips for part in parts_of(clip, parts.get(clip.name, 1))]
+    chosen = rows["benchmark"]
+    wanted = sorted({*chosen["motions"], *chosen["rerigged"]})
+    clips = {clip.name: clip for clip in whole_clips(corpus, rows["test"], wanted)}
+    own = [part for name in chosen["motions"] for part in parts_of(clips[name], chosen["parts"].get(name, 1))]
+    return own + [rerigged(middle(clips[name], chosen["seconds"])) for name in chosen["rerigged"]]
 
 
 def parts_of(clip: MocapClip, count: int) -> Iterator[MocapClip]:
