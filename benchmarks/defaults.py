@@ -90,14 +90,14 @@ CASES = {
 }
 SWITCHES = {
     "calibrate": ("calibrated", "usual"),
-    "calibrate, solver as given": ("calibrated, solver as given", "usual"),
+    "calibrate and solve as given": ("calibrated, solver as given", "usual"),
     "calibrate the delay alone": ("delay alone calibrated", "usual"),
     "solver's settings after a calibration": ("calibrated", "calibrated, solver as given"),
     "floor_height": ("floor", "usual"),
     **{f"guard {name}": ("usual", f"no guard {name}") for name in GUARDS},
     "sigma_torso": ("usual", "no sigma_torso"),
-    "sigma_bone, without sensors": ("image alone", "no sigma_bone"),
-    "sigma_root, without sensors": ("image alone", "no sigma_root"),
+    "sigma_bone without sensors": ("image alone", "no sigma_bone"),
+    "sigma_root without sensors": ("image alone", "no sigma_root"),
     "lift_with_sensors": ("usual", "image-only lift"),
     "hinges": ("usual", "no hinges"),
     "limits": ("usual", "no limits"),
