@@ -264,18 +264,15 @@ def _add_reconstruction(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
     parser.add_argument("--verbose", action="store_true", help="print every calibrated quantity too")
-    how = parser.add_mutually_exclusive_group()
-    how.add_argument(
-        "--calibrate", action="store_true", default=True,
-        help="calibrate the recording from its own motion first (the default)",
+    parser.add_argument(
+        "--calibrate", action="store_true",
+        help="calibrate the recording from its own motion first, against gross errors of delay, mounting "
+        "and bones; default: use it as given",
     )  # fmt: skip
-    how.add_argument(
-        "--no-calibrate", dest="calibrate", action="store_false", help="use the recording as given"
-    )
     parser.add_argument(
         "--calibration", metavar="FILE",
         help="calibration of another recording of the same person: bones, ankles and landmark offsets "
-        "are taken from it; delay, mounting and biases are estimated for this one",
+        "are taken from it; with --calibrate delay, mounting and biases are estimated for this one",
     )  # fmt: skip
 
 
