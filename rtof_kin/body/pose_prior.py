@@ -6,12 +6,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from rtof_kin.body.neutral_posture import CLAVICLES, HIPS, NeutralPosture
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import freeze, indices_of, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
@@ -71,6 +74,28 @@ class PosePrior:
             raise FileFormatError(path, f"no pose prior of {len(joints)} joints ({error})") from error
         return prior
 
+    def about(self, posture: NeutralPosture) -> PosePrior:
+        """Return the prior of a person: its mean moved to the person's neutral posture.
+
+        Where a take begins with a T-pose, the bends of the spine there are those of its median; arms hang
+        in the mean, which lowers the clavicles as the covariance of the two says; hips are flexed from the
+        person's T-pose as from anybody's.
+
+        Args:
+            posture: in the T-pose.
+        """
+        mean = so3.from_quat_wxyz(self.mean_quat_wxyz)
+        for joint, R in zip(posture.joints, posture.R_parent_bone, strict=True):
+            j = self.joints.index(joint) - 1
+            if joint in CLAVICLES:
+                arm = self.joints.index(joint.replace("Shoulder", "Arm")) - 1
+                own, of_arm = (slice(3 * i, 3 * i + 3) for i in (j, arm))
+                share = self.covariance[own, of_arm] @ np.linalg.inv(self.covariance[of_arm, of_arm])
+                mean[j] = R @ so3.exp(share @ so3.log(mean[arm]))
+            else:
+                mean[j] = R @ mean[j] if joint in HIPS else R
+        return replace(self, mean_quat_wxyz=so3.to_quat_wxyz(mean))
+
     def precision(self, joints: Sequence[str], inflation: float, least: float) -> Array:
         """Return the inverse covariance (3A, 3A) of the rotations of some joints.
 
@@ -91,6 +116,16 @@ def has_prior(skeleton: str) -> bool:
         skeleton: name.
     """
     return skeleton == "total_capture"
+
+
+def prior_of(skeleton: SkeletonModel) -> PosePrior:
+    """Return the prior of a body: the shipped one, about its neutral posture where that is known.
+
+    Args:
+        skeleton: the body.
+    """
+    prior, posture = shipped_prior(skeleton.names), skeleton.table.posture
+    return prior if posture is None else prior.about(posture)
 
 
 @cache

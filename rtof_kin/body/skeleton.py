@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body import kinematics
+from rtof_kin.body.configuration_report import ConfigurationReport
+from rtof_kin.body.neutral_posture import NeutralPosture
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.body.urdf import read_urdf, to_urdf
 from rtof_kin.core import rotations as so3
@@ -30,24 +32,6 @@ from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.poses import PoseSequence
 
 SINGULAR_MARGIN = np.radians(5.0)  # of a middle angle from +-90 degrees; closer postures are singular
-
-
-@dataclass(frozen=True)
-class ConfigurationReport:
-    """Singular postures and limit violations of configurations, which are never clipped."""
-
-    singular: Mask
-    """(T, J) True if a ball joint is within 5 degrees of a singular posture."""
-    limit_excess: Array
-    """(T, D) excess of each revolute beyond its limits, rad; 0 inside."""
-    dof_names: tuple[str, ...]
-    """Names of the D revolutes."""
-
-    @property
-    def violations(self) -> dict[str, float]:
-        """Largest excess, rad, of each revolute that violates its limits."""
-        worst = np.nanmax(self.limit_excess, axis=0, initial=0)
-        return {n: float(w) for n, w in zip(self.dof_names, worst, strict=True) if w > 0}
 
 
 @dataclass(frozen=True)
@@ -266,6 +250,18 @@ class SkeletonModel:
         if sex not in (None, "male", "female"):
             raise InvalidInputError(f"sex: {sex!r} is not male, female or None")
         return SkeletonModel(replace(self.table, mass_kg=float(mass_kg), sex=sex or self.table.sex))
+
+    def with_posture(self, posture: NeutralPosture | None) -> SkeletonModel:
+        """Return the skeleton with a neutral posture.
+
+        Args:
+            posture: of joints of this skeleton; None where it is unknown.
+
+        Raises:
+            UnknownNameError: a joint that this skeleton does not have.
+        """
+        self.index(*(posture.joints if posture else ()))
+        return SkeletonModel(replace(self.table, posture=posture))
 
     def to_urdf(self) -> str:
         """Return the URDF of this body."""

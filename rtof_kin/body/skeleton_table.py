@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.body.body_mass import SEGMENTS, SEXES
+from rtof_kin.body.neutral_posture import NeutralPosture
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import load_toml
@@ -77,6 +78,8 @@ class SkeletonTable:
     """Usual sensors: name, segment, lever arm."""
     n_pose: dict[str, float]
     """Angles of the N-pose relative to the T-pose by URDF joint, rad."""
+    posture: NeutralPosture | None = None
+    """The person's own T-pose, where it is known."""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rtof_kin.body.neutral_posture import NeutralPosture, posture_from_t_pose
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
@@ -97,6 +98,11 @@ class Take:
         """The subject's skeleton in this take."""
         return SkeletonModel.default().with_offsets(self.joint_offsets)
 
+    @cached_property
+    def posture(self) -> NeutralPosture | None:
+        """The subject's neutral posture, from the T-pose that takes begin with; None where there is none."""
+        return posture_from_t_pose(self.truth, self.skeleton.parents)
+
     def recording(
         self,
         camera: int,
@@ -104,6 +110,7 @@ class Take:
         noise_px: float = 0.0,
         seed: int = 0,
         sensors: Sequence[str] | None = None,
+        posture: bool = True,
     ) -> Recording:
         """Return the take as recorded by one camera and some sensors, with the truth.
 
@@ -113,6 +120,7 @@ class Take:
                 the image. The recording ends with the shorter of keypoints and reference.
             noise_px: standard deviation of white noise on projected joints, px per axis.
             seed: of the noise; takes and cameras have different noise.
+            posture: whether the reference's T-pose is known, as its joint offsets are.
 
         Raises:
             UnknownNameError: no such camera or sensor. InvalidInputError: keypoints of other times, or
@@ -140,6 +148,7 @@ class Take:
             imus=imus,
             calibration=calibration,
             joint_offsets=self.joint_offsets,
+            posture=self.posture if posture else None,
             truth=truth,
             acknowledgement=ACKNOWLEDGEMENT,
             notes="; ".join(notes),

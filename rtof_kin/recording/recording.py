@@ -15,6 +15,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import ArrayLike
 
+from rtof_kin.body.neutral_posture import NeutralPosture
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
@@ -29,6 +30,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording import files
 from rtof_kin.recording.session import Session, read_session
+from rtof_kin.vision.layouts import is_detector_point
 
 SCHEMA_VERSION: Final = 1
 INDEX: Final = "recording.toml"
@@ -63,6 +65,8 @@ class Recording:
     """'male', 'female' or None where unknown."""
     floor_height: float | None = None
     """z of a flat floor in world, m; None where there is none or it is unknown."""
+    posture: NeutralPosture | None = None
+    """The person's T-pose in the skeleton's link frames, where a reference shows it."""
     truth: PoseSequence | None = None
     """Known poses in world at their own times, joints in the skeleton's order."""
     first_frame: int = 0
@@ -114,8 +118,9 @@ class Recording:
 
     def _check_names(self) -> None:
         skeleton = self.skeleton
+        own = [name for name in self.keypoints.names if not is_detector_point(name)] if self.keypoints else []
         named = {
-            "landmark": (self.keypoints.names if self.keypoints else (), list(skeleton.landmarks)),
+            "landmark": (own, list(skeleton.landmarks)),
             "joint in the calibration": (self.calibration.joints if self.calibration else (), skeleton.names),
         }
         for kind, (names, known) in named.items():
@@ -140,8 +145,9 @@ class Recording:
 
     @cached_property
     def skeleton(self) -> SkeletonModel:
-        """Subject's body: the table with these offsets, mass and sex."""
-        return _body(self.skeleton_table, self.joint_offsets, mass_kg=self.mass_kg, sex=self.sex)
+        """Subject's body: the table with these offsets, mass, sex and neutral posture."""
+        body = _body(self.skeleton_table, self.joint_offsets, mass_kg=self.mass_kg, sex=self.sex)
+        return body if self.posture is None else body.with_posture(self.posture)
 
     @property
     def video(self) -> KeypointSequence:
@@ -217,6 +223,8 @@ class Recording:
         body = _body(**{name: fields[name] for name in facts if name in fields})
         if index.has("imus"):
             fields["imus"], fields["calibration"] = files.read_imus(index.table("imus"), body)
+        if index.has("posture"):
+            fields["posture"] = _read_posture(index.table("posture"), body.names)
         if index.has("truth"):
             fields["truth"] = files.read_truth(index.table("truth"), body)
         for section in (index, subject, skeleton, scene, notes):
@@ -269,6 +277,9 @@ class Recording:
             index["imus"] = {"sensors": calibration_table(self.calibration) if self.calibration else {}}
         if self.imus is not None:
             index["imus"] |= {"file": "imus.npz", "names": list(self.imus.names)}
+        if self.posture is not None:
+            pairs = zip(self.posture.joints, self.posture.quat_wxyz.tolist(), strict=True)
+            index["posture"] = {"quat_wxyz": dict(pairs)}
         if self.truth is not None:
             index["truth"] = {"file": "truth.npz"}
         return index
@@ -292,6 +303,17 @@ def _body(
     if mass_kg is None and sex is None:
         return skeleton
     return skeleton.with_mass(skeleton.table.mass_kg if mass_kg is None else mass_kg, sex)
+
+
+def _read_posture(section: Section, joints: tuple[str, ...]) -> NeutralPosture:
+    """Read the quaternions of ``[posture.quat_wxyz]`` by joint."""
+    quats = section.table("quat_wxyz")
+    named = tuple(quats.keys())
+    unknown = [name for name in named if name not in joints[1:]]
+    if unknown:
+        raise UnknownNameError(f"joint in {section.path}, {section.where('quat_wxyz')}", unknown, joints[1:])
+    section.close()
+    return NeutralPosture(named, np.array([quats.array(name, (4,)) for name in named]).reshape(-1, 4))
 
 
 def _read_skeleton(section: Section) -> dict[str, Any]:
