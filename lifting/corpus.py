@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lifting.body import Body
 from lifting.splits import SPLITS, find_split, read_split
 from rtof_kin.body import kinematics
+from rtof_kin.body.shared_frames import shared_frames, to_shared
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
@@ -118,6 +119,15 @@ class Corpus:
         if self.beyond_rigid is not None:
             p += self.beyond_rigid[frames]
         return p.astype(np.float32)
+
+    def in_shared_frames(self) -> Corpus:
+        """Return the corpus with orientations and joint offsets in the frames that all rigs share."""
+        R, offsets = self.R_world_bone.copy(), self.joint_offsets.copy()
+        for clip, own in enumerate(self.joint_offsets):
+            R_bone_shared = shared_frames(self.names, own)
+            R[self.frames(clip)] = self.R_world_bone[self.frames(clip)] @ R_bone_shared
+            offsets[clip] = to_shared(R_bone_shared, self.parents, own)
+        return replace(self, R_world_bone=R, joint_offsets=offsets)
 
     def skeletons(self, split: str, at_most: int) -> list[Array]:
         """Return the joint offsets (J, 3) of the different bodies in a split, m.

@@ -19,7 +19,10 @@ from torch import Tensor
 from lifting.body import Body, bone_groups
 from lifting.corpus import Corpus
 from lifting.draws import Draw, about_axis
+from lifting.joint_errors import View
+from lifting.moving import Moving
 from lifting.noise import HALF_HEIGHT, HALF_WIDTH, PERFECT, TRAINING_NOISE, NoiseConfig, add_noise, runs
+from lifting.rigs import RigConfig, places, trunk_segments, turns
 from lifting.sensors import SensorConfig, with_errors, worn
 from lifting.windows import Picture, Windows
 from rtof_kin.body import kinematics
@@ -57,6 +60,8 @@ class AugmentConfig:
     """Share of windows on the skeleton of their motion; the rest have another one of the bank."""
     recombine: float = 0.2
     """Share of windows whose upper body comes from another motion."""
+    rigs: RigConfig = field(default_factory=RigConfig)
+    """How other rigs and people differ in the trunk."""
     hide_bones: float = 0.2
     """Share of windows without known bones."""
     bone_error: float = 0.003
@@ -80,7 +85,7 @@ def plain(noise: NoiseConfig = PERFECT) -> AugmentConfig:
     return AugmentConfig(
         mirror=0.0, tilt=0.0, warp=(1.0, 1.0), overall_scale=0.0, bone_scale=0.0, own_skeleton=1.0,
         recombine=0.0, hide_bones=0.0, bone_error=0.0, hide_height=1.0, noise=noise,
-        sensors=SensorConfig(none=1.0),
+        sensors=SensorConfig(none=1.0), rigs=RigConfig(share=0.0),
     )  # fmt: skip
 
 
@@ -116,42 +121,6 @@ class Batch:
     """(B, 3, 2, J) x and z axes of the segments in world."""
 
 
-@dataclass
-class _Moving:
-    """Moving bodies, before a camera is placed."""
-
-    bones: Tensor
-    """(B, 3, W, J-1) bone vectors in world, m."""
-    root: Tensor
-    """(B, 3, W) path of the root from the estimated frame, m."""
-    offsets: Tensor
-    """(B, J, 3) joint offsets, m."""
-    axes: Tensor
-    """(B, 3, 2, J) x and z axes of all segments in the estimated frame."""
-    carried: Tensor
-    """(B, 3, W, 2, S) those of the segments that may carry sensors, at the sensors' times."""
-
-    def turned(self, R: Tensor) -> _Moving:
-        """Return the bodies turned by rotations (B, 3, 3)."""
-
-        def turn(x: Tensor) -> Tensor:
-            return torch.bmm(R, x.flatten(2)).reshape(x.shape)
-
-        bones, root, axes, carried = map(turn, (self.bones, self.root, self.axes, self.carried))
-        return _Moving(bones, root, self.offsets, axes, carried)
-
-    def put_on(self, count: int, upper: _Moving, joints: Tensor, segments: Tensor, sensors: Tensor) -> None:
-        """Replace the upper bodies of the first rows; masks (J,), (J,), (S,) select what is upper."""
-
-        def exchange(mine: Tensor, other: Tensor, mask: Tensor) -> None:
-            mine[:count] = torch.where(mask, other, mine[:count])
-
-        exchange(self.bones, upper.bones, joints[1:])
-        exchange(self.offsets, upper.offsets, joints[:, None])
-        exchange(self.axes, upper.axes, segments)
-        exchange(self.carried, upper.carried, sensors)
-
-
 class MotionBank:
     """A corpus as tensors on one device, to draw windows from."""
 
@@ -185,6 +154,8 @@ class MotionBank:
         self.lowest = tensor(np.concatenate([part[:, :, 2].min(axis=1) for part in p]))
         self.heading = tensor(so3.heading(R[:, 0]))
         self.axes = tensor(np.ascontiguousarray(R[..., [0, 2]].transpose(0, 2, 3, 1)))
+        self.trunk = trunk_segments(self.body)
+        self.axes_of_trunk = self.axes[..., self.trunk]
         self.carried = self.axes[..., self.body.sensor_joints]
         self.clip = tensor(clip, torch.long)
         self.first, self.last = tensor((last - count + 1)[clip], torch.long), tensor(last[clip], torch.long)
@@ -240,7 +211,8 @@ class MotionBank:
         ahead = draw.between(config.distance, batch)
         towards_root = torch.stack([ahead, torch.zeros_like(height), root_height - height], 1)
         p = pose.add_((moving.root + towards_root[:, :, None])[..., None])
-        rays, seen, picture = self._observe(p, towards_root, config, draw)
+        body = View(p[:, :, estimated], moving.axes, moving.offsets * factor[:, :, None])
+        rays, seen, picture = self._observe(p, towards_root, body, config, draw)
         bones = bones + config.bone_error * draw.normal(*bones.shape)
         bones = torch.where(draw.uniform(batch, 1) < config.hide_bones, torch.nan, bones)
         height = height + config.height_error * draw.normal(batch)
@@ -249,16 +221,18 @@ class MotionBank:
         windows = Windows(rays, seen, bones, height, axes, sensed, estimated, picture)
         return Batch(windows, now, towards_root, moving.axes)
 
-    def _motion(self, frames: Tensor, step: Tensor, config: AugmentConfig, draw: Draw) -> _Moving:
+    def _motion(self, frames: Tensor, step: Tensor, config: AugmentConfig, draw: Draw) -> Moving:
         """Motion at offsets `step` (W,) from frames (B,), re-timed."""
         speed = draw.between(config.warp, len(frames))[:, None]
         offset = step[None] * speed
         lag = draw.between(config.sensors.lag, len(frames))[:, None] * speed
         moving, heading = self._at(frames, offset, lag, self._bodies(config, draw))
+        self._vary(moving, frames, offset, config.rigs, draw)
         count = round(config.recombine * len(frames))
         if count:
             other, body = draw.integers(len(self))[:count], self._bodies(config, draw)[:count]
             upper, other_heading = self._at(other, offset[:count], lag[:count], body)
+            self._vary(upper, other, offset[:count], config.rigs, draw)
             upper = upper.turned(about_axis(2, heading[:count] - other_heading))
             sensors = self.upper_segments[self.body.sensor_joints]
             moving.put_on(count, upper, self.upper, self.upper_segments, sensors)
@@ -271,7 +245,7 @@ class MotionBank:
             return torch.zeros(draw.batch, dtype=torch.long, device=self.device)
         return (1 + draw.integers(others)) * (draw.uniform(draw.batch) >= config.own_skeleton)
 
-    def _at(self, frames: Tensor, offset: Tensor, lag: Tensor, body: Tensor) -> tuple[_Moving, Tensor]:
+    def _at(self, frames: Tensor, offset: Tensor, lag: Tensor, body: Tensor) -> tuple[Moving, Tensor]:
         """Motion at offsets (B, W) from frames, within their clip, and the heading (B,) in the frames.
 
         Segments with sensors are taken `lag` (B, 1) frames later, from the nearest frame.
@@ -281,10 +255,29 @@ class MotionBank:
         root = torch.lerp(self.roots[low], self.roots[high], share[..., 0])
         root = (root - self.roots[frames][:, None]).transpose(1, 2)
         nearest = self._between(frames, offset + lag + 0.5)[0]
-        return _Moving(
+        return Moving(
             bones.transpose(1, 2).contiguous(), root, self.offsets[body, self.clip[frames]],
             self.axes[frames], self.carried[nearest].transpose(1, 2).contiguous(),
         ), self.heading[frames]  # fmt: skip
+
+    def _vary(self, moving: Moving, frames: Tensor, offset: Tensor, config: RigConfig, draw: Draw) -> None:
+        """Give some of the bodies the trunk of another rig, in place."""
+        rows = (draw.uniform(len(frames)) < config.share).nonzero()[:, 0]
+        if not len(rows) or not self.trunk:
+            return
+        W, estimated = offset.shape[1], int(offset[0].abs().argmin())
+        nearest = self._between(frames[rows], offset[rows] + 0.5)[0]
+        axes = self.axes_of_trunk[nearest].permute(0, 2, 1, 3, 4)
+        some = replace(draw, batch=len(rows))
+        moving.displace(self.body, rows, axes, self.trunk, places(self.body, config, some), estimated)
+        keys = [0, W // 2, W - 1]  # the estimated frame is one of them
+        R = turns(axes[:, :, keys], config, some)
+        at = torch.linspace(0, 2, W, device=self.device)
+        low = at.floor().long().clamp(max=1)
+        moving.vary(
+            self.body, rows, torch.lerp(R[:, low], R[:, low + 1], (at - low)[:, None, None, None]),
+            self.trunk, estimated,
+        )  # fmt: skip
 
     def _between(self, frames: Tensor, offset: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Frames (B, W) before and after, and the weight (B, W, 1, 1) of the one after."""
@@ -294,7 +287,7 @@ class MotionBank:
         high = torch.minimum(low + 1, self.last[frames][:, None])
         return low, high, (at - low)[..., None, None]
 
-    def _mirror(self, moving: _Moving, which: Tensor) -> None:
+    def _mirror(self, moving: Moving, which: Tensor) -> None:
         """Mirror the bodies selected by a mask (B,), in place."""
         rows = which.nonzero()[:, 0]
         order = self.body.mirrored
@@ -328,7 +321,7 @@ class MotionBank:
         return tilt @ about_axis(2, yaw)
 
     def _observe(
-        self, p: Tensor, towards_root: Tensor, config: AugmentConfig, draw: Draw
+        self, p: Tensor, towards_root: Tensor, body: View, config: AugmentConfig, draw: Draw
     ) -> tuple[Tensor, Tensor, Picture]:
         """Rays (B, 3, W, J) in world, visibility and image of a camera that has the root in its image."""
         right = (2 * draw.uniform(draw.batch) - 1) * config.off_axis * HALF_WIDTH
@@ -341,7 +334,8 @@ class MotionBank:
         q = torch.bmm(R_camera_world, p.flatten(2)).reshape(p.shape)
         seen = q[:, 2] > 0.2
         xy = q[:, :2] / q[:, 2:].clamp_min(0.2)
-        xy, seen = add_noise(self.body, config.noise, xy, seen, draw, self.rate_hz)
+        view = body.turned(R_camera_world) if self.trunk else None
+        xy, seen = add_noise(self.body, config.noise, xy, seen, draw, self.rate_hz, view)
         ray = torch.cat([xy, torch.ones_like(xy[:, :1])], dim=1)
         world = torch.bmm(R_camera_world.transpose(1, 2), ray.flatten(2))
         return world.reshape(p.shape), seen, Picture(xy / HALF_WIDTH, R_camera_world)

@@ -1,15 +1,15 @@
 """Errors of a 2D detector, as batched torch operations.
 
 Errors are in pixels of a camera with a focal length of 1250 px; divided by it they are errors of x/z
-and y/z. A detector's error is mostly a bias of seconds and little white noise, so windows are of three
-kinds: clean, white, or realistic (bias, slow drift, outliers, gaps, missing landmarks, image borders).
+and y/z. Windows are of four kinds: clean; white; independent, each joint with its own bias and slow drift;
+realistic, with the errors of joints regressed from a real detector's points (`joint_errors`). The last two
+have gaps, missing landmarks and image borders too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Final
 
 import torch
@@ -17,6 +17,7 @@ from torch import Tensor
 
 from lifting.body import Body
 from lifting.draws import Draw
+from lifting.joint_errors import NEAREST_M, JointErrors, View, exchanged, jumps, path_basis, smooth_errors
 
 FOCAL_PX: Final = 1250.0
 HALF_WIDTH, HALF_HEIGHT = 960 / FOCAL_PX, 540 / FOCAL_PX
@@ -28,14 +29,16 @@ RATE_HZ: Final = 60.0
 class NoiseConfig:
     """Frequencies and sizes of errors; a realistic window scales bias and drift by its amplitude."""
 
-    clean: float = 0.30
+    clean: float = 0.20
     """Share of windows without any error."""
-    white: float = 0.20
-    """Share of windows with white error only; the rest are realistic."""
+    white: float = 0.10
+    """Share of windows with white error only."""
+    independent: float = 0.25
+    """Share of windows in which joints err independently; the rest are realistic."""
     white_px: tuple[float, float] = (0.5, 6.0)
     """Range of the standard deviation per axis, px, of white windows."""
     amplitude: tuple[float, float] = (0.3, 1.5)
-    """Range of the factor on the bias and drift of realistic windows."""
+    """Range of the factor on the errors of a real detector, and on bias and drift of independent windows."""
     bias_px: float = 6.0
     """Standard deviation of the constant error per joint and axis, px."""
     drift_px: float = 5.0
@@ -45,9 +48,9 @@ class NoiseConfig:
     wrist_memory: float = 0.3
     """Correlation time of the drift at the wrists, s."""
     jitter_px: float = 0.3
-    """Standard deviation of the white error of realistic windows, px."""
+    """Standard deviation of the white error of independent windows, px."""
     outlier_share: float = 0.04
-    """Share of (frame, joint) that are outliers."""
+    """Share of (frame, joint) of independent windows that are outliers."""
     outlier_px: float = 60.0
     """Standard deviation per axis of an outlier, constant within its run, px."""
     missing_share: float = 0.05
@@ -57,80 +60,111 @@ class NoiseConfig:
     gap_share: float = 0.10
     """Share of realistic windows that lose the whole body for some frames."""
     poor_share: float = 0.15
-    """Share of realistic windows whose detector lacks about a fifth of the joints throughout."""
+    """Share of these windows whose detector lacks about a fifth of the joints throughout."""
     sparse_share: float = 0.10
-    """Share of realistic windows whose detector has no point between hips and shoulders."""
+    """Share of these windows whose detector has no point between hips and shoulders."""
     truncated_share: float = 0.30
-    """Share of realistic windows in which what is outside the image is unseen."""
+    """Share of these windows in which what is outside the image is unseen."""
 
 
-PERFECT: Final = NoiseConfig(clean=1.0, white=0.0)
+PERFECT: Final = NoiseConfig(clean=1.0, white=0.0, independent=0.0)
 TRAINING_NOISE: Final[Mapping[str, NoiseConfig]] = {
-    "mixed": NoiseConfig(), "perfect": PERFECT, "realistic": NoiseConfig(clean=0.0, white=0.0),
+    "mixed": NoiseConfig(), "perfect": PERFECT,
+    "realistic": NoiseConfig(clean=0.0, white=0.0, independent=0.0),
+    "independent": NoiseConfig(clean=0.0, white=0.0, independent=1.0),
 }  # fmt: skip
 """Kinds of 2D that a lifter may be trained for. perfect: no errors, for projected ground truth (5-7 mm
-better there, not usable with a detector). realistic: detectors alone. mixed: both, and white noise."""
-VALIDATION_NOISE: Final = replace(
-    NoiseConfig(), clean=0.0, white=0.0, amplitude=(1.0, 1.0), poor_share=0.0, sparse_share=0.0
-)
-"""Realistic noise at nominal amplitude."""
+better there, not usable with a detector). realistic: a real detector alone. mixed: all kinds."""
+VALIDATION_NOISE: Final = {
+    kind: replace(TRAINING_NOISE[kind], amplitude=(1.0, 1.0), poor_share=0.0, sparse_share=0.0)
+    for kind in ("realistic", "independent")
+}
+"""Noise of detectors at nominal amplitude."""
 
 
 def add_noise(
-    body: Body, config: NoiseConfig, xy: Tensor, seen: Tensor, draw: Draw, rate_hz: float = RATE_HZ
+    body: Body,
+    config: NoiseConfig,
+    xy: Tensor,
+    seen: Tensor,
+    draw: Draw,
+    rate_hz: float = RATE_HZ,
+    view: View | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Simulate detections; the first windows stay clean, the next are white, the rest realistic.
+    """Simulate detections; the first windows stay clean, then come white, independent and realistic ones.
 
     Args:
         body: joints. config: frequencies and sizes.
         xy: (B, 2, W, J) exact x/z and y/z in the camera.
         seen: (B, W, J) bool.
         draw: random numbers. rate_hz: of the windows, Hz.
+        view: the bodies; None for joints that are not the table's, whose realistic windows are independent.
 
     Returns:
         Noisy xy (B, 2, W, J) and seen (B, W, J).
     """
     B = len(xy)
-    clean = round(config.clean * B)
-    white = clean + round(config.white * B)
-    parts, masks = [xy[:clean]], [seen[:clean]]
+    shares = (config.clean, config.white, config.independent)
+    clean, white, independent = (round(sum(shares[: n + 1]) * B) for n in range(3))
+    independent = independent if view else B
+    noisy = xy.clone()
     if white > clean:
         sigma = draw.between(config.white_px, white - clean, 1, 1, 1)
-        parts.append(xy[clean:white] + sigma / FOCAL_PX * draw.normal(*xy[clean:white].shape))
-        masks.append(seen[clean:white])
+        noisy[clean:white] += sigma / FOCAL_PX * draw.normal(*xy[clean:white].shape)
+    if independent > white:
+        rows = slice(white, independent)
+        some = replace(draw, batch=independent - white)
+        noisy[rows] += _independent(body, config, xy.shape[2], some, rate_hz)
+    if view and independent < B:
+        rows = slice(independent, B)
+        some = replace(draw, batch=B - independent)
+        noisy[rows] = _realistic(body, config, xy[rows], view[rows], some, rate_hz)
     if white < B:
-        rest = replace(draw, batch=B - white)
-        noisy, mask = _realistic(body, config, xy[white:], seen[white:], rest, rate_hz)
-        parts.append(noisy)
-        masks.append(mask)
-    return torch.cat(parts), torch.cat(masks)
+        some = replace(draw, batch=B - white)
+        seen = torch.cat([seen[:white], _detected(body, config, noisy[white:], seen[white:], some, rate_hz)])
+    return noisy, seen
 
 
-def _realistic(
-    body: Body, config: NoiseConfig, xy: Tensor, seen: Tensor, draw: Draw, rate_hz: float
-) -> tuple[Tensor, Tensor]:
-    B, _, W, J = xy.shape
+def _independent(body: Body, config: NoiseConfig, W: int, draw: Draw, rate_hz: float) -> Tensor:
+    """Errors (B, 2, W, J) of joints that each have their own, in units of focal length."""
+    B, J = draw.batch, len(body.names)
     bias = config.bias_px * draw.normal(B, 2, 1, J)
     drift = config.drift_px * _drift(body, config, W, draw, rate_hz)
     amplitude = draw.between(config.amplitude, B, 1, 1, 1)
-    error = (bias + drift) * (amplitude * _joint_factors(body).to(xy))
+    error = (bias + drift) * (amplitude * _joint_factors(body).to(bias))
     error += config.jitter_px * draw.normal(B, 2, W, J)
     outlier = runs(config.outlier_share, W, J, draw, rate_hz, config.run_s)
     error += outlier[:, None] * (config.outlier_px * draw.normal(B, 2, 1, J))
-    noisy = xy + error / FOCAL_PX
+    return error / FOCAL_PX
+
+
+def _realistic(body: Body, config: NoiseConfig, xy: Tensor, view: View, draw: Draw, rate_hz: float) -> Tensor:
+    """Detections (B, 2, W, J) of joints regressed from a real detector's points."""
+    W, depth = xy.shape[2], view.joints[:, 2:, None].clamp_min(NEAREST_M)
+    table = JointErrors.fitted().to(draw.device)
+    amplitude = draw.between(config.amplitude, draw.batch)
+    error = smooth_errors(body, table, view, amplitude, W, draw, rate_hz)
+    error += jumps(body, view, W, draw, rate_hz)
+    return exchanged(body, view, xy + error / depth, draw, rate_hz)
+
+
+def _detected(
+    body: Body, config: NoiseConfig, xy: Tensor, seen: Tensor, draw: Draw, rate_hz: float
+) -> Tensor:
+    """What is seen (B, W, J) of detections (B, 2, W, J)."""
+    B, _, W, J = xy.shape
     seen = seen & ~runs(config.missing_share, W, J, draw, rate_hz, config.run_s)
     seen &= ~_gaps(config, W, draw)[:, :, None]
     seen &= _landmark_set(body, config, draw)[:, None]
     truncated = draw.uniform(B, 1, 1) <= config.truncated_share
-    inside = (noisy[:, 0].abs() < HALF_WIDTH) & (noisy[:, 1].abs() < HALF_HEIGHT)
-    seen &= inside | ~truncated
-    return noisy, seen
+    inside = (xy[:, 0].abs() < HALF_WIDTH) & (xy[:, 1].abs() < HALF_HEIGHT)
+    return seen & (inside | ~truncated)
 
 
 def _drift(body: Body, config: NoiseConfig, W: int, draw: Draw, rate_hz: float) -> Tensor:
     """Unit-variance Ornstein-Uhlenbeck paths (B, 2, W, J) from their leading eigenvectors."""
     slow, fast = (
-        _drift_basis(W, rate_hz, memory).to(draw.device)
+        path_basis(W, rate_hz, memory).to(draw.device)
         for memory in (config.drift_memory, config.wrist_memory)
     )
     weights = draw.normal(draw.batch, 2, slow.shape[1], len(body.names))
@@ -138,17 +172,6 @@ def _drift(body: Body, config: NoiseConfig, W: int, draw: Draw, rate_hz: float) 
     wrists = [arm[-1] for arm in body.arms]
     drift[..., wrists] = torch.matmul(fast, weights[..., wrists])
     return drift
-
-
-@lru_cache(maxsize=8)
-def _drift_basis(W: int, rate_hz: float, memory: float, rank: int = 8) -> Tensor:
-    """(W, rank) whose product with white noise has approximately the covariance exp(-|t| / memory)."""
-    time = torch.arange(W) / rate_hz
-    covariance = torch.exp(-(time[:, None] - time).abs() / memory)
-    values, vectors = torch.linalg.eigh(covariance)
-    basis: Tensor = vectors[:, -rank:] * values[-rank:].clamp_min(0).sqrt()
-    basis /= basis.norm(dim=1, keepdim=True)
-    return basis
 
 
 def _joint_factors(body: Body) -> Tensor:

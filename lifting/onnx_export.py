@@ -25,7 +25,7 @@ from lifting.windows import SIGMA_TURN, Windows, decode, encode, rotations
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.folder import new_file
 
-INPUTS: Final = ("rays_world", "seen", "bones", "camera_height", "R_world_sensed", "sensed")
+INPUTS: Final = ("rays_world", "seen", "bones", "camera_height", "R_world_sensed", "sensed", "R_bone_shared")
 OUTPUTS: Final = ("p_root_joint", "p_camera_root", "sigma_m", "R_world_bone", "sigma_rad")
 """See `LifterGraph.forward`; without the last two for a lifter without sensors."""
 OPSET: Final = 17
@@ -49,16 +49,18 @@ class LifterGraph(nn.Module):
         camera_height: Tensor,
         R_world_sensed: Tensor | None = None,
         sensed: Tensor | None = None,
+        R_bone_shared: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
         """Return the poses in the estimated frames of B windows of W frames, in world axes.
 
         Args:
             rays_world: (B, W, J, 3) directions in world from the optical centre to the joints.
             seen: (B, W, J) bool; unseen rays are ignored.
-            bones: (B, 3 G) m, see `Body.bones_of`; NaN in a row where unknown.
+            bones: (B, 3 G) m, in shared frames, see `Lifter.bones_of`; NaN in a row where unknown.
             camera_height: (B,) height of the optical centre over the floor, m; NaN where unknown.
             R_world_sensed: (B, W, S, 3, 3) orientations of the segments that may carry sensors.
             sensed: (B, W, S) bool; orientations that are not sensed are ignored.
+            R_bone_shared: (B, J, 3, 3) see `Lifter.shared_frames`; None for link frames.
 
         Returns:
             (B, J, 3) joints relative to the root, m; (B, 3) root from the optical centre, m; (B, J, 2) see
@@ -67,6 +69,8 @@ class LifterGraph(nn.Module):
         """
         if R_world_sensed is None or sensed is None:
             R_world_sensed, sensed = rays_world.new_zeros((*seen.shape[:2], 0, 3, 3)), seen[..., :0]
+        if R_bone_shared is not None:
+            R_world_sensed = R_world_sensed @ R_bone_shared[:, None, self.body.sensor_joints]
         rays = torch.where(seen[..., None], rays_world, 0.0).permute(0, 3, 1, 2)
         axes = torch.stack([R_world_sensed[..., 0], R_world_sensed[..., 2]], dim=2)
         axes = torch.where(sensed[:, :, None, :, None], axes, 0.0).permute(0, 4, 1, 2, 3)
@@ -77,6 +81,8 @@ class LifterGraph(nn.Module):
         if estimate.axes is None or estimate.log_turn is None:
             return poses
         R = rotations(estimate.axes).permute(0, 3, 1, 2)
+        if R_bone_shared is not None:
+            R = R @ R_bone_shared.transpose(2, 3)
         return *poses, R, SIGMA_TURN * estimate.log_turn.exp()
 
 
@@ -136,10 +142,13 @@ def _metadata(lifter: Lifter, flip: bool) -> dict[str, str]:
         "least_joints_seen": MIN_JOINTS,
         "mirror_averaged": flip,
         "frames": "world is z up, m; camera_root is from the optical centre in world axes",
-        "bones_rule": "position of each joint in its parent's segment frame (T-pose: x forward, y left, "
+        "shared_frames": "R_bone_shared turns a segment's shared frame into its link frame, as computed by "
+        "rtof_kin.body.shared_frames from the joint offsets; identity for CMU's skeleton",
+        "bones_rule": "position of each joint in its parent's shared frame (T-pose: x forward, y left, "
         "z up), m; of the left and the right one the mean as if left, of one in the middle with y = 0",
         "shapes": {"rays_world": "B W J 3", "seen": "B W J", "bones": "B 3G", "camera_height": "B",
-                   "R_world_sensed": "B W S 3 3", "sensed": "B W S", "p_root_joint": "B J 3",
+                   "R_world_sensed": "B W S 3 3", "sensed": "B W S",
+                   "R_bone_shared": "B J 3 3", "p_root_joint": "B J 3",
                    "p_camera_root": "B 3", "sigma_m": "B J 2 (across the ray, along it)",
                    "R_world_bone": "B J 3 3", "sigma_rad": "B J"},
         "unknown": "NaN in a whole row of bones or camera_height; false in seen and sensed",
@@ -158,4 +167,5 @@ def _example(body: Body, size: int) -> tuple[Tensor, ...]:
         rays, torch.ones(2, size, J, dtype=torch.bool),
         torch.tensor(body.nominal_bones).expand(2, -1).clone(), torch.full((2,), 1.5),
         torch.eye(3).expand(2, size, S, 3, 3).clone(), torch.ones(2, size, S, dtype=torch.bool),
+        torch.eye(3).expand(2, J, 3, 3).clone(),
     )  # fmt: skip

@@ -16,6 +16,7 @@ from lifting.model import TemporalNetwork, torch_threads
 from lifting.models import RAYS, model_of
 from lifting.source import Source
 from lifting.windows import SIGMA_TURN, Estimate, orthonormal, rotations
+from rtof_kin.body.shared_frames import shared_frames, to_shared
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import InvalidInputError, ViewError
@@ -140,16 +141,17 @@ class Lifter:
                 `floor_height` are wrong.
         """
         self._check_seen(keypoints)
-        bones = self.bones_of(joint_offsets)
+        bones, R_bone_shared = self.bones_of(joint_offsets), self.shared_frames(joint_offsets)
         height = camera_height(keypoints.camera, floor_height)
-        source = Source.of(self.description.body, keypoints, bone_imus)
+        source = Source.of(self.description.body, keypoints, bone_imus, R_bone_shared)
         chunks = (keypoints.times[first : first + CHUNK] for first in range(0, len(keypoints), CHUNK))
         parts = [self.lift_windows(source, times, bones, height, flip) for times in chunks]
         p, sigma_m, R, sigma_rad, enough = (np.concatenate(part) for part in zip(*parts, strict=True))
         p, ok = _bridge(keypoints.times, keypoints.camera.center_world + p, enough)
         for values in (sigma_m, R, sigma_rad):
             values[~ok] = np.nan
-        return LiftedPoses(keypoints.times, p, ok, self.names, sigma_m, R, sigma_rad)
+        R_world_bone = R @ R_bone_shared.swapaxes(-1, -2)
+        return LiftedPoses(keypoints.times, p, ok, self.names, sigma_m, R_world_bone, sigma_rad)
 
     def lift_windows(
         self, source: Source, times: Array, bones: Array, height: float, flip: bool = True
@@ -157,13 +159,14 @@ class Lifter:
         """Estimate the poses at B times; what the model does not estimate is NaN.
 
         Args:
-            source: observations. times: (B,) s.
+            source: observations, sensors in the segments' shared frames. times: (B,) s.
             bones: (3 G,) m, see `bones_of`. height: of the camera over the floor, m. Both may be NaN.
             flip: average with the mirrored scene.
 
         Returns:
             Positions (B, J, 3) from the optical centre, m; their sigma (B, J, 2), m; orientations
-            (B, J, 3, 3); their sigma (B, J), rad; whether enough joints were seen (B,).
+            (B, J, 3, 3) of the segments' shared frames; their sigma (B, J), rad; whether enough joints were
+            seen (B,).
         """
         body, network = self.description.body, self.network
         model = model_of(network.config.model)
@@ -200,7 +203,7 @@ class Lifter:
             )
 
     def bones_of(self, joint_offsets: ArrayLike | None) -> Array:
-        """Return a person's bones as the network takes them, see `Body.bones_of`; NaN if None.
+        """Return a person's bones in shared frames, as the network takes them (`Body.bones_of`); NaN if None.
 
         Args:
             joint_offsets: (J, 3) m, each joint in its parent's link frame.
@@ -218,7 +221,19 @@ class Lifter:
                 f"joint_offsets: bone lengths from {np.min(length):.3g} to {np.max(length):.3g} m "
                 "are not a human's; give metres, finite, root row zero"
             )
-        return np.asarray(body.bones_of(torch.from_numpy(offsets.copy())).numpy())
+        shared = to_shared(self.shared_frames(offsets), body.parents, offsets)
+        return np.asarray(body.bones_of(torch.from_numpy(shared)).numpy())
+
+    def shared_frames(self, joint_offsets: ArrayLike | None) -> Array:
+        """Return R_bone_shared (J, 3, 3), from the frames in which the network knows a person's segments to
+        their link frames, see `rtof_kin.body.shared_frames`; the same frames if the offsets are None.
+
+        Args:
+            joint_offsets: (J, 3) m, each joint in its parent's link frame.
+        """
+        if joint_offsets is None:
+            return np.tile(np.eye(3), (len(self.names), 1, 1))
+        return shared_frames(self.names, np.asarray(joint_offsets, float))
 
 
 def camera_height(camera: Camera, floor_height: float | None) -> float:

@@ -29,6 +29,7 @@ from lifting.sensors import SensorConfig
 from lifting.settings import TrainConfig
 from lifting.validation import Validation
 from lifting.windows import Encoded
+from rtof_kin.body.shared_frames import shared_frames, to_shared
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, SolverError
 from rtof_kin.core.resources import lifter_path, model_path
@@ -44,8 +45,9 @@ class Run:
             InvalidInputError: the corpus has no training clip; processes cannot share a batch or have
                 different motion or settings.
         """
-        self.config, self.corpus, self.workers = config, corpus, workers
-        self.model, self.body, self.digest = model_of(config.model), corpus.body(), corpus.digest()
+        self.config, self.workers, self.digest = config, workers, corpus.digest()
+        self.corpus = corpus = corpus.in_shared_frames()
+        self.model, self.body = model_of(config.model), corpus.body()
         self.augment = config.augment
         if not self.model.senses:
             self.body = replace(self.body, sensors=())
@@ -281,7 +283,11 @@ def _readable(path: Path) -> Iterator[None]:
 
 
 def shipped_skeleton(corpus: Corpus) -> list[NDArray[np.float32]]:
-    """Return the joint offsets (J, 3) of the package's skeleton with the corpus's joints, if any, m."""
+    """Return the joint offsets (J, 3) in shared frames of the package's skeleton with the corpus's joints,
+    if there is one, m.
+    """
     tables = [read_skeleton_table(model_path(f"{name}.toml")) for name in ("skeleton", "human36m")]
     joints = corpus.names, corpus.parents
-    return [t.offsets.astype(np.float32) for t in tables if (t.names, t.parents) == joints]
+    found = [t for t in tables if (t.names, t.parents) == joints]
+    shared = [to_shared(shared_frames(t.names, t.offsets), t.parents, t.offsets) for t in found]
+    return [offsets.astype(np.float32) for offsets in shared]

@@ -1,7 +1,9 @@
 """Sensors worn in a training window, and the errors of their orientations.
 
 Errors are constant over the half second of a window: misalignment of the calibration, roll by soft tissue
-about the bone, heading of the sensor's reference frame, lag between camera and sensors.
+about the bone, heading of the sensor's reference frame, lag between camera and sensors. At amplitude 1 they
+turn a limb's bone by 2.7 degrees and its segment about the bone by 4.7 degrees in the median, as measured on
+real recordings; the camera's detections come 1-3 frames late.
 """
 
 from __future__ import annotations
@@ -31,13 +33,13 @@ class SensorConfig:
     """Share with all sensors; the rest have random subsets."""
     amplitude: tuple[float, float] = (0.2, 1.8)
     """Range of the factor on misalignment and roll."""
-    misalignment: float = 0.06
+    misalignment: float = 0.037
     """Standard deviation about each axis of the segment, rad."""
-    roll: float = 0.12
+    roll: float = 0.11
     """Standard deviation of the additional error about the bone, rad."""
-    heading: float = 0.05
+    heading: float = 0.03
     """Standard deviation of a sensor's heading, rad."""
-    lag: tuple[float, float] = (-3.0, 6.0)
+    lag: tuple[float, float] = (-1.0, 4.0)
     """Range of the lead of the sensors over the camera, frames."""
     missing: float = 0.03
     """Share of (frame, sensor) lost, in runs."""

@@ -43,13 +43,20 @@ class Source:
     """(3, 3)."""
 
     @classmethod
-    def of(cls, body: Body, keypoints: KeypointSequence, bone_imus: BoneImuSequence | None = None) -> Self:
+    def of(
+        cls,
+        body: Body,
+        keypoints: KeypointSequence,
+        bone_imus: BoneImuSequence | None = None,
+        R_bone_shared: Array | None = None,
+    ) -> Self:
         """Collect the observations of a recording.
 
         Args:
             body: joints and sensors to take; others are ignored.
             keypoints: landmarks of one person.
             bone_imus: calibrated sensors, resampled to the keypoints' times where they differ.
+            R_bone_shared: (J, 3, 3) frame of each segment whose axes are taken; None for the segments' own.
         """
         keypoints = keypoints.select(body.names)
         camera = keypoints.camera
@@ -65,6 +72,8 @@ class Source:
                 if joint in body.sensors:
                     s = body.sensors.index(joint)
                     known = np.isfinite(R).all(axis=(1, 2))
+                    if R_bone_shared is not None:
+                        R = R @ R_bone_shared[body.names.index(joint)]
                     sensed[:, s] = known
                     axes[known, :, s] = R[known][..., [0, 2]].swapaxes(1, 2)
         middle = np.array([camera.width_px, camera.height_px]) / 2

@@ -78,6 +78,7 @@ class StreamingLifter:
             )
         self._lifter, self._camera, self._body = lifter, camera, description.body
         self._bones, self._flip = lifter.bones_of(joint_offsets), flip
+        self._R_bone_shared = lifter.shared_frames(joint_offsets)
         self._height = camera_height(camera, floor_height)
         self._frames: deque[Source] = deque()
         self._last: StreamedPose | None = None
@@ -171,6 +172,7 @@ class StreamingLifter:
             first = worn[int(off.argmax())]
             raise InvalidInputError(f"R_world_bone of {first}: not a rotation matrix; NaN where missing")
         index = [sensors.index(name) for name in worn]
+        R = R @ self._R_bone_shared[[self._body.sensor_joints[s] for s in index]]
         axes[:, index] = np.where(known[:, None, None], R, 0.0)[..., [0, 2]].transpose(2, 0, 1)
         sensed[index] = known
         return axes, sensed
@@ -181,6 +183,7 @@ class StreamingLifter:
         p, sigma_m, R, sigma_rad, enough = self._lifter.lift_windows(
             source, np.array([time]), self._bones, self._height, self._flip
         )
+        R = R @ self._R_bone_shared.swapaxes(-1, -2)
         seen = bool(enough[0] and np.isfinite(p).all())
         if seen:
             arrays = [self._camera.center_world + p[0], sigma_m[0], R[0], sigma_rad[0]]

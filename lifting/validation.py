@@ -21,7 +21,7 @@ from lifting.windows import Estimate
 SEED = 20_000
 _SENSED = SensorConfig(
     none=0.0, limbs=0.0, limbs_and_trunk=0.0, ends=0.0, every=0.0, amplitude=(1.0, 1.0),
-    lag=(1.0, 4.0), missing=0.0,
+    lag=(1.0, 3.0), missing=0.0,
 )  # fmt: skip
 
 
@@ -76,16 +76,18 @@ class Validation:
 
 def _kinds(sensed: bool) -> dict[str, AugmentConfig]:
     """Settings of each kind, by name."""
+    realistic = plain(VALIDATION_NOISE["realistic"])
     kinds = {
         "perfect": plain(),
-        "realistic": plain(VALIDATION_NOISE),
+        "realistic": realistic,
+        "independent": plain(VALIDATION_NOISE["independent"]),
         "perfect, bones unknown": replace(plain(), hide_bones=1.0),
-        "realistic, floor known": replace(plain(VALIDATION_NOISE), hide_height=0.0),
+        "realistic, floor known": replace(realistic, hide_height=0.0),
     }
     if sensed:
         worn = {"8": replace(_SENSED, limbs=1.0), "10": replace(_SENSED, limbs_and_trunk=1.0)}
         for name, sensors in worn.items():
-            kinds[f"realistic, {name} sensors"] = replace(plain(VALIDATION_NOISE), sensors=sensors)
+            kinds[f"realistic, {name} sensors"] = replace(realistic, sensors=sensors)
     return kinds
 
 

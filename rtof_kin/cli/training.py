@@ -66,8 +66,9 @@ def _add_model(group: Any) -> None:
         "--causal", action="store_true", help="no delay: the last frame of a window is estimated"
     )
     group.add_argument(
-        "--noise", choices=["mixed", "perfect", "realistic"], default="mixed",
-        help="2D to train for: a detector's, exact (5-7 mm better on ground truth), or both",
+        "--noise", choices=["mixed", "perfect", "realistic", "independent"], default="mixed",
+        help="2D to train for: exact (5-7 mm better on ground truth), a real detector's, with errors of each "
+        "joint alone, or all of these",
     )  # fmt: skip
     group.add_argument(
         "--camera", nargs=2, type=float, metavar=("DISTANCE", "HEIGHT"),

@@ -219,7 +219,7 @@ def test_its_checkpoint_describes_it(trained: Path) -> None:
     assert description.body.sensors == ()
     assert description.recipe["model"] == "videopose3d"
     assert set(description.validation) == {
-        "perfect", "realistic", "perfect, bones unknown", "realistic, floor known"
+        "perfect", "realistic", "independent", "perfect, bones unknown", "realistic, floor known"
     }  # fmt: skip
     known = {key: errors["rr_mm"] for key, errors in description.validation.items()}
     assert known["perfect"] == known["perfect, bones unknown"]

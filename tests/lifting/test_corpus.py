@@ -9,6 +9,8 @@ import pytest
 
 from lifting.corpus import Corpus, join_clips, read_corpus
 from rtof_kin.body import kinematics
+from rtof_kin.body.shared_frames import shared_frames, to_shared
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import MocapClip, read_mocap
@@ -104,6 +106,20 @@ def test_clips_of_different_skeletons_are_refused() -> None:
         join_clips([(seventeen(), "train")])
     with pytest.raises(InvalidInputError, match="there is no clip"):
         join_clips([])
+
+
+def test_in_shared_frames_the_same_motion_of_two_rigs_is_one(corpus: Corpus) -> None:
+    R_bone_rig = shared_frames(corpus.names, corpus.joint_offsets[0])
+    R_bone_rig[0] = so3.about_axis("y", np.radians(20.0))
+    offsets = np.stack([to_shared(R_bone_rig, corpus.parents, own) for own in corpus.joint_offsets])
+    other = replace(
+        corpus, R_world_bone=(corpus.R_world_bone @ R_bone_rig).astype(np.float32),
+        joint_offsets=offsets.astype(np.float32),
+    )  # fmt: skip
+    one, two = corpus.in_shared_frames(), other.in_shared_frames()
+    np.testing.assert_allclose(one.R_world_bone, two.R_world_bone, atol=1e-5)
+    np.testing.assert_allclose(one.joint_offsets, two.joint_offsets, atol=1e-6)
+    np.testing.assert_allclose(one.positions(1), corpus.positions(1), atol=1e-5)
 
 
 def test_a_split_without_clips_names_the_subjects(corpus: Corpus) -> None:

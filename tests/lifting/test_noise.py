@@ -16,11 +16,11 @@ from rtof_kin.core.errors import UnknownNameError
 
 B, W = 600, 27
 QUIET = replace(
-    NoiseConfig(), clean=0.0, white=0.0, amplitude=(1.0, 1.0), bias_px=0.0, drift_px=0.0,
+    NoiseConfig(), clean=0.0, white=0.0, independent=1.0, amplitude=(1.0, 1.0), bias_px=0.0, drift_px=0.0,
     jitter_px=0.0, outlier_share=0.0, missing_share=0.0, gap_share=0.0, poor_share=0.0,
     sparse_share=0.0, truncated_share=0.0,
 )  # fmt: skip
-"""Realistic noise with all errors switched off."""
+"""Independent errors, all switched off."""
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def noise_of(
 
 def test_kinds_have_their_shares(body: Body) -> None:
     error, _ = noise_of(body, NoiseConfig())
-    clean, white = round(0.30 * B), round(0.20 * B)
+    clean, white = round(0.20 * B), round(0.10 * B)
     assert error[:clean].abs().max() == 0
     assert torch.all(error[clean:].abs().amax(dim=(1, 2, 3)) > 0)
     one_step = (error[:, :, 1:] - error[:, :, :-1]).std(dim=(1, 2, 3))
@@ -118,7 +118,7 @@ def test_training_noise_is_chosen_by_name(body: Body) -> None:
     error, _ = noise_of(body, TRAINING_NOISE["realistic"])
     one_step = (error[:, :, 1:] - error[:, :, :-1]).std(dim=(1, 2, 3))
     assert (1 - (one_step / error.std(dim=(1, 2, 3))) ** 2 / 2).min() > 0.5
-    with pytest.raises(UnknownNameError, match="'real'.*Known: mixed, perfect, realistic"):
+    with pytest.raises(UnknownNameError, match="'real'.*Known: mixed, perfect, realistic, independent"):
         augmentation("real")
 
 

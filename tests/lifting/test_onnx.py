@@ -56,7 +56,8 @@ def random_windows(lifter: Lifter, seed: int, batch: int) -> dict[str, NDArray[A
     R = np.linalg.qr(rng.normal(size=(batch, W, S, 3, 3)))[0]
     sensed = rng.uniform(size=(batch, W, S)) < 0.5
     R[~sensed] = np.nan
-    values = [rays, seen, bones, height, R, sensed]
+    R_bone_shared = np.linalg.qr(rng.normal(size=(batch, len(body.names), 3, 3)))[0]
+    values = [rays, seen, bones, height, R, sensed, R_bone_shared]
     return {
         name: value if value.dtype == bool else value.astype(np.float32)
         for name, value in zip(INPUTS, values, strict=True)
@@ -88,7 +89,8 @@ def test_onnx_gives_the_poses_that_predict_gives(lifter: Lifter, file: Path) -> 
         R[:, :, body.sensors.index(name)] = worn[rows]
     bones = np.tile(lifter.bones_of(offsets), (T, 1)).astype(np.float32)
     height = np.full(T, camera.center_world[2], np.float32)
-    values = [source.rays[rows], source.seen[rows], bones, height, R, source.sensed[rows]]
+    R_bone_shared = np.tile(lifter.shared_frames(offsets), (T, 1, 1, 1)).astype(np.float32)
+    values = [source.rays[rows], source.seen[rows], bones, height, R, source.sensed[rows], R_bone_shared]
     pose, root, sigma, R_bone, sigma_rad = session(file).run(
         list(OUTPUTS), dict(zip(INPUTS, values, strict=True))
     )

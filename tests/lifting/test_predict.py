@@ -22,7 +22,9 @@ from lifting.folded import FoldedNetwork
 from lifting.model import torch_threads
 from lifting.models import model_of
 from lifting.predict import LiftedPoses, Lifter
+from lifting.streaming import StreamingLifter
 from lifting.windows import SIGMA_ACROSS, SIGMA_ALONG, SIGMA_TURN
+from rtof_kin.body.shared_frames import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError, ViewError
@@ -87,8 +89,9 @@ def spoilt(imus: BoneImuSequence, where: Any) -> BoneImuSequence:
 def test_exact_network_output_gives_the_scene(lifter: Lifter, monkeypatch: pytest.MonkeyPatch) -> None:
     """Poses, orientations and their standard deviations are returned in world."""
     _, R = support.moving(0, T)
+    R_shared = R @ lifter.shared_frames(OFFSETS)
     p = P - CAMERA.center_world
-    axes, points = (torch.from_numpy(x).float() for x in (R[..., [0, 2]], p))
+    axes, points = (torch.from_numpy(x).float() for x in (R_shared[..., [0, 2]], p))
     across, along, turn = 0.01, 0.03, 0.05
     model, seen = model_of("rays"), []
 
@@ -466,3 +469,28 @@ def test_a_lifter_of_17_joints_reconstructs_through_the_pipeline() -> None:
     assert np.isfinite(result.motion.poses.p_world_joint).all()
     with pytest.raises(InvalidInputError, match=r"sees 3 \(Spine, Neck, Head\).*trained for these joints"):
         reconstruct(recording, mode="lift", lifter=support.untrained_lifter())
+
+
+# --- rigs ----------------------------------------------------------------------------------------
+
+
+def turned_rig() -> tuple[Array, Array]:
+    """Joint offsets of the same person in a rig with other link frames, and those frames in the ones of
+    `OFFSETS`: a pelvis pitched by 20 degrees, limbs along their bones."""
+    R_bone_rig = shared_frames(support.TABLE.names, OFFSETS)
+    R_bone_rig[0] = so3.about_axis("y", np.radians(20.0))
+    return to_shared(R_bone_rig, support.TABLE.parents, OFFSETS), R_bone_rig
+
+
+def test_a_rigs_link_frames_do_not_matter(lifter: Lifter, lifted: LiftedPoses) -> None:
+    offsets, R_bone_rig = turned_rig()
+    index = [support.TABLE.names.index(joint) for joint in IMUS.joints]
+    imus = replace(IMUS, R_world_bone=IMUS.R_world_bone @ R_bone_rig[index])
+    other = lifter.predict(KEYPOINTS, offsets, bone_imus=imus)
+    np.testing.assert_allclose(other.p_world_joint, lifted.p_world_joint, atol=1e-5)
+    np.testing.assert_allclose(other.R_world_bone, lifted.R_world_bone @ R_bone_rig, atol=1e-5)
+    stream = StreamingLifter(lifter, CAMERA, offsets)
+    for t in range(T):
+        worn = dict(zip(imus.joints, imus.R_world_bone[t], strict=True))
+        stream.push(IMUS.times[t], KEYPOINTS.uv_px[t], KEYPOINTS.confidence[t], worn)
+    np.testing.assert_allclose(stream.flush()[-1].R_world_bone, other.R_world_bone[-1], atol=1e-5)

@@ -21,6 +21,7 @@ from lifting.sensors import SensorConfig
 from lifting.settings import TrainConfig
 from lifting.train import train
 from lifting.windows import decode, encode, rotations
+from rtof_kin.body.shared_frames import shared_frames
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 
 QUICK = TrainConfig(
@@ -112,10 +113,14 @@ def test_a_lifter_of_17_joints_at_50_hz_is_described(tmp_path: Path) -> None:
     assert not any("sensors" in kind for kind in description.validation)
 
 
-def test_the_shipped_skeleton_has_the_joints_of_the_corpus() -> None:
+def test_the_shipped_skeleton_has_the_joints_of_the_corpus_in_shared_frames() -> None:
     for table in (support.TABLE, support.TABLE_17):
         (body,) = shipped_skeleton(support.tiny_corpus(table=table))
-        np.testing.assert_allclose(body, table.offsets, atol=1e-6)
+        np.testing.assert_allclose(
+            np.linalg.norm(body, axis=1), np.linalg.norm(table.offsets, axis=1), atol=1e-6
+        )
+        R_bone_shared = shared_frames(table.names, body)
+        np.testing.assert_allclose(R_bone_shared, np.broadcast_to(np.eye(3), R_bone_shared.shape), atol=1e-6)
     renamed = replace(support.tiny_corpus(), names=tuple(f"{n}_" for n in support.TABLE.names))
     assert shipped_skeleton(renamed) == []
 
@@ -184,7 +189,7 @@ def test_the_lifter_contains_its_recipe_and_errors(corpus: Corpus, tmp_path: Pat
     assert description.recipe["windows_seen"] == 128
     assert description.recipe["augment"]["distance"] == [1.8, 7.5]
     assert description.recipe["frames_of_motion"] == 80
-    assert description.recipe["augment"]["sensors"]["lag"] == [-3.0, 6.0]
+    assert description.recipe["augment"]["sensors"]["lag"] == [-1.0, 4.0]
     assert set(description.validation) >= {"perfect", "realistic", "realistic, 10 sensors"}
     assert set(description.validation["realistic, 8 sensors"]) == {
         "rr_mm", "abs_mm", "pelvis_deg", "upper_trunk_deg"

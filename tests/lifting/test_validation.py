@@ -16,7 +16,7 @@ from rtof_kin.core import rotations as so3
 
 CPU = torch.device("cpu")
 SENSED = {"realistic, 8 sensors", "realistic, 10 sensors"}
-ALWAYS = {"perfect", "realistic", "perfect, bones unknown", "realistic, floor known"}
+ALWAYS = {"perfect", "realistic", "independent", "perfect, bones unknown", "realistic, floor known"}
 
 
 @pytest.fixture(scope="module")
