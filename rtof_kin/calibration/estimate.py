@@ -19,15 +19,7 @@ from rtof_kin.calibration import sensor_unknowns as sensing
 from rtof_kin.calibration import vision_unknowns as seeing
 from rtof_kin.calibration.clock_check import check_clocks
 from rtof_kin.calibration.priors import CalibrationPriors
-from rtof_kin.calibration.result import (
-    BONE_GROUPS,
-    Detector,
-    Quantity,
-    SelfCalibration,
-    Verdict,
-    bone_groups,
-    image_slopes,
-)
+from rtof_kin.calibration.result import BONE_GROUPS, Detector, Quantity, SelfCalibration, Verdict, bone_groups
 from rtof_kin.calibration.shared_fragments import Shared, SharedFragments, Weights
 from rtof_kin.calibration.unknowns import Bones, Unknown
 from rtof_kin.core.array_types import Array
@@ -167,11 +159,11 @@ def _unknowns(
             tuple(skeleton.parents), groups, p.sigma_size, p.sigma_proportion or 0.0, data.attached
         ))  # fmt: skip
     if p.sigma_image_bias is not None:
-        tall = _height_px(seen)
-        sigma_px = np.full(len(data.names), p.sigma_image_bias * tall / _USUAL_HEIGHT_PX)
+        tall = _height_px(seen.landmarks)
+        sigma_px = p.sigma_image_bias * tall / _USUAL_HEIGHT_PX * data.points.sizes
         found.append(seeing.ImageBias(data.names, sigma_px))
     if p.sigma_place is not None:
-        slopes = image_slopes(seen.camera, skeleton, start, data.names)
+        slopes = data.points.slopes(seen.camera, start.p_world_joint, start.R_world_bone)
         found.append(seeing.Places(data.names, p.sigma_place, slopes))
     if p.sigma_focal is not None:
         found.append(seeing.Focal(p.sigma_focal))

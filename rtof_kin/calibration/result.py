@@ -23,6 +23,7 @@ from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
+from rtof_kin.vision.image_points import image_points
 
 _OBSERVED: Final = 0.9
 _WEAKLY: Final = 0.5
@@ -183,8 +184,8 @@ class SelfCalibration:
         places = {n: v for n, v in self.of_kind("place").items() if n in keypoints.names}
         if not places:
             return keypoints
-        skeleton = SkeletonModel.default()
-        slopes = image_slopes(keypoints.camera, skeleton, poses, tuple(places))
+        points = image_points(SkeletonModel.default(), tuple(places))
+        slopes = points.slopes(keypoints.camera, poses.p_world_joint, poses.R_world_bone)
         shift = np.einsum("tlij,lj->tli", slopes, np.array(list(places.values())))
         uv = keypoints.uv_px.copy()
         uv[:, [keypoints.names.index(name) for name in places]] -= shift
@@ -263,24 +264,6 @@ class SelfCalibration:
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def image_slopes(camera: Camera, skeleton: SkeletonModel, poses: PoseSequence, names: Sequence[str]) -> Array:
-    """Return derivatives (T, L, 2, 3) of landmarks in the image by their places in the segments, px/m.
-
-    Args:
-        camera: with or without distortion. skeleton: the body. poses: (T). names: L landmarks.
-    """
-    camera = camera.undistorted()
-    on = [skeleton.landmarks[name] for name in names]
-    own = list(skeleton.index(*[joint for joint, _ in on]))
-    R, p = poses.R_world_bone[:, own], poses.p_world_joint[:, own]
-    p = p + np.einsum("tlij,lj->tli", R, np.array([place for _, place in on]))
-    xyz = camera.to_camera(p) @ camera.K.T
-    uv, depth = xyz[..., :2] / xyz[..., 2:], xyz[..., 2]
-    by_world = camera.K @ camera.R_camera_world
-    J = (by_world[:2] - uv[..., None] * by_world[2]) / depth[..., None, None]
-    return np.asarray(J @ R)
 
 
 def bone_groups(skeleton: SkeletonModel, names: Sequence[str]) -> tuple[tuple[str, tuple[int, ...]], ...]:

@@ -211,7 +211,9 @@ class SharedFragments:
         for first in self._firsts:
             index, inside, values = data.fragment(first)
             data.problem.bind(values)
-            annealing = Annealing(s, data.problem, data.confidence[index], values.observation)
+            annealing = Annealing(
+                s, data.problem, data.confidence[index], data.points.sizes, values.observation
+            )
             solved = self._solver.solve(
                 data.start[index], s.annealing + s.max_iterations, s.tolerance, None, annealing
             )

@@ -57,7 +57,7 @@ class Places(Isotropic):
     sigma: float
     """[m] per axis."""
     slopes: Array
-    """(T, L, 2, 3) px per m along the segment's axes: `image_slopes`."""
+    """(T, L, 2, 3) px per m along the segments' axes (`ImagePoints.slopes`)."""
     name = "place"
     width = 3
 

@@ -60,6 +60,7 @@ def _total_capture(options: argparse.Namespace) -> None:
             modes=_names(options.modes),
             lifter=options.model,
             calibrate=options.calibrate,
+            posture=not options.no_posture,
             studies=space == "cartesian" and not options.no_studies,
             seed=options.seed,
             save=options.save and options.save / name,
@@ -243,6 +244,10 @@ def _add_total_capture(commands: Any) -> None:
     parser.add_argument(
         "--calibrate", action="store_true",
         help="calibrate every take from itself first; the paper takes its files as they are",
+    )  # fmt: skip
+    parser.add_argument(
+        "--no-posture", action="store_true",
+        help="do not take the subject's neutral posture from the reference's first T-pose",
     )  # fmt: skip
     parser.add_argument(
         "--no-studies", action="store_true", help="leave out the tables of fragment length and k_V"

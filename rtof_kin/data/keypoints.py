@@ -1,13 +1,15 @@
 """Detected landmarks of one person in a video.
 
-Axes are time, element, component. Missing is NaN in the value and 0 in the confidence.
+Axes are time, element, component. Missing is NaN in the value and 0 in the confidence. Beside the skeleton's
+landmarks there may be the points of the detector that these were estimated from, named
+``mediapipe33:LeftEar`` after its layout.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 
@@ -15,6 +17,28 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_names, checked_times, freeze
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
+
+_OF: Final = ":"
+"""Between a layout and its point."""
+
+
+def detector_point(layout: str, point: str) -> str:
+    """Return the name of a detector's own point in a `KeypointSequence`.
+
+    Args:
+        layout: of the detector. point: of the layout, e.g. ``LeftEar``.
+    """
+    return f"{layout}{_OF}{point}"
+
+
+def layout_and_point(name: str) -> tuple[str, str]:
+    """Return the layout and the point of a name; a landmark of the skeleton has the layout ``""``.
+
+    Args:
+        name: in a `KeypointSequence`.
+    """
+    layout, _, point = name.rpartition(_OF)
+    return layout, point
 
 
 @dataclass(frozen=True)
@@ -30,7 +54,7 @@ class KeypointSequence:
     confidence: Array
     """(T, L) in [0, 1]; 0 where not detected."""
     names: tuple[str, ...]
-    """L landmark names."""
+    """L names of landmarks and of the detector's own points."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -61,6 +85,23 @@ class KeypointSequence:
     def seen(self) -> Mask:
         """Mask (T, L) of detected landmarks."""
         return np.asarray(self.confidence > 0)
+
+    @property
+    def landmarks(self) -> Self:
+        """The skeleton's landmarks alone."""
+        return self._of_detector(False)
+
+    @property
+    def detector_points(self) -> Self:
+        """The detector's own points alone; there may be none."""
+        return self._of_detector(True)
+
+    def _of_detector(self, wanted: bool) -> Self:
+        kept = [i for i, name in enumerate(self.names) if bool(layout_and_point(name)[0]) == wanted]
+        if len(kept) == len(self.names):
+            return self
+        names = tuple(self.names[i] for i in kept)
+        return replace(self, uv_px=self.uv_px[:, kept], confidence=self.confidence[:, kept], names=names)
 
     def select(self, names: Sequence[str]) -> Self:
         """Return landmarks in the order of `names`; missing ones are NaN with confidence 0.

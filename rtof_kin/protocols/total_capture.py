@@ -84,6 +84,8 @@ class TotalCaptureProtocol:
     """A file, or the name of a shipped one; the shipped default where not given."""
     calibrate: bool = False
     """Whether every take is self-calibrated first; the paper does not."""
+    posture: bool = True
+    """Whether the subject's neutral posture is taken from the take's first T-pose, as bone lengths are."""
     studies: bool = True
     """Whether fragment length and k_V are varied too."""
     seed: int = 0
@@ -127,6 +129,7 @@ class TotalCaptureProtocol:
             "keypoints": str(self.keypoints.resolve()) if self.keypoints else "ground truth",
             "layout": self.layout, "noise_px": self.noise_px, "sensors": list(self.sensors),
             "space": self.space, "modes": list(self.modes), "calibrate": self.calibrate,
+            "posture": self.posture,
             "studies": self.studies, "seed": self.seed,
         }  # fmt: skip
 
@@ -220,6 +223,7 @@ def _seen_by(take: Take, job: Job, number: int) -> JobResult:
         noise_px=protocol.noise_px,
         seed=protocol.seed,
         sensors=() if absent else protocol.sensors,
+        posture=protocol.posture,
     )
     truth, skeleton = recording.truth, recording.skeleton
     assert truth is not None

@@ -216,6 +216,7 @@ def _setup(protocol: TotalCaptureProtocol, rows: list[Row]) -> str:
     else:
         keypoints = "ground-truth 2D of every joint, also outside the picture"
     calibration = "found from each take itself" if protocol.calibrate else "as the files have it"
+    posture = "of the reference's first T-pose" if protocol.posture else "unknown"
     cameras = sorted({row["camera"] for row in rows if row["camera"]})
     frames = sum(row["frames"] for row in rows if row["method"] == protocol.modes[0])
     lifter = "Lifter: the shipped one, trained on free motion alone, for which no subject is seen."
@@ -225,7 +226,7 @@ def _setup(protocol: TotalCaptureProtocol, rows: list[Row]) -> str:
         f"Ours: one camera at a time ({', '.join(map(str, cameras)) or 'none'}), pooled over all "
         f"{frames} frames of all cameras; {len(protocol.sensors)} IMUs where a mode uses them; 2D: "
         f"{keypoints}; 21 joints, root included; solved in {protocol.space} space, the "
-        f"sensors' calibration {calibration}. {lifter} Mode lift is scored "
+        f"sensors' calibration {calibration}, neutral posture {posture}. {lifter} Mode lift is scored "
         "with the joints of the network; its saved motions have rigid bones."
     )
 

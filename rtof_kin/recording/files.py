@@ -31,7 +31,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.cameras import read_camera as read_camera_file
 from rtof_kin.formats.imu_calibration_toml import calibration_of
 from rtof_kin.vision.keypoints import read_detector_keypoints
-from rtof_kin.vision.layouts import detector_table
+from rtof_kin.vision.layouts import detector_table, is_detector_point
 
 _OWN_LAYOUT: Final = "joints"
 RECOGNISE: Final = "auto"  # a detector's layout that is to be recognised
@@ -197,7 +197,7 @@ def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) ->
     if is_csv and section.has("layout"):
         raise section.error("layout", "a .csv names its points itself; leave the layout out")
     names, arrays = read_keypoint_csv(path) if is_csv else _keypoint_npz(section, path, skeleton)
-    unknown = [name for name in names if name and name not in skeleton.landmarks]
+    unknown = [n for n in names if n and n not in skeleton.landmarks and not is_detector_point(n)]
     if unknown:
         where = str(path) if is_csv else f"{section.path}, {section.where('landmarks')}"
         raise UnknownNameError(f"landmark in {where}", unknown, list(skeleton.landmarks))

@@ -31,6 +31,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording import files
 from rtof_kin.recording.session import Session, read_session
+from rtof_kin.vision.layouts import is_detector_point
 
 SCHEMA_VERSION: Final = 1
 INDEX: Final = "recording.toml"
@@ -120,8 +121,9 @@ class Recording:
 
     def _check_names(self) -> None:
         skeleton = self.skeleton
+        own = [name for name in self.keypoints.names if not is_detector_point(name)] if self.keypoints else []
         named = {
-            "landmark": (self.keypoints.names if self.keypoints else (), list(skeleton.landmarks)),
+            "landmark": (own, list(skeleton.landmarks)),
             "joint in the calibration": (self.calibration.joints if self.calibration else (), skeleton.names),
         }
         for kind, (names, known) in named.items():

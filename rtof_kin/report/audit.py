@@ -80,11 +80,12 @@ def _streams(result: Reconstruction) -> Iterator[AuditResult]:
     if result.keypoints is None:
         yield AuditResult.not_checked("streams", "keypoints", "the motion is from sensors only")
     else:
-        missing = 1 - result.keypoints.seen.mean(axis=0)
+        landmarks = result.keypoints.landmarks
+        missing = 1 - landmarks.seen.mean(axis=0)
         note = "occluded, out of the image, or not detected"
         shares += [
             ("share of frames unseen", landmark, share, 10.0, 90.0, note)
-            for landmark, share in zip(result.keypoints.names, missing, strict=True)
+            for landmark, share in zip(landmarks.names, missing, strict=True)
         ]
     if result.bone_imus is not None:
         missing = np.isnan(result.bone_imus.R_world_bone[..., 0, 0]).mean(axis=0)
@@ -115,7 +116,7 @@ def _image(result: Reconstruction) -> Iterator[AuditResult]:
     subjects = [("all landmarks", error, _ALL_LANDMARKS)]
     subjects += [
         (landmark, own[:, None], _LANDMARK)
-        for landmark, own in zip(result.keypoints.names, error.T, strict=True)
+        for landmark, own in zip(result.keypoints.landmarks.names, error.T, strict=True)
     ]
     for subject, own, limits in subjects:
         if not np.isfinite(own).any():

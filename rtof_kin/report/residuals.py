@@ -11,7 +11,9 @@ from rtof_kin.reconstruction.result import Reconstruction
 
 
 def reprojection_errors(result: Reconstruction) -> tuple[Array, float]:
-    """Return reprojection errors (T, L) px, NaN where unknown, and the median height of the body, px.
+    """Return reprojection errors (T, L) of the landmarks and the median height of the body, px.
+
+    Errors are NaN where unknown.
 
     Args:
         result: with keypoints.
@@ -19,7 +21,7 @@ def reprojection_errors(result: Reconstruction) -> tuple[Array, float]:
     Raises:
         InvalidInputError: there are no keypoints.
     """
-    motion, keypoints = result.motion, result.keypoints or result.recording.video
+    motion, keypoints = result.motion, (result.keypoints or result.recording.video).landmarks
     p, R = motion.poses.p_world_joint, motion.poses.R_world_bone
     known = motion.skeleton.landmarks
     at = motion.skeleton.landmark_positions(p, R)

@@ -17,10 +17,11 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.keypoints import KeypointSequence, detector_point
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks
+from rtof_kin.vision.landmark_regression import LEAST_CONFIDENCE, LandmarkRegression, RegressedLandmarks
+from rtof_kin.vision.layouts import OWN_LAYOUTS
 from rtof_kin.vision.recognise import Recognition, recognise
 from rtof_kin.vision.tracking import PersonTrack, track_person
 
@@ -32,9 +33,9 @@ class DetectedKeypoints:
     """Keypoints of one person with their provenance."""
 
     keypoints: KeypointSequence
-    """The skeleton's landmarks in the image."""
+    """The skeleton's landmarks in the image, then the detector's own points."""
     landmarks: RegressedLandmarks
-    """The same with expected errors."""
+    """The landmarks with expected errors."""
     recognition: Recognition
     """Layout of the detector."""
     track: PersonTrack
@@ -113,8 +114,14 @@ def keypoints_from_detections(
     track = track_person(found, times, person, frame, (camera.width_px, camera.height_px))
     uv, confidence = track.of(found)
     _check_inside(uv, camera)
-    landmarks = regression.apply(recognition.layout.name, uv, confidence)
-    keypoints = KeypointSequence(camera, times, landmarks.uv_px, landmarks.confidence, landmarks.names)
+    form = recognition.layout
+    landmarks = regression.apply(form.name, uv, confidence)
+    own = () if form.name in OWN_LAYOUTS else tuple(detector_point(form.name, p) for p in form.points)
+    sure = np.where(confidence >= LEAST_CONFIDENCE, confidence, 0.0)[:, : len(own)]
+    keypoints = KeypointSequence(
+        camera, times, np.concatenate([landmarks.uv_px, uv[:, : len(own)]], axis=1),
+        np.concatenate([landmarks.confidence, sure], axis=1), landmarks.names + own,
+    )  # fmt: skip
     return DetectedKeypoints(keypoints, landmarks, recognition, track)
 
 

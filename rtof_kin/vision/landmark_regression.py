@@ -22,7 +22,7 @@ from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
-from rtof_kin.vision.layouts import DetectorTable, Layout, detector_table, own, point_names
+from rtof_kin.vision.layouts import OWN_LAYOUTS, DetectorTable, Layout, detector_table, own, point_names
 from rtof_kin.vision.pose_gaussian import FEWEST_POINTS, QUARTERS, PoseGaussian
 
 LEAST_CONFIDENCE: Final = 0.1  # [-] of a detected point
@@ -80,7 +80,7 @@ class LandmarkRegression:
         """
         form = self.table.layout(layout)
         uv, confidence, seen = _checked(form, uv_px, confidence)
-        if layout in ("joints", "landmarks"):
+        if layout in OWN_LAYOUTS:
             sigma = np.where(seen, 0.0, np.nan)
             return RegressedLandmarks(form.names, uv, np.where(seen, confidence, 0.0), sigma)
         names = self._landmarks(form)

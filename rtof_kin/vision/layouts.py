@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,7 +19,10 @@ from rtof_kin.body.skeleton_table import Landmark
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
+from rtof_kin.data.keypoints import layout_and_point
 
+OWN_LAYOUTS: Final = ("joints", "landmarks")
+"""Layouts of the skeleton's own points, not of a detector."""
 _SIDES = {"l": "Left", "left": "Left", "r": "Right", "right": "Right"}
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
@@ -83,6 +86,21 @@ def _canonical(name: str) -> str:
     words = [word.lower() for word in _WORDS.findall(name)]
     sides = [_SIDES[word] for word in words if word in _SIDES]
     return "".join([*sides[:1], *(word.capitalize() for word in words if word not in _SIDES)])
+
+
+def is_detector_point(name: str) -> bool:
+    """Return whether a name in a `KeypointSequence` is that of a detector's own point.
+
+    Args:
+        name: of the keypoint.
+
+    Raises:
+        UnknownNameError: the layout has no such point, or there is no such layout.
+    """
+    layout, point = layout_and_point(name)
+    if layout and point not in (known := detector_table().layout(layout).points):
+        raise UnknownNameError(f"point of layout {layout}", [point], known)
+    return bool(layout)
 
 
 def mirrored(name: str) -> str:
@@ -166,7 +184,7 @@ def _layout(entry: Mapping[str, Any]) -> Layout:
 def _own_layouts() -> dict[str, Layout]:
     """Return the shipped skeleton's joints, and all its landmarks, as layouts."""
     skeleton = SkeletonModel.default()
-    named = {"joints": skeleton.names, "landmarks": tuple(skeleton.landmarks)}
+    named = dict(zip(OWN_LAYOUTS, (skeleton.names, tuple(skeleton.landmarks)), strict=True))
     return {k: Layout(k, f"the skeleton's own {k}", n, tuple(map(own, n))) for k, n in named.items()}
 
 

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from rtof_kin.core.array_types import Array, Index
-from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.keypoints import KeypointSequence, layout_and_point
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
 
 _LONGEST = 2.0  # [s] of an interval that is corrected; longer ones are only reported
@@ -31,6 +31,8 @@ def reject_keypoint_outliers(
 ) -> tuple[KeypointSequence, tuple[StreamFault, ...]]:
     """Exchange swapped sides back and set another person's keypoints to NaN.
 
+    The landmarks decide; the detector's own points are treated as they are.
+
     Args:
         keypoints: at any times; names of sides begin with ``Left`` and ``Right``, or ``L`` and ``R``.
         sides: look for exchanged sides. person: look for another person.
@@ -39,9 +41,11 @@ def reject_keypoint_outliers(
         The keypoints, unchanged without faults, and the faults.
     """
     found: list[StreamFault] = []
-    for group, pairs in side_pairs(keypoints.names).items() if sides else ():
-        keypoints, faults = _with_sides_corrected(keypoints, group, pairs)
+    landmarks, every = side_pairs(keypoints.landmarks.names), side_pairs(keypoints.names)
+    for group, pairs in landmarks.items() if sides else ():
+        faults, exchanged = _exchanges(keypoints.landmarks, group, pairs)
         found += faults
+        keypoints = _with_sides_corrected(keypoints, exchanged, every[group])
     if person:
         keypoints, faults = _without_other_people(keypoints)
         found += faults
@@ -55,12 +59,13 @@ def side_pairs(names: tuple[str, ...]) -> dict[str, Index]:
         names: of the points.
     """
     groups: dict[str, list[tuple[int, int]]] = {"legs": [], "arms and head": []}
-    for i, name in enumerate(names):
+    apart = [layout_and_point(name) for name in names]
+    for i, (layout, name) in enumerate(apart):
         for left, right in (("Left", "Right"), ("L", "R")):
-            other = right + name.removeprefix(left)
-            if name.startswith(left) and other in names:
+            other = layout, right + name.removeprefix(left)
+            if name.startswith(left) and other in apart:
                 group = "legs" if any(part in name for part in _LOWER) else "arms and head"
-                groups[group].append((i, names.index(other)))
+                groups[group].append((i, apart.index(other)))
                 break
     return {group: np.array(pairs) for group, pairs in groups.items() if len(pairs) >= _FEWEST_PAIRS}
 
@@ -92,21 +97,27 @@ class _Past:
         return np.where(count < _FEWEST_FRAMES, np.nan, line)
 
 
-def _with_sides_corrected(
-    keypoints: KeypointSequence, group: str, pairs: Index
-) -> tuple[KeypointSequence, list[StreamFault]]:
-    times, faults = keypoints.times, []
-    uv, confidence = keypoints.uv_px.copy(), keypoints.confidence.copy()
-    columns, other = pairs.ravel(), pairs[:, ::-1].ravel()
-    for first, last, closed in _exchanged(keypoints, pairs):
+def _exchanges(
+    landmarks: KeypointSequence, group: str, pairs: Index
+) -> tuple[list[StreamFault], list[slice]]:
+    """Faults of a group of landmarks, and the frames whose sides are to be exchanged back."""
+    times, faults, spans = landmarks.times, [], []
+    for first, last, closed in _exchanged(landmarks, pairs):
         kind = FaultKind.SIDES if closed else FaultKind.SIDES_IN_DOUBT
         faults.append(StreamFault(kind, f"keypoints of {group}", float(times[first]), float(times[last])))
         if closed:
-            span = slice(first, last + 1)
-            uv[span, columns], confidence[span, columns] = uv[span, other], confidence[span, other]
-    if any(fault.kind is FaultKind.SIDES for fault in faults):
-        keypoints = replace(keypoints, uv_px=uv, confidence=confidence)
-    return keypoints, faults
+            spans.append(slice(first, last + 1))
+    return faults, spans
+
+
+def _with_sides_corrected(keypoints: KeypointSequence, spans: list[slice], pairs: Index) -> KeypointSequence:
+    if not spans:
+        return keypoints
+    uv, confidence = keypoints.uv_px.copy(), keypoints.confidence.copy()
+    columns, other = pairs.ravel(), pairs[:, ::-1].ravel()
+    for span in spans:
+        uv[span, columns], confidence[span, columns] = uv[span, other], confidence[span, other]
+    return replace(keypoints, uv_px=uv, confidence=confidence)
 
 
 def _exchanged(keypoints: KeypointSequence, pairs: Index) -> Iterator[tuple[int, int, bool]]:
@@ -144,9 +155,10 @@ def _crossed(now: Array, expected: Array | None, size: float) -> bool:
 
 
 def _without_other_people(keypoints: KeypointSequence) -> tuple[KeypointSequence, list[StreamFault]]:
-    times, frames = keypoints.times, np.flatnonzero(keypoints.seen.sum(axis=1) >= _FEWEST)
-    size = _size(keypoints)
-    jumps = [ab for ab in pairwise(frames.tolist()) if _step(keypoints, *ab, size) > 1.0]
+    landmarks = keypoints.landmarks
+    times, frames = keypoints.times, np.flatnonzero(landmarks.seen.sum(axis=1) >= _FEWEST)
+    size = _size(landmarks)
+    jumps = [ab for ab in pairwise(frames.tolist()) if _step(landmarks, *ab, size) > 1.0]
     faults, gone = [], np.zeros(len(times), dtype=bool)
     for i, (before, first) in enumerate(jumps):
         if gone[before]:
@@ -154,7 +166,7 @@ def _without_other_people(keypoints: KeypointSequence) -> tuple[KeypointSequence
         returns = (
             last
             for last, after in jumps[i + 1 :]
-            if times[after] - times[first] <= _LONGEST and _step(keypoints, before, after, size) < 1.0
+            if times[after] - times[first] <= _LONGEST and _step(landmarks, before, after, size) < 1.0
         )
         back = next(returns, None)
         if back is not None:

@@ -123,6 +123,9 @@ def test_a_recording_has_the_projected_joints_and_the_sensors_asked_for(take: Ta
     assert recording.name == "S5 acting3 cam3"
     assert "Trumble" in recording.acknowledgement
     np.testing.assert_array_equal(recording.joint_offsets, take.joint_offsets)
+    assert recording.posture is take.posture is not None  # the stand-in begins with a T-pose
+    assert recording.skeleton.table.posture is take.posture
+    assert take.recording(3, posture=False).posture is None
     bones = recording.bone_imus()
     assert bones.joints == ("LeftForeArm", "Hips")
     assert len(bones) == len(recording.video)

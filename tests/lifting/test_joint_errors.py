@@ -215,7 +215,7 @@ def test_drawn_errors_are_as_large_as_those_of_the_simulated_detector(body: Body
     R_shared, p_root = clip.poses.R_world_bone @ R_bone_shared, clip.poses.p_world_joint[:, 0].mean(axis=0)
     seen, drawn = [], []
     for seed in range(16):
-        eye = p_root + [4 * np.cos(seed * 0.4), 4 * np.sin(seed * 0.4), 0.7]
+        eye = p_root + np.array([4 * np.cos(seed * 0.4), 4 * np.sin(seed * 0.4), 0.7])
         camera = Camera.looking_at(eye, p_root, 1250.0)
         quiet = DetectorErrors(jumps=0.0, exchanges=0.0, camera=0.0, delay_frames=(0.0,))
         found = simulate_detections(np.random.default_rng(seed), clip.poses, skeleton, camera, quiet)

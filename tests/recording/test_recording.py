@@ -15,6 +15,7 @@ import numpy as np
 import planted
 import pytest
 
+from rtof_kin.body.neutral_posture import NeutralPosture
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import (
@@ -119,6 +120,7 @@ def full_recording() -> Recording:
         truth=replace(base.truth, valid=np.random.default_rng(4).random((T, 21)) > 0.2),
         first_frame=17,
         floor_height=-0.02,
+        posture=NeutralPosture(("Spine2", "LeftShoulder"), np.array([[1.0, 0, 0, 0], [0.6, 0.8, 0, 0]])),
         acknowledgement="Thanks\nto all.",
         notes="α = 3",
     )
@@ -154,6 +156,17 @@ def test_save_and_load_are_exact(tmp_path: Path, without: tuple[str, ...], names
     assert_same(Recording.load(tmp_path / "take"), recording)
     assert sorted(p.name for p in (tmp_path / "take").iterdir()) == names
     assert_same(pickle.loads(pickle.dumps(recording)), recording)
+
+
+def test_a_posture_of_unknown_joints_is_refused(tmp_path: Path) -> None:
+    full_recording().save(tmp_path / "take")
+    path = tmp_path / "take" / INDEX
+    path.write_text(
+        path.read_text(encoding="utf-8").replace("\nSpine2 = [\n    1.0", "\nSpine9 = [\n    1.0"),
+        encoding="utf-8",
+    )
+    with pytest.raises(UnknownNameError, match=r"posture.*'Spine9'"):
+        Recording.load(tmp_path / "take")
 
 
 def test_camera_and_keypoints_are_needed_together(tmp_path: Path) -> None:
@@ -345,7 +358,7 @@ IMUS_LATER = replace(IMUS, times=IMUS.times + 1.7e9)
         ({"imus": IMUS_LATER}, InvalidInputError, "IMU times run from .* shift them to one clock"),
         ({"truth": planted.moving(SkeletonModel.human36m(), T).poses}, InvalidInputError, "truth"),
         ({"skeleton_table": "human36m", "joint_offsets": np.empty((0, 3)), "height": None,
-          "bone_lengths": None}, UnknownNameError, "unknown landmark"),
+          "bone_lengths": None, "posture": None}, UnknownNameError, "unknown landmark"),
     ],
 )  # fmt: skip
 def test_fields_that_contradict_each_other_are_refused(

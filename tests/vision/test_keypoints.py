@@ -16,6 +16,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoints import keypoints_from_detections, read_detector_keypoints
+from rtof_kin.vision.layouts import detector_table
 
 REAL = Path(__file__).parents[1] / "fixtures" / "detectors" / "two_people"
 K = np.array([[1681.0, 0, 533], [0, 1681.0, 948], [0, 0, 1]])
@@ -79,9 +80,14 @@ def test_a_recording_reads_a_detectors_file(layout: str, named: bool, tmp_path: 
     text = f'layout = "{layout if named else "auto"}"\nrate_hz = 30.0\nstart_s = 2.0'
     keypoints = Recording.load(recording(tmp_path, f'file = "found.json"\n{text}')).keypoints
     assert keypoints.names[:21] == MOTION.skeleton.names
-    truth = landmarks_px(keypoints.names, here, camera)
-    error = np.linalg.norm(keypoints.uv_px - truth, axis=-1)[keypoints.seen]
+    landmarks, raw = keypoints.landmarks, keypoints.detector_points
+    truth = landmarks_px(landmarks.names, here, camera)
+    error = np.linalg.norm(landmarks.uv_px - truth, axis=-1)[landmarks.seen]
     assert error.mean() < 6.0
+    exact = points_px(layout, here, camera)
+    assert raw.names == tuple(f"{layout}:{point}" for point in detector_table().layout(layout).points)
+    np.testing.assert_allclose(raw.uv_px[raw.seen], exact[raw.seen], atol=1e-3)  # rounded in the file
+    assert raw.seen.all()
     np.testing.assert_allclose(keypoints.times, 2.0 + np.arange(len(truth)) / 30)
 
 

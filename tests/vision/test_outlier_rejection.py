@@ -140,3 +140,21 @@ def test_sides_may_be_named_by_a_letter() -> None:
     mended, faults = reject_keypoint_outliers(replace(exchanged(seen, slice(60, 90)), names=names))
     np.testing.assert_array_equal(mended.uv_px, seen.uv_px)
     assert [f.what for f in faults] == ["keypoints of legs"]
+
+
+def test_a_detectors_own_points_are_treated_as_the_landmarks() -> None:
+    own = tuple(f"coco17:{side}{part}" for side in ("Left", "Right") for part in ("Ear", "Hip", "Knee"))
+    like = ["LeftShoulder", "LeftUpLeg", "LeftLeg", "RightShoulder", "RightUpLeg", "RightLeg"]
+    columns = [*range(len(SEEN.names)), *(SEEN.names.index(name) for name in like)]
+    uv, confidence = SEEN.uv_px[:, columns], SEEN.confidence[:, columns]
+    seen = replace(SEEN, uv_px=uv, confidence=confidence, names=SEEN.names + own)
+    swapped = exchanged(SEEN, slice(60, 70), LEGS)
+    wrong = seen.uv_px.copy()
+    wrong[:, : len(SEEN.names)] = swapped.uv_px
+    wrong[60:70, -6:] = seen.uv_px[60:70][:, [-6, -2, -1, -3, -5, -4]]
+    again, faults = reject_keypoint_outliers(replace(seen, uv_px=wrong))
+    assert [fault.kind for fault in faults] == [FaultKind.SIDES]
+    np.testing.assert_allclose(again.uv_px, seen.uv_px)
+    gone, _ = reject_keypoint_outliers(jumped(seen, slice(60, 70)))
+    assert not gone.seen[60:70].any()
+    assert gone.seen[:60].all()

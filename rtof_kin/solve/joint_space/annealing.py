@@ -29,17 +29,20 @@ class Annealing:
     """
 
     def __init__(
-        self, settings: JointSpaceSettings, problem: FragmentEnergy, confidence: Array,
-        observation: dict[str, Array],
+        self, settings: JointSpaceSettings, problem: FragmentEnergy, confidence: Array, sizes: Array,
+        observation: dict[str, Array], least_px: float = 0.0,
     ) -> None:  # fmt: skip
         """Set the initial weights.
 
         Args:
             settings: bounds of the estimate. problem: with the fragment bound to it.
-            confidence: (N, L) of the landmarks. observation: of the fragment.
+            confidence: (N, L) of the landmarks. sizes: (L,) their errors relative to those of the others.
+            observation: of the fragment. least_px: lower bound of sigma.
         """
         self._settings, self._problem, self._confidence = settings, problem, confidence
-        self._seen, self._others = observation["w_visual"] > 0, observation
+        self._seen, self._others, self._sizes = observation["w_visual"] > 0, observation, sizes
+        low, high = settings.sigma_reprojection_range
+        self._bounds = max(low, least_px), max(high, least_px)
         seen, given = self._seen, settings.sigma_reprojection
         self._count, self._pairs = int(seen.sum()), int((seen[1:] & seen[:-1]).sum())
         self.sigma = settings.sigma_reprojection_range[1] if given is None else given
@@ -60,7 +63,7 @@ class Annealing:
             return False
         self._left -= 1
         self._found = size * factor
-        self.sigma = float(np.clip(self._found, *self._settings.sigma_reprojection_range))
+        self.sigma = float(np.clip(self._found, *self._bounds))
         self._weigh(factor)
         return True
 
@@ -86,13 +89,14 @@ class Annealing:
             self._problem.reweigh(name, share * self._others[name])
 
     def _estimated(self, residuals: Array) -> tuple[float, float]:
-        """Size of a residual per axis, px, and the factor for its autocorrelation.
+        """Size of a residual per axis, px, and the factor for its autocorrelation, of a landmark of size 1.
 
         With a correlation r from frame to frame, errors weigh like white ones that are
         sqrt((1 + r) / (1 - r)) times larger.
         """
         if self._count < _FEWEST:
             return self._found, 1.0
+        residuals = residuals / self._sizes[:, None]
         squares = np.einsum("tli,tli->tl", residuals, residuals)[self._seen]
         size = max(float(np.sqrt(np.median(squares))) / _NORMAL_MEDIAN, _LEAST)
         clipped = np.minimum(np.maximum(residuals, -3 * size), 3 * size) * self._seen[..., None]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
@@ -24,7 +24,9 @@ from rtof_kin.solve.energy.problem import FragmentData
 from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.solve.joint_space.places import estimated_places
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.vision.image_points import image_points, measurements
 
 _ROOT_BESIDE_SENSORS: Final = 2.0
 """Factor on sigma_root where there are both landmarks and sensors."""
@@ -55,10 +57,12 @@ class Observations:
     """Observations of T frames, and the energy of fragments built for them.
 
     Attributes:
-        names: L landmarks. sensors: S segments with a place for a sensor. attached: their segments.
+        names: L landmarks, or the detector's own points. points: their places.
+        sensors: S segments with a place for a sensor. attached: segments of landmarks, sensors, ankles.
         fixed: joints of the state space that keep their orientation because their sensor has no data.
         rows, a_world, w_acceleration: observations of every frame. constant: body, camera, prior, floor.
-        start: (T, 3 + 4A) initial states. confidence: (T, L) of the landmarks, 0 where unobserved.
+        start: (T, 3 + 4A) initial states. confidence: (T, L) relative weights of the landmarks, 0 where
+            unobserved.
         problem: energy of a fragment. limits: of the hinges, or None.
     """
 
@@ -86,13 +90,13 @@ class Observations:
         start = guess.poses
         self.rate_hz = start.rate_hz
         if keypoints is not None:
-            extra = [n for n in keypoints.names if n in skeleton.landmarks and n not in skeleton.names]
-            keypoints = keypoints.select((*skeleton.names, *extra))
+            keypoints = measurements(keypoints, skeleton)
         self.names: tuple[str, ...] = () if keypoints is None else keypoints.names
+        self.points = image_points(skeleton, self.names)
         active = _active(bone_imus)
         self.sensors = tuple(n for n in skeleton.names if n in active or n in places)
         turning = {skeleton.names[p] for p in skeleton.parents if p >= 0} | active
-        turning |= {skeleton.landmarks[n][0] for n in self.names if n not in skeleton.names}
+        turning |= {skeleton.names[j] for j, own in self.points.on if not own}
         self.fixed = {*self.sensors} - turning
         self.space = StateSpace(skeleton, [*turning, *self.sensors], settings.hinges)
         given = () if footholds is None else footholds.joints
@@ -101,6 +105,7 @@ class Observations:
         self.attached = Attached.of(self.problem.energy.shape)
         self.limits = Limits(self.space) if settings.limits else None
         self._observe(start, keypoints, bone_imus, active)
+        self._displace(start.p_world_joint, start.R_world_bone)
         self._anchor_bridged_root(guess.sigma_root)
         if footholds is not None:
             p = np.full((len(start), len(standing), 3), np.nan)
@@ -124,6 +129,30 @@ class Observations:
             self.rows, self.constant, self.a_world, self.w_acceleration, self.rate_hz, first, self.frames
         )
 
+    def continue_from(self, x: Array) -> None:
+        """Take solved states as the start, and the places of the detector's points from their residuals.
+
+        Args:
+            x: (T, 3 + 4A).
+        """
+        self.start = x
+        p, R = self.space.poses(x)
+        self._displace(p, R)
+        if self.points.place_covariance.any():
+            slopes = self.points.slopes(self._camera, p, R)
+            residuals = self.rows["uv_px"] - self._camera.undistorted().project(self.points.positions(p, R))
+            found = estimated_places(residuals, slopes, self.confidence, self.points.place_covariance)
+            self.points = replace(self.points, places=self.points.places + found)
+            self.constant["places"] = self.points.places.T
+
+    def _displace(self, p: Array, R: Array) -> None:
+        """Remove from the pixels what moves the points beside their segments at poses (T, J)."""
+        if self.points.place_covariance.any():
+            off = self.points.displaced(self._camera, p, R)
+            self.rows["uv_px"] = self._uv_px - np.where(
+                self.confidence[..., None] > 0, np.nan_to_num(off), 0.0
+            )
+
     def anything_seen(self, first: int, inside: Mask) -> bool:
         """Return whether a landmark or a sensor has data in a fragment.
 
@@ -145,7 +174,7 @@ class Observations:
         skeleton, s = self.skeleton, self.settings
         index = skeleton.names.index
         shape = Shape(
-            landmarks=tuple((index(skeleton.landmarks[n][0]), n in skeleton.names) for n in self.names),
+            landmarks=self.points.on,
             sensors=tuple(map(index, self.sensors)),
             torso=tuple(index(name) for name in TORSO if name in skeleton.names),
             bones=_limb_bones(skeleton),
@@ -173,7 +202,11 @@ class Observations:
         bone_weights = np.zeros_like(alone) if s.sigma_bone is None else alone / s.sigma_bone**2
         joints, children = np.reshape(bones, (-1, 2)).astype(int).T
         rows, constant = _camera_data(seen, T)
-        self.confidence = rows["w_visual"] if seen is None else np.where(seen.seen, seen.confidence, 0.0)
+        self.confidence = rows["w_visual"]
+        if seen is not None:
+            shares = self.points.independent / self.points.sizes**2
+            self.confidence = np.where(seen.seen, seen.confidence, 0.0) * shares
+            self._camera, self._uv_px = seen.camera, rows["uv_px"]
         slow = low_passed(bone_imus, s)
         quat, has, self.a_world, self.w_acceleration, levers = sensor_data(start.times, slow, self.sensors, s)
         torso = list(self.problem.energy.shape.torso)
@@ -195,7 +228,7 @@ class Observations:
             "offsets": skeleton.joint_offsets.T,
             "whitening": _whitening(skeleton, self.sensors, s),
             "levers": levers.T,
-            "places": np.reshape([skeleton.landmarks[name][1] for name in self.names], (-1, 3)).T,
+            "places": self.points.places.T,
             "quat_mean": mean.T,
             "precision": precision,
             "floor": np.array([(s.floor_height or 0.0) + s.ankle_height]),

@@ -27,6 +27,7 @@ from rtof_kin.solve.joint_space.ipopt import Ipopt
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
+from rtof_kin.vision.image_points import measurements
 
 _LOCAL_MINIMUM: Final = 1.8
 """Ratio of reprojection sigmas of neighbouring fragments that indicates a local minimum; biases and
@@ -54,23 +55,35 @@ class JointSpaceSolver:
         confidence: bool = False,
     ) -> Iterator[Block]:
         """Yield blocks of N/2 frames; the arguments are those of `FragmentSolver.solve`."""
-        if keypoints is not None and not set(keypoints.names) & set(self.skeleton.landmarks):
-            raise SolverError("keypoints: none of the landmarks is one of the skeleton")
+        if keypoints is not None:
+            used = measurements(keypoints, self.skeleton)
+            if not set(used.names) & set(keypoints.names):
+                raise SolverError("keypoints: none of the landmarks is one of the skeleton")
         data = Observations(
             self.skeleton, self.frames, self.settings, guess, keypoints, bone_imus, footholds, self.places
         )
-        fragments = _Fragments(data, self.settings, confidence)
         half, times = self.frames // 2, guess.poses.times
         i = np.arange(self.frames)
         taper = np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
         share = taper[:half] / (taper[half:] + taper[:half])
-        reports: list[FragmentReport] = []
         firsts = range(-half, len(times), half)
-        for previous, piece in pairwise(fragments.settled(firsts, progress)):
-            frames = slice(piece.first, min(piece.first + half, len(times)))
-            count = frames.stop - piece.first
-            x = data.space.blend(previous.x[half:], piece.x[:half], taper[half:], taper[:half])
-            x, known = x[:count], None
+
+        def blends(pieces: Iterator[_Piece]) -> Iterator[tuple[slice, Array, _Piece, _Piece]]:
+            """Frames and their states, between two fragments."""
+            for previous, piece in pairwise(pieces):
+                frames = slice(piece.first, min(piece.first + half, len(times)))
+                x = data.space.blend(previous.x[half:], piece.x[:half], taper[half:], taper[:half])
+                yield frames, x[: frames.stop - piece.first], previous, piece
+
+        fragments = _Fragments(data, self.settings, confidence)
+        if self.settings.landmark_places and data.points.place_covariance.any():
+            parts = list(blends(_Fragments(data, self.settings, False).settled(firsts, progress)))
+            solved = [parts[0][2], *(piece for *_, piece in parts)]
+            fragments.least_px = {piece.first: piece.report.sigma_reprojection for piece in solved}
+            data.continue_from(np.concatenate([x for _, x, _, _ in parts]))
+        reports: list[FragmentReport] = []
+        for frames, x, previous, piece in blends(fragments.settled(firsts, progress)):
+            count, known = len(x), None
             if previous.covariance is not None and piece.covariance is not None:
                 C = blended(previous.covariance[half:], piece.covariance[:half], share)[:count]
                 known = confidence_of(data.space, times[frames], x, C, data.fixed)
@@ -119,6 +132,7 @@ class _Fragments:
     def __init__(self, data: Observations, settings: JointSpaceSettings, confidence: bool) -> None:
         self.data, self.settings, problem = data, settings, data.problem
         self._confidence = confidence
+        self.least_px: dict[int, float] = {}
         self._real_time = LevenbergMarquardt(problem, data.limits)
         self._ipopt = Ipopt(problem, data.limits) if settings.backend == "ipopt" else None
 
@@ -162,7 +176,10 @@ class _Fragments:
         index, inside, values = data.fragment(first)
         began = perf_counter()
         data.problem.bind(values)
-        annealing = Annealing(self.settings, data.problem, data.confidence[index], values.observation)
+        annealing = Annealing(
+            self.settings, data.problem, data.confidence[index], data.points.sizes, values.observation,
+            self.least_px.get(first, 0.0),
+        )  # fmt: skip
         x, failed = data.start[index] if start is None else start, True
         try:
             solved = self._minimised(x, annealing)

@@ -13,6 +13,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve.energy.frame_energy import TORSO
 from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA, ResidualStatistics
+from rtof_kin.vision.image_points import image_points, measurements
 
 _LAG: Final = 1 / 15
 """[s] Lag of the autocorrelation."""
@@ -36,9 +37,9 @@ def residual_statistics(
         lifted: the lifter's poses with their standard deviations (`PoseSequence.sigma_rad`).
         sensors: joints whose segments carry one.
     """
-    known = list(motion.skeleton.landmarks)
-    at = motion.skeleton.landmark_positions(motion.poses.p_world_joint, motion.poses.R_world_bone)
-    at = at[:, [known.index(name) for name in keypoints.names]]
+    keypoints = measurements(keypoints, motion.skeleton)
+    points, poses = image_points(motion.skeleton, keypoints.names), motion.poses
+    at = points.positions(poses.p_world_joint, poses.R_world_bone)
     r = autocorrelation(keypoints.uv_px - keypoints.camera.project(at), keypoints.times)
     torso = lifted.sigma_rad[:, motion.skeleton.index(*TORSO)]
     sigmas = torso[np.isfinite(torso)]

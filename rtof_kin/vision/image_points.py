@@ -1,0 +1,165 @@
+"""Points of a body that keypoints show, with their places in its segments.
+
+The skeleton's landmarks are fixed in their segments. A detector's own points lie where `detector_errors`
+says, turned from the shipped skeleton's link frames to those of this rig and scaled by the length of the leg.
+What moves them beside their segment, a second segment and the direction of view, is evaluated at known poses
+(`ImagePoints.displaced`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from rtof_kin.body.shared_frames import shared_frames
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence, layout_and_point
+from rtof_kin.vision.detector_errors import DetectorPoint, detector_points, harmonics
+
+
+@dataclass(frozen=True)
+class ImagePoints:
+    """L points of a skeleton; indices are those of its joints."""
+
+    names: tuple[str, ...]
+    on: tuple[tuple[int, bool], ...]
+    """Segment of each, and whether it is the joint where the segment begins."""
+    places: Array
+    """(L, 3) in the link frames, m."""
+    sizes: Array
+    """(L,) expected errors relative to those of the others."""
+    independent: Array
+    """(L,) weights beside correlated neighbours, relative to those of the others."""
+    place_covariance: Array
+    """(L, 3, 3) of the places between persons, m^2; zero for the skeleton's landmarks."""
+    anchors: tuple[int, ...]
+    """Joint next to each."""
+    seconds: tuple[int, ...]
+    """Segment that moves the point too."""
+    second_places: Array
+    """(L, 3) in the second segments' link frames, m."""
+    views: Array
+    """(L, 8, 3) displacement by the direction of view in the pelvis frame, m."""
+    R_bone_pelvis: Array
+    """(3, 3) frame of the views in the root's link frame."""
+
+    def positions(self, p_world_joint: Array, R_world_bone: Array) -> Array:
+        """Return the points (T, L, 3) in world, m.
+
+        Args:
+            p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3).
+        """
+        own = [j for j, _ in self.on]
+        return np.asarray(
+            p_world_joint[:, own] + np.einsum("tlij,lj->tli", R_world_bone[:, own], self.places)
+        )
+
+    def displaced(self, camera: Camera, p_world_joint: Array, R_world_bone: Array) -> Array:
+        """Return by how much the points (T, L, 2) lie off their places in the undistorted image, px.
+
+        Args:
+            camera: that sees them. p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3).
+        """
+        toward = so3.unit(camera.center_world - p_world_joint[:, list(self.anchors)])
+        R_pelvis = R_world_bone[:, 0] @ self.R_bone_pelvis
+        by_view = np.einsum(
+            "tlh,lhi->tli", harmonics(np.einsum("tji,tlj->tli", R_pelvis, toward)), self.views
+        )
+        second = np.einsum("tlij,lj->tli", R_world_bone[:, list(self.seconds)], self.second_places)
+        at = self.positions(p_world_joint, R_world_bone)
+        camera = camera.undistorted()
+        off = second + np.einsum("tij,tlj->tli", R_pelvis, by_view)
+        return np.asarray(camera.project(at + off) - camera.project(at))
+
+    def slopes(self, camera: Camera, p_world_joint: Array, R_world_bone: Array) -> Array:
+        """Return derivatives (T, L, 2, 3) of the undistorted image by the places, px/m.
+
+        Args:
+            camera: with or without distortion. p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3).
+        """
+        xyz = camera.to_camera(self.positions(p_world_joint, R_world_bone)) @ camera.K.T
+        uv, depth = xyz[..., :2] / xyz[..., 2:], xyz[..., 2]
+        by_world = camera.K @ camera.R_camera_world
+        J = (by_world[:2] - uv[..., None] * by_world[2]) / depth[..., None, None]
+        return np.asarray(J @ R_world_bone[:, [j for j, _ in self.on]])
+
+
+def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
+    """Return points of a skeleton.
+
+    Args:
+        skeleton: the subject's. names: L landmarks of it, or detector's points (`measurements`).
+    """
+    L, index = len(names), skeleton.names.index
+    known = [_measurement(name) for name in names]
+    own = [skeleton.landmarks.get(name) for name in names]
+    leg = _leg(skeleton) if any(known) else 1.0
+    turns = _turns(skeleton) if any(known) else np.eye(3)[None]
+    places, seconds, views = np.zeros((L, 3)), np.zeros((L, 3)), np.zeros((L, 8, 3))
+    sizes, independent, covariance = np.ones(L), np.ones(L), np.zeros((L, 3, 3))
+    segments, anchors, others = list[int](), list[int](), list[int]()
+    for i, point in enumerate(known):
+        if point is None:
+            joint, places[i] = own[i] or skeleton.landmarks[names[i]]
+            j = anchor = second = index(joint)
+        else:
+            j, anchor, second = index(point.frame), index(point.anchor), index(point.second)
+            at = np.zeros(3) if anchor == j else skeleton.joint_offsets[anchor]
+            places[i] = at + leg * turns[j] @ point.place
+            seconds[i], views[i] = leg * turns[second] @ point.second_place, leg * point.view
+            sizes[i], independent[i] = point.size, point.independent
+            spread = leg * turns[j] * point.place_sd
+            covariance[i] = spread @ spread.T
+        segments.append(j)
+        anchors.append(anchor)
+        others.append(second)
+    on = tuple((j, name in skeleton.names) for j, name in zip(segments, names, strict=True))
+    if L:
+        sizes /= np.exp(np.log(sizes).mean())
+        independent /= independent.mean()
+    return ImagePoints(
+        tuple(names), on, places, sizes, independent, covariance, tuple(anchors),
+        tuple(others), seconds, views, turns[0],
+    )  # fmt: skip
+
+
+def measurements(keypoints: KeypointSequence, skeleton: SkeletonModel) -> KeypointSequence:
+    """Return what a solver compares with the body: the detector's own points, or else the landmarks.
+
+    Args:
+        keypoints: of one person. skeleton: the subject's; detectors' places are known for the 21-joint one.
+    """
+    own = [name for name in keypoints.names if _measurement(name) is not None]
+    if own and skeleton.names == _shipped().names:
+        return keypoints.select(own)
+    extra = [n for n in keypoints.names if n in skeleton.landmarks and n not in skeleton.names]
+    return keypoints.select((*skeleton.names, *extra))
+
+
+@cache
+def _shipped() -> SkeletonModel:
+    return SkeletonModel.default()
+
+
+def _leg(skeleton: SkeletonModel) -> float:
+    """Length of thigh and shank, mean of the two sides, m."""
+    length = skeleton.bone_lengths
+    return float(sum(length[f"{side}{joint}"] for side in ("Left", "Right") for joint in ("Leg", "Foot")) / 2)
+
+
+def _turns(skeleton: SkeletonModel) -> Array:
+    """(J, 3, 3) from the link frames of the shipped skeleton to those of this rig."""
+    own, shipped = (shared_frames(s.names, s.joint_offsets) for s in (skeleton, _shipped()))
+    return np.asarray(own @ np.swapaxes(shipped, -1, -2))
+
+
+def _measurement(name: str) -> DetectorPoint | None:
+    """A detector's point that is used; None for another one and for landmarks."""
+    layout, point = layout_and_point(name)
+    return detector_points(layout).get(point) if layout else None

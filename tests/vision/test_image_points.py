@@ -1,0 +1,107 @@
+"""Places of a detector's points in the body, and what moves them beside their segments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import planted
+import pytest
+from detector_support import LAYOUTS
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from rtof_kin.core.resources import model_path
+from rtof_kin.data.keypoints import KeypointSequence, detector_point
+from rtof_kin.vision.detector_errors import detector_points, harmonics, read_detector_points
+from rtof_kin.vision.image_points import ImagePoints, image_points, measurements
+from rtof_kin.vision.layouts import detector_table
+
+BODY = SkeletonModel.default()
+POSES = planted.human(BODY, 5).poses
+CAMERA = planted.camera()
+TABLE = model_path("detector_points.toml").read_text(encoding="utf-8")
+
+
+def points(layout: str, body: SkeletonModel = BODY) -> ImagePoints:
+    return image_points(body, [detector_point(layout, name) for name in detector_points(layout)])
+
+
+@pytest.mark.parametrize("layout", [name for name in LAYOUTS if name != "mediapipe33"])
+def test_points_of_unmeasured_layouts_lie_where_the_table_of_detectors_says(layout: str) -> None:
+    known = {point.name: point for point in detector_table().points}
+    found = points(layout)
+    for name, (j, _), place in zip(detector_points(layout), found.on, found.places, strict=True):
+        assert BODY.names[j] == known[name].joint
+        np.testing.assert_allclose(place, known[name].offset, atol=1e-12)
+
+
+def test_measured_points_lie_near_the_usual_places_in_the_t_pose() -> None:
+    p, R = BODY.forward_kinematics(BODY.t_pose()[None])
+    found, usual = points("mediapipe33"), {point.name: point for point in detector_table().points}
+    at = found.positions(p, R)[0] + found.second_places
+    for name, own in zip(detector_points("mediapipe33"), at, strict=True):
+        j = BODY.names.index(usual[name].joint)
+        assert np.linalg.norm(own - p[0, j] - usual[name].offset) < 0.08, name
+    assert len(found.names) == 27
+
+
+def test_a_rig_with_turned_link_frames_has_the_same_points() -> None:
+    Q = np.tile(np.eye(3), (len(BODY.names), 1, 1))
+    Q[0] = so3.about_axis("y", 0.15)
+    for name, axis in (("LeftUpLeg", "x"), ("RightLeg", "y"), ("LeftArm", "z"), ("RightForeArm", "x")):
+        Q[BODY.index(name)[0]] = so3.about_axis(axis, 0.2)
+    above = Q[np.maximum(BODY.parents, 0)]
+    turned = BODY.with_offsets(np.einsum("jba,jb->ja", above, BODY.joint_offsets))
+    p, R = POSES.p_world_joint, POSES.R_world_bone
+    own, other = points("mediapipe33"), points("mediapipe33", turned)
+    np.testing.assert_allclose(other.positions(p, R @ Q), own.positions(p, R), atol=1e-9)
+    np.testing.assert_allclose(other.displaced(CAMERA, p, R @ Q), own.displaced(CAMERA, p, R), atol=1e-6)
+
+
+def test_sides_are_mirror_images() -> None:
+    p, R = BODY.forward_kinematics(BODY.t_pose()[None])
+    found, M = points("mediapipe33"), np.array([1.0, -1.0, 1.0])
+    at = dict(zip(detector_points("mediapipe33"), found.positions(p, R)[0], strict=True))
+    toward = so3.unit(np.array([0.4, 0.8, 0.1]))
+    views = dict(zip(detector_points("mediapipe33"), found.views, strict=True))
+    for name in (name for name in at if name.startswith("Left")):
+        other = name.replace("Left", "Right", 1)
+        np.testing.assert_allclose(at[name], at[other] * M, atol=1e-9)
+        seen, opposite = harmonics(toward) @ views[name], harmonics(toward * M) @ views[other]
+        np.testing.assert_allclose(seen, opposite * M, atol=1e-12)
+
+
+def test_slopes_are_the_derivatives_by_the_places() -> None:
+    found, p, R = points("halpe26"), POSES.p_world_joint, POSES.R_world_bone
+    own, step = [j for j, _ in found.on], np.array([2e-6, -1e-6, 3e-6])
+    moved = found.positions(p, R) + R[:, own] @ step
+    change = CAMERA.project(moved) - CAMERA.project(found.positions(p, R))
+    np.testing.assert_allclose(found.slopes(CAMERA, p, R) @ step, change, atol=1e-7)
+
+
+def test_measurements_are_the_detectors_points_or_else_the_landmarks() -> None:
+    names = ("Nose", "Hips", "coco17:LeftEar", "coco17:Nose")
+    seen = KeypointSequence(CAMERA, np.arange(2.0), np.ones((2, 4, 2)), np.ones((2, 4)), names)
+    assert measurements(seen, BODY).names == ("coco17:LeftEar", "coco17:Nose")
+    assert measurements(seen.landmarks, BODY).names == (*BODY.names, "Nose")
+    assert seen.detector_points.names == names[2:]
+    assert measurements(seen, SkeletonModel.human36m()).detector_points.names == ()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("size_mm = 14", "", "the field 'size_mm' is missing"),
+        ("[74.4, 0, 25.8]", "[74.4, 0]", "is not an array of shape"),
+        ("independent = 0.26", 'independent = "a"', "not of the right kind"),
+    ],
+)
+def test_a_damaged_table_is_named(old: str, new: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "points.toml"
+    path.write_text(TABLE.replace(old, new, 1))
+    with pytest.raises(FileFormatError, match=message):
+        read_detector_points(path, "mediapipe33")
+    with pytest.raises(UnknownNameError, match="layout"):
+        read_detector_points(path, "nobody")
