@@ -156,8 +156,9 @@ def _config(options: argparse.Namespace) -> TrainConfig:
         minutes = DEFAULT_MINUTES
     augment = augmentation(options.noise, options.camera)
     same = (
-        "model", "prior", "windows", "channels", "dropout", "causal", "batch", "learning_rate", "weight_decay",
-        "ema", "bfloat16", "validation_windows", "device", "threads", "seed", "deterministic", "same_windows",
+        "model", "prior", "windows", "channels", "dropout", "causal", "batch", "learning_rate",
+        "weight_decay", "ema", "bfloat16", "validation_windows", "device", "threads", "seed",
+        "deterministic", "same_windows",
     )  # fmt: skip
     settings = {name: getattr(options, name) for name in same}
     return TrainConfig.for_model(**settings, minutes=minutes, augment=augment)
