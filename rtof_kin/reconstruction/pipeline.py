@@ -50,13 +50,25 @@ WARNINGS_LOGGER = f"{__name__}.warnings"
 
 @dataclass(frozen=True)
 class _Job:
-    """What `reconstruct` was called with."""
+    """What `reconstruct` was called with; the bodies have the lifter's pose prior if it has one."""
 
     recording: Recording
     skeleton: SkeletonModel | None
     lifter: LifterLike | None
     settings: ReconstructionSettings
     progress: Progress
+
+    @classmethod
+    def of(
+        cls, recording: Recording, skeleton: SkeletonModel | None, lifter: LifterLike | None,
+        settings: ReconstructionSettings | None, progress: Progress | None,
+    ) -> _Job:  # fmt: skip
+        prior = getattr(lifter, "prior", None)
+        if prior is not None:
+            recording = replace(recording, model_prior=prior)
+            skeleton = None if skeleton is None else skeleton.with_prior(prior)
+        settings = settings or ReconstructionSettings()
+        return cls(recording, skeleton, lifter, settings, progress or (lambda *_: None))
 
     @property
     def subject(self) -> SkeletonModel:
@@ -132,7 +144,7 @@ def reconstruct(
             needs the IMUs only.
         skeleton: the subject's. Default: that of the recording.
         mode: lift, sf2, rto, rtof or imu (`rtof_kin.core.choices.Mode`).
-        lifter: keypoints to 3D. Default: the shipped one, loaded only now.
+        lifter: keypoints to 3D, and a pose prior if it has one. Default: the shipped one, loaded only now.
         settings: of SF2, the fragment solver and mode imu.
         calibrate: calibrate the recording from itself first, in the modes that use sensors. It finds gross
             errors of delay, mounting and bones; a recording with the usual ones gets worse as often as
@@ -153,8 +165,7 @@ def reconstruct(
         raise UnknownNameError("mode", [mode], MODES)
     if priors is not None and (calibration is not None or not calibrate):
         raise InvalidInputError("priors: of a calibration that is not made; give calibrate=True alone")
-    settings = settings or ReconstructionSettings()
-    job = _Job(recording, skeleton, lifter, settings, progress or (lambda stage, done, total: None))
+    job = _Job.of(recording, skeleton, lifter, settings, progress)
     with naming_wrong_samples(recording):
         if mode == "imu":
             return _from_sensors(job)
@@ -302,8 +313,7 @@ def calibrate_recording(
             f"recording {recording.name}: has no IMUs, and self-calibration needs them; "
             "add them, or reconstruct it as it is with mode 'rto'"
         )
-    settings = settings or ReconstructionSettings()
-    job = _Job(recording, skeleton, lifter, settings, progress or (lambda stage, done, total: None))
+    job = _Job.of(recording, skeleton, lifter, settings, progress)
     return _calibrate(job, priors, None)[0]
 
 

@@ -9,6 +9,7 @@ import planted
 import pytest
 from reconstruction_support import BODY, FRAMES, QUICK_PRIORS, SETTINGS, TRUNK, TURN, Case
 
+from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
@@ -70,6 +71,35 @@ def test_each_stage_is_better_than_the_one_before(results: Results) -> None:
         assert score[better][figure] < factor * score[worse][figure]
     assert results["rtof"].solution is not None
     assert results["rtof"].solution.status is SolverStatus.CONVERGED
+
+
+@pytest.mark.parametrize("mode", ["rto", "rtof", "imu"])
+def test_unobserved_joints_follow_the_prior_of_the_lifter(case: Case, mode: str) -> None:
+    """Nothing observes how far a clavicle is turned about itself, under the arm."""
+    clavicle, arm = BODY.index("LeftShoulder", "LeftArm")
+    turn, mean = np.radians(20.0) * so3.unit(BODY.joint_offsets[arm]), BODY.table.prior.mean_quat_wxyz
+    mean = so3.from_quat_wxyz(mean)
+    mean[clavicle - 1], mean[arm - 1] = mean[clavicle - 1] @ so3.exp(turn), so3.exp(-turn) @ mean[arm - 1]
+    lifter, own = case.lifter(), case.lifter()
+    own.prior = replace(BODY.table.prior, mean_quat_wxyz=so3.to_quat_wxyz(mean))  # type: ignore[attr-defined]
+    bent = {}
+    for name, options in {
+        "shipped": {"lifter": lifter}, "own": {"lifter": own}, "given": {"lifter": own, "skeleton": BODY},
+    }.items():  # fmt: skip
+        result = case.run(mode, **options)
+        bent[name] = kinematics.local_rotations(BODY.parents, result.motion.poses.R_world_bone)[:, clavicle]
+        assert (result.motion.skeleton.table.model_prior is not None) == (name != "shipped")
+    moved = np.median(so3.log(np.swapaxes(bent["shipped"], -1, -2) @ bent["own"]), axis=0)
+    np.testing.assert_allclose(moved, turn, atol=np.radians(3.0))
+    np.testing.assert_allclose(bent["given"], bent["own"], atol=1e-9)
+
+
+def test_calibration_keeps_the_prior_of_the_lifter(case: Case) -> None:
+    lifter = case.lifter()
+    lifter.prior = replace(BODY.table.prior, sigma_root_jerk=50.0)  # type: ignore[attr-defined]
+    result = case.run(calibrate=True, priors=QUICK_PRIORS, lifter=lifter)
+    assert result.calibration is not None
+    assert result.motion.skeleton.table.prior is lifter.prior  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("mode, start, seen", [("rto", "lift", "camera"), ("rtof", "sf2", "fused")])
