@@ -19,13 +19,13 @@ TOLERANCE = 1e-9
 """Of every number in `motion.npz`, in its own unit (m, rad, s)."""
 DEMO = Path(__file__).parent.parent / "models" / "demo"
 CASES = {
-    "rtof": (),
-    "rtof_given": ("--no-calibrate",),
-    "rtof_cartesian": ("--no-calibrate", "--space", "cartesian"),
+    "rtof": ("--calibrate",),
+    "rtof_given": (),
+    "rtof_cartesian": ("--space", "cartesian"),
     "rto": ("--mode", "rto"),
-    "sf2": ("--mode", "sf2", "--no-calibrate"),
-    "lift": ("--mode", "lift", "--no-calibrate"),
-    "imu": ("--mode", "imu", "--no-calibrate"),
+    "sf2": ("--mode", "sf2"),
+    "lift": ("--mode", "lift"),
+    "imu": ("--mode", "imu"),
 }
 """Name of a case -> options of `rtof-kin reconstruct`."""
 

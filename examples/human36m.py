@@ -1,4 +1,4 @@
-"""The paper's protocol on Human3.6M: ``python examples/human36m.py --root DIR --lifter FILE [...]``.
+"""The paper's protocol on Human3.6M: ``python examples/human36m.py --root DIR --model FILE [...]``.
 
 The same as ``rtof-kin human36m``; ``--help`` lists the options, docs/datasets.md how to get the data.
 """

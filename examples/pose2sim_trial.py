@@ -74,7 +74,9 @@ def find_trial(root: Path, name: str) -> Path:
     return (exact or trials)[0]
 
 
-def read_trial(root: Path, name: str, height: float | None = None, participant: int | None = None) -> Trial:
+def read_trial(
+    root: Path, name: str, height: float | Sequence[float] | None = None, participant: int | None = None
+) -> Trial:
     """Read one person of a trial from all cameras.
 
     People are matched across the cameras by triangulation; where the configuration has several heights,
@@ -82,8 +84,8 @@ def read_trial(root: Path, name: str, height: float | None = None, participant: 
 
     Args:
         root: folder of the session. name: of the trial, see `find_trial`.
-        height: standing height, m; default: of the configuration.
-        participant: number in the configuration's list of heights, from 1; default: the tallest.
+        height: standing height, or those of all people, m; default: of the configuration.
+        participant: number in the list of heights, from 1; default: the tallest.
 
     Raises:
         RtofError: files are missing or do not belong together; the message says which.
@@ -104,7 +106,7 @@ def read_trial(root: Path, name: str, height: float | None = None, participant: 
     ]
     frames = min(map(len, seen))
     rate_hz = float(_setting(folder, root, "frame_rate", 60.0))
-    heights = _heights(folder, root) if height is None else [height]
+    heights = _heights(folder, root) if height is None else np.atleast_1d(height).tolist()
     groups, frame = _people(list(cameras.values()), seen, frames, len(heights))
     order = sorted(range(len(heights)), key=lambda i: heights[i])
     if participant is None:

@@ -1,7 +1,7 @@
-"""File format of a trained lifter: weights, description and provenance.
+"""File format of a trained lifter: weights, pose prior, description and provenance.
 
 Written by `torch.save` and read with ``weights_only=True``, so that it cannot run code. A SHA-256 over
-weights and description detects damage.
+weights, prior and description detects damage.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,12 +19,16 @@ from torch import Tensor
 from lifting.body import Body, bone_groups
 from lifting.model import NetworkConfig, TemporalNetwork
 from lifting.models import model_of
-from rtof_kin.core.errors import FileFormatError, WritingError
+from rtof_kin.body.pose_prior import PosePrior
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError
 from rtof_kin.core.files.arrays import check_sizes
 from rtof_kin.core.files.folder import new_file
 
 FORMAT: Final = "rtof-kin lifter"
-VERSION: Final = 2
+VERSION: Final = 3
+READABLE: Final = (2, 3)
+"""Versions that are read; files of version 2 have no pose prior."""
 ACKNOWLEDGEMENT = (
     "The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with "
     "funding from NSF EIA-0196217."
@@ -49,6 +53,8 @@ class LifterDescription:
     """Errors on the validation subjects, mm."""
     data: str = ACKNOWLEDGEMENT
     """Source of the motion, as its licence asks."""
+    prior: PosePrior | None = None
+    """Pose prior of the same motion; None for the shipped one."""
 
 
 def save_checkpoint(
@@ -63,10 +69,13 @@ def save_checkpoint(
         OutputExistsError, WritingError: see `save_tensors`.
     """
     path = Path(path)
-    text = json.dumps(asdict(description), sort_keys=True)
+    values = asdict(replace(description, prior=None))
+    text = json.dumps({k: v for k, v in values.items() if k != "prior"}, sort_keys=True)
     weights = {k: v.detach().to("cpu").contiguous() for k, v in network.state_dict().items()}
-    content = {"format": FORMAT, "version": VERSION, "description": text, "weights": weights}
-    save_tensors({**content, "sha256": _digest(text, weights)}, path, overwrite)
+    arrays = {} if description.prior is None else description.prior.arrays()
+    prior = {name: torch.tensor(value) for name, value in arrays.items()}
+    content = {"format": FORMAT, "version": VERSION, "description": text, "weights": weights, "prior": prior}
+    save_tensors({**content, "sha256": _digest(text, weights, prior)}, path, overwrite)
     return path
 
 
@@ -98,18 +107,21 @@ def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescriptio
     """
     path = Path(path)
     content = _read(path)
-    text, weights = content.get("description"), content.get("weights")
+    text, weights, prior = content.get("description"), content.get("weights"), content.get("prior", {})
     if not isinstance(text, str) or not isinstance(weights, dict):
         raise FileFormatError(path, "this lifter lacks its description or weights; train it again")
-    if not all(isinstance(k, str) and isinstance(v, Tensor) for k, v in weights.items()):
-        raise FileFormatError(path, "the weights of this lifter are not tensors; train it again")
-    if _digest(text, weights) != content.get("sha256"):
+    for tensors in (weights, prior):
+        if not isinstance(tensors, dict) or not all(
+            isinstance(k, str) and isinstance(v, Tensor) for k, v in tensors.items()
+        ):
+            raise FileFormatError(path, "the weights of this lifter are not tensors; train it again")
+    if _digest(text, weights, prior) != content.get("sha256"):
         raise FileFormatError(
             path, "the checksum does not match: the file is damaged or was altered; copy it again"
         )
     try:
-        description = _description(text)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        description = _description(text, {name: value.double().numpy() for name, value in prior.items()})
+    except (ValueError, TypeError, KeyError, AttributeError, InvalidInputError) as error:
         raise FileFormatError(path, f"the description of this lifter is wrong: {error}") from error
     network = model_of(description.network.model).network(description.network)
     try:
@@ -137,16 +149,16 @@ def _read(path: Path) -> dict[str, Any]:
         ) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise FileFormatError(path, "a torch file, but not a lifter of this package")
-    if content.get("version") != VERSION:
+    if content.get("version") not in READABLE:
         raise FileFormatError(
             path,
             f"lifter format {content.get('version')}; this version of the package reads format "
-            f"{VERSION}: install the version that wrote it, or train again",
+            f"{' or '.join(map(str, READABLE))}: install the version that wrote it, or train again",
         )
     return content
 
 
-def _description(text: str) -> LifterDescription:
+def _description(text: str, prior: dict[str, Array]) -> LifterDescription:
     """Parse and check a description; `ValueError` and others if it is wrong."""
     raw = json.loads(text)
     own, shape = raw["body"], raw["network"]
@@ -171,16 +183,17 @@ def _description(text: str) -> LifterDescription:
     widths = network.filter_widths
     if not 1 <= len(widths) <= 6 or not all(w in (1, 3, 5, 7) for w in widths):
         raise ValueError(f"filter widths {widths}")
-    description = LifterDescription(**{**raw, "body": body, "network": network})
+    learned = PosePrior.from_arrays(names, prior) if prior else None
+    description = LifterDescription(**{**raw, "body": body, "network": network, "prior": learned})
     if not description.rate_hz > 0:
         raise ValueError(f"a rate of {description.rate_hz} Hz")
     return description
 
 
-def _digest(text: str, weights: dict[str, Tensor]) -> str:
+def _digest(text: str, weights: dict[str, Tensor], prior: dict[str, Tensor]) -> str:
     digest = hashlib.sha256(text.encode())
-    for name in sorted(weights):
-        tensor = weights[name].detach().contiguous()
+    for name, value in (*sorted(weights.items()), *sorted(prior.items())):
+        tensor = value.detach().contiguous()
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
         digest.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
     return digest.hexdigest()

@@ -16,6 +16,7 @@ from lifting.model import TemporalNetwork, torch_threads
 from lifting.models import RAYS, model_of
 from lifting.source import Source
 from lifting.windows import SIGMA_TURN, Estimate, orthonormal, rotations
+from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.body.shared_frames import shared_frames, to_shared
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
@@ -103,6 +104,11 @@ class Lifter:
     def names(self) -> tuple[str, ...]:
         """J joint names of input and output."""
         return self.description.body.names
+
+    @property
+    def prior(self) -> PosePrior | None:
+        """Pose prior learned from the same motion; None where the file has none."""
+        return self.description.prior
 
     def receptive_field(self) -> int:
         """Return the number of frames at `description.rate_hz` that one estimate depends on."""

@@ -24,6 +24,7 @@ from lifting.distributed import Workers
 from lifting.model import NetworkConfig
 from lifting.models import model_of
 from lifting.prefetch import Prefetch, rows, step_seed
+from lifting.prior import prior_of_corpus
 from lifting.recipes import RECIPES
 from lifting.sensors import SensorConfig
 from lifting.settings import TrainConfig
@@ -46,6 +47,7 @@ class Run:
                 different motion or settings.
         """
         self.config, self.workers, self.digest = config, workers, corpus.digest()
+        self.prior = prior_of_corpus(corpus, config.prior) if workers.first else None
         self.corpus = corpus = corpus.in_shared_frames()
         self.model, self.body = model_of(config.model), corpus.body()
         self.augment = config.augment
@@ -185,7 +187,7 @@ class Run:
         }
 
     def save_lifter(self, path: Path, overwrite: bool) -> Path:
-        """Write the lifter with its last validation errors.
+        """Write the lifter with its last validation errors and the pose prior of its motion.
 
         Args:
             path: of the checkpoint. overwrite: replace an existing one.
@@ -193,7 +195,7 @@ class Run:
         errors = self.history[-1]["validation"] if self.history else {}
         description = checkpoint.LifterDescription(
             self.body, self.network.config, self.corpus.rate_hz, self.facts(), errors,
-            self.corpus.acknowledgement or checkpoint.ACKNOWLEDGEMENT,
+            self.corpus.acknowledgement or checkpoint.ACKNOWLEDGEMENT, self.prior,
         )  # fmt: skip
         return checkpoint.save_checkpoint(path, self.averaged, description, overwrite)
 

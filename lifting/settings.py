@@ -9,6 +9,7 @@ from typing import Any, Final, Literal, Self
 
 from lifting.data import AugmentConfig
 from lifting.models import RAYS, VIDEOPOSE3D, model_of
+from lifting.prior import PriorChoice
 from rtof_kin.core.errors import InvalidInputError
 
 PUBLISHED: Final[Mapping[str, Any]] = {
@@ -68,6 +69,8 @@ class TrainConfig:
     """Number of the corpus's bodies that every motion is transferred to, besides the package's."""
     augment: AugmentConfig = field(default_factory=AugmentConfig)
     """Distributions of the windows."""
+    prior: PriorChoice = "auto"
+    """Pose prior that is learned beside, see `lifting.prior`."""
     deterministic: bool = False
     """Whether results are bit-identical on a GPU too; requires `windows` and no `minutes`."""
     same_windows: bool = False
@@ -102,7 +105,7 @@ class TrainConfig:
 
     def fixed(self) -> str:
         """Return the settings that a resumed training must share, as JSON."""
-        free = {"windows", "minutes", "device", "threads", "deterministic"}
+        free = {"windows", "minutes", "device", "threads", "deterministic", "prior"}
         free |= {"report_every", "validations", "validation_windows"}
         settings = {name: value for name, value in asdict(self).items() if name not in free}
         return json.dumps(settings, sort_keys=True)

@@ -13,7 +13,7 @@ from benchmarks.harness import KEYPOINTS, SENSOR_SETS
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 _HUGE = 1e4
-_USUAL = JointSpaceSettings.calibrated()
+_USUAL = JointSpaceSettings()
 _BETWEEN = float(np.sqrt(_USUAL.sigma_swing * _USUAL.sigma_twist))
 _BLIND = "sensors in the lifter"
 _AS_GIVEN = "calibration from the recording itself"

@@ -91,7 +91,7 @@ def rows(clip: MocapClip, camera: int, count: str, lifter: str | None) -> list[R
         recording = recorded(clip, camera, sensors, case == "known")
         began = process_time()
         if case == "known":
-            given = SelfCalibration(())  # nothing to put right: solved like what was calibrated
+            given = SelfCalibration(())  # nothing to put right
         result = reconstruct(
             recording, lifter=_lifter(lifter), calibrate=case == "calibrated", calibration=given
         )

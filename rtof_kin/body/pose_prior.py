@@ -1,19 +1,19 @@
 """Pose prior: mean and covariance of joint rotations, and standard deviation of their jerk.
 
-``models/build_pose_prior.py`` makes ``models/pose_prior.npz`` from the training subjects.
+``models/build_pose_prior.py`` makes ``models/pose_prior.npz`` from the training subjects; ``rtof-kin train``
+makes one beside each lifter. Both call `rtof_kin.body.pose_prior_fit`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from rtof_kin.body.neutral_posture import CLAVICLES, HIPS, NeutralPosture
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import freeze, indices_of, readonly
@@ -36,16 +36,24 @@ class PosePrior:
     """(J,) standard deviation of the rotational jerk of joints (root: in world), rad/s^3."""
     sigma_root_jerk: float
     """Standard deviation of the jerk of the root position, m/s^3."""
+    covariance_about_posture: Array | None = None
+    """The same for a person whose neutral posture is known, about the mean that `about` gives; None where
+    only the whole covariance is known."""
 
     def __post_init__(self) -> None:
         J = len(self.joints)
         size = 3 * (J - 1)
-        freeze(self, "prior", mean_quat_wxyz=(J - 1, 4), covariance=(size, size), sigma_jerk=(J,))
+        freeze(self, "prior", mean_quat_wxyz=(J - 1, 4), sigma_jerk=(J,))
         if not np.allclose(np.linalg.norm(self.mean_quat_wxyz, axis=-1), 1.0, atol=1e-6):
             raise InvalidInputError("prior mean_quat_wxyz: not unit quaternions")
-        symmetric = np.allclose(self.covariance, self.covariance.T, rtol=0, atol=1e-9)
-        if not symmetric or np.linalg.eigvalsh(self.covariance)[0] < -1e-9:
-            raise InvalidInputError("prior covariance: not symmetric and positive semidefinite")
+        for name in ("covariance", "covariance_about_posture"):
+            if getattr(self, name) is None:
+                continue
+            freeze(self, "prior", **{name: (size, size)})
+            value = getattr(self, name)
+            symmetric = np.allclose(value, value.T, rtol=0, atol=1e-9)
+            if not symmetric or np.linalg.eigvalsh(value)[0] < -1e-9:
+                raise InvalidInputError(f"prior {name}: not symmetric and positive semidefinite")
         sigmas = np.append(self.sigma_jerk, self.sigma_root_jerk)
         if not np.all((sigmas > 0) & (sigmas < np.inf)):
             raise InvalidInputError("prior: the standard deviations of jerk must be positive and finite")
@@ -63,19 +71,37 @@ class PosePrior:
         path = Path(path or model_path("pose_prior.npz"))
         arrays = read_npz(path)
         try:
-            prior = cls(
-                tuple(joints),
-                arrays["mean_quat_wxyz"],
-                arrays["covariance"],
-                arrays["sigma_jerk"],
-                float(readonly("prior sigma_root_jerk", arrays["sigma_root_jerk"], ())),
-            )
+            return cls.from_arrays(joints, arrays)
         except (KeyError, InvalidInputError) as error:
             raise FileFormatError(path, f"no pose prior of {len(joints)} joints ({error})") from error
-        return prior
+
+    @classmethod
+    def from_arrays(cls, joints: Sequence[str], arrays: Mapping[str, Array]) -> PosePrior:
+        """Return the prior of `arrays`.
+
+        Args:
+            joints: of the skeleton. arrays: by field.
+
+        Raises:
+            KeyError, InvalidInputError: one is missing or wrong.
+        """
+        return cls(
+            tuple(joints),
+            arrays["mean_quat_wxyz"],
+            arrays["covariance"],
+            arrays["sigma_jerk"],
+            float(readonly("prior sigma_root_jerk", arrays["sigma_root_jerk"], ())),
+            arrays.get("covariance_about_posture"),
+        )
+
+    def arrays(self) -> dict[str, Array]:
+        """Return everything but the names of the joints, by field."""
+        found = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
+        return {name: np.asarray(value) for name, value in found.items() if value is not None}
 
     def about(self, posture: NeutralPosture) -> PosePrior:
-        """Return the prior of a person: its mean moved to the person's neutral posture.
+        """Return the prior of a person: its mean moved to the person's neutral posture, its covariance that
+        of persons about theirs where it is known.
 
         Where a take begins with a T-pose, the bends of the spine there are those of its median; arms hang
         in the mean, which lowers the clavicles as the covariance of the two says; hips are flexed from the
@@ -94,7 +120,13 @@ class PosePrior:
                 mean[j] = R @ so3.exp(share @ so3.log(mean[arm]))
             else:
                 mean[j] = R @ mean[j] if joint in HIPS else R
-        return replace(self, mean_quat_wxyz=so3.to_quat_wxyz(mean))
+        known = self.covariance_about_posture
+        return replace(
+            self,
+            mean_quat_wxyz=so3.to_quat_wxyz(mean),
+            covariance=self.covariance if known is None else known,
+            covariance_about_posture=None,
+        )
 
     def precision(self, joints: Sequence[str], inflation: float, least: float) -> Array:
         """Return the inverse covariance (3A, 3A) of the rotations of some joints.
@@ -116,16 +148,6 @@ def has_prior(skeleton: str) -> bool:
         skeleton: name.
     """
     return skeleton == "total_capture"
-
-
-def prior_of(skeleton: SkeletonModel) -> PosePrior:
-    """Return the prior of a body: the shipped one, about its neutral posture where that is known.
-
-    Args:
-        skeleton: the body.
-    """
-    prior, posture = shipped_prior(skeleton.names), skeleton.table.posture
-    return prior if posture is None else prior.about(posture)
 
 
 @cache

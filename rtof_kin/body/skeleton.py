@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from rtof_kin.body import kinematics
 from rtof_kin.body.configuration_report import ConfigurationReport
 from rtof_kin.body.neutral_posture import NeutralPosture
+from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.body.urdf import read_urdf, to_urdf
 from rtof_kin.core import rotations as so3
@@ -256,12 +257,14 @@ class SkeletonModel:
 
         Args:
             posture: of joints of this skeleton; None where it is unknown.
-
-        Raises:
-            UnknownNameError: a joint that this skeleton does not have.
         """
         self.index(*(posture.joints if posture else ()))
         return SkeletonModel(replace(self.table, posture=posture))
+
+    def with_prior(self, prior: PosePrior) -> SkeletonModel:
+        """Return the skeleton with another pose prior of all its joints than the shipped one."""
+        self.check_joints(prior.joints, "pose prior")
+        return SkeletonModel(replace(self.table, model_prior=prior))
 
     def to_urdf(self) -> str:
         """Return the URDF of this body."""

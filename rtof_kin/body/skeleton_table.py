@@ -13,6 +13,7 @@ import numpy as np
 
 from rtof_kin.body.body_mass import SEGMENTS, SEXES
 from rtof_kin.body.neutral_posture import NeutralPosture
+from rtof_kin.body.pose_prior import PosePrior, shipped_prior
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import load_toml
@@ -80,6 +81,8 @@ class SkeletonTable:
     """Angles of the N-pose relative to the T-pose by URDF joint, rad."""
     posture: NeutralPosture | None = None
     """The person's own T-pose, where it is known."""
+    model_prior: PosePrior | None = None
+    """Pose prior of the model in use; None for the shipped one."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -95,6 +98,12 @@ class SkeletonTable:
     def offsets(self) -> Array:
         """Positions (J, 3) of joints in their parents' link frames, m."""
         return np.array([joint.offset for joint in self.joints])
+
+    @property
+    def prior(self) -> PosePrior:
+        """Pose prior, about the neutral posture where that is known."""
+        prior = self.model_prior or shipped_prior(self.names)
+        return prior if self.posture is None else prior.about(self.posture)
 
     def scaled_to(self, offsets: Array) -> SkeletonTable:
         """Return the table with other offsets; ends, landmarks and sensors are scaled.

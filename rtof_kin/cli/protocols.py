@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Column
 from rich.table import Table as RichTable
 
-from rtof_kin.cli.terminal import add_output, command, err, out
+from rtof_kin.cli.terminal import add_model, add_output, command, err, out
 from rtof_kin.core.choices import SPACES
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def _total_capture(options: argparse.Namespace) -> None:
             sensors=_names(options.sensors) if sensors is None else sensors,
             space=space,
             modes=_names(options.modes),
-            lifter=options.lifter,
+            lifter=options.model,
             calibrate=options.calibrate,
             posture=not options.no_posture,
             studies=space == "cartesian" and not options.no_studies,
@@ -92,7 +92,7 @@ def _human36m(options: argparse.Namespace) -> None:
     folder, json_file = Path(options.output), _json_file(options)
     protocol = human36m.Human36MProtocol(
         options.root,
-        options.lifter,
+        options.model,
         cameras_file=options.cameras_file,
         keypoints=options.keypoints,
         subjects=_names(options.subjects, str.upper),
@@ -252,12 +252,7 @@ def _add_total_capture(commands: Any) -> None:
     parser.add_argument(
         "--no-studies", action="store_true", help="leave out the tables of fragment length and k_V"
     )
-    parser.add_argument(
-        "--lifter",
-        type=Path,
-        metavar="CHECKPOINT",
-        help="a file, or a shipped one: detections (the default), perfect, causal",
-    )
+    add_model(parser)
     parser.add_argument("--seed", type=int, default=0, help="of all noise; same seed, same table")
     _add_run(parser, "out/total_capture", "DIR/S5/acting3/cam1/rtof/motion.npz")
 
@@ -269,10 +264,7 @@ def _add_human36m(commands: Any) -> None:
         "data_2d_h36m_gt.npz or a detector's). Vision alone: lift and rto, 17 joints, S9 and S11.",
     )  # fmt: skip
     parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="folder of the archives")
-    parser.add_argument(
-        "--lifter", type=Path, required=True, metavar="CHECKPOINT",
-        help="a 17-joint lifter: rtof-kin train --human36m DIR; those that are shipped have 21",
-    )  # fmt: skip
+    add_model(parser, "of 17 joints: rtof-kin train --human36m DIR; shipped ones have 21", required=True)
     parser.add_argument(
         "--cameras-file", type=Path, metavar="FILE",
         help="camera-parameters.json or VideoPose3D's h36m_dataset.py; default: found in DIR",

@@ -12,6 +12,7 @@ from rich.table import Column, Table
 from rtof_kin.cli.solver_options import add_solver_options, settings_of, use_threads
 from rtof_kin.cli.terminal import (
     SCORE_COLUMNS,
+    add_model,
     add_output,
     command,
     figure_text,
@@ -108,12 +109,12 @@ def _calibrate(options: argparse.Namespace) -> None:
 
 
 def _lifter(options: argparse.Namespace) -> Any:
-    """Load the lifter that is named; None for the shipped one."""
-    if options.lifter is None:
+    """Load the model that is named; None for the shipped one."""
+    if options.model is None:
         return None
     from lifting.predict import Lifter
 
-    return Lifter.load(options.lifter)
+    return Lifter.load(options.model)
 
 
 def _known(options: argparse.Namespace) -> Any:
@@ -258,24 +259,18 @@ def _add_reconstruct(commands: Any) -> None:
 
 def _add_reconstruction(parser: argparse.ArgumentParser) -> None:
     add_solver_options(parser)
-    parser.add_argument(
-        "--lifter", type=Path, metavar="FILE",
-        help="checkpoint, or the name of a shipped one: detections (the default), perfect, causal",
-    )  # fmt: skip
+    add_model(parser)
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
     parser.add_argument("--verbose", action="store_true", help="print every calibrated quantity too")
-    how = parser.add_mutually_exclusive_group()
-    how.add_argument(
-        "--calibrate", action="store_true", default=True,
-        help="calibrate the recording from its own motion first (the default)",
+    parser.add_argument(
+        "--calibrate", action="store_true",
+        help="calibrate the recording from its own motion first, against gross errors of delay, mounting "
+        "and bones; default: use it as given",
     )  # fmt: skip
-    how.add_argument(
-        "--no-calibrate", dest="calibrate", action="store_false", help="use the recording as given"
-    )
     parser.add_argument(
         "--calibration", metavar="FILE",
         help="calibration of another recording of the same person: bones, ankles and landmark offsets "
-        "are taken from it; delay, mounting and biases are estimated for this one",
+        "are taken from it; with --calibrate delay, mounting and biases are estimated for this one",
     )  # fmt: skip
 
 
@@ -291,9 +286,7 @@ def _add_calibrate(commands: Any) -> None:
     parser.add_argument(
         "--recording-output", metavar="FOLDER", help="also write the calibrated recording to this folder"
     )
-    parser.add_argument(
-        "--lifter", type=Path, metavar="FILE", help="as for reconstruct",
-    )  # fmt: skip
+    add_model(parser)
     add_solver_options(parser)
 
 

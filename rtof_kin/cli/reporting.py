@@ -14,7 +14,7 @@ from typing import Any
 from rich.table import Table
 
 from rtof_kin.cli.solver_options import add_solver_options, settings_of, use_threads
-from rtof_kin.cli.terminal import add_output, command, out, print_files, print_headline, progress
+from rtof_kin.cli.terminal import add_model, add_output, command, out, print_files, print_headline, progress
 
 
 def add_commands(commands: Any) -> None:
@@ -62,7 +62,7 @@ def _study(options: argparse.Namespace) -> None:
     if recording.imus is not None:
         runs = number_of_runs(len(recording.imus.names), camera, greedy)
         out.print(f"{len(recording.imus.names)} sensors: {runs} reconstructions, one after the other")
-    lifter = Lifter.load(options.lifter) if camera else None
+    lifter = Lifter.load(options.model) if camera else None
     with progress() as update, _quiet():
         study = study_sensors(recording, greedy=greedy, lifter=lifter, settings=settings, progress=update)
     verdict = headline(audit(study.reconstruction))
@@ -144,6 +144,6 @@ def _add_study(commands: Any) -> None:
         help="greedy: each step tries every remaining sensor; ranked: in the order of their effect alone, "
         "with fewer runs; default: greedy up to eight sensors",
     )  # fmt: skip
-    parser.add_argument("--lifter", type=Path, metavar="FILE", help="as for reconstruct")
+    add_model(parser)
     add_solver_options(parser)
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")

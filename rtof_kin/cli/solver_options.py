@@ -34,7 +34,7 @@ def add_solver_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     group.add_argument(
         "--paper", action="store_true",
-        help="the energy as printed, in cartesian space; the paper calibrates nothing: --no-calibrate",
+        help="the energy as printed, in cartesian space",
     )  # fmt: skip
     group.add_argument(
         "--guards", default=GUARDS, type=lambda text: tuple(text.split(",")), metavar=",".join(GUARDS),

@@ -70,6 +70,23 @@ def add_output(parser: argparse.ArgumentParser, default: str | None, what: str, 
     parser.add_argument("--overwrite", action="store_true", help="replace what an earlier run wrote there")
 
 
+_MODEL = (
+    "lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the "
+    "default), perfect, causal"
+)
+
+
+def add_model(parser: argparse.ArgumentParser, what: str = _MODEL, required: bool = False) -> None:
+    """Declare --model, and --lifter as its old name.
+
+    Args:
+        parser: of the command. what: help. required: where no shipped one fits.
+    """
+    names = parser.add_mutually_exclusive_group(required=required)
+    names.add_argument("--model", type=Path, metavar="FILE", help=what)
+    names.add_argument("--lifter", dest="model", type=Path, help=argparse.SUPPRESS)
+
+
 @contextmanager
 def progress() -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar for each stage on the error stream; yields a function of (stage, done, in all)."""

@@ -28,17 +28,18 @@ def add_commands(commands: Any) -> None:
         commands: subparsers of the command line.
     """
     parser = command(
-        commands, "train", _train, "train a lifter on motion capture",
+        commands, "train", _train, "train a model on motion capture: lifter and pose prior in one file",
         "CORPUS is a folder of BVH and AMC files with an index.csv (see benchmarks/README.md), split by "
         "subject once and for all. Or train on a dataset that you have: Total Capture's paper split "
         "(S1-S3 without the test takes) or Human3.6M's (S1, S5-S8). Such weights are yours to keep, "
-        "under the dataset's terms. Several processes or machines: torchrun --nproc-per-node 2 -m "
+        "under the dataset's terms; --model takes the file in every command. Several processes or "
+        "machines: torchrun --nproc-per-node 2 -m "
         "rtof_kin.cli train ...",
     )  # fmt: skip
     parser.add_argument("corpus", nargs="?", metavar="CORPUS", help="folder, or .npz made from one")
     parser.add_argument("--total-capture", metavar="DIR", help="folder of Total Capture, instead")
     parser.add_argument("--human36m", metavar="DIR", help="folder of Human3.6M's archives, instead")
-    parser.add_argument("-o", "--output", default="lifter.pt", help="checkpoint to write")
+    parser.add_argument("-o", "--output", default="model.pt", help="model to write")
     parser.add_argument(
         "--minutes", type=float,
         help=f"stop after so many; {DEFAULT_MINUTES:g} where neither they nor windows are given",
@@ -46,10 +47,10 @@ def add_commands(commands: Any) -> None:
     parser.add_argument("--windows", type=int, help="stop after so many windows")
     parser.add_argument("--resume", action="store_true", help="go on where a run was interrupted")
     parser.add_argument(
-        "--overwrite", action="store_true", help="replace an earlier lifter and the state of its training"
+        "--overwrite", action="store_true", help="replace an earlier model and the state of its training"
     )
     parser.add_argument(
-        "--start", metavar="LIFTER", help="begin with its weights; a file, or a shipped one by name"
+        "--start", metavar="MODEL", help="begin with its weights; a file, or a shipped one by name"
     )
     _add_model(parser.add_argument_group("what is trained"))
     _add_how(parser.add_argument_group("how it is trained"))
@@ -57,7 +58,7 @@ def add_commands(commands: Any) -> None:
 
 def _add_model(group: Any) -> None:
     group.add_argument(
-        "--model", choices=["rays", "videopose3d"], default="rays",
+        "--network", dest="model", choices=["rays", "videopose3d"], default="rays",
         help="the package's own, or the baseline: VideoPose3D with its published recipe",
     )  # fmt: skip
     group.add_argument("--channels", type=int, help="width; 256, or 1024 of videopose3d, if not given")
@@ -65,6 +66,11 @@ def _add_model(group: Any) -> None:
     group.add_argument(
         "--causal", action="store_true", help="no delay: the last frame of a window is estimated"
     )
+    group.add_argument(
+        "--prior", choices=["auto", "even", "own", "none"], default="auto",
+        help="pose prior. own: trunk of the one rig of the corpus; even: of several rigs, a bend shared "
+        "evenly by the spine; auto: own if all skeletons divide the trunk alike; none: the shipped prior",
+    )  # fmt: skip
     group.add_argument(
         "--noise", choices=["mixed", "perfect", "realistic", "independent"], default="mixed",
         help="2D to train for: exact (5-7 mm better on ground truth), a real detector's, with errors of each "
@@ -150,8 +156,9 @@ def _config(options: argparse.Namespace) -> TrainConfig:
         minutes = DEFAULT_MINUTES
     augment = augmentation(options.noise, options.camera)
     same = (
-        "model", "windows", "channels", "dropout", "causal", "batch", "learning_rate", "weight_decay", "ema",
-        "bfloat16", "validation_windows", "device", "threads", "seed", "deterministic", "same_windows",
+        "model", "prior", "windows", "channels", "dropout", "causal", "batch", "learning_rate",
+        "weight_decay", "ema", "bfloat16", "validation_windows", "device", "threads", "seed",
+        "deterministic", "same_windows",
     )  # fmt: skip
     settings = {name: getattr(options, name) for name in same}
     return TrainConfig.for_model(**settings, minutes=minutes, augment=augment)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.pose_prior import prior_of
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
@@ -62,7 +61,7 @@ class _Neutral:
     """The mean posture of free motion, bent to sensors: joint -> orientation (T, 3, 3)."""
 
     def __init__(self, skeleton: SkeletonModel, sensed: dict[int, Array]) -> None:
-        prior = prior_of(skeleton)
+        prior = skeleton.table.prior
         self._parents, self._sensed = skeleton.parents, sensed
         self._local = np.concatenate([np.eye(3)[None], so3.from_quat_wxyz(prior.mean_quat_wxyz)])
         variance = np.diagonal(prior.covariance).reshape(-1, 3).sum(axis=1)

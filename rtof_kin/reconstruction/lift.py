@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 
 class LifterLike(Protocol):
-    """Estimator of 3D joints from keypoints, such as `lifting.predict.Lifter`."""
+    """Estimator of 3D joints from keypoints, such as `lifting.predict.Lifter`.
+
+    One with an attribute `prior` brings the pose prior of the later stages.
+    """
 
     def predict(
         self,

@@ -50,13 +50,25 @@ WARNINGS_LOGGER = f"{__name__}.warnings"
 
 @dataclass(frozen=True)
 class _Job:
-    """What `reconstruct` was called with."""
+    """What `reconstruct` was called with; the bodies have the lifter's pose prior if it has one."""
 
     recording: Recording
     skeleton: SkeletonModel | None
     lifter: LifterLike | None
     settings: ReconstructionSettings
     progress: Progress
+
+    @classmethod
+    def of(
+        cls, recording: Recording, skeleton: SkeletonModel | None, lifter: LifterLike | None,
+        settings: ReconstructionSettings | None, progress: Progress | None,
+    ) -> _Job:  # fmt: skip
+        prior = getattr(lifter, "prior", None)
+        if prior is not None:
+            recording = replace(recording, model_prior=prior)
+            skeleton = None if skeleton is None else skeleton.with_prior(prior)
+        settings = settings or ReconstructionSettings()
+        return cls(recording, skeleton, lifter, settings, progress or (lambda *_: None))
 
     @property
     def subject(self) -> SkeletonModel:
@@ -77,11 +89,11 @@ class _Job:
         if calibration is not None:
             skeleton = None if calibration.of_kind("bones") else self.skeleton
             job = replace(self, recording=calibration.apply(self.recording), skeleton=skeleton)
-        return job.with_solver(calibration, calibration is not None)
+        return job.with_solver(calibration)
 
-    def with_solver(self, calibration: SelfCalibration | None, calibrated: bool) -> _Job:
+    def with_solver(self, calibration: SelfCalibration | None) -> _Job:
         """Return the job with the settings of the fragment solver, on the recording's floor if it has one."""
-        solver = self.settings.solver(self.subject, calibrated)
+        solver = self.settings.solver(self.subject)
         if isinstance(solver, JointSpaceSettings) and solver.floor_height is None:
             higher = 0.0 if calibration is None else calibration.ankle_height
             ankles = max(solver.ankle_height + higher, _LOWEST_ANKLE)
@@ -117,7 +129,7 @@ def reconstruct(
     *,
     lifter: LifterLike | None = None,
     settings: ReconstructionSettings | None = None,
-    calibrate: bool = True,
+    calibrate: bool = False,
     priors: CalibrationPriors | None = None,
     calibration: SelfCalibration | None = None,
     known: SelfCalibration | None = None,
@@ -132,10 +144,12 @@ def reconstruct(
             needs the IMUs only.
         skeleton: the subject's. Default: that of the recording.
         mode: lift, sf2, rto, rtof or imu (`rtof_kin.core.choices.Mode`).
-        lifter: keypoints to 3D. Default: the shipped one, loaded only now.
+        lifter: keypoints to 3D, and a pose prior if it has one. Default: the shipped one, loaded only now.
         settings: of SF2, the fragment solver and mode imu.
-        calibrate: calibrate the recording from itself first, in the modes that use sensors. Where that is
-            impossible, a warning says why, and an error if `priors` are given.
+        calibrate: calibrate the recording from itself first, in the modes that use sensors. It finds gross
+            errors of delay, mounting and bones; a recording with the usual ones gets worse as often as
+            better (docs/calibration.md). Where it is impossible, a warning says why, and an error if
+            `priors` are given.
         priors: of that calibration. Default: `CalibrationPriors.of` the recording.
         calibration: an earlier result of `calibrate_recording` for this recording; it is applied and
             nothing is estimated.
@@ -151,8 +165,7 @@ def reconstruct(
         raise UnknownNameError("mode", [mode], MODES)
     if priors is not None and (calibration is not None or not calibrate):
         raise InvalidInputError("priors: of a calibration that is not made; give calibrate=True alone")
-    settings = settings or ReconstructionSettings()
-    job = _Job(recording, skeleton, lifter, settings, progress or (lambda stage, done, total: None))
+    job = _Job.of(recording, skeleton, lifter, settings, progress)
     with naming_wrong_samples(recording):
         if mode == "imu":
             return _from_sensors(job)
@@ -301,8 +314,7 @@ def calibrate_recording(
             f"recording {recording.name}: has no IMUs, and self-calibration needs them; "
             "add them, or reconstruct it as it is with mode 'rto'"
         )
-    settings = settings or ReconstructionSettings()
-    job = _Job(recording, skeleton, lifter, settings, progress or (lambda stage, done, total: None))
+    job = _Job.of(recording, skeleton, lifter, settings, progress)
     return _calibrate(job, priors, None)[0]
 
 
@@ -332,7 +344,7 @@ def _calibrate(
     priors = priors or CalibrationPriors.of(recording)
     if known is not None and known.ankle_height:
         priors = replace(priors, sigma_ankle_height=None)
-    own = replace(job, recording=recording, skeleton=None).with_solver(known, calibrated=False)
+    own = replace(job, recording=recording, skeleton=None).with_solver(known)
     prepared = own.prepare("sf2", calibration=known)
     slipped = _slipped(own, prepared)
     assert prepared.bone_imus is not None  # without IMUs, mode sf2 has raised

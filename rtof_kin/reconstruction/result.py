@@ -94,10 +94,9 @@ class Reconstruction:
 
 
 def _energy_name(settings: JointSpaceSettings | CartesianSettings) -> str:
-    """'default', 'default, calibrated', 'as printed' or 'own'."""
+    """'default', 'as printed' or 'own'."""
     usual: dict[str, JointSpaceSettings | CartesianSettings] = {
         "default": type(settings)(),
-        "default, calibrated": JointSpaceSettings.calibrated(),
         "as printed": CartesianSettings.paper(),
     }
     return next((name for name, other in usual.items() if _energy(other) == _energy(settings)), "own")

@@ -50,13 +50,11 @@ class ReconstructionSettings:
         if unknown := sorted({*self.guards} - {*GUARDS}):
             raise UnknownNameError("guard", unknown, GUARDS)
 
-    def solver(
-        self, skeleton: SkeletonModel, calibrated: bool = False
-    ) -> JointSpaceSettings | CartesianSettings:
+    def solver(self, skeleton: SkeletonModel) -> JointSpaceSettings | CartesianSettings:
         """Return the settings of the fragment solver: those given, else the defaults.
 
         Args:
-            skeleton: the subject's. calibrated: the recording was calibrated from itself.
+            skeleton: the subject's.
 
         Raises:
             InvalidInputError: there is no such backend.
@@ -65,7 +63,7 @@ class ReconstructionSettings:
             return self.fragment
         fragment: JointSpaceSettings | CartesianSettings = CartesianSettings()
         if (self.space or usual_space(skeleton)) == "joint":
-            fragment = JointSpaceSettings.calibrated() if calibrated else JointSpaceSettings()
+            fragment = JointSpaceSettings()
         return fragment if self.backend is None else replace(fragment, backend=self.backend)
 
     def with_fragment(self, fragment: JointSpaceSettings | CartesianSettings | None) -> Self:

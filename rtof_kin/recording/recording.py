@@ -16,6 +16,7 @@ import tomli_w
 from numpy.typing import ArrayLike
 
 from rtof_kin.body.neutral_posture import NeutralPosture
+from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
@@ -67,6 +68,8 @@ class Recording:
     """z of a flat floor in world, m; None where there is none or it is unknown."""
     posture: NeutralPosture | None = None
     """The person's T-pose in the skeleton's link frames, where a reference shows it."""
+    model_prior: PosePrior | None = None
+    """Pose prior of the model in use, which is no part of the folder; None for the shipped one."""
     truth: PoseSequence | None = None
     """Known poses in world at their own times, joints in the skeleton's order."""
     first_frame: int = 0
@@ -145,9 +148,10 @@ class Recording:
 
     @cached_property
     def skeleton(self) -> SkeletonModel:
-        """Subject's body: the table with these offsets, mass, sex and neutral posture."""
+        """Subject's body: the table with these offsets, mass, sex, neutral posture and pose prior."""
         body = _body(self.skeleton_table, self.joint_offsets, mass_kg=self.mass_kg, sex=self.sex)
-        return body if self.posture is None else body.with_posture(self.posture)
+        body = body if self.posture is None else body.with_posture(self.posture)
+        return body if self.model_prior is None else body.with_prior(self.model_prior)
 
     @property
     def video(self) -> KeypointSequence:

@@ -2,7 +2,8 @@
 
 A rotation belongs to the segment that begins at its joint, so a sensor on the forearm corrects the bone
 ForeArm -> Hand; the angle theta is between the rest bone turned by the sensor and the observed bone;
-children keep their own observed directions when a parent is replaced.
+children keep their own observed directions when a parent is replaced. Unlike the paper, sensor and
+observation are weighed by their variances where both are known: with good detections the lift is the better.
 """
 
 from __future__ import annotations
@@ -23,20 +24,29 @@ from rtof_kin.data.poses import PoseSequence, Provenance
 
 @dataclass(frozen=True)
 class InertialGuidedIKSettings:
-    """Thresholds between the observed bone and the sensor."""
+    """How the observed bone and the sensor are combined.
 
-    threshold: float = 0.0
-    """theta_t [rad]: where sensor and observed bone differ by more, the sensor's orientation is used; else
-    the observed direction with the sensor's twist. 0: always the sensor, pi: never."""
+    By default they are weighed by inverse variances where the observation states its standard deviation
+    (`PoseSequence.sigma_rad`); elsewhere the sensor's orientation is used.
+    """
+
+    threshold: float | None = None
+    """theta_t [rad], as in the paper: where sensor and observed bone differ by more, the sensor's orientation
+    is used; else the observed direction with the sensor's twist. 0: always the sensor, pi: never."""
     blend_angle: float | None = None
     """[rad] Blending instead of a threshold: the rotation nearest to v b^T + w R_imu, with the weight
     ``w = 1 / (1 + (theta / blend_angle)^2)``."""
+    sigma_sensor: float = np.radians(2.5)
+    """[rad] of a sensor's segment where neither is given. Only its ratio to the observation's counts: a
+    lifter's own are half of its errors on other rigs, and so is this of usual sensors'."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.threshold <= np.pi:
+        if self.threshold is not None and not 0 <= self.threshold <= np.pi:
             raise InvalidInputError(f"threshold: {self.threshold} rad is outside [0, pi]")
-        if self.blend_angle is not None and not self.blend_angle > 0:
-            raise InvalidInputError(f"blend_angle: {self.blend_angle} rad must be positive")
+        for name in ("blend_angle", "sigma_sensor"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise InvalidInputError(f"{name}: {value} rad must be positive")
 
 
 class InertialGuidedIK:
@@ -89,7 +99,7 @@ class InertialGuidedIK:
                 bone_imus = bone_imus.resample(poses.times)
             R_imu[:, list(joints)] = bone_imus.R_world_bone
         R_seen = np.full_like(R, np.nan) if R_observed is None else R_observed
-        R[known] = self._solve(p[known], R_seen[known], R_imu[known])
+        R[known] = self._solve(p[known], R_seen[known], R_imu[known], poses.sigma_rad[known])
         return R, np.isfinite(R_imu[:, :, 0, 0])
 
     def _posed(self, poses: PoseSequence, p: Array, R: Array, sensed: Mask) -> PoseSequence:
@@ -103,7 +113,7 @@ class InertialGuidedIK:
             orientation_observed=sensed | poses.orientation_observed,
         )
 
-    def _solve(self, p: Array, R_seen: Array, R_imu: Array) -> Array:
+    def _solve(self, p: Array, R_seen: Array, R_imu: Array, sigma: Array) -> Array:
         parents, offsets = self.skeleton.parents, self.skeleton.joint_offsets
         R, root = np.empty((*p.shape[:2], 3, 3)), np.broadcast_to(np.eye(3), (len(p), 3, 3))
         for j, parent in enumerate(parents):
@@ -115,7 +125,8 @@ class InertialGuidedIK:
                     R[:, j] = kinematics.segment_rotation(parents, offsets, j, p, R_parent)
                 R[has, j] = self._observed(j, p[has], R_seen[has, j], R[has, j])
             if sensed.any():
-                R[sensed, j] = self._correct(j, p[sensed], R[sensed, j], R_imu[sensed, j])
+                own = (p[sensed], R[sensed, j], R_imu[sensed, j], sigma[sensed, j])
+                R[sensed, j] = self._correct(j, *own)
         return R
 
     def _observed(self, joint: int, p: Array, R_seen: Array, R_positions: Array) -> Array:
@@ -138,24 +149,27 @@ class InertialGuidedIK:
         rest = self.skeleton.joint_offsets[children[0]]
         return kinematics.swing(R, rest, p[:, children[0]] - p[:, joint])
 
-    def _correct(self, joint: int, p: Array, R_observed: Array, R_imu: Array) -> Array:
-        """Orientation (T, 3, 3) of a segment from observation and sensor."""
+    def _correct(self, joint: int, p: Array, R_observed: Array, R_imu: Array, sigma: Array) -> Array:
+        """Orientation (T, 3, 3) of a segment from observation, with its sigma (T,), rad, and sensor."""
         children = kinematics.children_of(self.skeleton.parents, joint)
         if not children:
             return R_imu
         if len(children) == 1:
-            rest = self.skeleton.joint_offsets[children[0]]
             R_observed = self._swung(joint, p, R_imu)  # the sensor's twist
-        theta = so3.angle_between(R_observed, R_imu)
-        blend = self.settings.blend_angle
-        if blend is None:
-            return np.where((theta > self.settings.threshold)[:, None, None], R_imu, R_observed)
-        weight = 1 / (1 + (theta / blend) ** 2)
-        observed = R_observed
-        if len(children) == 1:  # only the bone's direction was observed
-            unit = so3.unit(rest)
-            observed = np.einsum("ti,j->tij", R_observed @ unit, unit)
-        return so3.nearest_rotation(observed + weight[:, None, None] * R_imu)
+        s = self.settings
+        if s.blend_angle is not None:
+            weight = 1 / (1 + (so3.angle_between(R_observed, R_imu) / s.blend_angle) ** 2)
+            observed = R_observed
+            if len(children) == 1:  # only the bone's direction was observed
+                unit = so3.unit(self.skeleton.joint_offsets[children[0]])
+                observed = np.einsum("ti,j->tij", R_observed @ unit, unit)
+            return so3.nearest_rotation(observed + weight[:, None, None] * R_imu)
+        if s.threshold is not None:
+            beyond = so3.angle_between(R_observed, R_imu) > s.threshold
+            return np.where(beyond[:, None, None], R_imu, R_observed)
+        share = np.nan_to_num(s.sigma_sensor**2 / (s.sigma_sensor**2 + sigma**2))
+        turn = so3.log(np.swapaxes(R_imu, -1, -2) @ R_observed)
+        return np.asarray(R_imu @ so3.exp(share[:, None] * turn))
 
     def _provenance(self, before: NDArray[np.uint8], sensed: Mask) -> NDArray[np.uint8]:
         """Provenance with the IMU for joints whose parent's segment has a sensor."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence, layout_and_point
-from rtof_kin.vision.detector_errors import DetectorPoint, detector_points, harmonics
+from rtof_kin.vision.detector_errors import HARMONICS, DetectorPoint, detector_points, harmonics
 
 
 @dataclass(frozen=True)
@@ -90,42 +91,67 @@ class ImagePoints:
         return np.asarray(J @ R_world_bone[:, [j for j, _ in self.on]])
 
 
+class _Point(NamedTuple):
+    """One of the points: joints by index, places in link frames and m, as in `ImagePoints`."""
+
+    segment: int
+    anchor: int
+    second: int
+    place: Array
+    second_place: Array = np.zeros(3)
+    view: Array = np.zeros((HARMONICS, 3))
+    spread: Array = np.zeros((3, 3))
+    size: float = 1.0
+    independent: float = 1.0
+
+
 def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
     """Return points of a skeleton.
 
     Args:
         skeleton: the subject's. names: L landmarks of it, or detector's points (`measurements`).
     """
-    L, index = len(names), skeleton.names.index
-    known = [_measurement(name) for name in names]
-    own = [skeleton.landmarks.get(name) for name in names]
-    leg = _leg(skeleton) if any(known) else 1.0
-    turns = _turns(skeleton) if any(known) else np.eye(3)[None]
-    places, seconds, views = np.zeros((L, 3)), np.zeros((L, 3)), np.zeros((L, 8, 3))
-    sizes, independent, covariance = np.ones(L), np.ones(L), np.zeros((L, 3, 3))
-    segments, anchors, others = list[int](), list[int](), list[int]()
-    for i, point in enumerate(known):
-        if point is None:
-            joint, places[i] = own[i] or skeleton.landmarks[names[i]]
-            j = anchor = second = index(joint)
-        else:
-            j, anchor, second = index(point.frame), index(point.anchor), index(point.second)
-            at = np.zeros(3) if anchor == j else skeleton.joint_offsets[anchor]
-            places[i] = at + leg * turns[j] @ point.place
-            seconds[i], views[i] = leg * turns[second] @ point.second_place, leg * point.view
-            sizes[i], independent[i] = point.size, point.independent
-            spread = leg * turns[j] * point.place_sd
-            covariance[i] = spread @ spread.T
-        segments.append(j)
-        anchors.append(anchor)
-        others.append(second)
-    on = tuple((j, name in skeleton.names) for j, name in zip(segments, names, strict=True))
-    if L:
-        sizes /= np.exp(np.log(sizes).mean())
-        independent /= independent.mean()
+    known = {name: point for name in names if (point := _measurement(name)) is not None}
+    leg, turns = (_leg(skeleton), _turns(skeleton)) if known else (1.0, np.eye(3)[None])
+    points = [
+        _of_detector(skeleton, known[name], leg, turns) if name in known else _landmark(skeleton, name)
+        for name in names
+    ]
+    L = len(points)
+
+    def each(field: str, *shape: int) -> Array:
+        return np.reshape([getattr(point, field) for point in points], (L, *shape)).astype(float)
+
+    sizes, independent, spread = each("size"), each("independent"), each("spread", 3, 3)
     return ImagePoints(
-        tuple(names), on, places, sizes, independent, covariance, tuple(anchors),
-        tuple(others), seconds, views, turns[0],
+        names=tuple(names),
+        on=tuple((point.segment, name in skeleton.names) for point, name in zip(points, names, strict=True)),
+        places=each("place", 3),
+        sizes=sizes / np.exp(np.log(sizes).sum() / max(L, 1)),
+        independent=independent / (independent.sum() / max(L, 1)),
+        place_covariance=spread @ np.swapaxes(spread, -1, -2),
+        anchors=tuple(point.anchor for point in points),
+        seconds=tuple(point.second for point in points),
+        second_places=each("second_place", 3),
+        views=each("view", HARMONICS, 3),
+        R_bone_pelvis=turns[0],
+    )
+
+
+def _landmark(skeleton: SkeletonModel, name: str) -> _Point:
+    joint, place = skeleton.landmarks[name]
+    j = skeleton.names.index(joint)
+    return _Point(j, j, j, place)
+
+
+def _of_detector(skeleton: SkeletonModel, point: DetectorPoint, leg: float, turns: Array) -> _Point:
+    """A detector's point on a body with a leg, m, and turns (J, 3, 3) from the shipped link frames."""
+    segment, anchor, second = map(skeleton.names.index, (point.frame, point.anchor, point.second))
+    at = np.zeros(3) if anchor == segment else skeleton.joint_offsets[anchor]
+    return _Point(
+        segment, anchor, second, at + leg * turns[segment] @ point.place,
+        leg * turns[second] @ point.second_place, leg * point.view, leg * turns[segment] * point.place_sd,
+        point.size, point.independent,
     )  # fmt: skip
 
 

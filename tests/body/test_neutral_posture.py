@@ -7,7 +7,7 @@ import pytest
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.neutral_posture import CLAVICLES, HIPS, JOINTS, SPINE, NeutralPosture, posture_from_t_pose
-from rtof_kin.body.pose_prior import prior_of, shipped_prior
+from rtof_kin.body.pose_prior import shipped_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
@@ -59,7 +59,7 @@ def test_hanging_arms_and_short_or_moving_t_poses_are_none() -> None:
 
 def test_the_prior_of_a_person_has_the_spine_of_the_posture_and_lowered_clavicles() -> None:
     posture = NeutralPosture.of(bent(OWN, 3), BODY.parents)
-    population, own = shipped_prior(BODY.names), prior_of(BODY.with_posture(posture))
+    population, own = shipped_prior(BODY.names), BODY.with_posture(posture).table.prior
     means = {n: R for n, R in zip(BODY.names[1:], so3.from_quat_wxyz(own.mean_quat_wxyz), strict=True)}
     before = {
         n: R for n, R in zip(BODY.names[1:], so3.from_quat_wxyz(population.mean_quat_wxyz), strict=True)

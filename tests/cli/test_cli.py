@@ -82,7 +82,7 @@ def test_ctrl_c_exits_with_130_even_while_importing(module: str) -> None:
     ("reconstruct {wrong}/in_g -o {out}", "m/s^2"),
     ("reconstruct {wrong}/camera_only -o {out}", "'rto'"),
     ("reconstruct {wrong}/sensors_only -o {out}", "'imu'"),
-    ("reconstruct {short} -o {out} --lifter {wrong}/broken.pt", "broken.pt"),
+    ("reconstruct {short} -o {out} --model {wrong}/broken.pt", "broken.pt"),
     ("reconstruct {short} -o {out} --threads 0", "1 or more"),
     ("reconstruct {short} -o {out} --paper --space joint", "leave out --space joint"),
     ("reconstruct {short} -o {out} --space cartesian --mode imu", "leave out --space cartesian"),

@@ -30,7 +30,7 @@ def summary_after(cli: Any, recording: Path, out: Path, *options: str) -> tuple[
 def test_terminal_summary_and_page_agree_and_state_each_thing_once(
     stuck: Path, tmp_path: Path, cli: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
-    summary, text = summary_after(cli, stuck, tmp_path / "out", "--no-calibrate")
+    summary, text = summary_after(cli, stuck, tmp_path / "out")
     settings, verdict = summary["settings"], summary["verdict"]
     assert settings.pop("fragment")["jerk"] == 2.5
     assert settings == {
@@ -52,7 +52,7 @@ def test_terminal_summary_and_page_agree_and_state_each_thing_once(
 
 
 def test_paper_is_solved_in_cartesian_space(stuck: Path, tmp_path: Path, cli: Any) -> None:
-    options = "--paper --no-calibrate --no-guards --no-lift-with-sensors --lifter causal"
+    options = "--paper --no-guards --no-lift-with-sensors --lifter causal"
     summary, _ = summary_after(cli, stuck, tmp_path / "out", *options.split())
     found = summary["settings"]
     assert (found["space"], found["backend"], found["energy"]) == ("cartesian", "ipopt", "as printed")
@@ -65,10 +65,12 @@ def test_paper_is_solved_in_cartesian_space(stuck: Path, tmp_path: Path, cli: An
 def test_calibrated_recording_keeps_its_energy_with_another_backend(
     stuck: Path, tmp_path: Path, cli: Any
 ) -> None:
-    summary, _ = summary_after(cli, stuck, tmp_path / "out", "--backend", "ipopt", "--space", "joint")
+    summary, _ = summary_after(
+        cli, stuck, tmp_path / "out", *["--calibrate", "--backend", "ipopt", "--space", "joint"]
+    )
     found = summary["settings"]
     assert (found["space"], found["backend"]) == ("joint", "ipopt")
-    assert (found["calibrate"], found["energy"]) == ("yes", "default, calibrated")
+    assert (found["calibrate"], found["energy"]) == ("yes", "default")
 
 
 @pytest.mark.parametrize("options, expected", [
@@ -86,7 +88,6 @@ def test_options_choose_space_and_backend(options: str, expected: object) -> Non
 
 
 @pytest.mark.parametrize("settings, name", [
-    (JointSpaceSettings.calibrated(), "default, calibrated"),
     (JointSpaceSettings(backend="ipopt", floor_height=0.1), "default"), (JointSpaceSettings(jerk=7.0), "own"),
     (CartesianSettings(), "default"), (CartesianSettings.paper("realtime"), "as printed"),
 ])  # fmt: skip

@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import lifting_support as support
+import numpy as np
 import pytest
 import torch
 
 from lifting import checkpoint
 from lifting.checkpoint import load_checkpoint, save_checkpoint
 from lifting.predict import Lifter
+from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.core.errors import FileFormatError
 
 
@@ -31,7 +33,9 @@ def rewrite(path: Path, change: Callable[[dict[str, Any]], None], sign: bool = F
     content = torch.load(path, weights_only=True)
     change(content)
     if sign:
-        content["sha256"] = checkpoint._digest(content["description"], content["weights"])
+        content["sha256"] = checkpoint._digest(
+            content["description"], content["weights"], content.get("prior", {})
+        )
     torch.save(content, path)
 
 
@@ -94,7 +98,7 @@ def test_truncated_files_are_refused(saved: Path, keep: float) -> None:
 def test_other_versions_are_refused(saved: Path) -> None:
     for version in (1, 99):
         rewrite(saved, lambda content, version=version: content.update(version=version))
-        with pytest.raises(FileFormatError, match=f"lifter format {version}; .* reads format 2: install"):
+        with pytest.raises(FileFormatError, match=f"format {version}; .* reads format 2 or 3: install"):
             load_checkpoint(saved)
 
 
@@ -106,6 +110,27 @@ def test_other_torch_files_and_missing_files_are_refused(tmp_path: Path) -> None
         load_checkpoint(tmp_path / "nowhere.pt")
     with pytest.raises(FileFormatError, match="no such file"):
         load_checkpoint(tmp_path)
+
+
+def test_a_file_has_the_prior_of_its_motion_and_those_before_have_none(lifter: Lifter, saved: Path) -> None:
+    assert Lifter.load(saved).prior is None
+    own = PosePrior.load(lifter.names)
+    own = replace(own, covariance_about_posture=own.covariance / 2)
+    save_checkpoint(saved, lifter.network, replace(lifter.description, prior=own), overwrite=True)
+    prior = Lifter.load(saved).prior
+    assert prior is not None
+    assert prior.joints == lifter.names
+    for name, value in own.arrays().items():
+        np.testing.assert_array_equal(prior.arrays()[name], value)
+    rewrite(saved, lambda content: content["prior"]["covariance"].mul_(2.0))
+    with pytest.raises(FileFormatError, match="checksum"):
+        load_checkpoint(saved)
+    rewrite(saved, lambda content: content["prior"].pop("sigma_jerk"), sign=True)
+    with pytest.raises(FileFormatError, match="description of this lifter is wrong: 'sigma_jerk'"):
+        load_checkpoint(saved)
+    rewrite(saved, lambda content: content.pop("prior"), sign=True)
+    rewrite(saved, lambda content: content.update(version=2))
+    assert Lifter.load(saved).prior is None
 
 
 class Harmful:

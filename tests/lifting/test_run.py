@@ -175,7 +175,7 @@ def test_the_command_trains_with_every_option(
     tuned = tmp_path / "tuned.pt"
     assert cli.main([*common, "-o", str(tuned), "--start", str(out)]) == 0
     baseline = tmp_path / "baseline.pt"
-    assert cli.main([*common, "-o", str(baseline), "--model", "videopose3d"]) == 0
+    assert cli.main([*common, "-o", str(baseline), "--network", "videopose3d"]) == 0
     assert load_checkpoint(baseline)[1].recipe["dropout"] == 0.25
     assert cli.main([*common, "-o", str(tmp_path / "x.pt"), "--start", str(tmp_path / "none.pt")]) == 2
     assert "none.pt: no such file" in capsys.readouterr().err

@@ -71,7 +71,7 @@ def measured(root: Path, lifter: Path, tmp_path_factory: pytest.TempPathFactory)
     folder = tmp_path_factory.mktemp("measured")
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         code = main(
-            ["human36m", "--root", str(root), "--lifter", str(lifter), "--cameras", "1",
+            ["human36m", "--root", str(root), "--model", str(lifter), "--cameras", "1",
              "--actions", "Action 1", "--workers", "1", "-o", str(folder / "out"),
              "--save", str(folder / "motions"), "--json", str(folder / "all.json")]
         )  # fmt: skip
@@ -174,7 +174,7 @@ BAD = {
         "unknown action 'Acton 0'. Did you mean 'Action 0'?",
     ),
     "a mode with sensors": (["--modes", "rtof"], "unknown mode without sensors 'rtof'"),
-    "no lifter": (["--lifter", "{tmp}/none.pt"], "none.pt: no such file; train a lifter"),
+    "no lifter": (["--model", "{tmp}/none.pt"], "none.pt: no such file; train a lifter"),
     "no archives": (["--root", "{tmp}"], "data_3d_h36m.npz"),
 }
 
@@ -191,7 +191,7 @@ def test_bad_input_writes_nothing(
 ) -> None:
     given, expected = BAD[bad]
     out = tmp_path.with_name(f"{tmp_path.name}_out")
-    arguments = ["human36m", "--root", str(root), "--lifter", str(lifter), "-o", str(out)]
+    arguments = ["human36m", "--root", str(root), "--model", str(lifter), "-o", str(out)]
     assert main([*arguments, *(text.replace("{tmp}", str(tmp_path)) for text in given)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
@@ -210,7 +210,7 @@ def test_input_that_fails_in_every_measurement_is_refused(
     for k, (path, keypoints, expected) in enumerate(
         ((lifter, "hrnet", "unknown keypoints"), (tmp_path / "21.pt", "gt", "joint"))
     ):
-        options = ["--lifter", str(path), "--keypoints", keypoints, "-o", str(tmp_path / str(k))]
+        options = ["--model", str(path), "--keypoints", keypoints, "-o", str(tmp_path / str(k))]
         assert main([*arguments, *options]) == 2
         message = capsys.readouterr().err.splitlines()[-1]
         assert message.startswith("error: ")

@@ -417,7 +417,7 @@ def test_files_of_a_detector_and_a_shipped_lifter_are_used(root: Path, tmp_path:
     np.savez(folder / f"TC_S1_walking2_cam{coco}.npz", keypoints=uv[coco])
     arguments = ["total-capture", "--root", str(root), "--subjects", "S1", "--takes", "walking2",
                  "--cameras", ",".join(map(str, uv)), "--modes", "lift", "--workers", "1",
-                 "--keypoints", str(folder), "--layout", "auto", "--lifter", "perfect",
+                 "--keypoints", str(folder), "--layout", "auto", "--model", "perfect",
                  "-o", str(tmp_path / "out"), "--json", str(tmp_path / "all.json")]  # fmt: skip
     assert main(arguments) == 0
     found = read_json(tmp_path / "all.json")
@@ -502,7 +502,7 @@ BAD = {
         "noise is added to ground-truth 2D only",
     ),
     "no folder of detections": (["--keypoints", "{tmp}/none"], "no such folder of detections"),
-    "no lifter": (["--lifter", "{tmp}/none.pt"], "none.pt: no such file; give the path of a trained"),
+    "no lifter": (["--model", "{tmp}/none.pt"], "none.pt: no such file; give the path of a trained"),
     "no layout": (["--keypoints", "{tmp}", "--layout", "coco"], "unknown layout 'coco'. Did you mean"),
     "a layout of nothing": (["--layout", "auto"], "layout is that of a detector's points"),
     "no data set": (["--root", "{tmp}/none"], "none: there is no such folder"),

@@ -9,6 +9,7 @@ import planted
 import pytest
 from reconstruction_support import BODY, FRAMES, QUICK_PRIORS, SETTINGS, TRUNK, TURN, Case
 
+from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
@@ -70,6 +71,35 @@ def test_each_stage_is_better_than_the_one_before(results: Results) -> None:
         assert score[better][figure] < factor * score[worse][figure]
     assert results["rtof"].solution is not None
     assert results["rtof"].solution.status is SolverStatus.CONVERGED
+
+
+@pytest.mark.parametrize("mode", ["rto", "rtof", "imu"])
+def test_unobserved_joints_follow_the_prior_of_the_lifter(case: Case, mode: str) -> None:
+    """Nothing observes how far a clavicle is turned about itself, under the arm."""
+    clavicle, arm = BODY.index("LeftShoulder", "LeftArm")
+    turn, mean = np.radians(20.0) * so3.unit(BODY.joint_offsets[arm]), BODY.table.prior.mean_quat_wxyz
+    mean = so3.from_quat_wxyz(mean)
+    mean[clavicle - 1], mean[arm - 1] = mean[clavicle - 1] @ so3.exp(turn), so3.exp(-turn) @ mean[arm - 1]
+    lifter, own = case.lifter(), case.lifter()
+    own.prior = replace(BODY.table.prior, mean_quat_wxyz=so3.to_quat_wxyz(mean))  # type: ignore[attr-defined]
+    bent = {}
+    for name, options in {
+        "shipped": {"lifter": lifter}, "own": {"lifter": own}, "given": {"lifter": own, "skeleton": BODY},
+    }.items():  # fmt: skip
+        result = case.run(mode, **options)
+        bent[name] = kinematics.local_rotations(BODY.parents, result.motion.poses.R_world_bone)[:, clavicle]
+        assert (result.motion.skeleton.table.model_prior is not None) == (name != "shipped")
+    moved = np.median(so3.log(np.swapaxes(bent["shipped"], -1, -2) @ bent["own"]), axis=0)
+    np.testing.assert_allclose(moved, turn, atol=np.radians(3.0))
+    np.testing.assert_allclose(bent["given"], bent["own"], atol=1e-9)
+
+
+def test_calibration_keeps_the_prior_of_the_lifter(case: Case) -> None:
+    lifter = case.lifter()
+    lifter.prior = replace(BODY.table.prior, sigma_root_jerk=50.0)  # type: ignore[attr-defined]
+    result = case.run(calibrate=True, priors=QUICK_PRIORS, lifter=lifter)
+    assert result.calibration is not None
+    assert result.motion.skeleton.table.prior is lifter.prior  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("mode, start, seen", [("rto", "lift", "camera"), ("rtof", "sf2", "fused")])
@@ -145,7 +175,7 @@ def test_pelvis_without_sensor_follows_a_deep_squat() -> None:
     turned the pelvis by 31 degrees.
     """
     demo = Recording.load(model_path("demo"))
-    settings = ReconstructionSettings(fragment=JointSpaceSettings.calibrated(), confidence=False)
+    settings = ReconstructionSettings(confidence=False)
     squat = replace(demo, keypoints=demo.video[440:560])
     poses = reconstruct(squat, settings=settings, calibrate=False).motion.poses
     assert demo.truth is not None
@@ -207,18 +237,18 @@ def test_sensors_without_samples_are_warned_of(case: Case) -> None:
     assert any("no sensor" in warning for warning in silent.run().warnings)
 
 
-def test_recording_is_calibrated_first_by_default() -> None:
+def test_recording_is_calibrated_first_where_asked() -> None:
     truth = planted.human(BODY, 60)
     given = planted.recording(truth, sigma_px=1.0)
     late = Case(truth, replace(given, keypoints=replace(given.video, times=given.video.times + 0.05)))
-    result = reconstruct(late.recording, lifter=late.lifter(), settings=SETTINGS)
+    result = late.run(calibrate=True)
     assert result.calibration is not None
     delay = result.calibration["delay", "video"].value[0]
     assert delay == pytest.approx(0.05, abs=0.01)
     np.testing.assert_allclose(result.motion.times, late.recording.video.times - delay)
     again = late.run(calibration=result.calibration)
     np.testing.assert_array_equal(again.motion.q, result.motion.q)
-    assert late.run().calibration is None
+    assert reconstruct(late.recording, lifter=late.lifter(), settings=SETTINGS).calibration is None
     assert late.run("rto", calibrate=True).calibration is None
 
 

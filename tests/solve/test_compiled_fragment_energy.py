@@ -159,5 +159,11 @@ def test_energy_without_a_compiler_is_the_reference(both: Both) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RTOF_KIN_COMPILE", "never")
         jerk = (1.25,) * (1 + len(StateSpace(js.BODY, MOVING, True).names))
-        made = built_energy(js.BODY.name, shape, MOVING, 8, True, "auto", jerk, 2.0)
+        prior = js.BODY.table.prior
+        rougher = replace(prior, sigma_jerk=2 * prior.sigma_jerk, sigma_root_jerk=3 * prior.sigma_root_jerk)
+        made, rough = (
+            built_energy(js.BODY.name, shape, MOVING, 8, True, "auto", jerk, 2.0, p) for p in (prior, rougher)
+        )
     assert type(made) is JointProblem
+    np.testing.assert_allclose(rough.sigma_jerk[3:] / made.sigma_jerk[3:], 2.0)
+    np.testing.assert_allclose(rough.sigma_jerk[:3] / made.sigma_jerk[:3], 3.0)

@@ -40,7 +40,7 @@ def lifted(truth: MotionSequence) -> PoseSequence:
 def refine(
     poses: PoseSequence,
     imus: BoneImuSequence | None = None,
-    threshold: float = 0.0,
+    threshold: float | None = None,
     blend_angle: float | None = None,
     oriented: bool = False,
 ) -> PoseSequence:
@@ -87,6 +87,17 @@ def test_threshold_pi_takes_only_the_sensors_twist(truth: MotionSequence, lifted
         R_imu = imus.R_world_bone[:, s]
         swing = so3.log(out.R_world_bone[:, j] @ np.swapaxes(R_imu, -1, -2))
         assert np.abs(np.sum(swing * (R_imu @ rest), axis=-1)).max() < 1e-7
+
+
+@pytest.mark.parametrize("sigma, share", [(np.radians(2.5), 0.5), (np.radians(5.0), 0.2), (np.nan, 0.0)])
+def test_sensor_and_observed_bone_are_weighed_by_their_variances(
+    truth: MotionSequence, sigma: float, share: float
+) -> None:
+    seen = replace(truth.poses, sigma_rad=np.full((40, 21), sigma))
+    imus = turned(sensors(truth, ("LeftLeg",)), 0.3)  # across the shank
+    out = InertialGuidedIK(SKELETON).refine(seen, imus)
+    off = angle(bone_directions(out, "LeftLeg"), bone_directions(truth.poses, "LeftLeg"))
+    np.testing.assert_allclose(off, 0.3 * (1 - share), atol=0.01)
 
 
 @pytest.mark.parametrize("threshold, sensor_wins", [(0.29, True), (0.31, False)])
@@ -190,9 +201,9 @@ def test_blending_is_continuous(truth: MotionSequence) -> None:
     assert largest_step(blend_angle=0.3) < 0.01
 
 
-@pytest.mark.parametrize("threshold, blend_angle", [(0.0, None), (0.2, None), (0.0, 0.2)])
+@pytest.mark.parametrize("threshold, blend_angle", [(None, None), (0.2, None), (None, 0.2)])
 def test_result_is_equivariant_to_the_world_frame(
-    truth: MotionSequence, lifted: PoseSequence, threshold: float, blend_angle: float | None
+    truth: MotionSequence, lifted: PoseSequence, threshold: float | None, blend_angle: float | None
 ) -> None:
     # Sensors also at the trunk, whose twist would otherwise follow the fixed axes of the world.
     imus = sensors(truth, ("Hips", *planted.LIMBS), degrees=6)

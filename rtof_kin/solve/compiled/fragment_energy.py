@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from rtof_kin.body.pose_prior import shipped_prior
+from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.choices import Compile
@@ -81,7 +81,7 @@ class FragmentEnergy(Protocol):
 
 def built_energy(
     name: str, shape: Shape, moving: tuple[str, ...], frames: int, hinges: bool, compile: Compile,
-    jerk: tuple[float, ...], robust_acceleration: float,
+    jerk: tuple[float, ...], robust_acceleration: float, prior: PosePrior,
 ) -> FragmentEnergy:  # fmt: skip
     """Return an energy of N frames, compiled where possible.
 
@@ -91,10 +91,11 @@ def built_energy(
         jerk: factors on the standard deviation of the jerk, of the root's position and of every joint
             that moves.
         robust_acceleration: threshold of the pseudo-Huber loss of accelerations, sigmas.
+        prior: of the body; has the standard deviations of the jerk.
     """
     with BUILDING:
         energy = _frame_energy(name, shape, moving, hinges)
-        space, prior = energy.space, shipped_prior(energy.space.skeleton.names)
+        space = energy.space
         sigma = prior.sigma_jerk[[prior.joints.index(joint) for joint in space.names]]
         root, *turns = jerk
         tangent = np.repeat(sigma * turns, 3) @ (space.expand != 0)

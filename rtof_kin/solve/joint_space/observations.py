@@ -10,7 +10,6 @@ import numpy as np
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.limbs import LIMBS, bare, both_bones_sensed
-from rtof_kin.body.pose_prior import prior_of
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
@@ -189,7 +188,7 @@ class Observations:
         jerk = others, *(unsensed if name in smooth else others for name in self.space.names)
         return built_energy(
             skeleton.name, shape, self.space.names, self.frames, s.hinges, s.compile, jerk,
-            s.robust_acceleration,
+            s.robust_acceleration, skeleton.table.prior,
         )  # fmt: skip
 
     def _observe(
@@ -237,7 +236,7 @@ class Observations:
 
     def _prior(self) -> tuple[Array, Array]:
         """Mean rotations (A - 1, 4) and precision of the joints; fixed joints have a firm one."""
-        prior, moving, s = prior_of(self.skeleton), self.space.names[1:], self.settings
+        prior, moving, s = self.skeleton.table.prior, self.space.names[1:], self.settings
         turning = [name for name in moving if name not in self.fixed]
         of_turning = np.repeat([name not in self.fixed for name in moving], 3)
         mean = np.tile([1.0, 0.0, 0.0, 0.0], (len(moving), 1))

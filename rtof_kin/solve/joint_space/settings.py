@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Self, get_args
+from typing import Final, get_args
 
 import numpy as np
 
@@ -100,13 +100,6 @@ class JointSpaceSettings:
     """'realtime' (Levenberg-Marquardt on the banded system) or 'ipopt'."""
     compile: Compile = "auto"
     """'auto': compile the energy where a C compiler exists and cache it. 'never': interpret it."""
-
-    @classmethod
-    def calibrated(cls) -> Self:
-        """Return the settings for a self-calibrated recording: larger standard deviations of accelerations
-        and jerk. Those of orientations stay: what a calibration leaves is no smaller on real recordings.
-        """
-        return cls(sigma_acceleration=2.5, jerk=3.0)
 
     def __post_init__(self) -> None:
         for field, values in {"backend": BACKENDS, "compile": get_args(Compile)}.items():

@@ -1,0 +1,228 @@
+"""Fit of a pose prior to free motion.
+
+Every motion counts twice, as it is and mirrored; orientations are low-passed at 10 Hz, as optical markers
+jitter.
+
+Rigs differ in where the trunk bends (CMU's at two of four joints, others at one or at all) and in how much
+clavicles move (hardly, in free corpora). So where they are mixed, the bend between pelvis and upper trunk,
+which they agree on, is shared evenly by the four joints of the spine, and clavicles follow the arms as those
+of people do. The prior of a laboratory that records and judges with one rig keeps the trunk of that rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.neutral_posture import CLAVICLES, JOINTS, SPINE, NeutralPosture
+from rtof_kin.body.pose_prior import PosePrior
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
+
+CUTOFF_HZ, LEAST_JERK = 10.0, 200.0
+LEAST_SUBJECTS: Final = 3
+"""Fewest persons of known posture from whom the spread about the own posture is estimated."""
+SHRINK_S: Final = 60.0
+"""Duration of motion that a known prior counts for, s."""
+UNEVEN = np.radians([2.0, 3.0, 2.0])
+"""Standard deviation of a joint of the spine about its share of the bend, about x, y, z, rad."""
+RHYTHM = np.diag([0.25, 0.0, 0.15])
+"""Turn of a clavicle by the turn of the arm relative to it: about x (elevation), y, z (protraction). An arm
+that is lowered by 90 degrees lowers it by 20 (scapulohumeral rhythm)."""
+LOWERED = np.radians(4.0)
+"""Mean of the clavicles below their T-pose, with arms that mostly hang, rad: between rigs whose clavicles
+follow the arms and rigs whose clavicles do not move."""
+CLAVICLE = np.radians([6.0, 5.0, 6.0])
+"""Standard deviation of a clavicle about what the arm tells, rad."""
+LEAST = np.radians(0.3)
+"""Smallest standard deviation of any combination of joints, rad."""
+TRUNK: Final = (*SPINE, "Neck")
+"""Joints whose distances along the trunk tell rigs apart."""
+SAME_SHARE: Final = 0.03
+"""Largest difference of such a distance within a rig, as a share of the trunk's length."""
+_MIRROR = np.diag([1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion of a person."""
+
+    subject: str
+    R_world_bone: Array
+    """(T, J, 3, 3)."""
+    p_world_root: Array
+    """(T, 3) m."""
+    rate_hz: float
+
+
+def of_one_rig(names: Sequence[str], joint_offsets: Array) -> bool:
+    """Return whether skeletons divide the trunk alike, as those that one rig makes of several persons do.
+
+    Args:
+        names: J joints. joint_offsets: (C, J, 3) of each skeleton, m.
+    """
+    lengths = np.linalg.norm(joint_offsets[:, [names.index(joint) for joint in TRUNK]], axis=-1)
+    shares = lengths / lengths.sum(axis=1, keepdims=True)
+    return bool(np.abs(shares - np.median(shares, axis=0)).max() < SAME_SHARE)
+
+
+def fit_pose_prior(
+    names: Sequence[str],
+    parents: Sequence[int],
+    motions: Sequence[Motion],
+    even_spine: bool = True,
+    postures: Mapping[str, NeutralPosture] | None = None,
+    known: PosePrior | None = None,
+) -> PosePrior:
+    """Return the prior of motions.
+
+    Args:
+        names: J joints of the 21-joint skeleton. parents: (J,). motions: one or more, longer than
+            three frames.
+        even_spine: whether the motions are of several rigs, see the module.
+        postures: of subjects whose T-pose is known; from `LEAST_SUBJECTS` on, the covariance about the
+            person's own posture is estimated too, and kept if it is the smaller one.
+        known: prior that counts as `SHRINK_S` of motion beside the motions; None counts nothing.
+    """
+    other = _other_side(names)
+    local, jerk, root_jerk = zip(*(_observed(parents, motion) for motion in motions), strict=True)
+    both = [part for own in local for part in (own, _MIRROR @ own[:, other] @ _MIRROR)]
+    mean, vectors = _mean(np.concatenate(both)[:, 1:])
+    covariance = np.cov(vectors.reshape(len(vectors), -1).T)
+    if even_spine:
+        mean, covariance = of_mixed_rigs(names, mean, covariance)
+    size = np.sqrt((np.concatenate(jerk) ** 2).sum(axis=-1).mean(axis=0) / 3)
+    prior = PosePrior(
+        tuple(names), so3.to_quat_wxyz(mean), _firm(covariance),
+        np.maximum((size + size[other]) / 2, LEAST_JERK),
+        float(np.sqrt((np.concatenate(root_jerk) ** 2).mean())),
+    )  # fmt: skip
+    persons = {
+        subject: np.concatenate([own for m, own in zip(motions, local, strict=True) if m.subject == subject])
+        for subject in sorted({m.subject for m in motions} & (postures or {}).keys())
+    }
+    if postures and len(persons) >= LEAST_SUBJECTS:
+        prior = _with_postures(prior, [(postures[s], own) for s, own in persons.items()], even_spine)
+    seconds = sum(len(m.R_world_bone) / m.rate_hz for m in motions)
+    return prior if known is None else shrunk(prior, known, SHRINK_S / (SHRINK_S + seconds))
+
+
+def _other_side(names: Sequence[str]) -> list[int]:
+    """Index of each joint's counterpart on the other side of the body."""
+    swapped = (n.replace("Left", "?").replace("Right", "Left").replace("?", "Right") for n in names)
+    return [names.index(name) for name in swapped]
+
+
+def _observed(parents: Sequence[int], motion: Motion) -> tuple[Array, Array, Array]:
+    """Low-passed rotations relative to parents (T, J, 3, 3) and jerks (T - 3, J, 3), root's (T - 3, 3)."""
+    rate = motion.rate_hz
+    R = so3.nearest_rotation(signals.low_pass(motion.R_world_bone, rate, CUTOFF_HZ))
+    local = kinematics.local_rotations(parents, R)
+    turns = so3.log(np.swapaxes(local[:-1], -1, -2) @ local[1:])
+    p = signals.low_pass(motion.p_world_root, rate, CUTOFF_HZ)
+    return local, np.diff(turns, 2, axis=0) * rate**3, np.diff(p, 3, axis=0) * rate**3
+
+
+def _mean(local: Array) -> tuple[Array, Array]:
+    """Mean rotations (J - 1, 3, 3), where the mean rotation vectors vanish, and the vectors (N, J - 1, 3)."""
+    mean = so3.nearest_rotation(local.mean(axis=0))
+    for _ in range(10):
+        vectors = so3.log(np.swapaxes(mean, -1, -2) @ local)
+        mean = mean @ so3.exp(vectors.mean(axis=0))
+    return mean, vectors
+
+
+def _with_postures(
+    prior: PosePrior, persons: Sequence[tuple[NeutralPosture, Array]], even_spine: bool
+) -> PosePrior:
+    """Add the covariance of rotations (T, J, 3, 3) of persons about the means that their postures give them,
+    if the posture's joints have less variance about these.
+    """
+    size, frames = len(prior.covariance), sum(len(own) for _, own in persons)
+    moment = np.zeros((size, size))
+    for posture, own in persons:
+        mean = so3.from_quat_wxyz(prior.about(posture).mean_quat_wxyz)
+        vectors = so3.log(np.swapaxes(mean, -1, -2) @ own[:, 1:]).reshape(-1, size)
+        moment += vectors.T @ vectors / frames
+    swap = np.eye(size // 3)[np.array(_other_side(prior.joints))[1:] - 1]
+    mirror = np.kron(swap, -_MIRROR)  # rotation vectors change sign in a mirror, but for the part across it
+    about = (moment + mirror @ moment @ mirror.T) / 2
+    if even_spine:
+        about = of_mixed_rigs(prior.joints, so3.from_quat_wxyz(prior.mean_quat_wxyz), about)[1]
+    about = _firm(about)
+    rows = np.ravel([3 * (prior.joints.index(joint) - 1) + np.arange(3) for joint in JOINTS])
+    smaller = np.diagonal(about)[rows].sum() < np.diagonal(prior.covariance)[rows].sum()
+    return replace(prior, covariance_about_posture=about) if smaller else prior
+
+
+def shrunk(prior: PosePrior, known: PosePrior, share: float) -> PosePrior:
+    """Return the prior with the moments of a mixture of two.
+
+    Args:
+        prior: of some motions. known: of the same joints. share: of the known one, 0 to 1.
+    """
+    mean, other = (so3.from_quat_wxyz(p.mean_quat_wxyz) for p in (prior, known))
+    apart = so3.log(np.swapaxes(mean, -1, -2) @ other)
+
+    def mixed(own: Array, given: Array) -> Array:
+        return (1 - share) * own + share * given
+
+    about = prior.covariance_about_posture
+    if about is not None:
+        given = known.covariance_about_posture
+        about = mixed(about, known.covariance if given is None else given)
+    return PosePrior(
+        prior.joints,
+        so3.to_quat_wxyz(mean @ so3.exp(share * apart)),
+        mixed(prior.covariance, known.covariance) + share * (1 - share) * np.outer(apart, apart),
+        np.sqrt(mixed(prior.sigma_jerk**2, known.sigma_jerk**2)),
+        float(np.sqrt((1 - share) * prior.sigma_root_jerk**2 + share * known.sigma_root_jerk**2)),
+        about,
+    )
+
+
+def _firm(covariance: Array) -> Array:
+    """The covariance with `LEAST` as its smallest standard deviation."""
+    values, axes = np.linalg.eigh(covariance)
+    return np.asarray(axes * np.maximum(values, LEAST**2) @ axes.T)
+
+
+def of_mixed_rigs(names: Sequence[str], mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return the prior of motions of several rigs: with an even spine and clavicles that follow the arms.
+
+    Args:
+        names: J joints. mean: (J - 1, 3, 3). covariance: (3 (J - 1), 3 (J - 1)) of rotation vectors.
+    """
+    return _with_moving_clavicles(names, *_with_even_spine(names, mean, covariance))
+
+
+def _with_even_spine(names: Sequence[str], mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """Share the bend of the trunk evenly: the same mean, variance and correlations for each of its joints."""
+    spine = [names.index(joint) - 1 for joint in SPINE]
+    mean, share = mean.copy(), np.zeros((len(mean), len(mean)))
+    bend = so3.log(mean[spine[0]] @ mean[spine[1]] @ mean[spine[2]] @ mean[spine[3]])
+    mean[spine] = so3.exp(bend / len(spine))
+    np.fill_diagonal(share, 1.0)
+    share[np.ix_(spine, spine)] = 1 / len(spine)
+    average = np.kron(share, np.eye(3))
+    uneven = np.zeros_like(share)
+    uneven[np.ix_(spine, spine)] = np.eye(len(spine)) - 1 / len(spine)
+    return mean, average @ covariance @ average.T + np.kron(uneven, np.diag(UNEVEN**2))
+
+
+def _with_moving_clavicles(names: Sequence[str], mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """Let clavicles follow the arms."""
+    mean, follow = mean.copy(), np.eye(len(covariance))
+    own = np.zeros(len(covariance))
+    for joint in CLAVICLES:
+        j, arm = (names.index(n) - 1 for n in (joint, joint.replace("Shoulder", "Arm")))
+        rows = slice(3 * j, 3 * j + 3)
+        follow[rows, rows], follow[rows, 3 * arm : 3 * arm + 3] = 0.0, RHYTHM
+        own[rows] = CLAVICLE**2
+        mean[j] = so3.about_axis("x", -LOWERED if joint.startswith("Left") else LOWERED)
+    return mean, follow @ covariance @ follow.T + np.diag(own)
