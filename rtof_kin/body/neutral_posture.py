@@ -27,7 +27,7 @@ HIPS: Final = ("LeftUpLeg", "RightUpLeg")
 JOINTS: Final = (*SPINE, *CLAVICLES, *HIPS)
 """Joints of a posture."""
 _LEVEL, _UPRIGHT, _STILL = np.radians(25.0), np.radians(20.0), 0.5
-"""Largest angles of arms to the horizontal and of thighs to the vertical, rad; angular speed, rad/s."""
+"""Largest angles: arms to the horizontal, thighs and trunk to the vertical, rad; angular speed, rad/s."""
 _SHORTEST: Final = 0.2
 """Shortest T-pose, s."""
 
@@ -67,8 +67,8 @@ class NeutralPosture:
         return cls(tuple(joints), so3.to_quat_wxyz(so3.nearest_rotation(local[index])))
 
 
-def t_pose_frames(poses: PoseSequence) -> Mask:
-    """Return in which frames (T,) the person stands still in the T-pose: arms level, thighs upright.
+def standing_frames(poses: PoseSequence) -> Mask:
+    """Return in which frames (T,) the person stands still: thighs and upper trunk upright, nothing turns.
 
     Args:
         poses: of the 21-joint skeleton, evenly spaced.
@@ -77,10 +77,21 @@ def t_pose_frames(poses: PoseSequence) -> Mask:
     turns = so3.angle_between(R[:-1], R[1:]) * poses.rate_hz
     fast = np.nan_to_num(turns, nan=np.inf).max(axis=1) > _STILL
     still = ~np.append(fast, fast[-1:]) & ~np.append(fast[:1], fast)
-    index = poses.names.index
-    level = np.abs(R[:, [index("LeftArm"), index("RightArm")], 2, 1]) < np.sin(_LEVEL)
-    upright = R[:, [index("LeftUpLeg"), index("RightUpLeg")], 2, 2] > np.cos(_UPRIGHT)
-    return np.asarray(still & level.all(axis=1) & upright.all(axis=1))
+    upright = R[:, [poses.names.index(n) for n in ("LeftUpLeg", "RightUpLeg", "Spine3")], 2, 2] > np.cos(
+        _UPRIGHT
+    )
+    return np.asarray(still & upright.all(axis=1))
+
+
+def t_pose_frames(poses: PoseSequence) -> Mask:
+    """Return in which frames (T,) the person stands still with level arms.
+
+    Args:
+        poses: of the 21-joint skeleton, evenly spaced.
+    """
+    arms = [poses.names.index(name) for name in ("LeftArm", "RightArm")]
+    level = np.abs(poses.R_world_bone[:, arms, 2, 1]) < np.sin(_LEVEL)
+    return np.asarray(standing_frames(poses) & level.all(axis=1))
 
 
 def posture_from_t_pose(poses: PoseSequence, parents: Sequence[int]) -> NeutralPosture | None:

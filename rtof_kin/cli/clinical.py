@@ -32,6 +32,10 @@ def add_commands(commands: Any) -> None:
     parser.add_argument("--height", type=float, metavar="M", help="to check the skeleton's size")
     parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
     parser.add_argument("--repetitions", choices=["squat", "sit_to_stand"], help="what to count")
+    parser.add_argument(
+        "--from-standing", action="store_true",
+        help="angles of trunk and legs relative to half a second or more of the person's quiet standing",
+    )  # fmt: skip
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
 
 
@@ -47,8 +51,9 @@ def _analyse(options: argparse.Namespace) -> None:
     motion = read_motion_npz(path).motion()
     weight_kg, sex = _weight_and_sex(options, path.parent)
     analysis = analyse_motion(
-        motion, weight_kg=weight_kg, height=options.height, sex=sex, repetitions=options.repetitions
-    )
+        motion, weight_kg=weight_kg, height=options.height, sex=sex, repetitions=options.repetitions,
+        from_standing=options.from_standing,
+    )  # fmt: skip
     with new_folder(options.output, MARKER, options.overwrite) as folder:
         write_analysis(analysis, folder)
         if not options.no_figures:

@@ -9,6 +9,7 @@ from rtof_kin.clinical.angle_table import AngleTable, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.clinical.gait import CycleCurves, GaitAnalysis, analyse_gait, cycle_curves
 from rtof_kin.clinical.gait_events import gait_events
+from rtof_kin.clinical.neutral import relative_to_standing
 from rtof_kin.clinical.range_of_motion import RangeOfMotion, ranges_of_motion
 from rtof_kin.clinical.repetitions import Kind, RepetitionAnalysis, find_repetitions
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques, joint_torques, single_support
@@ -46,21 +47,25 @@ def analyse_motion(
     height: float | None = None,
     sex: str | None = None,
     repetitions: Kind | None = None,
+    from_standing: bool = False,
 ) -> MotionAnalysis:
     """Compute angles, ranges of motion and gait; repetitions and torques on request.
 
     Args:
         motion: a reconstructed motion. weight_kg: body mass, kg; no torques without it. height: m, to check
             the size of the skeleton. sex: 'male', 'female' or None for the mean. repetitions: what to count.
+        from_standing: whether angles are relative to the person's quiet standing (`relative_to_standing`).
 
     Raises:
-        InvalidInputError: height or sex without body mass, or implausible values.
+        InvalidInputError: height or sex without body mass, implausible values, or no quiet standing.
         UnknownNameError: an unknown kind of repetition.
     """
     if weight_kg is None and (height is not None or sex is not None):
         raise InvalidInputError("height and sex are used for joint torques, which need a weight in kg")
     skeleton, poses = motion.skeleton, motion.poses
     angles = clinical_angles(motion)
+    if from_standing:
+        angles = relative_to_standing(angles, poses)
     counted = find_repetitions(poses, skeleton, angles, repetitions) if repetitions is not None else None
     gait = analyse_gait(gait_events(poses, skeleton), angles)
     torques = None

@@ -9,6 +9,8 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.neutral_posture import CLAVICLES, HIPS, JOINTS, SPINE, NeutralPosture, posture_from_t_pose
 from rtof_kin.body.pose_prior import shipped_prior
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.clinical.angles import all_observed, clinical_angles
+from rtof_kin.clinical.neutral import relative_to_standing
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence
@@ -78,6 +80,22 @@ def test_the_prior_of_a_person_has_the_spine_of_the_posture_and_lowered_clavicle
     assert 12 < lowered["RightShoulder"] < 20
     assert {n for n in means if not np.allclose(means[n], before[n])} <= set(JOINTS)
     np.testing.assert_array_equal(own.covariance, population.covariance)
+
+
+def test_angles_relative_to_standing_vanish_there_and_keep_their_range() -> None:
+    tilted = {"Spine1": (0.0, 9.0, 0.0), **HANGING}
+    sitting = {"LeftUpLeg": (0.0, -80.0, 0.0), "RightUpLeg": (0.0, -80.0, 0.0), **tilted}
+    poses = joined(bent(sitting, 20), bent(tilted, 45), bent(sitting, 20))
+    plain = clinical_angles(all_observed(poses), BODY)
+    own = relative_to_standing(plain, poses)
+    assert abs(plain["spine_flexion"][40]) == pytest.approx(np.radians(9.0), abs=0.02)
+    assert own["spine_flexion"][40] == pytest.approx(0.0, abs=1e-9)
+    for name in ("right_hip_flexion", "left_shoulder_elevation"):
+        assert np.ptp(own[name]) == pytest.approx(np.ptp(plain[name]))
+    np.testing.assert_array_equal(own["left_shoulder_elevation"], plain["left_shoulder_elevation"])
+    assert "from 0.35 to 1.05 s" in own.notes[-1]
+    with pytest.raises(InvalidInputError, match="nobody stands upright and still"):
+        relative_to_standing(clinical_angles(all_observed(bent(sitting, 60)), BODY), bent(sitting, 60))
 
 
 def test_scaled_bodies_keep_their_posture_and_wrong_ones_are_refused() -> None:
