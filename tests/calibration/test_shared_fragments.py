@@ -87,5 +87,5 @@ def test_restart_at_the_estimate_stays_there() -> None:
     found = cs.fragments(wrong, truth.poses, priors).estimate(6)
     again = cs.fragments(wrong, truth.poses, priors).estimate(6, start=found.y)
     assert again.energies[0] < found.energies[0]
-    np.testing.assert_allclose(again.y, found.y, atol=0.1)  # px and rad
+    np.testing.assert_allclose(again.y, found.y, atol=0.5)  # px and rad
     assert np.linalg.norm(found.y) > 0.5 * np.linalg.norm(bias)

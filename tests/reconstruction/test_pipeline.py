@@ -240,11 +240,11 @@ def test_sensors_without_samples_are_warned_of(case: Case) -> None:
 def test_recording_is_calibrated_first_where_asked() -> None:
     truth = planted.human(BODY, 60)
     given = planted.recording(truth, sigma_px=1.0)
-    late = Case(truth, replace(given, keypoints=replace(given.video, times=given.video.times + 0.05)))
+    late = Case(truth, replace(given, keypoints=replace(given.video, times=given.video.times + 0.03)))
     result = late.run(calibrate=True)
     assert result.calibration is not None
     delay = result.calibration["delay", "video"].value[0]
-    assert delay == pytest.approx(0.05, abs=0.01)
+    assert delay == pytest.approx(0.03, abs=0.01)
     np.testing.assert_allclose(result.motion.times, late.recording.video.times - delay)
     again = late.run(calibration=result.calibration)
     np.testing.assert_array_equal(again.motion.q, result.motion.q)
