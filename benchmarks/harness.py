@@ -27,8 +27,10 @@ from numpy.typing import ArrayLike
 from rich.progress import Progress
 
 from benchmarks import scoring
-from benchmarks.rerigged import rerigged
+from benchmarks.rerigged import rerigged, t_pose
 from rtof_kin.body.metrics import evaluate, motionless
+from rtof_kin.body.neutral_posture import JOINTS, NeutralPosture
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.protocols.measures import reconstructions
 from rtof_kin.protocols.tables import Cell, Table
@@ -88,6 +90,8 @@ class Job:
     calibrate: bool
     seed: int
     lifter: str | None
+    posture: NeutralPosture | None = None
+    """The person's T-pose, where it is told."""
 
 
 def split() -> dict[str, Any]:
@@ -103,6 +107,17 @@ def test_clips(corpus: Path) -> list[MocapClip]:
     clips = {clip.name: clip for clip in whole_clips(corpus, rows["test"], wanted)}
     own = [part for name in chosen["motions"] for part in parts_of(clips[name], chosen["parts"].get(name, 1))]
     return own + [rerigged(middle(clips[name], chosen["seconds"])) for name in chosen["rerigged"]]
+
+
+def t_poses(corpus: Path) -> dict[str, NeutralPosture]:
+    """The neutral postures of the people on the re-posed rig, by motion."""
+    rows = split()
+    out = {}
+    for clip in whole_clips(corpus, rows["test"], sorted(rows["benchmark"]["rerigged"])):
+        local = {joint: R for joint, R in t_pose(clip).items() if joint in JOINTS}
+        quat_wxyz = so3.to_quat_wxyz(np.stack(list(local.values())))
+        out[rerigged(middle(clip, 1.0)).name] = NeutralPosture(tuple(local), quat_wxyz)
+    return out
 
 
 def parts_of(clip: MocapClip, count: int) -> Iterator[MocapClip]:
@@ -154,6 +169,7 @@ def run(job: Job) -> list[dict[str, Any]]:
     rows = []
     for kind in job.keypoints:
         recording = recorded(job.clip, job.camera, kind, SENSOR_SETS.get(job.sensors, ()), job.seed)
+        recording = replace(recording, posture=job.posture)
         results = reconstructions(recording, job.modes, lifter, calibrate=job.calibrate)
         scores = {mode: scoring.figures(result, mode) for mode, result in results.items()}
         inertial = results.get("rtof", results.get("sf2"))
@@ -260,11 +276,13 @@ def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     options = _parser().parse_args(arguments)
     clips = test_clips(options.corpus)
+    postures = t_poses(options.corpus) if options.posture == "known" else {}
     if options.motions:
         clips = [clip for clip in clips if clip.name in options.motions.split(",")]
     jobs = [
         Job(clip, camera, tuple(options.keypoints.split(",")), tuple(options.modes.split(",")),
-            options.sensors, options.calibrate == "yes", options.seed, options.lifter)
+            options.sensors, options.calibrate == "yes", options.seed, options.lifter,
+            postures.get(clip.name))
         for clip in clips for camera in range(options.cameras)
     ]  # fmt: skip
     rows: list[dict[str, Any]] = []
@@ -299,6 +317,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--keypoints", default=",".join(KEYPOINTS), help="kinds of 2D")
     parser.add_argument("--modes", default="lift,sf2,rto,rtof", help="stages to measure")
     parser.add_argument("--sensors", default="8", choices=["0", *SENSOR_SETS], help="how many IMUs")
+    parser.add_argument(
+        "--posture", choices=("known", "unknown"), default="unknown",
+        help="whether the T-pose of people on the re-posed rig is told",
+    )  # fmt: skip
     parser.add_argument("--calibrate", default="no", choices=("yes", "no"), help="from the recording itself")
     parser.add_argument("--cameras", type=int, default=4, help="of the four around each motion")
     parser.add_argument("--motions", help="only these, separated by commas")
