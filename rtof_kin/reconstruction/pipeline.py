@@ -67,8 +67,8 @@ class _Job:
         if prior is not None:
             recording = replace(recording, model_prior=prior)
             skeleton = None if skeleton is None else skeleton.with_prior(prior)
-        settings = settings or ReconstructionSettings()
-        return cls(recording, skeleton, lifter, settings, progress or (lambda *_: None))
+        progress = progress or (lambda *_: None)
+        return cls(recording, skeleton, lifter, settings or ReconstructionSettings(), progress)
 
     @property
     def subject(self) -> SkeletonModel:
@@ -146,10 +146,9 @@ def reconstruct(
         mode: lift, sf2, rto, rtof or imu (`rtof_kin.core.choices.Mode`).
         lifter: keypoints to 3D, and a pose prior if it has one. Default: the shipped one, loaded only now.
         settings: of SF2, the fragment solver and mode imu.
-        calibrate: calibrate the recording from itself first, in the modes that use sensors. It finds gross
-            errors of delay, mounting and bones; a recording with the usual ones gets worse as often as
-            better (docs/calibration.md). Where it is impossible, a warning says why, and an error if
-            `priors` are given.
+        calibrate: calibrate the recording from itself first, in the modes that use sensors, against gross
+            errors of delay, mounting and bones (docs/calibration.md). Where it is impossible, a warning says
+            why, and an error if `priors` are given.
         priors: of that calibration. Default: `CalibrationPriors.of` the recording.
         calibration: an earlier result of `calibrate_recording` for this recording; it is applied and
             nothing is estimated.
