@@ -17,6 +17,7 @@ from typing import Self
 import numpy as np
 
 from rtof_kin.body import kinematics
+from rtof_kin.body.neutral_posture import SPINE
 from rtof_kin.body.shared_frames import shared_frames
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
@@ -24,7 +25,6 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.simulation.mocap import MocapClip
 
 RIG = "total_capture_like"
-SPINE = ("Spine", "Spine1", "Spine2", "Spine3")
 SIGMA_BEND_DEG = (1.5, 5.0, 1.5)
 """Spread over people of each part's constant rotation, about x forward, y left, z up."""
 CLAVICLE_DEG, SIGMA_CLAVICLE_DEG = (12.0, 0.0), (5.0, 6.0)

@@ -17,9 +17,10 @@ from torch import Tensor
 
 from lifting.body import Body, side_of
 from lifting.draws import Draw, cross, rotation
+from rtof_kin.body.neutral_posture import CLAVICLES, SPINE
 from rtof_kin.body.shared_frames import LUMBAR_PITCH
 
-SPINE: Final = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
+TRUNK: Final = ("Hips", *SPINE)
 """Segments from the pelvis to the upper trunk."""
 PLACES: Final = {
     "Hips": (0.02, 0.0, 0.045), "Spine": (0.0, 0.0, 0.025), "Spine1": (0.015, 0.0, 0.025),
@@ -52,12 +53,12 @@ class RigConfig:
 
 
 def trunk_segments(body: Body) -> list[int]:
-    """Return the indices of `SPINE`, the clavicles and the neck; none if the body lacks any.
+    """Return the indices of `TRUNK`, the clavicles and the neck; none if the body lacks any.
 
     Args:
         body: joints.
     """
-    names = (*SPINE, "LeftShoulder", "RightShoulder", "Neck")
+    names = (*TRUNK, *CLAVICLES, "Neck")
     return [body.names.index(name) for name in names] if set(names) <= set(body.names) else []
 
 

@@ -63,6 +63,7 @@ class _Job:
         cls, recording: Recording, skeleton: SkeletonModel | None, lifter: LifterLike | None,
         settings: ReconstructionSettings | None, progress: Progress | None,
     ) -> _Job:  # fmt: skip
+        """Return the job for the arguments of `reconstruct`."""
         prior = getattr(lifter, "prior", None)
         if prior is not None:
             recording = replace(recording, model_prior=prior)

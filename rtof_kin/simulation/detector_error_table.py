@@ -14,14 +14,13 @@ from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
+from rtof_kin.vision.detector_errors import MIRROR_HARMONICS
 from rtof_kin.vision.layouts import Layout, detector_table
 
 VIEWS = ("front", "back", "left", "right")
 """Where a camera stands that sees a covariance of coloured errors."""
 _NUMBERS = ("amplitude", "visibility", "exchanges", "jumps", "lost", "camera")
 _ARM, _LEG = ("shoulder", "elbow", "wrist", "hand"), ("knee", "ankle", "foot")
-_HARMONIC_SIGNS = np.array([1, -1, 1, -1, -1, 1, 1, 1])
-"""Of x, y, z, xy, yz, xz, x2-y2, 3z2-1 when y changes sign."""
 _MIRROR_BODY, _MIRROR_IMAGE = np.array([1, -1, 1]), np.array([-1, 1])
 
 
@@ -111,16 +110,6 @@ class DetectorErrorTable:
         return np.flatnonzero(np.isin(self.kind, [self.group.index(name) for name in groups]))
 
 
-def harmonics(direction: Array) -> Array:
-    """Return x, y, z, xy, yz, xz, x2-y2, 3z2-1 of unit vectors: (..., 8).
-
-    Args:
-        direction: (..., 3).
-    """
-    x, y, z = np.moveaxis(direction, -1, 0)
-    return np.stack([x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], axis=-1)
-
-
 @cache
 def detector_error_table() -> DetectorErrorTable:
     """Return the shipped table."""
@@ -187,7 +176,7 @@ def _places(
 ) -> Places:
     sign = np.where(left[:, None], _MIRROR_BODY, 1)
     view = np.array([point["view_mm"] for point in points]) / 1e3
-    mirrored = view * _HARMONIC_SIGNS[:, None] * _MIRROR_BODY
+    mirrored = view * MIRROR_HARMONICS[:, None] * _MIRROR_BODY
 
     def joints(field: str) -> tuple[str, ...]:
         names = zip((point[field] for point in points), left, strict=True)

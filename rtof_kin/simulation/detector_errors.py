@@ -21,10 +21,11 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.simulation.detector_error_table import DetectorErrorTable, detector_error_table, harmonics
+from rtof_kin.simulation.detector_error_table import DetectorErrorTable, detector_error_table
 from rtof_kin.simulation.random_processes import episodes, ornstein_uhlenbeck, smoothed
 from rtof_kin.simulation.self_occlusion import self_occluded
 from rtof_kin.vision.detections import Detections
+from rtof_kin.vision.detector_errors import harmonics
 
 DELAY_RATE_HZ: Final = 60.0
 """Frame rate that `DetectorErrors.delay_frames` are counted at, Hz."""

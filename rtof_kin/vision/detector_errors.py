@@ -21,7 +21,8 @@ from rtof_kin.vision.layouts import detector_table, mirrored
 HARMONICS: Final = 8
 """Functions of the direction to the camera (`harmonics`)."""
 _MIRROR: Final = np.array([1.0, -1.0, 1.0])
-_MIRROR_HARMONICS: Final = np.array([1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+MIRROR_HARMONICS: Final = np.array([1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+"""Signs of the `harmonics` where y changes its sign."""
 _LEG: Final = 0.75
 """[m] Thigh and shank of the measured places."""
 
@@ -66,7 +67,7 @@ class DetectorPoint:
         return replace(
             self, anchor=mirrored(self.anchor), frame=mirrored(self.frame), second=mirrored(self.second),
             place=self.place * _MIRROR, second_place=self.second_place * _MIRROR,
-            view=self.view * _MIRROR_HARMONICS[:, None] * _MIRROR,
+            view=self.view * MIRROR_HARMONICS[:, None] * _MIRROR,
         )  # fmt: skip
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import planted
 
-from benchmarks.rerigged import RIG, SPINE, Posture, rerigged, t_pose
+from benchmarks.rerigged import RIG, Posture, rerigged, t_pose
 from rtof_kin.body import kinematics
+from rtof_kin.body.neutral_posture import SPINE
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.simulation.mocap import MocapClip
