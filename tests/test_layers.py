@@ -25,6 +25,7 @@ FOLDERS = {
     "solve": "SF2 and the fragment solvers",
     "calibration": "self-calibration",
     "reconstruction": "recording to motion",
+    "setup": "raw files to a recording",
     "clinical": "angles, gait, repetitions, torques",
     "report": "figures, report, audit, export",
     "protocols": "the papers' protocols",
@@ -33,7 +34,7 @@ FOLDERS = {
 """The folders of `rtof_kin`; each imports only from itself and from those above it here."""
 LIFTING_USES = {"core", "data", "body", "simulation", "datasets"}
 """Folders that `lifting` may import from."""
-LIFTING_USERS = {"reconstruction", "protocols", "cli"}
+LIFTING_USERS = {"reconstruction", "setup", "protocols", "cli"}
 """Folders that may import `lifting`, in functions or for type checking: the package does not load torch."""
 HEAVY = {"torch", "matplotlib", "yourdfpy", "casadi", "pinocchio"}
 

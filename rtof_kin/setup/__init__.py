@@ -1,0 +1,1 @@
+"""From raw files to a recording: camera, clocks, alignment and assignment of sensors, recording.toml."""
