@@ -1,4 +1,4 @@
-"""Calibrated pinhole camera with OpenCV's distortion model."""
+"""Pinhole camera with OpenCV's distortion model, calibrated or with standard deviations."""
 
 from __future__ import annotations
 
@@ -14,8 +14,27 @@ from rtof_kin.core.errors import InvalidInputError
 
 
 @dataclass(frozen=True)
+class CameraUncertainty:
+    """Standard deviations of what is assumed of a camera; 0 for what is known."""
+
+    focal: float = 0.0
+    """[1] Relative, of the focal length."""
+    tilt: float = 0.0
+    """[rad] Each, of pitch and roll: rotations about the camera's x and z axes through its centre."""
+    height: float = 0.0
+    """[m] Of the camera's centre along the world's z axis."""
+    k1: float = 0.0
+    """[1] Of the first radial distortion coefficient."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0 <= value < np.inf:
+                raise InvalidInputError(f"camera uncertainty {name}: {value} is no standard deviation")
+
+
+@dataclass(frozen=True)
 class Camera:
-    """A calibrated pinhole camera, fixed in the world."""
+    """A pinhole camera, fixed in the world."""
 
     K: Array
     """(3, 3) intrinsic matrix, px."""
@@ -31,6 +50,8 @@ class Camera:
     """(5,) OpenCV's k1, k2, p1, p2, k3."""
     assumed: tuple[str, ...] = ()
     """Assumed, not measured, properties in words, e.g. 'focal length', 'pose'."""
+    uncertainty: CameraUncertainty | None = None
+    """Of an uncalibrated camera, whose unknowns `reconstruct` estimates; None where it is calibrated."""
 
     def __post_init__(self) -> None:
         if self.distortion is None:  # callers may say None

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -28,14 +28,12 @@ from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.cameras import read_camera as read_camera_file
 from rtof_kin.formats.imu_calibration_toml import calibration_of
 from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import detector_table, is_detector_point
 
 _OWN_LAYOUT: Final = "joints"
 RECOGNISE: Final = "auto"  # a detector's layout that is to be recognised
-_SHORTEST_FOCAL: Final = 0.1  # of the image's width; a shorter focal length is in another unit
 _QUATERNION_TOLERANCE: Final = 1e-3
 _KEYPOINT_COLUMNS: Final = ("_u_px", "_v_px", "_confidence")
 _IMU_COLUMNS: Final = ("_qw", "_qx", "_qy", "_qz", "_fx", "_fy", "_fz")
@@ -86,8 +84,12 @@ def needed(path: Path, arrays: dict[str, Array], name: str, shape: str) -> Array
     return arrays[name]
 
 
-def _data_path(section: Section, or_folder: bool = False) -> Path:
-    """Return the file (or folder) inside the recording's folder that a section's field ``file`` names."""
+def data_path(section: Section, or_folder: bool = False) -> Path:
+    """Return the file inside the recording's folder that a section's field ``file`` names.
+
+    Args:
+        section: a table. or_folder: whether it may be a folder.
+    """
     name = section.text("file")
     path = path_inside(section.path.parent, name)
     if path is None:
@@ -111,76 +113,6 @@ def _times(section: Section, path: Path, arrays: dict[str, Array], T: int) -> Ar
     return section.number("start_s", 0.0) + np.arange(T) / rate
 
 
-# --- camera --------------------------------------------------------------------------------------
-
-
-def read_camera(section: Section) -> Camera:
-    """Read a camera given by its matrices, by position, target and focal length, or by a calibration file.
-
-    Args:
-        section: table ``[camera]``.
-    """
-    if section.has("file"):
-        path, name, up = _data_path(section), section.optional_text("name"), section.text("up", "z")
-        with naming(section.path):
-            camera = read_camera_file(
-                path, name, up=up, metres_per_unit=section.number("metres_per_unit", 1.0)
-            )
-        section.close()
-        return camera
-    width, height = section.integer("width_px"), section.integer("height_px")
-    with naming(section.path):
-        if section.has("position_m") or section.has("target_m"):
-            position, target = section.array("position_m", (3,)), section.array("target_m", (3,))
-            if np.linalg.norm(np.cross(target - position, [0, 0, 1])) < 1e-6:
-                raise section.error(
-                    "target_m", "straight above, below or at position_m, so upright is undefined; "
-                    "give R_camera_world and t_camera_world_m"
-                )  # fmt: skip
-            aimed = Camera.looking_at(position, target, 1.0, max(width, 1), max(height, 1))
-            R, t = aimed.R_camera_world, aimed.t_camera_world
-        else:
-            R, t = section.array("R_camera_world", (3, 3)), section.array("t_camera_world_m", (3,))
-        K = _intrinsics(section, width, height)
-        distortion = section.array("distortion", (5,)) if section.has("distortion") else np.zeros(5)
-        assumed = section.optional_names("assumed") or ()
-        camera = Camera(K, R, t, width, height, distortion, assumed)
-    if K[0, 0] < _SHORTEST_FOCAL * width:
-        raise section.error(
-            "K" if section.has("K") else "focal_px", f"a focal length of {K[0, 0]:g} px in images {width} "
-            "px wide sees nearly everything before the camera; is it in mm? Give px: mm / width of the "
-            "sensor in mm * width_px"
-        )  # fmt: skip
-    section.close()
-    return camera
-
-
-def _intrinsics(section: Section, width: int, height: int) -> Array:
-    if section.has("K"):
-        return section.array("K", (3, 3))
-    focal = section.number("focal_px")
-    centre = section.optional_array("principal_point_px", (2,))
-    cx, cy = (width / 2, height / 2) if centre is None else centre
-    return np.array([[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]])
-
-
-def camera_table(camera: Camera) -> dict[str, Any]:
-    """Return the table that `read_camera` reads back exactly.
-
-    Args:
-        camera: to write.
-    """
-    assumed = {"assumed": list(camera.assumed)} if camera.assumed else {}
-    return assumed | {
-        "width_px": int(camera.width_px),
-        "height_px": int(camera.height_px),
-        "K": camera.K.tolist(),
-        "R_camera_world": camera.R_camera_world.tolist(),
-        "t_camera_world_m": camera.t_camera_world.tolist(),
-        "distortion": camera.distortion.tolist(),
-    }
-
-
 # --- keypoints -----------------------------------------------------------------------------------
 
 
@@ -192,7 +124,7 @@ def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) ->
     """
     if section.text("layout", _OWN_LAYOUT) != _OWN_LAYOUT:
         return _read_detected(section, camera, skeleton)
-    path = _data_path(section)
+    path = data_path(section)
     is_csv = path.suffix.lower() == ".csv"
     if is_csv and section.has("layout"):
         raise section.error("layout", "a .csv names its points itself; leave the layout out")
@@ -258,7 +190,7 @@ def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) ->
             f"names of the points in landmarks, or write {_OWN_LAYOUT!r} for its joints in their order"
         )  # fmt: skip
     found = read_detector_keypoints(
-        _data_path(section, or_folder=True),
+        data_path(section, or_folder=True),
         camera,
         layout=None if layout == RECOGNISE else layout,
         rate_hz=section.optional_number("rate_hz"),
@@ -328,7 +260,7 @@ def read_imus(section: Section, skeleton: SkeletonModel) -> tuple[ImuSequence | 
 
 
 def _imu_sequence(section: Section, calibration: ImuCalibration | None) -> ImuSequence:
-    path = _data_path(section)
+    path = data_path(section)
     if path.suffix.lower() == ".csv":
         names, arrays = _imu_csv(path)
     else:
@@ -390,7 +322,7 @@ def read_truth(section: Section, skeleton: SkeletonModel) -> PoseSequence:
     Args:
         section: table ``[truth]``. skeleton: that names the joints.
     """
-    path = _data_path(section)
+    path = data_path(section)
     arrays = read_arrays(path, TRUTH)
     for name, shape in zip(TRUTH[:3], ("(T)", "(T, J, 3)", "(T, J, 3, 3)"), strict=True):
         needed(path, arrays, name, shape)

@@ -30,6 +30,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording import files
+from rtof_kin.recording.camera_table import camera_table, read_camera
 from rtof_kin.recording.session import Session, read_session
 from rtof_kin.vision.layouts import is_detector_point
 
@@ -220,7 +221,7 @@ class Recording:
             **_read_skeleton(skeleton),
         }
         if index.has("camera") or index.has("keypoints") or not index.has("imus"):
-            camera = files.read_camera(index.table("camera"))
+            camera = read_camera(index.table("camera"))
             body = _shipped(fields["skeleton_table"])
             fields["keypoints"] = files.read_keypoints(index.table("keypoints"), camera, body)
         facts = ("skeleton_table", "joint_offsets", "bone_lengths", "height", "mass_kg", "sex")
@@ -273,7 +274,7 @@ class Recording:
             "notes": {"acknowledgement": self.acknowledgement, "text": self.notes},
         }
         if self.keypoints is not None:
-            index["camera"] = files.camera_table(self.keypoints.camera)
+            index["camera"] = camera_table(self.keypoints.camera)
             index["keypoints"] = {"file": "keypoints.npz", "landmarks": list(self.keypoints.names)}
         if self.floor_height is not None:
             index["scene"] = {"floor_height_m": float(self.floor_height)}

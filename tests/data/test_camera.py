@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.data.camera import Camera
+from rtof_kin.data.camera import Camera, CameraUncertainty
 
 Array = NDArray[np.float64]
 K = np.array([[1200.0, 0, 960], [0, 1100.0, 540], [0, 0, 1]])
@@ -86,3 +86,15 @@ def test_distortion_is_the_formula_of_opencv() -> None:
         y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y,
     ]
     np.testing.assert_allclose(camera.project([2 * x, 2 * y, 2.0]), expected)
+
+
+@pytest.mark.parametrize("name", ["focal", "tilt", "height", "k1"])
+@pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
+def test_an_uncertainty_is_a_standard_deviation(name: str, value: float) -> None:
+    with pytest.raises(InvalidInputError, match=f"camera uncertainty {name}.*no standard deviation"):
+        CameraUncertainty(**{name: value})
+
+
+def test_copies_of_a_camera_keep_its_uncertainty() -> None:
+    camera = pinhole(uncertainty=CameraUncertainty(focal=0.1), distortion=np.array([0.1, 0, 0, 0, 0]))
+    assert camera.undistorted().uncertainty == camera.uncertainty

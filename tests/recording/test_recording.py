@@ -28,6 +28,7 @@ from rtof_kin.core.errors import (
     UnknownNameError,
 )
 from rtof_kin.core.files.manifest import MANIFEST
+from rtof_kin.data.camera import CameraUncertainty
 from rtof_kin.recording.recording import INDEX, Recording
 
 SKELETON = SkeletonModel.default()
@@ -269,6 +270,28 @@ def test_the_camera_may_be_given_by_its_matrices(tmp_path: Path) -> None:
     )
     camera = Recording.load(write(tmp_path, old, new)).keypoints.camera
     assert_same(camera, wanted)
+
+
+def test_an_uncertain_camera_is_read_and_written(tmp_path: Path) -> None:
+    table = "[camera.uncertainty]\nfocal = 0.1\ntilt_deg = 5.0\nheight_m = 0.02\n[keypoints]"
+    recording = Recording.load(write(tmp_path, "[keypoints]", table))
+    assert recording.video.camera.uncertainty == CameraUncertainty(0.1, np.radians(5.0), 0.02, 0.0)
+    recording.save(tmp_path.with_name("again"))
+    again = Recording.load(tmp_path.with_name("again")).video.camera.uncertainty
+    assert vars(again) == pytest.approx(vars(recording.video.camera.uncertainty))
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("focal = -0.1", r"recording.toml: camera uncertainty focal: -0.1 is no standard deviation"),
+        ("tilt = 5.0", r"\[camera.uncertainty\].*tilt.*tilt_deg"),
+    ],
+)
+def test_a_wrong_uncertainty_is_refused(tmp_path: Path, table: str, message: str) -> None:
+    text = f"[camera.uncertainty]\n{table}\n[keypoints]"
+    with pytest.raises((FileFormatError, UnknownNameError), match=message):
+        Recording.load(write(tmp_path, "[keypoints]", text))
 
 
 def csv_text(columns: dict[str, np.ndarray]) -> str:
