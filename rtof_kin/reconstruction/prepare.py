@@ -33,8 +33,6 @@ Progress = Callable[[str, int, int], None]
 """Called with (stage, steps done, steps in all)."""
 _SLOWEST_HZ, _FASTEST_HZ = 2.0, 2000.0
 """Frame rates that a video of a moving person may have."""
-_LONGEST_GAP = 1.5
-"""[frames] between samples of a further camera that are interpolated."""
 _log = logging.getLogger(__name__)
 
 
@@ -122,7 +120,7 @@ def prepare(
     _check_units(recording.video)
     recording, faults = cleaned(recording, settings)
     keypoints = evenly_spaced(recording.video)
-    views = tuple(_at(keypoints.times, view) for view in recording.views)
+    views = tuple(view.resample(keypoints.times) for view in recording.views)
     recording = replace(recording, keypoints=keypoints, views=views)
     bone_imus = recording.bone_imus() if mode in ("sf2", "rtof") else None
     if mode in ("sf2", "rtof") and bone_imus is None:
@@ -198,16 +196,6 @@ def cleaned(
     if views:
         recording = replace(recording, views=tuple(views))
     return (replace(recording, keypoints=keypoints, imus=imus) if faults else recording), faults
-
-
-def _at(times: Array, view: KeypointSequence) -> KeypointSequence:
-    """A further camera's keypoints interpolated to the first one's times, but not over dropped frames."""
-    if np.array_equal(times, view.times):
-        return view
-    gap = _LONGEST_GAP * float(np.median(np.diff(view.times))) if len(view) > 1 else 0.0
-    uv = signals.interpolate(view.times, view.uv_px, times, gap)
-    confidence = np.clip(np.nan_to_num(signals.interpolate(view.times, view.confidence, times, gap)), 0, 1)
-    return replace(view, times=times, uv_px=uv, confidence=confidence)
 
 
 def evenly_spaced(keypoints: KeypointSequence) -> KeypointSequence:
