@@ -165,11 +165,14 @@ class SelfCalibration:
         keypoints = recording.keypoints
         if keypoints is not None:
             keypoints = self._keypoints(keypoints)
+        views = tuple(self._view(view, recording.video.camera) for view in recording.views)
         imus, calibration = recording.imus, recording.calibration
         if imus is not None and calibration is not None:
             imus = self._imus(imus, calibration)
             calibration = self._calibration(calibration)
-        recording = replace(recording, keypoints=keypoints, imus=imus, calibration=calibration)
+        recording = replace(
+            recording, keypoints=keypoints, views=views, imus=imus, calibration=calibration
+        )
         if bones := self.of_kind("bones"):
             offsets = self._offsets(recording.skeleton, bones)
             recording = replace(recording, joint_offsets=offsets, bone_lengths=None)
@@ -210,11 +213,22 @@ class SelfCalibration:
         for name, bias in self.of_kind("image bias").items():
             if name in keypoints.names:
                 uv[:, keypoints.names.index(name)] -= bias
-        times = keypoints.times
+        camera = self._camera(keypoints.camera)
+        return replace(keypoints, uv_px=uv, times=self._times(keypoints.times), camera=camera)
+
+    def _view(self, view: KeypointSequence, first: Camera) -> KeypointSequence:
+        """A further camera's keypoints; its pose relative to the first one stays."""
+        camera, moved = view.camera, self._camera(first)
+        relative = camera.R_camera_world @ first.R_camera_world.T
+        R = so3.nearest_rotation(relative @ moved.R_camera_world)
+        t = camera.t_camera_world + relative @ (moved.t_camera_world - first.t_camera_world)
+        camera = replace(camera, R_camera_world=R, t_camera_world=t)
+        return replace(view, times=self._times(view.times), camera=camera)
+
+    def _times(self, times: Array) -> Array:
         for delay in self.of_kind("delay").values():
             times = times - np.polyval(delay[::-1], times - self.middle)
-        camera = self._camera(keypoints.camera)
-        return replace(keypoints, uv_px=uv, times=times, camera=camera)
+        return times
 
     def _camera(self, camera: Camera) -> Camera:
         for longer in self.of_kind("focal length").values():

@@ -13,6 +13,7 @@ from typing import Final, Self
 
 import numpy as np
 
+from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_names, checked_times, freeze
 from rtof_kin.core.errors import InvalidInputError
@@ -20,6 +21,8 @@ from rtof_kin.data.camera import Camera
 
 _OF: Final = ":"
 """Between a layout and its point."""
+_LONGEST_GAP: Final = 1.5
+"""[frames] between detections that are interpolated."""
 
 
 def detector_point(layout: str, point: str) -> str:
@@ -80,6 +83,21 @@ class KeypointSequence:
         return replace(
             self, times=self.times[frames], uv_px=self.uv_px[frames], confidence=self.confidence[frames]
         )
+
+    def resample(self, times: Array, max_gap: float | None = None) -> Self:
+        """Return the landmarks interpolated linearly to other times.
+
+        Args:
+            times: (T',) s. max_gap: longest interval between detections that is interpolated, s; by default
+                one and a half frames, so that missing frames stay missing.
+        """
+        if np.array_equal(times, self.times):
+            return self
+        if max_gap is None:
+            max_gap = _LONGEST_GAP * float(np.median(np.diff(self.times))) if len(self) > 1 else 0.0
+        uv = signals.interpolate(self.times, self.uv_px, times, max_gap)
+        confidence = signals.interpolate(self.times, self.confidence, times, max_gap)
+        return replace(self, times=times, uv_px=uv, confidence=np.clip(np.nan_to_num(confidence), 0, 1))
 
     @property
     def seen(self) -> Mask:

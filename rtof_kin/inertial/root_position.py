@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from rtof_kin.core.array_types import Array
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 
@@ -13,6 +15,8 @@ from rtof_kin.data.poses import PoseSequence
 def refit_root(
     poses: PoseSequence,
     keypoints: KeypointSequence,
+    views: Sequence[KeypointSequence] = (),
+    *,
     sigma_px: float = 15.0,
     sigma_depth: float = 0.1,
     iterations: int = 4,
@@ -24,35 +28,50 @@ def refit_root(
 
     Args:
         poses: (T, J) rigid poses. keypoints: of the same frames; landmarks that are joints are used.
-        sigma_px: standard deviation of a landmark, px. sigma_depth: of the given root, m.
-        iterations: Gauss-Newton steps.
+        views: those of further cameras. sigma_px: standard deviation of a landmark, px.
+        sigma_depth: of the given root, m. iterations: Gauss-Newton steps.
 
     Returns:
         The poses translated; frames without keypoints are unchanged.
     """
-    seen = keypoints.select(poses.names)
     camera = keypoints.camera
-    p = camera.to_camera(poses.p_world_joint)
-    xy = camera.normalise(seen.uv_px)
-    focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
-    ok = seen.seen & np.isfinite(p).all(axis=-1)
+    rays = _Rays(poses, keypoints, sigma_px)
+    others = [(_Rays(poses, k, sigma_px), k.camera.R_camera_world @ camera.R_camera_world.T) for k in views]
     shift = np.zeros((len(poses), 3))
     for _ in range(iterations):
+        normal, right = rays.equations(shift)
+        normal, right = normal + np.eye(3) / sigma_depth**2, right - shift / sigma_depth**2
+        for other, R in others:
+            more_normal, more_right = other.equations(shift @ R.T)
+            normal, right = normal + R.T @ more_normal @ R, right + more_right @ R
+        shift = shift + np.linalg.solve(normal, right[..., None])[..., 0]
+    shift = np.where(np.isfinite(shift), shift, 0.0)
+    return replace(poses, p_world_joint=poses.p_world_joint + (shift @ camera.R_camera_world)[:, None])
+
+
+class _Rays:
+    """Joints (T, J) that a camera sees, in its axes."""
+
+    def __init__(self, poses: PoseSequence, keypoints: KeypointSequence, sigma_px: float) -> None:
+        seen, camera = keypoints.select(poses.names), keypoints.camera
+        self.p = camera.to_camera(poses.p_world_joint)
+        self.xy = camera.normalise(seen.uv_px)
+        self.size = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) / sigma_px
+        self.ok = seen.seen & np.isfinite(self.p).all(axis=-1)
+
+    def equations(self, shift: Array) -> tuple[Array, Array]:
+        """Normal equations (T, 3, 3) and (T, 3) of a step from a shift (T, 3), m, in the camera's axes."""
+        p, ok, T = self.p, self.ok, len(self.p)
         moved = p + shift[:, None]
         depth = np.maximum(moved[..., 2], 0.3)
         # Residual of a point at depth z: focal / z (x - z x_ray), in sigmas.
         A = np.zeros((*p.shape[:2], 2, 3))
         A[..., 0, 0] = A[..., 1, 1] = 1.0
         A[..., :, 2] = -moved[..., :2] / depth[..., None]
-        scale = (focal / sigma_px / depth)[..., None]
-        r = (moved[..., :2] - moved[..., 2:] * xy) * scale
+        scale = (self.size / depth)[..., None]
+        r = (moved[..., :2] - moved[..., 2:] * self.xy) * scale
         r = np.where(ok[..., None], r, 0.0)
         weight = np.where(ok, 1 / (1 + np.sum(r**2, axis=-1) / 4), 0.0)
-        A = np.where(ok[..., None, None], A * scale[..., None], 0.0)
-        rows = (len(poses), -1, 3)
-        weighed = np.swapaxes((A * weight[..., None, None]).reshape(rows), 1, 2)
-        normal = weighed @ A.reshape(rows) + np.eye(3) / sigma_depth**2
-        right = -(weighed @ r.reshape(len(poses), -1, 1))[..., 0] - shift / sigma_depth**2
-        shift = shift + np.linalg.solve(normal, right[..., None])[..., 0]
-    shift = np.where(np.isfinite(shift), shift, 0.0)
-    return replace(poses, p_world_joint=poses.p_world_joint + (shift @ camera.R_camera_world)[:, None])
+        A = np.where(ok[..., None, None], A * scale[..., None], 0.0).reshape(T, -1, 3)
+        weighed = np.swapaxes(A * np.repeat(weight, 2, axis=1)[..., None], 1, 2)
+        return weighed @ A, -(weighed @ r.reshape(T, -1, 1))[..., 0]

@@ -59,6 +59,9 @@ class Lifted:
     """Orientations follow from positions where the lifter gives none."""
     R_world_bone: Array
     """(T, J, 3, 3) orientations that the lifter gives itself; NaN where it gives none."""
+    sigma_m: Array
+    """(T, J, 2) standard deviations across and along the camera's ray (`lifting.predict.LiftedPoses`), m; NaN
+    where unknown, and of several cameras."""
 
 
 def lift(
@@ -100,4 +103,4 @@ def lift(
         orientation_observed=valid & (levels_by_points(skeleton, joints) == WHOLE),
         sigma_rad=result.sigma_rad,
     )
-    return Lifted(poses, result.R_world_bone)
+    return Lifted(poses, result.R_world_bone, result.sigma_m)

@@ -109,8 +109,9 @@ class _Job:
         solver = FragmentSolver(prepared.skeleton, self.settings.frames, self.settings.fragment, places)
         report = (lambda i, n: self.progress(stage, i, n)) if stage else None
         return solver.solve(
-            prepared.guess, prepared.keypoints, prepared.bone_imus, report, confidence=confidence
-        )
+            prepared.guess, prepared.keypoints, prepared.bone_imus, report, confidence=confidence,
+            views=prepared.views,
+        )  # fmt: skip
 
     def _sensor_places(self, skeleton: SkeletonModel) -> tuple[str, ...]:
         """Segments for which the problem has room for a sensor: those that the recording or the settings
@@ -141,7 +142,7 @@ def reconstruct(
     The video is lifted once, and once more where the recording is calibrated first.
 
     Args:
-        recording: keypoints of one camera and, for sf2 and rtof, IMUs with their calibration; mode imu
+        recording: keypoints of one or several cameras and, for sf2 and rtof, IMUs with their calibration; mode imu
             needs the IMUs only.
         skeleton: the subject's. Default: that of the recording.
         mode: lift, sf2, rto, rtof or imu (`rtof_kin.core.choices.Mode`).

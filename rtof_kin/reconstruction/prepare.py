@@ -20,6 +20,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.inertial.outlier_rejection import mask_faults, merge_faults, reject_imu_outliers
+from rtof_kin.reconstruction.fused_lifts import fused
 from rtof_kin.reconstruction.lift import Lifted, LifterLike, lift
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
@@ -40,7 +41,7 @@ class Prepared:
     """A recording made ready for calibration and the fragment solver."""
 
     recording: Recording
-    """Streams without outliers, keypoints evenly spaced."""
+    """Streams without outliers, keypoints evenly spaced, those of further cameras at the same times."""
     skeleton: SkeletonModel
     lifted: Lifted
     bone_imus: BoneImuSequence | None
@@ -68,11 +69,21 @@ class Prepared:
         return video if self.calibration is None else self.calibration.moved(video, self.start)
 
     @cached_property
+    def views(self) -> tuple[KeypointSequence, ...]:
+        """The same of further cameras."""
+        views = self.recording.views
+        if self.calibration is None:
+            return views
+        return tuple(self.calibration.moved(view, self.start) for view in views)
+
+    @cached_property
     def guess(self) -> InitialGuess:
         """What the fragment solver and the calibration start from."""
         solver = self.settings.solver(self.skeleton)
         sensors = self.bone_imus if isinstance(solver, JointSpaceSettings) else None
-        return initial_guess(self.start, self.keypoints, sensors, self.skeleton, refit_root=solver.refit_root)
+        return initial_guess(
+            self.start, self.keypoints, sensors, self.skeleton, refit_root=solver.refit_root, views=self.views
+        )
 
     def without(self, wrong: tuple[StreamFault, ...]) -> Prepared:
         """Return the same with sensors rejected; SF2 runs again on the same lift.
@@ -109,16 +120,20 @@ def prepare(
     _check_units(recording.video)
     recording, faults = cleaned(recording, settings)
     keypoints = evenly_spaced(recording.video)
-    recording = replace(recording, keypoints=keypoints)
+    views = tuple(view.resample(keypoints.times) for view in recording.views)
+    recording = replace(recording, keypoints=keypoints, views=views)
     bone_imus = recording.bone_imus() if mode in ("sf2", "rtof") else None
     if mode in ("sf2", "rtof") and bone_imus is None:
         raise InvalidInputError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
     if bone_imus is not None and rejected:
         bone_imus = mask_faults(bone_imus, rejected)
-    progress("lift", 0, 1)
     sensors = bone_imus if settings.lift_with_sensors else None
-    lifted = lift(keypoints, skeleton, lifter, sensors, recording.floor_height)
-    progress("lift", 1, 1)
+    lifts, cameras = [], (keypoints, *views)
+    for i, seen in enumerate(cameras):
+        progress("lift", i, len(cameras))
+        lifts.append(lift(seen, skeleton, lifter, sensors, recording.floor_height))
+    progress("lift", len(cameras), len(cameras))
+    lifted = fused(lifts, cameras, skeleton)
     stages, start = _refined(lifted, skeleton, mode, bone_imus, settings)
     return Prepared(
         recording, skeleton, lifted, bone_imus, stages, start, faults, settings, calibration, rejected
@@ -171,6 +186,15 @@ def cleaned(
     if "samples" in settings.guards and imus is not None:
         imus, of_sensors = reject_imu_outliers(imus)
         faults += of_sensors
+    views = []
+    for i, view in enumerate(recording.views if camera else (), start=1):
+        view, of_view = reject_keypoint_outliers(
+            view, sides="sides" in settings.guards, person="person" in settings.guards
+        )
+        views.append(view)
+        faults += tuple(replace(fault, what=f"{fault.what} of view {i}") for fault in of_view)
+    if views:
+        recording = replace(recording, views=tuple(views))
     return (replace(recording, keypoints=keypoints, imus=imus) if faults else recording), faults
 
 

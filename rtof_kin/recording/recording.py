@@ -1,4 +1,4 @@
-"""`Recording`: one take of one person, seen by one camera, by IMUs or by both, and its folder.
+"""`Recording`: one take of one person, seen by cameras, by IMUs or by both, and its folder.
 
 The folder's format, ``recording.toml`` and the arrays that it names, is described in docs/recording.md.
 """
@@ -30,8 +30,9 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording import files
-from rtof_kin.recording.camera_table import camera_table, read_camera
+from rtof_kin.recording.camera_table import read_camera
 from rtof_kin.recording.session import Session, read_session
+from rtof_kin.recording.views import camera_and_keypoints, keypoint_file, read_views
 from rtof_kin.vision.layouts import is_detector_point
 
 SCHEMA_VERSION: Final = 1
@@ -81,6 +82,9 @@ class Recording:
     """Free text."""
     session: Session = field(default_factory=Session)
     """Labels of the session."""
+    views: tuple[KeypointSequence, ...] = ()
+    """Further cameras of the same person on the same clock, at times of their own; the first camera is that
+    of `keypoints`."""
 
     def __post_init__(self) -> None:
         if self.keypoints is None and self.imus is None:
@@ -90,6 +94,9 @@ class Recording:
         if self.skeleton_table not in _SKELETONS:
             raise UnknownNameError("skeleton table", [self.skeleton_table], _SKELETONS)
         set_ = object.__setattr__
+        set_(self, "views", tuple(self.views))
+        if self.views and self.keypoints is None:
+            raise InvalidInputError("views: are further cameras; give the first one as keypoints")
         if self.bone_lengths is not None:
             lengths = {str(name): float(length) for name, length in self.bone_lengths.items()}
             set_(self, "bone_lengths", lengths)
@@ -122,7 +129,8 @@ class Recording:
 
     def _check_names(self) -> None:
         skeleton = self.skeleton
-        own = [name for name in self.keypoints.names if not is_detector_point(name)] if self.keypoints else []
+        seen = (self.keypoints, *self.views) if self.keypoints else ()
+        own = [name for view in seen for name in view.names if not is_detector_point(name)]
         named = {
             "landmark": (own, list(skeleton.landmarks)),
             "joint in the calibration": (self.calibration.joints if self.calibration else (), skeleton.names),
@@ -139,6 +147,7 @@ class Recording:
 
     def _check_clocks(self) -> None:
         parts = {"keypoints": self.keypoints, "IMU": self.imus, "truth": self.truth}
+        parts |= {f"view {i}": view for i, view in enumerate(self.views, start=1)}
         (first, times), *others = ((what, part.times) for what, part in parts.items() if part is not None)
         for what, other in others:
             if not (other[0] <= times[-1] and times[0] <= other[-1]):
@@ -224,6 +233,7 @@ class Recording:
             camera = read_camera(index.table("camera"))
             body = _shipped(fields["skeleton_table"])
             fields["keypoints"] = files.read_keypoints(index.table("keypoints"), camera, body)
+        fields["views"] = read_views(index.tables("views"), _shipped(fields["skeleton_table"]))
         facts = ("skeleton_table", "joint_offsets", "bone_lengths", "height", "mass_kg", "sex")
         body = _body(**{name: fields[name] for name in facts if name in fields})
         if index.has("imus"):
@@ -247,9 +257,9 @@ class Recording:
         """
         keypoints, imus = self.keypoints, self.imus
         with new_folder(Path(folder).resolve(), INDEX, overwrite) as fresh:
-            if keypoints is not None:
-                arrays = {"uv_px": keypoints.uv_px, "confidence": keypoints.confidence}
-                write_npz(fresh / "keypoints.npz", {**arrays, "times": keypoints.times})
+            for i, seen in enumerate((keypoints, *self.views) if keypoints is not None else ()):
+                arrays = {"uv_px": seen.uv_px, "confidence": seen.confidence}
+                write_npz(fresh / keypoint_file(i), {**arrays, "times": seen.times})
             if imus is not None:
                 arrays = {"R_inertial_sensor": imus.R_inertial_sensor, "f_sensor": imus.f_sensor}
                 write_npz(fresh / "imus.npz", {**arrays, "times": imus.times})
@@ -274,8 +284,9 @@ class Recording:
             "notes": {"acknowledgement": self.acknowledgement, "text": self.notes},
         }
         if self.keypoints is not None:
-            index["camera"] = camera_table(self.keypoints.camera)
-            index["keypoints"] = {"file": "keypoints.npz", "landmarks": list(self.keypoints.names)}
+            index |= camera_and_keypoints(self.keypoints, 0)
+        if self.views:
+            index["views"] = [camera_and_keypoints(v, i) for i, v in enumerate(self.views, start=1)]
         if self.floor_height is not None:
             index["scene"] = {"floor_height_m": float(self.floor_height)}
         if self.imus is not None or self.calibration is not None:

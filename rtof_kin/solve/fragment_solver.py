@@ -97,6 +97,7 @@ class FragmentSolver:
         progress: Progress | None = None,
         footholds: Footholds | None = None,
         confidence: bool = False,
+        views: Sequence[KeypointSequence] = (),
     ) -> FragmentSolution:
         """Optimise a sequence: RTOF with sensors, RTO without, sensors only without keypoints.
 
@@ -110,14 +111,17 @@ class FragmentSolver:
             progress: called after every fragment.
             footholds: of standing feet, one row per frame; in joint space.
             confidence: whether to compute covariances of the poses, in joint space.
+            views: keypoints of further cameras at the frames' times, in joint space.
 
         Raises:
             InvalidInputError: times differ or are uneven, or a pose is not finite. ViewError: the person
                 is behind the camera. UnknownNameError: joints or sensors of another skeleton.
             SolverError: there is nothing to solve with, or the space cannot use it.
         """
-        guess, bone_imus = self._guess(start, keypoints, bone_imus, footholds)
-        run = self._solver.run(guess, keypoints, bone_imus, footholds, progress, confidence=confidence)
+        guess, bone_imus = self._guess(start, keypoints, bone_imus, footholds, views)
+        run = self._solver.run(
+            guess, keypoints, bone_imus, footholds, progress, confidence=confidence, views=views
+        )
         blocks = list(run)
         whole = replace(
             guess.poses,
@@ -126,7 +130,7 @@ class FragmentSolver:
         )
         confidences = [block.confidence for block in blocks if block.confidence is not None]
         return FragmentSolution(
-            self._solver.oriented(whole, keypoints, bone_imus),
+            self._solver.oriented(whole, keypoints, bone_imus, views),
             tuple(report for block in blocks for report in block.fragments),
             joined(confidences) if confidences else None,
         )
@@ -151,17 +155,32 @@ class FragmentSolver:
     def _guess(
         self, start: PoseSequence | InitialGuess, keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None, footholds: Footholds | None,
+        views: Sequence[KeypointSequence] = (),
     ) -> tuple[InitialGuess, BoneImuSequence | None]:  # fmt: skip
         """The initial guess, made where only poses are given, and the sensors as one sequence."""
         poses = start.poses if isinstance(start, InitialGuess) else start
         if bone_imus is not None and not isinstance(bone_imus, BoneImuSequence):
             bone_imus = BoneImuSequence.joined(bone_imus, poses.times)
         self._check(poses, keypoints, bone_imus, footholds)
+        self._check_views(poses, keypoints, views)
         if isinstance(start, InitialGuess):
             return start, bone_imus
         bridging = bone_imus if self.space == "joint" else None  # positions alone are not bridged
         refit = self.settings.refit_root
-        return initial_guess(start, keypoints, bridging, self.skeleton, refit_root=refit), bone_imus
+        guess = initial_guess(start, keypoints, bridging, self.skeleton, refit_root=refit, views=views)
+        return guess, bone_imus
+
+    def _check_views(
+        self, start: PoseSequence, keypoints: KeypointSequence | None, views: Sequence[KeypointSequence]
+    ) -> None:
+        if views and (keypoints is None or self.space == "cartesian"):
+            raise SolverError(
+                "several cameras are used in space 'joint' only; leave out the views, or use that space"
+            )
+        for i, view in enumerate(views):
+            if not np.array_equal(start.times, view.times):
+                raise InvalidInputError(f"start and view {i + 1}: must have the same times")
+            _check_before(view, start, f"of view {i + 1} ")
 
     def _check(
         self, start: PoseSequence, keypoints: KeypointSequence | None,
@@ -187,10 +206,15 @@ class FragmentSolver:
             if unknown:
                 raise UnknownNameError("IMU segment", unknown, self.sensor_joints)
         if keypoints is not None:
-            depth = keypoints.camera.to_camera(start.p_world_joint)[..., 2]
-            if np.any(depth < 0.05):
-                frame = int(np.argwhere(depth < 0.05)[0][0])
-                raise ViewError(
-                    f"start: frame {frame} is behind the camera or in it; check R_camera_world, "
-                    "t_camera_world (world to camera, metres) and the world's z axis"
-                )
+            _check_before(keypoints, start)
+
+
+def _check_before(keypoints: KeypointSequence, start: PoseSequence, whose: str = "") -> None:
+    """Raise where the person is not before a camera."""
+    depth = keypoints.camera.to_camera(start.p_world_joint)[..., 2]
+    if np.any(depth < 0.05):
+        frame = int(np.argwhere(depth < 0.05)[0][0])
+        raise ViewError(
+            f"start: frame {frame} is behind the camera {whose}or in it; check R_camera_world, "
+            "t_camera_world (world to camera, metres) and the world's z axis"
+        )

@@ -9,7 +9,7 @@ What moves them beside their segment, a second segment and the direction of view
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import NamedTuple
 
@@ -89,6 +89,21 @@ class ImagePoints:
         by_world = camera.K @ camera.R_camera_world
         J = (by_world[:2] - uv[..., None] * by_world[2]) / depth[..., None, None]
         return np.asarray(J @ R_world_bone[:, [j for j, _ in self.on]])
+
+
+def joined(parts: Sequence[ImagePoints]) -> ImagePoints:
+    """Return the points of several cameras, one after the other.
+
+    Args:
+        parts: at least one, of the same skeleton.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    each = {f.name: [getattr(part, f.name) for part in parts] for f in fields(ImagePoints)}
+    each["R_bone_pelvis"] = [parts[0].R_bone_pelvis]
+    return ImagePoints(
+        **{k: np.concatenate(v) if isinstance(v[0], np.ndarray) else sum(v, ()) for k, v in each.items()}
+    )
 
 
 class _Point(NamedTuple):

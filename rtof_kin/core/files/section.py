@@ -146,6 +146,14 @@ class Section:
             raise self.error(field, f"not a table; write its fields under [{name}]")
         return Section(self.path, value, name)
 
+    def tables(self, field: str) -> list[Section]:
+        """Return the tables of an array of tables, written ``[[field]]``; none if absent."""
+        values = self._data[field] if self.has(field) else []
+        if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
+            raise self.error(field, f"not tables in a row; begin each with [[{field}]]")
+        name = f"{self.name}.{field}" if self.name else field
+        return [Section(self.path, value, f"{name}.{i}") for i, value in enumerate(values, start=1)]
+
     def close(self) -> None:
         """Refuse fields that were not read: they are misspelt or of another format.
 

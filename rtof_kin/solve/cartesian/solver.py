@@ -69,6 +69,7 @@ class CartesianSolver:
         footholds: Footholds | None,
         progress: Callable[[int, int], None] | None,
         confidence: bool = False,  # noqa: ARG002 - this space has no covariances
+        views: Sequence[KeypointSequence] = (),  # noqa: ARG002 - `FragmentSolver` has refused them
     ) -> Iterator[Block]:
         """Yield blocks of N/2 frames; the arguments are those of `FragmentSolver.solve`."""
         if keypoints is None or footholds is not None:
@@ -256,8 +257,9 @@ class CartesianSolver:
         return target.reshape(N - 3, -1).T
 
     def oriented(
-        self, poses: PoseSequence, _: KeypointSequence | None, bone_imus: BoneImuSequence | None
-    ) -> PoseSequence:
+        self, poses: PoseSequence, _: KeypointSequence | None, bone_imus: BoneImuSequence | None,
+        __: Sequence[KeypointSequence] = (),
+    ) -> PoseSequence:  # fmt: skip
         """Return the poses with orientations from their positions, and twist from the sensors."""
         never = InertialGuidedIKSettings(threshold=np.pi)
         return InertialGuidedIK(self.skeleton, never).orient(poses, bone_imus)

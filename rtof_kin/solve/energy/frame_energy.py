@@ -56,6 +56,14 @@ class Shape:
     """[m] Scale of the Cauchy loss of heights over the floor."""
     contacts: tuple[int, ...] = ()
     """Joints that may have footholds."""
+    further: tuple[int, ...] = ()
+    """Number of landmarks of each further camera; they are the last ones."""
+
+    @property
+    def cameras(self) -> tuple[int, ...]:
+        """Camera of each landmark; the first is 0."""
+        counts = (len(self.landmarks) - sum(self.further), *self.further)
+        return tuple(c for c, count in enumerate(counts) for _ in range(count))
 
 
 class FrameEnergy:
@@ -128,10 +136,11 @@ class FrameEnergy:
         O, C, shape, total = self.observation, self.constant, self.shape, self._total
         p, R, q = self._p, self._R, self._q
 
-        def pixels(uv: Any) -> _Residual:
+        def pixels(uv: Any, which: int) -> _Residual:
+            K, R_camera_world, t_camera_world = (C[name] for name in camera_names(which))
+
             def residual(point: Any) -> Any:
-                camera = C["R_camera_world"] @ point + C["t_camera_world"]
-                return energies.reprojection(camera, uv, C["K"])
+                return energies.reprojection(R_camera_world @ point + t_camera_world, uv, K)
 
             return residual
 
@@ -142,10 +151,10 @@ class FrameEnergy:
             b, start = C["offsets"][:, child], O["b_world"][:, i]
             return lambda e: energies.bone_vector(ca.SX(3, 1), R[j] @ (b + ca.cross(e, b)), start)
 
-        visual, robust = [], _pseudo_huber(O["knee_visual"])
-        for i, (j, is_joint) in enumerate(shape.landmarks):
+        visual = []
+        for i, ((j, is_joint), camera) in enumerate(zip(shape.landmarks, shape.cameras, strict=True)):
             point = p[j] if is_joint else p[j] + R[j] @ C["places"][:, i]
-            residual = pixels(O["uv_px"][:, i])
+            residual, robust = pixels(O["uv_px"][:, i], camera), _pseudo_huber(O["knee_visual"][camera])
             visual.append(total.add_point("visual", j, point, residual, O["w_visual"][i], robust))
         robust = _pseudo_huber(shape.robust_orientation)
         for s, j in enumerate(shape.sensors):
@@ -263,7 +272,8 @@ def _observation(shape: Shape) -> dict[str, Any]:
     """Symbols of what is observed in a frame; weights are 1 / sigma^2, 0 where nothing is."""
     L, S, B, F = len(shape.landmarks), len(shape.sensors), len(shape.bones), len(shape.feet)
     symbols = {
-        "uv_px": ca.SX.sym("uv", 2, L), "w_visual": ca.SX.sym("wv", L), "knee_visual": ca.SX.sym("kv"),
+        "uv_px": ca.SX.sym("uv", 2, L), "w_visual": ca.SX.sym("wv", L),
+        "knee_visual": ca.SX.sym("kv", 1 + len(shape.further)),
         "quat_sensor": ca.SX.sym("qs", 4, S), "w_sensor": ca.SX.sym("ws", S),
         "quat_torso": ca.SX.sym("qt", 4, len(shape.torso)), "w_torso": ca.SX.sym("wt", len(shape.torso)),
         "b_world": ca.SX.sym("b", 3, B), "w_bone": ca.SX.sym("wb", B),
@@ -276,16 +286,27 @@ def _observation(shape: Shape) -> dict[str, Any]:
 
 
 def _constant(space: StateSpace, shape: Shape) -> dict[str, Any]:
-    """Symbols of what is constant over a fragment: body, camera, prior, floor."""
+    """Symbols of what is constant over a fragment: body, cameras, prior, floor."""
     S, turning = len(shape.sensors), len(space.joints) - 1
+    shapes = (3, 3), (3, 3), (3, 1)
+    cameras = [zip(camera_names(c), shapes, strict=True) for c in range(1 + len(shape.further))]
     return {
         "offsets": ca.SX.sym("o", 3, len(space.skeleton.names)),
-        "K": ca.SX.sym("K", 3, 3), "R_camera_world": ca.SX.sym("R", 3, 3),
-        "t_camera_world": ca.SX.sym("t", 3),
+        **{name: ca.SX.sym(name, *shape) for camera in cameras for name, shape in camera},
         "whitening": ca.SX.sym("W", 9, S), "levers": ca.SX.sym("l", 3, S),
         "places": ca.SX.sym("c", 3, len(shape.landmarks)), "quat_mean": ca.SX.sym("qm", 4, turning),
         "precision": ca.SX.sym("P", 3 * turning, 3 * turning), "floor": ca.SX.sym("f"),
     }  # fmt: skip
+
+
+def camera_names(which: int) -> tuple[str, str, str]:
+    """Return the names of the constants of a camera: intrinsic matrix, rotation and translation.
+
+    Args:
+        which: 0 for the first.
+    """
+    end = f"_{which}" if which else ""
+    return f"K{end}", f"R_camera_world{end}", f"t_camera_world{end}"
 
 
 def _function(name: str, inputs: list[Any], outputs: list[Any]) -> Any:

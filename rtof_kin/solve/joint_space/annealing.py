@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
@@ -23,9 +23,7 @@ _SETTLED: Final = 0.05
 class Annealing:
     """Callback of `LevenbergMarquardt.solve` that weights the landmarks by their residuals.
 
-    Attributes:
-        sigma: standard deviation of a landmark per axis, px, with the factor.
-        factor: by which autocorrelation increases it.
+    Each camera's landmarks have a standard deviation and an autocorrelation of their own.
     """
 
     def __init__(
@@ -40,53 +38,96 @@ class Annealing:
             observation: of the fragment. least_px: lower bound of sigma.
         """
         self._settings, self._problem, self._confidence = settings, problem, confidence
-        self._seen, self._others, self._sizes = observation["w_visual"] > 0, observation, sizes
+        self._seen, self._others = observation["w_visual"] > 0, observation
         low, high = settings.sigma_reprojection_range
         self._bounds = max(low, least_px), max(high, least_px)
-        seen, given = self._seen, settings.sigma_reprojection
-        self._count, self._pairs = int(seen.sum()), int((seen[1:] & seen[:-1]).sum())
-        self.sigma = settings.sigma_reprojection_range[1] if given is None else given
-        self.factor = 1.0
-        sees = bool(problem.energy.shape.landmarks)
-        self._left = settings.annealing if given is None and sees else 0
-        self._found = self.sigma
-        self._weigh(None)
+        given, shape = settings.sigma_reprojection, problem.energy.shape
+        largest = settings.sigma_reprojection_range[1] if given is None else given
+        self._camera = np.array(shape.cameras, dtype=int)
+        self._pictures = [
+            _Picture(self._seen[:, own], sizes[own], largest, settings.largest_correlation_factor)
+            for own in (self._camera == c for c in range(1 + len(shape.further)))
+        ]
+        self._left = settings.annealing if given is None and shape.landmarks else 0
+        self._weigh(False)
 
     def __call__(self, x: Array) -> bool:
         """Estimate the weights at states x (N, 3 + 4A); return whether they were changed."""
         if self._left == 0:
             return False
-        size, factor = self._estimated(self._problem.value(x)[1])
-        self.factor = factor
-        first = self._left == self._settings.annealing
-        if abs(size * factor / self._found - 1) < _SETTLED and not first:
+        residuals, changed = self._problem.value(x)[1], self._left == self._settings.annealing
+        for c, picture in enumerate(self._pictures):
+            changed |= picture.estimate(residuals[:, self._camera == c])
+        if not changed:
             return False
         self._left -= 1
-        self._found = size * factor
-        self.sigma = float(np.clip(self._found, *self._bounds))
-        self._weigh(factor)
+        for picture in self._pictures:
+            picture.accept(self._bounds)
+        self._weigh(True)
         return True
 
     @property
-    def constant_px(self) -> float:
-        """Size of the constant part of a landmark's errors, px per axis."""
-        square = self.factor**2  # (1 + r) / (1 - r) with the correlation r
-        return float(self.sigma / self.factor * np.sqrt((square - 1) / (square + 1)))
+    def sigma(self) -> float:
+        """Standard deviation of a landmark per axis with the factor for autocorrelation, px; the mean of the
+        cameras that see enough.
+        """
+        return float(np.mean([picture.sigma for picture in self._observing]))
 
-    def _weigh(self, factor: float | None) -> None:
-        """Set the weights for errors whose autocorrelation has a factor.
+    @property
+    def _observing(self) -> list[_Picture]:
+        """Cameras with enough landmarks for an estimate, else all."""
+        return [picture for picture in self._pictures if picture.enough] or self._pictures
+
+    @property
+    def constant_px(self) -> float:
+        """Size of the constant part of a landmark's errors, px per axis; the first camera's."""
+        picture = self._pictures[0]
+        square = picture.factor**2  # (1 + r) / (1 - r) with the correlation r
+        return float(picture.sigma / picture.factor * np.sqrt((square - 1) / (square + 1)))
+
+    def _weigh(self, estimated: bool) -> None:
+        """Set the weights, for errors whose autocorrelation was estimated or not yet.
 
         Outliers are relative to the residuals without the factor. The errors of a sensor, of the root of
         the initial guess and of the prior's mean are constant over a fragment; their weights per frame
         decrease where the errors of vision average out.
         """
-        self._problem.reweigh("w_visual", self._confidence * self._seen / self.sigma**2)
-        knee = self._settings.robust_reprojection / (factor or 1.0)
-        self._problem.reweigh("knee_visual", np.full(len(self._seen), knee))
+        sigma = np.array([picture.sigma for picture in self._pictures])[self._camera]
+        self._problem.reweigh("w_visual", self._confidence * self._seen / sigma**2)
+        knees = [self._settings.robust_reprojection / picture.factor for picture in self._pictures]
+        self._problem.reweigh("knee_visual", np.tile(knees, (len(self._seen), 1)))
         largest = self._settings.largest_correlation_factor
-        share = (factor or largest) / largest
+        factor = float(np.mean([picture.factor for picture in self._observing]))
+        share = factor / largest if estimated else 1.0
         for name in ("w_sensor", "w_prior", "w_root"):
             self._problem.reweigh(name, share * self._others[name])
+
+
+class _Picture:
+    """The errors of one camera's landmarks.
+
+    Attributes:
+        sigma: standard deviation of a landmark per axis, px, with the factor.
+        factor: by which autocorrelation increases it.
+        enough: whether there are enough landmarks for an estimate.
+    """
+
+    def __init__(self, seen: Mask, sizes: Array, sigma: float, largest_factor: float) -> None:
+        self._seen, self._sizes, self._largest = seen, sizes, largest_factor
+        self._count, self._pairs = int(seen.sum()), int((seen[1:] & seen[:-1]).sum())
+        self.enough, self.sigma, self.factor = self._count >= _FEWEST, sigma, 1.0
+        self._kept = self._found = sigma
+
+    def estimate(self, residuals: Array) -> bool:
+        """Estimate from residuals (N, L, 2), px; return whether the size has changed much."""
+        size, self.factor = self._estimated(residuals)
+        self._found = size * self.factor
+        return abs(self._found / self._kept - 1) >= _SETTLED
+
+    def accept(self, bounds: tuple[float, float]) -> None:
+        """Take the last estimate, within bounds, px."""
+        self._kept = self._found
+        self.sigma = float(np.clip(self._found, *bounds))
 
     def _estimated(self, residuals: Array) -> tuple[float, float]:
         """Size of a residual per axis, px, and the factor for its autocorrelation, of a landmark of size 1.
@@ -94,8 +135,8 @@ class Annealing:
         With a correlation r from frame to frame, errors weigh like white ones that are
         sqrt((1 + r) / (1 - r)) times larger.
         """
-        if self._count < _FEWEST:
-            return self._found, 1.0
+        if not self.enough:
+            return self._kept, 1.0
         residuals = residuals / self._sizes[:, None]
         squares = np.einsum("tli,tli->tl", residuals, residuals)[self._seen]
         size = max(float(np.sqrt(np.median(squares))) / _NORMAL_MEDIAN, _LEAST)
@@ -103,4 +144,4 @@ class Annealing:
         product = float(np.vdot(clipped[1:], clipped[:-1])) / max(self._pairs, 1)
         square = float(np.vdot(clipped, clipped)) / self._count
         r = float(np.clip(product / max(square, _LEAST**2), 0.0, 0.99))
-        return size, float(min(np.sqrt((1 + r) / (1 - r)), self._settings.largest_correlation_factor))
+        return size, float(min(np.sqrt((1 + r) / (1 - r)), self._largest))

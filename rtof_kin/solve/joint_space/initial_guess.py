@@ -8,6 +8,7 @@ two ends of an interval are distributed over it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,6 +42,7 @@ def initial_guess(
     skeleton: SkeletonModel,
     *,
     refit_root: bool = True,
+    views: Sequence[KeypointSequence] = (),
 ) -> InitialGuess:
     """Return the initial guess for poses of a recording.
 
@@ -49,13 +51,14 @@ def initial_guess(
         keypoints: at the times of `start`. None, without a camera, leaves the poses unchanged.
         bone_imus: any subset of the sensors, at any times; those on shanks and feet determine the root.
         refit_root: whether the root is moved onto the rays of its landmarks.
+        views: keypoints of further cameras at the same times.
     """
     sigma = np.zeros(len(start))
     if keypoints is None:
         return InitialGuess(start, sigma)
     if refit_root:
-        start = refitted(start, keypoints)
-    seen = np.asarray(keypoints.select(skeleton.names).seen.any(axis=1))
+        start = refitted(start, keypoints, views)
+    seen = np.any([k.select(skeleton.names).seen.any(axis=1) for k in (keypoints, *views)], axis=0)
     silent = bone_imus is None or not np.isfinite(bone_imus.R_world_bone).any()
     if bone_imus is None or silent or seen.all() or not seen.any():
         return InitialGuess(start, sigma)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
@@ -14,6 +14,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index, Mask
+from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
@@ -22,11 +23,12 @@ from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy, built_energy
 from rtof_kin.solve.energy.frame_energy import TORSO, Shape
 from rtof_kin.solve.energy.problem import FragmentData
 from rtof_kin.solve.energy.state import StateSpace
+from rtof_kin.solve.joint_space.cameras import camera_data
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.limits import Limits
 from rtof_kin.solve.joint_space.places import estimated_places
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-from rtof_kin.vision.image_points import image_points, measurements
+from rtof_kin.vision.image_points import image_points, joined, measurements
 
 _ROOT_BESIDE_SENSORS: Final = 2.0
 """Factor on sigma_root where there are both landmarks and sensors."""
@@ -57,10 +59,11 @@ class Observations:
     """Observations of T frames, and the energy of fragments built for them.
 
     Attributes:
-        names: L landmarks, or the detector's own points. points: their places.
+        names: L landmarks, or the detector's own points, those of further cameras behind those of the first.
+        points: their places.
         sensors: S segments with a place for a sensor. attached: segments of landmarks, sensors, ankles.
         fixed: joints of the state space that keep their orientation because their sensor has no data.
-        rows, a_world, w_acceleration: observations of every frame. constant: body, camera, prior, floor.
+        rows, a_world, w_acceleration: observations of every frame. constant: body, cameras, prior, floor.
         start: (T, 3 + 4A) initial states. confidence: (T, L) relative weights of the landmarks, 0 where
             unobserved.
         problem: energy of a fragment. limits: of the hinges, or None.
@@ -76,6 +79,7 @@ class Observations:
         bone_imus: BoneImuSequence | None,
         footholds: Footholds | None = None,
         places: Collection[str] = (),
+        views: Sequence[KeypointSequence] = (),
     ) -> None:
         """Collect the observations.
 
@@ -85,14 +89,17 @@ class Observations:
             footholds: of standing feet (T).
             places: further segments with a place for a sensor; recordings with any of them share the
                 compiled code.
+            views: keypoints of further cameras, at the times of the guess.
         """
         self.skeleton, self.frames, self.settings = skeleton, frames, settings
         start = guess.poses
         self.rate_hz = start.rate_hz
-        if keypoints is not None:
-            keypoints = measurements(keypoints, skeleton)
-        self.names: tuple[str, ...] = () if keypoints is None else keypoints.names
-        self.points = image_points(skeleton, self.names)
+        seen = [measurements(k, skeleton) for k in (keypoints, *views) if k is not None]
+        self.names: tuple[str, ...] = sum((k.names for k in seen), ())
+        self.points = joined([image_points(skeleton, k.names) for k in seen] or [image_points(skeleton, ())])
+        stops = np.cumsum([len(k.names) for k in seen]).tolist()
+        parts = map(slice, [0, *stops], stops)
+        self._cameras = [(k.camera, part) for k, part in zip(seen, parts, strict=False)]
         active = _active(bone_imus)
         self.sensors = tuple(n for n in skeleton.names if n in active or n in places)
         turning = {skeleton.names[p] for p in skeleton.parents if p >= 0} | active
@@ -104,7 +111,7 @@ class Observations:
         self.problem = self._problem(active, standing)
         self.attached = Attached.of(self.problem.energy.shape)
         self.limits = Limits(self.space) if settings.limits else None
-        self._observe(start, keypoints, bone_imus, active)
+        self._observe(start, seen, bone_imus, active)
         self._displace(start.p_world_joint, start.R_world_bone)
         self._anchor_bridged_root(guess.sigma_root)
         if footholds is not None:
@@ -139,8 +146,9 @@ class Observations:
         p, R = self.space.poses(x)
         self._displace(p, R)
         if self.points.place_covariance.any():
-            slopes = self.points.slopes(self._camera, p, R)
-            residuals = self.rows["uv_px"] - self._camera.undistorted().project(self.points.positions(p, R))
+            slopes = self._by_camera(lambda camera: self.points.slopes(camera, p, R))
+            at = self.points.positions(p, R)
+            residuals = self.rows["uv_px"] - self._by_camera(lambda camera: camera.undistorted().project(at))
             found = estimated_places(residuals, slopes, self.confidence, self.points.place_covariance)
             self.points = replace(self.points, places=self.points.places + found)
             self.constant["places"] = self.points.places.T
@@ -148,10 +156,14 @@ class Observations:
     def _displace(self, p: Array, R: Array) -> None:
         """Remove from the pixels what moves the points beside their segments at poses (T, J)."""
         if self.points.place_covariance.any():
-            off = self.points.displaced(self._camera, p, R)
+            off = self._by_camera(lambda camera: self.points.displaced(camera, p, R))
             self.rows["uv_px"] = self._uv_px - np.where(
                 self.confidence[..., None] > 0, np.nan_to_num(off), 0.0
             )
+
+    def _by_camera(self, of: Callable[[Camera], Array]) -> Array:
+        """Values (T, L, ...) of the points, each by the camera that sees it."""
+        return np.concatenate([of(camera)[:, part] for camera, part in self._cameras], axis=1)
 
     def anything_seen(self, first: int, inside: Mask) -> bool:
         """Return whether a landmark or a sensor has data in a fragment.
@@ -182,6 +194,7 @@ class Observations:
             robust_orientation=s.robust_orientation,
             floor_cutoff=s.floor_cutoff,
             contacts=tuple(map(index, standing)),
+            further=tuple(part.stop - part.start for _, part in self._cameras[1:]),
         )
         unsensed, smooth = s.jerk_without_sensors, bare(active)
         others = s.jerk if active else unsensed
@@ -192,7 +205,7 @@ class Observations:
         )  # fmt: skip
 
     def _observe(
-        self, start: PoseSequence, seen: KeypointSequence | None, bone_imus: BoneImuSequence | None,
+        self, start: PoseSequence, seen: Sequence[KeypointSequence], bone_imus: BoneImuSequence | None,
         active: Collection[str],
     ) -> None:  # fmt: skip
         """Set rows, constant, a_world and w_acceleration."""
@@ -201,17 +214,17 @@ class Observations:
         alone = np.array([skeleton.names[joint] in bare_joints for joint, _ in bones], dtype=float)
         bone_weights = np.zeros_like(alone) if s.sigma_bone is None else alone / s.sigma_bone**2
         joints, children = np.reshape(bones, (-1, 2)).astype(int).T
-        rows, constant = _camera_data(seen, T)
+        rows, constant = camera_data(seen, T)
         self.confidence = rows["w_visual"]
-        if seen is not None:
+        if seen:
             shares = self.points.independent / self.points.sizes**2
-            self.confidence = np.where(seen.seen, seen.confidence, 0.0) * shares
-            self._camera, self._uv_px = seen.camera, rows["uv_px"]
+            self.confidence = np.concatenate([k.confidence for k in seen], axis=1) * shares
+            self._uv_px = rows["uv_px"]
         slow = low_passed(bone_imus, s)
         quat, has, self.a_world, self.w_acceleration, levers = sensor_data(start.times, slow, self.sensors, s)
         torso = list(self.problem.energy.shape.torso)
         self.rows = rows | {
-            "knee_visual": np.full(T, s.robust_reprojection),
+            "knee_visual": np.full((T, max(len(seen), 1)), s.robust_reprojection),
             "quat_sensor": quat,
             "w_sensor": has,
             "quat_torso": so3.to_quat_wxyz(start.R_world_bone[:, torso]),
@@ -219,7 +232,7 @@ class Observations:
             "b_world": p[:, children] - p[:, joints],
             "w_bone": np.tile(bone_weights, (T, 1)),
             "p_root": p[:, 0],
-            "w_root": np.full(T, self._root_weight(active, seen is not None)),
+            "w_root": np.full(T, self._root_weight(active, bool(seen))),
             "w_floor": np.zeros((T, len(self.attached.feet))),
             "w_prior": np.ones(T),
         }
@@ -338,17 +351,6 @@ def sensor_data(
         w[:, k] = measured / settings.sigma_acceleration**2
         levers[k] = bone_imus.p_bone_sensor[s]
     return quat, has, a, w, levers
-
-
-def _camera_data(seen: KeypointSequence | None, frames: int) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Undistorted landmarks by frame, and the camera; empty without one."""
-    if seen is None:
-        none = {"uv_px": np.zeros((frames, 0, 2)), "w_visual": np.zeros((frames, 0))}
-        return none, {"K": np.eye(3), "R_camera_world": np.eye(3), "t_camera_world": np.zeros(3)}
-    camera = seen.camera
-    uv = camera.normalise(seen.uv_px) @ camera.K[:2, :2].T + camera.K[:2, 2]
-    rows = {"uv_px": np.where(seen.seen[..., None], uv, 0.0), "w_visual": seen.seen.astype(float)}
-    return rows, {name: getattr(camera, name) for name in ("K", "R_camera_world", "t_camera_world")}
 
 
 def _active(bone_imus: BoneImuSequence | None) -> set[str]:

@@ -53,6 +53,7 @@ class JointSpaceSolver:
         footholds: Footholds | None,
         progress: Callable[[int, int], None] | None,
         confidence: bool = False,
+        views: Sequence[KeypointSequence] = (),
     ) -> Iterator[Block]:
         """Yield blocks of N/2 frames; the arguments are those of `FragmentSolver.solve`."""
         if keypoints is not None:
@@ -60,8 +61,9 @@ class JointSpaceSolver:
             if not set(used.names) & set(keypoints.names):
                 raise SolverError("keypoints: none of the landmarks is one of the skeleton")
         data = Observations(
-            self.skeleton, self.frames, self.settings, guess, keypoints, bone_imus, footholds, self.places
-        )
+            self.skeleton, self.frames, self.settings, guess, keypoints, bone_imus, footholds, self.places,
+            views,
+        )  # fmt: skip
         half, times = self.frames // 2, guess.poses.times
         i = np.arange(self.frames)
         taper = np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
@@ -91,18 +93,20 @@ class JointSpaceSolver:
             yield Block(frames, *data.space.poses(x), tuple(reports), known)
 
     def oriented(
-        self, poses: PoseSequence, keypoints: KeypointSequence | None, _: BoneImuSequence | None
-    ) -> PoseSequence:
+        self, poses: PoseSequence, keypoints: KeypointSequence | None, _: BoneImuSequence | None,
+        views: Sequence[KeypointSequence] = (),
+    ) -> PoseSequence:  # fmt: skip
         """Return the poses with flags of the orientations that landmarks beside the joints show."""
-        if keypoints is None:
-            return poses
-        levels = levels_by_points(self.skeleton, keypoints)
         ends = [j not in self.skeleton.parents for j in range(len(poses.names))]
-        return replace(
-            poses,
-            orientation_observed=poses.orientation_observed | (levels == WHOLE),
-            direction_observed=poses.direction_observed | ((levels == DIRECTION) & ends),
-        )
+        for seen in (keypoints, *views):
+            if seen is not None:
+                levels = levels_by_points(self.skeleton, seen)
+                poses = replace(
+                    poses,
+                    orientation_observed=poses.orientation_observed | (levels == WHOLE),
+                    direction_observed=poses.direction_observed | ((levels == DIRECTION) & ends),
+                )
+        return poses
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,45 @@
+"""Several cameras in a recording's folder: ``[camera]`` and ``[keypoints]``, and further ``[[views]]``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.files.section import Section
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.recording import files
+from rtof_kin.recording.camera_table import camera_table, read_camera
+
+
+def read_views(sections: Sequence[Section], skeleton: SkeletonModel) -> tuple[KeypointSequence, ...]:
+    """Read further cameras, each with a table ``camera`` and a table ``keypoints``.
+
+    Args:
+        sections: tables ``[[views]]``. skeleton: that has the landmarks.
+    """
+    views = []
+    for section in sections:
+        camera = read_camera(section.table("camera"))
+        views.append(files.read_keypoints(section.table("keypoints"), camera, skeleton))
+        section.close()
+    return tuple(views)
+
+
+def camera_and_keypoints(keypoints: KeypointSequence, which: int) -> dict[str, Any]:
+    """Return the tables ``camera`` and ``keypoints`` that are read back exactly.
+
+    Args:
+        keypoints: written to `keypoint_file`. which: camera, 0 for the first.
+    """
+    seen = {"file": keypoint_file(which), "landmarks": list(keypoints.names)}
+    return {"camera": camera_table(keypoints.camera), "keypoints": seen}
+
+
+def keypoint_file(which: int) -> str:
+    """Return the name of the file with a camera's keypoints.
+
+    Args:
+        which: camera, 0 for the first.
+    """
+    return f"keypoints_{which + 1}.npz" if which else "keypoints.npz"
