@@ -13,7 +13,7 @@ from typing import Any, Final
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats import total_capture
-from rtof_kin.formats.sensors import imu_csv, imu_mat, mvnx, opensense_sto, ximu3, xsens
+from rtof_kin.formats.sensors import imu_csv, imu_mat, mvnx, noraxon, opensense_sto, ximu3, xsens
 
 _HEAD_BYTES: Final = 2**14
 _MOST_FILES: Final = 1000
@@ -63,6 +63,10 @@ FORMATS: Final = (
         xsens.MT_TITLE,
         "text: lines of '//', then columns PacketCounter, Acc_X, ..., Quat_q0 or Mat[1][1], ...",
         xsens.is_xsens_mt, xsens.read_xsens_mt,
+    ),
+    Format(
+        noraxon.TITLE, "CSV: columns time, 'Thigh Accel Sensor X LT (mG)', '...-Gyroscope-x (deg/s)', ...",
+        noraxon.is_noraxon, noraxon.read_noraxon, True,
     ),
     Format(
         imu_csv.TITLE, "columns time, NAME_fx, NAME_fy, NAME_fz, NAME_wx, ..., NAME_mx, ..., NAME_qw, ...",
