@@ -20,11 +20,7 @@ READERS: Final[dict[str, Callable[..., dict[str, Camera]]]] = {
 
 
 def read_camera(
-    path: str | Path,
-    name: str | None = None,
-    *,
-    up: str | None = None,
-    metres_per_unit: float | None = None,
+    path: str | Path, name: str | None = None, *, up: str | None = None, metres_per_unit: float | None = None
 ) -> Camera:
     """Read one camera, in a world with z up, from a TOML, OpenCV's YAML or JSON, or OpenCap's pickle.
 

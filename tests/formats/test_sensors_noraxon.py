@@ -57,7 +57,8 @@ def the_sensor(path: Path, **declared: object) -> SensorStream:
 def test_every_spelling_is_read(tmp_path: Path, accel: str, gyro: str, name: str, head: str) -> None:
     stream = the_sensor(written(tmp_path, accel, gyro, head=head))
     assert stream.name == name
-    assert stream.f_sensor is not None and stream.w_sensor is not None
+    assert stream.f_sensor is not None
+    assert stream.w_sensor is not None
     np.testing.assert_allclose(stream.f_sensor, ONE.f, atol=1e-8)
     np.testing.assert_allclose(stream.w_sensor, ONE.w, atol=1e-8)
     np.testing.assert_allclose(stream.times, TIMES)
@@ -98,9 +99,7 @@ def test_the_rate_can_be_declared_where_there_is_no_time(tmp_path: Path) -> None
         ("0.010000", "0.001000", "increas"),
     ],
 )
-def test_a_file_that_contradicts_itself_is_refused(
-    tmp_path: Path, old: str, new: str, problem: str
-) -> None:
+def test_a_file_that_contradicts_itself_is_refused(tmp_path: Path, old: str, new: str, problem: str) -> None:
     path = written(tmp_path, *THIGH)
     text = path.read_text(encoding="utf-8")
     assert old in text

@@ -86,6 +86,6 @@ def test_only_utc_is_a_start(tmp_path: Path) -> None:
     path = tmp_path / f"MT_1_000-001_{SERIALS[0]}.txt"
     path.write_text(mt_text(ONE, np.arange(20) + 100))
     log = read_sensor_log(path)
-    for start in (datetime(2023, 1, 1), datetime(2023, 1, 1, tzinfo=timezone(timedelta(hours=2)))):  # noqa: DTZ001
+    for start in (datetime(2023, 1, 1), datetime(2023, 1, 1, tzinfo=timezone(timedelta(hours=2)))):
         with pytest.raises(InvalidInputError, match="is not in UTC"):
             replace(log, start_utc=start)

@@ -136,7 +136,6 @@ class _Array:
 class PlainUnpickler(pickle.Unpickler):
     """Unpickler of one object that imports nothing."""
 
-
     def __init__(self, data: bytes) -> None:
         self.encodable = len(data)
         self.finished: dict[int, tuple[Any, Any]] = {}

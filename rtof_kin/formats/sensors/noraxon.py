@@ -37,12 +37,13 @@ _ACCELERATION, _RATE = "acceleration", "gyroscope"
 _UNITS: Final = {_ACCELERATION: {"mG": "mg", "G": "g", "m/s^2": "m/s2", "m/s²": "m/s2"},
                  _RATE: {"deg/s": "deg/s", "°/s": "deg/s", "rad/s": "rad/s"}}  # fmt: skip
 """Spelling of a unit in the file -> in a declaration."""
+_SEGMENT: Final = r"(?P<segment>[^-,()]+?)"
+_SIDE: Final = r"(?: (?P<side>[LR]T))?"
 _FORMS: Final = tuple(
     re.compile(form + r"\s*(?:\((?P<unit>[^()]*)\)|,\s*(?P<unit2>.*))\s*", re.IGNORECASE)
     for form in (
-        r"(?:(?P<before>[LR]T) )?(?P<segment>[^-,()]+?) (?P<kind>Accel) Sensor (?P<axis>[XYZ])(?: (?P<side>[LR]T))?",
-        r"(?:(?P<before>[LR]T) )?(?P<segment>[^-,()]+?) (?P<kind>Gyro) (?P<axis>[XYZ])(?: (?P<side>[LR]T))?",
-        r"(?:Noraxon )?MyoMotion-Segments-(?P<segment>[^-,()]+?)(?: (?P<side>[LR]T))?-(?P<kind>Gyro)scope-(?P<axis>[xyz])",
+        rf"(?:(?P<before>[LR]T) )?{_SEGMENT} (?P<kind>Accel Sensor|Gyro) (?P<axis>[XYZ]){_SIDE}",
+        rf"(?:Noraxon )?MyoMotion-Segments-{_SEGMENT}{_SIDE}-(?P<kind>Gyroscope)-(?P<axis>[xyz])",
     )
 )
 
@@ -71,7 +72,7 @@ def _meaning(name: str) -> _Column | None:
     if found is None:
         return None
     parts = found.groupdict()
-    kind = _ACCELERATION if found["kind"].lower() == "accel" else _RATE
+    kind = _ACCELERATION if found["kind"].lower().startswith("accel") else _RATE
     side = (parts.get("before") or parts["side"] or "").upper()
     unit = (found["unit"] if found["unit"] is not None else found["unit2"]).strip()
     return _Column(f"{found['segment']} {side}".strip(), kind, "xyz".index(found["axis"].lower()), unit)
@@ -79,9 +80,7 @@ def _meaning(name: str) -> _Column | None:
 
 def read_noraxon(path: Path, **declared: Any) -> SensorLog:
     """Implement `files.Format.read`; a declared `rate_hz` replaces the column of times."""
-    table = read_table(
-        path, _is_header, lambda name: name.lower() == "time" or _meaning(name) is not None, decimal_commas=True
-    )  # fmt: skip
+    table = read_table(path, _is_header, lambda name: name.lower() == "time" or bool(_meaning(name)), True)
     columns = {name: found for name in table.names if (found := _meaning(name)) is not None}
     own = Declaration(
         acceleration_unit=_unit(path, columns, _ACCELERATION, "mg"),  # type: ignore[arg-type]
@@ -91,7 +90,12 @@ def read_noraxon(path: Path, **declared: Any) -> SensorLog:
     times = _times(table, declaration.rate_hz)
     sensors = dict.fromkeys(column.sensor for column in columns.values())
     readings = [
-        Readings(name, times, *(_vectors(table, columns, name, kind) for kind in (_ACCELERATION, _RATE)))
+        Readings(
+            name,
+            times,
+            acceleration=_vectors(table, columns, name, _ACCELERATION),
+            gyroscope=_vectors(table, columns, name, _RATE),
+        )
         for name in sensors
     ]
     return sensor_log([path], TITLE, readings, declaration, (*table.notes, *lost(times)))
