@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Self
 
@@ -92,9 +93,13 @@ class SensorLog:
     """Units and conventions of the file."""
     file_notes: tuple[str, ...] = ()
     """Remarks on the file as a whole."""
+    start_utc: datetime | None = None
+    """Date and time of the earliest sample, with its zone UTC; None where the file does not state it."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "streams", tuple(self.streams))
+        if self.start_utc is not None and self.start_utc.utcoffset() != timedelta(0):
+            raise InvalidInputError(f"start_utc of {self.path}: {self.start_utc} is not in UTC")
         checked_names(f"sensors of {self.path}", self.names)
 
     @property

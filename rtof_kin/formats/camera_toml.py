@@ -1,5 +1,7 @@
 """Camera calibrations in TOML, one table per camera, as Pose2Sim, Caliscope and Anipose write them.
 
+FreeMoCap has Anipose's; newer versions of Caliscope put the tables under ``[cameras]``.
+
     [cam_01]
     name = "cam_01"                        # the table's name where absent
     size = [1088.0, 1920.0]                # width, height, px
@@ -47,6 +49,8 @@ def read_camera_toml(path: str | Path, *, up: str = "z", metres_per_unit: float 
     """
     R_world_file = world_of_file(up, metres_per_unit)
     file = Section.of_file(Path(path))
+    if "cameras" in file.keys() and not _is_camera(file, "cameras"):  # noqa: SIM118
+        file = file.table("cameras")
     cameras: dict[str, Camera] = {}
     for key in file.keys():  # noqa: SIM118
         if key == "metadata" or not _is_camera(file, key):

@@ -48,6 +48,8 @@ _NAMES: Final = {
     "name": ("camera_name", "name"),
 }  # fmt: skip
 """Accepted names of the entries. 'pose' is 3 x 4 or 4 x 4, [R T]; 'size' is width, height."""
+MATRIX_NAMES: Final = _NAMES["matrix"]
+"""Names of the entry that every camera has."""
 
 
 def read_opencv_yaml(

@@ -30,11 +30,10 @@ def read_camera(section: Section) -> Camera:
     """
     uncertainty = _uncertainty(section)
     if section.has("file"):
-        path, name, up = data_path(section), section.optional_text("name"), section.text("up", "z")
+        path, name, up = data_path(section), section.optional_text("name"), section.optional_text("up")
         with naming(section.path):
-            camera = read_camera_file(
-                path, name, up=up, metres_per_unit=section.number("metres_per_unit", 1.0)
-            )
+            metres_per_unit = section.optional_number("metres_per_unit")
+            camera = read_camera_file(path, name, up=up, metres_per_unit=metres_per_unit)
         section.close()
         return replace(camera, uncertainty=uncertainty)
     width, height = section.integer("width_px"), section.integer("height_px")

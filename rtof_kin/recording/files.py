@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import (
     CalibrationError,
@@ -24,19 +23,14 @@ from rtof_kin.core.files.arrays import read_csv, read_npz
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.section import Section
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu import ImuSequence
-from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.imu_calibration_toml import calibration_of
 from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import detector_table, is_detector_point
 
 _OWN_LAYOUT: Final = "joints"
 RECOGNISE: Final = "auto"  # a detector's layout that is to be recognised
-_QUATERNION_TOLERANCE: Final = 1e-3
 _KEYPOINT_COLUMNS: Final = ("_u_px", "_v_px", "_confidence")
-_IMU_COLUMNS: Final = ("_qw", "_qx", "_qy", "_qz", "_fx", "_fy", "_fz")
 TRUTH: Final = ("times", "p_world_joint", "R_world_bone", "provenance", "valid", "orientation_observed")
 """Fields of `PoseSequence` in a file."""
 _log = logging.getLogger(__name__)
@@ -84,23 +78,27 @@ def needed(path: Path, arrays: dict[str, Array], name: str, shape: str) -> Array
     return arrays[name]
 
 
-def data_path(section: Section, or_folder: bool = False) -> Path:
-    """Return the file inside the recording's folder that a section's field ``file`` names.
+def data_path(section: Section, or_folder: bool = False, field: str = "file") -> Path:
+    """Return the file (or folder) inside the recording's folder that a field of a section names.
 
     Args:
-        section: a table. or_folder: whether it may be a folder.
+        section: the table. or_folder: whether a folder will do. field: that names the file.
     """
-    name = section.text("file")
+    name = section.text(field)
     path = path_inside(section.path.parent, name)
     if path is None:
-        raise section.error("file", f"{name!r} leads out of the folder; name a file inside it")
+        raise section.error(field, f"{name!r} leads out of the folder; name a file inside it")
     if not path.is_file() and not (or_folder and path.is_dir()):
-        raise section.error("file", f"there is no file {path}; put it there or correct the name")
+        raise section.error(field, f"there is no file {path}; put it there or correct the name")
     return path
 
 
-def _times(section: Section, path: Path, arrays: dict[str, Array], T: int) -> Array:
-    """Return times (T,) in s: those of the file, or evenly spaced at ``rate_hz`` from ``start_s``."""
+def times_of(section: Section, path: Path, arrays: dict[str, Array], T: int) -> Array:
+    """Return times (T,) in s: those of the file, or evenly spaced at ``rate_hz``; ``start_s`` is added.
+
+    Args:
+        section: table of the file. path: the file. arrays: its content. T: number of samples.
+    """
     if not section.has("rate_hz"):
         if "times" not in arrays:
             raise section.error("rate_hz", f"missing, and {path} has no times; give one of the two")
@@ -136,7 +134,7 @@ def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) ->
     kept = [i for i, name in enumerate(names) if name]
     with naming(path):
         uv, confidence = keypoint_arrays(arrays)
-        times, named = _times(section, path, arrays, len(uv)), tuple(names[i] for i in kept)
+        times, named = times_of(section, path, arrays, len(uv)), tuple(names[i] for i in kept)
         section.close()
         return KeypointSequence(camera, times, uv[:, kept], confidence[:, kept], named)
 
@@ -212,15 +210,20 @@ def read_keypoint_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:
     """
     columns = read_csv(path)
     arrays = {"times": columns.pop("time")} if "time" in columns else {}
-    names = _csv_names(path, list(columns), _KEYPOINT_COLUMNS, optional=1)
+    names = csv_names(path, list(columns), _KEYPOINT_COLUMNS, optional=1)
     uv = np.stack([[columns[n + end] for end in _KEYPOINT_COLUMNS[:2]] for n in names]).transpose(2, 0, 1)
     seen = np.isfinite(uv).all(axis=-1).astype(float)
     given = [columns.get(f"{n}_confidence", seen[:, i]) for i, n in enumerate(names)]
     return names, arrays | {"uv_px": uv, "confidence": np.stack(given, axis=1)}
 
 
-def _csv_names(path: Path, columns: list[str], endings: Sequence[str], optional: int = 0) -> tuple[str, ...]:
-    """Return names in the order of their first column; all but the last `optional` endings are required."""
+def csv_names(path: Path, columns: list[str], endings: Sequence[str], optional: int = 0) -> tuple[str, ...]:
+    """Return names in the order of their first column.
+
+    Args:
+        path: the file. columns: its columns but time. endings: of the columns of each name.
+        optional: number of the last endings that are not required.
+    """
     names: dict[str, None] = {}
     for column in columns:
         ending = next((end for end in endings if column.endswith(end)), None)
@@ -237,80 +240,6 @@ def _csv_names(path: Path, columns: list[str], endings: Sequence[str], optional:
     if missing:
         raise FileFormatError(path, f"the column {missing[0]!r} is missing", 1)
     return tuple(names)
-
-
-# --- IMUs ----------------------------------------------------------------------------------------
-
-
-def read_imus(section: Section, skeleton: SkeletonModel) -> tuple[ImuSequence | None, ImuCalibration | None]:
-    """Read sensor data, where the section names a file, and their calibration, where it has one.
-
-    Args:
-        section: table ``[imus]``. skeleton: with the usual places of sensors.
-    """
-    calibration = calibration_of(section.table("sensors"), skeleton)
-    imus = _imu_sequence(section, calibration) if section.has("file") else None
-    if imus is not None and calibration is not None:
-        missing = [name for name in imus.names if name not in calibration.sensors]
-        if missing:
-            where = f"sensor (it has no table [imus.sensors.*] in {section.path})"
-            raise UnknownNameError(where, missing, calibration.sensors)
-    section.close()
-    return imus, calibration
-
-
-def _imu_sequence(section: Section, calibration: ImuCalibration | None) -> ImuSequence:
-    path = data_path(section)
-    if path.suffix.lower() == ".csv":
-        names, arrays = _imu_csv(path)
-    else:
-        arrays = read_arrays(path, ("quat_wxyz", "R_inertial_sensor", "f_sensor", "times"))
-        listed = section.optional_names("names")
-        if listed is None and calibration is not None:
-            listed = calibration.sensors
-        if listed is None:
-            raise section.error("names", "missing; list the sensors in the file's order")
-        names = listed
-    f = needed(path, arrays, "f_sensor", "(T, S, 3)")
-    if f.shape[1] != len(names):
-        raise section.error(
-            "names", f"{len(names)} sensors are named, but {path} has {f.shape[1]}; list them in the "
-            "file's order"
-        )  # fmt: skip
-    with naming(path):
-        R = _imu_rotations(path, arrays, names)
-        return ImuSequence(_times(section, path, arrays, len(f)), R, f, names)
-
-
-def _imu_rotations(path: Path, arrays: dict[str, Array], names: Sequence[str]) -> Array:
-    if ("quat_wxyz" in arrays) == ("R_inertial_sensor" in arrays):
-        raise FileFormatError(path, "give one of quat_wxyz (T, S, 4) and R_inertial_sensor")
-    if "R_inertial_sensor" in arrays:
-        return needed(path, arrays, "R_inertial_sensor", "(T, S, 3, 3)")
-    quat = needed(path, arrays, "quat_wxyz", "(T, S, 4)")
-    shape = (len(arrays["f_sensor"]), len(names), 4)
-    if quat.shape != shape:
-        raise FileFormatError(path, f"quat_wxyz: expected shape {shape}, got {quat.shape}")
-    norm = np.linalg.norm(quat, axis=-1)
-    known = ~np.isnan(norm)
-    wrong = known & ~(np.abs(norm - 1) <= _QUATERNION_TOLERANCE)
-    if np.any(wrong):
-        t, s = (int(i) for i in np.argwhere(wrong)[0])
-        raise FileFormatError(
-            path, f"quat_wxyz: sample {t} of {names[s]} has norm {norm[t, s]:.6g}, not 1; normalise "
-            "it, or write NaN where a sample is missing"
-        )  # fmt: skip
-    R = np.full((*quat.shape[:2], 3, 3), np.nan)
-    R[known] = so3.from_quat_wxyz(quat[known])
-    return R
-
-
-def _imu_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:
-    columns = read_csv(path)
-    arrays = {"times": columns.pop("time")} if "time" in columns else {}
-    names = _csv_names(path, list(columns), _IMU_COLUMNS)
-    values = np.stack([[columns[n + end] for end in _IMU_COLUMNS] for n in names]).transpose(2, 0, 1)
-    return names, arrays | {"quat_wxyz": values[..., :4], "f_sensor": values[..., 4:]}
 
 
 # --- truth ---------------------------------------------------------------------------------------

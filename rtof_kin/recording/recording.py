@@ -31,6 +31,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording import files
 from rtof_kin.recording.camera_table import read_camera
+from rtof_kin.recording.sensor_files import read_imus
 from rtof_kin.recording.session import Session, read_session
 from rtof_kin.recording.views import camera_and_keypoints, keypoint_file, read_views
 from rtof_kin.vision.layouts import is_detector_point
@@ -237,7 +238,7 @@ class Recording:
         facts = ("skeleton_table", "joint_offsets", "bone_lengths", "height", "mass_kg", "sex")
         body = _body(**{name: fields[name] for name in facts if name in fields})
         if index.has("imus"):
-            fields["imus"], fields["calibration"] = files.read_imus(index.table("imus"), body)
+            fields["imus"], fields["calibration"] = read_imus(index.table("imus"), body)
         if index.has("posture"):
             fields["posture"] = _read_posture(index.table("posture"), body.names)
         if index.has("truth"):

@@ -34,6 +34,8 @@ from rtof_kin.core.files.text import load_json
 from rtof_kin.vision.detections import NO_IDENTITY, Detections, Person
 
 FORMATS = (".json", ".npz", ".npy", ".csv")
+ARRAY_NAMES = ("uv_px", "keypoints", "keypoints_2d")
+"""Names of the array of points in an .npz."""
 _ENDINGS = {
     "_u_px": "x", "_v_px": "y", "_x": "x", "_y": "y", "_z": "", "_presence": "",
     "_confidence": "c", "_visibility": "c", "_score": "c", "_likelihood": "c", "_c": "c", "_v": "c",
@@ -87,7 +89,7 @@ def _read(path: Path) -> Detections:
 
 
 def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:
-    points = _one_of(path, arrays, ("uv_px", "keypoints", "keypoints_2d"))
+    points = _one_of(path, arrays, ARRAY_NAMES)
     if points is None:
         have = ", ".join(arrays) or "nothing"
         raise FileFormatError(path, f"no array uv_px or keypoints of shape (T, K, 3); there is {have}")
@@ -140,6 +142,24 @@ def _of_columns(path: Path) -> Detections:
     seen = np.isfinite(uv).all(axis=-1).astype(float)
     confidence = np.stack([points[n].get("c", seen[:, i]) for i, n in enumerate(names)], axis=1)
     return Detections(uv[:, None], confidence[:, None], times, None if numbered else tuple(names))
+
+
+def is_keypoint_header(line: str) -> bool:
+    """Return whether the first line of a .csv names the columns of detected points.
+
+    Args:
+        line: of comma-separated names.
+    """
+    parts: dict[str, set[str]] = {}
+    for header in line.split(","):
+        name = header.strip().lower()
+        if name not in _TIMES and name not in _NO_POINTS:
+            try:
+                point, part = _meaning(Path(), header)
+            except FileFormatError:
+                return False
+            parts.setdefault(point, set()).add(part)
+    return any({"x", "y"} <= has for has in parts.values())
 
 
 def _meaning(path: Path, header: str) -> tuple[str, str]:

@@ -97,9 +97,9 @@ def test_a_dictionary_saved_by_numpy_is_read_back(path: Path) -> None:
     assert_same(read_object_npz(path, ["positions", "plain"]), contents)
 
 
-@pytest.mark.parametrize("protocol", [2, 3, 4])
+@pytest.mark.parametrize("protocol", [2, 3, 4, 5])
 @pytest.mark.parametrize("module", [b"numpy._core.multiarray", b"numpy.core.multiarray"])
-def test_protocols_2_to_4_and_older_numpy_are_read(path: Path, protocol: int, module: bytes) -> None:
+def test_protocols_2_to_5_and_older_numpy_are_read(path: Path, protocol: int, module: bytes) -> None:
     data = pickled_array(DATA, protocol)
     if protocol < 4:  # its strings have no length to correct
         data = data.replace(b"numpy._core.multiarray", module)

@@ -190,12 +190,27 @@ def write_total_capture(folder: Path, truths: list[Truth]) -> Path:
     return path
 
 
+def write_noraxon(folder: Path, truths: list[Truth]) -> Path:
+    names, columns = ["time", "Activity"], [np.arange(len(truths[0].f)) / RATE, np.zeros(len(truths[0].f))]
+    for serial, one in zip(SERIALS, truths, strict=True):
+        for i, axis in enumerate("xyz"):
+            names.append(f"{serial} Accel Sensor {axis.upper()} (mG)")
+            columns.append(one.f[:, i] / G * 1000)
+            names.append(f"Noraxon MyoMotion-Segments-{serial}-Gyroscope-{axis} (deg/s)")
+            columns.append(np.rad2deg(one.w[:, i]))
+    head = ['"type","name","last_name"', '"gait, fast","A","B"', "", ",".join(f'"{name}"' for name in names)]
+    path = folder / "trial.csv"
+    path.write_text("\n".join([*head, *lines(np.column_stack(columns), ","), ""]))
+    return path
+
+
 WRITERS: dict[str, Callable[[Path, list[Truth]], Path]] = {
     "Xsens MT Manager text": write_mt,
     "Movella DOT CSV": write_dot,
     "x-IMU3 folders": write_ximu3,
     "MATLAB structs": write_mat,
     "Xsens MVNX": write_mvnx,
+    "Noraxon CSV": write_noraxon,
     "plain CSV": write_csv,
     "OpenSense .sto": write_sto,
     "Total Capture .sensors": write_total_capture,

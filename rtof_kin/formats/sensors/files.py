@@ -13,7 +13,7 @@ from typing import Any, Final
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats import total_capture
-from rtof_kin.formats.sensors import imu_csv, imu_mat, mvnx, opensense_sto, ximu3, xsens
+from rtof_kin.formats.sensors import imu_csv, imu_mat, mvnx, noraxon, opensense_sto, ximu3, xsens
 
 _HEAD_BYTES: Final = 2**14
 _MOST_FILES: Final = 1000
@@ -65,6 +65,10 @@ FORMATS: Final = (
         xsens.is_xsens_mt, xsens.read_xsens_mt,
     ),
     Format(
+        noraxon.TITLE, "CSV: columns time, 'Thigh Accel Sensor X LT (mG)', '...-Gyroscope-x (deg/s)', ...",
+        noraxon.is_noraxon, noraxon.read_noraxon, True,
+    ),
+    Format(
         imu_csv.TITLE, "columns time, NAME_fx, NAME_fy, NAME_fz, NAME_wx, ..., NAME_mx, ..., NAME_qw, ...",
         imu_csv.is_imu_csv, imu_csv.read_imu_csv, True,
     ),
@@ -114,10 +118,22 @@ def _read(found: Mapping[Path, Format], declared: Mapping[str, Any]) -> SensorLo
     return kind.read(first, **declared)
 
 
+def holds_sensors(folder: Path) -> bool:
+    """Return whether a folder, or its folders, have a file of sensors.
+
+    Args:
+        folder: to look into.
+    """
+    try:
+        return bool(_recognised(folder))
+    except FileFormatError:
+        return False
+
+
 def _recognised(path: Path) -> tuple[dict[Path, Format], list[Path]]:
     """Return the known files at a path, in its folder or in its folders, and others of their suffixes."""
     if not path.is_dir():
-        kind = _format_of(path)
+        kind = format_of(path)
         if kind is None:
             raise FileFormatError(path, f"no file of sensors that is known. {_known()}")
         return {path: kind}, []
@@ -125,7 +141,7 @@ def _recognised(path: Path) -> tuple[dict[Path, Format], list[Path]]:
         files = sorted(one for one in path.glob(pattern) if one.is_file())
         if len(files) > _MOST_FILES:
             raise FileFormatError(path, f"holds {len(files)} files; name the folder of one trial")
-        found = {one: kind for one in files if (kind := _format_of(one)) is not None}
+        found = {one: kind for one in files if (kind := format_of(one)) is not None}
         if found:
             endings = {one.suffix for one in found}
             return found, [one for one in files if one not in found and one.suffix in endings]
@@ -136,7 +152,15 @@ def _names(paths: Sequence[Path]) -> str:
     return ", ".join(path.name for path in paths[:5]) + (", ..." if len(paths) > 5 else "")
 
 
-def _format_of(path: Path) -> Format | None:
+def format_of(path: Path) -> Format | None:
+    """Return the format of a file by the text that it begins with; None where it is none of them.
+
+    Args:
+        path: the file.
+
+    Raises:
+        FileFormatError: there is no such file, or it cannot be read.
+    """
     try:
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES).decode("utf-8-sig", errors="replace")

@@ -12,6 +12,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import IO, Any, Final
 from xml.etree.ElementTree import Element, ParseError
@@ -28,6 +29,7 @@ from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats.sensors.packets import lost
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
+from rtof_kin.formats.sensors.start_times import utc_of_milliseconds
 
 TITLE: Final = "Xsens MVNX"
 LARGEST_BYTES = 2**33
@@ -78,6 +80,8 @@ class Mvnx:
     """(T, G, 3) m."""
     unread: tuple[str, ...] = ()
     """Tags of raw sensor data, of old versions, that are ignored."""
+    start_utc: datetime | None = None
+    """Date and time of frame 0 (recDateMSecsSinceEpoch), with its zone UTC."""
 
 
 def is_mvnx(head: str) -> bool:
@@ -107,7 +111,10 @@ def read_mvnx(path: Path, **declared: Any) -> SensorLog:
         notes.append(f"calibration poses ({', '.join(mvnx.poses)}) are no samples; see read_mvnx_file")
     if mvnx.unread:
         notes.append(f"not read, as their axes differ between versions: {', '.join(mvnx.unread)}")
-    return sensor_log([path], TITLE, sensors, declaration, notes)
+    start = mvnx.start_utc
+    if start is not None:
+        start += timedelta(seconds=float(times[0]))
+    return sensor_log([path], TITLE, sensors, declaration, notes, start)
 
 
 def read_mvnx_file(path: Path) -> Mvnx:
@@ -194,6 +201,7 @@ class _Content:
     numbers: dict[str, array[float]] = field(default_factory=dict)
     poses: dict[str, MvnxPose] = field(default_factory=dict)
     unread: set[str] = field(default_factory=set)
+    start_utc: datetime | None = None
 
     def take(self, element: Element) -> None:
         """Read an element of the file, in the order of the file."""
@@ -203,6 +211,7 @@ class _Content:
             if self.rate_hz <= 0:
                 problem = f"frameRate of <subject> is {self.rate_hz:g}; it must be positive"
                 raise FileFormatError(self.path, problem)
+            self.start_utc = utc_of_milliseconds(element.get("recDateMSecsSinceEpoch", ""))
         elif tag == "frame":
             self._frame(element)
         elif tag in self.labels:
@@ -275,4 +284,7 @@ class _Content:
         sensors, segments = tuple(self.labels["sensor"]), tuple(self.labels["segment"])
         index = readonly("index", self.index, ("T",), np.int64)
         unread = tuple(sorted(self.unread))
-        return Mvnx(sensors, segments, self.rate_hz, index, self.poses, quat, a, m, quat_segment, p, unread)
+        return Mvnx(
+            sensors, segments, self.rate_hz, index, self.poses, quat, a, m, quat_segment, p, unread,
+            self.start_utc,
+        )  # fmt: skip

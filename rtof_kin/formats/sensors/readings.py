@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Final
 
@@ -88,12 +89,14 @@ def sensor_log(
     readings: Iterable[Readings],
     declaration: Declaration,
     file_notes: Iterable[str] = (),
+    start_utc: datetime | None = None,
 ) -> SensorLog:
     """Make the log of one trial.
 
     Args:
         paths: its files. title: name of their format. readings: its sensors.
         declaration: units, axes and order of the numbers. file_notes: remarks, in sentences.
+        start_utc: of the earliest sample, if the files state it.
 
     Raises:
         FileFormatError: no sensor, a name twice, or invalid numbers.
@@ -103,6 +106,6 @@ def sensor_log(
         streams = tuple(one.stream(declaration) for one in readings)
         if not streams:
             raise InvalidInputError("there is no sensor in it")
-        return SensorLog(path, title, streams, declaration, tuple(file_notes))
+        return SensorLog(path, title, streams, declaration, tuple(file_notes), start_utc)
     except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error

@@ -1,6 +1,6 @@
 """Text tables of sensor loggers: lines about the device, a line of column names, a line per packet.
 
-Cells are separated by tabs, commas or semicolons.
+Cells are separated by tabs, commas or semicolons, and may stand in double quotes.
 """
 
 from __future__ import annotations
@@ -89,21 +89,35 @@ def cells(line: str, delimiter: str | None = None) -> list[str]:
     Args:
         line: the line. delimiter: by default the most frequent of tab, semicolon, comma.
     """
-    return [cell.strip() for cell in line.split(delimiter or _delimiter(line))]
+    return [cell.strip() for cell in _split(line, delimiter or _delimiter(line))]
 
 
 def _delimiter(line: str) -> str:
-    return max("\t;,", key=line.count)
+    outside = "".join(line.split('"')[::2])
+    return max("\t;,", key=outside.count)
+
+
+def _split(line: str, delimiter: str) -> list[str]:
+    """Split a line outside of double quotes, which are left out."""
+    if '"' not in line:
+        return line.split(delimiter)
+    pieces = line.split('"')
+    pieces[1::2] = [quoted.replace(delimiter, "\0") for quoted in pieces[1::2]]  # no line holds NUL
+    return [cell.replace("\0", delimiter) for cell in "".join(pieces).split(delimiter)]
 
 
 def read_table(
-    path: Path, is_header: Callable[[list[str]], bool], wanted: Callable[[str], bool]
+    path: Path,
+    is_header: Callable[[list[str]], bool],
+    wanted: Callable[[str], bool],
+    decimal_commas: bool = False,
 ) -> SensorTable:
     """Read the table of a text file. A last line that was cut off is left out, with a note.
 
     Args:
         path: the file. is_header: whether the cells of a line are the column names.
         wanted: whether the column of a name is read; other columns may hold any text.
+        decimal_commas: whether 1,5 is one and a half where cells are not separated by commas.
 
     Raises:
         FileFormatError: unreadable, no column names, a name twice, no packet, a row of another length,
@@ -124,7 +138,10 @@ def read_table(
     if double:
         raise FileFormatError(path, f"column {double[0]!r} stands there more than once", number)
     taken = [i for i, name in enumerate(names) if name and wanted(name)]
-    table, lines, cut = _read_rows(path, names, taken, _delimiter(line), rows)
+    delimiter = _delimiter(line)
+    if decimal_commas and delimiter != ",":
+        rows = ((number, row.replace(",", ".")) for number, row in rows)
+    table, lines, cut = _read_rows(path, names, taken, delimiter, rows)
     huge = np.argwhere(np.abs(table) > LARGEST_NUMBER)
     if len(huge):
         row, column = huge[0]
@@ -145,7 +162,7 @@ def _read_rows(
             continue
         if cut is not None:
             raise FileFormatError(path, f"fewer cells than the {len(names)} columns", cut)
-        row = line.split(delimiter)
+        row = _split(line, delimiter)
         if len(row) < len(names):
             cut = number  # an error, unless this is the last line
             continue

@@ -25,6 +25,7 @@ from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats.sensors.packets import in_order, lost
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 from rtof_kin.formats.sensors.sensor_text import cells, read_table
+from rtof_kin.formats.sensors.start_times import unzoned_note
 
 TITLE: Final = "x-IMU3 folders"
 _STAMP: Final = "Timestamp (us)"
@@ -55,22 +56,28 @@ def read_ximu3(paths: Sequence[Path], **declared: Any) -> SensorLog:
         _sensor(folder, f"{name} {serial}" if names.count(name) > 1 else name, declaration.rate_hz)
         for folder, (name, serial) in zip(folders, labels, strict=True)
     ]
-    return sensor_log(paths if len(paths) == 1 else folders, TITLE, sensors, declaration)
+    notes = unzoned_note(_command(folders[0], "time"))
+    return sensor_log(paths if len(paths) == 1 else folders, TITLE, sensors, declaration, notes)
 
 
 def _label(folder: Path) -> tuple[str, str]:
     """Return a sensor's name and serial number, from Command.json, else from the folder's name."""
+    ping = _command(folder, "ping")
+    name, serial = (ping.get("name"), ping.get("sn")) if isinstance(ping, dict) else (None, None)
+    if isinstance(name, str) and isinstance(serial, str) and name.strip():
+        return name.strip(), serial
+    found = re.fullmatch(r"(.+?) ([0-9A-Fa-f]{8})( \(.*\))?", folder.name)
+    return (found[1], found[2]) if found else (folder.name, "")
+
+
+def _command(folder: Path, name: str) -> Any:
+    """Return the value of a command in Command.json; None where absent, or not as devices write it."""
     try:
         with (folder / "Command.json").open("rb") as stream:
             commands = json.loads(stream.read(_LARGEST_JSON))
-        ping = next(command["ping"] for command in commands if "ping" in command)
-        name, serial = ping["name"], ping["sn"]
-        if isinstance(name, str) and isinstance(serial, str) and name.strip():
-            return name.strip(), serial
+        return next(command[name] for command in commands if name in command)
     except (OSError, ValueError, TypeError, KeyError, StopIteration, RecursionError):
-        pass  # absent, or not as devices write it: the folder's name has the same
-    found = re.fullmatch(r"(.+?) ([0-9A-Fa-f]{8})( \(.*\))?", folder.name)
-    return (found[1], found[2]) if found else (folder.name, "")
+        return None
 
 
 def _sensor(folder: Path, name: str, rate_hz: float | None) -> Readings:

@@ -30,6 +30,13 @@ from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats.sensors.packets import WRAP_16, WRAP_32, Packets, aligned, in_order, lost
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 from rtof_kin.formats.sensors.sensor_text import SensorTable, cells, read_table
+from rtof_kin.formats.sensors.start_times import (
+    UTC_COLUMNS,
+    start_in_mt_header,
+    start_of_dot,
+    start_of_mt,
+    unzoned_note,
+)
 
 Groups = tuple[tuple[str, ...], ...]
 MT_TITLE: Final = "Xsens MT Manager text"
@@ -50,7 +57,7 @@ _KINDS: Final[dict[str, Groups]] = {
 _MEASURES: Final = tuple(
     frozenset(name.lower() for name in group) for kind in _KINDS.values() for group in kind
 )
-_READ: Final = frozenset({_COUNTER.lower(), _STAMP.lower()}.union(*_MEASURES))
+_READ: Final = frozenset({_COUNTER.lower(), _STAMP.lower()}.union(UTC_COLUMNS, *_MEASURES))
 _RATE: Final = re.compile(r"(?://\s*Update Rate:\s*|OutputRate:\W*)([\d.]+)\s*Hz", re.IGNORECASE)
 _SERIAL: Final = re.compile(r"[0-9A-Fa-f]{8}")
 _DOT_NAME: Final = re.compile(r"(.+?)_\d{8}_\d{6}(_\d+)?")
@@ -90,7 +97,10 @@ def read_xsens_mt(paths: Sequence[Path], **declared: Any) -> SensorLog:
         serial = table.path.stem.split("_")[-1]
         name = serial.upper() if _SERIAL.fullmatch(serial) else serial
         sensors.append(_readings(name, table, one, times, notes))
-    return sensor_log(paths, MT_TITLE, sensors, declaration)
+    first = int(np.argmin([one.times[0] for one in sensors]))
+    start = start_of_mt(tables[first], int(packets[first].rows[0]))
+    notes = () if start else unzoned_note(start_in_mt_header(tables[first].header))
+    return sensor_log(paths, MT_TITLE, sensors, declaration, notes, start)
 
 
 def read_xsens_dot(paths: Sequence[Path], **declared: Any) -> SensorLog:
@@ -108,7 +118,8 @@ def read_xsens_dot(paths: Sequence[Path], **declared: Any) -> SensorLog:
         notes = (*table.notes, *one.notes, *lost(times, declaration.rate_hz or _dot_rate(table)))
         named = _DOT_NAME.fullmatch(table.path.stem)
         sensors.append(_readings(named[1] if named else table.path.stem, table, one, times, notes))
-    return sensor_log(paths, DOT_TITLE, sensors, declaration)
+    first = int(np.argmin([one.times[0] for one in sensors]))
+    return sensor_log(paths, DOT_TITLE, sensors, declaration, (), start_of_dot(tables[first].header))
 
 
 # --- tables --------------------------------------------------------------------------------------

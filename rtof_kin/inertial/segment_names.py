@@ -1,0 +1,130 @@
+"""Names that people and devices give to the segments that carry sensors.
+
+A name is split into words: ``tibia_r_imu``, ``RTibia``, ``right shank``, ``Shank RT``, ``R_LowLeg`` and
+``RightLeg`` are the same segment. A word that is not known makes the whole name unknown: nothing is guessed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Final
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import UnknownNameError
+
+_SIDES: Final = {
+    "left": "Left", "l": "Left", "lt": "Left", "lft": "Left",
+    "right": "Right", "r": "Right", "rt": "Right", "rgt": "Right",
+}  # fmt: skip
+_MIDDLE: Final = {
+    "pelvis": "Hips", "hip": "Hips", "hips": "Hips", "sacrum": "Hips", "waist": "Hips",
+    "l5": "Spine", "s1": "Hips", "lumbar": "Spine", "low back": "Spine", "low spine": "Spine",
+    "l3": "Spine1", "t12": "Spine2",
+    "chest": "Spine3", "sternum": "Spine3", "torso": "Spine3", "thorax": "Spine3", "trunk": "Spine3",
+    "up back": "Spine3", "up spine": "Spine3", "up trunk": "Spine3", "t8": "Spine3", "c7": "Spine3",
+    "neck": "Neck", "head": "Head",
+}  # fmt: skip
+"""Words -> joint of the skeleton total_capture."""
+_LIMBS: Final = {
+    "thigh": "UpLeg", "femur": "UpLeg", "up leg": "UpLeg",
+    "shank": "Leg", "tibia": "Leg", "low leg": "Leg", "calf": "Leg", "shin": "Leg",
+    "foot": "Foot", "calcn": "Foot", "calcaneus": "Foot", "instep": "Foot",
+    "clavicle": "Shoulder", "collar": "Shoulder", "scapula": "Shoulder", "shoulder": "Shoulder",
+    "up arm": "Arm", "humerus": "Arm", "biceps": "Arm",
+    "forearm": "ForeArm", "fore arm": "ForeArm", "low arm": "ForeArm", "ulna": "ForeArm",
+    "radius": "ForeArm", "wrist": "ForeArm",
+    "hand": "Hand", "metacarpal": "Hand",
+}  # fmt: skip
+"""Words -> joint of the skeleton total_capture without its side."""
+_HUMAN36M: Final = {
+    "Hips": "Hip", "Spine3": "Thorax", "Neck": "Neck", "Head": "Head", "UpLeg": "Hip", "Leg": "Knee",
+    "Foot": "Foot", "Arm": "Shoulder", "ForeArm": "Elbow", "Hand": "Wrist",
+}  # fmt: skip
+"""Joint of total_capture -> of human36m; the others of the spine are not the same segments there."""
+_SAME: Final = {"upper": "up", "lower": "low"}
+_IDLE: Final = frozenset({"imu", "sensor", "segment"})
+"""Words that say nothing about the place."""
+_SERIAL: Final = re.compile(r"(?=.*\d)[0-9A-Fa-f]{8}")
+_WORDS: Final = re.compile(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+")
+
+
+def segment_of(name: str, skeleton: SkeletonModel) -> str | None:
+    """Return the segment that a name means, by its proximal joint; None where the name is not known.
+
+    Args:
+        name: of a segment, sensor or place on the body, e.g. 'LeftLeg', 'L_LowLeg', 'tibia_l_imu'.
+        skeleton: with the joints, and with sensors that have names of their own.
+    """
+    if name in skeleton.names:
+        return name
+    if name in skeleton.sensors:
+        return skeleton.sensors[name][0]
+    words = _words(name)
+    own = {_words(joint): joint for joint in skeleton.names}
+    own |= {_words(sensor): joint for sensor, (joint, _) in skeleton.sensors.items()}
+    found = _of_words(words, skeleton.name) or own.get(words)
+    return found if found in skeleton.names else None
+
+
+def segments_of(names: Iterable[str], skeleton: SkeletonModel) -> dict[str, str]:
+    """Return the segments of those names that are known, each segment at most once.
+
+    Two names of the same segment are both left out, as one of them must be somewhere else.
+
+    Args:
+        names: of sensors. skeleton: as in `segment_of`.
+    """
+    found = {name: joint for name in names if (joint := segment_of(name, skeleton)) is not None}
+    taken = list(found.values())
+    return {name: joint for name, joint in found.items() if taken.count(joint) == 1}
+
+
+def known_segment(name: str, skeleton: SkeletonModel) -> str:
+    """Return the segment that a name means.
+
+    Args:
+        name, skeleton: as in `segment_of`.
+
+    Raises:
+        UnknownNameError: it means none.
+    """
+    found = segment_of(name, skeleton)
+    if found is None:
+        raise UnknownNameError("segment", [name], (*skeleton.names, *skeleton.sensors))
+    return found
+
+
+def _words(name: str) -> frozenset[str]:
+    """Return the words of a name in small letters, without those that say nothing."""
+    pieces = [piece for piece in re.split(r"[^0-9A-Za-z]+", name) if not _SERIAL.fullmatch(piece)]
+    words = [word.lower() for piece in pieces for word in _WORDS.findall(piece)]
+    words = [part for word in words for part in _parts(word)]
+    return frozenset(_SAME.get(word, word) for word in words if word not in _IDLE)
+
+
+def _parts(word: str) -> tuple[str, ...]:
+    """Split words that are written as one: 'ltibia', 'upperarm'."""
+    for start in (*_SAME, *_SAME.values()):
+        rest = word.removeprefix(start)
+        if rest in ("arm", "leg", "back", "spine", "trunk") and rest != word:
+            return start, rest
+    if word[:1] in ("l", "r") and word[1:] in _LIMBS:
+        return word[0], word[1:]
+    return (word,)
+
+
+def _of_words(words: frozenset[str], skeleton: str) -> str | None:
+    """Return the joint of a side and a place; None where there is not exactly one of each."""
+    sides = {_SIDES[word] for word in words if word in _SIDES}
+    place = frozenset(word for word in words if word not in _SIDES)
+    if len(sides) > 1:
+        return None
+    table = _LIMBS if sides else _MIDDLE
+    joint = next((to for spelt, to in table.items() if frozenset(spelt.split()) == place), None)
+    if joint is None:
+        return None
+    side = next(iter(sides), "")
+    if skeleton != "human36m":
+        return side + joint
+    return side[:1] + _HUMAN36M[joint] if joint in _HUMAN36M else None

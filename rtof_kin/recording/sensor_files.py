@@ -1,0 +1,220 @@
+"""The table ``[imus]`` of a recording: samples of sensors, of this package's own files or of the maker's.
+
+The format is described in docs/recording.md and docs/sensors.md.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from rtof_kin.core.files.arrays import read_csv
+from rtof_kin.core.files.section import Section
+from rtof_kin.data.imu import ImuSequence
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu_declaration import CHOICES
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.formats.imu_calibration_toml import calibration_of
+from rtof_kin.formats.sensors.files import format_of, read_sensor_log
+from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
+from rtof_kin.formats.sensors.sensor_text import cells
+from rtof_kin.inertial.orientation import log_with_orientation
+from rtof_kin.inertial.segment_names import known_segment
+from rtof_kin.recording.files import csv_names, data_path, naming, needed, read_arrays, times_of
+
+_QUATERNION_TOLERANCE: Final = 1e-3
+_IMU_COLUMNS: Final = ("_qw", "_qx", "_qy", "_qz", "_fx", "_fy", "_fz")
+_LARGEST_DRIFT: Final = 0.01
+_log = logging.getLogger(__name__)
+
+
+def read_imus(section: Section, skeleton: SkeletonModel) -> tuple[ImuSequence | None, ImuCalibration | None]:
+    """Read sensor data, where the section names a file, and their calibration, where it has one.
+
+    Args:
+        section: table ``[imus]``. skeleton: with the usual places of sensors.
+    """
+    calibration = calibration_of(section.table("sensors"), skeleton)
+    imus = _imu_sequence(section, calibration, skeleton) if section.has("file") else None
+    if imus is not None and calibration is not None:
+        missing = [name for name in imus.names if name not in calibration.sensors]
+        if missing:
+            where = f"sensor (it has no table [imus.sensors.*] in {section.path})"
+            raise UnknownNameError(where, missing, calibration.sensors)
+    section.close()
+    return imus, calibration
+
+
+def _imu_sequence(
+    section: Section, calibration: ImuCalibration | None, skeleton: SkeletonModel
+) -> ImuSequence:
+    path = data_path(section, or_folder=True)
+    is_csv = _is_own_csv(path)
+    if path.suffix.lower() != ".npz" and not is_csv:
+        log = read_log(section, skeleton, calibration.sensors if calibration is not None else ())
+        with naming(path):
+            return imus_of_log(log)
+    if is_csv:
+        names, arrays = _imu_csv(path)
+    else:
+        arrays = read_arrays(path, ("quat_wxyz", "R_inertial_sensor", "f_sensor", "times"))
+        listed = section.optional_names("names")
+        if listed is None and calibration is not None:
+            listed = calibration.sensors
+        if listed is None:
+            raise section.error("names", "missing; list the sensors in the file's order")
+        names = listed
+    f = needed(path, arrays, "f_sensor", "(T, S, 3)")
+    if f.shape[1] != len(names):
+        raise section.error(
+            "names", f"{len(names)} sensors are named, but {path} has {f.shape[1]}; list them in the "
+            "file's order"
+        )  # fmt: skip
+    with naming(path):
+        R = _imu_rotations(path, arrays, names)
+        times, (drift, shift) = times_of(section, path, arrays, len(f)), _clock(section)
+        return ImuSequence(times if drift == 0 else times + drift * (times - shift), R, f, names)
+
+
+# --- files of sensors' makers --------------------------------------------------------------------
+
+
+def read_log(section: Section, skeleton: SkeletonModel, named: Sequence[str] = ()) -> SensorLog:
+    """Read the sensor files of a recording: those in use, by their places, on the recording's clock.
+
+    Args:
+        section: table ``[imus]``. skeleton: with the segments. named: further names of places.
+
+    Raises:
+        FileFormatError, UnknownNameError: the message names file, field and remedy.
+    """
+    path = data_path(section, or_folder=True)
+    declared = {name: section.optional_text(name) for name in CHOICES}
+    log = read_sensor_log(path, **declared, rate_hz=section.optional_number("rate_hz"))
+    with naming(section.path):
+        log = _placed(section, log, skeleton, named)
+    selected = section.optional_names("names")
+    log = log if selected is None else log.select(selected)
+    for note in log.notes:
+        _log.info("%s: %s", path, note)
+    return _on_clock(section, log)
+
+
+def _placed(section: Section, log: SensorLog, skeleton: SkeletonModel, named: Sequence[str]) -> SensorLog:
+    """Return the sensors that a map names, under the names of their places; all where there is no map."""
+    table = section.table("map")
+    if section.has("sensor_map") and len(table):
+        raise section.error("sensor_map", "stands beside [imus.map]; give only one of the two")
+    if section.has("sensor_map"):
+        places = read_sensor_map(data_path(section, field="sensor_map"))
+    elif len(table):
+        places = {serial: table.text(serial) for serial in table.keys()}  # noqa: SIM118
+    else:
+        return log
+    for place in places.values():
+        if place not in named:
+            known_segment(place, skeleton)
+    found = matched(places, log.names)
+    left = [name for name in log.names if name not in found]
+    if left:
+        _log.info("%s: the map of sensors leaves out %s", section.path, ", ".join(left))
+    return log.select(list(found)).renamed(found)
+
+
+def _clock(section: Section) -> tuple[float, float]:
+    """Return clock_drift, s/s, and start_s: the recording's time is t + start_s + clock_drift * t."""
+    drift = section.number("clock_drift", 0.0)
+    if abs(drift) > _LARGEST_DRIFT:
+        raise section.error("clock_drift", f"{drift:g} s/s is no clock's; 0.00002 is 20 ppm")
+    return drift, section.number("start_s", 0.0)
+
+
+def _on_clock(section: Section, log: SensorLog) -> SensorLog:
+    """Put the times of a log on the recording's clock."""
+    drift, shift = _clock(section)
+    if section.has("first_sample_s"):
+        if section.has("start_s"):
+            raise section.error("first_sample_s", "stands beside start_s; give only one of the two")
+        first = min(float(stream.times[0]) for stream in log.streams)
+        shift = section.number("first_sample_s") - first * (1 + drift)
+    streams = tuple(replace(one, times=one.times * (1 + drift) + shift) for one in log.streams)
+    return replace(log, streams=streams)
+
+
+def imus_of_log(log: SensorLog) -> ImuSequence:
+    """Return orientation and specific force of all sensors at common times.
+
+    Orientations that are missing are estimated by VQF; a sensor of orientation alone has NaN for its
+    specific force. Sensors of other times are resampled to even times at the fastest sensor's rate.
+
+    Args:
+        log: sensors on one clock.
+
+    Raises:
+        InvalidInputError: a sensor has neither an orientation nor what it is estimated from.
+    """
+    estimated = log_with_orientation(log)
+    return ImuSequence.joined([_with_force(stream).imu() for stream in estimated.streams])
+
+
+def _with_force(stream: SensorStream) -> SensorStream:
+    if stream.f_sensor is not None:
+        return stream
+    return replace(stream, f_sensor=np.full((len(stream), 3), np.nan))
+
+
+# --- this package's own files --------------------------------------------------------------------
+
+
+def _is_own_csv(path: Path) -> bool:
+    """Return whether a .csv has the columns of a recording's own, or none of a sensor file's."""
+    if path.suffix.lower() != ".csv":
+        return False
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(2**14).decode("utf-8-sig", errors="replace")
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be read: {error}") from error
+    names = [name for name in cells(head.split("\n", 1)[0], ",") if name != "time"]
+    own = all(name.endswith(_IMU_COLUMNS) for name in names)
+    return own or format_of(path) is None
+
+
+def _imu_rotations(path: Path, arrays: dict[str, Array], names: Sequence[str]) -> Array:
+    if ("quat_wxyz" in arrays) == ("R_inertial_sensor" in arrays):
+        raise FileFormatError(path, "give one of quat_wxyz (T, S, 4) and R_inertial_sensor")
+    if "R_inertial_sensor" in arrays:
+        return needed(path, arrays, "R_inertial_sensor", "(T, S, 3, 3)")
+    quat = needed(path, arrays, "quat_wxyz", "(T, S, 4)")
+    shape = (len(arrays["f_sensor"]), len(names), 4)
+    if quat.shape != shape:
+        raise FileFormatError(path, f"quat_wxyz: expected shape {shape}, got {quat.shape}")
+    norm = np.linalg.norm(quat, axis=-1)
+    known = ~np.isnan(norm)
+    wrong = known & ~(np.abs(norm - 1) <= _QUATERNION_TOLERANCE)
+    if np.any(wrong):
+        t, s = (int(i) for i in np.argwhere(wrong)[0])
+        raise FileFormatError(
+            path, f"quat_wxyz: sample {t} of {names[s]} has norm {norm[t, s]:.6g}, not 1; normalise "
+            "it, or write NaN where a sample is missing"
+        )  # fmt: skip
+    R = np.full((*quat.shape[:2], 3, 3), np.nan)
+    R[known] = so3.from_quat_wxyz(quat[known])
+    return R
+
+
+def _imu_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:
+    columns = read_csv(path)
+    arrays = {"times": columns.pop("time")} if "time" in columns else {}
+    names = csv_names(path, list(columns), _IMU_COLUMNS)
+    values = np.stack([[columns[n + end] for end in _IMU_COLUMNS] for n in names]).transpose(2, 0, 1)
+    return names, arrays | {"quat_wxyz": values[..., :4], "f_sensor": values[..., 4:]}

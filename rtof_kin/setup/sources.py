@@ -1,0 +1,216 @@
+"""Files that are given for one take, recognised by their contents and sorted by what they are."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Final
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.files.arrays import npz_names
+from rtof_kin.formats.opencap import read_opencap
+from rtof_kin.formats.opencv_yaml import MATRIX_NAMES
+from rtof_kin.formats.sensors.files import format_of, holds_sensors
+from rtof_kin.formats.sensors.sensor_map import is_sensor_map, read_sensor_map
+from rtof_kin.inertial.segment_names import segment_of
+from rtof_kin.recording.recording import INDEX
+from rtof_kin.vision.keypoint_files import ARRAY_NAMES, is_keypoint_header
+
+_HEAD_BYTES: Final = 2**14
+_LARGEST_MAP: Final = 2**18
+VIDEO_SUFFIXES: Final = frozenset(
+    {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".mpg", ".mpeg", ".wmv", ".3gp"}
+)
+"""Suffixes of videos, for containers that do not show themselves by their first bytes."""
+_BOXES: Final = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
+"""First boxes of MP4, MOV and 3GP."""
+_CONTAINERS: Final = (
+    b"\x1a\x45\xdf\xa3", b"\x30\x26\xb2\x75\x8e\x66\xcf\x11", b"\x00\x00\x01\xba", b"\x00\x00\x01\xb3", b"FLV\x01",
+    b"OggS",
+)  # fmt: skip
+"""First bytes of MKV and WebM, WMV, MPEG, FLV, Ogg."""
+_PEOPLE: Final = re.compile(
+    r'"(people|bodies|instances|instance_info|annotations|keypoints|pose_keypoints(_2d)?|(pose_)?landmarks'
+    r'|image_id|joints)"\s*:'
+)
+_CAMERA: Final = re.compile(
+    rf"""^[\s{{]*["']?({"|".join(map(re.escape, MATRIX_NAMES))})\d?["']?\s*:""", re.MULTILINE
+)
+_CAMERA_TOML: Final = re.compile(r"^\s*matrix\s*=", re.MULTILINE)
+_RECORDING: Final = re.compile(r"^schema_version\s*=", re.MULTILINE)
+
+
+class SourceKind(Enum):
+    """What a file or folder is, in words."""
+
+    VIDEO = "a video"
+    KEYPOINTS = "a detector's keypoints"
+    SENSORS = "files of sensors"
+    CAMERA = "a camera calibration"
+    SENSOR_MAP = "a map of sensors"
+    RECORDING = "a recording folder"
+    UNKNOWN = "unknown"
+
+
+_KNOWN: Final = (
+    "a video (MP4, MOV, AVI, MKV, ...), a detector's keypoints (a folder of OpenPose's .json; .json, .csv, .npz, "
+    ".npy), files of inertial sensors (docs/sensors.md), a camera calibration (.toml, .yml, .json, OpenCap's "
+    ".pickle), a map of sensors (two columns: serial number, segment)"
+)
+
+
+def recognise_source(path: str | Path) -> SourceKind:
+    """Return what a file or folder is, from its first bytes; it may be damaged further on.
+
+    Args:
+        path: the file or folder.
+
+    Raises:
+        FileFormatError: there is no such file or folder, or it cannot be read.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return _of_folder(path)
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+    except FileNotFoundError as error:
+        raise FileFormatError(path, "there is no such file or folder") from error
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be read: {error}") from error
+    if _is_video(path, head):
+        return SourceKind.VIDEO
+    if head[:4] == b"PK\x03\x04":
+        return SourceKind.KEYPOINTS if set(ARRAY_NAMES) & set(_names(path)) else SourceKind.UNKNOWN
+    if head[:6] == b"\x93NUMPY":
+        return SourceKind.KEYPOINTS
+    if head[:1] == b"\x80":
+        return SourceKind.CAMERA if _is_opencap(path) else SourceKind.UNKNOWN
+    if format_of(path) is not None:
+        return SourceKind.SENSORS
+    if b"\0" in head:
+        return SourceKind.UNKNOWN
+    return _of_text(path, head.decode("utf-8-sig", errors="replace"))
+
+
+def _is_video(path: Path, head: bytes) -> bool:
+    if head[4:8] in _BOXES or head.startswith(_CONTAINERS):
+        return True
+    if head[:4] == b"RIFF" and head[8:12] == b"AVI ":
+        return True
+    return path.suffix.lower() in VIDEO_SUFFIXES
+
+
+def _names(path: Path) -> tuple[str, ...]:
+    try:
+        return npz_names(path)
+    except FileFormatError:
+        return ()
+
+
+def _is_opencap(path: Path) -> bool:
+    try:
+        return len(read_opencap(path, up="y")) == 1
+    except (FileFormatError, InvalidInputError):
+        return False
+
+
+def _of_folder(folder: Path) -> SourceKind:
+    if (folder / INDEX).is_file():
+        return SourceKind.RECORDING
+    found = min(folder.glob("*.json"), default=None)
+    if found is not None and recognise_source(found) is SourceKind.KEYPOINTS:
+        return SourceKind.KEYPOINTS
+    return SourceKind.SENSORS if holds_sensors(folder) else SourceKind.UNKNOWN
+
+
+def _of_text(path: Path, head: str) -> SourceKind:
+    start = head.lstrip()
+    if start[:1] in ("{", "["):
+        if _PEOPLE.search(head):
+            return SourceKind.KEYPOINTS
+        if start[:1] == "{":
+            return SourceKind.CAMERA if _CAMERA.search(head) else SourceKind.UNKNOWN
+    if path.name == INDEX or _RECORDING.search(head):
+        return SourceKind.RECORDING
+    if _CAMERA_TOML.search(head) or _CAMERA.search(head):
+        return SourceKind.CAMERA
+    if is_keypoint_header(start.split("\n", 1)[0]):
+        return SourceKind.KEYPOINTS
+    return SourceKind.SENSOR_MAP if _is_map(path, head) else SourceKind.UNKNOWN
+
+
+def _is_map(path: Path, head: str) -> bool:
+    """Return whether a text has two columns, of which the second names segments."""
+    if not is_sensor_map(head) or path.stat().st_size > _LARGEST_MAP:
+        return False
+    try:
+        places = read_sensor_map(path).values()
+    except FileFormatError:
+        return False
+    skeleton = SkeletonModel.default()
+    return 2 * sum(segment_of(place, skeleton) is not None for place in places) >= len(places)
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Files of one take."""
+
+    video: Path | None = None
+    keypoints: Path | None = None
+    """A detector's file or folder, see `rtof_kin.vision.keypoint_files`."""
+    sensors: tuple[Path, ...] = ()
+    """Files or folders of inertial sensors, see `rtof_kin.formats.sensors.files`."""
+    camera: Path | None = None
+    """A calibration, see `rtof_kin.formats.cameras`."""
+    sensor_map: Path | None = None
+    """Which sensor is where, see `rtof_kin.formats.sensors.sensor_map`."""
+
+    @classmethod
+    def of(cls, paths: Iterable[str | Path]) -> Sources:
+        """Sort files and folders by what they are.
+
+        Args:
+            paths: in any order.
+
+        Raises:
+            FileFormatError: one does not exist, or is nothing of these.
+            InvalidInputError: two videos, keypoints, calibrations or maps, or a recording folder.
+        """
+        found: dict[SourceKind, list[Path]] = {kind: [] for kind in SourceKind}
+        for path in map(Path, paths):
+            found[recognise_source(path)].append(path)
+        for path in found[SourceKind.UNKNOWN]:
+            raise FileFormatError(path, f"nothing that is known. Known: {_KNOWN}")
+        for path in found[SourceKind.RECORDING]:
+            folder = path if path.is_dir() else path.parent
+            raise InvalidInputError(
+                f"{path}: is a recording already; go on with: rtof-kin reconstruct {folder}"
+            )
+        one = {kind: _only(kind, files) for kind, files in found.items() if kind is not SourceKind.SENSORS}
+        return cls(
+            one[SourceKind.VIDEO], one[SourceKind.KEYPOINTS], tuple(found[SourceKind.SENSORS]),
+            one[SourceKind.CAMERA], one[SourceKind.SENSOR_MAP],
+        )  # fmt: skip
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """All files and folders."""
+        single = (self.video, self.keypoints, self.camera, self.sensor_map)
+        return (*(path for path in single if path is not None), *self.sensors)
+
+    @property
+    def name(self) -> str:
+        """Name of the take, from its video, else its keypoints, else its sensors."""
+        return next(path for path in (self.video, self.keypoints, *self.sensors) if path is not None).stem
+
+
+def _only(kind: SourceKind, files: Sequence[Path]) -> Path | None:
+    if len(files) > 1:
+        names = " and ".join(str(path) for path in files)
+        raise InvalidInputError(f"{names}: each is {kind.value}; give one of them")
+    return files[0] if files else None
