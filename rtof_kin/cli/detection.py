@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rtof_kin.cli.terminal import command, out, progress
+
+if TYPE_CHECKING:
+    from rtof_kin.vision.person_detector import PersonDetector
 
 
 def add_commands(commands: Any) -> None:
@@ -17,14 +20,60 @@ def add_commands(commands: Any) -> None:
     """
     parser = command(
         commands, "detect", _detect, "detect keypoints of people in a video or webcam",
-        "Runs model files of yours (.onnx: RTMPose or RTMO, and YOLOX or RTMDet to find people) on this "
-        "machine; needs the extra: pip install 'rtof_kin[video]'. OUT can be a recording's keypoints.",
+        "Runs a detector on this machine: models of yours, downloaded ones, or MediaPipe's if installed; "
+        "needs the extra: pip install 'rtof_kin[video]'. Images are neither kept nor sent. OUT can be a "
+        "recording's keypoints.",
     )  # fmt: skip
     parser.add_argument("video", metavar="VIDEO", help="video file, or the number of a webcam")
-    parser.add_argument("--model-dir", required=True, metavar="DIR", help="folder of .onnx files")
+    add_detector(parser)
     parser.add_argument("--out", default="keypoints.npz", metavar="OUT", help=".npz to write")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier OUT")
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after so many")
+
+
+def add_detector(parser: argparse.ArgumentParser) -> None:
+    """Declare --model-dir and --fetch-models, see `detector_of`.
+
+    Args:
+        parser: of the command.
+    """
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument(
+        "--model-dir", metavar="DIR", default=argparse.SUPPRESS,
+        help="folder of .onnx files (RTMPose or RTMO, and YOLOX or RTMDet to find people), or with "
+        "MediaPipe's .task; without it what is at hand: downloaded models, else MediaPipe",
+    )  # fmt: skip
+    which.add_argument(
+        "--fetch-models", metavar="NAME", nargs="?", const="rtmpose", default=argparse.SUPPRESS,
+        choices=("rtmpose", "mediapipe"),
+        help="agree to download the detector's models once: rtmpose (the default, 26 points, 158 MB) or "
+        "mediapipe (33 points, 10 MB); prints licence and checksums",
+    )  # fmt: skip
+
+
+def detector_of(options: argparse.Namespace) -> PersonDetector:
+    """Return the detector that the options ask for; downloads models where they say so.
+
+    Args:
+        options: of `add_detector`.
+
+    Raises:
+        RtofError: no detector is at hand, or the download failed.
+    """
+    from rtof_kin.vision.model_download import fetch_models, model_set
+    from rtof_kin.vision.person_detector import choose_detector
+
+    models = getattr(options, "model_dir", None)
+    if name := getattr(options, "fetch_models", None):
+        wanted = model_set(name)
+        out.print(f"{wanted.title}. Licence: {wanted.licence}", soft_wrap=True)
+        with progress() as update:
+            models = fetch_models(wanted, update)
+        for file in wanted.files:
+            out.print(f"{models / file.name}: SHA-256 {file.checksum}, as published", soft_wrap=True)
+    detector = choose_detector(models)
+    out.print(f"detector: {detector.name}", soft_wrap=True)
+    return detector
 
 
 def _detect(options: argparse.Namespace) -> None:
@@ -38,8 +87,9 @@ def _detect(options: argparse.Namespace) -> None:
         raise FileFormatError(target, "give the file to write a name that ends in .npz")
     check_new_file(target, options.overwrite)
     source = int(options.video) if options.video.isdigit() else options.video
+    detector = detector_of(options)
     with progress() as update:
-        found = detect_video(source, options.model_dir, seconds=options.seconds, progress=update)
+        found = detect_video(source, detector, seconds=options.seconds, progress=update)
     write_detections(target, found, options.overwrite)
     present = found.present
     out.print(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from rtof_kin.core.errors import FileFormatError
@@ -14,6 +15,18 @@ LIFTERS = {"detections": "lifter.pt", "perfect": "lifter_perfect.pt", "causal": 
 """Shipped lifters. detections: the default, for real detectors. perfect: for projected ground truth.
 causal: without delay, for streaming."""
 DEFAULT_LIFTER = "detections"
+
+
+def cache_folder() -> Path:
+    """Return the folder of compiled functions and downloaded models.
+
+    It is ``RTOF_KIN_CACHE``, or in the user's cache folder.
+    """
+    given = os.environ.get("RTOF_KIN_CACHE")
+    if given:
+        return Path(given)
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "rtof_kin"
 
 
 def model_path(name: str) -> Path:

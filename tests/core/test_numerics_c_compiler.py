@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.numerics import c_compiler as module
-from rtof_kin.core.numerics.c_compiler import cache_folder, compiled
+from rtof_kin.core.numerics.c_compiler import compiled
+from rtof_kin.core.resources import cache_folder
 
 pytestmark = [
     pytest.mark.skipif(not any(map(shutil.which, module.COMPILERS)), reason="there is no C compiler"),

@@ -21,7 +21,8 @@ from scipy.linalg import lapack
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, SolverError
-from rtof_kin.core.numerics.c_compiler import SWITCH, built, cache_folder, native
+from rtof_kin.core.numerics.c_compiler import SWITCH, built, native
+from rtof_kin.core.resources import cache_folder
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.library_cache import Origin, kept, make, trusted
+from rtof_kin.core.resources import cache_folder
 
 Built = TypeVar("Built")
 _log = logging.getLogger(__name__)
@@ -30,15 +31,6 @@ BUILDING = threading.RLock()
 """Lock for building and compiling with CasADi and solving with IPOPT: CasADi releases the GIL, but its
 reference counts of expression nodes and MUMPS are not thread-safe. Any thread may evaluate a function that is
 built, with buffers of its own."""
-
-
-def cache_folder() -> Path:
-    """Return the folder of compiled functions: ``RTOF_KIN_CACHE``, or in the user's cache folder."""
-    given = os.environ.get("RTOF_KIN_CACHE")
-    if given:
-        return Path(given)
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "rtof_kin"
 
 
 def compiled(functions: list[Any]) -> list[Any]:

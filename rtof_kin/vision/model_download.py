@@ -1,0 +1,245 @@
+"""Detectors' models that may be downloaded with consent (``models/detector_models.toml``), and their cache.
+
+Every file has a checksum that ships with this package; it is compared after the download and before each use.
+The cache is the folder ``models`` in the user's cache folder (``RTOF_KIN_CACHE`` names another one).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import urllib.error
+import urllib.request
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from http.client import HTTPException
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock
+
+from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError
+from rtof_kin.core.files.text import load_toml
+from rtof_kin.core.resources import cache_folder, model_path
+
+Progress = Callable[[str, int, int], None]
+_PIECE = 2**18  # bytes
+_WAIT = 30.0  # [s] for the server
+_AGAIN = "run the same command again to go on where it stopped"
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """A file of a model."""
+
+    name: str
+    """In the cache."""
+    url: str
+    """Of the file, or of a ZIP archive that contains it."""
+    sha256: str
+    """Checksum of what is downloaded."""
+    megabytes: int
+    """Largest size of the download and of the file, 1e6 bytes."""
+    member: str | None = None
+    """Name of the file in the archive; None where it is none."""
+    member_sha256: str | None = None
+    """Checksum of that file."""
+
+    @property
+    def checksum(self) -> str:
+        """SHA-256 of the file in the cache."""
+        return self.member_sha256 or self.sha256
+
+
+@dataclass(frozen=True)
+class ModelSet:
+    """Models that make a detector together."""
+
+    name: str
+    """For ``--fetch-models``."""
+    title: str
+    """In words."""
+    licence: str
+    """Licence, whose work it is, and what else has to be known."""
+    needs: tuple[str, ...]
+    """Modules that run them."""
+    files: tuple[ModelFile, ...]
+
+    @property
+    def megabytes(self) -> int:
+        """Size of all downloads, 1e6 bytes."""
+        return sum(file.megabytes for file in self.files)
+
+
+def model_sets(path: str | Path | None = None) -> tuple[ModelSet, ...]:
+    """Return all sets of models, the preferred first.
+
+    Args:
+        path: .toml file; the shipped one if None.
+
+    Raises:
+        FileFormatError: a field is missing or of the wrong kind.
+    """
+    return _read_sets(Path(path) if path is not None else model_path("detector_models.toml"))
+
+
+def model_set(name: str) -> ModelSet:
+    """Return a set of models.
+
+    Args:
+        name: of the set.
+
+    Raises:
+        UnknownNameError: there is none of this name.
+    """
+    known = {each.name: each for each in model_sets()}
+    if name not in known:
+        raise UnknownNameError("set of models", [name], list(known))
+    return known[name]
+
+
+@cache
+def _read_sets(path: Path) -> tuple[ModelSet, ...]:
+    data = load_toml(path)
+    try:
+        return tuple(_set(dict(entry)) for entry in data["set"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileFormatError(path, f"an entry is not complete or not of the right kind: {error}") from error
+
+
+def _set(entry: dict[str, Any]) -> ModelSet:
+    files = tuple(ModelFile(**file) for file in entry.pop("file"))
+    return ModelSet(needs=tuple(entry.pop("needs")), files=files, **entry)
+
+
+def models_folder(wanted: ModelSet) -> Path:
+    """Return the folder of a set in the cache, which need not exist.
+
+    Args:
+        wanted: the set.
+    """
+    return cache_folder() / "models" / wanted.name
+
+
+def cached_models(wanted: ModelSet) -> Path | None:
+    """Return the folder of a set if all its files are in the cache, after comparing their checksums.
+
+    Args:
+        wanted: the set.
+
+    Raises:
+        FileFormatError: a file is not the published one.
+    """
+    folder = models_folder(wanted)
+    if not all((folder / file.name).is_file() for file in wanted.files):
+        return None
+    for file in wanted.files:
+        _check(folder / file.name, folder / file.name, file.checksum, "delete it and fetch the models again")
+    return folder
+
+
+def fetch_models(wanted: ModelSet, progress: Progress | None = None) -> Path:
+    """Download the files of a set that are not in the cache yet. Calling it is consent.
+
+    Args:
+        wanted: the set. progress: called with ("fetch", megabytes done, megabytes in all).
+
+    Returns:
+        The folder of the files.
+
+    Raises:
+        RtofError: no connection, an interrupted download, another file than the published one, a full disk.
+    """
+    folder = models_folder(wanted)
+    done = 0
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with FileLock(folder / ".lock"):
+            for file in wanted.files:
+                if not (folder / file.name).is_file():
+                    before = done
+
+                    def report(size: int, before: int = before) -> None:
+                        if progress is not None:
+                            progress("fetch", before + round(size / 1e6), wanted.megabytes)
+
+                    _fetch(file, folder, report)
+                done += file.megabytes
+    except RtofError:
+        raise
+    except (OSError, HTTPException) as error:
+        raise RtofError(f"{wanted.title}: not downloaded ({error}); {_AGAIN}") from error
+    found = cached_models(wanted)
+    if found is None:
+        raise RtofError(f"{folder}: files disappeared while they were downloaded; {_AGAIN}")
+    return found
+
+
+def _fetch(file: ModelFile, folder: Path, report: Callable[[int], None]) -> None:
+    """Download a file, go on with an earlier part of it, and put it into its place when it is right."""
+    part = folder / f"{file.name}.part"
+    _download(file, part, report)
+    _check(part, file.url, file.sha256, "nothing was kept; try again later, or give models of your own", True)
+    if file.member is not None:
+        inner = folder / f"{file.name}.member"
+        _unpack(file, part, inner)
+        _check(inner, file.url, file.checksum, "nothing was kept", True)
+        part.unlink()
+        part = inner
+    os.replace(part, folder / file.name)
+
+
+def _download(file: ModelFile, part: Path, report: Callable[[int], None]) -> None:
+    there = part.stat().st_size if part.is_file() else 0
+    limit = int(file.megabytes * 1e6)
+    headers = {"User-Agent": "rtof_kin", **({"Range": f"bytes={there}-"} if there else {})}
+    request = urllib.request.Request(file.url, headers=headers)
+    try:
+        answer = urllib.request.urlopen(request, timeout=_WAIT)
+    except urllib.error.HTTPError as error:
+        if error.code != 416:  # the part is the whole file, which its checksum will tell
+            raise RtofError(
+                f"{file.url}: the server answers {error.code} {error.reason}; {_AGAIN}"
+            ) from error
+        return
+    with answer, part.open("ab" if answer.status == 206 else "wb") as target:
+        start = size = target.tell()
+        while piece := answer.read(min(_PIECE, limit + 1 - size)):
+            target.write(piece)
+            size += len(piece)
+            report(size)
+            if size > limit:
+                break
+    if size > limit:
+        part.unlink()
+        raise RtofError(f"{file.url}: larger than {file.megabytes} MB, so not the file that was published")
+    announced = answer.headers.get("Content-Length", "")
+    if announced.isdigit() and size < start + int(announced):
+        raise RtofError(f"{file.url}: ended after {size / 1e6:.0f} MB; {_AGAIN}")
+
+
+def _unpack(file: ModelFile, archive: Path, target: Path) -> None:
+    try:
+        with zipfile.ZipFile(archive) as members:
+            found = [each for each in members.infolist() if Path(each.filename).name == file.member]
+            if len(found) != 1 or found[0].file_size > file.megabytes * 1e6:
+                raise RtofError(f"{file.url}: has no single file {file.member} of the published size")
+            with members.open(found[0]) as source, target.open("wb") as whole:
+                shutil.copyfileobj(source, whole)
+    except (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError) as error:
+        raise RtofError(f"{file.url}: not a readable archive ({error})") from error
+
+
+def _check(path: Path, name: str | Path, expected: str, remedy: str, remove: bool = False) -> None:
+    """Compare the checksum of a file."""
+    with path.open("rb") as stream:
+        found = hashlib.file_digest(stream, "sha256").hexdigest()
+    if found != expected:
+        if remove:
+            path.unlink()
+        difference = f"its SHA-256 {found[:12]}... is not the published {expected[:12]}..."
+        raise FileFormatError(name, f"{difference}; {remedy}")
