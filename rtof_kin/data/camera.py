@@ -31,6 +31,8 @@ class Camera:
     """(5,) OpenCV's k1, k2, p1, p2, k3."""
     assumed: tuple[str, ...] = ()
     """Assumed, not measured, properties in words, e.g. 'focal length', 'pose'."""
+    stabilised: bool = False
+    """Whether it stands for a camera that turned: points may lie beyond the borders of its image."""
 
     def __post_init__(self) -> None:
         if self.distortion is None:  # callers may say None

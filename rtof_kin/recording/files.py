@@ -86,7 +86,7 @@ def needed(path: Path, arrays: dict[str, Array], name: str, shape: str) -> Array
     return arrays[name]
 
 
-def _data_path(section: Section, or_folder: bool = False) -> Path:
+def data_path(section: Section, or_folder: bool = False) -> Path:
     """Return the file (or folder) inside the recording's folder that a section's field ``file`` names."""
     name = section.text("file")
     path = path_inside(section.path.parent, name)
@@ -118,10 +118,11 @@ def read_camera(section: Section) -> Camera:
     """Read a camera given by its matrices, by position, target and focal length, or by a calibration file.
 
     Args:
-        section: table ``[camera]``.
+        section: table ``[camera]``; its ``motion`` is read by `camera_motion_files`.
     """
+    section.has("motion")
     if section.has("file"):
-        path, name, up = _data_path(section), section.optional_text("name"), section.text("up", "z")
+        path, name, up = data_path(section), section.optional_text("name"), section.text("up", "z")
         with naming(section.path):
             camera = read_camera_file(
                 path, name, up=up, metres_per_unit=section.number("metres_per_unit", 1.0)
@@ -144,7 +145,7 @@ def read_camera(section: Section) -> Camera:
         K = _intrinsics(section, width, height)
         distortion = section.array("distortion", (5,)) if section.has("distortion") else np.zeros(5)
         assumed = section.optional_names("assumed") or ()
-        camera = Camera(K, R, t, width, height, distortion, assumed)
+        camera = Camera(K, R, t, width, height, distortion, assumed, section.flag("stabilised"))
     if K[0, 0] < _SHORTEST_FOCAL * width:
         raise section.error(
             "K" if section.has("K") else "focal_px", f"a focal length of {K[0, 0]:g} px in images {width} "
@@ -171,7 +172,8 @@ def camera_table(camera: Camera) -> dict[str, Any]:
         camera: to write.
     """
     assumed = {"assumed": list(camera.assumed)} if camera.assumed else {}
-    return assumed | {
+    stabilised = {"stabilised": True} if camera.stabilised else {}
+    return {**assumed, **stabilised} | {
         "width_px": int(camera.width_px),
         "height_px": int(camera.height_px),
         "K": camera.K.tolist(),
@@ -192,7 +194,7 @@ def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) ->
     """
     if section.text("layout", _OWN_LAYOUT) != _OWN_LAYOUT:
         return _read_detected(section, camera, skeleton)
-    path = _data_path(section)
+    path = data_path(section)
     is_csv = path.suffix.lower() == ".csv"
     if is_csv and section.has("layout"):
         raise section.error("layout", "a .csv names its points itself; leave the layout out")
@@ -258,7 +260,7 @@ def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) ->
             f"names of the points in landmarks, or write {_OWN_LAYOUT!r} for its joints in their order"
         )  # fmt: skip
     found = read_detector_keypoints(
-        _data_path(section, or_folder=True),
+        data_path(section, or_folder=True),
         camera,
         layout=None if layout == RECOGNISE else layout,
         rate_hz=section.optional_number("rate_hz"),
@@ -328,7 +330,7 @@ def read_imus(section: Section, skeleton: SkeletonModel) -> tuple[ImuSequence | 
 
 
 def _imu_sequence(section: Section, calibration: ImuCalibration | None) -> ImuSequence:
-    path = _data_path(section)
+    path = data_path(section)
     if path.suffix.lower() == ".csv":
         names, arrays = _imu_csv(path)
     else:
@@ -390,7 +392,7 @@ def read_truth(section: Section, skeleton: SkeletonModel) -> PoseSequence:
     Args:
         section: table ``[truth]``. skeleton: that names the joints.
     """
-    path = _data_path(section)
+    path = data_path(section)
     arrays = read_arrays(path, TRUTH)
     for name, shape in zip(TRUTH[:3], ("(T)", "(T, J, 3)", "(T, J, 3, 3)"), strict=True):
         needed(path, arrays, name, shape)
