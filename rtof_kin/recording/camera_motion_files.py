@@ -12,6 +12,7 @@ from rtof_kin.data.camera_motion import CameraMotion, stabilised
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.camera_motion_npz import read_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
+from rtof_kin.formats.sensors.phone import phone_files, read_phone
 from rtof_kin.inertial.camera_gyroscope import HELD, held_of_gravity, motion_of_gyroscope
 from rtof_kin.recording.files import data_path, naming
 
@@ -54,7 +55,8 @@ def _read(section: Section) -> CameraMotion:
     path = data_path(section, or_folder=True)
     if path.suffix.lower() == ".npz":
         return read_camera_motion(path)
-    log = read_sensor_log(path)
+    phone = phone_files(path)
+    log = read_phone(phone) if phone else read_sensor_log(path)
     stream = log.select([section.text("sensor", log.names[0])]).streams[0]
     held = section.optional_text("held")
     if held is not None and held not in HELD:

@@ -107,7 +107,9 @@ def focal_factor(camera: Camera, pairs: Sequence[Pair], sigma: float) -> tuple[f
         own = with_focal(camera, float(np.exp(log_factor)))
         a, b = bearings(own, uv_a), bearings(own, uv_b)
         R = so3.nearest_rotation(np.swapaxes(a, -1, -2) @ b)
-        off = np.linalg.norm(a - b @ np.swapaxes(R, -1, -2), axis=-1) * own.K[0, 0]
+        b = b @ np.swapaxes(R, -1, -2)
+        # In px: bearings towards the borders of a wider image would be closer together.
+        off = np.linalg.norm(a[..., :2] / a[..., 2:] - b[..., :2] / b[..., 2:], axis=-1) * own.K[0, 0]
         return np.asarray(np.where(off < _HUBER, off**2, 2 * _HUBER * off - _HUBER**2))
 
     def cost(log_factor: float) -> float:
