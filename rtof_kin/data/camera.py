@@ -52,6 +52,8 @@ class Camera:
     """Assumed, not measured, properties in words, e.g. 'focal length', 'pose'."""
     uncertainty: CameraUncertainty | None = None
     """Of an uncalibrated camera, whose unknowns `reconstruct` estimates; None where it is calibrated."""
+    stabilised: bool = False
+    """Whether it stands for a camera that turned: points may lie beyond the borders of its image."""
 
     def __post_init__(self) -> None:
         if self.distortion is None:  # callers may say None

@@ -165,18 +165,25 @@ def _declared(keypoints: KeypointSequence) -> Iterator[Check]:
               "the principal point is of another picture")  # fmt: skip
     for check, cause in zip(check_camera("of the recording", camera), causes, strict=True):
         yield replace(check, cause=cause)
-    uv = keypoints.uv_px[keypoints.seen]
-    outside = ((uv < 0) | (uv > [camera.width_px, camera.height_px])).any(axis=-1)
-    yield Check(
-        "points outside of the picture", "keypoints", 100 * float(outside.mean()) if len(uv) else np.nan,
-        MOST_OUTSIDE, "%", "Give the camera of the picture that was detected in",
-        cause="the keypoints are of a larger picture than the camera's",
-    )  # fmt: skip
+    yield _check_outside(keypoints)
     assumed = camera.assumed
     yield Check(
         "assumed, not measured", "camera", float(len(assumed)), 0.0, "quantities",
         f"Not measured: {', '.join(assumed) or 'nothing'}; calibrate, then take it out of assumed",
         cause=UNVERIFIED,
+    )  # fmt: skip
+
+
+def _check_outside(keypoints: KeypointSequence) -> Check:
+    name, camera = "points outside of the picture", keypoints.camera
+    if camera.stabilised:
+        return Check.unknown(name, "keypoints", "%", "the camera turned, and its picture has no borders")
+    uv = keypoints.uv_px[keypoints.seen]
+    outside = ((uv < 0) | (uv > [camera.width_px, camera.height_px])).any(axis=-1)
+    return Check(
+        name, "keypoints", 100 * float(outside.mean()) if len(uv) else np.nan,
+        MOST_OUTSIDE, "%", "Give the camera of the picture that was detected in",
+        cause="the keypoints are of a larger picture than the camera's",
     )  # fmt: skip
 
 

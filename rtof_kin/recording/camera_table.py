@@ -26,8 +26,9 @@ def read_camera(section: Section) -> Camera:
     """Read a camera given by its matrices, by position, target and focal length, or by a calibration file.
 
     Args:
-        section: table ``[camera]``.
+        section: table ``[camera]``; its ``motion`` is read by `camera_motion_files`.
     """
+    section.has("motion")
     uncertainty = _uncertainty(section)
     if section.has("file"):
         path, name, up = data_path(section), section.optional_text("name"), section.optional_text("up")
@@ -52,7 +53,8 @@ def read_camera(section: Section) -> Camera:
         K = _intrinsics(section, width, height)
         distortion = section.array("distortion", (5,)) if section.has("distortion") else np.zeros(5)
         assumed = section.optional_names("assumed") or ()
-        camera = Camera(K, R, t, width, height, distortion, assumed, uncertainty)
+        stabilised = section.flag("stabilised")
+        camera = Camera(K, R, t, width, height, distortion, assumed, uncertainty, stabilised)
     if K[0, 0] < _SHORTEST_FOCAL * width:
         raise section.error(
             "K" if section.has("K") else "focal_px", f"a focal length of {K[0, 0]:g} px in images {width} "
@@ -90,6 +92,8 @@ def camera_table(camera: Camera) -> dict[str, Any]:
         camera: to write.
     """
     more: dict[str, Any] = {"assumed": list(camera.assumed)} if camera.assumed else {}
+    if camera.stabilised:
+        more["stabilised"] = True
     if camera.uncertainty is not None:
         own = vars(camera.uncertainty)
         more[_UNCERTAINTY] = {field: own[name] / unit for name, (field, unit) in _FIELDS.items()}

@@ -104,6 +104,13 @@ class Section:
             raise self.error(field, f"{value!r} is not a whole number")
         return int(value)
 
+    def flag(self, field: str) -> bool:
+        """Return whether a field is true; false if absent."""
+        value = self.has(field) and self._data[field]
+        if not isinstance(value, bool):
+            raise self.error(field, f"{value!r} is neither true nor false")
+        return value
+
     def array(self, field: str, shape: Sequence[int]) -> Array:
         """Return a required array of finite numbers of a given shape."""
         size = " x ".join(map(str, shape))

@@ -1,0 +1,136 @@
+"""Turning of a handheld camera, and its keypoints as a camera that stands still would have seen them.
+
+Bearings of a camera that turns about its optical centre differ from one instant to another by a rotation,
+whatever the distance (Hartley and Zisserman, Multiple View Geometry, 2004, sec. 8.4). Not modelled are the
+translation of a hand and the rolling shutter, which takes an image's rows up to 30 ms after each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Self
+
+import numpy as np
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import checked_rotations, checked_times, freeze
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
+
+_LONGEST_GAP: Final = 0.3  # [s] between known rotations that is interpolated
+_WIDEST: Final = np.radians(65.0)  # from the still camera's axis; pixels are stretched 2.4 to 5.6 times there
+
+
+@dataclass(frozen=True)
+class CameraMotion:
+    """Orientation of a camera over time, relative to its first."""
+
+    times: Array
+    """(T,) s, on the clock of the keypoints."""
+    R_first_camera: Array
+    """(T, 3, 3) camera axes to those of a fixed orientation, e.g. the first; NaN as a whole where unknown."""
+    sigma: float = 0.0
+    """Standard deviation per axis of each rotation, rad."""
+    up_first: Array | None = None
+    """(3,) unit vector up in the axes of the fixed orientation, where gravity was measured."""
+    focal_px: float | None = None
+    """Focal length that the rotations were estimated with from images, px."""
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "times", checked_times("camera motion times", self.times))
+        freeze(self, "camera motion", R_first_camera=(len(self.times), 3, 3))
+        checked_rotations("camera motion R_first_camera", self.R_first_camera)
+        if np.isnan(self.R_first_camera).all():
+            raise InvalidInputError("camera motion: no rotation is known")
+        if not (np.isfinite(self.sigma) and self.sigma >= 0):
+            raise InvalidInputError(f"camera motion sigma: {self.sigma} is no standard deviation")
+        if self.focal_px is not None and not (np.isfinite(self.focal_px) and self.focal_px > 0):
+            raise InvalidInputError(f"camera motion focal_px: {self.focal_px} is not positive")
+        if self.up_first is not None:
+            freeze(self, "camera motion", up_first=(3,))
+            if abs(np.linalg.norm(self.up_first) - 1) > 1e-3:
+                raise InvalidInputError("camera motion up_first: not a unit vector")
+
+    @property
+    def R_first_still(self) -> Array:
+        """(3, 3) mean orientation: that of a camera that stands still instead."""
+        R = self.R_first_camera
+        return so3.nearest_rotation(R[np.isfinite(R).all(axis=(1, 2))].mean(axis=0))
+
+    @property
+    def angles(self) -> Array:
+        """(T,) rad from the mean orientation; NaN where unknown."""
+        angles = np.full(len(self.times), np.nan)
+        known = np.isfinite(self.R_first_camera).all(axis=(1, 2))
+        angles[known] = so3.angle_between(self.R_first_still, self.R_first_camera[known])
+        return angles
+
+    def shifted(self, seconds: float) -> Self:
+        """Return the motion with seconds added to its times.
+
+        Args:
+            seconds: s.
+        """
+        return replace(self, times=self.times + seconds)
+
+
+def stabilised(keypoints: KeypointSequence, motion: CameraMotion) -> KeypointSequence:
+    """Return keypoints as a camera without distortion that stands still in the mean orientation sees them.
+
+    The declared pose of the camera is taken for that of the mean orientation. Where the motion knows gravity,
+    the declared heading and position stay and the tilt is the measured one.
+
+    Args:
+        keypoints: of the camera that turns. motion: on their clock.
+
+    Returns:
+        Keypoints with `Camera.stabilised`: they may lie beyond the borders of its image. They are missing
+        where the rotation is unknown or they lie more than 65 degrees from the still camera's axis.
+
+    Raises:
+        InvalidInputError: the motion has no rotation at the times of the keypoints, or was applied before.
+    """
+    camera = keypoints.camera
+    if camera.stabilised:
+        raise InvalidInputError("camera motion: these keypoints are stabilised already; leave it out")
+    known = np.isfinite(motion.R_first_camera).all(axis=(1, 2))
+    span, step = (
+        motion.times[known][[0, -1]],
+        np.median(np.diff(keypoints.times)) if len(keypoints) > 1 else 0.0,
+    )
+    at = keypoints.times
+    inside = (at >= span[0] - 1.5 * step) & (at <= span[1] + 1.5 * step)  # a frame more at either end
+    R = signals.interpolate_rotations(
+        motion.times, motion.R_first_camera[:, None], np.clip(at, *span), _LONGEST_GAP
+    )[:, 0]
+    R[~inside] = np.nan
+    if np.isnan(R).all():
+        raise InvalidInputError(
+            f"camera motion: known from {span[0]:g} to {span[1]:g} s, keypoints are from {at[0]:g} to "
+            f"{at[-1]:g} s; put it on their clock"
+        )
+    still = motion.R_first_still
+    rays = np.concatenate(
+        [camera.normalise(keypoints.uv_px), np.ones((*keypoints.confidence.shape, 1))], axis=-1
+    )
+    rays = np.einsum("tij,tlj->tli", still.T @ R, rays)
+    near = rays[..., 2] > np.cos(_WIDEST) * np.linalg.norm(rays, axis=-1)  # False for NaN
+    with np.errstate(divide="ignore", invalid="ignore"):
+        uv = rays[..., :2] / rays[..., 2:] @ camera.K[:2, :2].T + camera.K[:2, 2]
+    return replace(
+        keypoints, camera=_still(camera, motion, still), uv_px=np.where(near[..., None], uv, np.nan),
+        confidence=np.where(near, keypoints.confidence, 0.0),
+    )  # fmt: skip
+
+
+def _still(camera: Camera, motion: CameraMotion, R_first_still: Array) -> Camera:
+    """Return the camera that stands still, with the measured tilt where there is one."""
+    R = camera.R_camera_world
+    if motion.up_first is not None:
+        R = so3.minimal_rotation(R[:, 2], R_first_still.T @ motion.up_first) @ R
+    t = -R @ camera.center_world
+    return replace(camera.undistorted(), R_camera_world=R, t_camera_world=t, stabilised=True)

@@ -1,0 +1,92 @@
+"""The turning of a camera from rendered backgrounds with a person in front."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.vision.background_motion import estimate_camera_motion
+
+# OpenCV's wheel needs a system library that machines without a screen may lack.
+cv2: Any = pytest.importorskip("cv2", exc_type=ImportError)
+from benchmarks.turning_video import pan_and_shake, write_turning_video  # noqa: E402
+
+CAMERA = Camera.looking_at([0.0, 0, 1], [1.0, 0, 1], 400.0, 480, 270)
+RATE, T = 30.0, 120
+TIMES = np.arange(T) / RATE
+BOXES = np.linspace([80.0, 60, 130, 240], [330.0, 60, 380, 240], T)  # a person who walks through the image
+PERSON = KeypointSequence(CAMERA, TIMES, BOXES.reshape(T, 2, 2), np.ones((T, 2)), ("a", "b"))
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Array]:
+    """A video of a pan with shake, and its rotations from the first frame."""
+    R = pan_and_shake(np.random.default_rng(3), TIMES)
+    path = tmp_path_factory.mktemp("video") / "handheld.mp4"
+    write_turning_video(path, R, CAMERA, RATE, BOXES)
+    return path, R[0].T @ R
+
+
+def degrees_off(R: Array, R_true: Array) -> Array:
+    return np.degrees(so3.angle_between(R, R_true))
+
+
+def test_pan_and_shake_are_recovered(turned: tuple[Path, Array]) -> None:
+    path, R_true = turned
+    found = estimate_camera_motion(path, PERSON, CAMERA)
+    off = degrees_off(found.motion.R_first_camera, R_true)
+    assert np.degrees(found.motion.angles.max()) > 10
+    assert found.known == 1
+    assert off.max() < 0.1
+    assert np.sqrt(np.mean(off**2) / 3) < 2 * np.degrees(found.motion.sigma) < 0.1
+    assert found.camera is CAMERA or found.camera.K[0, 0] == CAMERA.K[0, 0]
+    assert found.turning().failed
+    assert "did not stand still" in found.turning().message
+
+
+def test_wrong_focal_length_is_refined(turned: tuple[Path, Array]) -> None:
+    path, R_true = turned
+    guess = replace(CAMERA, K=np.array([[460.0, 0, 240], [0, 460, 135], [0, 0, 1]]))
+    found = estimate_camera_motion(path, PERSON, guess, sigma_focal=0.2)
+    assert found.camera.K[0, 0] == pytest.approx(400, rel=0.02)
+    assert found.motion.focal_px == found.camera.K[0, 0]
+    assert found.sigma_focal < 0.03
+    assert degrees_off(found.motion.R_first_camera, R_true).max() < 0.15
+
+
+def test_person_who_fills_half_of_the_image_is_left_out(tmp_path: Path) -> None:
+    R = pan_and_shake(np.random.default_rng(4), TIMES[:30], 4.0, 1.0)
+    boxes = np.tile([120.0, 0, 360, 270], (30, 1))
+    write_turning_video(tmp_path / "near.mp4", R, CAMERA, RATE, boxes)
+    person = replace(
+        PERSON[:30], uv_px=boxes.reshape(30, 2, 2) * [[[1, 1], [1, 1]]] + [[[25, 20], [-25, -20]]]
+    )
+    found = estimate_camera_motion(tmp_path / "near.mp4", person, CAMERA)
+    assert degrees_off(found.motion.R_first_camera, R[0].T @ R).max() < 0.1
+
+
+def test_tripod_is_recognised(tmp_path: Path) -> None:
+    write_turning_video(tmp_path / "tripod.mp4", np.tile(np.eye(3), (30, 1, 1)), CAMERA, RATE, BOXES)
+    found = estimate_camera_motion(tmp_path / "tripod.mp4", PERSON, CAMERA, sigma_focal=0.1)
+    assert found.turning().passed
+    assert found.sigma_focal > 0.05  # nothing turned
+
+
+def test_plain_background_and_a_camera_of_another_size_are_refused(tmp_path: Path) -> None:
+    film = cv2.VideoWriter(str(tmp_path / "plain.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), RATE, (480, 270))
+    for _ in range(5):
+        film.write(np.full((270, 480, 3), 90, np.uint8))
+    film.release()
+    with pytest.raises(InvalidInputError, match="too little of the background"):
+        estimate_camera_motion(tmp_path / "plain.mp4", None, CAMERA)
+    with pytest.raises(InvalidInputError, match="480 x 270 px, its camera 640 x 270"):
+        estimate_camera_motion(tmp_path / "plain.mp4", None, replace(CAMERA, width_px=640))
