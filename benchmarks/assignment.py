@@ -1,0 +1,246 @@
+"""Which sensor is on which segment: share right and calibration of the stated probabilities.
+
+``python -m benchmarks.assignment --corpus DIR`` with DIR the folder of free motion (see README.md here).
+Recordings of 10 to 60 s join motions of the test split's people, and the same on the rig that nothing learned
+from (`rerigged`); realistic 2D of one camera, lifted without sensors. 4, 8, 10 and 13 sensors with arbitrary
+mountings and headings have 13 segments to choose from. ``--subset validation`` is what weights and thresholds
+were chosen on. ``--real DIR`` adds real recordings, sensors alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tomllib
+import zlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.calibration.sessions import joined
+from benchmarks.harness import SENSOR_SETS, split, write_results
+from benchmarks.rerigged import rerigged
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import RtofError
+from rtof_kin.data.imu_declaration import Declaration
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.formats.sensors.files import read_sensor_log
+from rtof_kin.reconstruction.lift import lift
+from rtof_kin.reconstruction.prepare import evenly_spaced
+from rtof_kin.recording.recording import Recording
+from rtof_kin.setup.assignment import assign_sensors
+from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
+from rtof_kin.simulation.simulate import SimulationSettings, low_passed, simulate, standard_cameras
+
+HERE = Path(__file__).parent
+TRIALS = HERE.parent / "examples" / "sensor_trials.toml"
+SECONDS = (10.0, 20.0, 40.0, 60.0)
+EVERY = tuple(SkeletonModel.default().sensors)
+SETS = {**SENSOR_SETS, "13": EVERY}
+BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.01)
+
+
+def sessions(corpus: Path, subjects: list[str]) -> Iterator[MocapClip]:
+    """Recordings of each person: as many of each length as there is motion for, at most three."""
+    people: dict[str, list[MocapClip]] = {}
+    for clip in read_corpus(corpus, subjects, output_rate_hz=120.0, min_seconds=2.0):
+        if "GLITCH" not in clip.quality and len(clip.poses) >= 2.0 * clip.poses.rate_hz:
+            people.setdefault(clip.subject, []).append(resample_clip(low_passed(clip, 10.0), 60.0))
+    for subject, clips in people.items():
+        for again, seconds in ((again, seconds) for seconds in SECONDS for again in range(3)):
+            total = sum(len(clip.poses) for clip in clips) / 60
+            if total < (again + 1) * min(seconds, 10.0) or total < 0.8 * seconds:
+                continue
+            name = f"{subject}, {seconds:g} s, {again + 1}"
+            order = np.random.default_rng(zlib.crc32(name.encode())).permutation(len(clips))
+            session = joined([clips[i] for i in order], seconds, name)
+            walks = "walk" if all("walk" in clips[i].category.lower() for i in order) else ""
+            yield replace(session, category=walks)
+            if again == 0 and subject.startswith("CMU"):
+                yield replace(rerigged(session), name=f"{name}, rerigged", category=walks)
+
+
+def recorded(clip: MocapClip, seed: int) -> tuple[Recording, PoseSequence]:
+    """What the first camera and all sensors record, and the lifted poses."""
+    own = seed * 1_000_003 + zlib.crc32(clip.name.encode())
+    settings = replace(SimulationSettings.realistic(), sensors=EVERY)
+    camera = standard_cameras(clip.poses, own)[own % 4]
+    recording = simulate(clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=own, name=clip.name)
+    keypoints = evenly_spaced(recording.video)
+    return recording, lift(keypoints, recording.skeleton).poses
+
+
+def as_log(recording: Recording, sensors: tuple[str, ...]) -> SensorLog:
+    """Unnamed sensors."""
+    assert recording.imus is not None
+    imus = recording.imus.select(sensors)
+    streams = [
+        SensorStream(f"{s}", imus.times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
+        for s in range(len(sensors))
+    ]
+    return SensorLog(Path(recording.name), "simulated", tuple(streams), Declaration())
+
+
+def judge(clip: MocapClip, seed: int) -> Iterator[dict[str, Any]]:
+    """A row for each sensor, number of sensors, and with and without an image."""
+    recording, poses = recorded(clip, seed)
+    skeleton = recording.skeleton
+    for number, sensors in SETS.items():
+        order = np.random.default_rng(zlib.crc32(f"{clip.name}{number}".encode())).permutation(len(sensors))
+        sensors = tuple(sensors[i] for i in order)
+        for image in (True, False):
+            found = assign_sensors(as_log(recording, sensors), skeleton, poses if image else None)
+            for s, sensor in enumerate(sensors):
+                yield {
+                    "recording": clip.name, "rig": clip.rig, "walk": bool(clip.category),
+                    "seconds": round(len(clip.poses) / 60), "sensors": int(number), "image": image,
+                    "truth": skeleton.sensors[sensor][0], "found": found.joints[str(s)],
+                    "probability": found.probabilities[str(s)], "doubt": found.doubt,
+                }  # fmt: skip
+
+
+def real_trials(folder: Path) -> Iterator[dict[str, Any]]:
+    """The same of real sensors on the skeleton's usual segments, without an image."""
+    skeleton = SkeletonModel.default()
+    usual = {joint for joint, _ in skeleton.sensors.values()}
+    for name, facts in tomllib.loads(TRIALS.read_text(encoding="utf-8")).items():
+        log = _read(folder / name, facts)
+        if log is None:
+            continue
+        truth = {sensor: joint for sensor, joint in facts["joints"].items() if joint in usual}
+        found = assign_sensors(log.select(list(truth)), skeleton)
+        for sensor, joint in truth.items():
+            yield {
+                "recording": name, "sensors": len(truth), "image": False, "truth": joint, "found": found.joints[sensor],
+                "probability": found.probabilities[sensor], "doubt": found.doubt, "real": True,
+            }  # fmt: skip
+
+
+def _read(folder: Path, facts: dict[str, Any]) -> SensorLog | None:
+    """The log with the trial's sensors, wherever in the folder it is."""
+    for path in [folder, *sorted(folder.rglob("*"))]:
+        if path.is_dir() or path.suffix == ".mat":
+            try:
+                log = read_sensor_log(path, **facts.get("declared", {}))
+            except RtofError:
+                continue
+            if set(facts["joints"]) <= set(log.names):
+                return log
+    return None
+
+
+def tables(rows: list[dict[str, Any]]) -> str:
+    """Markdown of the results."""
+    simulated = [r for r in rows if not r.get("real")]
+    out = ["# Which sensor is where", "", *_shares(simulated)]
+    walking = [r for r in simulated if r["walk"]]
+    out += ["", "## Walking alone", "", *_shares(walking)] if walking else []
+    out += ["", "## By rig, 8 to 13 sensors", "", *_by_rig([r for r in simulated if r["sensors"] >= 8])]
+    out += ["", "## Stated probability of a sensor's segment, and share right", "", *_reliability(simulated)]
+    real = [r for r in rows if r.get("real")]
+    out += ["", "## Real sensors, without an image", "", *_real(real)] if real else []
+    return "\n".join(out) + "\n"
+
+
+def _right(r: dict[str, Any]) -> bool:
+    return bool(r["truth"] == r["found"])
+
+
+def _right_but_side(r: dict[str, Any]) -> bool:
+    return bool(r["truth"].replace("Left", "Right") == r["found"].replace("Left", "Right"))
+
+
+def _percent(values: list[bool]) -> str:
+    return f"{100 * np.mean(values):.1f}" if values else "-"
+
+
+def _by_recording(rows: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    groups: dict[Any, list[dict[str, Any]]] = {}
+    for r in rows:
+        groups.setdefault((r["recording"], r["sensors"], r["image"]), []).append(r)
+    return list(groups.values())
+
+
+def _shares(rows: list[dict[str, Any]]) -> list[str]:
+    head = (
+        "| image | sensors | recordings | sensors right % | right but for the side % | recordings all right % | "
+        "recordings said sure % | of these all right % | sensors stated 95 % sure % | of these right % |"
+    )
+    out = [head, "|---" * 10 + "|"]
+    for image in (True, False):
+        for number in sorted({r["sensors"] for r in rows}):
+            own = [r for r in rows if r["image"] == image and r["sensors"] == number]
+            groups = _by_recording(own)
+            sure = [g for g in groups if not g[0]["doubt"]]
+            certain = [r for r in own if r["probability"] >= 0.95]
+            cells = [
+                "yes" if image else "no", str(number), str(len(groups)), _percent([_right(r) for r in own]),
+                _percent([_right_but_side(r) for r in own]), _percent([all(map(_right, g)) for g in groups]),
+                f"{100 * len(sure) / max(len(groups), 1):.0f}", _percent([all(map(_right, g)) for g in sure]),
+                f"{100 * len(certain) / max(len(own), 1):.0f}", _percent([_right(r) for r in certain]),
+            ]  # fmt: skip
+            out.append("| " + " | ".join(cells) + " |")
+    return out
+
+
+def _by_rig(rows: list[dict[str, Any]]) -> list[str]:
+    out = ["| rig | image | recordings | sensors right % |", "|---|---|---|---|"]
+    for rig in sorted({r["rig"] for r in rows}):
+        for image in (True, False):
+            own = [r for r in rows if r["rig"] == rig and r["image"] == image]
+            count = len({r["recording"] for r in own})
+            out.append(f"| {rig} | {'yes' if image else 'no'} | {count} | {_percent([_right(r) for r in own])} |")
+    return out
+
+
+def _reliability(rows: list[dict[str, Any]]) -> list[str]:
+    out = ["| stated | with image: sensors | mean stated % | right % | without: sensors | mean stated % | right % |"]
+    out.append("|---" * 7 + "|")
+    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+        cells = [f"{100 * low:.0f} to {min(100 * high, 100):.0f} %"]
+        for image in (True, False):
+            own = [r for r in rows if r["image"] == image and low <= r["probability"] < high]
+            mean = f"{100 * np.mean([r['probability'] for r in own]):.1f}" if own else "-"
+            cells += [str(len(own)), mean, _percent([_right(r) for r in own])]
+        out.append("| " + " | ".join(cells) + " |")
+    return out
+
+
+def _real(rows: list[dict[str, Any]]) -> list[str]:
+    out = ["| recording | sensors | right | right but for the side | least stated % | wrong | doubt |", "|---" * 7 + "|"]
+    for group in _by_recording(rows):
+        wrong = ", ".join(f"{r['truth']} as {r['found']} ({100 * r['probability']:.0f} %)" for r in group if not _right(r))
+        least = 100 * min(r["probability"] for r in group)
+        counts = (len(group), sum(map(_right, group)), sum(map(_right_but_side, group)))
+        cells = [group[0]["recording"], *map(str, counts), f"{least:.0f}", wrong or "-", "yes" if group[0]["doubt"] else "no"]
+        out.append("| " + " | ".join(cells) + " |")
+    return out
+
+
+def main() -> int:
+    """Run and write."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.assignment", description=__doc__)
+    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser.add_argument("--real", type=Path, help="folder of real sensor recordings")
+    parser.add_argument("--subset", choices=("test", "validation"), default="test")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=HERE / "results" / "assignment.json")
+    options = parser.parse_args()
+    rows: list[dict[str, Any]] = [] if options.real is None else list(real_trials(options.real))
+    for clip in sessions(options.corpus, split()[options.subset]):
+        rows += judge(clip, options.seed)
+        mine = [r for r in rows if r["recording"] == clip.name]
+        shares = [_percent([_right(r) for r in mine if r["image"] == image]) for image in (True, False)]
+        print(f"{clip.name}: {shares[0]} % right with the image, {shares[1]} % without", flush=True)
+    text = tables(rows)
+    write_results(options.out, {"rows": rows}, text)
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

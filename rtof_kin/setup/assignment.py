@@ -1,0 +1,173 @@
+"""Which sensor is on which segment, from motion: `assign_sensors`, and `check_assignment` of a declared map.
+
+With poses from an image, orientations and angular velocities of each sensor are compared with those of every
+segment, mounting and heading unknown (`image_evidence`). Sizes, spectra and correlations of the motion, and
+which sensors have a joint in common, are scored as learned from motion capture (`motion_score`), with an image
+or without. Motion without an image hardly tells left from right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import indices_of
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.setup.image_evidence import image_scores
+from rtof_kin.setup.matching import Labels, Matching, match
+from rtof_kin.setup.motion_score import shipped_score
+from rtof_kin.setup.sensor_motion import SensorMotions, sensor_motions
+
+Candidates = Sequence[str] | Mapping[str, Sequence[str]]
+_SURE = 0.95  # [-] probability from which a sensor's segment is not doubted
+_POSSIBLE = 0.02  # [-] probability from which an alternative is named
+_STILL = 0.05  # [rad/s] RMS angular speed of a sensor that does not move
+_IMAGE_WEIGHT = 0.5  # [-] of the image's log-likelihood, whose errors of segments are correlated
+_MOST_PROBABLE = 0.999  # [-] nothing is stated surer, as models are not exact
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """Segments of sensors, and how sure they are."""
+
+    joints: dict[str, str]
+    """Sensor -> segment, by its proximal joint."""
+    probabilities: dict[str, float]
+    """Sensor -> probability of that segment."""
+    alternatives: dict[str, tuple[tuple[str, float], ...]]
+    """Sensor -> other segments that are possible and their probabilities, falling."""
+    doubt: str
+    """What is not sure and what to do about it, in one sentence; empty where all is sure."""
+
+    @property
+    def sure(self) -> bool:
+        """Whether every sensor's segment is sure."""
+        return not self.doubt
+
+
+def assign_sensors(
+    log: SensorLog,
+    skeleton: SkeletonModel,
+    poses: PoseSequence | None = None,
+    *,
+    candidates: Candidates | None = None,
+) -> Assignment:
+    """Find the segment of each sensor from motion. Mountings and headings may be anything.
+
+    Args:
+        log: the sensors; with poses, on their clock. skeleton: the subject's.
+        poses: lifted from a video; None: motion alone, which often leaves left and right open.
+        candidates: segments that may have a sensor, of all or by sensor (others: all); by default those of
+            the skeleton's usual sensors. There may be fewer sensors than segments.
+
+    Raises:
+        UnknownNameError: an unknown segment or sensor.
+        InvalidInputError: more sensors than segments, too little data, or without poses no acceleration.
+    """
+    motions = sensor_motions(log)
+    segments, allowed = _possible(motions.names, skeleton, candidates)
+    still = [n for n, w in zip(motions.names, _speed(motions), strict=True) if w < _STILL]
+    found = match(*_scores(motions, skeleton, segments, poses), allowed=allowed, mirrors=_mirrors(segments))
+    return _assignment(found, motions.names, segments, still, poses is not None)
+
+
+def _possible(
+    sensors: Sequence[str], skeleton: SkeletonModel, candidates: Candidates | None
+) -> tuple[tuple[str, ...], NDArray[np.bool_]]:
+    """Return the segments (K) in question and which of them each sensor may be on (S, K)."""
+    usual = tuple(dict.fromkeys(joint for joint, _ in skeleton.sensors.values()))
+    own: Mapping[str, Sequence[str]] = {}
+    if isinstance(candidates, Mapping):
+        indices_of("sensor", list(candidates), sensors)
+        own = candidates
+    elif candidates is not None:
+        usual = tuple(dict.fromkeys(candidates))
+    segments = tuple(dict.fromkeys([*usual, *(name for names in own.values() for name in names)]))
+    indices_of("segment", segments, skeleton.names)
+    if len(sensors) > len(segments):
+        raise InvalidInputError(
+            f"there are {len(sensors)} sensors for {len(segments)} segments ({', '.join(segments)}); name all "
+            "segments that have one as candidates, or leave sensors out"
+        )
+    allowed = np.array([[name in own.get(sensor, usual) for name in segments] for sensor in sensors])
+    return segments, allowed
+
+
+def _speed(motions: SensorMotions) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.sum(motions.w**2, axis=-1), axis=0)))
+
+
+def _scores(
+    motions: SensorMotions, skeleton: SkeletonModel, segments: tuple[str, ...], poses: PoseSequence | None
+) -> tuple[Array, Array | None]:
+    """Return the scores of single sensors (S, K), and of pairs (S, S, K, K) where motion tells them."""
+    score = shipped_score()
+    learned = motions.accelerated and set(segments) <= set(score.segments)
+    if poses is None and not learned:
+        unknown = sorted(set(segments) - set(score.segments))
+        lacking = f"for {', '.join(unknown)}" if unknown else "without accelerations"
+        raise InvalidInputError(
+            f"which sensor is where cannot be told from motion alone {lacking}; give poses from a video"
+        )
+    single, pair = score.tables(motions, segments) if learned else (np.zeros((len(motions.names), len(segments))), None)
+    if poses is not None:
+        single = single + _IMAGE_WEIGHT * image_scores(motions, poses, skeleton, segments)
+    return single, pair
+
+
+def _mirrors(segments: Sequence[str]) -> list[Labels]:
+    """Return exchanges of left and right (K,): of all segments, and of arms and of legs alone."""
+    other = [_other_side(name) for name in segments]
+    if not set(other) <= set(segments):
+        return []
+    both = np.array([segments.index(name) for name in other])
+    leg = np.array([name.endswith(("Leg", "Foot")) for name in segments])
+    own = np.arange(len(segments))
+    return [both, np.where(leg, both, own), np.where(leg, own, both)]
+
+
+def _other_side(name: str) -> str:
+    if name.startswith("Left"):
+        return "Right" + name.removeprefix("Left")
+    return "Left" + name.removeprefix("Right") if name.startswith("Right") else name
+
+
+def _assignment(
+    found: Matching, sensors: Sequence[str], segments: Sequence[str], still: Sequence[str], seen: bool
+) -> Assignment:
+    joints = {sensor: segments[k] for sensor, k in zip(sensors, found.best, strict=True)}
+    probabilities, alternatives = {}, {}
+    for sensor, k, row in zip(sensors, found.best, found.probability, strict=True):
+        probabilities[sensor] = min(float(row[k]), _MOST_PROBABLE)
+        others = [int(i) for i in np.argsort(-row) if i != k and row[i] >= _POSSIBLE]
+        alternatives[sensor] = tuple((segments[i], float(row[i])) for i in others)
+    return Assignment(joints, probabilities, alternatives, _doubt(joints, found, segments, still, seen))
+
+
+def _doubt(
+    joints: Mapping[str, str], found: Matching, segments: Sequence[str], still: Sequence[str], seen: bool
+) -> str:
+    """Return a sentence on what is not sure."""
+    if still:
+        are = "does" if len(still) == 1 else "do"
+        return f"{', '.join(still)} {are} not move: record a few steps, and raise and bend each arm and leg once"
+    rows = range(len(found.best))
+    own = found.probability[rows, found.best]
+    other = [segments.index(s) if (s := _other_side(j)) in segments else -1 for j in joints.values()]
+    either = own + np.where(np.array(other) >= 0, found.probability[rows, other], 0.0) * (np.array(other) != found.best)
+    unsure = [sensor for sensor, p in zip(joints, own, strict=True) if p < _SURE]
+    if not unsure:
+        return ""
+    remedy = "walk a few steps and raise each limb once" if seen else "give a video, or name one of them"
+    sided = [sensor for sensor, p in zip(joints, either, strict=True) if p < _SURE]
+    if not sided:
+        return f"left and right of {', '.join(unsure)} are not sure; {remedy}"
+    named = ", ".join(f"{sensor} on {joints[sensor]} ({100 * own[list(joints).index(sensor)]:.0f} %)" for sensor in unsure)
+    return f"not sure: {named}; record walking and a movement of each limb, give a video, or name sensors"
