@@ -153,9 +153,7 @@ def read_phone_table(path: str | Path) -> tuple[Phone, ...]:
     try:
         return tuple(_phone(entry, data["sources"]) for entry in data["phone"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise FileFormatError(
-            path, f"an entry is not complete or not of the right kind: {error!r}"
-        ) from error
+        raise FileFormatError(path, f"an entry is incomplete or of the wrong kind: {error!r}") from error
 
 
 def _phone(entry: dict[str, Any], sources: dict[str, dict[str, Any]]) -> Phone:

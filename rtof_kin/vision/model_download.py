@@ -108,7 +108,7 @@ def _read_sets(path: Path) -> tuple[ModelSet, ...]:
     try:
         return tuple(_set(dict(entry)) for entry in data["set"])
     except (KeyError, TypeError, ValueError) as error:
-        raise FileFormatError(path, f"an entry is not complete or not of the right kind: {error}") from error
+        raise FileFormatError(path, f"an entry is incomplete or of the wrong kind: {error}") from error
 
 
 def _set(entry: dict[str, Any]) -> ModelSet:

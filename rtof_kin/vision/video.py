@@ -25,7 +25,7 @@ from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.vision.detections import Detections, Person
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
 from rtof_kin.vision.video_file import library, open_video, upright_image
-from rtof_kin.vision.video_metadata import slow_motion
+from rtof_kin.vision.video_metadata import frame_count, frame_rate, slow_motion
 
 Progress = Callable[[str, int, int], None]
 _log = logging.getLogger(__name__)
@@ -108,12 +108,12 @@ def _file(path: str | Path) -> Iterator[VideoFrame]:
     with open_video(path) as (container, stream):
         stream.thread_type = "AUTO"
         slowed = slow_motion(container, stream)
-        rate = float(stream.average_rate or stream.guessed_rate or 0)
-        clock = _FileClock(path, rate)
+        total = frame_count(container, stream)
+        clock = _FileClock(path, frame_rate(stream))
         index = -1
         for index, frame in enumerate(_decoded(path, container, stream)):
             now = clock(frame.time) / slowed
-            yield VideoFrame(now, upright_image(frame, stream), index, stream.frames)
+            yield VideoFrame(now, upright_image(frame, stream), index, total)
         if index < 0:
             raise FileFormatError(path, "there is no readable frame in it")
 
@@ -137,9 +137,9 @@ def _decoded(path: str | Path, container: Any, stream: Any) -> Iterator[Any]:
 class _FileClock:
     """Times since the first frame: time stamps while they increase, else the frame rate."""
 
-    def __init__(self, path: str | Path, rate_hz: float):
+    def __init__(self, path: str | Path, rate_hz: float | None):
         self._path = path
-        self._step = 1 / rate_hz if 1e-3 < rate_hz < 1e5 else None
+        self._step = None if rate_hz is None else 1 / rate_hz
         self._first: float | None = None
         self._last = -np.inf
 

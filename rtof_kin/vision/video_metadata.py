@@ -41,7 +41,7 @@ class VideoMetadata:
     rate_hz: float | None = None
     """Mean frame rate in real time, Hz."""
     frames: int | None = None
-    """Number of frames."""
+    """Number of frames; where the file does not state it, from duration and rate."""
     seconds: float | None = None
     """Duration in real time, s."""
     slowed: float = 1.0
@@ -74,14 +74,14 @@ def read_video_metadata(path: str | Path) -> VideoMetadata:
             raise FileFormatError(path, "there is no readable frame in it")
         width, height = upright_size(frame, stream)
         tags = _tags(container, stream)
-        rate, slowed = _rate(stream), slow_motion(container, stream)
+        rate, slowed = frame_rate(stream), slow_motion(container, stream)
         seconds = _duration(container, stream)
         return VideoMetadata(
             width_px=width,
             height_px=height,
             rotation_deg=turn_deg(frame),
             rate_hz=None if rate is None else rate * slowed,
-            frames=int(stream.frames) or None,
+            frames=frame_count(container, stream) or None,
             seconds=None if seconds is None else seconds / slowed,
             slowed=slowed,
             start_utc=_start(tags),
@@ -129,10 +129,19 @@ def slow_motion(container: Any, stream: Any) -> float:
         container, stream: of PyAV.
     """
     captured = _number(_tags(container, stream), (_CAPTURE,), _SLOW_MOTION_HZ, 1e4)
-    rate = _rate(stream)
+    rate = frame_rate(stream)
     if captured is None or rate is None or captured < _SLOWED * rate:
         return 1.0
     return captured / rate
+
+
+def frame_count(container: Any, stream: Any) -> int:
+    """Return the number of frames, from duration and rate where the file does not state it; 0 where unknown.
+
+    Args:
+        container, stream: of PyAV.
+    """
+    return int(stream.frames) or round((_duration(container, stream) or 0.0) * (frame_rate(stream) or 0.0))
 
 
 def _tags(container: Any, stream: Any) -> dict[str, str]:
@@ -174,7 +183,12 @@ def _start(tags: dict[str, str]) -> datetime | None:
     return None
 
 
-def _rate(stream: Any) -> float | None:
+def frame_rate(stream: Any) -> float | None:
+    """Return the mean rate of the frames in a file, Hz; None where unknown.
+
+    Args:
+        stream: of PyAV.
+    """
     rate = float(stream.average_rate or stream.guessed_rate or 0)
     return rate if math.isfinite(rate) and 1e-3 < rate < 1e5 else None
 

@@ -1,111 +1,57 @@
-"""Keypoints from a video by the user's models: here, tiny ones that detect coloured dots."""
+"""Videos of all kinds become upright images at the right times, and people in them detections."""
 
 from __future__ import annotations
 
-import sys
+import logging
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from detector_support import points_px, walking, watching
 from numpy.typing import NDArray
 
 from rtof_kin.cli import main
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.vision import video
+from rtof_kin.vision.detections import Person
 from rtof_kin.vision.keypoint_files import read_detector_file
 
-# OpenCV's wheel needs a system library that machines without a screen may lack.
+av: Any = pytest.importorskip("av")
 cv2: Any = pytest.importorskip("cv2", exc_type=ImportError)
-pytest.importorskip("rtmlib", exc_type=ImportError)
-onnx: Any = pytest.importorskip("onnx")
+pytest.importorskip("onnx")
+from dot_detector import people_model, write_video  # noqa: E402
+
 Array = NDArray[np.float64]
 WIDTH, HEIGHT, RATE = 640, 480, 25.0
-MEAN, STD = np.array([123.675, 116.28, 103.53]), np.array([58.395, 57.12, 57.375])
-
-
-def colours(count: int) -> Array:
-    """(K, 3) colours that are all as bright and far from each other."""
-    i = np.arange(count) + 0.5
-    height = i / count
-    turn = np.pi / 2 * ((i * 0.618034) % 1)
-    ring = np.sqrt(1 - height**2)
-    return np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=-1)
-
-
-def saved(path: Path, nodes: list[Any], constants: dict[str, Any], size: tuple[int, int],
-          outputs: dict[str, list[Any]]) -> None:  # fmt: skip
-    helper, kind = onnx.helper, onnx.TensorProto.FLOAT
-    graph = helper.make_graph(
-        nodes,
-        "dots",
-        [helper.make_tensor_value_info("input", kind, ["N", 3, *size])],
-        [helper.make_tensor_value_info(name, kind, shape) for name, shape in outputs.items()],
-        [onnx.numpy_helper.from_array(np.asarray(v), name) for name, v in constants.items()],
-    )
-    opset = [helper.make_opsetid("", 13)]
-    onnx.save(helper.make_model(graph, opset_imports=opset, ir_version=8), path)
-
-
-def pose_model(path: Path, count: int) -> None:
-    """Like RTMPose: for each point, how much its colour is in each column and in each row."""
-    node = onnx.helper.make_node
-    kernel = (colours(count) * STD).astype(np.float32)[:, :, None, None] / 255
-    shift = (colours(count) @ MEAN).astype(np.float32) / 255
-    nodes = [
-        node("Conv", ["input", "kernel", "shift"], ["near"]),
-        node("ReduceMax", ["near"], ["columns"], axes=[2], keepdims=0),
-        node("ReduceMax", ["near"], ["rows"], axes=[3], keepdims=0),
-        node("Resize", ["columns", "", "twice"], ["simcc_x"], mode="linear"),
-        node("Resize", ["rows", "", "twice"], ["simcc_y"], mode="linear"),
-    ]
-    constants = {"kernel": kernel, "shift": shift, "twice": np.array([1, 1, 2], dtype=np.float32)}
-    outputs = {"simcc_x": ["N", count, 384], "simcc_y": ["N", count, 512]}
-    saved(path, nodes, constants, (256, 192), outputs)
-
-
-def people_model(path: Path, boxes: list[list[float]]) -> None:
-    """Like YOLOX: always the same boxes of its input, with their scores."""
-    node = onnx.helper.make_node
-    nodes = [
-        node("ReduceMin", ["input"], ["least"], axes=[1, 2, 3], keepdims=0),
-        node("Mul", ["least", "zero"], ["nothing"]),
-        node("Add", ["boxes", "nothing"], ["dets"]),
-    ]
-    constants = {"boxes": np.array([boxes], dtype=np.float32), "zero": np.zeros(1, dtype=np.float32)}
-    saved(path, nodes, constants, (480, 640), {"dets": [1, len(boxes), 5]})
-
-
-@pytest.fixture(scope="module")
-def film(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Array]:
-    """A lossless video of a walk as 17 coloured dots, and where they are."""
-    motion = walking()
-    uv = points_px("coco17", motion, watching(motion))[:10]
-    uv = (uv - uv.mean(axis=(0, 1))) * 0.75 + [320.0, 240.0]
-    path = tmp_path_factory.mktemp("film") / "walk.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), RATE, (WIDTH, HEIGHT))
-    assert writer.isOpened()
-    for frame in uv:
-        image = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
-        for (u, v), colour in zip(frame, colours(17), strict=True):
-            centre = (round(16 * u), round(16 * v))
-            cv2.circle(image, centre, 16 * 4, (255 * colour).tolist(), -1, cv2.LINE_AA, 4)
-        writer.write(image)
-    writer.release()
-    return path, uv
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    folder = tmp_path / "models"
-    folder.mkdir()
-    pose_model(folder / "pose.onnx", 17)
-    return folder
 
 
 def error_px(found: Array, truth: Array) -> float:
     return float(np.median(np.linalg.norm(found - truth, axis=-1)))
+
+
+def quarters() -> NDArray[np.uint8]:
+    """An image, wider than high, whose quarters are blue, green, red and black, row by row."""
+    image = np.zeros((64, 96, 3), dtype=np.uint8)
+    image[:32, :48, 0] = image[:32, 48:, 1] = image[32:, :48, 2] = 250
+    return image
+
+
+class Nobody:
+    """A detector that finds one point in each image, and counts."""
+
+    name = "nobody"
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.closed = 0
+
+    def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:
+        self.times.append(time)
+        return [Person(np.array([[image.shape[1], image.shape[0], 1.0]]))]
+
+    def close(self) -> None:
+        self.closed += 1
 
 
 def test_a_video_gives_points_with_its_times(film: tuple[Path, Array], folder: Path) -> None:
@@ -125,19 +71,6 @@ def test_a_video_gives_points_with_its_times(film: tuple[Path, Array], folder: P
         video.write_detections(folder / "k.npz" / "k.npz", found)
 
 
-def test_a_person_detector_gives_several_people(film: tuple[Path, Array], folder: Path) -> None:
-    path, uv = film
-    low, high = uv.min(axis=(0, 1)) - 10, uv.max(axis=(0, 1)) + 10
-    box = [*low, *high, 0.9]
-    people_model(folder / "yolox.onnx", [box, [0, 0, 60, 60, 0.8], [5, 5, 50, 50, 0.01]])
-    found = video.detect_video(path, folder)
-    assert found.uv_px.shape == (10, 2, 17, 2)
-    assert error_px(found.uv_px[:, 0], uv) < 3.0
-    people_model(folder / "yolox.onnx", [[5, 5, 50, 50, 0.01]])
-    with pytest.raises(FileFormatError, match="walk.avi: there is no person"):
-        video.detect_video(path, folder)
-
-
 def test_the_command_writes_keypoints_and_their_recording_toml(
     film: tuple[Path, Array], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -150,6 +83,7 @@ def test_the_command_writes_keypoints_and_their_recording_toml(
     said = capsys.readouterr().out
     assert "10 frames of up to 1 people, 10 frames with at least one" in said
     assert 'layout = "coco17"' in said
+    assert "detector: pose.onnx and yolox.onnx" in said
     assert "load " not in said  # rtmlib prints when it loads a model
     assert read_detector_file(out).uv_px.shape == (10, 1, 17, 2)
     assert main(order) == 2
@@ -198,65 +132,124 @@ def test_a_webcam_may_be_interrupted_and_has_clock_times(
     with pytest.raises(InvalidInputError, match="webcam 1: give seconds"):
         video.detect_video(1, folder)
     monkeypatch.setattr(cv2, "VideoCapture", lambda source: Webcam(source, 0))
-    with pytest.raises(FileFormatError, match="webcam 3: not a video or camera"):
+    with pytest.raises(FileFormatError, match="webcam 3: not a camera"):
         video.detect_video(3, folder, seconds=1.0)
 
 
-def test_times_follow_from_the_rate_where_a_file_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Film(Webcam):
-        def get(self, what: int) -> float:
-            return 30.0 if what == cv2.CAP_PROP_FPS else 0.0
+@pytest.mark.parametrize("rotation", [0, 90, 180, -90])
+def test_a_turned_video_is_upright(rotation: int, tmp_path: Path) -> None:
+    path = write_video(tmp_path / "turned.mp4", [quarters()] * 3, rotation=rotation)
+    frame = next(iter(video.read_video(path)))
+    np.testing.assert_allclose(frame.image, np.rot90(quarters(), rotation // 90), atol=40)
+    _, of_opencv = cv2.VideoCapture(str(path)).read()
+    assert frame.image.shape == of_opencv.shape
+    np.testing.assert_allclose(frame.image.astype(float), of_opencv, atol=2)
+    assert frame.image.flags.c_contiguous
 
-    monkeypatch.setattr(cv2, "VideoCapture", lambda source: Film(0, 3))
-    times = [frame.time for frame in video.read_video(__file__)]
-    np.testing.assert_allclose(times, [0, 1 / 30, 2 / 30])
-    monkeypatch.setattr(cv2, "VideoCapture", lambda source: Webcam(0, 3))
+
+def test_times_are_those_of_the_frames_where_the_rate_varies(tmp_path: Path) -> None:
+    stamps = [70, 110, 111, 300, 333, 1333]
+    path = write_video(tmp_path / "varying.mp4", [quarters()] * 6, times_ms=stamps)
+    times = [frame.time for frame in video.read_video(path)]
+    np.testing.assert_allclose(times, (np.array(stamps) - 70) / 1000, atol=1e-9)
+
+
+def test_slow_motion_has_real_times(tmp_path: Path) -> None:
+    tags = {"com.android.capture.fps": "240.000000"}
+    path = write_video(tmp_path / "slow.mp4", [quarters()] * 5, metadata=tags)  # plays at 25 Hz
+    np.testing.assert_allclose([f.time for f in video.read_video(path)], np.arange(5) / 240, atol=1e-4)
+
+
+def test_pixels_that_are_not_square_become_square(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "wide.mp4", [quarters()] * 2, aspect=Fraction(4, 3))
+    frame = next(iter(video.read_video(path)))
+    assert frame.image.shape == (64, 128, 3)
+    np.testing.assert_allclose(frame.image[10, [30, 90]], [[250, 0, 0], [0, 250, 0]], atol=40)
+
+
+def test_damaged_parts_are_skipped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (12, 64, 96, 3), dtype=np.uint8)
+    path = write_video(tmp_path / "damaged.mkv", list(noise), codec="ffv1")
+    data = bytearray(path.read_bytes())
+    whole = [frame.time for frame in video.read_video(path)]
+    middle = len(data) // 2
+    data[middle : middle + 3000] = bytes(3000)
+    path.write_bytes(data)
+    with caplog.at_level(logging.WARNING):
+        left = [frame.time for frame in video.read_video(path)]
+    assert 6 <= len(left) <= 12
+    assert np.all(np.diff(left) > 0)
+    assert set(np.round(left, 3)) <= set(np.round(whole, 3))
+    path.write_bytes(data[: 2 * middle // 3])  # as of a phone whose battery went flat
+    assert 1 <= len(list(video.read_video(path))) < 12
+
+
+def test_a_playlist_that_names_other_files_is_refused(film: tuple[Path, Array], tmp_path: Path) -> None:
+    lists = {
+        "hls.mp4": f"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{film[0]}\n#EXT-X-ENDLIST\n",
+        "concat.mp4": f"ffconcat version 1.0\nfile '{film[0]}'\n",
+        "empty.mp4": "",
+        "text.mp4": "no video",
+    }
+    for name, text in lists.items():
+        (tmp_path / name).write_text(text)
+        with pytest.raises(FileFormatError, match=rf"{name}: not a readable video .*convert it to MP4"):
+            list(video.read_video(tmp_path / name))
+    for path in (tmp_path / "none.mp4", tmp_path):
+        with pytest.raises(FileFormatError, match="there is no such video"):
+            list(video.read_video(path))
+    with av.open(str(tmp_path / "sound.wav"), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000)
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), dtype=np.int16), layout="mono")
+        sound.rate = 8000
+        container.mux(stream.encode(sound))
+    (tmp_path / "sound.wav").rename(tmp_path / "sound.mp4")
+    with pytest.raises(FileFormatError, match="sound.mp4: not a readable video"):
+        list(video.read_video(tmp_path / "sound.mp4"))
+
+
+def test_any_bytes_give_frames_or_an_error_of_the_package(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "film.mp4", [quarters()] * 8, rotation=90)
+    data, rng = path.read_bytes(), np.random.default_rng(1)
+    read = 0
+    for _ in range(60):
+        damaged = bytearray(data)
+        for at in rng.integers(0, len(data), 8):
+            damaged[at] = rng.integers(256)
+        path.write_bytes(damaged[: rng.integers(len(data) // 2, len(data))])
+        try:
+            read += len(list(video.read_video(path)))
+        except FileFormatError as error:
+            assert "film.mp4" in str(error)  # noqa: PT017
+    path.write_bytes(data)
+    assert len(list(video.read_video(path))) == 8
+
+
+def test_a_detector_gets_images_and_times_and_is_closed(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "turned.mp4", [quarters()] * 4, rotation=90)
+    nobody = Nobody()
+    found = video.detect_video(path, nobody)
+    np.testing.assert_allclose(nobody.times, [0, 0.04, 0.08, 0.12])
+    np.testing.assert_array_equal(found.uv_px[:, 0, 0], [[64, 96]] * 4)
+    assert nobody.closed == 1
+    nobody = Nobody()
+    with pytest.raises(FileFormatError, match="there is no such video"):
+        video.detect_video(tmp_path / "none.mp4", nobody)
+    assert nobody.closed == 1
+
+
+def test_nothing_of_a_video_is_kept(film: tuple[Path, Array], folder: Path, tmp_path: Path) -> None:
+    before = set(tmp_path.rglob("*")) | set(film[0].parent.rglob("*"))
+    video.write_detections(tmp_path / "k.npz", video.detect_video(film[0], folder))
+    after = set(tmp_path.rglob("*")) | set(film[0].parent.rglob("*"))
+    assert after - before == {tmp_path / "k.npz"}
+    assert (tmp_path / "k.npz").stat().st_size < 10 * 17 * 100
+
+
+def test_times_follow_from_the_rate_where_a_file_has_none() -> None:
+    clock = video._FileClock("film.mp4", 30.0)
+    np.testing.assert_allclose([clock(stamp) for stamp in (None, None, 0.01, 0.5)], [0, 1 / 30, 2 / 30, 0.5])
+    late = video._FileClock("film.mp4", None)
+    assert late(3600.0) == 0.0
     with pytest.raises(FileFormatError, match="neither times nor a frame rate"):
-        list(video.read_video(__file__))
-
-
-def test_invalid_videos_and_models_are_refused(
-    film: tuple[Path, Array], folder: Path, tmp_path: Path
-) -> None:
-    with pytest.raises(FileFormatError, match="none.mp4: there is no such video"):
-        video.detect_video(tmp_path / "none.mp4", folder)
-    (tmp_path / "text.mp4").write_text("no video")
-    with pytest.raises(FileFormatError, match="text.mp4: not a video or camera"):
-        video.detect_video(tmp_path / "text.mp4", folder)
-    with pytest.raises(FileFormatError, match="there is no such folder of models; put an RTMPose"):
-        video.detect_video(film[0], tmp_path / "none")
-    with pytest.raises(FileFormatError, match="only no .onnx file; put an RTMPose body model"):
-        video.detect_video(film[0], tmp_path)
-    pose_model(folder / "other.onnx", 26)
-    with pytest.raises(FileFormatError, match="several models of poses: other.onnx, pose.onnx"):
-        video.detect_video(film[0], folder)
-    (folder / "other.onnx").write_bytes(b"no model")
-    with pytest.raises(FileFormatError, match="other.onnx: not a readable ONNX model"):
-        video.detect_video(film[0], folder)
-
-
-def test_models_are_recognised_by_inputs_and_outputs(film: tuple[Path, Array], folder: Path) -> None:
-    helper = onnx.helper
-    odd = [helper.make_node("ReduceMax", ["input"], ["heat"], axes=[1], keepdims=1)]
-    saved(folder / "odd.onnx", odd, {}, (64, 48), {"heat": ["N", 1, 64, 48]})
-    with pytest.raises(FileFormatError, match=r"odd.onnx: its outputs .* are not RTMPose's"):
-        video.detect_video(film[0], folder)
-    saved(folder / "odd.onnx", odd, {}, ("H", 48), {"heat": ["N", 1, "H", 48]})  # type: ignore[arg-type]
-    with pytest.raises(FileFormatError, match=r"odd.onnx: its inputs .* are not one image"):
-        video.detect_video(film[0], folder)
-
-
-def test_a_missing_extra_names_what_to_install(
-    film: tuple[Path, Array],
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    for name in ("rtmlib", "onnxruntime", "cv2"):
-        with monkeypatch.context() as patch:
-            patch.setitem(sys.modules, name, None)
-            with pytest.raises(RtofError, match=rf"{name} is not installed.*pip install 'rtof_kin\[video\]'"):
-                video.detect_video(film[0], folder)
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    assert main(["detect", str(film[0]), "--model-dir", str(folder), "--out", str(folder / "k.npz")]) == 2
-    assert "model files are yours to provide" in " ".join(capsys.readouterr().err.split())
+        late(3600.0)

@@ -1,0 +1,219 @@
+"""Models come from a (loopback) server once, with consent and the right checksum, or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from collections.abc import Iterator
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+from rtof_kin.cli import main
+from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError
+from rtof_kin.vision import model_download
+from rtof_kin.vision.model_download import (
+    ModelFile,
+    ModelSet,
+    cached_models,
+    fetch_models,
+    model_set,
+    model_sets,
+    models_folder,
+)  # fmt: skip
+
+PLAIN = bytes(range(256)) * 4000  # 1 MB
+
+
+def sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def zipped(**members: bytes) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            archive.writestr(f"20230605/{name.replace('_', '.')}", data)
+    return stream.getvalue()
+
+
+ARCHIVE = zipped(end2end_onnx=b"network" * 5000, detail_json=b"{}")
+
+
+class Server(ThreadingHTTPServer):
+    """Serves `contents` with ranges; ends each answer after `most` bytes and keeps the requests."""
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.contents = {"/plain.task": PLAIN, "/pose.zip": ARCHIVE}
+        self.most: int | None = None
+        self.asked: list[tuple[str, str | None]] = []
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server_port}"
+
+
+class Handler(BaseHTTPRequestHandler):
+    server: Server
+
+    def do_GET(self) -> None:
+        wanted = self.headers["Range"]
+        self.server.asked.append((self.path, wanted))
+        data = self.server.contents.get(self.path)
+        if data is None:
+            return self.send_error(404)
+        start = int(wanted.removeprefix("bytes=").rstrip("-")) if wanted else 0
+        if wanted and start >= len(data):
+            return self.send_error(416)
+        self.send_response(206 if wanted else 200)
+        self.send_header("Content-Length", str(len(data) - start))
+        self.end_headers()
+        self.wfile.write(data[start:][: self.server.most])
+        return None
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture
+def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    monkeypatch.setenv("RTOF_KIN_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    with Server() as served:
+        thread = Thread(target=served.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield served
+        served.shutdown()
+        thread.join()
+
+
+def wanted(server: Server) -> ModelSet:
+    files = (
+        ModelFile("plain.task", f"{server.url}/plain.task", sha256(PLAIN), 2),
+        ModelFile(
+            "pose.onnx", f"{server.url}/pose.zip", sha256(ARCHIVE), 3, "end2end.onnx",
+            sha256(b"network" * 5000),
+        ),
+    )  # fmt: skip
+    return ModelSet("test", "Test models", "BSD-3-Clause, nobody", ("numpy",), files)
+
+
+def test_models_are_fetched_once_and_checked_at_each_use(server: Server) -> None:
+    models, told = wanted(server), list[tuple[str, int, int]]()
+    assert cached_models(models) is None
+    folder = fetch_models(models, lambda *args: told.append(args))
+    assert (folder / "plain.task").read_bytes() == PLAIN
+    assert (folder / "pose.onnx").read_bytes() == b"network" * 5000
+    assert sorted(path.name for path in folder.iterdir()) == [".lock", "plain.task", "pose.onnx"]
+    assert cached_models(models) == folder == fetch_models(models)
+    assert server.asked == [("/plain.task", None), ("/pose.zip", None)]
+    assert {(what, total) for what, _, total in told} == {("fetch", 5)}
+    assert [done for _, done, _ in told] == sorted(done for _, done, _ in told)
+    (folder / "pose.onnx").write_bytes(b"network" * 4999 + b"Network")
+    with pytest.raises(FileFormatError, match="pose.onnx: its SHA-256 .* is not the published .*; delete it"):
+        cached_models(models)
+
+
+def test_an_interrupted_download_goes_on_where_it_stopped(server: Server) -> None:
+    models, server.most = wanted(server), 400_000
+    for end in ("0 MB", "1 MB"):
+        with pytest.raises(RtofError, match=f"plain.task: ended after {end}; run the same command again"):
+            fetch_models(models)
+    assert cached_models(models) is None
+    server.most = None
+    assert (fetch_models(models) / "plain.task").read_bytes() == PLAIN
+    assert [asked for name, asked in server.asked if name == "/plain.task"] == [
+        None, "bytes=400000-", "bytes=800000-",
+    ]  # fmt: skip
+
+
+def test_a_part_that_is_already_whole_is_used(server: Server) -> None:
+    models = wanted(server)
+    models_folder(models).mkdir(parents=True)
+    (models_folder(models) / "plain.task.part").write_bytes(PLAIN)
+    assert (fetch_models(models) / "plain.task").read_bytes() == PLAIN
+    assert server.asked[0] == ("/plain.task", "bytes=1024000-")
+
+
+def test_another_file_than_the_published_one_is_not_kept(server: Server) -> None:
+    models = wanted(server)
+    server.contents["/plain.task"] = PLAIN[:-1] + b"!"
+    with pytest.raises(
+        FileFormatError, match="plain.task: its SHA-256 .* not the published .*nothing was kept"
+    ):
+        fetch_models(models)
+    server.contents["/plain.task"] = PLAIN * 3
+    with pytest.raises(RtofError, match="plain.task: larger than 2 MB, so not the file that was published"):
+        fetch_models(models)
+    assert [path.name for path in models_folder(models).iterdir()] == [".lock"]
+    server.contents["/plain.task"] = PLAIN
+    assert fetch_models(models).is_dir()
+
+
+@pytest.mark.parametrize(
+    ("archive", "problem"),
+    [
+        (b"no archive", "not a readable archive"),
+        (zipped(other_onnx=b"x"), "has no single file end2end.onnx"),
+        (zipped(end2end_onnx=bytes(4_000_000)), "has no single file end2end.onnx of the published size"),
+        (zipped(end2end_onnx=b"Network"), "its SHA-256 .* is not the published"),
+    ],
+)
+def test_an_archive_with_other_contents_is_refused(server: Server, archive: bytes, problem: str) -> None:
+    models = wanted(server)
+    server.contents["/pose.zip"] = archive
+    pose = replace(models.files[1], sha256=sha256(archive))
+    with pytest.raises(RtofError, match=problem):
+        fetch_models(replace(models, files=(pose,)))
+    assert cached_models(replace(models, files=(pose,))) is None
+
+
+def test_no_server_and_no_file_are_one_sentence(server: Server) -> None:
+    models = wanted(server)
+    gone = replace(models.files[0], url=f"{server.url}/gone.task")
+    with pytest.raises(RtofError, match=r"gone.task: the server answers 404 Not Found; run the same"):
+        fetch_models(replace(models, files=(gone,)))
+    closed = replace(models.files[0], url="http://127.0.0.1:9/plain.task")
+    with pytest.raises(RtofError, match=r"Test models: not downloaded \(.*refused.*\); run the same"):
+        fetch_models(replace(models, files=(closed,)))
+
+
+def test_the_shipped_sets_have_checksums_licences_and_secure_addresses() -> None:
+    assert [each.name for each in model_sets()] == ["rtmpose", "mediapipe"]
+    for each in model_sets():
+        assert each.licence.startswith("Apache-2.0")
+        for file in each.files:
+            assert file.url.startswith("https://")
+            assert {len(file.sha256), len(file.checksum)} == {64}
+            assert (file.member is None) == (file.member_sha256 is None)
+    with pytest.raises(UnknownNameError, match="unknown set of models 'rtmpos'.*'rtmpose'"):
+        model_set("rtmpos")
+
+
+@pytest.mark.parametrize("text", ["set = 1", "[[set]]\nname = 'x'", "[[set]]\nneeds = []\nfile = [{}]"])
+def test_an_incomplete_table_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "sets.toml").write_text(text)
+    with pytest.raises(FileFormatError, match="sets.toml: an entry is incomplete or of the wrong kind"):
+        model_sets(tmp_path / "sets.toml")
+
+
+def test_the_command_fetches_only_when_asked_and_shows_the_licence(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    models = replace(wanted(server), files=wanted(server).files[:1])
+    monkeypatch.setattr(model_download, "model_sets", lambda: (replace(models, name="mediapipe"),))
+    monkeypatch.chdir(tmp_path)
+    assert main(["detect", "walk.mp4"]) == 2
+    assert not server.asked
+    assert main(["detect", "walk.mp4", "--fetch-models", "mediapipe"]) == 2  # it is no model
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Test models. Licence: BSD-3-Clause, nobody" in said
+    assert f"plain.task: SHA-256 {sha256(PLAIN)}, as published" in said
+    assert server.asked == [("/plain.task", None)]
+    with pytest.raises(SystemExit):
+        main(["detect", "walk.mp4", "--fetch-models", "--model-dir", "models"])
