@@ -186,7 +186,7 @@ def test_damaged_parts_are_skipped(tmp_path: Path, caplog: pytest.LogCaptureFixt
 
 def test_a_playlist_that_names_other_files_is_refused(film: tuple[Path, Array], tmp_path: Path) -> None:
     lists = {
-        "hls.mp4": f"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{film[0]}\n#EXT-X-ENDLIST\n",
+        "hls.m3u8": f"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{film[0]}\n#EXT-X-ENDLIST\n",
         "concat.mp4": f"ffconcat version 1.0\nfile '{film[0]}'\n",
         "empty.mp4": "",
         "text.mp4": "no video",
