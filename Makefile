@@ -25,6 +25,7 @@ test: lint
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 	OMP_NUM_THREADS=1 $(BIN)/python examples/quickstart.py models/demo out/quickstart
 	$(BIN)/python tests/check_wheel.py
+	$(BIN)/python tests/check_real_video.py
 
 # Solvers side by side: time, energy, gradient, frames per second. About ten minutes.
 bench: $(STAMP)

@@ -7,12 +7,12 @@ The cache is the folder ``models`` in the user's cache folder (``RTOF_KIN_CACHE`
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import os
 import shutil
 import urllib.error
 import urllib.request
 import zipfile
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -67,7 +67,14 @@ class ModelSet:
     """Licence, whose work it is, and what else has to be known."""
     needs: tuple[str, ...]
     """Modules that run them."""
+    install: str
+    """Command that installs these."""
     files: tuple[ModelFile, ...]
+
+    @property
+    def missing(self) -> list[str]:
+        """Those of the modules that are not installed."""
+        return [module for module in self.needs if importlib.util.find_spec(module) is None]
 
     @property
     def megabytes(self) -> int:
@@ -152,8 +159,13 @@ def fetch_models(wanted: ModelSet, progress: Progress | None = None) -> Path:
         The folder of the files.
 
     Raises:
-        RtofError: no connection, an interrupted download, another file than the published one, a full disk.
+        RtofError: what runs them is not installed, no connection, an interrupted download, another file than
+            the published one, a full disk.
     """
+    if wanted.missing:
+        raise RtofError(
+            f"{', '.join(wanted.missing)}: not installed, {wanted.title} needs it: {wanted.install}"
+        )
     folder = models_folder(wanted)
     done = 0
     try:
@@ -223,15 +235,11 @@ def _download(file: ModelFile, part: Path, report: Callable[[int], None]) -> Non
 
 
 def _unpack(file: ModelFile, archive: Path, target: Path) -> None:
-    try:
-        with zipfile.ZipFile(archive) as members:
-            found = [each for each in members.infolist() if Path(each.filename).name == file.member]
-            if len(found) != 1 or found[0].file_size > file.megabytes * 1e6:
-                raise RtofError(f"{file.url}: has no single file {file.member} of the published size")
-            with members.open(found[0]) as source, target.open("wb") as whole:
-                shutil.copyfileobj(source, whole)
-    except (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError) as error:
-        raise RtofError(f"{file.url}: not a readable archive ({error})") from error
+    """Unpack a member of an archive whose checksum was compared."""
+    with zipfile.ZipFile(archive) as members:
+        (member,) = (name for name in members.namelist() if Path(name).name == file.member)
+        with members.open(member) as source, target.open("wb") as whole:
+            shutil.copyfileobj(source, whole)
 
 
 def _check(path: Path, name: str | Path, expected: str, remedy: str, remove: bool = False) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Protocol
 
@@ -10,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError, RtofError
-from rtof_kin.vision import mediapipe_detector, video_file
 from rtof_kin.vision.detections import Person
 from rtof_kin.vision.mediapipe_detector import MediaPipeDetector, contained_models
 from rtof_kin.vision.model_download import ModelSet, cached_models, model_sets
@@ -47,7 +45,7 @@ def choose_detector(models: str | Path | None = None) -> PersonDetector:
     if models is not None:
         return _given(Path(models))
     for wanted in model_sets():
-        if all(map(_installed, wanted.needs)) and (folder := cached_models(wanted)) is not None:
+        if not wanted.missing and (folder := cached_models(wanted)) is not None:
             return _given(folder)
     if contained_models() is not None:
         return MediaPipeDetector()
@@ -76,11 +74,6 @@ def _missing() -> str:
 
 
 def _way(wanted: ModelSet) -> str:
-    install = mediapipe_detector.INSTALL if "mediapipe" in wanted.needs else video_file.INSTALL
-    needed = "" if all(map(_installed, wanted.needs)) else f"{install}, then "
+    needed = f"{wanted.install}, then " if wanted.missing else ""
     what = f"downloads {wanted.title}, {wanted.megabytes} MB, licence {wanted.licence}"
     return f"{needed}add --fetch-models {wanted.name}: {what}"
-
-
-def _installed(module: str) -> bool:
-    return importlib.util.find_spec(module) is not None

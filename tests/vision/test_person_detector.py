@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +33,13 @@ def offline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(person_detector, "OnnxDetector", Loaded)
     monkeypatch.setattr(person_detector, "MediaPipeDetector", Loaded)
     monkeypatch.setattr(person_detector, "contained_models", lambda: None)
-    monkeypatch.setattr(person_detector, "_installed", lambda module: module != "mediapipe")
+    monkeypatch.setattr(ModelSet, "missing", property(lambda wanted: {"mediapipe"} & set(wanted.needs)))
 
 
 def cached(monkeypatch: pytest.MonkeyPatch) -> ModelSet:
     """Put a set of one tiny model into the cache."""
     sha256 = "2d711642b726b04401627ca9fbac32f5c8530fb1903cc4db02258717921a4881"  # of b"x"
-    tiny = ModelSet("tiny", "Tiny", "none", ("onnxruntime",), (ModelFile("a.onnx", "", sha256, 1),))
+    tiny = ModelSet("tiny", "Tiny", "none", ("onnxruntime",), "", (ModelFile("a.onnx", "", sha256, 1),))
     monkeypatch.setattr(person_detector, "model_sets", lambda: (tiny,))
     models_folder(tiny).mkdir(parents=True)
     (models_folder(tiny) / "a.onnx").write_bytes(b"x")
@@ -64,7 +63,7 @@ def test_downloaded_models_are_used_before_mediapipes_own(monkeypatch: pytest.Mo
     assert choose_detector().name == "own"
     tiny = cached(monkeypatch)
     assert choose_detector().name == "tiny"
-    monkeypatch.setattr(person_detector, "_installed", lambda module: False)
+    monkeypatch.setattr(ModelSet, "missing", property(lambda wanted: wanted.needs))
     assert choose_detector().name == "own"
     monkeypatch.undo()
     assert tiny.name not in [each.name for each in model_sets()]
@@ -87,14 +86,6 @@ def test_without_a_detector_one_message_has_every_way_to_one(monkeypatch: pytest
     assert "licence Apache-2.0" in said
     assert "--model-dir DIR" in said
     assert "keypoints of another program" in said
-    monkeypatch.setattr(person_detector, "_installed", lambda module: False)
+    monkeypatch.setattr(ModelSet, "missing", property(lambda wanted: wanted.needs))
     with pytest.raises(RtofError, match=r"1. pip install 'rtof_kin\[video\]', then add"):
         choose_detector()
-
-
-def test_an_installed_module_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.undo()
-    assert person_detector._installed("numpy")
-    monkeypatch.setitem(sys.modules, "numpy", None)
-    assert not person_detector._installed("numpy")
-    assert not person_detector._installed("no_such_module")

@@ -1,0 +1,133 @@
+"""A real video of real people goes through a real detector to a report.
+
+Run by ``make test``; not a pytest module, since it needs packages that nothing else does: MediaPipe 0.10.21,
+which has its models inside (Apache-2.0), and Sports2D, whose demonstration video this is (BSD-3, (c) 2022
+perfanalytics). They are installed without their dependencies into an environment on top of this one. Where
+they cannot be installed, the check is skipped and says why.
+"""
+
+import os
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import venv
+from fractions import Fraction
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("mediapipe==0.10.21", "protobuf>=4.25.3,<5", "absl-py", "attrs", "flatbuffers", "sports2d>=0.8")
+RECORDING = """\
+schema_version = 1
+[subject]
+height_m = 1.70
+[scene]
+floor_height_m = 0.0
+[camera]
+width_px = 1768
+height_px = 994
+focal_px = {focal_px}
+position_m = [0.0, 0.0, 1.5]
+target_m = [1.0, 0.0, 1.5]
+assumed = ["focal length", "pose"]
+[keypoints]
+file = "keypoints.npz"
+layout = "mediapipe33"
+person = 1
+frame = 60
+"""  # the woman who walks, not the man who jumps
+
+
+def packages_on_top(folder: Path) -> tuple[Path, Path] | str:
+    """Return the Python of a new environment and the video, or why there is none."""
+    venv.create(folder, with_pip=True)
+    python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
+    options = ["--quiet", "--retries=1", "--no-deps", "--only-binary=:all:"]
+    install = [str(python), "-m", "pip", "install", *options, *PACKAGES]
+    done = subprocess.run(install, capture_output=True, text=True)
+    if done.returncode:
+        errors = [line for line in done.stderr.splitlines() if line.startswith("ERROR")]
+        return (errors or ["pip failed"])[-1]
+    place = {"base": str(folder), "platbase": str(folder)}
+    own = sysconfig.get_path("purelib", "venv", place)
+    here = sysconfig.get_path("purelib")
+    Path(own, "zz_below.pth").write_text(f"import site; site.addsitedir({here!r})\n")
+    return python, Path(own, "Sports2D", "Demo", "demo.mp4")
+
+
+def turned_copy(video: Path, path: Path, frames: int) -> None:
+    """Write the first frames as a phone on its side does: turned images, and the turn that undoes it."""
+    import av
+    import numpy as np
+
+    with av.open(str(video)) as source, av.open(str(path), "w") as target:
+        stream = target.add_stream("mpeg4", rate=30)
+        stream.bit_rate = 30_000_000
+        stream.codec_context.time_base = Fraction(1, 30)
+        for index, frame in zip(range(frames), source.decode(video=0), strict=False):
+            image = np.ascontiguousarray(np.rot90(frame.to_ndarray(format="bgr24"), -1))
+            if index == 0:
+                stream.height, stream.width = image.shape[:2]
+                stream.set_display_rotation(90)
+            turned = av.VideoFrame.from_ndarray(image, format="bgr24")
+            turned.pts, turned.time_base = index, Fraction(1, 30)
+            target.mux(stream.encode(turned))
+        target.mux(stream.encode(None))
+
+
+def check_detections(path: Path, turned: Path) -> None:
+    """Check that people are upright, two, and at the same places in the turned copy."""
+    import numpy as np
+
+    from rtof_kin.vision.keypoint_files import read_detector_file
+
+    found, again = read_detector_file(path), read_detector_file(turned)
+    assert len(found) == 230
+    assert np.allclose(np.diff(found.times), 1 / 30, atol=1e-3)
+    assert found.present.any(axis=1).mean() > 0.9, "people are found in nearly all frames"
+    assert (found.present.sum(axis=1) >= 2).mean() > 0.3, "two people are found"
+    nose, ankles = found.uv_px[..., 0, 1], found.uv_px[..., 27:29, 1].mean(axis=-1)
+    walking = np.arange(230) < 140  # the man jumps backwards later
+    assert np.nanmean((nose < ankles)[walking & found.present[:, 0]][:, 0]) > 0.95, "they stand on their feet"
+    distance = np.linalg.norm(found.uv_px[: len(again), 0] - again.uv_px[:, 0], axis=-1)
+    assert np.nanmedian(distance) < 5, (
+        f"a turned video gives the same points ({np.nanmedian(distance):.1f} px)"
+    )
+
+
+def main() -> None:
+    """Detect, reconstruct, report; raises where anything fails."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        made = packages_on_top(folder / "env")
+        if isinstance(made, str):
+            print(f"real video: skipped, its packages cannot be installed here ({made})")
+            print("0 passed, 0 failed, 1 skipped")
+            return
+        python, video = made
+        environment = os.environ | {
+            "PYTHONPATH": str(ROOT), "RTOF_KIN_CACHE": str(folder / "cache"), "OMP_NUM_THREADS": "1",
+            "RTOF_KIN_COMPILE": "never",
+        }  # fmt: skip
+
+        def run(*arguments: str | Path) -> None:
+            order = [str(part) for part in (python, "-m", "rtof_kin.cli", *arguments)]
+            subprocess.run(order, cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL)
+
+        turned_copy(video, folder / "turned.mp4", 40)
+        run("detect", video, "--out", folder / "walk" / "keypoints.npz")
+        run("detect", "turned.mp4", "--out", "turned.npz")
+        sys.path.insert(0, str(ROOT))
+        check_detections(folder / "walk" / "keypoints.npz", folder / "turned.npz")
+        from rtof_kin.vision.lens_prior import lens_prior
+
+        focal_px = lens_prior(1768, 994).focal_px
+        (folder / "walk" / "recording.toml").write_text(RECORDING.format(focal_px=round(focal_px, 1)))
+        run("reconstruct", "walk", "--mode", "rto", "-o", "out")
+        run("report", "out")
+        assert (folder / "out" / "report.html").stat().st_size > 50_000
+    print("1 passed, 0 failed")
+
+
+if __name__ == "__main__":
+    main()
