@@ -53,6 +53,7 @@ def _parser() -> argparse.ArgumentParser:
         protocols,
         recordings,
         reporting,
+        start,
         training,
     )
 
@@ -63,6 +64,16 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Each command explains itself: rtof-kin reconstruct --help",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for module in (recordings, inspection, clinical, reporting, detection, training, lifters, protocols):
+    for module in (
+        start,
+        recordings,
+        inspection,
+        clinical,
+        reporting,
+        detection,
+        training,
+        lifters,
+        protocols,
+    ):
         module.add_commands(commands)
     return parser

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,20 +27,47 @@ def add_commands(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
     add_output(parser, None, "folder to write")
+    parser.add_argument("--height", type=float, metavar="M", help="to check the skeleton's size")
+    add_analysis(parser)
+    parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
+
+
+def add_analysis(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that `analyse_and_write` reads, but for height, figures and output.
+
+    Args:
+        parser: of the command.
+    """
     parser.add_argument(
         "--weight", type=float, metavar="KG", help="body mass, for torques; overrides the recording"
     )
-    parser.add_argument("--height", type=float, metavar="M", help="to check the skeleton's size")
     parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
     parser.add_argument("--repetitions", choices=["squat", "sit_to_stand"], help="what to count")
     parser.add_argument(
         "--from-standing", action="store_true",
         help="angles of trunk and legs relative to half a second or more of the person's quiet standing",
     )  # fmt: skip
-    parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
 
 
 def _analyse(options: argparse.Namespace) -> None:
+    analysis = analyse_and_write(options)
+    _print_ranges(analysis)
+    if analysis.gait.strides:
+        _print_gait(analysis.gait)
+    if analysis.repetitions is not None:
+        _print_repetitions(analysis.repetitions)
+    for part, notes in analysis.notes.items():
+        for note in notes:
+            out.print(f"{part}: {note}", soft_wrap=True)
+    print_files(options.output)
+
+
+def analyse_and_write(options: argparse.Namespace, inputs: Mapping[str, str] | None = None) -> Any:
+    """Analyse a motion, write the folder, and return the `MotionAnalysis`.
+
+    Args:
+        options: of the command analyse. inputs: fingerprints for the folder's manifest.
+    """
     from rtof_kin.clinical.analysis import analyse_motion
     from rtof_kin.clinical.files import MARKER, write_analysis
     from rtof_kin.core.files.folder import check_replaceable, new_folder
@@ -54,21 +82,13 @@ def _analyse(options: argparse.Namespace) -> None:
         motion, weight_kg=weight_kg, height=options.height, sex=sex, repetitions=options.repetitions,
         from_standing=options.from_standing,
     )  # fmt: skip
-    with new_folder(options.output, MARKER, options.overwrite) as folder:
+    with new_folder(options.output, MARKER, options.overwrite, inputs) as folder:
         write_analysis(analysis, folder)
         if not options.no_figures:
             from rtof_kin.report.clinical_figures import write_clinical_figures
 
             write_clinical_figures(analysis, folder / "figures")
-    _print_ranges(analysis)
-    if analysis.gait.strides:
-        _print_gait(analysis.gait)
-    if analysis.repetitions is not None:
-        _print_repetitions(analysis.repetitions)
-    for part, notes in analysis.notes.items():
-        for note in notes:
-            out.print(f"{part}: {note}", soft_wrap=True)
-    print_files(options.output)
+    return analysis
 
 
 def _weight_and_sex(options: argparse.Namespace, folder: Path) -> tuple[float | None, str | None]:

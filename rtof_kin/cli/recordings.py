@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,7 +61,7 @@ def _demo(options: argparse.Namespace) -> None:
     result = _reconstruct_to(recording, "rtof", options)
     with progress() as update, warnings_in_summary():
         image_only = reconstruct(
-            recording, mode="rto", lifter=_lifter(options), settings=settings_of(options), progress=update
+            recording, mode="rto", lifter=lifter_of(options), settings=settings_of(options), progress=update
         )
     vision = {f"{name} (image)": score for name, score in image_only.stage_metrics.items()}
     print_scores(with_zero_motion(recording) | vision | result.stage_metrics)
@@ -95,7 +95,7 @@ def _calibrate(options: argparse.Namespace) -> None:
     check_new_file(options.output, options.overwrite)
     recording = Recording.load(options.recording)
     with progress() as update:
-        found = calibrate_recording(recording, lifter=_lifter(options), settings=settings, progress=update)
+        found = calibrate_recording(recording, lifter=lifter_of(options), settings=settings, progress=update)
     doubts = (
         AuditResult.warning("calibration", "recording", s) for s in consistency_warnings(recording, found)
     )
@@ -108,8 +108,12 @@ def _calibrate(options: argparse.Namespace) -> None:
         out.print(f"wrote {options.recording_output}", soft_wrap=True)
 
 
-def _lifter(options: argparse.Namespace) -> Any:
-    """Load the model that is named; None for the shipped one."""
+def lifter_of(options: argparse.Namespace) -> Any:
+    """Load the model that is named; None for the shipped one.
+
+    Args:
+        options: those of `add_model`.
+    """
     if options.model is None:
         return None
     from lifting.predict import Lifter
@@ -126,22 +130,37 @@ def _known(options: argparse.Namespace) -> Any:
     return read_self_calibration_toml(options.calibration)
 
 
-def _reconstruct_to(recording: Recording, mode: Mode, options: argparse.Namespace) -> Reconstruction:
-    """Reconstruct, export and print the summary; a folder that may not be written is refused first."""
+def reconstruct_and_export(
+    recording: Recording, mode: Mode, options: argparse.Namespace, inputs: Mapping[str, str] | None = None
+) -> Reconstruction:
+    """Reconstruct and export; a folder that may not be written is refused first.
+
+    Args:
+        recording: to reconstruct. mode: of the reconstruction.
+        options: those of `add_reconstruction`, and the output. inputs: fingerprints for `export`.
+    """
     from rtof_kin.core.files.folder import check_replaceable
     from rtof_kin.reconstruction.pipeline import reconstruct
-    from rtof_kin.report.audit import audit
-    from rtof_kin.report.export import MARKER, export, provenance_shares
-    from rtof_kin.report.headline import headline
+    from rtof_kin.report.export import MARKER, export
 
     settings = settings_of(options, mode)
     check_replaceable(options.output, MARKER, options.overwrite)
     with progress() as update, warnings_in_summary():
         result = reconstruct(
-            recording, mode=mode, lifter=_lifter(options), settings=settings,
+            recording, mode=mode, lifter=lifter_of(options), settings=settings,
             calibrate=options.calibrate, known=_known(options), progress=update,
         )  # fmt: skip
-    export(result, options.output, options.overwrite, figures=not options.no_figures)
+    export(result, options.output, options.overwrite, not options.no_figures, inputs=inputs)
+    return result
+
+
+def _reconstruct_to(recording: Recording, mode: Mode, options: argparse.Namespace) -> Reconstruction:
+    """Reconstruct, export and print the summary."""
+    from rtof_kin.report.audit import audit
+    from rtof_kin.report.export import provenance_shares
+    from rtof_kin.report.headline import headline
+
+    result = reconstruct_and_export(recording, mode, options)
     verdict = headline(audit(result))
     print_summary(result, verdict, options.output)
     print_sections(verdict)
@@ -235,7 +254,7 @@ def _add_demo(commands: Any) -> None:
         "each stage and writes the motion and its figures.",
     )  # fmt: skip
     add_output(parser, "out/demo", "folder to write")
-    _add_reconstruction(parser)
+    add_reconstruction(parser)
 
 
 def _add_reconstruct(commands: Any) -> None:
@@ -254,10 +273,15 @@ def _add_reconstruct(commands: Any) -> None:
         help="lift: network only; sf2: + IMU orientations, frame by frame; rto: optimised, vision "
         "only; rtof: everything; imu: sensors only, without a camera",
     )
-    _add_reconstruction(parser)
+    add_reconstruction(parser)
 
 
-def _add_reconstruction(parser: argparse.ArgumentParser) -> None:
+def add_reconstruction(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that `reconstruct_and_export` reads.
+
+    Args:
+        parser: of the command.
+    """
     add_solver_options(parser)
     add_model(parser)
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")

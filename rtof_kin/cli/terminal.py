@@ -20,6 +20,7 @@ from rtof_kin.core.files.manifest import MANIFEST
 
 if TYPE_CHECKING:
     from rtof_kin.calibration.result import SelfCalibration
+    from rtof_kin.data.confidence import Confidence
     from rtof_kin.reconstruction.result import Reconstruction
     from rtof_kin.report.headline import Headline
 
@@ -134,7 +135,7 @@ def print_summary(result: Reconstruction, headline: Headline, folder: str | Path
     lines = {
         "recording": f"{result.recording.name}: {source}, {' and '.join(parts)}, mode {mode}; "
         f"subject {result.motion.skeleton.height:.2f} m tall",
-        "accuracy": _accuracy(result),
+        "accuracy": accuracy(result.metrics, result.motion.confidence, result.mode),
         "caution": headline.line,
         "files": f"{folder}: {', '.join(_entries(folder))}",
         "next": f"rtof-kin report {folder} (one page for the browser); rtof-kin analyse {folder} -o ANGLES",
@@ -144,18 +145,21 @@ def print_summary(result: Reconstruction, headline: Headline, folder: str | Path
         out.print(Text(f"{name:9} ", "bold"), Text(text, style), soft_wrap=True, sep="")
 
 
-def _accuracy(result: Reconstruction) -> str:
-    """Errors against the truth, else those expected by the covariances."""
-    if (m := result.metrics) is not None:
+def accuracy(metrics: Mapping[str, float] | None, confidence: Confidence | None, mode: str) -> str:
+    """Return errors against the truth, else those expected by the covariances.
+
+    Args:
+        metrics: against the truth, where there is one. confidence: of the motion. mode: that made it.
+    """
+    if (m := metrics) is not None:
         return (
             f"{m['mpjpe_rr_mm']:.1f} mm relative to the root, {m['mpjpe_mm']:.0f} mm absolute, flexion of "
             f"knees and elbows {m['flexion_deg']:.1f} deg (mean errors against the truth)"
         )
-    confidence = result.motion.confidence
     import numpy as np
 
     if confidence is None:
-        return f"not estimated in mode {result.mode}; the recording has no truth to compare with"
+        return f"not estimated in mode {mode}; the recording has no truth to compare with"
     if not np.isfinite(confidence.position_covariance).any():
         return "unknown: no fragment determines the pose, and the recording has no truth to compare with"
     relative, world = (

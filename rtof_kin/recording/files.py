@@ -120,7 +120,7 @@ def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) ->
     Args:
         section: table ``[keypoints]``. camera: that saw them. skeleton: that has the landmarks.
     """
-    if section.text("layout", _OWN_LAYOUT) != _OWN_LAYOUT:
+    if section.text("layout", _OWN_LAYOUT) != _OWN_LAYOUT or section.has("person"):
         return _read_detected(section, camera, skeleton)
     path = data_path(section)
     is_csv = path.suffix.lower() == ".csv"
@@ -196,8 +196,10 @@ def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) ->
         person=section.integer("person") if section.has("person") else None,
         frame=section.integer("frame") if section.has("frame") else None,
     )
+    chosen = section.has("person")
     section.close()
-    doubtful = found.track.people > 1 or bool(np.any(found.track.ambiguous | found.track.lost))
+    several = found.track.people > 1 and not chosen
+    doubtful = several or bool(np.any(found.track.ambiguous | found.track.lost))
     _log.log(logging.WARNING if doubtful else logging.INFO, "%s: %s", section.path, found.summary)
     return found.keypoints
 

@@ -44,6 +44,7 @@ def export(
     overwrite: bool = False,
     figures: bool = True,
     formats: Sequence[str] = DEFAULT,
+    inputs: Mapping[str, str] | None = None,
 ) -> Path:
     """Write a reconstruction; after an error there is no folder.
 
@@ -51,6 +52,7 @@ def export(
         result: of `reconstruct`. folder: a new folder. overwrite: replace an earlier export there.
         figures: draw figures too, which takes most of the time.
         formats: of the motion's files beside motion.npz, see `rtof_kin.formats.motion_files`.
+        inputs: fingerprints for the folder's manifest, see `rtof_kin.core.files.folder.new_folder`.
 
     Returns:
         The folder.
@@ -61,7 +63,7 @@ def export(
     """
     check_formats(formats)
     folder = Path(folder)
-    with new_folder(folder, MARKER, overwrite) as temporary:
+    with new_folder(folder, MARKER, overwrite, inputs) as temporary:
         first_frame = result.recording.first_frame
         write_motion_npz(temporary / MARKER, result.motion, first_frame=first_frame, mode=result.mode)
         write_motion_files(temporary, result.motion, formats)

@@ -10,7 +10,7 @@ CSV                         a header of ``<point>_x``, ``<point>_y``, - ``<point
                             ``_visibility``, ``_score``; ``_u_px`` and ``_v_px`` too), or ``x0``, ``y0``,
                             ``v0``, ...; - ``time`` (s) or ``timestamp_ms``
 NPZ                         ``uv_px`` or ``keypoints`` (T, K, 2 or 3) or (T, P, K, 2 or 3),
-                            - ``confidence`` or ``scores``, - ``times``
+                            - ``confidence`` or ``scores``, - ``times``, - ``identity`` (T, P)
 NPY                         one array like that
 ==========================  ====================================================================
 
@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
@@ -102,9 +103,16 @@ def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:
         confidence = points[..., 2] if points.shape[-1] == 3 else np.isfinite(uv).all(axis=-1).astype(float)
     if confidence.shape != uv.shape[:-1]:
         raise FileFormatError(path, f"confidence: expected shape {uv.shape[:-1]}, got {confidence.shape}")
+    times, identity = _one_of(path, arrays, ("times", "timestamps")), _identity(arrays)
     if points.ndim == 3:
         uv, confidence = uv[:, None], confidence[:, None]
-    return Detections(uv, confidence, _one_of(path, arrays, ("times", "timestamps")))
+    return Detections(uv, confidence, times, identity=identity)
+
+
+def _identity(arrays: dict[str, Array]) -> NDArray[np.int64] | None:
+    return (
+        np.nan_to_num(arrays["identity"], nan=NO_IDENTITY).astype(np.int64) if "identity" in arrays else None
+    )
 
 
 def _one_of(path: Path, arrays: dict[str, Array], names: tuple[str, ...]) -> Array | None:

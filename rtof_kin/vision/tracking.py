@@ -73,7 +73,7 @@ class _Measures:
         self.identity: Ints = none if detections.identity is None else detections.identity
 
 
-@dataclass
+@dataclass(eq=False)
 class _Trail:
     """A person without gaps longer than `_LONGEST_GAP`."""
 
@@ -157,7 +157,32 @@ def track_person(
             problem = f"there is no such person; of {len(present)} frames, that one has {known or 'none'}"
             raise InvalidInputError(f"person {person} in frame {where}: {problem} (both count from 0)")
         chosen, reason = own[0], f"asked for: person {person} in frame {where}"
-    return _joined(chosen, trails, measures, times, reason)
+    parts = _continued(chosen, trails, measures, times)
+    return _track(parts, len(trails) - len(parts) + 1, times, reason)
+
+
+def track_people(
+    detections: Detections, times: Array, image_px: tuple[float, float] | None = None
+) -> tuple[tuple[PersonTrack, float], ...]:
+    """Track everyone, each with a weight: the sum over frames of size times confidence, less off the centre.
+
+    Args:
+        detections: of all people. times: (T,) s. image_px: as for `track_person`.
+
+    Returns:
+        The most prominent person first.
+    """
+    measures = _Measures(detections)
+    left = _trails(measures, times)
+    weights = {id(trail): _prominence(trail, measures, image_px) for trail in left}
+    people = []
+    while left:
+        chosen = max(left, key=lambda trail: weights[id(trail)])
+        parts = _continued(chosen, left, measures, times)
+        track = _track(parts, len(left) - len(parts) + 1, times, "one of those in the video")
+        people.append((track, sum(weights[id(part)] for part in parts)))
+        left = [trail for trail in left if trail not in parts]
+    return tuple(sorted(people, key=lambda person: -person[1]))
 
 
 def _trails(measures: _Measures, times: Array) -> list[_Trail]:
@@ -206,10 +231,8 @@ def _prominence(trail: _Trail, measures: _Measures, image_px: tuple[float, float
     return float((measures.size[at] * measures.confidence[at] / (1 + off)).sum())
 
 
-def _joined(
-    chosen: _Trail, trails: list[_Trail], measures: _Measures, times: Array, reason: str
-) -> PersonTrack:
-    """Append to the chosen trail the likeliest continuations after and before it."""
+def _continued(chosen: _Trail, trails: list[_Trail], measures: _Measures, times: Array) -> list[_Trail]:
+    """Return the chosen trail and its likeliest continuations after and before it."""
     parts = [chosen]
     for forward in (True, False):
         edge = chosen
@@ -219,14 +242,19 @@ def _joined(
                 break
             edge = trails[best]
             parts.append(edge)
+    return parts
+
+
+def _track(parts: list[_Trail], people: int, times: Array, reason: str) -> PersonTrack:
+    """Return the track of one person from trails, the chosen one first."""
     person = np.full(len(times), NOBODY, dtype=np.int64)
     ambiguous = np.zeros(len(times), dtype=np.bool_)
     for part in parts:
         person[part.frames] = part.people
         ambiguous[part.unsure] = True
-        if part is not chosen:
+        if part is not parts[0]:
             ambiguous[part.frames[0]] = True
-    return PersonTrack(person, ambiguous, len(trails) - len(parts) + 1, reason)
+    return PersonTrack(person, ambiguous, people, reason)
 
 
 def _cost(edge: _Trail, other: _Trail, forward: bool, measures: _Measures, times: Array) -> float:

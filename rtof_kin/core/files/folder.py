@@ -8,7 +8,7 @@ import os
 import secrets
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
@@ -46,12 +46,15 @@ def path_inside(folder: Path, name: str) -> Path | None:
 
 
 @contextmanager
-def new_folder(path: str | Path, marker: str, overwrite: bool = False) -> Iterator[Path]:
+def new_folder(
+    path: str | Path, marker: str, overwrite: bool = False, inputs: Mapping[str, str] | None = None
+) -> Iterator[Path]:
     """Yield a temporary folder that is renamed to `path` when the block ends without an error.
 
     Args:
         path: final folder. marker: name of a file that every folder of this kind contains.
         overwrite: replace an earlier folder of this kind, see `check_replaceable`.
+        inputs: fingerprints of what it is made from, for `core.files.manifest.made_from`.
 
     Raises:
         OutputExistsError: `path` exists, or appears meanwhile, and may not be replaced.
@@ -63,7 +66,7 @@ def new_folder(path: str | Path, marker: str, overwrite: bool = False) -> Iterat
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(path.parent) as temporary:
             yield temporary
-            write_manifest(temporary, marker)
+            write_manifest(temporary, marker, inputs)
             _put_folder(temporary, path, marker, overwrite)
             sync(path.parent)
     except WritingError as error:  # of a file in the temporary folder: name the final one

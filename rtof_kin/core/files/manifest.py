@@ -1,7 +1,8 @@
 """Manifest of an output folder: the files that this package wrote and may replace.
 
 ``.rtof_kin.json`` has the kind of the folder and the SHA-256 of every file. Files that are not listed or have
-changed, links, and everything in a folder without a manifest belong to the user.
+changed, links, and everything in a folder without a manifest belong to the user. Where a command can be
+continued, it also has the fingerprints of what the files were made from.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Iterable, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,19 +30,24 @@ class Contents:
     """Names of all others; names of folders end with '/'."""
 
 
-def write_manifest(folder: Path, kind: str) -> None:
+def write_manifest(
+    folder: Path, kind: str, inputs: Mapping[str, str] | None = None, paths: Iterable[Path] | None = None
+) -> None:
     """Sync all files of a new folder to the disk and list them in its manifest.
 
     Args:
         folder: contains only files of this package. kind: its marker file.
+        inputs: fingerprints of what it is made from, by step.
+        paths: files to list in a folder that contains others too; None: everything in it.
     """
     files = {}
-    for path in sorted(folder.rglob("*")):
+    for path in sorted(folder.rglob("*") if paths is None else paths):
         sync(path)
         if path.is_file():
             files[path.relative_to(folder).as_posix()] = _digest(path)
+    content = {"kind": kind, "sha256": files} | ({"inputs": dict(inputs)} if inputs else {})
     partial = folder / f"{MANIFEST}.part"
-    partial.write_text(json.dumps({"kind": kind, "sha256": files}, indent=1) + "\n", encoding="utf-8")
+    partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     sync(partial)
     partial.replace(folder / MANIFEST)
     sync(folder)
@@ -80,6 +87,41 @@ def read_contents(folder: Path) -> Contents:
             else:
                 own.append(path)
     return Contents(kind, tuple(sorted(own, reverse=True)), tuple(sorted(foreign)))
+
+
+def made_from(folder: Path) -> dict[str, str]:
+    """Return the fingerprints of what a folder was made from, by step; empty where a file of it is missing.
+
+    Args:
+        folder: an earlier output, or none.
+    """
+    try:
+        content = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        complete = all((folder / name).is_file() for name in content["sha256"])
+        return {str(step): str(value) for step, value in content["inputs"].items()} if complete else {}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
+
+
+def fingerprint(*parts: object) -> str:
+    """Return a SHA-256 of files, of folders with all their files, and of other values by their text.
+
+    Args:
+        parts: a `Path` stands for its contents, without the manifest.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    whole = hashlib.sha256()
+    for part in parts:
+        if not isinstance(part, Path):
+            whole.update(f"{part!r}\n".encode())
+            continue
+        paths = sorted(p for p in part.rglob("*") if p.is_file()) if part.is_dir() else [part]
+        for path in paths:
+            if path.name != MANIFEST:
+                whole.update(f"{path.relative_to(part)} {_digest(path)}\n".encode())
+    return whole.hexdigest()
 
 
 def remove_written(folder: Path) -> None:

@@ -1,0 +1,126 @@
+"""The camera of a recording: as a file has it, or assumed, with standard deviations of what is assumed.
+
+An assumed camera stands at (0, 0, its height), looks along +x, level, over a floor at z = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.data.camera import Camera, CameraUncertainty
+from rtof_kin.formats.cameras import read_camera
+from rtof_kin.setup.recording_text import Field, Origin, Tables
+from rtof_kin.vision.lens_prior import LensPrior
+
+HEIGHT, SIGMA_HEIGHT = 1.2, 0.4
+"""Height of an assumed camera over the floor and its standard deviation, m."""
+SIGMA_TILT_DEG: Final = 5.0
+"""Standard deviation of pitch and roll of an assumed camera, degrees."""
+_POSE: Final = "pose"
+
+
+@dataclass(frozen=True)
+class SetupCamera:
+    """A camera and the table of ``recording.toml`` that describes it."""
+
+    camera: Camera
+    fields: Tables
+
+    @property
+    def placed(self) -> bool:
+        """Whether position and direction were measured."""
+        return _POSE not in self.camera.assumed
+
+
+def assumed_camera(width_px: int, height_px: int, lens: LensPrior, size: Field) -> SetupCamera:
+    """Return the camera that is assumed where none is calibrated.
+
+    Args:
+        width_px, height_px: size of the upright image. lens: prior of its lens. size: origin of the size.
+    """
+    focal, k1 = float(round(lens.focal_px, 1)), float(round(lens.k1, 4))
+    camera = replace(
+        Camera.looking_at([0, 0, HEIGHT], [1, 0, HEIGHT], focal, width_px, height_px),
+        distortion=np.array([k1, 0.0, 0.0, 0.0, 0.0]), assumed=("focal length", "lens distortion", _POSE),
+    )  # fmt: skip
+    optics = {
+        "focal_px": Field(
+            focal, Origin.ASSUMED, lens.source,
+            f"focal length {focal:.0f} px ± {100 * lens.sigma_focal:.0f} % ({lens.source})",
+        ),
+        "distortion": Field(
+            camera.distortion.tolist(), Origin.ASSUMED, f"k1 = {k1:g} ± {lens.sigma_k1:.2g}"
+        ),
+    }  # fmt: skip
+    return _placed(camera, size, optics, float(lens.sigma_focal), float(lens.sigma_k1))
+
+
+def calibrated_camera(
+    path: str | Path, name: str | None, size_px: tuple[int, int] | None, video: str
+) -> SetupCamera:
+    """Read a calibration; where it has no pose, the pose is assumed.
+
+    Args:
+        path: see `rtof_kin.formats.cameras`. name: of the camera, where the file has several.
+        size_px: of the video's upright image, None where unknown. video: its name, for messages.
+
+    Raises:
+        InvalidInputError: it is of another image size. Errors of `read_camera`.
+    """
+    camera = read_camera(path, name)
+    own = camera.width_px, camera.height_px
+    if size_px not in (None, own):
+        assert size_px is not None
+        raise InvalidInputError(
+            f"{path}: is of a camera of {own[0]} x {own[1]} px, and {video} has {size_px[0]} x {size_px[1]} "
+            "px; give the calibration of this camera at this size"
+        )
+    origin = Path(path).name + (f", camera {name}" if name else "")
+    size = Field(None, Origin.FILE, origin, f"the camera of {origin}")
+    optics = {"K": Field(camera.K.tolist()), "distortion": Field(camera.distortion.tolist())}
+    if _POSE in camera.assumed:
+        level = Camera.looking_at([0, 0, HEIGHT], [1, 0, HEIGHT], 1.0)
+        camera = replace(camera, R_camera_world=level.R_camera_world, t_camera_world=level.t_camera_world)
+        return _placed(camera, size, optics, 0.0, 0.0)
+    assumed = {"assumed": Field(list(camera.assumed), Origin.FILE, origin)} if camera.assumed else {}
+    fields = {
+        **_size(camera, size), **optics,
+        "R_camera_world": Field(camera.R_camera_world.tolist()),
+        "t_camera_world_m": Field(camera.t_camera_world.tolist()), **assumed,
+    }  # fmt: skip
+    return SetupCamera(camera, fields)
+
+
+def _placed(
+    camera: Camera, size: Field, optics: dict[str, Field], sigma_focal: float, sigma_k1: float
+) -> SetupCamera:
+    """Return a camera with the assumed pose and its standard deviations."""
+    unsure = Origin.ASSUMED
+    sigma = CameraUncertainty(sigma_focal, float(np.radians(SIGMA_TILT_DEG)), SIGMA_HEIGHT, sigma_k1)
+    fields: dict[str, Field | Tables] = {
+        **_size(camera, size), **optics,
+        "position_m": Field(
+            [0.0, 0.0, HEIGHT], unsure,
+            f"± {SIGMA_HEIGHT:g} m over the floor; measure the height of the lens, write it in both lines",
+            f"the camera is {HEIGHT:g} ± {SIGMA_HEIGHT:g} m over the floor, and level ± "
+            f"{SIGMA_TILT_DEG:.0f} degrees",
+        ),
+        "target_m": Field([1.0, 0.0, HEIGHT], unsure, f"level, ± {SIGMA_TILT_DEG:.0f} degrees"),
+        "assumed": Field(list(camera.assumed), note="named in reports; take out what you have measured"),
+        "uncertainty": {
+            "focal": Field(sigma.focal, note="standard deviations: relative,"),
+            "tilt_deg": Field(SIGMA_TILT_DEG, note="of pitch and of roll,"),
+            "height_m": Field(sigma.height, note="over the floor (0.01 where it is measured),"),
+            "k1": Field(sigma.k1, note="before the motion; reconstruct estimates the four"),
+        },
+    }  # fmt: skip
+    return SetupCamera(replace(camera, uncertainty=sigma), fields)
+
+
+def _size(camera: Camera, size: Field) -> dict[str, Field]:
+    return {"width_px": replace(size, value=camera.width_px), "height_px": Field(camera.height_px)}

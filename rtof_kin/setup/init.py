@@ -1,0 +1,342 @@
+"""From raw files to the folder of a recording: detection, person, camera, sensors, ``recording.toml``.
+
+    find_people(sources, settings, "walk", detect)    # keypoints.npz, frames.png
+    found = make_recording(sources, settings, "walk") # recording.toml, imus.npz
+
+Both write the same folder, so that a person can be chosen by the picture without detecting again.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.files.arrays import write_npz
+from rtof_kin.core.files.folder import new_folder
+from rtof_kin.core.files.text import load_json, write_text
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.formats.sensors.files import read_sensor_log
+from rtof_kin.reconstruction.lift import LifterLike, lift
+from rtof_kin.reconstruction.prepare import Progress, evenly_spaced
+from rtof_kin.recording.recording import INDEX, SCHEMA_VERSION, Recording
+from rtof_kin.setup.camera_prior import SetupCamera, assumed_camera, calibrated_camera
+from rtof_kin.setup.frames_picture import PICTURE, write_frames_picture
+from rtof_kin.setup.people import People, choose_person, number_people, read_people, write_people
+from rtof_kin.setup.recording_text import Field, Origin, Tables, recording_text, summaries
+from rtof_kin.setup.sources import Sources
+from rtof_kin.vision.detections import Detections
+from rtof_kin.vision.keypoint_files import read_detector_file
+from rtof_kin.vision.keypoints import DetectedKeypoints, keypoints_from_detections
+from rtof_kin.vision.lens_prior import lens_prior
+from rtof_kin.vision.recognise import recognise
+from rtof_kin.vision.video_metadata import VideoMetadata, read_video_metadata
+
+if TYPE_CHECKING:
+    from rtof_kin.setup.sensors import SetupSensors
+
+KEYPOINTS: Final = "keypoints.npz"
+SENSORS: Final = "imus.npz"
+FINDINGS: Final = "findings.json"
+"""Files of the folder beside `INDEX`, `PICTURE` and `SENSORS`."""
+DOUBTFUL: Final = "doubtful"
+_LEAST_SEEN: Final = 0.7
+"""Share of the frames below which it is said that the person is seen rarely."""
+_SHORTEST: Final = 5.0
+"""[s] of a take below which it is said that it is short."""
+Detect = Callable[[Path], Detections]
+
+
+@dataclass(frozen=True)
+class SetupSettings:
+    """What the user says about a take."""
+
+    height: float | None = None
+    """Standing height of the person, m."""
+    person: int | None = None
+    """Number of the person in `PICTURE`; None: the only prominent one."""
+    camera_name: str | None = None
+    """Of the camera, in a calibration file of several."""
+    rate_hz: float | None = None
+    """Frames per second of keypoints without times."""
+    size_px: tuple[int, int] | None = None
+    """Width and height of the image, for keypoints without a video."""
+    keep_video: bool = True
+    """Whether the folder may show and name the video."""
+    lifter: LifterLike | None = field(default=None, compare=False)
+    """Default: the shipped one."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Sentences on a recording that was set up, for the summary."""
+
+    given: tuple[str, ...] = ()
+    file: tuple[str, ...] = ()
+    found: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
+    doubtful: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Video:
+    """Image size, rate and metadata of a take."""
+
+    size_px: tuple[int, int]
+    size: Field
+    """Its origin."""
+    rate_hz: float | None
+    metadata: VideoMetadata | None
+
+
+def find_people(
+    sources: Sources, settings: SetupSettings, folder: str | Path, detect: Detect,
+    inputs: Mapping[str, str] | None = None,
+) -> People:  # fmt: skip
+    """Detect the people, number them and write `KEYPOINTS` and `PICTURE`.
+
+    Args:
+        sources: files of the take. settings: of the user. folder: to write; an unfinished one is replaced.
+        detect: detects the people in a video, where there are no keypoints.
+        inputs: fingerprints for the folder's manifest.
+
+    Raises:
+        InvalidInputError: there is no person, or the keypoints lack the image's size or times.
+    """
+    video = _described(sources, settings)
+    found = _detections(sources, video, detect)
+    known = recognise(found.uv_px, found.confidence, found.names)
+    order = list(known.order)
+    found = replace(
+        found, uv_px=found.uv_px[:, :, order], confidence=found.confidence[:, :, order], names=None
+    )
+    assert found.times is not None
+    people = number_people(found, found.times, video.size_px)
+    shown = sources.video if settings.keep_video else None
+    with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
+        write_people(fresh / KEYPOINTS, people)
+        write_frames_picture(fresh / PICTURE, people, known.layout.name, video.size_px, shown)
+    return people
+
+
+def make_recording(
+    sources: Sources, settings: SetupSettings, folder: str | Path, *, name: str | None = None,
+    inputs: Mapping[str, str] | None = None, progress: Progress | None = None,
+) -> Findings:  # fmt: skip
+    """Write ``recording.toml`` and the sensors beside what `find_people` wrote.
+
+    Args:
+        sources, settings: as for `find_people`. folder: that it wrote.
+        name: title in reports; default: of the video or keypoints.
+        inputs: fingerprints for the folder's manifest. progress: called with (stage, steps done, in all).
+
+    Returns:
+        What was given, found, assumed and is in doubt; `read_findings` reads it again.
+
+    Raises:
+        InvalidInputError: several people and none was chosen, no plausible height, or sensors that cannot
+            belong to the video. CalibrationError: nothing relates the sensors to the video.
+    """
+    folder, progress = Path(folder), progress or (lambda *_: None)
+    _check_height(settings.height)
+    people, video = read_people(folder / KEYPOINTS), _described(sources, settings)
+    camera = _camera(sources, settings, video)
+    number = choose_person(people, settings.person, str(folder / PICTURE))
+    detected = keypoints_from_detections(
+        people.detections, people.times, camera.camera, None, number - 1, people.first_frame(number)
+    )
+    sensors = _sensors(sources, settings, detected.keypoints, camera, progress)
+    tables: dict[str, Field | Tables] = {
+        "schema_version": Field(SCHEMA_VERSION),
+        "name": Field(name or sources.name),
+        **_session(video),
+        "subject": _subject(settings),
+        **_scene(camera),
+        "camera": camera.fields,
+        "keypoints": _keypoints(sources, settings, detected, people, number),
+        **({} if sensors is None else {"imus": sensors.fields}),
+    }
+    doubts = [*_doubts(settings, detected.keypoints, people, number), *(sensors.doubts if sensors else ())]
+    found = _findings(tables, doubts)
+    what = sources if settings.keep_video else replace(sources, video=None)
+    title = (
+        f"Recording, set up by rtof-kin init from {', '.join(path.name for path in what.paths) or 'a video'}"
+    )
+    with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
+        for kept in (KEYPOINTS, PICTURE):
+            shutil.copyfile(folder / kept, fresh / kept)
+        if sensors is not None:
+            imus = sensors.imus
+            arrays = {"R_inertial_sensor": imus.R_inertial_sensor, "f_sensor": imus.f_sensor}
+            write_npz(fresh / SENSORS, {**arrays, "times": imus.times})
+        write_text(fresh / FINDINGS, json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n")
+        write_text(fresh / INDEX, recording_text(tables, title))
+        Recording.load(fresh)
+    return found
+
+
+def read_findings(folder: str | Path) -> Findings:
+    """Read what `make_recording` returned.
+
+    Args:
+        folder: of the recording.
+
+    Raises:
+        FileFormatError: missing or damaged.
+    """
+    data = load_json(Path(folder) / FINDINGS)
+    return Findings(**{kind: tuple(map(str, sentences)) for kind, sentences in data.items()})
+
+
+# --- image ---------------------------------------------------------------------------------------
+
+
+def _described(sources: Sources, settings: SetupSettings) -> _Video:
+    """Return the size and rate of the image, from the video or as the user says."""
+    if sources.video is None and sources.keypoints is None:
+        raise InvalidInputError(
+            f"{', '.join(map(str, sources.paths))}: no video and no keypoints among them; give one, or see "
+            "docs/without_camera.md for sensors alone"
+        )
+    if sources.video is not None:
+        meta = read_video_metadata(sources.video)
+        note = f"{sources.video.name}, upright" if settings.keep_video else "the video, upright"
+        size = Field(None, Origin.FILE, note)
+        return _Video((meta.width_px, meta.height_px), size, meta.rate_hz, meta)
+    if settings.size_px is not None:
+        return _Video(settings.size_px, Field(None, Origin.GIVEN), settings.rate_hz, None)
+    if sources.camera is not None:
+        camera = calibrated_camera(sources.camera, settings.camera_name, None, "").camera
+        return _Video((camera.width_px, camera.height_px), Field(None, Origin.FILE), settings.rate_hz, None)
+    raise InvalidInputError(
+        f"{sources.keypoints}: keypoints do not say how large the image is; give the video beside them, its "
+        "calibration by --camera, or --size 1920x1080"
+    )
+
+
+def _detections(sources: Sources, video: _Video, detect: Detect) -> Detections:
+    """Return the people of a video with times."""
+    if sources.keypoints is None:
+        assert sources.video is not None
+        return detect(sources.video)
+    found = read_detector_file(sources.keypoints, *video.size_px)
+    if found.times is not None:
+        return found
+    if video.rate_hz is None:
+        raise InvalidInputError(
+            f"{sources.keypoints}: has no times; give the video beside it, or its rate by --rate 60 (Hz)"
+        )
+    return replace(found, times=np.arange(len(found)) / video.rate_hz)
+
+
+def _camera(sources: Sources, settings: SetupSettings, video: _Video) -> SetupCamera:
+    if sources.camera is not None:
+        known = video.size_px if sources.video is not None or settings.size_px is not None else None
+        title = sources.video.name if sources.video is not None else "the image"
+        return calibrated_camera(sources.camera, settings.camera_name, known, title)
+    return assumed_camera(*video.size_px, lens_prior(*video.size_px, video.metadata), video.size)
+
+
+# --- sensors -------------------------------------------------------------------------------------
+
+
+def _sensors(
+    sources: Sources, settings: SetupSettings, keypoints: KeypointSequence, camera: SetupCamera,
+    progress: Progress,
+) -> SetupSensors | None:  # fmt: skip
+    if not sources.sensors:
+        return None
+    from rtof_kin.setup.sensors import set_up_sensors
+
+    log = read_sensor_log(sources.sensors)
+    skeleton = SkeletonModel.default()
+    skeleton = skeleton if settings.height is None else skeleton.with_height(settings.height)
+    keypoints = evenly_spaced(keypoints)
+    progress("lift", 0, 1)
+    poses = lift(keypoints, skeleton, settings.lifter, None, None if camera.placed else 0.0).poses
+    progress("lift", 1, 1)
+    progress("sensors", 0, 1)
+    found = set_up_sensors(log, sources.sensor_map, poses, keypoints, skeleton)
+    progress("sensors", 1, 1)
+    return found
+
+
+# --- tables and sentences ------------------------------------------------------------------------
+
+
+def _session(video: _Video) -> dict[str, Tables]:
+    start = video.metadata.start_utc if video.metadata is not None else None
+    if start is None:
+        return {}
+    return {"session": {"date": Field(start.date().isoformat(), Origin.FILE, "the video, in UTC")}}
+
+
+def _check_height(height: float | None) -> None:
+    if height is not None and not 0.4 < height < 2.6:
+        raise InvalidInputError(f"--height {height:g}: is no human height in metres; give e.g. --height 1.72")
+
+
+def _subject(settings: SetupSettings) -> Tables:
+    if settings.height is None:
+        usual = round(SkeletonModel.default().height, 2)
+        note = "a usual one; every length follows it: give --height, or write it here"
+        return {"height_m": Field(usual, Origin.ASSUMED, note, f"the person is {usual:.2f} m tall")}
+    return {
+        "height_m": Field(
+            settings.height, Origin.GIVEN, summary=f"the person is {settings.height:.2f} m tall"
+        )
+    }
+
+
+def _scene(camera: SetupCamera) -> dict[str, Tables]:
+    if camera.placed:
+        return {}
+    note = "take this line out where the floor is not flat"
+    return {
+        "scene": {"floor_height_m": Field(0.0, Origin.ASSUMED, note, "the person stands on a flat floor")}
+    }
+
+
+def _keypoints(
+    sources: Sources, settings: SetupSettings, detected: DetectedKeypoints, people: People, number: int
+) -> Tables:
+    kind = detected.recognition.layout
+    origin = Origin.FOUND if settings.person is None else Origin.GIVEN
+    source = "the detector" if sources.keypoints is None else sources.keypoints.name
+    who = f"person {number} of {len(people)} in {PICTURE}"
+    other = "; --person takes another one" if settings.person is None and len(people) > 1 else ""
+    return {
+        "file": Field(KEYPOINTS, Origin.FILE, f"{source}; all people"),
+        "layout": Field(kind.name, Origin.FOUND, kind.title),
+        "person": Field(number - 1, origin, who, who + other if len(people) > 1 else ""),
+        "frame": Field(people.first_frame(number), note="in which the person has that number, from 0"),
+    }
+
+
+def _doubts(settings: SetupSettings, keypoints: KeypointSequence, people: People, number: int) -> list[str]:
+    """Return sentences on what makes the take poor."""
+    share, seconds = float(people.share[number - 1]), float(keypoints.times[-1] - keypoints.times[0])
+    out = []
+    if share < _LEAST_SEEN:
+        out.append(
+            f"the person is seen in {100 * share:.0f} % of the frames only; the rest is bridged, or missing"
+        )
+    if seconds < _SHORTEST:
+        out.append(f"the take lasts {seconds:.1f} s; 20 s with walking and turning tell camera and sensors")
+    if settings.height is None:
+        out.append("the person's height is not known, and every length follows it; give --height 1.72")
+    return out
+
+
+def _findings(tables: Tables, doubts: list[str]) -> Findings:
+    sentences: dict[str, list[str]] = {origin.value: [] for origin in Origin}
+    for origin, sentence in summaries(tables):
+        sentences[origin.value].append(sentence)
+    return Findings(**{kind: tuple(some) for kind, some in sentences.items()}, doubtful=tuple(doubts))

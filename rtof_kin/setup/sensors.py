@@ -1,0 +1,229 @@
+"""Sensors of a take beside its video: clock, segments, headings and mounting, found from the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.data.imu import ImuSequence
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.formats.imu_calibration_toml import calibration_table
+from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
+from rtof_kin.inertial.orientation import log_with_orientation
+from rtof_kin.inertial.segment_names import known_segment, segments_of
+from rtof_kin.recording.sensor_files import imus_of_log
+from rtof_kin.setup.alignment import Alignment, align_sensors
+from rtof_kin.setup.assignment import assign_sensors
+from rtof_kin.setup.clocks import ClockEstimate, find_clock
+from rtof_kin.setup.recording_text import Field, Origin, Tables
+
+ARRAYS: Final = "imus.npz"
+_STILL: Final = np.radians(8.0)
+"""[rad/s] 95th percentile of the angular speed below which a sensor does not move."""
+_STEP: Final = 0.1
+"""[s] over which that speed is measured, so that noise is no motion."""
+_SURE: Final = 0.8
+"""Probability of a segment below which a sensor is left out."""
+_LEAST_COMMON: Final = 2.0
+"""[s] Least time that video and sensors have in common."""
+
+
+@dataclass(frozen=True)
+class SetupSensors:
+    """Sensors of a recording, the table ``[imus]`` that describes them, and what is in doubt."""
+
+    imus: ImuSequence
+    """On the sensors' clock, which begins at 0."""
+    fields: Tables
+    doubts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Take:
+    """What the sensors are found by."""
+
+    poses: PoseSequence
+    keypoints: KeypointSequence
+    skeleton: SkeletonModel
+
+
+def set_up_sensors(
+    log: SensorLog, sensor_map: Path | None, poses: PoseSequence, keypoints: KeypointSequence,
+    skeleton: SkeletonModel,
+) -> SetupSensors:  # fmt: skip
+    """Find clock, segments, headings and mounting of the sensors of a video.
+
+    Args:
+        log: sensors on their own clock.
+        sensor_map: file of two columns, sensor and segment; None: the sensors' names say it, or their motion.
+        poses: lifted from the keypoints, at their times. keypoints: of the video. skeleton: of the poses.
+
+    Raises:
+        InvalidInputError: no sensor moves, or video and sensors have nothing in common.
+        CalibrationError: nothing relates the sensors to the video. Errors of the map.
+    """
+    take = _Take(poses, keypoints, skeleton)
+    places = _told(log, sensor_map, skeleton)
+    log = log if places is None else log.select(list(places))
+    log, still = _moving(log_with_orientation(log))
+    log = _from_zero(log)
+    told = None if places is None else {name: str(places[name].value) for name in log.names}
+    clock = find_clock(poses, keypoints, log, skeleton, told)
+    _check_overlap(clock.apply(log), keypoints.times)
+    doubts = [*still, clock.doubt]
+    if places is None or told is None:
+        places, unsure = _assigned(clock.apply(log), take)
+        told = {name: str(field.value) for name, field in places.items()}
+        log = log.select(list(told))
+        clock = _refined(clock, log, told, take)
+        doubts += unsure
+    found = align_sensors(poses, keypoints, clock.apply(log), told, skeleton)
+    doubts += found.warnings
+    clock = _delayed(clock, found)
+    imus = imus_of_log(_drifted(log, clock))
+    fields = _fields(imus, clock, found, places)
+    return SetupSensors(imus, fields, tuple(dict.fromkeys(doubt for doubt in doubts if doubt)))
+
+
+def _told(log: SensorLog, sensor_map: Path | None, skeleton: SkeletonModel) -> dict[str, Field] | None:
+    """Return the segments that a map or the sensors' own names say; None where they do not say all."""
+    if sensor_map is not None:
+        places = matched(read_sensor_map(sensor_map), log.names)
+        return {
+            name: Field(known_segment(place, skeleton), Origin.FILE, sensor_map.name)
+            for name, place in places.items()
+        }
+    named = segments_of(log.names, skeleton)
+    if len(named) < len(log.names):
+        return None
+    return {name: Field(joint, Origin.FILE, "by the sensor's name") for name, joint in named.items()}
+
+
+def _moving(log: SensorLog) -> tuple[SensorLog, list[str]]:
+    """Return the sensors that move, and a sentence about the others."""
+    moving = [stream.name for stream in log.streams if _speed(stream) > _STILL]
+    still = [name for name in log.names if name not in moving]
+    if not moving:
+        raise InvalidInputError(
+            f"{log.path}: none of its {len(still)} sensors moves; give the file of the sensors that the "
+            "person wore in this video, and check that they were recording"
+        )
+    if not still:
+        return log, []
+    what = ", ".join(still)
+    return log.select(moving), [
+        f"{what}: does not move and is left out; check that it was on the person and recording"
+    ]
+
+
+def _speed(stream: SensorStream) -> float:
+    """Return the 95th percentile of a sensor's angular speed, rad/s."""
+    assert stream.R_inertial_sensor is not None
+    every = max(1, round(_STEP * stream.rate_hz))
+    R, times = stream.R_inertial_sensor[::every], stream.times[::every]
+    trace = np.einsum("tij,tij->t", R[1:], R[:-1])
+    speed = np.arccos(np.clip((trace - 1) / 2, -1, 1)) / np.diff(times)
+    return float(np.nanpercentile(speed, 95)) if np.isfinite(speed).any() else 0.0
+
+
+def _from_zero(log: SensorLog) -> SensorLog:
+    """Return the sensors with times from the first sample on."""
+    first = min(stream.times[0] for stream in log.streams)
+    return replace(log, streams=tuple(replace(s, times=s.times - first) for s in log.streams))
+
+
+def _check_overlap(log: SensorLog, times: Array) -> None:
+    """Check that the sensors, on the video's clock, recorded while the video did."""
+    first = max(stream.times[0] for stream in log.streams)
+    last = min(stream.times[-1] for stream in log.streams)
+    common = min(last, times[-1]) - max(first, times[0])
+    if common < min(_LEAST_COMMON, 0.5 * (times[-1] - times[0])):
+        raise InvalidInputError(
+            f"{log.path}: its sensors recorded from {first:.1f} to {last:.1f} s of the video's clock, the "
+            f"video from {times[0]:.1f} to {times[-1]:.1f} s; give the files of one take"
+        )
+
+
+def _assigned(log: SensorLog, take: _Take) -> tuple[dict[str, Field], list[str]]:
+    """Return the segments of the sensors that are sure, and sentences about the others.
+
+    Raises:
+        InvalidInputError: none is sure.
+    """
+    found = assign_sensors(log, take.skeleton, take.poses)
+    places, left = dict[str, Field](), list[str]()
+    for name, joint in found.joints.items():
+        sure = found.probabilities[name]
+        percent = f"{100 * sure:.0f} %"
+        if sure >= _SURE:
+            summary = f"sensor {name} is on {joint} ({percent})"
+            places[name] = Field(joint, Origin.FOUND, f"by its motion, {percent} sure", summary)
+        else:
+            left.append(f"{name} (on {joint}: {percent})")
+    if not left:
+        return places, [found.doubt]
+    remedy = "name their segments in a file of two columns, --map FILE"
+    if not places:
+        raise InvalidInputError(
+            f"{log.path}: the motion does not tell which sensor is where, {', '.join(left)}; {remedy}"
+        )
+    return places, [f"left out, as their segments are not sure: {', '.join(left)}; {remedy}"]
+
+
+def _refined(clock: ClockEstimate, log: SensorLog, joints: Mapping[str, str], take: _Take) -> ClockEstimate:
+    """Return the clock with the segments known; a doubt of the first search stays."""
+    again = find_clock(take.poses, take.keypoints, log, take.skeleton, joints, around=clock.offset, reach=1.0)
+    return replace(again, doubt=clock.doubt)
+
+
+def _delayed(clock: ClockEstimate, found: Alignment) -> ClockEstimate:
+    """Return the clock with the delay of the video that the self-calibration has left."""
+    if found.refined is None:
+        return clock
+    delay = found.refined["delay", "video"]
+    return replace(clock, offset=clock.offset + float(delay.value[0]), sigma=float(delay.sigma[0]))
+
+
+def _drifted(log: SensorLog, clock: ClockEstimate) -> SensorLog:
+    """Return the sensors with the drift of their clock removed; they still begin at 0."""
+    factor = 1 + clock.drift
+    return replace(log, streams=tuple(replace(s, times=s.times * factor) for s in log.streams))
+
+
+def _fields(
+    imus: ImuSequence, clock: ClockEstimate, found: Alignment, places: Mapping[str, Field]
+) -> dict[str, Field | Tables]:
+    """Return the table ``[imus]``."""
+    start = clock.offset - clock.drift * clock.middle
+    drift = f"; {1e6 * clock.drift:+.0f} ppm of their clock are in {ARRAYS}" if clock.drift else ""
+    fields: dict[str, Field | Tables] = {
+        "file": Field(ARRAYS),
+        "names": Field(list(imus.names)),
+        "start_s": Field(
+            round(start, 5), Origin.FOUND,
+            f"± {1000 * clock.sigma:.0f} ms, by their motion; {ARRAYS} is on the sensors' clock{drift}",
+            f"the sensors began {abs(start):.3f} s {'after' if start >= 0 else 'before'} the video, "
+            f"± {1000 * clock.sigma:.0f} ms",
+        ),
+    }  # fmt: skip
+    tables = calibration_table(found.calibration)
+    sensors: dict[str, Tables] = {}
+    for sensor in found.sensors:
+        own = tables[sensor.sensor]
+        sd = [round(float(np.degrees(value)), 1) for value in (sensor.sigma_heading, sensor.sigma_mounting)]
+        sensors[sensor.sensor] = {
+            "joint": places[sensor.sensor],
+            "lever_arm_m": Field(own["lever_arm_m"], Origin.ASSUMED, "the usual place on this segment"),
+            "R_world_inertial": Field(own["R_world_inertial"], Origin.FOUND, f"heading ± {sd[0]:g} degrees"),
+            "R_sensor_bone": Field(own["R_sensor_bone"], Origin.FOUND, f"mounting ± {sd[1]:g} degrees"),
+        }
+    return fields | {"sensors": sensors}
