@@ -75,12 +75,11 @@ CASES = {
 }
 HEAD = f"""# Handheld camera
 
-`python -m benchmarks.handheld`: pan of 16 deg and shake of 4 deg at 1 to 3 Hz, realistic 2D, held-out people
-and rigs, as given. *errors of an estimate*: heading drifts by 1 deg in 20 s, white noise of
+`python -m benchmarks.handheld`: pan of 18 deg and shake of up to 4 deg at 1 to 3 Hz, realistic 2D, held-out
+people and rigs, as given. *errors of an estimate*: heading drifts by 1 deg in 20 s, white noise of
 {np.degrees(NOISE):.2f} deg per axis. *hand moves*: standard deviation per axis, at {HAND_HZ} Hz.
 *in view*: points that were detected. *rr change*: mean over recordings of the change against the tripod, and
-its 95 % bootstrap
-interval over motions.
+its 95 % bootstrap interval over motions.
 
 """
 

@@ -17,7 +17,7 @@ _HALF_VIEW = np.radians(57.0)
 
 
 def pan_and_shake(
-    rng: np.random.Generator, times: Array, pan_deg: float = 16.0, shake_deg: float = 4.0
+    rng: np.random.Generator, times: Array, pan_deg: float = 18.0, shake_deg: float = 4.0
 ) -> Array:
     """Rotations (T, 3, 3) from the camera to a middle orientation: a slow pan, and a shake of 1 to 3 Hz.
 
@@ -27,12 +27,10 @@ def pan_and_shake(
     phase, period = rng.uniform(0, 2 * np.pi), rng.uniform(6.0, 9.0)
     rotvec = np.zeros((len(times), 3))
     rotvec[:, 1] = np.radians(pan_deg) * np.sin(2 * np.pi * times / period + phase)
-    shake = np.zeros((len(times), 3))
-    for hz in rng.uniform(1.0, 3.0, 4):
-        shake += rng.normal(size=3) * np.sin(2 * np.pi * hz * times + rng.uniform(0, 2 * np.pi))[:, None]
-    shake *= [0.7, 1.0, 0.5]
-    shake *= np.radians(shake_deg) / np.linalg.norm(shake, axis=1).max()
-    return so3.exp(rotvec) @ so3.exp(shake)
+    sizes = rng.normal(size=(4, 3)) * [0.7, 1.0, 0.5]
+    sizes *= np.radians(shake_deg) / (0.7 * np.linalg.norm(sizes, axis=1).sum())  # all at once is rare
+    waves = np.sin(2 * np.pi * times[:, None] * rng.uniform(1.0, 3.0, 4) + rng.uniform(0, 2 * np.pi, 4))
+    return so3.exp(rotvec) @ so3.exp(waves @ sizes)
 
 
 def write_turning_video(

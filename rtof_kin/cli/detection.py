@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rtof_kin.cli.terminal import command, out, progress
 
 if TYPE_CHECKING:
+    from rtof_kin.vision.detections import Detections
     from rtof_kin.vision.person_detector import PersonDetector
 
 
@@ -29,6 +30,15 @@ def add_commands(commands: Any) -> None:
     parser.add_argument("--out", default="keypoints.npz", metavar="OUT", help=".npz to write")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier OUT")
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after so many")
+    parser.add_argument(
+        "--camera-motion",
+        metavar="NPZ",
+        help="estimate how the camera turned from the background, and write it",
+    )
+    parser.add_argument(
+        "--phone-log", metavar="LOG",
+        help="gyroscope and accelerometer of the phone that filmed: adds the tilt to --camera-motion",
+    )  # fmt: skip
 
 
 def add_detector(parser: argparse.ArgumentParser) -> None:
@@ -86,6 +96,10 @@ def _detect(options: argparse.Namespace) -> None:
     if target.suffix.lower() != ".npz":
         raise FileFormatError(target, "give the file to write a name that ends in .npz")
     check_new_file(target, options.overwrite)
+    if options.camera_motion is not None:
+        if options.video.isdigit():
+            raise InvalidInputError("--camera-motion needs a video file, not a webcam")
+        check_new_file(Path(options.camera_motion), options.overwrite)
     source = int(options.video) if options.video.isdigit() else options.video
     detector = detector_of(options)
     with progress() as update:
@@ -97,6 +111,8 @@ def _detect(options: argparse.Namespace) -> None:
         f"{int(present.any(axis=1).sum())} frames with at least one",
         soft_wrap=True,
     )
+    if options.camera_motion is not None:
+        _write_camera_motion(options, found)
     try:
         layout = recognise(found.uv_px, found.confidence).layout
     except InvalidInputError as error:
@@ -104,3 +120,21 @@ def _detect(options: argparse.Namespace) -> None:
         return
     text = f'[keypoints]\nfile = "{target.name}"\nlayout = "{layout.name}"'
     out.print(f"{layout.title}; in recording.toml:\n{text}", soft_wrap=True)
+
+
+def _write_camera_motion(options: argparse.Namespace, found: Detections) -> None:
+    from rtof_kin.formats.camera_motion_npz import write_camera_motion
+    from rtof_kin.setup.handheld import turning_of_video
+
+    target = Path(options.camera_motion)
+    with progress() as update:
+        turned = turning_of_video(options.video, found, phone=options.phone_log, progress=update)
+    write_camera_motion(target, turned.motion, options.overwrite)
+    out.print(f"wrote {target}: {turned.summary}", soft_wrap=True)
+    if turned.turning().passed:
+        out.print("it stood still: [camera.motion] is not needed")
+    else:
+        focal = f"focal_px = {turned.camera.K[0, 0]:.0f}"
+        out.print(
+            f'in recording.toml, with {focal}:\n[camera.motion]\nfile = "{target.name}"', soft_wrap=True
+        )

@@ -21,6 +21,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 
 _LONGEST_GAP: Final = 0.3  # [s] between known rotations that is interpolated
+_SIGMA_TILT: Final = np.radians(1.0)  # by a phone's accelerometer, whose axes are not quite the camera's
 _WIDEST: Final = np.radians(65.0)  # from the still camera's axis; pixels are stretched 2.4 to 5.6 times there
 
 
@@ -129,8 +130,12 @@ def stabilised(keypoints: KeypointSequence, motion: CameraMotion) -> KeypointSeq
 
 def _still(camera: Camera, motion: CameraMotion, R_first_still: Array) -> Camera:
     """Return the camera that stands still, with the measured tilt where there is one."""
-    R = camera.R_camera_world
+    R, uncertainty = camera.R_camera_world, camera.uncertainty
     if motion.up_first is not None:
         R = so3.minimal_rotation(R[:, 2], R_first_still.T @ motion.up_first) @ R
+        if uncertainty is not None:
+            uncertainty = replace(uncertainty, tilt=min(uncertainty.tilt, _SIGMA_TILT))
     t = -R @ camera.center_world
-    return replace(camera.undistorted(), R_camera_world=R, t_camera_world=t, stabilised=True)
+    return replace(
+        camera.undistorted(), R_camera_world=R, t_camera_world=t, uncertainty=uncertainty, stabilised=True
+    )

@@ -1,4 +1,4 @@
-"""The table ``[camera.motion]`` of a recording: keypoints of a camera that turns."""
+"""Keypoints of a recording and their camera, which may turn: the table ``[camera.motion]``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.files.section import Section
 from rtof_kin.data.camera_motion import CameraMotion, stabilised
 from rtof_kin.data.keypoints import KeypointSequence
@@ -14,13 +15,27 @@ from rtof_kin.formats.camera_motion_npz import read_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.phone import phone_files, read_phone
 from rtof_kin.inertial.camera_gyroscope import HELD, held_of_gravity, motion_of_gyroscope
-from rtof_kin.recording.files import data_path, naming
+from rtof_kin.recording.camera_table import read_camera
+from rtof_kin.recording.files import data_path, naming, read_keypoints
 
 _FOCAL: Final = 0.05  # relative difference of the focal length that is remarked on
 _log = logging.getLogger(__name__)
 
 
-def stabilised_as_declared(keypoints: KeypointSequence, section: Section) -> tuple[KeypointSequence, str]:
+def read_filmed(camera: Section, keypoints: Section, skeleton: SkeletonModel) -> tuple[KeypointSequence, str]:
+    """Read a camera and its keypoints; those of a camera that turns are stabilised.
+
+    Args:
+        camera: table ``[camera]``. keypoints: table ``[keypoints]``. skeleton: that has the landmarks.
+
+    Returns:
+        The keypoints, and a note about the turning, empty without one.
+    """
+    found = read_keypoints(keypoints, read_camera(camera), skeleton)
+    return _stabilised_as_declared(found, camera.table("motion")) if camera.has("motion") else (found, "")
+
+
+def _stabilised_as_declared(keypoints: KeypointSequence, section: Section) -> tuple[KeypointSequence, str]:
     """Return the keypoints of a still camera, and a note about it.
 
     Args:

@@ -30,8 +30,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording import files
-from rtof_kin.recording.camera_motion_files import stabilised_as_declared
-from rtof_kin.recording.camera_table import read_camera
+from rtof_kin.recording.camera_motion_files import read_filmed
 from rtof_kin.recording.sensor_files import read_imus
 from rtof_kin.recording.session import Session, read_session
 from rtof_kin.recording.views import camera_and_keypoints, keypoint_file, read_views
@@ -232,14 +231,9 @@ class Recording:
             **_read_skeleton(skeleton),
         }
         if index.has("camera") or index.has("keypoints") or not index.has("imus"):
-            filmed = index.table("camera")
-            camera = read_camera(filmed)
             body = _shipped(fields["skeleton_table"])
-            keypoints = files.read_keypoints(index.table("keypoints"), camera, body)
-            if filmed.has("motion"):
-                keypoints, note = stabilised_as_declared(keypoints, filmed.table("motion"))
-                fields["notes"] = "\n".join(filter(None, (fields["notes"], note)))
-            fields["keypoints"] = keypoints
+            fields["keypoints"], note = read_filmed(index.table("camera"), index.table("keypoints"), body)
+            fields["notes"] = "\n".join(filter(None, (fields["notes"], note)))
         fields["views"] = read_views(index.tables("views"), _shipped(fields["skeleton_table"]))
         facts = ("skeleton_table", "joint_offsets", "bone_lengths", "height", "mass_kg", "sex")
         body = _body(**{name: fields[name] for name in facts if name in fields})

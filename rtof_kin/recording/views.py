@@ -8,8 +8,8 @@ from typing import Any
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.files.section import Section
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.recording import files
-from rtof_kin.recording.camera_table import camera_table, read_camera
+from rtof_kin.recording.camera_motion_files import read_filmed
+from rtof_kin.recording.camera_table import camera_table
 
 
 def read_views(sections: Sequence[Section], skeleton: SkeletonModel) -> tuple[KeypointSequence, ...]:
@@ -20,8 +20,7 @@ def read_views(sections: Sequence[Section], skeleton: SkeletonModel) -> tuple[Ke
     """
     views = []
     for section in sections:
-        camera = read_camera(section.table("camera"))
-        views.append(files.read_keypoints(section.table("keypoints"), camera, skeleton))
+        views.append(read_filmed(section.table("camera"), section.table("keypoints"), skeleton)[0])
         section.close()
     return tuple(views)
 

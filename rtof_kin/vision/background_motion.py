@@ -12,11 +12,10 @@ the range of the turning, not with time. Boxes around people are left out.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +30,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.vision.bearing_rotation import Pair, Turned, bearings, focal_factor, turn_between, with_focal
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.video import VideoFrame, read_video
+from rtof_kin.vision.video_file import library
 
 Gray = NDArray[np.uint8]
 MOST_TURNED_DEG: Final = 0.5
@@ -206,7 +206,7 @@ class _Follower:
         self.camera = camera
         self.links: list[_Link | None] = []
         """Of each frame; None where it could not be followed."""
-        self._cv2: Any = importlib.import_module("cv2")
+        self._cv2 = library("cv2")
         self._size = camera.width_px, camera.height_px
         self._tolerance = _TOLERANCE / float(camera.K[0, 0])
         self._keys: list[_Key] = []

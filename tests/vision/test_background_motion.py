@@ -18,6 +18,7 @@ from rtof_kin.vision.background_motion import estimate_camera_motion
 
 # OpenCV's wheel needs a system library that machines without a screen may lack.
 cv2: Any = pytest.importorskip("cv2", exc_type=ImportError)
+pytest.importorskip("av", exc_type=ImportError)
 from benchmarks.turning_video import pan_and_shake, write_turning_video  # noqa: E402
 
 CAMERA = Camera.looking_at([0.0, 0, 1], [1.0, 0, 1], 400.0, 480, 270)

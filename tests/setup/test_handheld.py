@@ -1,0 +1,88 @@
+"""From a handheld video and a phone's log to the motion of the camera, in Python and on the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rtof_kin.cli import main
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.data.camera import Camera
+from rtof_kin.formats.camera_motion_npz import read_camera_motion
+from rtof_kin.inertial.camera_gyroscope import HELD
+from rtof_kin.vision.detections import Detections
+
+# OpenCV's wheel needs a system library that machines without a screen may lack.
+pytest.importorskip("cv2", exc_type=ImportError)
+pytest.importorskip("av", exc_type=ImportError)
+from benchmarks.turning_video import pan_and_shake, write_turning_video
+from rtof_kin.setup.handheld import turning_of_video
+
+RATE, T = 30.0, 105
+CAMERA = Camera.looking_at([0.0, 0, 0], [1.0, 0, 0], 360.0, 432, 242)
+DOWN = so3.exp(np.radians([-10.0, 0, 0]))  # the middle orientation looks downwards
+BOXES = np.tile([150.0, 50, 230, 230], (T, 1))
+SEED, OFFSET = 5, 12.5
+PEOPLE = Detections(BOXES.reshape(T, 1, 2, 2), np.ones((T, 1, 2)), np.arange(T) / RATE)
+
+
+def log(path: Path, seed: int = SEED) -> Path:
+    """The log of a phone whose clock is ahead, held in landscape, from two seconds before the video."""
+    times = np.arange(-2.0, T / RATE + 1, 0.01)
+    R = pan_and_shake(np.random.default_rng(seed), times) @ HELD["landscape left"]
+    w = so3.log(np.swapaxes(R[:-1], -1, -2) @ R[1:]) * 100
+    up_middle = DOWN @ [0.0, -1.0, 0.0]
+    f = 9.81 * np.einsum("tji,j->ti", R, up_middle)[1:]
+    rows = (",".join(map(str, row)) for row in np.column_stack([times[1:] - 0.005 + OFFSET, w, f]))
+    path.write_text("\n".join(["time,wx,wy,wz,fx,fy,fz", *rows]))
+    return path
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Array]:
+    R = pan_and_shake(np.random.default_rng(SEED), np.arange(T) / RATE)
+    path = tmp_path_factory.mktemp("video") / "handheld.mp4"
+    write_turning_video(path, R, CAMERA, RATE, BOXES)
+    return path, R[0].T @ R
+
+
+def test_turning_focal_length_and_tilt_are_found_from_nothing(
+    filmed: tuple[Path, Array], tmp_path: Path
+) -> None:
+    path, R_true = filmed
+    found = turning_of_video(path, PEOPLE, phone=log(tmp_path / "gyro.csv"))
+    assert found.camera.K[0, 0] == pytest.approx(360, rel=0.02)
+    off = np.degrees(so3.angle_between(found.motion.R_first_camera, R_true))
+    assert off.max() < 0.15
+    up_first = pan_and_shake(np.random.default_rng(SEED), np.zeros(1))[0].T @ DOWN @ [0.0, -1.0, 0.0]
+    assert found.motion.up_first is not None
+    assert np.degrees(np.arccos(found.motion.up_first @ up_first)) < 1.0
+
+
+def test_log_of_another_take_is_not_used(
+    filmed: tuple[Path, Array], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    found = turning_of_video(filmed[0], PEOPLE, phone=log(tmp_path / "gyro.csv", seed=6))
+    assert found.motion.up_first is None
+    assert "is it the file of this video" in caplog.text
+
+
+def test_detect_writes_the_motion_and_what_to_declare(
+    filmed: tuple[Path, Array], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.setattr("rtof_kin.cli.detection.detector_of", lambda options: None)
+    monkeypatch.setattr("rtof_kin.vision.video.detect_video", lambda *_, **__: PEOPLE)
+    order = ["detect", str(filmed[0]), "--out", str(tmp_path / "k.npz")]
+    order += ["--camera-motion", str(tmp_path / "m.npz")]
+    assert main(order) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert '[camera.motion] file = "m.npz"' in said
+    assert "with focal_px = 36" in said
+    motion = read_camera_motion(tmp_path / "m.npz")
+    assert np.degrees(so3.angle_between(motion.R_first_camera, filmed[1])).max() < 0.15
+    assert main(order) == 2  # nothing is replaced
+    assert main([*order[:1], "0", *order[2:]]) == 2  # a webcam
