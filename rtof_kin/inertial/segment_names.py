@@ -80,18 +80,18 @@ def segments_of(names: Iterable[str], skeleton: SkeletonModel) -> dict[str, str]
     return {name: joint for name, joint in found.items() if taken.count(joint) == 1}
 
 
-def known_segment(name: str, skeleton: SkeletonModel) -> str:
+def known_segment(name: str, skeleton: SkeletonModel, what: str = "segment") -> str:
     """Return the segment that a name means.
 
     Args:
-        name, skeleton: as in `segment_of`.
+        name, skeleton: as in `segment_of`. what: kind of name, for the message.
 
     Raises:
         UnknownNameError: it means none.
     """
     found = segment_of(name, skeleton)
     if found is None:
-        raise UnknownNameError("segment", [name], (*skeleton.names, *skeleton.sensors))
+        raise UnknownNameError(what, [name], (*skeleton.names, *skeleton.sensors))
     return found
 
 

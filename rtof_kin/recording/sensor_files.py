@@ -9,7 +9,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -98,15 +98,27 @@ def read_log(section: Section, skeleton: SkeletonModel, named: Sequence[str] = (
         FileFormatError, UnknownNameError: the message names file, field and remedy.
     """
     path = data_path(section, or_folder=True)
-    declared = {name: section.optional_text(name) for name in CHOICES}
-    log = read_sensor_log(path, **declared, rate_hz=section.optional_number("rate_hz"))
+    log = read_sensor_log(path, **_declared(section))
     with naming(section.path):
         log = _placed(section, log, skeleton, named)
-    selected = section.optional_names("names")
-    log = log if selected is None else log.select(selected)
+    selected = section.optional_names("names") or log.names
+    unknown = [name for name in selected if name not in log.names]
+    if unknown:
+        raise UnknownNameError(f"sensor in {section.path}, {section.where('names')}", unknown, log.names)
+    log = log.select(selected)
     for note in log.notes:
         _log.info("%s: %s", path, note)
     return _on_clock(section, log)
+
+
+def _declared(section: Section) -> dict[str, Any]:
+    """Return the fields of `Declaration` that the table has."""
+    declared: dict[str, Any] = {"rate_hz": section.optional_number("rate_hz")}
+    for name, choices in CHOICES.items():
+        declared[name] = section.optional_text(name)
+        if declared[name] not in (None, *choices):
+            raise section.error(name, f"{declared[name]!r} is not one of {', '.join(choices)}")
+    return declared
 
 
 def _placed(section: Section, log: SensorLog, skeleton: SkeletonModel, named: Sequence[str]) -> SensorLog:
@@ -115,14 +127,16 @@ def _placed(section: Section, log: SensorLog, skeleton: SkeletonModel, named: Se
     if section.has("sensor_map") and len(table):
         raise section.error("sensor_map", "stands beside [imus.map]; give only one of the two")
     if section.has("sensor_map"):
-        places = read_sensor_map(data_path(section, field="sensor_map"))
+        where = data_path(section, field="sensor_map")
+        places = read_sensor_map(where)
     elif len(table):
+        where = section.path
         places = {serial: table.text(serial) for serial in table.keys()}  # noqa: SIM118
     else:
         return log
     for place in places.values():
         if place not in named:
-            known_segment(place, skeleton)
+            known_segment(place, skeleton, f"segment in {where}")
     found = matched(places, log.names)
     left = [name for name in log.names if name not in found]
     if left:

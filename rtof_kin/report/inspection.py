@@ -29,6 +29,7 @@ from rtof_kin.formats.c3d import read_c3d
 from rtof_kin.formats.camera_toml import read_camera_toml
 from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.formats.opencap import read_opencap
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.total_capture import read_cameras
@@ -278,6 +279,7 @@ _BY_SUFFIX: Final[dict[str, Callable[[Path], Inspection]]] = {
     ".toml": lambda path: _cameras(path, "cameras in TOML", read_camera_toml(path)),
     ".yml": _yaml,
     ".yaml": _yaml,
+    ".pickle": lambda path: _cameras(path, "camera of OpenCap", read_opencap(path)),
     ".cal": _cal,
     ".json": _keypoints,
     ".npy": _keypoints,

@@ -29,17 +29,17 @@ VIDEO_SUFFIXES: Final = frozenset(
 _BOXES: Final = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 """First boxes of MP4, MOV and 3GP."""
 _CONTAINERS: Final = (
-    b"\x1a\x45\xdf\xa3", b"\x30\x26\xb2\x75\x8e\x66\xcf\x11", b"\x00\x00\x01\xba", b"\x00\x00\x01\xb3", b"FLV\x01",
-    b"OggS",
+    b"\x1a\x45\xdf\xa3", b"\x30\x26\xb2\x75\x8e\x66\xcf\x11", b"\x00\x00\x01\xba", b"\x00\x00\x01\xb3",
+    b"FLV\x01", b"OggS",
 )  # fmt: skip
 """First bytes of MKV and WebM, WMV, MPEG, FLV, Ogg."""
 _PEOPLE: Final = re.compile(
     r'"(people|bodies|instances|instance_info|annotations|keypoints|pose_keypoints(_2d)?|(pose_)?landmarks'
     r'|image_id|joints)"\s*:'
 )
-_CAMERA: Final = re.compile(
-    rf"""^[\s{{]*["']?({"|".join(map(re.escape, MATRIX_NAMES))})\d?["']?\s*:""", re.MULTILINE
-)
+_MATRIX: Final = "|".join(map(re.escape, MATRIX_NAMES))
+_CAMERA_JSON: Final = re.compile(rf'"({_MATRIX})\d?"\s*:')
+_CAMERA_YAML: Final = re.compile(rf"^\s*({_MATRIX})\d?\s*:", re.MULTILINE)
 _CAMERA_TOML: Final = re.compile(r"^\s*matrix\s*=", re.MULTILINE)
 _RECORDING: Final = re.compile(r"^schema_version\s*=", re.MULTILINE)
 
@@ -57,9 +57,9 @@ class SourceKind(Enum):
 
 
 _KNOWN: Final = (
-    "a video (MP4, MOV, AVI, MKV, ...), a detector's keypoints (a folder of OpenPose's .json; .json, .csv, .npz, "
-    ".npy), files of inertial sensors (docs/sensors.md), a camera calibration (.toml, .yml, .json, OpenCap's "
-    ".pickle), a map of sensors (two columns: serial number, segment)"
+    "a video (MP4, MOV, AVI, MKV, ...), a detector's keypoints (a folder of OpenPose's .json; .json, .csv, "
+    ".npz, .npy), files of inertial sensors (docs/sensors.md), a camera calibration (.toml, .yml, .json, "
+    "OpenCap's .pickle), a map of sensors (two columns: serial number, segment)"
 )
 
 
@@ -134,10 +134,10 @@ def _of_text(path: Path, head: str) -> SourceKind:
         if _PEOPLE.search(head):
             return SourceKind.KEYPOINTS
         if start[:1] == "{":
-            return SourceKind.CAMERA if _CAMERA.search(head) else SourceKind.UNKNOWN
+            return SourceKind.CAMERA if _CAMERA_JSON.search(head) else SourceKind.UNKNOWN
     if path.name == INDEX or _RECORDING.search(head):
         return SourceKind.RECORDING
-    if _CAMERA_TOML.search(head) or _CAMERA.search(head):
+    if _CAMERA_TOML.search(head) or _CAMERA_YAML.search(head):
         return SourceKind.CAMERA
     if is_keypoint_header(start.split("\n", 1)[0]):
         return SourceKind.KEYPOINTS

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import io
+import pickle
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -41,12 +42,15 @@ from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
 from rtof_kin.formats.joint_trajectory import read_joint_trajectory_csv, write_joint_trajectory_csv
 from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.formats.motion_npz import read_motion_npz, write_motion_npz
+from rtof_kin.formats.opencap import read_opencap
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.mvnx import read_mvnx_file
+from rtof_kin.formats.sensors.sensor_map import read_sensor_map
 from rtof_kin.formats.trc import read_trc, write_trc
 from rtof_kin.recording.recording import Recording
 from rtof_kin.report.inspection import inspect
+from rtof_kin.setup.sources import Sources
 from rtof_kin.simulation.mocap import read_corpus as read_mocap_corpus
 from rtof_kin.simulation.mocap import read_mocap
 from rtof_kin.vision.keypoint_files import read_detector_file
@@ -183,6 +187,20 @@ def written(title: str, name: str, write: Callable[[Path], object], read: Callab
     return Reader(title, example, lambda folder: read(folder / name))
 
 
+def _opencap() -> bytes:
+    camera = {
+        "intrinsicMat": CAMERA.K, "distortion": CAMERA.distortion[None], "rotation": CAMERA.R_camera_world,
+        "translation": 1000 * CAMERA.t_camera_world[:, None], "imageSize": np.array([[1080.0], [1920.0]]),
+    }  # fmt: skip
+    return pickle.dumps(camera, 4)
+
+
+def _with_sensor_files() -> Files:
+    index = b'schema_version = 1\n[imus]\nfile = "dot"\nsensor_map = "map.csv"\nstart_s = -5.0\n'
+    files = {f"dot/{name}": content for name, content in sensor_file("Movella DOT CSV").items()}
+    return {"recording.toml": index, "map.csv": b"serial,segment\n00B40001,left shank\n", **files}
+
+
 def recording(folder: Path) -> None:
     """Save a recording in ``folder/take``."""
     _take(folder / "take")
@@ -231,6 +249,7 @@ READERS = (
         b'"rvec": [0.1, 0, 0], "tvec": [0, 0, 4], "D": {"rows": 1, "data": [0.1, 0, 0, 0]}}',
         read_opencv_yaml,
     ),
+    given("OpenCap", "a.pickle", _opencap, lambda p: read_opencap(p, up="z")),
     # --- datasets
     given(
         "Total Capture positions", "a.txt", TC("gt_skel_gbl_pos.txt"),
@@ -291,6 +310,9 @@ READERS = (
     given("split", "a.toml", b'test = ["S9"]\nvalidation = ["S8", "S7"]\n', read_split),
     # --- inertial sensors
     *map(sensors, sensor_files.WRITERS),
+    given("sensor map", "a.csv", b"serial,segment\nB279,pelvis # loose\nB27D,right shank\n", read_sensor_map),
+    Reader("recording of sensor files", _with_sensor_files, Recording.load),
+    given("sources", "a.json", OPENPOSE, lambda p: Sources.of([p])),
     # --- any of them
     written("inspect motion.npz", "motion.npz", lambda p: write_motion_npz(p, motion()), inspect),
     written("inspect a.trc", "a.trc", lambda p: write_trc(p, _markers()), inspect),
