@@ -45,8 +45,8 @@ class BundleSettings:
     sigma_image: float = 0.006
     """[1] of a joint in an image per axis, relative to the focal length: with the joints free, residuals do not
     tell it."""
-    sigma_lift: float = 0.06
-    """[m] of a lifted joint about the mean of all, per axis."""
+    sigma_shapes: tuple[float, float] = (0.06, 0.06)
+    """[m] of a joint of each shape about the mean of all, per axis."""
     sigma_bone: float = 0.025
     """[m] of a bone's length in one frame."""
     sigma_start: float = 1.0
@@ -68,8 +68,9 @@ class Images:
     """(F, n, 2) velocity in the second image, px/s."""
     bones: Sequence[tuple[int, int, float]]
     """Two joints and the length between them, m."""
-    lifts: Array
-    """(2, F, n, 3) joints as each video alone shows them, m, in world with the second camera as at the start."""
+    shapes: Array
+    """(2, F, n, 3) joints as each video alone shows them, m, in world with the second camera as at the start;
+    their mean is not used."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,7 @@ class _System:
         self.size = float(np.median(np.abs(errors))) / _NORMAL_MEDIAN * _lost(images)
         self._add_bones(images.bones, p, settings.sigma_bone)
         for c in (0, 1):
-            self._add_lift(c, images.lifts[c], p, settings.sigma_lift)
+            self._add_shape(c, images.shapes[c], p, settings.sigma_shapes[c])
         each = np.arange(n)
         self._H_pp[:, each, :, each, :] += np.eye(3) / settings.sigma_start**2
         self._g_p += (p - start) / settings.sigma_start**2
@@ -201,10 +202,10 @@ class _System:
         self._g_c += np.einsum("fnka,fnk,fn->a", J, r, w)
         return np.ravel(r[seen]) / camera.K[0, 0]
 
-    def _add_lift(self, c: int, lifted: Array, p: Array, sigma: float) -> None:
-        """Add the shape of a lift: joints about their mean."""
+    def _add_shape(self, c: int, given: Array, p: Array, sigma: float) -> None:
+        """Add the joints about their mean; those of the second camera turn with it."""
         n, w = p.shape[1], 1 / sigma**2
-        shape = lifted - lifted.mean(axis=1, keepdims=True)
+        shape = given - given.mean(axis=1, keepdims=True)
         if c == 1:
             shape = shape @ so3.exp(self._x[TURN]).T
             J = so3.skew(shape)

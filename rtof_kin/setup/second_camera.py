@@ -22,10 +22,13 @@ from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.fused_lifts import fused
 from rtof_kin.reconstruction.lift import LifterLike, lift
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.bundle import DELAY, FOCAL, MOVE, TURN, Adjusted, BundleSettings, Images, adjust
-from rtof_kin.setup.video_offset import find_video_offset
+from rtof_kin.setup.video_offset import VideoOffset, find_video_offset
+from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers
 
 JOINTS: Final = (
     "Head", "RightArm", "RightForeArm", "RightHand", "LeftArm", "LeftForeArm", "LeftHand",
@@ -36,6 +39,9 @@ _FEWEST_JOINTS: Final = 6
 """Joints that both cameras see in a used frame."""
 _FEWEST_FRAMES: Final = 20
 _MOST_FRAMES: Final = 240
+_SENSED, _SEEN, _LIFTED = 0.03, 0.05, 0.06
+"""[m] Standard deviations per axis of a joint about the mean of all: by the first camera with sensors, by the
+first camera alone, by a lift."""
 _MEMORY: Final = 1.0
 """[s] for which a detector's errors count as one."""
 _STEP: Final = 0.1
@@ -70,59 +76,70 @@ class SecondCamera:
     """What may be wrong, in a sentence; empty where sure."""
 
 
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with the second camera as a further view.
+
+        Args:
+            recording: of the first camera.
+        """
+        first = replace(recording.video, camera=self.first)
+        return replace(recording, keypoints=first, views=(*recording.views, self.view))
+
+
 def find_second_camera(
-    first: KeypointSequence,
+    recording: Recording,
     second: KeypointSequence,
-    skeleton: SkeletonModel,
     lifter: LifterLike | None = None,
     *,
     around: float | None = None,
     sigma_focal: Sequence[float] = (0.1, 0.1),
-    floor_height: float | None = None,
 ) -> SecondCamera:
     """Estimate a second camera, which stands anywhere, from the moving person.
 
     Args:
-        first: what the first camera sees; its pose is the world's.
-        second: what the second camera sees, its orientation known up to the heading, within some degrees.
-        skeleton: the person's, from the height; gives the scale.
+        recording: of the first camera, whose pose is the world's, with sensors or without; its skeleton,
+            from the height, gives the scale.
+        second: what the second camera sees; its orientation is known up to the heading, within some
+            degrees, and its position is not used.
         lifter: default: the shipped one.
         around: [s] offset of the clocks that is known within a second; None searches everywhere.
         sigma_focal: relative standard deviation of each focal length as given; 0 where it is calibrated.
-        floor_height: z of the floor in the first camera's world, m; None where unknown.
 
     Raises:
         CalibrationError: the two have too little in common.
         InvalidInputError: a video is too short, or the clocks have too little in common.
     """
-    lifted = lift(first, skeleton, lifter, None, floor_height)
+    sensed = recording.imus is not None and recording.calibration is not None
+    settings = ReconstructionSettings(confidence=False)
+    alone = reconstruct(recording, mode="rtof" if sensed else "rto", lifter=lifter, settings=settings)
+    first, poses, skeleton = alone.keypoints, alone.motion.poses, recording.skeleton
+    assert first is not None
+    second, _ = reject_keypoint_outliers(second)
     own = lift(second, skeleton, lifter).poses
-    clock = find_video_offset(lifted.poses, own, around)
+    clock = find_video_offset(poses, own, around)
     view = replace(second, times=second.times + clock.offset)
-    camera = _placed(second.camera, lifted.poses, replace(own, times=view.times))
-    view = replace(view, camera=camera)
-    seen = view.resample(first.times)
-    lifts = [lifted, lift(seen, skeleton, lifter)]
-    both, frames = fused(lifts, (first, seen), skeleton), _frames(first, seen)
-    joints = np.ix_(frames, skeleton.index(*JOINTS))
-    images = replace(
-        _images(first, view, frames, skeleton),
-        lifts=np.stack([each.poses.p_world_joint[joints] for each in lifts]),
-    )
-    rate_hz = len(frames) / float(first.times[frames[-1]] - first.times[frames[0]])
+    camera, own = _placed(second.camera, poses, replace(own, times=view.times))
+    view, frames = replace(view, camera=camera), _frames(first, view.resample(first.times))
     found = adjust(
-        (first.camera, camera), images, both.poses.p_world_joint[joints],
+        (first.camera, camera),
+        _images(first, view, frames, skeleton, (poses, own)),
+        poses.p_world_joint[np.ix_(frames, skeleton.index(*JOINTS))],
         BundleSettings(
             sigma_focal=(float(sigma_focal[0]), float(sigma_focal[1])),
-            frames_as_one=max(1.0, rate_hz * _MEMORY),
+            sigma_shapes=(_SENSED if sensed else _SEEN, _LIFTED),
+            frames_as_one=max(1.0, _MEMORY * len(frames) / float(np.ptp(first.times[frames]))),
         ),
     )  # fmt: skip
-    sigma = np.sqrt(np.diag(found.covariance))
-    delay = float(found.x[DELAY])
-    words = tuple(dict.fromkeys((*camera.assumed, "pose of the second camera, from the moving person")))
+    return _result(found, view, clock)
+
+
+def _result(found: Adjusted, view: KeypointSequence, clock: VideoOffset) -> SecondCamera:
+    sigma, delay = np.sqrt(np.diag(found.covariance)), float(found.x[DELAY])
+    words = (*view.camera.assumed, "pose of the second camera, from the moving person")
+    camera = replace(found.cameras[1], assumed=tuple(dict.fromkeys(words)))
     return SecondCamera(
         first=found.cameras[0],
-        view=replace(view, camera=replace(found.cameras[1], assumed=words), times=view.times + delay),
+        view=replace(view, camera=camera, times=view.times + delay),
         offset=clock.offset + delay,
         sigma_offset=float(sigma[DELAY]),
         sigma_position=sigma[MOVE],
@@ -133,8 +150,8 @@ def find_second_camera(
     )
 
 
-def _placed(camera: Camera, first: PoseSequence, second: PoseSequence) -> Camera:
-    """The second camera in the first one's world, by its lift on its own clock and in its own world."""
+def _placed(camera: Camera, first: PoseSequence, second: PoseSequence) -> tuple[Camera, PoseSequence]:
+    """The second camera and its lift, on its own clock and in its own world, in the first one's world."""
     times = first.times[(first.times >= second.times[0]) & (first.times <= second.times[-1])]
     p, q = (signals.interpolate(s.times, s.p_world_joint, times) for s in (first, second))
     H = np.einsum("tji,tjk->ik", p[:, 1:] - p[:, :1], q[:, 1:] - q[:, :1])
@@ -142,7 +159,8 @@ def _placed(camera: Camera, first: PoseSequence, second: PoseSequence) -> Camera
     d = np.median(p[:, 0] - q[:, 0] @ R.T, axis=0)
     R_camera_world = camera.R_camera_world @ R.T
     t = camera.t_camera_world - R_camera_world @ d
-    return replace(camera, R_camera_world=R_camera_world, t_camera_world=t)
+    poses = replace(second, p_world_joint=second.p_world_joint @ R.T + d, R_world_bone=R @ second.R_world_bone)
+    return replace(camera, R_camera_world=R_camera_world, t_camera_world=t), poses
 
 
 def _frames(first: KeypointSequence, seen: KeypointSequence) -> Index:
@@ -158,9 +176,12 @@ def _frames(first: KeypointSequence, seen: KeypointSequence) -> Index:
     return np.asarray(frames[chosen])
 
 
-def _images(first: KeypointSequence, view: KeypointSequence, frames: Index, skeleton: SkeletonModel) -> Images:
-    """The joints in both images, and the bones between them."""
-    times = first.times[frames]
+def _images(
+    first: KeypointSequence, view: KeypointSequence, frames: Index, skeleton: SkeletonModel,
+    shapes: Sequence[PoseSequence],
+) -> Images:  # fmt: skip
+    """The joints in both images, as each camera's poses have them, and the bones between them."""
+    times, index = first.times[frames], skeleton.index(*JOINTS)
     seen = [keypoints.resample(times).select(JOINTS) for keypoints in (first, view)]
     straight = [k.camera.normalise(k.uv_px) @ k.camera.K[:2, :2].T + k.camera.K[:2, 2] for k in seen]
     later, earlier = (view.resample(times + d).select(JOINTS).uv_px for d in (_STEP, -_STEP))
@@ -169,13 +190,19 @@ def _images(first: KeypointSequence, view: KeypointSequence, frames: Index, skel
         uv_px=np.nan_to_num(np.stack(straight)),
         weight=np.stack([k.confidence for k in seen]),
         drift=np.nan_to_num((later - earlier) / (2 * _STEP)),
-        lifts=np.zeros((2, len(frames), len(JOINTS), 3)),
+        shapes=np.stack([_at(poses, times)[:, index] for poses in shapes]),
         bones=[
             (JOINTS.index(parents[name]), i, skeleton.bone_lengths[name])
             for i, name in enumerate(JOINTS)
             if parents[name] in JOINTS
         ],
     )
+
+
+def _at(poses: PoseSequence, times: Array) -> Array:
+    """Positions (T, J, 3) at other times, constant beyond the ends."""
+    inside = np.clip(times, poses.times[0], poses.times[-1])
+    return signals.interpolate(poses.times, poses.p_world_joint, inside)
 
 
 def _doubt(found: Adjusted, sigma: Array) -> str:
