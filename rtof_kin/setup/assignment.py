@@ -23,13 +23,16 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.setup.image_evidence import image_scores
 from rtof_kin.setup.matching import Labels, Matching, match
 from rtof_kin.setup.motion_score import shipped_score
-from rtof_kin.setup.sensor_motion import SensorMotions, sensor_motions
+from rtof_kin.setup.sensor_motion import RATE_HZ, SensorMotions, sensor_motions
 
 Candidates = Sequence[str] | Mapping[str, Sequence[str]]
 _SURE = 0.95  # [-] probability from which a sensor's segment is not doubted
 _POSSIBLE = 0.02  # [-] probability from which an alternative is named
 _STILL = 0.05  # [rad/s] RMS angular speed of a sensor that does not move
-_IMAGE_WEIGHT = 0.5  # [-] of the image's log-likelihood, whose errors of segments are correlated
+_IMAGE_WEIGHT, _VIEW_MEMORY = 0.25, 10.0  # [-] of the image's log-likelihood; [s] beyond which it hardly
+# grows, as errors of a lifted segment belong to the view
+_MOTION_WEIGHT = 1.5  # [-] of the learned scores, chosen on the validation split
+_UNPAIRED = 2.0  # [nats] against a sensor on one side of the body alone
 _MOST_PROBABLE = 0.999  # [-] nothing is stated surer, as models are not exact
 
 
@@ -74,7 +77,8 @@ def assign_sensors(
     motions = sensor_motions(log)
     segments, allowed = _possible(motions.names, skeleton, candidates)
     still = [n for n, w in zip(motions.names, _speed(motions), strict=True) if w < _STILL]
-    found = match(*_scores(motions, skeleton, segments, poses), allowed=allowed, mirrors=_mirrors(segments))
+    single, pair = _scores(motions, skeleton, segments, poses)
+    found = match(single, pair, allowed=allowed, mirrors=_mirrors(segments), prior=_Symmetry(segments))
     return _assignment(found, motions.names, segments, still, poses is not None)
 
 
@@ -116,10 +120,27 @@ def _scores(
         raise InvalidInputError(
             f"which sensor is where cannot be told from motion alone {lacking}; give poses from a video"
         )
-    single, pair = score.tables(motions, segments) if learned else (np.zeros((len(motions.names), len(segments))), None)
+    single, pair = np.zeros((len(motions.names), len(segments))), None
+    if learned:
+        single, pair = (_MOTION_WEIGHT * table for table in score.tables(motions, segments))
     if poses is not None:
-        single = single + _IMAGE_WEIGHT * image_scores(motions, poses, skeleton, segments)
+        weight = _IMAGE_WEIGHT / (1 + len(motions) / RATE_HZ / _VIEW_MEMORY)
+        single = single + weight * image_scores(motions, poses, skeleton, segments)
     return single, pair
+
+
+class _Symmetry:
+    """Log-probability (C,) of assignments (C, S): people wear sensors on both sides rather than on one."""
+
+    def __init__(self, segments: Sequence[str]) -> None:
+        self._count = len(segments)
+        other = [(k, segments.index(o)) for k, o in enumerate(map(_other_side, segments)) if o in segments]
+        self._pairs = np.array([pair for pair in other if pair[0] < pair[1]], dtype=np.intp).reshape(-1, 2)
+
+    def __call__(self, labels: Labels) -> Array:
+        used = np.zeros((len(labels), self._count), dtype=np.bool_)
+        np.put_along_axis(used, labels, True, axis=1)
+        return np.asarray(-_UNPAIRED * np.sum(used[:, self._pairs[:, 0]] != used[:, self._pairs[:, 1]], axis=1))
 
 
 def _mirrors(segments: Sequence[str]) -> list[Labels]:

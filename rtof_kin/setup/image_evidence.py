@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy.special import gammaln
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
@@ -23,10 +22,12 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.likelihood import orientation_rate
 from rtof_kin.setup.sensor_motion import RATE_HZ, SensorMotions
 
-_ACROSS, _ALONG = np.radians([12.0, 35.0])  # of a lifted bone's orientation: its direction, its twist
-_RATE, _RATE_SHARE, _RATE_ALONG = 0.5, 0.35, 3.0  # [rad/s], [-], [-] of its angular velocity; larger along it
+_FACTORS: Final = {"Foot": (1.5, 0.8), "Head": (0.9, 1.1), "": (1.0, 1.6)}
+"""Actual over stated errors of a lifted segment's direction and of its twist, by the end of its name."""
+_LEAST, _USUAL = np.radians([4.0, 12.0])  # errors beside the stated one; stated, where the poses state none
+_RATE, _RATE_ALONG, _RATE_SHARE = 4.0, 1.2, 0.2  # [1/s] of the direction's, [rad/s], [-] of angular velocities
 _CUTOFF_HZ = 3.0  # of angular velocities
-_MEMORY, _RATE_MEMORY = 2.0, 0.4  # [s] correlation times of the two errors
+_MEMORY, _RATE_MEMORY = 1.0, 0.3  # [s] correlation times of the two errors
 _FREEDOM = 4.0  # of Student's t
 _EVERY = 3  # sample used of so many
 _COARSE, _FINE = 24, 11  # headings all around, and between two of these
@@ -63,7 +64,17 @@ def image_scores(
     w_bone = np.stack([_turning(motions.times, R_bone[:, k]) for k in range(len(index))], axis=1)
     w = signals.low_pass_known(motions.times, motions.w.reshape(len(motions), -1), _CUTOFF_HZ).reshape(motions.w.shape)
     rows = np.flatnonzero(known & np.isfinite(w_bone).all(axis=(1, 2)))[::_EVERY]
-    return _scores(R_bone[rows], w_bone[rows], motions.R[rows], w[rows])
+    sigma = _sigma(poses, index, segments, motions.times[rows])
+    return _scores(R_bone[rows], w_bone[rows], sigma, motions.R[rows], w[rows])
+
+
+def _sigma(poses: PoseSequence, index: Sequence[int], segments: Sequence[str], times: Array) -> Array:
+    """Return errors (T, K, 3), rad, of lifted segments about the axes of `R_bone`: across twice, and along."""
+    stated = np.where(np.isfinite(poses.sigma_rad[:, index]), poses.sigma_rad[:, index], _USUAL)
+    stated = signals.interpolate(poses.times, stated, times)
+    factors = [next(f for end, f in _FACTORS.items() if name.endswith(end)) for name in segments]
+    across, along = np.array(factors).T
+    return np.asarray(np.hypot(np.stack([across * stated, across * stated, along * stated], axis=-1), _LEAST))
 
 
 def _turning(times: Array, R: Array) -> Array:
@@ -72,14 +83,16 @@ def _turning(times: Array, R: Array) -> Array:
     return signals.low_pass_known(times, w, _CUTOFF_HZ)
 
 
-def _scores(R_bone: Array, w_bone: Array, R_sensor: Array, w_sensor: Array) -> Array:
+def _scores(R_bone: Array, w_bone: Array, sigma: Array, R_sensor: Array, w_sensor: Array) -> Array:
     """Return (S, K) from samples (T, K or S, ...)."""
     step = _EVERY / RATE_HZ
-    precision = np.array([1 / _ACROSS**2 - 0.5 / _ALONG**2] * 2 + [0.5 / _ALONG**2])
-    precision[2], precision[:2] = 1 / _ACROSS**2 - 0.5 / _ALONG**2, 0.5 / _ALONG**2
-    G = np.einsum("tkac,tsbd->skabcd", R_bone * precision, R_sensor, optimize=True) * step / _MEMORY
-    wide = _RATE**2 + _RATE_SHARE**2 * np.mean(np.sum(w_sensor**2, axis=-1), axis=0)
-    H = np.einsum("tka,tsb->skab", w_bone, w_sensor) * (step / _RATE_MEMORY) / wide[:, None, None, None]
+    # Weights of a bone's axes: a rotation about one is resisted by the other two.
+    twist = 0.5 / sigma[..., 2] ** 2
+    weights = np.stack([twist, twist, np.maximum(1 / sigma[..., 0] ** 2 - twist, 0)], axis=-1)
+    G = np.einsum("tkac,tsbd->skabcd", R_bone * weights[:, :, None], R_sensor, optimize=True) * step / _MEMORY
+    wide = np.mean((_RATE * sigma[..., 0]) ** 2, axis=0)
+    wide = wide + _RATE_SHARE**2 * np.mean(np.sum(w_sensor**2, axis=-1), axis=0)[:, None]
+    H = np.einsum("tka,tsb->skab", w_bone, w_sensor) * (step / _RATE_MEMORY) / wide[..., None, None]
     spread = 2 * np.pi / _COARSE
     angles = np.broadcast_to(spread * np.arange(_COARSE), (*G.shape[:2], _COARSE))
     for _ in range(2):
@@ -95,9 +108,10 @@ def _scores(R_bone: Array, w_bone: Array, R_sensor: Array, w_sensor: Array) -> A
             off = so3.log(np.swapaxes(R_bone[:, k], -1, -2) @ turn @ R_sensor[:, s] @ R_sensor_bone[s, k])
             w = turn @ w_sensor[:, s, :, None]
             off_w = (np.swapaxes(R_bone[:, k], -1, -2) @ (w - w_bone[:, k, :, None]))[..., 0]
-            sigma = np.sqrt(_RATE**2 + _RATE_SHARE**2 * np.sum(w_sensor[:, s] ** 2, axis=-1))
-            out[s, k] = np.sum(_student(off / [_ACROSS, _ACROSS, _ALONG])) * step / _MEMORY
-            out[s, k] += np.sum(_student(off_w / np.multiply.outer(sigma, [1, 1, _RATE_ALONG]))) * step / _RATE_MEMORY
+            share = _RATE_SHARE * np.linalg.norm(w_sensor[:, s], axis=-1, keepdims=True)
+            of_w = np.hypot(np.where([True, True, False], _RATE * sigma[:, k], _RATE_ALONG), share)
+            out[s, k] = _student(off, sigma[:, k]) * step / _MEMORY
+            out[s, k] += _student(off_w, of_w) * step / _RATE_MEMORY
     return out
 
 
@@ -116,6 +130,8 @@ def _at_headings(G: Array, H: Array, angles: Array) -> tuple[Array, Array]:
     return size.sum(axis=-1) + turning, np.swapaxes(U @ Vt, -1, -2)
 
 
-def _student(off: Array) -> Array:
-    """Return (T,) log densities, up to a constant, of scaled deviations (T, 3)."""
-    return np.asarray(-(_FREEDOM + 3) / 2 * np.log1p(np.sum(off**2, axis=-1) / _FREEDOM))
+def _student(off: Array, sigma: Array) -> float:
+    """Return the sum of log densities, up to a constant, of deviations (T, 3) with errors (T, 3)."""
+    square = np.sum((off / sigma) ** 2, axis=-1)
+    density = -(_FREEDOM + 3) / 2 * np.log1p(square / _FREEDOM) - np.log(sigma).sum(axis=-1)
+    return float(density.sum())
