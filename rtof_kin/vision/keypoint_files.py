@@ -103,13 +103,13 @@ def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:
         confidence = points[..., 2] if points.shape[-1] == 3 else np.isfinite(uv).all(axis=-1).astype(float)
     if confidence.shape != uv.shape[:-1]:
         raise FileFormatError(path, f"confidence: expected shape {uv.shape[:-1]}, got {confidence.shape}")
-    times, identity = _one_of(path, arrays, ("times", "timestamps")), _identity(arrays)
+    times, identity = _one_of(path, arrays, ("times", "timestamps")), _tracks(arrays)
     if points.ndim == 3:
         uv, confidence = uv[:, None], confidence[:, None]
     return Detections(uv, confidence, times, identity=identity)
 
 
-def _identity(arrays: dict[str, Array]) -> NDArray[np.int64] | None:
+def _tracks(arrays: dict[str, Array]) -> NDArray[np.int64] | None:
     return (
         np.nan_to_num(arrays["identity"], nan=NO_IDENTITY).astype(np.int64) if "identity" in arrays else None
     )
