@@ -27,8 +27,9 @@ def add_commands(commands: Any) -> None:
         commands, "inspect", _inspect, "identify files and check their contents by physics",
         "FILE is a sensor log or a folder of one, a recording, a motion, motion capture, markers, "
         "cameras or a detector's keypoints. Every check is printed with its figure and limit; where a "
-        "declaration is wrong, the likely right one is named as the option to add. Exit code 1: a "
-        "check does not hold.",
+        "declaration is wrong, the likely right one is named as the option to add. Of a recording with "
+        "calibrated sensors, those that are on another segment than declared are named, and --fix writes "
+        "the corrected recording. Exit code 1: a check does not hold.",
     )  # fmt: skip
     parser.add_argument("files", metavar="FILE", nargs="+", help="files or folders")
     parser.add_argument(
@@ -36,6 +37,11 @@ def add_commands(commands: Any) -> None:
         help="units and conventions of a sensor log, e.g. acceleration_unit=g gravity=removed",
     )  # fmt: skip
     parser.add_argument("--all", action="store_true", help="figures of every sensor and bone")
+    parser.add_argument(
+        "--fix", action="store_true",
+        help="correct the segments of sensors that are elsewhere; of one recording, with -o",
+    )  # fmt: skip
+    parser.add_argument("-o", "--out", metavar="OUT", type=Path, help="new folder for --fix")
     parser.add_argument("--plot", metavar="PNG", type=Path, help="draw what looks wrong; of one FILE")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier PNG")
 
@@ -58,17 +64,58 @@ def _inspect(options: argparse.Namespace) -> int:
         if options.plot.suffix.lower() != ".png":
             raise InvalidInputError(f"--plot {options.plot}: give the picture a name that ends in .png")
         check_new_file(options.plot, options.overwrite)
+    if options.fix != (options.out is not None) or (options.fix and len(options.files) > 1):
+        raise InvalidInputError("--fix corrects one recording and needs a new folder for it: --fix -o OUT")
     declared: dict[str, Any] = dict(options.declare)
     if "rate_hz" in declared:
         declared["rate_hz"] = _number(declared["rate_hz"])
     failed = False
     for file in options.files:
-        found = inspect(file, **declared)
+        found, corrected = _with_places(inspect(file, **declared))
         _print(found, options.all)
+        if options.fix:
+            _fix(found, corrected, options.out)
         if options.plot is not None:
             _draw(found, options.plot, options.overwrite)
         failed |= bool(found.failed)
     return _FAILED if failed else 0
+
+
+def _with_places(found: Any) -> tuple[Any, Any]:
+    """Add the check of where a recording's sensors are; with the corrected recording, if any is wrong."""
+    from dataclasses import replace
+
+    from rtof_kin.core.errors import RtofError
+    from rtof_kin.core.plausibility import Check
+    from rtof_kin.recording.recording import Recording
+    from rtof_kin.setup.assignment_check import NAME, check_recording
+
+    if found.title != "recording" or found.log is None:
+        return found, None
+    recording = Recording.load(found.path)
+    if recording.calibration is None:
+        return found, None
+    try:
+        places, corrected = check_recording(recording)
+    except RtofError as error:
+        check = Check.unknown(NAME, "sensors", "", str(error))
+        return replace(found, checks=(*found.checks, check)), None
+    notes = (f"sensors: {places.doubt}",) if places.doubt else ()
+    found = replace(found, checks=(*found.checks, places.check()), notes=(*found.notes, *notes))
+    return found, corrected if places.wrong else None
+
+
+def _fix(found: Any, corrected: Any, target: Path) -> None:
+    from rtof_kin.core.errors import InvalidInputError
+
+    if found.title != "recording":
+        raise InvalidInputError(f"--fix: {found.path} is a {found.title}; only recordings are corrected")
+    if corrected is None:
+        out.print("no sensor is found elsewhere: there is nothing to correct, and nothing was written")
+        return
+    corrected.save(target)
+    places = zip(corrected.calibration.sensors, corrected.calibration.joints, strict=True)
+    out.print(f"wrote {target}: {', '.join(f'{sensor} on {joint}' for sensor, joint in places)}", soft_wrap=True)
 
 
 def _number(text: str) -> float:

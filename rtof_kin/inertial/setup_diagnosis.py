@@ -153,15 +153,13 @@ def diagnose_setup(
         kinds: kinds of faults to test.
         most: largest number of faults; each is searched after correction of those before it.
     """
-    times = even_times(bone_imus)
     R_pose = turned_to(pose_rotations(pose, skeleton), 0.0)
     motions = segment_motions(bone_imus)
-    seen = None if visual is None else seen_bones(visual, skeleton, times)
-    scores = _Scores(MotionLikelihood(skeleton, seen=seen), min(1.0, _LONGEST / (times[-1] - times[0])))
+    scores, seen = _scores(bone_imus, skeleton, visual)
     found: list[Fault] = []
     while len(found) < most:
         setup = _Setup(skeleton, {m.joint: m.p_bone_sensor for m in motions}, R_pose, calibration)
-        faults = [f for f in setup.possible_faults(bool(seen)) if f.kind in kinds]
+        faults = [f for f in setup.possible_faults(seen) if f.kind in kinds]
         fault = _likeliest(scores, motions, setup, faults)
         if fault is None:
             break
@@ -169,6 +167,27 @@ def diagnose_setup(
         motions = fault._read(motions)
         calibration = None if calibration is None else fault.corrected(calibration)
     return tuple(found)
+
+
+def setup_log_likelihood(
+    bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSequence | None = None
+) -> float:
+    """Return the log-likelihood, nats, of the movement of calibrated sensors, to compare calibrations.
+
+    Args:
+        bone_imus, skeleton, visual: as for `diagnose_setup`.
+    """
+    return _scores(bone_imus, skeleton, visual)[0].total(segment_motions(bone_imus))
+
+
+def _scores(
+    bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSequence | None
+) -> tuple[_Scores, bool]:
+    """Return scores of motions, and whether a camera saw them."""
+    times = even_times(bone_imus)
+    seen = None if visual is None else seen_bones(visual, skeleton, times)
+    likelihood = MotionLikelihood(skeleton, seen=seen)
+    return _Scores(likelihood, min(1.0, _LONGEST / (times[-1] - times[0]))), bool(seen)
 
 
 def _likeliest(

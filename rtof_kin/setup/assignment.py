@@ -8,8 +8,9 @@ or without. Motion without an image hardly tells left from right.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,8 @@ from rtof_kin.setup.sensor_motion import RATE_HZ, SensorMotions, sensor_motions
 
 Candidates = Sequence[str] | Mapping[str, Sequence[str]]
 _SURE = 0.95  # [-] probability from which a sensor's segment is not doubted
-_POSSIBLE = 0.02  # [-] probability from which an alternative is named
+POSSIBLE: Final = 0.02
+"""Probability from which an alternative is named."""
 _STILL = 0.05  # [rad/s] RMS angular speed of a sensor that does not move
 _IMAGE_WEIGHT, _VIEW_MEMORY = 0.25, 10.0  # [-] of the image's log-likelihood; [s] beyond which it hardly
 # grows, as errors of a lifted segment belong to the view
@@ -77,16 +79,47 @@ def assign_sensors(
     motions = sensor_motions(log)
     segments, allowed = _possible(motions.names, skeleton, candidates)
     still = [n for n, w in zip(motions.names, _speed(motions), strict=True) if w < _STILL]
-    single, pair = _scores(motions, skeleton, segments, poses)
-    found = match(single, pair, allowed=allowed, mirrors=_mirrors(segments), prior=_Symmetry(segments))
+    found = match_sensors(motions, skeleton, segments, poses, allowed=allowed)
     return _assignment(found, motions.names, segments, still, poses is not None)
+
+
+def usual_segments(skeleton: SkeletonModel) -> tuple[str, ...]:
+    """Return the segments of the skeleton's usual sensors.
+
+    Args:
+        skeleton: the subject's.
+    """
+    return tuple(dict.fromkeys(joint for joint, _ in skeleton.sensors.values()))
+
+
+def match_sensors(
+    motions: SensorMotions,
+    skeleton: SkeletonModel,
+    segments: tuple[str, ...],
+    poses: PoseSequence | None = None,
+    *,
+    allowed: NDArray[np.bool_] | None = None,
+    prior: Callable[[Labels], Array] | None = None,
+) -> Matching:
+    """Return the posterior of assignments of sensors to segments.
+
+    Args:
+        motions: of S sensors. skeleton: the subject's. segments: K in question. poses: on the same clock.
+        allowed: (S, K). prior: log-probability (C,) of assignments (C, S); default: symmetric ones.
+
+    Raises:
+        InvalidInputError: without poses, a segment that nothing was learned of, or no accelerations.
+    """
+    single, pair = _scores(motions, skeleton, segments, poses)
+    prior = _Symmetry(segments) if prior is None else prior
+    return match(single, pair, allowed=allowed, mirrors=_mirrors(segments), prior=prior)
 
 
 def _possible(
     sensors: Sequence[str], skeleton: SkeletonModel, candidates: Candidates | None
 ) -> tuple[tuple[str, ...], NDArray[np.bool_]]:
     """Return the segments (K) in question and which of them each sensor may be on (S, K)."""
-    usual = tuple(dict.fromkeys(joint for joint, _ in skeleton.sensors.values()))
+    usual = usual_segments(skeleton)
     own: Mapping[str, Sequence[str]] = {}
     if isinstance(candidates, Mapping):
         indices_of("sensor", list(candidates), sensors)
@@ -167,7 +200,7 @@ def _assignment(
     probabilities, alternatives = {}, {}
     for sensor, k, row in zip(sensors, found.best, found.probability, strict=True):
         probabilities[sensor] = min(float(row[k]), _MOST_PROBABLE)
-        others = [int(i) for i in np.argsort(-row) if i != k and row[i] >= _POSSIBLE]
+        others = [int(i) for i in np.argsort(-row) if i != k and row[i] >= POSSIBLE]
         alternatives[sensor] = tuple((segments[i], float(row[i])) for i in others)
     return Assignment(joints, probabilities, alternatives, _doubt(joints, found, segments, still, seen))
 
