@@ -3,8 +3,9 @@
 ``python -m benchmarks.assignment --corpus DIR`` with DIR the folder of free motion (see README.md here).
 Recordings of 10 to 60 s join motions of the test split's people, and the same on the rig that nothing learned
 from (`rerigged`); realistic 2D of one camera, lifted without sensors. 4, 8, 10 and 13 sensors with arbitrary
-mountings and headings have 13 segments to choose from. ``--subset validation`` is what weights and thresholds
-were chosen on. ``--real DIR`` adds real recordings, sensors alone.
+mountings and headings have 13 segments to choose from, or those that have one are told. Exchanges are planted
+in the map of ten sensors. ``--subset validation`` is what weights and thresholds were chosen on. ``--real
+DIR`` adds real recordings, sensors alone.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import tomllib
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -33,25 +35,39 @@ from rtof_kin.reconstruction.lift import lift
 from rtof_kin.reconstruction.prepare import evenly_spaced
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.assignment import assign_sensors
+from rtof_kin.setup.assignment_check import check_assignment
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import SimulationSettings, low_passed, simulate, standard_cameras
 
 HERE = Path(__file__).parent
 TRIALS = HERE.parent / "examples" / "sensor_trials.toml"
-SECONDS = (10.0, 20.0, 40.0, 60.0)
+SECONDS = {10.0: 3, 20.0: 2, 40.0: 1, 60.0: 1}
+"""Recordings of a person by length, where there is motion for them."""
 EVERY = tuple(SkeletonModel.default().sensors)
 SETS = {**SENSOR_SETS, "13": EVERY}
+FAULTS: dict[str, dict[str, str]] = {
+    "nothing": {},
+    "forearms exchanged": {"LeftForeArm": "RightForeArm", "RightForeArm": "LeftForeArm"},
+    "all sides exchanged": {
+        a + joint: b + joint
+        for a, b in (("Left", "Right"), ("Right", "Left"))
+        for joint in ("Arm", "ForeArm", "UpLeg", "Leg")
+    },
+    "upper arm and forearm exchanged": {"LeftArm": "LeftForeArm", "LeftForeArm": "LeftArm"},
+    "shank declared as foot": {"RightLeg": "RightFoot"},
+}
+"""Declared segments by true ones."""
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.01)
 
 
 def sessions(corpus: Path, subjects: list[str]) -> Iterator[MocapClip]:
-    """Recordings of each person: as many of each length as there is motion for, at most three."""
+    """Recordings of each person, the first of each length on the other rig too."""
     people: dict[str, list[MocapClip]] = {}
     for clip in read_corpus(corpus, subjects, output_rate_hz=120.0, min_seconds=2.0):
         if "GLITCH" not in clip.quality and len(clip.poses) >= 2.0 * clip.poses.rate_hz:
             people.setdefault(clip.subject, []).append(resample_clip(low_passed(clip, 10.0), 60.0))
     for subject, clips in people.items():
-        for again, seconds in ((again, seconds) for seconds in SECONDS for again in range(3)):
+        for seconds, again in ((seconds, i) for seconds, count in SECONDS.items() for i in range(count)):
             total = sum(len(clip.poses) for clip in clips) / 60
             if total < (again + 1) * min(seconds, 10.0) or total < 0.8 * seconds:
                 continue
@@ -69,7 +85,9 @@ def recorded(clip: MocapClip, seed: int) -> tuple[Recording, PoseSequence]:
     own = seed * 1_000_003 + zlib.crc32(clip.name.encode())
     settings = replace(SimulationSettings.realistic(), sensors=EVERY)
     camera = standard_cameras(clip.poses, own)[own % 4]
-    recording = simulate(clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=own, name=clip.name)
+    recording = simulate(
+        clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=own, name=clip.name
+    )
     keypoints = evenly_spaced(recording.video)
     return recording, lift(keypoints, recording.skeleton).poses
 
@@ -86,21 +104,45 @@ def as_log(recording: Recording, sensors: tuple[str, ...]) -> SensorLog:
 
 
 def judge(clip: MocapClip, seed: int) -> Iterator[dict[str, Any]]:
-    """A row for each sensor, number of sensors, and with and without an image."""
+    """A row for each sensor, number of sensors, with and without an image, and segments told or not."""
     recording, poses = recorded(clip, seed)
     skeleton = recording.skeleton
-    for number, sensors in SETS.items():
-        order = np.random.default_rng(zlib.crc32(f"{clip.name}{number}".encode())).permutation(len(sensors))
-        sensors = tuple(sensors[i] for i in order)
-        for image in (True, False):
-            found = assign_sensors(as_log(recording, sensors), skeleton, poses if image else None)
-            for s, sensor in enumerate(sensors):
+    about = {
+        "recording": clip.name, "rig": clip.rig, "walk": bool(clip.category),
+        "seconds": round(len(clip.poses) / 60),
+    }  # fmt: skip
+    for number, some in SETS.items():
+        order = np.random.default_rng(zlib.crc32(f"{clip.name}{number}".encode())).permutation(len(some))
+        sensors = tuple(some[i] for i in order)
+        truth = [skeleton.sensors[sensor][0] for sensor in sensors]
+        log = as_log(recording, sensors)
+        for image, told in ((True, False), (False, False), (True, True), (False, True)):
+            candidates = sorted(truth) if told else None
+            found = assign_sensors(log, skeleton, poses if image else None, candidates=candidates)
+            for name, joint in zip(log.names, truth, strict=True):
                 yield {
-                    "recording": clip.name, "rig": clip.rig, "walk": bool(clip.category),
-                    "seconds": round(len(clip.poses) / 60), "sensors": int(number), "image": image,
-                    "truth": skeleton.sensors[sensor][0], "found": found.joints[str(s)],
-                    "probability": found.probabilities[str(s)], "doubt": found.doubt,
+                    **about, "sensors": int(number), "image": image, "told": told, "truth": joint,
+                    "found": found.joints[name], "probability": found.probabilities[name],
+                    "doubt": found.doubt,
                 }  # fmt: skip
+        if number == "10":
+            for image in (True, False):
+                yield from planted(about | {"image": image}, log, truth, skeleton, poses if image else None)
+
+
+def planted(
+    about: dict[str, Any],
+    log: SensorLog,
+    truth: list[str],
+    skeleton: SkeletonModel,
+    poses: PoseSequence | None,
+) -> Iterator[dict[str, Any]]:
+    """A row for each planted error of the map: whether sensors are named, and whether rightly."""
+    for fault, other in FAULTS.items():
+        joints = dict(zip(log.names, (other.get(joint, joint) for joint in truth), strict=True))
+        found = check_assignment(log, joints, skeleton, poses)
+        right = found.joints == dict(zip(log.names, truth, strict=True))
+        yield {**about, "fault": fault, "named": bool(found.wrong), "right": right, "doubt": found.doubt}
 
 
 def real_trials(folder: Path) -> Iterator[dict[str, Any]]:
@@ -115,8 +157,9 @@ def real_trials(folder: Path) -> Iterator[dict[str, Any]]:
         found = assign_sensors(log.select(list(truth)), skeleton)
         for sensor, joint in truth.items():
             yield {
-                "recording": name, "sensors": len(truth), "image": False, "truth": joint, "found": found.joints[sensor],
-                "probability": found.probabilities[sensor], "doubt": found.doubt, "real": True,
+                "recording": name, "sensors": len(truth), "image": False, "truth": joint,
+                "found": found.joints[sensor], "probability": found.probabilities[sensor],
+                "doubt": found.doubt, "real": True,
             }  # fmt: skip
 
 
@@ -135,13 +178,17 @@ def _read(folder: Path, facts: dict[str, Any]) -> SensorLog | None:
 
 def tables(rows: list[dict[str, Any]]) -> str:
     """Markdown of the results."""
-    simulated = [r for r in rows if not r.get("real")]
-    out = ["# Which sensor is where", "", *_shares(simulated)]
-    walking = [r for r in simulated if r["walk"]]
-    out += ["", "## Walking alone", "", *_shares(walking)] if walking else []
-    out += ["", "## By rig, 8 to 13 sensors", "", *_by_rig([r for r in simulated if r["sensors"] >= 8])]
-    out += ["", "## Stated probability of a sensor's segment, and share right", "", *_reliability(simulated)]
-    real = [r for r in rows if r.get("real")]
+    faults, real = [r for r in rows if "fault" in r], [r for r in rows if r.get("real")]
+    simulated = [r for r in rows if "told" in r]
+    untold = [r for r in simulated if not r["told"]]
+    walking = [r for r in untold if r["walk"]]
+    out = ["# Which sensor is where", "", "Of 13 segments:", "", *_shares(untold)]
+    out += ["", "Where the segments that have a sensor are told:", ""]
+    out += _shares([r for r in simulated if r["told"] and r["sensors"] < len(EVERY)])
+    out += ["", "## Walking alone, of 13 segments", "", *_shares(walking)] if walking else []
+    out += ["", "## By rig, 8 to 13 sensors", "", *_by_rig([r for r in untold if r["sensors"] >= 8])]
+    out += ["", "## Stated probability of a sensor's segment, and share right", "", *_reliability(untold)]
+    out += ["", "## Planted errors of the map, 10 sensors", "", *_faults(faults)]
     out += ["", "## Real sensors, without an image", "", *_real(real)] if real else []
     return "\n".join(out) + "\n"
 
@@ -161,14 +208,15 @@ def _percent(values: list[bool]) -> str:
 def _by_recording(rows: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
     groups: dict[Any, list[dict[str, Any]]] = {}
     for r in rows:
-        groups.setdefault((r["recording"], r["sensors"], r["image"]), []).append(r)
+        groups.setdefault((r["recording"], r["sensors"], r["image"], r.get("told")), []).append(r)
     return list(groups.values())
 
 
 def _shares(rows: list[dict[str, Any]]) -> list[str]:
     head = (
-        "| image | sensors | recordings | sensors right % | right but for the side % | recordings all right % | "
-        "recordings said sure % | of these all right % | sensors stated 95 % sure % | of these right % |"
+        "| image | sensors | recordings | sensors right % | right but for the side % | "
+        "recordings all right % | recordings said sure % | of these all right % | "
+        "sensors stated 95 % sure % | of these right % |"
     )
     out = [head, "|---" * 10 + "|"]
     for image in (True, False):
@@ -193,14 +241,19 @@ def _by_rig(rows: list[dict[str, Any]]) -> list[str]:
         for image in (True, False):
             own = [r for r in rows if r["rig"] == rig and r["image"] == image]
             count = len({r["recording"] for r in own})
-            out.append(f"| {rig} | {'yes' if image else 'no'} | {count} | {_percent([_right(r) for r in own])} |")
+            out.append(
+                f"| {rig} | {'yes' if image else 'no'} | {count} | {_percent([_right(r) for r in own])} |"
+            )
     return out
 
 
 def _reliability(rows: list[dict[str, Any]]) -> list[str]:
-    out = ["| stated | with image: sensors | mean stated % | right % | without: sensors | mean stated % | right % |"]
+    out = [
+        "| stated | with image: sensors | mean stated % | right % | "
+        "without: sensors | mean stated % | right % |"
+    ]
     out.append("|---" * 7 + "|")
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+    for low, high in pairwise(BINS):
         cells = [f"{100 * low:.0f} to {min(100 * high, 100):.0f} %"]
         for image in (True, False):
             own = [r for r in rows if r["image"] == image and low <= r["probability"] < high]
@@ -210,13 +263,39 @@ def _reliability(rows: list[dict[str, Any]]) -> list[str]:
     return out
 
 
+def _faults(rows: list[dict[str, Any]]) -> list[str]:
+    out = ["| planted | image | recordings | sensors named % | corrected rightly % | doubt alone % |"]
+    out.append("|---" * 6 + "|")
+    for fault in FAULTS:
+        for image in (True, False):
+            own = [r for r in rows if r["fault"] == fault and r["image"] == image]
+            alone = [bool(r["doubt"]) and not r["named"] for r in own]
+            cells = [
+                fault, "yes" if image else "no", str(len(own)), _percent([r["named"] for r in own]),
+                _percent([r["right"] for r in own]), _percent(alone),
+            ]  # fmt: skip
+            out.append("| " + " | ".join(cells) + " |")
+    return out
+
+
 def _real(rows: list[dict[str, Any]]) -> list[str]:
-    out = ["| recording | sensors | right | right but for the side | least stated % | wrong | doubt |", "|---" * 7 + "|"]
+    out = [
+        "| recording | sensors | right | right but for the side | least stated % | wrong | doubt |",
+        "|---" * 7 + "|",
+    ]
     for group in _by_recording(rows):
-        wrong = ", ".join(f"{r['truth']} as {r['found']} ({100 * r['probability']:.0f} %)" for r in group if not _right(r))
+        wrong = ", ".join(
+            f"{r['truth']} as {r['found']} ({100 * r['probability']:.0f} %)" for r in group if not _right(r)
+        )
         least = 100 * min(r["probability"] for r in group)
         counts = (len(group), sum(map(_right, group)), sum(map(_right_but_side, group)))
-        cells = [group[0]["recording"], *map(str, counts), f"{least:.0f}", wrong or "-", "yes" if group[0]["doubt"] else "no"]
+        cells = [
+            group[0]["recording"],
+            *map(str, counts),
+            f"{least:.0f}",
+            wrong or "-",
+            "yes" if group[0]["doubt"] else "no",
+        ]
         out.append("| " + " | ".join(cells) + " |")
     return out
 
@@ -233,7 +312,7 @@ def main() -> int:
     rows: list[dict[str, Any]] = [] if options.real is None else list(real_trials(options.real))
     for clip in sessions(options.corpus, split()[options.subset]):
         rows += judge(clip, options.seed)
-        mine = [r for r in rows if r["recording"] == clip.name]
+        mine = [r for r in rows if r["recording"] == clip.name and r.get("told") is False]
         shares = [_percent([_right(r) for r in mine if r["image"] == image]) for image in (True, False)]
         print(f"{clip.name}: {shares[0]} % right with the image, {shares[1]} % without", flush=True)
     text = tables(rows)

@@ -25,7 +25,6 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
-from rtof_kin.data.poses import PoseSequence
 from rtof_kin.setup.motion_features import pair_features, single_features
 from rtof_kin.setup.sensor_motion import RATE_HZ, SensorMotions, joined, sensor_motions
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
@@ -34,14 +33,15 @@ from rtof_kin.simulation.sensors import simulate_imus
 from rtof_kin.simulation.simulate import low_passed
 
 SPLIT = Path(__file__).parents[1] / "benchmarks" / "split.toml"
-VERSIONS, WINDOWS, WINDOWS_KEPT = 4, 4000, 500
+VERSIONS, WINDOWS, WINDOWS_KEPT = 6, 6000, 500
 """Simulations of each motion; windows that are learned from and that are kept to stop."""
 SECONDS, LEAST_PIECE = (4.0, 40.0), 1.5
 """[s] Range of windows, and shortest piece of a motion in them."""
 SPEED, LEVER_M = 0.2, 0.04
 """[-] spread of the log of speed; [m] of sensors' places."""
 HIDDEN, BATCH, EPOCHS, RATE, DECAY, DROPOUT, FEATURE_NOISE = (48, 96), 50, 16, 2e-3, 1e-2, 0.4, 0.3
-HALF = torch.finfo(torch.float16).max
+SCALES = (1.4, 1.0, 0.7, 0.5)
+"""Of the scores, of which the best on the kept windows is taken."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def other_side(name: str) -> str:
 
 
 def windows(rng: np.random.Generator, of: Sequence[Take], count: int) -> tuple[Tensor, Tensor]:
-    """Return features (N, S, F) and (N, S, S, G) of random pieces, people in proportion to the root of time."""
+    """Return features (N, S, F) and (N, S, S, G) of random pieces, people by the root of their time."""
     lengths = np.array([sum(map(len, take.motions)) for take in of])
     share = np.sqrt(lengths) / np.sqrt(lengths).sum()
     singles, pairs = [], []
@@ -161,7 +161,9 @@ class Scores(nn.Module):
         })  # fmt: skip
         self.scale.requires_grad_(False)
         F, G = single.shape[-1], pair.shape[-1]
-        self.single = nn.Sequential(nn.Linear(F, HIDDEN[0]), nn.ReLU(), nn.Dropout(DROPOUT), nn.Linear(HIDDEN[0], K))
+        self.single = nn.Sequential(
+            nn.Linear(F, HIDDEN[0]), nn.ReLU(), nn.Dropout(DROPOUT), nn.Linear(HIDDEN[0], K)
+        )
         self.pair = nn.Sequential(
             nn.Linear(2 * F + G, HIDDEN[1]), nn.ReLU(), nn.Dropout(DROPOUT), nn.Linear(HIDDEN[1], K * K)
         )
@@ -181,8 +183,8 @@ class Scores(nn.Module):
 def loss_of(U: Tensor, P: Tensor, exchanges: Tensor, present: Tensor) -> Tensor:
     """Return the mean of minus the log probability of the truth among its alternatives.
 
-    Sensor s is on segment s, and `present` (N, S) or not. The alternatives of a sensor are the other segments,
-    whose sensors take its place; those of all are exchanges of sides, given as permutations.
+    Sensor s is on segment s, and `present` (N, S) or not. The alternatives of a sensor are the other
+    segments, whose sensors take its place; those of all are exchanges of sides, given as permutations.
     """
     S, i = U.shape[1], torch.arange(U.shape[1])
     U = U * present[..., None]
@@ -221,17 +223,17 @@ def some(count: int, S: int) -> Tensor:
 
 
 def fit(single: Tensor, pair: Tensor, single_kept: Tensor, pair_kept: Tensor) -> Scores:
-    """Return the best model on the kept windows, with its temperature in the last layers."""
+    """Return the model that is best on the kept windows, its scores scaled by its best temperature."""
     model, names = Scores(single, pair), list(SkeletonModel.default().sensors)
     exchanges, S = side_exchanges(names), len(names)
-    present = some(len(single_kept), S)
+    present, best = some(len(single_kept), S), (np.inf, 1.0, model.state_dict())
     optimiser = torch.optim.AdamW(model.parameters(), lr=RATE, weight_decay=DECAY)
-    steps = EPOCHS * (len(single) // BATCH)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps)
+    batches = len(single) // BATCH
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=EPOCHS * batches)
     for epoch in range(EPOCHS):
         model.train()
-        for rows in torch.randperm(len(single)).split(BATCH)[: len(single) // BATCH]:
-            loss = loss_of(*model(single[rows], pair[rows]), exchanges, some(len(rows), S))
+        for rows in torch.randperm(len(single)).split(BATCH)[:batches]:
+            loss = loss_of(*model(single[rows], pair[rows]), exchanges, some(BATCH, S))
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
@@ -239,13 +241,16 @@ def fit(single: Tensor, pair: Tensor, single_kept: Tensor, pair_kept: Tensor) ->
         model.eval()
         with torch.no_grad():
             U, P = model(single_kept, pair_kept)
-            held = {t: float(loss_of(U * t, P * t, exchanges, present)) for t in (1.4, 1.0, 0.7, 0.5, 0.35)}
-        print(f"epoch {epoch}: loss {float(loss):.3f}, kept " + ", ".join(f"x{t} {v:.3f}" for t, v in held.items()), flush=True)
-    best = min(held, key=held.__getitem__)
+            for scale in SCALES:
+                held = float(loss_of(U * scale, P * scale, exchanges, present))
+                if held < best[0]:
+                    best = (held, scale, {name: p.clone() for name, p in model.state_dict().items()})
+        print(f"epoch {epoch}: {loss.item():.3f}, kept {best[0]:.3f} at scale {best[1]:g}", flush=True)
+    model.load_state_dict(best[2])
     with torch.no_grad():
         for layer in (model.single[-1], model.pair[-1]):
-            layer.weight *= best
-            layer.bias *= best
+            layer.weight *= best[1]
+            layer.bias *= best[1]
     return model
 
 

@@ -111,11 +111,14 @@ def _fix(found: Any, corrected: Any, target: Path) -> None:
     if found.title != "recording":
         raise InvalidInputError(f"--fix: {found.path} is a {found.title}; only recordings are corrected")
     if corrected is None:
-        out.print("no sensor is found elsewhere: there is nothing to correct, and nothing was written")
+        text = "no sensor is found elsewhere: there is nothing to correct, and nothing was written"
+        out.print(text, soft_wrap=True)
         return
     corrected.save(target)
     places = zip(corrected.calibration.sensors, corrected.calibration.joints, strict=True)
-    out.print(f"wrote {target}: {', '.join(f'{sensor} on {joint}' for sensor, joint in places)}", soft_wrap=True)
+    out.print(
+        f"wrote {target}: {', '.join(f'{sensor} on {joint}' for sensor, joint in places)}", soft_wrap=True
+    )
 
 
 def _number(text: str) -> float:

@@ -2,8 +2,8 @@
 
 With poses from an image, orientations and angular velocities of each sensor are compared with those of every
 segment, mounting and heading unknown (`image_evidence`). Sizes, spectra and correlations of the motion, and
-which sensors have a joint in common, are scored as learned from motion capture (`motion_score`), with an image
-or without. Motion without an image hardly tells left from right.
+which sensors have a joint in common, are scored as learned from motion capture (`motion_score`), with an
+image or without. A motion that is the same in a mirror, such as a squat, does not tell left from right.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
@@ -130,10 +131,15 @@ def _possible(
     indices_of("segment", segments, skeleton.names)
     if len(sensors) > len(segments):
         raise InvalidInputError(
-            f"there are {len(sensors)} sensors for {len(segments)} segments ({', '.join(segments)}); name all "
-            "segments that have one as candidates, or leave sensors out"
+            f"there are {len(sensors)} sensors for {len(segments)} segments ({', '.join(segments)}); name "
+            "all segments that have one as candidates, or leave sensors out"
         )
     allowed = np.array([[name in own.get(sensor, usual) for name in segments] for sensor in sensors])
+    rows, columns = linear_sum_assignment(~allowed)
+    if not allowed[rows, columns].all():
+        raise InvalidInputError(
+            "the candidates leave no segment of its own for each sensor; name more of them"
+        )
     return segments, allowed
 
 
@@ -173,7 +179,9 @@ class _Symmetry:
     def __call__(self, labels: Labels) -> Array:
         used = np.zeros((len(labels), self._count), dtype=np.bool_)
         np.put_along_axis(used, labels, True, axis=1)
-        return np.asarray(-_UNPAIRED * np.sum(used[:, self._pairs[:, 0]] != used[:, self._pairs[:, 1]], axis=1))
+        return np.asarray(
+            -_UNPAIRED * np.sum(used[:, self._pairs[:, 0]] != used[:, self._pairs[:, 1]], axis=1)
+        )
 
 
 def _mirrors(segments: Sequence[str]) -> list[Labels]:
@@ -211,11 +219,15 @@ def _doubt(
     """Return a sentence on what is not sure."""
     if still:
         are = "does" if len(still) == 1 else "do"
-        return f"{', '.join(still)} {are} not move: record a few steps, and raise and bend each arm and leg once"
+        return (
+            f"{', '.join(still)} {are} not move: record a few steps, and raise and bend each arm and leg once"
+        )
     rows = range(len(found.best))
     own = found.probability[rows, found.best]
     other = [segments.index(s) if (s := _other_side(j)) in segments else -1 for j in joints.values()]
-    either = own + np.where(np.array(other) >= 0, found.probability[rows, other], 0.0) * (np.array(other) != found.best)
+    either = own + np.where(np.array(other) >= 0, found.probability[rows, other], 0.0) * (
+        np.array(other) != found.best
+    )
     unsure = [sensor for sensor, p in zip(joints, own, strict=True) if p < _SURE]
     if not unsure:
         return ""
@@ -223,5 +235,7 @@ def _doubt(
     sided = [sensor for sensor, p in zip(joints, either, strict=True) if p < _SURE]
     if not sided:
         return f"left and right of {', '.join(unsure)} are not sure; {remedy}"
-    named = ", ".join(f"{sensor} on {joints[sensor]} ({100 * own[list(joints).index(sensor)]:.0f} %)" for sensor in unsure)
+    named = ", ".join(
+        f"{sensor} on {joints[sensor]} ({100 * own[list(joints).index(sensor)]:.0f} %)" for sensor in unsure
+    )
     return f"not sure: {named}; record walking and a movement of each limb, give a video, or name sensors"

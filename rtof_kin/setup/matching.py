@@ -1,9 +1,10 @@
 """Posterior of assignments of sensors to segments: each sensor on another segment, with a score for each.
 
-The scores of single sensors and of pairs add up to the log-probability of an assignment. Gibbs chains (Geman
-and Geman 1984) draw one sensor's segment at a time, exchanging it with the sensor that is there, and now and
-then the sides of whole limbs; they cool down before they count, and start at the best assignment of the
-single scores (Jonker and Volgenant 1987) and at random ones.
+The scores of single sensors and of pairs add up to the log-probability of an assignment. Metropolis-
+Hastings chains (Hastings 1970) place one sensor at a time, exchanging it with the sensor that is there, by
+proposals in proportion to the probabilities of the outcomes (locally informed, Zanella 2020), and now and
+then exchange the sides of whole limbs. They cool down before they count, and start at the best assignment
+of the single scores (Jonker and Volgenant 1987) and at random ones.
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.special import logsumexp
 
 from rtof_kin.core.array_types import Array
 
 Labels = NDArray[np.intp]
-_CHAINS, _COOLING, _SAMPLING = 32, 400, 500  # chains, steps of each
+_CHAINS, _COOLING, _SAMPLING = 32, 300, 400  # chains, steps of each
 _HOTTEST = 10.0  # [-] temperature at the start
 _IMPOSSIBLE = -1e4  # [nats]
 
@@ -31,8 +33,6 @@ class Matching:
     """(S,) segment of each sensor in the likeliest assignment."""
     probability: Array
     """(S, K) of each sensor on each segment."""
-    likeliest: tuple[tuple[tuple[int, ...], float], ...]
-    """Whole assignments and their probabilities, falling."""
 
 
 def match(
@@ -42,7 +42,6 @@ def match(
     allowed: NDArray[np.bool_] | None = None,
     mirrors: Sequence[Labels] = (),
     prior: Callable[[Labels], Array] | None = None,
-    most: int = 5,
 ) -> Matching:
     """Sample assignments of each sensor to a segment of its own.
 
@@ -50,7 +49,7 @@ def match(
         single: (S, K) scores, nats; S <= K. pair: (S, S, K, K) scores, symmetric, 0 of a sensor with itself.
         allowed: (S, K) segments that each sensor may be on; at least one assignment is possible.
         mirrors: permutations (K,) of segments that are proposed for all sensors at once.
-        prior: log-probability (C,) of assignments (C, S), added. most: number of whole assignments returned.
+        prior: log-probability (C,) of assignments (C, S), added.
     """
     S, K = single.shape
     single = np.where(np.ones((S, K), bool) if allowed is None else allowed, single, _IMPOSSIBLE)
@@ -67,50 +66,45 @@ def match(
     counts, seen = np.zeros((S, K)), set[tuple[int, ...]]()
     temperatures = np.append(np.geomspace(_HOTTEST, 1.0, _COOLING), np.ones(_SAMPLING))
     for step, temperature in enumerate(temperatures):
-        s, counted = step % S, step >= _COOLING
-        new = _moved(at, s, K)
-        weight = _softmax(score(new.reshape(-1, S)).reshape(-1, K) / temperature)
-        drawn = (weight.cumsum(axis=1) < rng.uniform(size=(len(at), 1))).sum(axis=1)
-        at = new[np.arange(len(at)), np.minimum(drawn, K - 1)]
-        if counted:
-            counts[s] += weight.sum(axis=0)
-        if len(mirrors) and s == 0:
-            sides = np.stack([at, *(mirror[at] for mirror in mirrors)], axis=1)
-            weight = _softmax(score(sides.reshape(-1, S)).reshape(len(at), -1) / temperature)
-            drawn = (weight.cumsum(axis=1) < rng.uniform(size=(len(at), 1))).sum(axis=1)
-            at = sides[np.arange(len(at)), np.minimum(drawn, len(mirrors))]
-        if counted:
+        at = _placed(rng, at, step % S, K, lambda labels, t=temperature: score(labels) / t)
+        if len(mirrors) and step % S == 0:
+            sides = np.asarray(mirrors)[rng.integers(len(mirrors), size=len(at))[:, None], at]
+            better = np.log(rng.uniform(size=len(at))) < (score(sides) - score(at)) / temperature
+            at = np.where(better[:, None], sides, at)
+        if step >= _COOLING:
+            np.add.at(counts, (rows, at), 1)
             seen.update(map(tuple, at.tolist()))
-    return _summary(counts, np.array(sorted(seen)), score, most)
-
-
-def _summary(counts: Array, seen: Labels, score: Callable[[Labels], Array], most: int) -> Matching:
-    """Return the posterior from visits (S, K) and the assignments visited (N, S)."""
-    scores = score(seen)
-    share = np.exp(scores - scores.max())
-    share /= share.sum()
-    order = np.argsort(-scores)[:most]
-    likeliest = tuple((tuple(int(k) for k in seen[i]), float(share[i])) for i in order)
-    return Matching(seen[order[0]], counts / counts.sum(axis=1, keepdims=True), likeliest)
+    every = np.array(sorted(seen))
+    return Matching(every[score(every).argmax()], counts / counts.sum(axis=1, keepdims=True))
 
 
 def _starts(rng: np.random.Generator, single: Array) -> Labels:
     S, K = single.shape
     starts = [linear_sum_assignment(-single)[1]]
     for _ in range(_CHAINS - 1):
-        starts.append(linear_sum_assignment(rng.uniform(size=(S, K)) - np.where(single <= _IMPOSSIBLE, -1e3, 0))[1])
+        starts.append(
+            linear_sum_assignment(rng.uniform(size=(S, K)) - np.where(single <= _IMPOSSIBLE, -1e3, 0))[1]
+        )
     return np.array(starts)
 
 
-def _moved(at: Labels, s: int, K: int) -> Labels:
-    """Return assignments (C, K, S) with sensor s on each segment, whose sensor takes its place."""
-    segments = np.arange(K)
+def _placed(rng: np.random.Generator, at: Labels, s: int, K: int, score: Callable[[Labels], Array]) -> Labels:
+    """Return assignments (C, S) after a step that places sensor s."""
+    chains = np.arange(len(at))
+    ways, total = _ways(at, s, K, score)
+    share = np.exp(ways[1] - total[:, None]).cumsum(axis=1)
+    drawn = np.minimum((share < rng.uniform(size=(len(at), 1))).sum(axis=1), K - 1)
+    new = ways[0][chains, drawn]
+    accepted = np.log(rng.uniform(size=len(at))) < total - _ways(new, s, K, score)[1]
+    return np.where(accepted[:, None], new, at)
+
+
+def _ways(at: Labels, s: int, K: int, score: Callable[[Labels], Array]) -> tuple[tuple[Labels, Array], Array]:
+    """Return assignments (C, K, S) with sensor s on each segment, whose sensor takes its place; their scores
+    (C, K); and the log of the sum of their exponentials (C,).
+    """
     new = np.repeat(at[:, None], K, axis=1)
-    new = np.where(new == segments[:, None], at[:, s, None, None], new)
-    new[:, :, s] = segments
-    return new
-
-
-def _softmax(scores: Array) -> Array:
-    weight = np.exp(scores - scores.max(axis=1, keepdims=True))
-    return np.asarray(weight / weight.sum(axis=1, keepdims=True))
+    new = np.where(new == np.arange(K)[:, None], at[:, s, None, None], new)
+    new[:, :, s] = np.arange(K)
+    scores = score(new.reshape(-1, at.shape[1])).reshape(-1, K)
+    return (new, scores), np.asarray(logsumexp(scores, axis=1))

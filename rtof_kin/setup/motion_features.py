@@ -47,7 +47,8 @@ def single_features(motions: SensorMotions) -> Array:
         np.log(_rms(w_z) + _W0), np.log(_rms(w_h) + _W0), np.log(_rms(a_z) + _A0), np.log(_rms(a_h) + _A0),
         np.log(_rms(turning) / (_rms(speed) + _W0) + 0.1), np.log(_rms(jerk) / (_rms(size) + _A0) + 0.1),
         np.log(tilt + 1e-3), tilts[:, 0], tilts[:, 1], about[:, 0], about[:, 1],
-        np.log(_rms(speed**2) / (_rms(speed) ** 2 + _W0**2)), np.log(_rms(size**2) / (_rms(size) ** 2 + _A0**2)),
+        np.log(_rms(speed**2) / (_rms(speed) ** 2 + _W0**2)),
+        np.log(_rms(size**2) / (_rms(size) ** 2 + _A0**2)),
         np.log((np.quantile(speed, 0.2, axis=0) + 0.02) / (_rms(speed) + _W0)),
         np.log((np.quantile(size, 0.2, axis=0) + 0.05) / (_rms(size) + _A0)),
         _skewness(a_z), _correlation(a_z, speed), _correlation(a_z, size), _correlation(speed, size),
@@ -55,10 +56,6 @@ def single_features(motions: SensorMotions) -> Array:
         np.log(_rms(np.gradient(a_z, axis=0) * RATE_HZ) / (_rms(a_z) + _A0) + 0.1),
     ]  # fmt: skip
     return np.stack([*even, *_odd(w_z, dot, w_h, a_z, speed, size)], axis=-1)
-
-
-ODD_SINGLE: Final = 8
-"""Number of the last features of each sensor that change their sign in a mirror."""
 
 
 def _odd(w_z: Array, dot: Array, w_h: Array, a_z: Array, speed: Array, size: Array) -> list[Array]:
@@ -90,7 +87,8 @@ def pair_features(motions: SensorMotions) -> Array:
         _lagged(speed), np.sin(np.angle(turn) - heading) * np.abs(turn),
     ]  # fmt: skip
     ordered = [
-        joint, joint.T, arm, np.swapaxes(arm, 0, 1), _correlations(a[..., 2], speed), _correlations(speed, a[..., 2]),
+        joint, joint.T, arm, arm.T,
+        _correlations(a[..., 2], speed), _correlations(speed, a[..., 2]),
         _correlations(w[..., 2], speed), _correlations(speed, w[..., 2]),
         _correlations(w[..., 2], rise), _correlations(rise, w[..., 2]),
         _correlations(w[..., 2], a[..., 2]), _correlations(a[..., 2], w[..., 2]),
@@ -157,7 +155,7 @@ def _relative_turning(motions: SensorMotions, heading: Array) -> list[Array]:
 
 
 def _lagged(speed: Array) -> Array:
-    """Return the largest correlation of speeds (T, S) with either delayed by 0.2 to 0.8 s, less that without."""
+    """Return the gain in correlation of speeds (T, S) when either is delayed by 0.2 to 0.8 s."""
     out = np.full((speed.shape[1], speed.shape[1]), -1.0)
     for lag in range(round(0.2 * RATE_HZ), round(0.8 * RATE_HZ) + 1, round(0.1 * RATE_HZ)):
         if lag < len(speed) // 2:

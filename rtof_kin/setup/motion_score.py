@@ -43,7 +43,9 @@ class MotionScore:
         Raises:
             FileFormatError: not such a file.
         """
-        arrays = read_npz_as_saved(model_path("assignment.npz") if path is None else Path(path), kinds="fiubU")
+        arrays = read_npz_as_saved(
+            model_path("assignment.npz") if path is None else Path(path), kinds="fiubU"
+        )
         segments = tuple(str(name) for name in arrays.pop("segments"))
         return cls(segments, {name: values.astype(np.float64) for name, values in arrays.items()})
 

@@ -117,9 +117,13 @@ def _motion(stream: SensorStream, times: Array) -> tuple[Array, Array, Array, Ar
     D, w = np.full_like(smooth, np.nan), np.full((len(times), 3), np.nan)
     D[1:-1] = (smooth[2:] - 2 * smooth[1:-1] + smooth[:-2]) * RATE_HZ**2
     turn = (smooth[2:] - smooth[:-2]) * (RATE_HZ / 2) @ np.swapaxes(smooth[1:-1], -1, -2)
-    w[1:-1] = np.stack(
-        [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=-1
-    ) / 2
+    w[1:-1] = (
+        np.stack(
+            [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]],
+            axis=-1,
+        )
+        / 2
+    )
     if stream.f_sensor is None:
         return R[:, 0], w, np.full((len(times), 3), np.nan), D
     f = signals.low_pass_known(stream.times, _in_inertial(stream), min(3 * _CUTOFF_HZ, 0.45 * stream.rate_hz))
@@ -139,5 +143,7 @@ def joined(parts: Sequence[SensorMotions]) -> SensorMotions:
     Args:
         parts: at least one.
     """
-    fields = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ("times", "R", "w", "a", "D")}
+    fields = {
+        name: np.concatenate([getattr(p, name) for p in parts]) for name in ("times", "R", "w", "a", "D")
+    }
     return SensorMotions(parts[0].names, **fields)

@@ -1,0 +1,104 @@
+"""Unnamed sensors are found on their segments."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from assignment_support import places, turned, walk, walking_log, walking_poses
+
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.setup.assignment import assign_sensors
+
+LEGS = ("R_LowLeg", "Pelvis", "L_UpLeg", "R_UpLeg", "L_LowLeg")
+
+
+def test_all_sensors_of_a_walk_are_found_from_motion_alone() -> None:
+    found = assign_sensors(walking_log(), walk().skeleton)
+    assert found.joints == places()
+    assert min(found.probabilities.values()) > 0.5
+
+
+def test_few_sensors_are_found_with_an_image() -> None:
+    log = walking_log(("R_LowArm", "L_LowLeg", "L_LowArm", "R_LowLeg", "Pelvis"))
+    found = assign_sensors(log, walk().skeleton, walking_poses())
+    assert found.joints == {name: places()[name] for name in log.names}
+    assert min(found.probabilities.values()) > 0.8
+
+
+def test_the_answer_does_not_depend_on_mountings_headings_or_order() -> None:
+    skeleton, poses, log = walk().skeleton, walking_poses(), walking_log(LEGS)
+    first = assign_sensors(log, skeleton, poses)
+    again = assign_sensors(turned(log.select(LEGS[::-1]), 3), skeleton, poses)
+    assert again.joints == first.joints
+    for name in LEGS:
+        assert again.probabilities[name] == pytest.approx(first.probabilities[name], abs=0.05)
+
+
+def test_candidates_restrict_the_segments_of_all_and_of_single_sensors() -> None:
+    skeleton, log = walk().skeleton, walking_log(("L_UpLeg", "R_UpLeg"))
+    arms = assign_sensors(log, skeleton, candidates=("LeftForeArm", "RightForeArm"))
+    assert set(arms.joints.values()) == {"LeftForeArm", "RightForeArm"}
+    known = assign_sensors(log, skeleton, candidates={"L_UpLeg": ("LeftUpLeg",), "R_UpLeg": ("RightUpLeg",)})
+    assert known.joints == {"L_UpLeg": "LeftUpLeg", "R_UpLeg": "RightUpLeg"}
+    assert known.sure
+
+
+def test_segments_that_nothing_was_learned_of_need_an_image() -> None:
+    log, skeleton = walking_log(("L_Foot", "R_Foot")), walk().skeleton
+    hands = ("LeftHand", "LeftFoot", "RightFoot")
+    found = assign_sensors(log, skeleton, walking_poses(), candidates=hands)
+    assert found.joints == {"L_Foot": "LeftFoot", "R_Foot": "RightFoot"}
+    with pytest.raises(InvalidInputError, match="cannot be told from motion alone for LeftHand; give poses"):
+        assign_sensors(log, skeleton, candidates=hands)
+
+
+def test_sensors_without_acceleration_need_an_image() -> None:
+    log = walking_log(LEGS)
+    log = replace(log, streams=tuple(replace(stream, f_sensor=None) for stream in log.streams))
+    segments = [places()[name] for name in LEGS]
+    found = assign_sensors(log, walk().skeleton, walking_poses(), candidates=segments)
+    assert found.joints == {name: places()[name] for name in LEGS}
+    with pytest.raises(InvalidInputError, match="without accelerations"):
+        assign_sensors(log, walk().skeleton)
+
+
+def test_sensors_at_rest_are_named_and_not_guessed_silently() -> None:
+    log = walking_log(LEGS)
+    still = [
+        replace(s, R_inertial_sensor=np.repeat(s.R_inertial_sensor[:1], len(s), axis=0),
+                f_sensor=np.repeat(s.f_sensor[:1], len(s), axis=0))
+        for s in log.streams if s.R_inertial_sensor is not None and s.f_sensor is not None
+    ]  # fmt: skip
+    found = assign_sensors(replace(log, streams=(*still[:1], *log.streams[1:])), walk().skeleton)
+    assert found.doubt.startswith("R_LowLeg does not move: record a few steps")
+
+
+def test_unsure_sensors_have_alternatives_and_a_sentence() -> None:
+    found = assign_sensors(walking_log(("R_LowArm",)), walk().skeleton)
+    assert not found.sure
+    assert "R_LowArm" in found.doubt
+    others = [p for _, p in found.alternatives["R_LowArm"]]
+    assert others == sorted(others, reverse=True)
+    assert others
+    assert sum(others) + found.probabilities["R_LowArm"] <= 1 + 1e-9
+
+
+def test_too_many_sensors_and_unknown_names_are_errors() -> None:
+    log, skeleton = walking_log(LEGS), walk().skeleton
+    with pytest.raises(InvalidInputError, match="5 sensors for 1 segments"):
+        assign_sensors(log, skeleton, candidates=("Hips",))
+    with pytest.raises(InvalidInputError, match="no segment of its own"):
+        assign_sensors(log, skeleton, candidates=dict.fromkeys(LEGS[:2], ("Hips",)))
+    with pytest.raises(UnknownNameError, match="Nose"):
+        assign_sensors(log, skeleton, candidates=("Nose",))
+    with pytest.raises(UnknownNameError, match="thigh"):
+        assign_sensors(log, skeleton, candidates={"thigh": ("LeftUpLeg",)})
+
+
+def test_a_video_of_another_time_is_an_error() -> None:
+    poses = walking_poses()
+    late = replace(poses, times=poses.times + 100)
+    with pytest.raises(InvalidInputError, match=r"0\.0 s of a visible person in common"):
+        assign_sensors(walking_log(LEGS), walk().skeleton, late)
