@@ -172,7 +172,7 @@ def _declared(keypoints: KeypointSequence) -> Iterator[Check]:
         MOST_OUTSIDE, "%", "Give the camera of the picture that was detected in",
         cause="the keypoints are of a larger picture than the camera's",
     )  # fmt: skip
-    assumed = camera.assumed
+    assumed = camera.assumed if camera.uncertainty is None else ()  # its unknowns are estimated
     yield Check(
         "assumed, not measured", "camera", float(len(assumed)), 0.0, "quantities",
         f"Not measured: {', '.join(assumed) or 'nothing'}; calibrate, then take it out of assumed",
