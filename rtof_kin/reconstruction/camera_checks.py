@@ -166,7 +166,7 @@ def _declared(keypoints: KeypointSequence) -> Iterator[Check]:
     for check, cause in zip(check_camera("of the recording", camera), causes, strict=True):
         yield replace(check, cause=cause)
     yield _check_outside(keypoints)
-    assumed = camera.assumed
+    assumed = camera.assumed if camera.uncertainty is None else ()  # its unknowns are estimated
     yield Check(
         "assumed, not measured", "camera", float(len(assumed)), 0.0, "quantities",
         f"Not measured: {', '.join(assumed) or 'nothing'}; calibrate, then take it out of assumed",

@@ -6,10 +6,9 @@ import logging
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from rtof_kin.body.metrics import stage_metrics
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.estimate import calibrate as estimate_calibration
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
@@ -23,6 +22,7 @@ from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explain
 from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned, prepare
+from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Choices, Reconstruction
 from rtof_kin.reconstruction.sensor_checks import (
     check_sensor_evidence,
@@ -31,14 +31,12 @@ from rtof_kin.reconstruction.sensor_checks import (
 )
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.reconstruction.uncalibrated import find_camera, with_camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-from rtof_kin.solve.solution import FragmentSolution, misfits
-from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
-from rtof_kin.solve.uncertainty.disagreement import disagreement
-from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
+from rtof_kin.solve.solution import FragmentSolution
 
 _MISALIGNED_FRACTION = 0.8
 """Minimum fraction of the recording over which a sensor must disagree to count as misaligned."""
@@ -188,16 +186,53 @@ def _from_video(
     choices = Choices(how, known is not None, name)
     known = None if known is None else known.for_another_recording()
     rejected, warnings = tuple[StreamFault, ...](), tuple[str, ...]()
+    camera: CameraEstimate | None = None
     with explained(job.recording, job.subject, job.lifter):
+        if job.recording.video.camera.uncertainty is not None:
+            camera = _found_camera(job, mode)
+            job = replace(job, recording=with_camera(job.recording, camera.found))
+            warnings = camera.sentences
         if estimate:
-            calibration, rejected, warnings = _estimated(job, priors, known)
+            calibration, rejected, more = _estimated(job, priors, known)
+            warnings += more
         elif calibration is None:
             calibration = known
         elif known is not None:
             calibration = known.followed_by(calibration)
         own = job.calibrated(calibration)
         prepared, poses, solution = _optimised(own, mode, rejected, calibration)
-    return _result(job, own, mode, prepared, poses, solution, calibration, warnings, choices)
+        others = (
+            [] if camera is None or solution is None else _with_other_cameras(own, mode, prepared, camera)
+        )
+    result = _result(job, own, mode, prepared, poses, solution, calibration, warnings, choices, others)
+    return replace(result, camera=camera)
+
+
+def _found_camera(job: _Job, mode: Mode) -> CameraEstimate:
+    """Estimate the camera, always by solved poses."""
+    how: Mode = "rtof" if mode in ("sf2", "rtof") and job.recording.imus is not None else "rto"
+    solver = job.with_solver(None)
+
+    def solve(recording: Recording) -> tuple[Prepared, PoseSequence]:
+        prepared = replace(solver, recording=recording, progress=lambda *_: None).prepare(how)
+        return prepared, solver.solve(prepared, confidence=False).poses
+
+    return find_camera(
+        job.recording, job.subject, solve, job.lifter, lambda done, n: job.progress("camera", done, n)
+    )
+
+
+def _with_other_cameras(
+    job: _Job, mode: Mode, prepared: Prepared, camera: CameraEstimate
+) -> list[PoseSequence]:
+    """Poses with cameras one standard deviation from the one found."""
+    others, cameras = [], camera.deviations()
+    for done, other in enumerate(cameras):
+        job.progress("camera uncertainty", done, len(cameras))
+        own = replace(job, recording=with_camera(job.recording, other), progress=lambda *_: None)
+        again = own.prepare(mode, prepared.rejected, prepared.calibration)
+        others.append(own.solve(again, confidence=False).poses)
+    return others
 
 
 def _optimised(
@@ -219,15 +254,16 @@ def _optimised(
 def _result(
     declared: _Job, job: _Job, mode: Mode, prepared: Prepared, poses: PoseSequence,
     solution: FragmentSolution | None, calibration: SelfCalibration | None, warnings: tuple[str, ...],
-    choices: Choices,
+    choices: Choices, others: Iterable[PoseSequence] = (),
 ) -> Reconstruction:  # fmt: skip
     """Check the motion against the recording and collect the result.
 
     Args:
         declared: the job before calibration. warnings: of the calibration.
+        others: poses with cameras one standard deviation off.
     """
     skeleton, settings, recording = prepared.skeleton, job.settings, job.recording
-    warnings += _quality_warnings(prepared, solution, settings)
+    warnings += quality_warnings(prepared, solution, settings)
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
     suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
     camera = check_camera_evidence(declared.recording, prepared, poses, skeleton, job.lifter)
@@ -237,7 +273,7 @@ def _result(
     )
     checks = (*sensors, *camera)
     _warn(recording, (*_failed(checks), *prepared.faults, *warnings))
-    motion = _with_covariances(skeleton.motion(poses), prepared, solution)
+    motion = with_covariances(skeleton.motion(poses), prepared, solution, others)
     stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = stage_metrics(stages, recording.truth, skeleton, mode)
     unused = mode in ("lift", "sf2")
@@ -255,38 +291,6 @@ def _failed(checks: Iterable[Check]) -> Iterable[str]:
 def _warn(recording: Recording, sentences: Iterable[object]) -> None:
     for sentence in sentences:
         logging.getLogger(WARNINGS_LOGGER).warning("%s: %s", recording.name, sentence)
-
-
-def _quality_warnings(
-    prepared: Prepared, solution: FragmentSolution | None, settings: ReconstructionSettings
-) -> tuple[str, ...]:
-    """Collect quality warnings: sensors without samples, joints far from their keypoints."""
-    found: tuple[str, ...] = ()
-    if prepared.bone_imus is not None and not np.isfinite(prepared.bone_imus.R_world_bone).any():
-        found += (
-            "no sensor has samples at the times of the video: the motion is estimated from the image "
-            "alone; check the sensors' values and clock",
-        )
-    s = settings.fragment
-    if solution is not None and isinstance(s, JointSpaceSettings) and s.sigma_reprojection is None:
-        limit = s.sigma_reprojection_range[1]
-        found += misfits(solution.fragments, prepared.start.times, settings.frames, limit)
-    return found
-
-
-def _with_covariances(
-    motion: MotionSequence, prepared: Prepared, solution: FragmentSolution | None
-) -> MotionSequence:
-    """Return the motion with its pose covariances, inflated for autocorrelated errors."""
-    if solution is None or solution.confidence is None:
-        return motion
-    sensors = () if prepared.bone_imus is None else prepared.bone_imus.joints
-    statistics = residual_statistics(prepared.keypoints, motion, prepared.stages["lift"], sensors)
-    start = prepared.stages.get("sf2", prepared.stages["lift"])
-    apart = disagreement(motion.poses, start, solution.confidence.pairs)
-    p_camera_joint = motion.poses.p_world_joint - prepared.keypoints.camera.center_world
-    inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart, p_camera_joint)
-    return replace(motion, confidence=inflated)
 
 
 def calibrate_recording(

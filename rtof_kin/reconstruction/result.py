@@ -7,6 +7,7 @@ from typing import Any
 
 from rtof_kin.body.metrics import Metrics
 from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Calibrate, Mode
@@ -88,6 +89,8 @@ class Reconstruction:
     """Limitations of the motion, in sentences."""
     calibration: SelfCalibration | None = None
     """The self-calibration that was applied."""
+    camera: CameraEstimate | None = None
+    """What was assumed and found of a camera that is not calibrated; None for a calibrated one."""
     checks: tuple[Check, ...] = ()
     """Checks of what the recording declares; failed ones name a likely cause."""
     choices: Choices = field(default_factory=Choices)

@@ -41,7 +41,7 @@ _AS_GIVEN = 10
 _LARGEST_MISFIT = 0.3
 _CUTOFF_HZ, _LEAST_SAMPLES, _LEAST_ACCELERATION, _LEAST_EXPLAINED = 3.0, 90, 1.0, 0.5
 _EDGE = 5
-_LEGS = tuple(bone for limb in LIMBS if limb[-1] in FEET for bone in limb[:2])
+LEGS = tuple(bone for limb in LIMBS if limb[-1] in FEET for bone in limb[:2])
 _SCALE, _WALK, _PERSPECTIVE = "length of bones by accelerations", "walk in depth", "perspective"
 
 
@@ -140,7 +140,7 @@ def check_walk(
     Args:
         poses: the final ones. bone_imus, keypoints: at their times. skeleton: the subject's.
     """
-    if bone_imus is None or not {*_LEGS} <= {*bone_imus.joints}:
+    if bone_imus is None or not {*LEGS} <= {*bone_imus.joints}:
         return Check.unknown(_WALK, "the feet", "times", "needs sensors on thighs and shanks")
     contacts = detect_contacts(poses, bone_imus, skeleton)
     ahead = keypoints.camera.R_camera_world[2] * [1, 1, 0]

@@ -96,7 +96,7 @@ def _page(
         "plotted_hz": f"{motion.poses[shown].rate_hz:.3g}",
         "gait": _gait(analysis.gait),
         "torques": _torques(analysis.torques, motion.skeleton.table),
-        "calibration": _calibration(inputs.get("calibration")),
+        "calibration": _camera(inputs.get("camera_estimate")) + _calibration(inputs.get("calibration")),
         "audit": _audit(results),
         "isb": _isb(isb_items(inputs, summary.mode, bands, _gaps_text(motion))),
         "citation": escape(CITATION),
@@ -188,9 +188,21 @@ def _audit(results: Iterable[AuditResult]) -> str:
     return table(columns, rows, "audit")
 
 
+def _camera(found: Any) -> str:
+    """Table of a camera that is not calibrated; empty for a calibrated one."""
+    if not isinstance(found, dict):
+        return ""
+    text = "The camera is not calibrated. What remains uncertain is part of all bands."
+    return f"<p>{text}</p>" + _rows(found)
+
+
 def _calibration(found: Any) -> str:
     if not isinstance(found, dict):
-        return "<p>Nothing was estimated from the recording: all parameters are used as given.</p>"
+        return "<p>Nothing else was estimated from the recording: all other parameters are used as given.</p>"
+    return _rows(found)
+
+
+def _rows(found: dict[str, Any]) -> str:
     rows = ((escape(str(cell)) for cell in row) for row in found.get("rows", []))
     return table(map(str, found.get("columns", [])), rows)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from rtof_kin.calibration.camera_estimate import COLUMNS
 from rtof_kin.core.array_types import Array
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
@@ -43,6 +44,9 @@ def input_provenance(result: Reconstruction) -> Data:
         },
         "floor_height_m": recording.floor_height,
         "camera": _camera(result),
+        "camera_estimate": None if result.camera is None else {
+            "columns": list(COLUMNS), "rows": [list(row) for row in result.camera.table()],
+        },
         "sensors": _sensors(recording),
         "calibration": None if result.calibration is None else {
             "converged": result.calibration.converged,

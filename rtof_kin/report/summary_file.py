@@ -67,21 +67,26 @@ def read_summary(path: str | Path) -> Summary:
     return Summary(**texts, session=session, inputs=inputs, results=results, settings=settings)
 
 
+_TABLES = ("calibration", "camera_estimate")
+"""Inputs with columns and rows."""
+
+
 def _check_inputs(inputs: Any) -> None:
     """Raise `InvalidInputError` if the structure is not that of `report.provenance`."""
-    _check_table("inputs", inputs, {"session", "subject", "camera", "calibration", "sensors"})
+    _check_table("inputs", inputs, {"session", "subject", *_TABLES, "camera", "sensors"})
     for name in ("session", "subject", "camera"):
         _check_table(f"inputs, {name}", inputs.get(name) or {})
     sensors = inputs.get("sensors") or []
     _check("inputs, sensors", sensors, list, "list")
     for sensor in sensors:
         _check_table("inputs, sensors", sensor)
-    calibration = inputs.get("calibration") or {}
-    _check_table("inputs, calibration", calibration, {"columns", "rows"})
-    for name in ("columns", "rows"):
-        _check(f"inputs, calibration, {name}", calibration.get(name, []), list, "list")
-    for row in calibration.get("rows", []):
-        _check("inputs, calibration, rows", row, list, "list")
+    for found in _TABLES:
+        own = inputs.get(found) or {}
+        _check_table(f"inputs, {found}", own, {"columns", "rows"})
+        for name in ("columns", "rows"):
+            _check(f"inputs, {found}, {name}", own.get(name, []), list, "list")
+        for row in own.get("rows", []):
+            _check(f"inputs, {found}, rows", row, list, "list")
 
 
 def _check(name: str, value: Any, kind: type, what: str) -> None:

@@ -1,0 +1,197 @@
+"""Evidence of an uncalibrated camera: quantities of a recording that are known with the true camera.
+
+========  ===================================================================================  ==========
+floor     height of standing ankles over the floor, its slope in depth and across              m, rad, rad
+tilt      body by the image alone against the sensors' bones, or against upright               rad, rad
+walk      logarithm of the path of the body over standing feet, by the image, per that of its  1
+          legs, by the sensors
+========  ===================================================================================  ==========
+
+Heights follow from the size of the person in the image. Standard deviations are those with the true camera
+on recordings of other people (`benchmarks/uncalibrated_camera.py --fit`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.camera_estimate import Evidence
+from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.inertial.root_position import refit_root
+from rtof_kin.reconstruction.scale_checks import ANKLE_HEIGHT, LEGS
+
+_STILL: Final = 0.3
+"""[m/s] at the body's distance, of a standing ankle in the image."""
+_SHORTEST: Final = 0.15
+"""[s] of a contact."""
+_CUTOFF_HZ: Final = 5.0
+"""[Hz] Low-pass of the ankle in the image."""
+
+
+@dataclass(frozen=True)
+class Usual:
+    """Mean and standard deviation of a quantity with the true camera."""
+
+    mean: float
+    sigma: float
+
+
+HEIGHT: Final = Usual(0.02, 0.03)
+"""[m] of standing ankles over `ANKLE_HEIGHT`, by the size of the person in the image."""
+SIZE: Final = 0.015
+"""[1] Standard deviation of the size of the skeleton in the image; it moves a foot along its ray."""
+UNEVEN: Final = 0.035
+"""[m] Standard deviation of the mean height of feet in one place, relative to another."""
+LEAN: Final = Usual(0.0, np.radians(2.6)), Usual(0.0, np.radians(2.3))
+"""[rad] of the body in the mean, forwards and to the right as seen from the camera."""
+TURN: Final = Usual(0.0, np.radians(2.4)), Usual(0.0, np.radians(1.8))
+"""[rad] of bones with sensors by the image alone, about the camera's x and z axes."""
+WALK: Final = Usual(np.log(1.05), 0.045)
+"""[1] for a long walk."""
+WALK_LEG: Final = 0.12
+"""[m] Standard deviation of a path by the legs, per root of the number of contacts."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the evidence of one recording has in common for all cameras."""
+
+    skeleton: SkeletonModel
+    floor_height: float | None
+    feet: tuple[str, ...]
+    """Those of `FEET` that the skeleton has."""
+    standing: Mask
+    """(T, n) which of them hardly move in the image."""
+    bone_imus: BoneImuSequence | None
+    """At the keypoints' times."""
+
+
+def standing_in_image(keypoints: KeypointSequence, feet: Sequence[str], distance: Array) -> Mask:
+    """Return which feet (T, n) hardly move in the image.
+
+    Args:
+        keypoints: evenly spaced. feet: names. distance: (T,) of the person along the camera's axis, m.
+    """
+    xy = keypoints.camera.normalise(keypoints.select(feet).uv_px)
+    rate_hz = 1 / float(np.median(np.diff(keypoints.times)))
+    standing = np.zeros(xy.shape[:2], dtype=bool)
+    for i in range(len(feet)):
+        smooth = signals.low_pass_known(keypoints.times, xy[:, i], _CUTOFF_HZ)
+        speed = np.linalg.norm(np.gradient(smooth, axis=0), axis=-1) * rate_hz * distance
+        standing[:, i] = speed < _STILL  # false for NaN
+        for start, stop in signals.runs(standing[:, i]):
+            if stop - start < _SHORTEST * rate_hz:
+                standing[start:stop, i] = False
+    return standing
+
+
+def evidence(
+    scene: Scene, keypoints: KeypointSequence, by_image: PoseSequence, poses: PoseSequence
+) -> Evidence:
+    """Return the evidence of a recording reconstructed with a camera.
+
+    Args:
+        scene: of the recording. keypoints: with that camera. by_image: lifted without sensors.
+        poses: solved.
+    """
+    camera = keypoints.camera
+    parts = (
+        _floor(scene, camera, refit_root(poses, keypoints, sigma_depth=1.0)),
+        _tilt(scene, camera, by_image),
+        _walk(scene, camera, poses),
+    )
+    return Evidence(
+        np.concatenate([part.value for part in parts]), np.concatenate([part.sigma for part in parts])
+    )
+
+
+def _level_axes(camera: Camera) -> Array:
+    """(2, 3) horizontal unit vectors forwards and to the right."""
+    forward = so3.unit(camera.R_camera_world[2] * [1, 1, 0])
+    return np.stack([forward, np.cross(forward, [0.0, 0.0, 1.0])])
+
+
+def _floor(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
+    """Height of standing ankles and its slopes: of the mean, in depth and across."""
+    p = poses.p_world_joint[:, scene.skeleton.index(*scene.feet)][scene.standing]
+    if scene.floor_height is None or len(p) < 10:
+        return Evidence(np.full(3, np.nan), np.ones(3))
+    places = (p - camera.center_world) @ _level_axes(camera).T
+    away = places - np.median(places, axis=0)
+    height = p[:, 2] - scene.floor_height - ANKLE_HEIGHT
+    away, height = away[near := np.abs(height - np.median(height)) < 0.3], height[near]
+    spread = away.std(axis=0)
+    A = np.column_stack([np.ones(len(away)), away])
+    ridge = np.diag([0.0, *(len(away) * 0.05**2,) * 2])
+    mean, depth, across = np.linalg.solve(A.T @ A + ridge, A.T @ height)
+    over = abs(float(camera.center_world[2]) - scene.floor_height)
+    slopes = UNEVEN / np.maximum(spread, 0.05)
+    return Evidence(
+        np.array([mean - HEIGHT.mean, depth, across]),
+        np.array([np.hypot(HEIGHT.sigma, SIZE * over), *slopes]),
+    )
+
+
+def _tilt(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
+    """Rotation of the body by the image alone against the sensors; without them, its mean lean."""
+    skeleton, p = scene.skeleton, poses.p_world_joint
+    if scene.bone_imus is None:
+        below = skeleton.index(*(scene.feet or skeleton.names[:1]))
+        above = p[:, skeleton.names.index("Neck")] - p[:, below].mean(axis=1)
+        up = so3.unit(np.median(so3.unit(above), axis=0))
+        value, usual = _level_axes(camera) @ up, LEAN
+    else:
+        products = np.zeros((3, 3))
+        for s, joint in enumerate(skeleton.index(*scene.bone_imus.joints)):
+            children = kinematics.children_of(skeleton.parents, joint)
+            sensed = scene.bone_imus.R_world_bone[:, s] @ so3.unit(skeleton.joint_offsets[children[0]])
+            known = np.isfinite(sensed).all(axis=-1) & (len(children) == 1)
+            seen = so3.unit(p[:, children[0]] - p[:, joint])
+            products += seen[known].T @ sensed[known]
+        turn = camera.R_camera_world @ so3.log(so3.nearest_rotation(products))
+        value, usual = turn[[0, 2]], TURN
+    return Evidence(value - [u.mean for u in usual], np.array([u.sigma for u in usual]))
+
+
+def _walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
+    """Path of the body over standing feet, along the view, per that of its legs."""
+    body, legs = walked(scene, camera, poses)
+    total = float(legs @ legs)
+    if total == 0 or not body @ legs > 0.2 * total:
+        return Evidence(np.full(1, np.nan), np.ones(1))
+    value = np.log(body @ legs / total) - WALK.mean
+    sigma = np.hypot(WALK.sigma, WALK_LEG / np.sqrt(total))
+    return Evidence(np.array([value]), np.array([sigma]))
+
+
+def walked(scene: Scene, camera: Camera, poses: PoseSequence) -> tuple[Array, Array]:
+    """Return the paths (n,) of the body along the view in each contact, by the image and by its legs, m.
+
+    Args:
+        scene: of the recording; without sensors on the legs there is none. camera, poses: solved with it.
+    """
+    if scene.bone_imus is None or not {*LEGS} <= {*scene.bone_imus.joints}:
+        return np.zeros(0), np.zeros(0)
+    ahead, root = _level_axes(camera)[0], poses.p_world_joint[:, 0]
+    body, legs = [], []
+    for i, foot in enumerate(scene.skeleton.index(*scene.feet)):
+        for start, stop in signals.runs(scene.standing[:, i]):
+            since = np.arange(stop - start) - (stop - start - 1) / 2
+            slope = since / (since @ since) * (stop - start)  # a regression line's rise
+            path = np.stack([root, root - poses.p_world_joint[:, foot]])[:, start:stop] @ ahead
+            moved = path @ slope
+            body.append(moved[0])
+            legs.append(moved[1])
+    return np.array(body), np.array(legs)

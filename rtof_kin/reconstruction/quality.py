@@ -1,0 +1,61 @@
+"""Stated quality of a motion: warnings of the fragment solver, and covariances."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.reconstruction.prepare import Prepared
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.reconstruction.uncalibrated import with_camera_uncertainty
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.solution import FragmentSolution, misfits
+from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
+from rtof_kin.solve.uncertainty.disagreement import disagreement
+from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
+
+
+def quality_warnings(
+    prepared: Prepared, solution: FragmentSolution | None, settings: ReconstructionSettings
+) -> tuple[str, ...]:
+    """Return quality warnings: sensors without samples, joints far from their keypoints.
+
+    Args:
+        prepared: what was solved. solution: None in modes that do not optimise. settings: used.
+    """
+    found: tuple[str, ...] = ()
+    if prepared.bone_imus is not None and not np.isfinite(prepared.bone_imus.R_world_bone).any():
+        found += (
+            "no sensor has samples at the times of the video: the motion is estimated from the image "
+            "alone; check the sensors' values and clock",
+        )
+    s = settings.fragment
+    if solution is not None and isinstance(s, JointSpaceSettings) and s.sigma_reprojection is None:
+        limit = s.sigma_reprojection_range[1]
+        found += misfits(solution.fragments, prepared.start.times, settings.frames, limit)
+    return found
+
+
+def with_covariances(
+    motion: MotionSequence, prepared: Prepared, solution: FragmentSolution | None,
+    others: Iterable[PoseSequence] = (),
+) -> MotionSequence:  # fmt: skip
+    """Return the motion with its pose covariances, inflated for autocorrelated errors.
+
+    Args:
+        motion: of the solution. prepared: what was solved. solution: None in modes that do not optimise.
+        others: poses with cameras one standard deviation off, of a camera that is not calibrated.
+    """
+    if solution is None or solution.confidence is None:
+        return motion
+    sensors = () if prepared.bone_imus is None else prepared.bone_imus.joints
+    statistics = residual_statistics(prepared.keypoints, motion, prepared.stages["lift"], sensors)
+    start = prepared.stages.get("sf2", prepared.stages["lift"])
+    apart = disagreement(motion.poses, start, solution.confidence.pairs)
+    p_camera_joint = motion.poses.p_world_joint - prepared.keypoints.camera.center_world
+    inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart, p_camera_joint)
+    return replace(motion, confidence=with_camera_uncertainty(inflated, motion.poses, others))

@@ -1,0 +1,116 @@
+"""The camera of a recording whose camera is not calibrated: found, and propagated into the covariances."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.camera_estimate import CameraEstimate, Evidence, estimate_camera
+from rtof_kin.core.array_types import Array
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.confidence import Confidence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.inertial.contacts import FEET
+from rtof_kin.reconstruction.camera_evidence import Scene, evidence, standing_in_image, walked
+from rtof_kin.reconstruction.lift import LifterLike, lift
+from rtof_kin.reconstruction.prepare import Prepared
+from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.uncertainty.disagreement import disagreement
+
+_MOST_SECONDS: Final = 60.0
+"""[s] of a longer recording that are used: those in which the person comes and goes most."""
+_STEP: Final = 5.0
+"""[s] between the beginnings of excerpts that are compared."""
+
+Solve = Callable[[Recording], tuple[Prepared, PoseSequence]]
+"""Prepare a recording and solve its poses."""
+
+
+def with_camera(recording: Recording, camera: Camera) -> Recording:
+    """Return a recording with another camera.
+
+    Args:
+        recording: with keypoints. camera: of the same images.
+    """
+    return replace(recording, keypoints=replace(recording.video, camera=camera))
+
+
+def find_camera(
+    recording: Recording, skeleton: SkeletonModel, solve: Solve, lifter: LifterLike | None,
+    progress: Callable[[int, int], None] | None = None,
+) -> CameraEstimate:  # fmt: skip
+    """Estimate the unknowns of a camera from its recording.
+
+    Args:
+        recording: whose camera has an uncertainty. skeleton: the subject's.
+        solve: a reconstruction of a recording of this person. lifter: default: the shipped one.
+        progress: called with (steps done, steps in all).
+
+    Raises:
+        Errors of the stages, with the camera as declared.
+    """
+    assumed = recording.video.camera
+    recording = replace(recording, keypoints=_excerpt(recording.video), truth=None)
+    prepared, poses = solve(recording)
+    clean, imus = prepared.recording, prepared.bone_imus
+    depth = assumed.to_camera(poses.p_world_joint[:, 0])[:, 2]
+    feet = tuple(foot for foot in FEET if foot in skeleton.names)
+    standing = standing_in_image(clean.video, feet, depth)
+    sensed = imus is not None and np.isfinite(imus.R_world_bone).any()
+    scene = Scene(skeleton, recording.floor_height, feet, standing, imus if sensed else None)
+
+    def seen_by(camera: Camera) -> Evidence:
+        own = with_camera(clean, camera)
+        prepared, poses = solve(own)
+        by_image = prepared.lifted.poses
+        if scene.bone_imus is not None:
+            by_image = lift(own.video, skeleton, lifter, None, recording.floor_height).poses
+        return evidence(scene, own.video, by_image, poses)
+
+    found = estimate_camera(assumed, seen_by, progress)
+    legs = walked(scene, assumed, poses)[1]
+    return replace(found, walked=float(np.abs(legs).sum()))
+
+
+def _excerpt(keypoints: KeypointSequence) -> KeypointSequence:
+    """The part of a long video in which the person's size in the image changes most."""
+    times = keypoints.times
+    if times[-1] - times[0] <= _MOST_SECONDS:
+        return keypoints
+    enough = keypoints.seen.sum(axis=1) > len(keypoints.names) / 2
+    v = np.where(enough[:, None], keypoints.uv_px[..., 1], np.nan)
+    tall = np.full(len(times), np.nan)
+    tall[enough] = np.log(np.nanmax(v[enough], axis=1) - np.nanmin(v[enough], axis=1) + 1.0)
+    starts = np.arange(times[0], times[-1] - _MOST_SECONDS + _STEP, _STEP)
+    parts = [slice(*np.searchsorted(times, [t, t + _MOST_SECONDS])) for t in starts]
+    return keypoints[max(parts, key=lambda part: _spread(tall[part]))]
+
+
+def _spread(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.subtract(*np.percentile(known, [90, 10]))) if len(known) else -1.0
+
+
+def with_camera_uncertainty(
+    confidence: Confidence, poses: PoseSequence, others: Iterable[PoseSequence]
+) -> Confidence:
+    """Return covariances with those of the camera's unknowns added.
+
+    Args:
+        confidence: with the camera given. poses: the motion.
+        others: solved with cameras one standard deviation off (`CameraEstimate.deviations`).
+    """
+    for other in others:
+        apart = disagreement(poses, other, confidence.pairs)
+        confidence = replace(
+            confidence,
+            position_covariance=confidence.position_covariance + apart.position,
+            relative_covariance=confidence.relative_covariance + apart.relative,
+            turn_covariance=confidence.turn_covariance + apart.turn,
+        )
+    return confidence
