@@ -169,6 +169,7 @@ def fetch_models(wanted: ModelSet, progress: Progress | None = None) -> Path:
     folder = models_folder(wanted)
     done = 0
     try:
+        cache_folder().mkdir(mode=0o700, parents=True, exist_ok=True)  # as for compiled functions
         folder.mkdir(parents=True, exist_ok=True)
         with FileLock(folder / ".lock"):
             for file in wanted.files:
