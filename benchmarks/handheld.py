@@ -14,7 +14,7 @@ import argparse
 import sys
 import tempfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from rich.progress import track
 
 from benchmarks import harness
 from benchmarks.accuracy.row_file import RowFile, version_of
+from benchmarks.calibration.planted_rows import SESSIONS, session
 from benchmarks.turning_video import pan_and_shake, write_turning_video
 from lifting.predict import Lifter
 from rtof_kin.core import rotations as so3
@@ -47,6 +48,8 @@ DELAY = 2
 """Frames at 60 Hz by which detections are late; drawn elsewhere."""
 DRIFT, NOISE = np.radians(1.0) / 20.0, np.radians(0.15)
 """Of an estimated turning: rad/s about the vertical, and rad per axis and frame."""
+GYROSCOPE = np.radians(0.15)
+"""[rad/s] Drift of a bad gyroscope, alone."""
 HAND_HZ = 0.4
 RENDERED = 0.25
 """Size of the rendered video, of the camera's image."""
@@ -61,6 +64,10 @@ class Case:
     """exactly, not, as estimated, or from a video."""
     hand: float = 0.0
     """[m] standard deviation per axis of the optical centre."""
+    drift: float = DRIFT
+    """[rad/s] of the heading, *as estimated*."""
+    removed: bool = False
+    """Whether the drift is estimated against the sensors."""
 
 
 CASES = {
@@ -68,11 +75,19 @@ CASES = {
     "turning known exactly": Case(),
     "turning with errors of an estimate": Case(known="as estimated"),
     "turning from a rendered background": Case(known="from a video"),
-    "known exactly while the hand moves by 1 cm": Case(hand=0.01),
     "known exactly while the hand moves by 3 cm": Case(hand=0.03),
     "tripod that moves by 3 cm": Case(turns=False, hand=0.03),
     "turning ignored": Case(known="not"),
 }
+LONG_CASES = {
+    "tripod": CASES["tripod"],
+    "turning known exactly": CASES["turning known exactly"],
+    "heading drifts by 3 deg": Case(known="as estimated", drift=GYROSCOPE),
+    "heading drifts by 3 deg, found against the sensors": Case(
+        known="as estimated", drift=GYROSCOPE, removed=True
+    ),
+}
+"""On sessions of 20 s with sensors."""
 HEAD = f"""# Handheld camera
 
 `python -m benchmarks.handheld`: pan of 18 deg and shake of up to 4 deg at 1 to 3 Hz, realistic 2D, held-out
@@ -131,9 +146,10 @@ def still(
         t_camera_world=motion.R_first_still.T @ camera.t_camera_world,
     )  # fmt: skip
     if case.known == "as estimated":
-        drift = so3.exp(DRIFT * (times - times.mean())[:, None] * camera.R_camera_world[:, 2])
+        drift = so3.exp(case.drift * (times - times.mean())[:, None] * camera.R_camera_world[:, 2])
         noise = so3.exp(NOISE * rng.normal(size=(len(times), 3)))
-        motion = CameraMotion(times, drift @ R_middle_camera @ noise)
+        sigma_drift = np.radians(0.1) if case.removed else 0.0
+        motion = CameraMotion(times, drift @ R_middle_camera @ noise, drift=sigma_drift)
     elif case.known == "from a video":
         motion = from_video(filmed, R_middle_camera)
     return stabilised(replace(filmed, camera=declared), motion)
@@ -162,39 +178,46 @@ def from_video(filmed: KeypointSequence, R_middle_camera: Array) -> CameraMotion
     return found.motion.shifted(float(filmed.times[0]))
 
 
-def measured(clips: Sequence[MocapClip], names: Sequence[str], sensors: Sequence[str], file: RowFile) -> None:
+def measured(
+    clips: Sequence[MocapClip], cases: Mapping[str, Case], sensors: Sequence[str], file: RowFile
+) -> None:
     """Make the rows that are missing; motions take turns with the cameras."""
     lifter = Lifter.load()
     jobs = [
-        (f"{name}/{clip.name}/{count}", clip, i % 4, count, name)
-        for i, clip in enumerate(clips) for count in sensors for name in names
+        (f"{name}/{clip.name}/{i % 4}/{count}/{cases is LONG_CASES}", clip, i % 4, count, name)
+        for i, clip in enumerate(clips) for count in sensors for name in cases
     ]  # fmt: skip
     for key, clip, camera, count, name in track(
         [job for job in jobs if job[0] not in file.rows], "recordings"
     ):
         held = "rigs" if clip.rig in harness.split()["benchmark"]["rigs"] else "people"
-        about = {"case": name, "motion": clip.name, "sensors": count, "camera": camera, "held out": held}
-        file.add(key, [about | solved(clip, camera, count, CASES[name], lifter)])
+        about = {"case": name, "motion": clip.name, "sensors": count, "camera": camera, "held out": held,
+                 "long": cases is LONG_CASES}  # fmt: skip
+        file.add(key, [about | solved(clip, camera, count, cases[name], lifter)])
 
 
 def tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
     """Figures of each case, and the change of the root-relative error against the tripod."""
     found = []
-    for count in dict.fromkeys(row["sensors"] for row in rows):
-        own = [row for row in rows if row["sensors"] == count]
-        tripod = {row["motion"]: row["mpjpe_rr_mm"] for row in own if row["case"] == "tripod"}
+    for long, count in dict.fromkeys((row["long"], row["sensors"]) for row in rows):
+        own = [row for row in rows if (row["long"], row["sensors"]) == (long, count)]
+        tripod = {
+            (row["motion"], row["camera"]): row["mpjpe_rr_mm"] for row in own if row["case"] == "tripod"
+        }
         lines = []
-        for name in CASES:
-            case = [row for row in own if row["case"] == name and row["motion"] in tripod]
+        for name in LONG_CASES if long else CASES:
+            case = [row for row in own if row["case"] == name]
             if not case:
                 continue
-            change = [100 * (row["mpjpe_rr_mm"] / tripod[row["motion"]] - 1) for row in case]
+            change = [100 * (row["mpjpe_rr_mm"] / tripod[row["motion"], row["camera"]] - 1) for row in case]
             low, high = harness.bootstrap([row["motion"] for row in case], change, np.ones(len(case)))
             means = [float(np.mean([row[figure] for row in case])) for figure in (*FIGURES, "in view")]
             lines.append((name, len(case), *means, float(np.mean(change)), f"{low:+.0f} to {high:+.0f}"))
         columns = ("camera", "recordings", *FIGURES.values(), "in view %", "rr change %", "95 %")
-        title = f"{count} sensors" if count != "0" else "No sensors"
-        found.append(Table(f"sensors_{count}", title, columns, (0, 0, 1, 1, 1, 0, 0, 0), tuple(lines)))
+        title = ("Sessions of 20 s, " if long else "") + (
+            f"{count} sensors" if count != "0" else "no sensors"
+        )
+        found.append(Table(f"sensors_{count}_{long}", title, columns, (0, 0, 1, 1, 1, 0, 0, 0), tuple(lines)))
     return found
 
 
@@ -205,7 +228,6 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
-    parser.add_argument("--only", default=",".join(CASES), help="cases, with commas")
     parser.add_argument("--motions", help="names, with commas; default: all of the benchmark")
     parser.add_argument("--sensors", default="8,0", help="numbers of sensors, with commas")
     parser.add_argument("--seconds", type=float, default=5.0, help="of each motion's middle")
@@ -216,7 +238,9 @@ def main(arguments: list[str] | None = None) -> int:
     if options.motions:
         clips = [clip for clip in clips if clip.name in options.motions.split(",")]
     file = RowFile(options.out.with_suffix(".rows"), version_of(options.seconds), options.restart)
-    measured(clips, options.only.split(","), options.sensors.split(","), file)
+    measured(clips, CASES, options.sensors.split(","), file)
+    sessions = [session(options.corpus, "test", name, 20.0) for name in SESSIONS["test"]]
+    measured(2 * sessions, LONG_CASES, ("8",), file)  # two cameras each
     rows = [row for own in file.rows.values() for row in own]
     text = HEAD + "\n".join(table.markdown() for table in tables(rows))
     harness.write_results(options.out, {"seconds": options.seconds, "rows": rows}, text)

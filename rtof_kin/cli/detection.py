@@ -124,11 +124,21 @@ def _detect(options: argparse.Namespace) -> None:
 
 def _write_camera_motion(options: argparse.Namespace, found: Detections) -> None:
     from rtof_kin.formats.camera_motion_npz import write_camera_motion
+    from rtof_kin.setup.camera_prior import assumed_camera
     from rtof_kin.setup.handheld import turning_of_video
+    from rtof_kin.setup.recording_text import Field
+    from rtof_kin.vision.lens_prior import lens_prior
+    from rtof_kin.vision.video_metadata import read_video_metadata
 
     target = Path(options.camera_motion)
+    metadata = read_video_metadata(options.video)
+    size = metadata.width_px, metadata.height_px
+    lens = lens_prior(*size, metadata)
+    camera = assumed_camera(*size, lens, Field(None)).camera
     with progress() as update:
-        turned = turning_of_video(options.video, found, phone=options.phone_log, progress=update)
+        turned = turning_of_video(
+            options.video, found, camera, lens.sigma_focal, phone=options.phone_log, progress=update
+        )
     write_camera_motion(target, turned.motion, options.overwrite)
     out.print(f"wrote {target}: {turned.summary}", soft_wrap=True)
     if turned.turning().passed:

@@ -73,6 +73,10 @@ def _add_setup(parser: argparse.ArgumentParser, what: str) -> None:
     )  # fmt: skip
     parser.add_argument("--camera-name", metavar="NAME", help="of the camera, if FILE has several")
     parser.add_argument(
+        "--phone-log", type=Path, metavar="LOG",
+        help="gyroscope and accelerometer of the phone that filmed by hand: tells how it was tilted",
+    )  # fmt: skip
+    parser.add_argument(
         "--map", type=Path, metavar="FILE",
         help="two columns: serial number of each sensor and its segment; default: found from the motion",
     )  # fmt: skip
@@ -183,7 +187,8 @@ def _settings(options: argparse.Namespace) -> SetupSettings:
 
     return SetupSettings(
         height=options.height, person=options.person, camera_name=options.camera_name,
-        rate_hz=options.rate, size_px=options.size, keep_video=not options.discard_video,
+        rate_hz=options.rate, size_px=options.size, phone_log=options.phone_log,
+        keep_video=not options.discard_video,
         lifter=lifter_of(options) if hasattr(options, "model") else None,
     )  # fmt: skip
 
@@ -191,12 +196,13 @@ def _settings(options: argparse.Namespace) -> SetupSettings:
 def _fingerprints(sources: Sources, options: argparse.Namespace) -> dict[str, str]:
     """Return what a recording is made from: its files, the picture of the people, everything."""
     image = [path for path in (sources.video, sources.keypoints) if path is not None]
+    log = [options.phone_log] if options.phone_log is not None else []
     told = ("height", "person", "camera_name", "model")
     shown = _values(options, ("rate", "size", "model_dir", "fetch_models", "discard_video"))
     return {
         "files": fingerprint(*sources.paths),
         "people": fingerprint(*image, *shown),
-        "recording": fingerprint(*sources.paths, *shown, *_values(options, told)),
+        "recording": fingerprint(*sources.paths, *log, *shown, *_values(options, told)),
     }
 
 

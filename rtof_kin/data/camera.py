@@ -54,6 +54,9 @@ class Camera:
     """Of an uncalibrated camera, whose unknowns `reconstruct` estimates; None where it is calibrated."""
     stabilised: bool = False
     """Whether it stands for a camera that turned: points may lie beyond the borders of its image."""
+    heading_drift: float = 0.0
+    """Standard deviation, rad/s, of a steady drift of the heading where a gyroscope measured the turning;
+    `reconstruct` estimates the drift where there are sensors."""
 
     def __post_init__(self) -> None:
         if self.distortion is None:  # callers may say None

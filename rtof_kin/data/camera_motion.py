@@ -37,6 +37,8 @@ class CameraMotion:
     """Standard deviation per axis of each rotation, rad."""
     up_first: Array | None = None
     """(3,) unit vector up in the axes of the fixed orientation, where gravity was measured."""
+    drift: float = 0.0
+    """Standard deviation of a steady drift of the heading, rad/s."""
     focal_px: float | None = None
     """Focal length that the rotations were estimated with from images, px."""
 
@@ -47,8 +49,11 @@ class CameraMotion:
         checked_rotations("camera motion R_first_camera", self.R_first_camera)
         if np.isnan(self.R_first_camera).all():
             raise InvalidInputError("camera motion: no rotation is known")
-        if not (np.isfinite(self.sigma) and self.sigma >= 0):
-            raise InvalidInputError(f"camera motion sigma: {self.sigma} is no standard deviation")
+        for name in ("sigma", "drift"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InvalidInputError(
+                    f"camera motion {name}: {getattr(self, name)} is no standard deviation"
+                )
         if self.focal_px is not None and not (np.isfinite(self.focal_px) and self.focal_px > 0):
             raise InvalidInputError(f"camera motion focal_px: {self.focal_px} is not positive")
         if self.up_first is not None:
@@ -115,15 +120,27 @@ def stabilised(keypoints: KeypointSequence, motion: CameraMotion) -> KeypointSeq
             f"{at[-1]:g} s; put it on their clock"
         )
     still = motion.R_first_still
-    rays = np.concatenate(
-        [camera.normalise(keypoints.uv_px), np.ones((*keypoints.confidence.shape, 1))], axis=-1
-    )
-    rays = np.einsum("tij,tlj->tli", still.T @ R, rays)
+    return turned(keypoints, still.T @ R, _still(camera, motion, still))
+
+
+def turned(keypoints: KeypointSequence, R_camera_seen: Array, camera: Camera) -> KeypointSequence:
+    """Return keypoints as another camera at the same place sees them.
+
+    Args:
+        keypoints: of T frames. R_camera_seen: (T, 3, 3) axes of their camera to those of the other; NaN where
+            unknown. camera: the other, without distortion.
+
+    Returns:
+        Keypoints; missing where the rotation is, or more than 65 degrees from the axis of the other camera.
+    """
+    xy = keypoints.camera.normalise(keypoints.uv_px)
+    rays = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
+    rays = np.einsum("tij,tlj->tli", R_camera_seen, rays)
     near = rays[..., 2] > np.cos(_WIDEST) * np.linalg.norm(rays, axis=-1)  # False for NaN
     with np.errstate(divide="ignore", invalid="ignore"):
         uv = rays[..., :2] / rays[..., 2:] @ camera.K[:2, :2].T + camera.K[:2, 2]
     return replace(
-        keypoints, camera=_still(camera, motion, still), uv_px=np.where(near[..., None], uv, np.nan),
+        keypoints, camera=camera, uv_px=np.where(near[..., None], uv, np.nan),
         confidence=np.where(near, keypoints.confidence, 0.0),
     )  # fmt: skip
 
@@ -137,5 +154,6 @@ def _still(camera: Camera, motion: CameraMotion, R_first_still: Array) -> Camera
             uncertainty = replace(uncertainty, tilt=min(uncertainty.tilt, _SIGMA_TILT))
     t = -R @ camera.center_world
     return replace(
-        camera.undistorted(), R_camera_world=R, t_camera_world=t, uncertainty=uncertainty, stabilised=True
-    )
+        camera.undistorted(), R_camera_world=R, t_camera_world=t, uncertainty=uncertainty, stabilised=True,
+        heading_drift=motion.drift,
+    )  # fmt: skip

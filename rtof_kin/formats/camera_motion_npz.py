@@ -4,6 +4,7 @@
 times               (T,)          s, on the clock of the keypoints
 R_first_camera      (T, 3, 3)     camera axes (x right, y down, z forward) to a fixed orientation
 sigma_rad           ()            standard deviation per axis of each rotation; optional
+drift_rad_s         ()            standard deviation of a steady drift of the heading; optional
 up_first            (3,)          up in the axes of the fixed orientation; optional
 focal_px            ()            focal length that images were turned with; optional
 ==================  ============  ==============================================================
@@ -24,6 +25,7 @@ _SHAPES = {
     "times": "(T,)",
     "R_first_camera": "(T, 3, 3)",
     "sigma_rad": "()",
+    "drift_rad_s": "()",
     "up_first": "(3,)",
     "focal_px": "()",
 }
@@ -47,7 +49,7 @@ def read_camera_motion(path: Path) -> CameraMotion:
         problem = "unknown" if wrong[0] in arrays else "missing"
         raise FileFormatError(path, f"array {wrong[0]!r} is {problem}; the motion of a camera has {form}")
     fields: dict[str, Any] = {name: arrays[name] for name in ("times", "R_first_camera")}
-    for name, field in (("sigma_rad", "sigma"), ("focal_px", "focal_px")):
+    for name, field in (("sigma_rad", "sigma"), ("drift_rad_s", "drift"), ("focal_px", "focal_px")):
         if name in arrays:
             if arrays[name].size != 1:
                 raise FileFormatError(path, f"{name}: expected one number, got shape {arrays[name].shape}")
@@ -69,6 +71,7 @@ def write_camera_motion(path: Path, motion: CameraMotion, overwrite: bool = Fals
     """
     arrays = {
         "times": motion.times, "R_first_camera": motion.R_first_camera, "sigma_rad": motion.sigma,
+        "drift_rad_s": motion.drift,
         "up_first": motion.up_first, "focal_px": motion.focal_px,
     }  # fmt: skip
     known = {name: np.asarray(array) for name, array in arrays.items() if array is not None}

@@ -30,6 +30,7 @@ HELD: Final = {
 }
 """R_camera_phone by how the phone is held; *left*: with the top of the phone to the left of who films."""
 _SIGMA: Final = np.radians(0.5)  # of the tilt that gravity gives a phone in motion
+_DRIFT: Final = np.radians(0.1)  # [rad/s] of the heading: offset of a phone's gyroscope
 _RATE: Final = 100.0  # [Hz] at which angular velocities are compared
 _LEAST_OVERLAP: Final = 2.0  # [s]
 _CLEAR: Final = 0.6  # correlation of the angular velocities below which their match is doubtful
@@ -84,7 +85,7 @@ def motion_of_gyroscope(stream: SensorStream, R_camera_phone: Array) -> CameraMo
     first = R_inertial_camera[np.flatnonzero(np.isfinite(R_inertial_camera).all(axis=(1, 2)))[0]]
     if tilt_known:
         up = first[2]
-    return CameraMotion(stream.times, first.T @ R_inertial_camera, _SIGMA, up)
+    return CameraMotion(stream.times, first.T @ R_inertial_camera, _SIGMA, up, _DRIFT)
 
 
 def _summed(stream: SensorStream) -> Array:

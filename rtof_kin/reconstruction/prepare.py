@@ -20,6 +20,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.inertial.outlier_rejection import mask_faults, merge_faults, reject_imu_outliers
+from rtof_kin.reconstruction.camera_heading import without_heading_drift
 from rtof_kin.reconstruction.fused_lifts import fused
 from rtof_kin.reconstruction.lift import Lifted, LifterLike, lift
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -127,6 +128,9 @@ def prepare(
         raise InvalidInputError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
     if bone_imus is not None and rejected:
         bone_imus = mask_faults(bone_imus, rejected)
+    if bone_imus is not None and keypoints.camera.heading_drift:
+        keypoints = without_heading_drift(keypoints, bone_imus, skeleton, lifter)
+        recording = replace(recording, keypoints=keypoints)
     sensors = bone_imus if settings.lift_with_sensors else None
     lifts, cameras = [], (keypoints, *views)
     for i, seen in enumerate(cameras):

@@ -54,7 +54,8 @@ def read_camera(section: Section) -> Camera:
         distortion = section.array("distortion", (5,)) if section.has("distortion") else np.zeros(5)
         assumed = section.optional_names("assumed") or ()
         stabilised = section.flag("stabilised")
-        camera = Camera(K, R, t, width, height, distortion, assumed, uncertainty, stabilised)
+        drift = np.radians(section.number("heading_drift_deg_s", 0.0))
+        camera = Camera(K, R, t, width, height, distortion, assumed, uncertainty, stabilised, drift)
     if K[0, 0] < _SHORTEST_FOCAL * width:
         raise section.error(
             "K" if section.has("K") else "focal_px", f"a focal length of {K[0, 0]:g} px in images {width} "
@@ -94,6 +95,8 @@ def camera_table(camera: Camera) -> dict[str, Any]:
     more: dict[str, Any] = {"assumed": list(camera.assumed)} if camera.assumed else {}
     if camera.stabilised:
         more["stabilised"] = True
+    if camera.heading_drift:
+        more["heading_drift_deg_s"] = float(np.degrees(camera.heading_drift))
     if camera.uncertainty is not None:
         own = vars(camera.uncertainty)
         more[_UNCERTAINTY] = {field: own[name] / unit for name, (field, unit) in _FIELDS.items()}

@@ -1,7 +1,7 @@
-"""The turning of the camera of a video about which nothing is known, by its background and the phone's log.
+"""The turning of the camera of a video, by its background and by the log of the phone that filmed.
 
-found = turning_of_video("walk.mp4", detections, phone="gyroscope.csv")
-if found.turning().failed:                                     # held by hand
+found = turning_of_video("walk.mp4", detections, camera, 0.15, phone="gyroscope.csv")
+if found.turning().failed:                                         # held by hand
     write_camera_motion(Path("camera_motion.npz"), found.motion)   # [camera.motion] file
 """
 
@@ -9,47 +9,99 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
-import numpy as np
-
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.phone import phone_files, read_phone
 from rtof_kin.inertial.camera_gyroscope import match_to_image, with_gravity
+from rtof_kin.setup.camera_prior import SetupCamera
+from rtof_kin.setup.recording_text import Field, Origin
 from rtof_kin.vision.background_motion import BackgroundMotion, estimate_camera_motion
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.lens_prior import lens_prior
-from rtof_kin.vision.video_metadata import read_video_metadata
 
+MOTION: Final = "camera_motion.npz"
+"""File of a recording's folder."""
+Progress = Callable[[str, int, int], None]
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class FilmingCamera:
+    """The camera of a take, and how it turned."""
+
+    camera: SetupCamera
+    motion: CameraMotion | None = None
+    """None where it stood still, or nothing tells."""
+    doubts: tuple[str, ...] = ()
+
+
+def filming_camera(
+    video: Path | None, people: Detections, camera: SetupCamera, phone: Path | None, progress: Progress
+) -> FilmingCamera:
+    """Find out whether a camera stood still; of one that turned, its focal length follows too.
+
+    Args:
+        video: None where there is none. people: in it, with times. camera: as it is assumed or calibrated.
+        phone: log of the phone that filmed. progress: called with ("camera", frames done, in total).
+
+    Raises:
+        InvalidInputError: a log without a video. FileFormatError: the log cannot be read.
+    """
+    if video is None:
+        if phone is not None:
+            raise InvalidInputError(f"{phone}: give the video too, which tells the time between both")
+        return FilmingCamera(camera)
+    unsure = camera.camera.uncertainty
+    try:
+        found = turning_of_video(
+            video, people, camera.camera, unsure.focal if unsure else 0.0, phone=phone, progress=progress
+        )
+    except InvalidInputError as error:
+        return FilmingCamera(camera, None, (f"whether the camera stood still is not known: {error}",))
+    if found.turning().passed:
+        return FilmingCamera(camera)
+    fields = dict(camera.fields)
+    if unsure is not None and found.sigma_focal < unsure.focal:
+        focal, sigma = round(float(found.camera.K[0, 0]), 1), round(found.sigma_focal, 4)
+        why = f"focal length {focal:.0f} px ± {100 * sigma:.0f} %, by how the background moves as it turns"
+        fields["focal_px"] = Field(focal, Origin.FOUND, why, why)
+        uncertainty = fields["uncertainty"]
+        assert not isinstance(uncertainty, Field)
+        fields["uncertainty"] = {**uncertainty, "focal": Field(sigma, note="standard deviations: relative,")}
+        camera = SetupCamera(
+            replace(camera.camera, K=found.camera.K, uncertainty=replace(unsure, focal=sigma)), fields
+        )
+    fields["motion"] = {"file": Field(MOTION, Origin.FOUND, "keypoints are stabilised by it", found.summary)}
+    return FilmingCamera(SetupCamera(camera.camera, fields), found.motion)
 
 
 def turning_of_video(
     video: str | Path,
     people: Detections | KeypointSequence | None,
+    camera: Camera,
+    sigma_focal: float,
     *,
     phone: str | Path | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> BackgroundMotion:
     """Estimate the turning of a camera, and its focal length where it turned.
 
     Args:
-        video: file. people: detected in it. phone: log of the gyroscope of the phone that filmed, and of its
-            accelerometer, which gives the tilt. progress: called with ("camera", frames done, in total).
+        video, people, camera, sigma_focal: as for `estimate_camera_motion`.
+        phone: log of the gyroscope of the phone that filmed, and of its accelerometer, which gives the tilt.
+        progress: called with ("camera", frames done, in total).
 
     Raises:
         FileFormatError: a file cannot be read. InvalidInputError: the background has nothing to follow, or
             the log no gyroscope. RtofError: the extra ``video`` is not installed.
     """
-    metadata = read_video_metadata(video)
-    width, height = metadata.width_px, metadata.height_px
-    prior = lens_prior(width, height, metadata)
-    camera = Camera.looking_at([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], prior.focal_px, width, height)
-    camera = replace(camera, distortion=np.array([prior.k1, 0.0, 0.0, 0.0, 0.0]))
-    found = estimate_camera_motion(video, people, camera, sigma_focal=prior.sigma_focal, progress=progress)
+    found = estimate_camera_motion(video, people, camera, sigma_focal=sigma_focal, progress=progress)
     if phone is None:
         return found
     files = phone_files(Path(phone))

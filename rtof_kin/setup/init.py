@@ -22,13 +22,16 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.files.text import load_json, write_text
+from rtof_kin.data.camera_motion import stabilised
 from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.formats.camera_motion_npz import write_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Progress, evenly_spaced
 from rtof_kin.recording.recording import INDEX, SCHEMA_VERSION, Recording
 from rtof_kin.setup.camera_prior import SetupCamera, assumed_camera, calibrated_camera
 from rtof_kin.setup.frames_picture import PICTURE, write_frames_picture
+from rtof_kin.setup.handheld import MOTION, filming_camera
 from rtof_kin.setup.people import People, choose_person, number_people, read_people, write_people
 from rtof_kin.setup.recording_text import Field, Origin, Tables, recording_text, summaries
 from rtof_kin.setup.sources import Sources
@@ -68,6 +71,8 @@ class SetupSettings:
     """Frames per second of keypoints without times."""
     size_px: tuple[int, int] | None = None
     """Width and height of the image, for keypoints without a video."""
+    phone_log: Path | None = None
+    """Gyroscope and accelerometer of the phone that filmed."""
     keep_video: bool = True
     """Whether the folder may show and name the video."""
     lifter: LifterLike | None = field(default=None, compare=False)
@@ -147,12 +152,19 @@ def make_recording(
     folder, progress = Path(folder), progress or (lambda *_: None)
     _check_height(settings.height)
     people, video = read_people(folder / KEYPOINTS), _described(sources, settings)
-    camera = _camera(sources, settings, video)
+    seen = replace(people.detections, times=people.times)
+    filming = filming_camera(
+        sources.video, seen, _camera(sources, settings, video), settings.phone_log, progress
+    )
+    camera = filming.camera
     number = choose_person(people, settings.person, str(folder / PICTURE))
     detected = keypoints_from_detections(
         people.detections, people.times, camera.camera, None, number - 1, people.first_frame(number)
     )
-    sensors = _sensors(sources, settings, detected.keypoints, camera, progress)
+    still = detected.keypoints
+    if filming.motion is not None:
+        still = stabilised(still, filming.motion)
+    sensors = _sensors(sources, settings, still, camera, progress)
     tables: dict[str, Field | Tables] = {
         "schema_version": Field(SCHEMA_VERSION),
         "name": Field(name or sources.name),
@@ -163,7 +175,8 @@ def make_recording(
         "keypoints": _keypoints(sources, settings, detected, people, number),
         **({} if sensors is None else {"imus": sensors.fields}),
     }
-    doubts = [*_doubts(settings, detected.keypoints, people, number), *(sensors.doubts if sensors else ())]
+    doubts = [*_doubts(settings, detected.keypoints, people, number), *filming.doubts]
+    doubts += sensors.doubts if sensors else ()
     found = _findings(tables, doubts)
     what = sources if settings.keep_video else replace(sources, video=None)
     title = (
@@ -176,6 +189,8 @@ def make_recording(
             imus = sensors.imus
             arrays = {"R_inertial_sensor": imus.R_inertial_sensor, "f_sensor": imus.f_sensor}
             write_npz(fresh / SENSORS, {**arrays, "times": imus.times})
+        if filming.motion is not None:
+            write_camera_motion(fresh / MOTION, filming.motion)
         write_text(fresh / FINDINGS, json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n")
         write_text(fresh / INDEX, recording_text(tables, title))
         Recording.load(fresh)

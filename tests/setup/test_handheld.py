@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from detector_support import points_px, walking, watching
 
 from rtof_kin.cli import main
 from rtof_kin.core import rotations as so3
@@ -14,6 +16,10 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_motion_npz import read_camera_motion
 from rtof_kin.inertial.camera_gyroscope import HELD
+from rtof_kin.recording.recording import Recording
+from rtof_kin.setup.init import SetupSettings, find_people, make_recording
+from rtof_kin.setup.sources import Sources
+from rtof_kin.vision.bearing_rotation import bearings, turn_between
 from rtof_kin.vision.detections import Detections
 
 # OpenCV's wheel needs a system library that machines without a screen may lack.
@@ -25,6 +31,7 @@ from rtof_kin.setup.handheld import turning_of_video
 RATE, T = 30.0, 105
 CAMERA = Camera.looking_at([0.0, 0, 0], [1.0, 0, 0], 360.0, 432, 242)
 DOWN = so3.exp(np.radians([-10.0, 0, 0]))  # the middle orientation looks downwards
+GUESS = Camera.looking_at([0.0, 0, 0], [1.0, 0, 0], 330.0, 432, 242)
 BOXES = np.tile([150.0, 50, 230, 230], (T, 1))
 SEED, OFFSET = 5, 12.5
 PEOPLE = Detections(BOXES.reshape(T, 1, 2, 2), np.ones((T, 1, 2)), np.arange(T) / RATE)
@@ -54,7 +61,7 @@ def test_turning_focal_length_and_tilt_are_found_from_nothing(
     filmed: tuple[Path, Array], tmp_path: Path
 ) -> None:
     path, R_true = filmed
-    found = turning_of_video(path, PEOPLE, phone=log(tmp_path / "gyro.csv"))
+    found = turning_of_video(path, PEOPLE, GUESS, 0.15, phone=log(tmp_path / "gyro.csv"))
     assert found.camera.K[0, 0] == pytest.approx(360, rel=0.02)
     off = np.degrees(so3.angle_between(found.motion.R_first_camera, R_true))
     assert off.max() < 0.15
@@ -66,7 +73,7 @@ def test_turning_focal_length_and_tilt_are_found_from_nothing(
 def test_log_of_another_take_is_not_used(
     filmed: tuple[Path, Array], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    found = turning_of_video(filmed[0], PEOPLE, phone=log(tmp_path / "gyro.csv", seed=6))
+    found = turning_of_video(filmed[0], PEOPLE, GUESS, 0.15, phone=log(tmp_path / "gyro.csv", seed=6))
     assert found.motion.up_first is None
     assert "is it the file of this video" in caplog.text
 
@@ -86,3 +93,33 @@ def test_detect_writes_the_motion_and_what_to_declare(
     assert np.degrees(so3.angle_between(motion.R_first_camera, filmed[1])).max() < 0.15
     assert main(order) == 2  # nothing is replaced
     assert main([*order[:1], "0", *order[2:]]) == 2  # a webcam
+
+
+def test_recording_of_a_handheld_video_is_stabilised_and_of_a_tripod_is_not(tmp_path: Path) -> None:
+    motion = walking()
+    still = replace(watching(motion), K=np.array([[312.5, 0, 240], [0, 312.5, 135], [0, 0, 1]]))
+    still = replace(still, width_px=480, height_px=270)
+    uv = points_px("halpe26", motion, still)
+    R = pan_and_shake(np.random.default_rng(8), np.arange(len(uv)) / RATE, 8.0)
+    rays = np.einsum("tji,tkj->tki", R, bearings(still, uv))  # in the camera that turns
+    seen = rays[..., :2] / rays[..., 2:] * 312.5 + [240, 135]
+    found = {}
+    for name, turn, points in (("handheld", R, seen), ("tripod", np.tile(np.eye(3), (50, 1, 1)), uv)):
+        boxes = np.concatenate([points.min(axis=1), points.max(axis=1)], axis=-1)
+        write_turning_video(tmp_path / f"{name}.mp4", turn, still, RATE, boxes)
+        scores = np.full((*points.shape[:2], 1), 0.9)
+        np.savez(tmp_path / f"{name}.npz", keypoints=np.concatenate([points, scores], axis=-1)[:, None])
+        sources = Sources(tmp_path / f"{name}.mp4", tmp_path / f"{name}.npz")
+        settings = SetupSettings(height=1.8)
+        find_people(sources, settings, tmp_path / name, lambda _: PEOPLE)
+        findings = make_recording(sources, settings, tmp_path / name)
+        found[name] = Recording.load(tmp_path / name).video
+        assert any("the camera turned by up to" in s for s in findings.found) == (name == "handheld")
+    assert found["handheld"].camera.stabilised
+    assert found["handheld"].camera.K[0, 0] == pytest.approx(312.5, rel=0.03)
+    assert not found["tripod"].camera.stabilised
+    # But for the mean orientation, it is what a camera that stands still sees.
+    own, other = (found[name].detector_points for name in ("handheld", "tripod"))
+    a, b = bearings(still, other.uv_px).reshape(-1, 3), bearings(own.camera, own.uv_px).reshape(-1, 3)
+    R_tripod_own = turn_between(a, b, 1.0).R_a_b
+    assert np.degrees(np.linalg.norm(a - b @ R_tripod_own.T, axis=-1)).max() < 0.4
