@@ -78,6 +78,12 @@ class SetupSettings:
     lifter: LifterLike | None = field(default=None, compare=False)
     """Default: the shipped one."""
 
+    def __post_init__(self) -> None:
+        if self.height is not None and not 0.4 < self.height < 2.6:
+            raise InvalidInputError(
+                f"--height {self.height:g}: is no human height in metres; give e.g. --height 1.72"
+            )
+
 
 @dataclass(frozen=True)
 class Findings:
@@ -150,7 +156,6 @@ def make_recording(
             belong to the video. CalibrationError: nothing relates the sensors to the video.
     """
     folder, progress = Path(folder), progress or (lambda *_: None)
-    _check_height(settings.height)
     people, video = read_people(folder / KEYPOINTS), _described(sources, settings)
     seen = replace(people.detections, times=people.times)
     filming = filming_camera(
@@ -291,11 +296,6 @@ def _session(video: _Video) -> dict[str, Tables]:
     if start is None:
         return {}
     return {"session": {"date": Field(start.date().isoformat(), Origin.FILE, "the video, in UTC")}}
-
-
-def _check_height(height: float | None) -> None:
-    if height is not None and not 0.4 < height < 2.6:
-        raise InvalidInputError(f"--height {height:g}: is no human height in metres; give e.g. --height 1.72")
 
 
 def _subject(settings: SetupSettings) -> Tables:

@@ -1,0 +1,63 @@
+"""Numbering of the people in a video, and the choice of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from setup_support import beside, pair, people_in, walker, write_keypoints
+
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.setup.people import choose_person, read_people, write_people
+
+
+def test_the_largest_person_in_the_middle_is_number_one_in_every_frame(tmp_path: Path) -> None:
+    uv = walker()
+    small = beside(uv, 0.6, (900.0, 300.0))
+    people = people_in(write_keypoints(tmp_path / "two.npz", small, uv))
+    np.testing.assert_allclose(people.detections.uv_px[:, 0], uv)
+    np.testing.assert_allclose(people.detections.uv_px[:, 1], small)
+    assert people.weights[0] == 1.0 > people.weights[1]
+
+
+def test_the_numbers_survive_writing_and_crossing_people(tmp_path: Path) -> None:
+    uv = walker()
+    people = people_in(write_keypoints(tmp_path / "two.npz", uv, beside(uv, 0.8, (700.0, 100.0))))
+    write_people(tmp_path / "keypoints.npz", people)
+    again = read_people(tmp_path / "keypoints.npz")
+    np.testing.assert_array_equal(again.detections.uv_px, people.detections.uv_px)
+    np.testing.assert_array_equal(again.detections.identity, people.detections.identity)
+    assert again.weights == people.weights
+
+
+def test_a_passer_by_is_neither_numbered_nor_asked_about(tmp_path: Path) -> None:
+    uv, passing = walker(), beside(walker(), 0.2, (1500.0, 500.0))
+    passing[8:] = np.nan
+    people = people_in(write_keypoints(tmp_path / "two.npz", uv, passing))
+    assert len(people) == 1
+    assert choose_person(people, None, "frames.png") == 1
+
+
+def test_two_equal_people_are_left_to_the_user_in_one_sentence(tmp_path: Path) -> None:
+    people = people_in(write_keypoints(tmp_path / "two.npz", *pair()))
+    with pytest.raises(InvalidInputError) as error:
+        choose_person(people, None, "out/frames.png")
+    assert str(error.value) == (
+        "2 people are in the video: look at out/frames.png and choose one with --person 1 or --person 2"
+    )
+    assert choose_person(people, 2, "out/frames.png") == 2
+
+
+@pytest.mark.parametrize("number", [0, 3, -1])
+def test_a_number_that_nobody_has_is_refused(tmp_path: Path, number: int) -> None:
+    people = people_in(write_keypoints(tmp_path / "two.npz", *pair()))
+    with pytest.raises(InvalidInputError, match=f"--person {number}: there is no such person; look at a.png"):
+        choose_person(people, number, "a.png")
+
+
+def test_scattered_points_are_no_person(tmp_path: Path) -> None:
+    uv = np.full_like(walker(), np.nan)
+    uv[:, :3] = 100.0
+    with pytest.raises(InvalidInputError, match="no person was found in the video: film the whole person"):
+        people_in(write_keypoints(tmp_path / "none.npz", uv))

@@ -1,0 +1,145 @@
+"""Sensors of a take beside its video: what is found, left out and refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from setup_support import write_demo
+
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.resources import model_path
+from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.formats.sensors.files import read_sensor_log
+from rtof_kin.reconstruction.lift import lift
+from rtof_kin.recording.recording import Recording
+from rtof_kin.setup import sensors
+from rtof_kin.setup.alignment import align_sensors
+from rtof_kin.setup.clocks import ClockEstimate
+from rtof_kin.setup.recording_text import Field, summaries
+from rtof_kin.setup.sensors import SetupSensors, set_up_sensors
+
+FIRST, LAST = 8, 16
+"""[s] of the demo."""
+DELAY = 0.07
+"""[s] of the demo's simulated detector, which counts as part of the clocks' offset."""
+
+
+@pytest.fixture(autouse=True)
+def _unrefined(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the self-calibration out, which takes longest and is tested elsewhere."""
+    monkeypatch.setattr(sensors, "align_sensors", partial(align_sensors, refine=False))
+
+
+class Take:
+    """Eight seconds of the demo."""
+
+    def __init__(self, folder: Path):
+        _, self.file, self.segments = write_demo(folder, FIRST, LAST)
+        self.recording = Recording.load(model_path("demo"))
+        video = self.recording.video
+        self.keypoints: KeypointSequence = video[np.searchsorted(video.times, FIRST) :][: 60 * (LAST - FIRST)]
+        self.poses: PoseSequence = lift(self.keypoints, self.recording.skeleton).poses
+        self.log: SensorLog = read_sensor_log(self.file)
+        self.map = folder / "map.csv"
+        self.map.write_text("".join(f"{name}, {joint}\n" for name, joint in self.segments.items()))
+
+    def set_up(self, log: SensorLog, sensor_map: Path | None) -> SetupSensors:
+        return set_up_sensors(log, sensor_map, self.poses, self.keypoints, self.recording.skeleton)
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory: pytest.TempPathFactory) -> Take:
+    return Take(tmp_path_factory.mktemp("take"))
+
+
+def still(log: SensorLog, *names: str) -> SensorLog:
+    """The log with some sensors that lie on a table."""
+    out = []
+    for stream in log.streams:
+        if stream.name in names:
+            R = np.broadcast_to(np.eye(3), (len(stream), 3, 3))
+            f = np.random.default_rng(0).normal([0, 0, 9.81], 0.05, (len(stream), 3))
+            stream = replace(stream, R_inertial_sensor=R, f_sensor=f, quaternion_norm=None)
+        out.append(stream)
+    return replace(log, streams=tuple(out))
+
+
+def test_clock_and_segments_are_found_and_the_sensors_begin_at_zero(take: Take) -> None:
+    found = take.set_up(take.log, take.map)
+    start = found.fields["start_s"]
+    assert isinstance(start, Field)
+    # The file begins three seconds before the video, on a clock that shows 37 s more.
+    assert start.value == pytest.approx(FIRST - 3.0 + DELAY, abs=0.04)
+    assert found.imus.times[0] == 0.0
+    assert found.imus.names == take.log.names
+    tables = found.fields["sensors"]
+    assert not isinstance(tables, Field)
+    for name, joint in take.segments.items():
+        own = tables[name]
+        assert not isinstance(own, Field)
+        assert own["joint"] == Field(joint, sensors.Origin.FILE, "map.csv")
+    assert any("the sensors began 5.0" in sentence for _, sentence in summaries(found.fields))
+
+
+def test_names_of_segments_need_no_map(take: Take) -> None:
+    named = take.log.renamed(dict(take.segments))
+    found = take.set_up(named, None)
+    assert found.imus.names == tuple(take.segments.values())
+
+
+def test_unnamed_sensors_are_placed_by_motion_or_left_out_and_named(take: Take) -> None:
+    found = take.set_up(take.log, None)
+    tables = found.fields["sensors"]
+    assert not isinstance(tables, Field)
+    left = set(take.segments) - set(found.imus.names)
+    assert len(left) < len(take.segments)
+    for name in found.imus.names:
+        own = tables[name]
+        assert not isinstance(own, Field)
+        joint = own["joint"]
+        assert isinstance(joint, Field)
+        assert joint.value == take.segments[name]
+        assert "by its motion" in joint.note
+    for name in left:
+        assert any(name in doubt and "--map FILE" in doubt for doubt in found.doubts)
+
+
+def test_a_sensor_that_does_not_move_is_left_out_and_named(take: Take) -> None:
+    first = take.log.names[0]
+    found = take.set_up(still(take.log, first), take.map)
+    assert first not in found.imus.names
+    assert found.doubts[0] == (
+        f"{first}: does not move and is left out; check that it was on the person and recording"
+    )
+
+
+def test_sensors_that_do_not_move_are_refused(take: Take) -> None:
+    with pytest.raises(InvalidInputError, match="none of its 8 sensors moves; give the file of the sensors"):
+        take.set_up(still(take.log, *take.log.names), take.map)
+
+
+def test_sensors_of_another_time_are_doubted(take: Take) -> None:
+    rng = np.random.default_rng(1)
+    streams = []
+    for stream in take.log.streams:  # the same motions, but not at the same time
+        cut = int(rng.integers(100, 500))
+        arrays = {n: np.roll(getattr(stream, n), cut, axis=0) for n in ("R_inertial_sensor", "f_sensor")}
+        streams.append(replace(stream, **arrays))
+    found = take.set_up(replace(take.log, streams=tuple(streams)), take.map)
+    assert any("check that" in doubt or "sure" in doubt for doubt in found.doubts)
+
+
+def test_a_file_that_ended_before_the_video_is_refused(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
+    early = ClockEstimate(-20.0, 0.0, 0.005, 10.0)
+    monkeypatch.setattr(sensors, "find_clock", lambda *_, **__: early)
+    sentence = (
+        "from -20.0 to -6.0 s of the video's clock, the video from 8.0 to 16.0 s; give the files of one"
+    )
+    with pytest.raises(InvalidInputError, match=sentence):
+        take.set_up(take.log, take.map)
