@@ -22,6 +22,7 @@ class Landmarker:
 
     def __init__(self, options: Any):
         self.options, self.stamps, self.closed = options, list[int](), False
+        self.more: list[Any] = []
         if options.base_options.buffer == b"damaged":
             raise RuntimeError("Unable to parse the bundle\nand more")
         Landmarker.made.append(self)
@@ -37,7 +38,7 @@ class Landmarker:
         v, u = np.unravel_index(red.argmax(), red.shape)
         at = SimpleNamespace(x=u / red.shape[1], y=v / red.shape[0], visibility=0.9)
         foot = SimpleNamespace(x=at.x, y=1.2, visibility=0.8)
-        return SimpleNamespace(pose_landmarks=[[at, foot]])
+        return SimpleNamespace(pose_landmarks=[[at, foot], *self.more])
 
     def close(self) -> None:
         self.closed = True
@@ -82,6 +83,20 @@ def test_points_are_pixels_of_a_colour_image(package: Path) -> None:
     assert (made.options.running_mode, made.options.num_poses) == ("video", 4)
     detector.close()
     assert made.closed
+
+
+def test_two_findings_of_one_person_are_one(package: Path) -> None:
+    (package / "pose.task").write_bytes(b"bundle")
+    detector = MediaPipeDetector(package / "pose.task")
+    image = np.zeros((100, 200, 3), dtype=np.uint8)
+    image[30, 150, 2] = 255  # from (150, 30) to (150, 120)
+    (made,) = Landmarker.made
+    points = [SimpleNamespace(x=0.75, y=0.4, visibility=1.0), SimpleNamespace(x=0.75, y=0.95, visibility=1.0)]
+    made.more = [points]
+    (person,) = detector.find(image, 0.0)
+    np.testing.assert_allclose(person.points, [[150, 40, 1], [150, 95, 1]])  # the surer one
+    made.more = [[SimpleNamespace(x=p.x - 0.25, y=p.y, visibility=1.0) for p in points], points]
+    assert len(detector.find(image, 0.1)) == 2
 
 
 def test_times_increase_for_mediapipe_whatever_the_video_has(package: Path) -> None:
