@@ -20,6 +20,7 @@ from rtof_kin.vision.detections import NO_IDENTITY, Detections
 Ints = NDArray[np.int64]
 NOBODY = -1
 _LONGEST_GAP = 1.0  # [s] after which a person is at first treated as a new one
+_BRIEFEST = 0.25  # [s] seen, below which somebody elsewhere after a gap is a false detection, not the person
 _REACH, _REACH_RATE, _FURTHEST = 0.25, 2.0, 1.5  # [sizes], [sizes/s], [sizes] from the predicted position
 _RESIZED = 1.8  # [-] largest change of size over a gap
 _AMBIGUOUS = 2.0  # [-] distance of the next best person relative to the linked one
@@ -232,8 +233,10 @@ def _prominence(trail: _Trail, measures: _Measures, image_px: tuple[float, float
 
 
 def _continued(chosen: _Trail, trails: list[_Trail], measures: _Measures, times: Array) -> list[_Trail]:
-    """Return the chosen trail and its likeliest continuations after and before it."""
+    """Return the chosen trail and its likeliest continuations after and before it, no mere flashes."""
     parts = [chosen]
+    least = _BRIEFEST / max(float(np.median(np.diff(times))), 1e-6) if len(times) > 1 else 0
+    trails = [trail for trail in trails if len(trail.frames) > least]
     for forward in (True, False):
         edge = chosen
         while costs := {i: _cost(edge, t, forward, measures, times) for i, t in enumerate(trails)}:

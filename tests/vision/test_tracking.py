@@ -115,3 +115,17 @@ def test_unknown_persons_are_refused(person: int, frame: int | None) -> None:
     found, _ = filmed([walker(300, 400), walker(1300, 1400)])
     with pytest.raises(InvalidInputError, match=f"person {person} in frame .*there is no such person"):
         track_person(found, TIMES, person=person, frame=frame)
+
+
+def test_a_brief_false_detection_elsewhere_does_not_continue_a_person() -> None:
+    found, index = filmed([walker(300, 600)])
+    uv, confidence = np.array(found.uv_px), np.array(found.confidence)
+    uv[:50], confidence[:50] = np.nan, 0.0
+    ghost = slice(5, 10)
+    uv[ghost, 0], confidence[ghost, 0] = BODY + np.array([1500.0, 300.0]), 0.8
+    track = track_person(Detections(uv, confidence), TIMES, person=0, frame=60)
+    np.testing.assert_array_equal(track.person, np.where(np.arange(T) < 50, NOBODY, index))
+    seen = slice(5, 20)  # half a second is somebody who comes back
+    uv[seen, 0], confidence[seen, 0] = BODY + np.array([400.0, 540.0]), 0.8
+    track = track_person(Detections(uv, confidence), TIMES, person=0, frame=60)
+    assert (track.person[seen] == 0).all()
