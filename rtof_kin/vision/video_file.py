@@ -80,7 +80,7 @@ def turn_deg(frame: Any) -> int:
     Args:
         frame: of PyAV, with the display matrix of its file.
     """
-    return round(frame.rotation / 90) * 90 % 360
+    return round(float(frame.rotation) / 90) * 90 % 360
 
 
 def upright_size(frame: Any, stream: Any) -> tuple[int, int]:
@@ -106,4 +106,4 @@ def upright_image(frame: Any, stream: Any) -> NDArray[np.uint8]:
 def _square_width(frame: Any, stream: Any) -> int:
     """Return the width of a frame with square pixels."""
     aspect = float(stream.sample_aspect_ratio or 1)
-    return round(frame.width * (aspect if 0.25 < aspect < 4 else 1.0))
+    return round(int(frame.width) * (aspect if 0.25 < aspect < 4 else 1.0))
