@@ -9,7 +9,7 @@ image or without. A motion that is the same in a mirror, such as a squat, does n
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -32,6 +32,7 @@ _SURE = 0.95  # [-] probability from which a sensor's segment is not doubted
 POSSIBLE: Final = 0.02
 """Probability from which an alternative is named."""
 _STILL = 0.05  # [rad/s] RMS angular speed of a sensor that does not move
+_SHORT = 8.0  # [s] of motion alone, below which nothing is sure
 _IMAGE_WEIGHT, _VIEW_MEMORY = 0.25, 10.0  # [-] of the image's log-likelihood; [s] beyond which it hardly
 # grows, as errors of a lifted segment belong to the view
 _MOTION_WEIGHT = 1.5  # [-] of the learned scores, chosen on the validation split
@@ -79,9 +80,8 @@ def assign_sensors(
     """
     motions = sensor_motions(log)
     segments, allowed = _possible(motions.names, skeleton, candidates)
-    still = [n for n, w in zip(motions.names, _speed(motions), strict=True) if w < _STILL]
     found = match_sensors(motions, skeleton, segments, poses, allowed=allowed)
-    return _assignment(found, motions.names, segments, still, poses is not None)
+    return _assignment(found, motions, segments, poses is not None)
 
 
 def usual_segments(skeleton: SkeletonModel) -> tuple[str, ...]:
@@ -143,10 +143,6 @@ def _possible(
     return segments, allowed
 
 
-def _speed(motions: SensorMotions) -> Array:
-    return np.asarray(np.sqrt(np.mean(np.sum(motions.w**2, axis=-1), axis=0)))
-
-
 def _scores(
     motions: SensorMotions, skeleton: SkeletonModel, segments: tuple[str, ...], poses: PoseSequence | None
 ) -> tuple[Array, Array | None]:
@@ -201,41 +197,43 @@ def _other_side(name: str) -> str:
     return "Left" + name.removeprefix("Right") if name.startswith("Right") else name
 
 
-def _assignment(
-    found: Matching, sensors: Sequence[str], segments: Sequence[str], still: Sequence[str], seen: bool
-) -> Assignment:
-    joints = {sensor: segments[k] for sensor, k in zip(sensors, found.best, strict=True)}
-    probabilities, alternatives = {}, {}
-    for sensor, k, row in zip(sensors, found.best, found.probability, strict=True):
+def _assignment(found: Matching, motions: SensorMotions, segments: Sequence[str], seen: bool) -> Assignment:
+    joints, probabilities, alternatives = {}, {}, {}
+    for sensor, k, row in zip(motions.names, found.best, found.probability, strict=True):
+        joints[sensor] = segments[k]
         probabilities[sensor] = min(float(row[k]), _MOST_PROBABLE)
         others = [int(i) for i in np.argsort(-row) if i != k and row[i] >= POSSIBLE]
         alternatives[sensor] = tuple((segments[i], float(row[i])) for i in others)
-    return Assignment(joints, probabilities, alternatives, _doubt(joints, found, segments, still, seen))
-
-
-def _doubt(
-    joints: Mapping[str, str], found: Matching, segments: Sequence[str], still: Sequence[str], seen: bool
-) -> str:
-    """Return a sentence on what is not sure."""
-    if still:
-        are = "does" if len(still) == 1 else "do"
-        return (
-            f"{', '.join(still)} {are} not move: record a few steps, and raise and bend each arm and leg once"
-        )
-    rows = range(len(found.best))
-    own = found.probability[rows, found.best]
-    other = [segments.index(s) if (s := _other_side(j)) in segments else -1 for j in joints.values()]
-    either = own + np.where(np.array(other) >= 0, found.probability[rows, other], 0.0) * (
-        np.array(other) != found.best
+    sure = Assignment(joints, probabilities, alternatives, "")
+    return replace(
+        sure, doubt=_at_rest(motions) or _unsure(sure, seen) or ("" if seen else _too_short(motions))
     )
-    unsure = [sensor for sensor, p in zip(joints, own, strict=True) if p < _SURE]
+
+
+def _at_rest(motions: SensorMotions) -> str:
+    """Return a sentence on sensors that do not move, or nothing."""
+    speed = np.sqrt(np.mean(np.sum(motions.w**2, axis=-1), axis=0))
+    still = [name for name, own in zip(motions.names, speed, strict=True) if own < _STILL]
+    if not still:
+        return ""
+    what = f"{', '.join(still)} {'does' if len(still) == 1 else 'do'} not move"
+    return f"{what}: record a few steps, and raise and bend each arm and leg once"
+
+
+def _unsure(found: Assignment, seen: bool) -> str:
+    """Return a sentence on sensors whose segment is not sure, or nothing."""
+    unsure = [sensor for sensor, p in found.probabilities.items() if p < _SURE]
     if not unsure:
         return ""
     remedy = "walk a few steps and raise each limb once" if seen else "give a video, or name one of them"
-    sided = [sensor for sensor, p in zip(joints, either, strict=True) if p < _SURE]
-    if not sided:
+    other = {sensor: dict(found.alternatives[sensor]) for sensor in unsure}
+    if all(found.probabilities[s] + other[s].get(_other_side(found.joints[s]), 0) >= _SURE for s in unsure):
         return f"left and right of {', '.join(unsure)} are not sure; {remedy}"
-    named = ", ".join(
-        f"{sensor} on {joints[sensor]} ({100 * own[list(joints).index(sensor)]:.0f} %)" for sensor in unsure
-    )
-    return f"not sure: {named}; record walking and a movement of each limb, give a video, or name sensors"
+    named = (f"{s} on {found.joints[s]} ({100 * found.probabilities[s]:.0f} %)" for s in unsure)
+    return f"not sure: {', '.join(named)}; {remedy}"
+
+
+def _too_short(motions: SensorMotions) -> str:
+    seconds = len(motions) / RATE_HZ
+    least = f"record {_SHORT:g} s at least with steps and a turn, or give a video"
+    return f"{seconds:.0f} s are too short to be sure from motion alone; {least}" if seconds < _SHORT else ""

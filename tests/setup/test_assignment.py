@@ -18,6 +18,7 @@ def test_all_sensors_of_a_walk_are_found_from_motion_alone() -> None:
     found = assign_sensors(walking_log(), walk().skeleton)
     assert found.joints == places()
     assert min(found.probabilities.values()) > 0.5
+    assert "too short" in found.doubt or "not sure" in found.doubt
 
 
 def test_few_sensors_are_found_with_an_image() -> None:
@@ -42,7 +43,8 @@ def test_candidates_restrict_the_segments_of_all_and_of_single_sensors() -> None
     assert set(arms.joints.values()) == {"LeftForeArm", "RightForeArm"}
     known = assign_sensors(log, skeleton, candidates={"L_UpLeg": ("LeftUpLeg",), "R_UpLeg": ("RightUpLeg",)})
     assert known.joints == {"L_UpLeg": "LeftUpLeg", "R_UpLeg": "RightUpLeg"}
-    assert known.sure
+    assert min(known.probabilities.values()) > 0.99
+    assert known.doubt.startswith("4 s are too short to be sure from motion alone")
 
 
 def test_segments_that_nothing_was_learned_of_need_an_image() -> None:
