@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.data.keypoints import KeypointSequence
@@ -62,7 +62,9 @@ def filming_camera(
         found = turning_of_video(
             video, people, camera.camera, unsure.focal if unsure else 0.0, phone=phone, progress=progress
         )
-    except InvalidInputError as error:
+    except FileFormatError:
+        raise
+    except RtofError as error:  # nothing to follow, or OpenCV is not installed
         return FilmingCamera(camera, None, (f"whether the camera stood still is not known: {error}",))
     if found.turning().passed:
         return FilmingCamera(camera)

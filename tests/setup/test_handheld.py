@@ -13,20 +13,24 @@ from detector_support import points_px, walking, watching
 from rtof_kin.cli import main
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_motion_npz import read_camera_motion
 from rtof_kin.inertial.camera_gyroscope import HELD
 from rtof_kin.recording.recording import Recording
+from rtof_kin.setup.camera_prior import assumed_camera
+from rtof_kin.setup.handheld import filming_camera, turning_of_video
 from rtof_kin.setup.init import SetupSettings, find_people, make_recording
+from rtof_kin.setup.recording_text import Field
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.bearing_rotation import bearings, turn_between
 from rtof_kin.vision.detections import Detections
+from rtof_kin.vision.lens_prior import lens_prior
 
 # OpenCV's wheel needs a system library that machines without a screen may lack.
-pytest.importorskip("cv2", exc_type=ImportError)
+cv2: Any = pytest.importorskip("cv2", exc_type=ImportError)
 pytest.importorskip("av", exc_type=ImportError)
-from benchmarks.turning_video import pan_and_shake, write_turning_video
-from rtof_kin.setup.handheld import turning_of_video
+from benchmarks.turning_video import pan_and_shake, write_turning_video  # noqa: E402
 
 RATE, T = 30.0, 105
 CAMERA = Camera.looking_at([0.0, 0, 0], [1.0, 0, 0], 360.0, 432, 242)
@@ -123,3 +127,17 @@ def test_recording_of_a_handheld_video_is_stabilised_and_of_a_tripod_is_not(tmp_
     a, b = bearings(still, other.uv_px).reshape(-1, 3), bearings(own.camera, own.uv_px).reshape(-1, 3)
     R_tripod_own = turn_between(a, b, 1.0).R_a_b
     assert np.degrees(np.linalg.norm(a - b @ R_tripod_own.T, axis=-1)).max() < 0.4
+
+
+def test_video_that_tells_nothing_leaves_the_camera_and_says_so(tmp_path: Path) -> None:
+    film = cv2.VideoWriter(str(tmp_path / "plain.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), RATE, (432, 242))
+    for _ in range(8):
+        film.write(np.full((242, 432, 3), 90, np.uint8))
+    film.release()
+    camera = assumed_camera(432, 242, lens_prior(432, 242), Field(None))
+    found = filming_camera(tmp_path / "plain.mp4", PEOPLE, camera, None, lambda *_: None)
+    assert found.camera is camera
+    assert found.motion is None
+    assert "whether the camera stood still is not known" in found.doubts[0]
+    with pytest.raises(InvalidInputError, match="give the video too"):
+        filming_camera(None, PEOPLE, camera, tmp_path / "gyro.csv", lambda *_: None)
