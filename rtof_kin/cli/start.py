@@ -14,7 +14,7 @@ from rtof_kin.cli.clinical import add_analysis, analyse_and_write
 from rtof_kin.cli.detection import add_detector, detector_of
 from rtof_kin.cli.recordings import add_reconstruction, lifter_of, reconstruct_and_export
 from rtof_kin.cli.solver_options import use_threads
-from rtof_kin.cli.terminal import accuracy, add_output, command, err, out, progress
+from rtof_kin.cli.terminal import accuracy, add_output, command, err, out, progress, warnings_in_summary
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.files.manifest import fingerprint, made_from
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 RECORDING, MOTION, ANGLES = "recording", "motion", "angles"
 """Folders that `run` writes, beside the report."""
 _KINDS: Final = {"given": "", "file": "", "found": "green", "assumed": "yellow", "doubtful": "bold red"}
+_OF_KEYPOINTS: Final = "rtof_kin.recording.files"
+"""Logger of how the person was followed, which the findings say."""
 _OF_MOTION: Final = (
     "frames", "space", "backend", "paper", "guards", "lift_with_sensors", "model", "calibrate", "calibration",
     "no_figures",
@@ -125,7 +127,8 @@ def _run(options: argparse.Namespace) -> None:
     folder = Path(options.output)
     started = time.monotonic()
     found = _set_up(options, folder / RECORDING, folder.resolve().name)
-    recording = Recording.load(folder / RECORDING)
+    with warnings_in_summary(_OF_KEYPOINTS):
+        recording = Recording.load(folder / RECORDING)
     mode: Mode = "rto" if recording.imus is None else "rtof"
 
     def reconstruct(own: argparse.Namespace, inputs: Mapping[str, str]) -> None:
@@ -170,7 +173,7 @@ def _set_up(options: argparse.Namespace, folder: Path, name: str) -> Findings:
     if before.get("people") != inputs["people"]:
         begun = {step: inputs[step] for step in ("files", "people")}
         find_people(sources, settings, folder, lambda video: _detect(video, options), begun)
-    with progress() as update:
+    with progress() as update, warnings_in_summary(_OF_KEYPOINTS):
         return make_recording(sources, settings, folder, name=name, inputs=inputs, progress=update)
 
 

@@ -107,16 +107,18 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
 
 
 @contextmanager
-def warnings_in_summary() -> Iterator[None]:
-    """Silence log messages that the printed summary repeats."""
-    from rtof_kin.reconstruction.pipeline import WARNINGS_LOGGER
+def warnings_in_summary(logger: str = "rtof_kin.reconstruction.pipeline.warnings") -> Iterator[None]:
+    """Silence log messages that the printed summary repeats.
 
-    logger = logging.getLogger(WARNINGS_LOGGER)
-    logger.disabled = True
+    Args:
+        logger: its name; by default `rtof_kin.reconstruction.pipeline.WARNINGS_LOGGER`.
+    """
+    silent = logging.getLogger(logger)
+    silent.disabled = True
     try:
         yield
     finally:
-        logger.disabled = False
+        silent.disabled = False
 
 
 # --- what is printed -----------------------------------------------------------------------------

@@ -48,7 +48,7 @@ def write_frames_picture(
     rows = -(-len(frames) // columns)
     width = _PANEL_INCHES if columns == 3 else _PANEL_INCHES * 0.7
     panel = (width, width * image_px[1] / image_px[0])
-    figure = Figure((columns * panel[0], rows * (panel[1] + 0.25)), layout="constrained")
+    figure = Figure((columns * panel[0], rows * panel[1]), layout="constrained")
     FigureCanvasAgg(figure)
     for axes, frame in zip(figure.subplots(rows, columns, squeeze=False).flat, frames, strict=False):
         _draw(axes, frame, people, joints, image_px, images.get(frame))
@@ -104,7 +104,10 @@ def _draw(
     axes.set_xlim(0, width)
     axes.set_ylim(height, 0)
     axes.set_aspect("equal")
-    axes.set_title(f"{people.times[frame]:.2f} s", fontsize=8, pad=2)
+    axes.text(
+        0.02 * width, 0.98 * height, f"{people.times[frame]:.2f} s", fontsize=8,
+        bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+    )  # fmt: skip
     for number, (uv, bones) in enumerate(joints, start=1):
         points, color = uv[frame], _COLORS[(number - 1) % len(_COLORS)]
         seen = points[np.isfinite(points).all(axis=-1)]
@@ -118,7 +121,7 @@ def _draw(
         top = np.nanmin([seen[:, 1].min(), np.nanmin(own[:, 1])])
         axes.text(
             float(np.clip(seen[:, 0].mean(), 0.04 * width, 0.96 * width)),
-            float(np.clip(top - 0.03 * height, 0.05 * height, height)), str(number), color="white",
+            float(np.clip(top - 0.03 * height, 0.07 * height, height)), str(number), color="white",
             fontsize=9, fontweight="bold", ha="center", va="bottom",
             bbox={"boxstyle": "round,pad=0.2", "facecolor": color, "edgecolor": "none"},
         )  # fmt: skip

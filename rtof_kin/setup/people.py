@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.arrays import read_npz, write_npz
 from rtof_kin.vision.detections import Detections
@@ -22,6 +23,8 @@ _RIVAL: Final = 0.4
 """Share of the most prominent person's weight from which on the choice is left to the user."""
 _FEWEST_POINTS: Final = 4
 """Points at once that make a person."""
+_DOUBLE: Final = 0.1
+"""Distance, relative to the diagonal of the person's box, within which two points are the same."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ def number_people(detections: Detections, times: Array, image_px: tuple[float, f
     Raises:
         InvalidInputError: there is no person.
     """
+    detections = _without_doubles(detections)
     points = (detections.confidence > 0).sum(axis=-1)
     tracks = track_people(detections, times, image_px)
     if points.max() < _FEWEST_POINTS:
@@ -74,6 +78,25 @@ def number_people(detections: Detections, times: Array, image_px: tuple[float, f
     )  # fmt: skip
     weights = tuple(weight / kept[0][1] for _, weight in kept)
     return People(own, times, weights)
+
+
+def _without_doubles(detections: Detections) -> Detections:
+    """Return the detections without those that a detector made twice of one person; the surer one stays."""
+    uv, confidence = np.array(detections.uv_px), np.array(detections.confidence)
+    for p, q in combinations(range(uv.shape[1]), 2):
+        same = _same(uv[:, p], uv[:, q])
+        surer = confidence[:, p].sum(axis=-1) >= confidence[:, q].sum(axis=-1)
+        for gone, frames in ((q, same & surer), (p, same & ~surer)):
+            uv[frames, gone], confidence[frames, gone] = np.nan, 0.0
+    return replace(detections, uv_px=uv, confidence=confidence)
+
+
+def _same(a: Array, b: Array) -> Mask:
+    """Return the frames (T,) in which two people (T, K, 2) are one, by most of the points that both have."""
+    apart = np.linalg.norm(a - b, axis=-1)
+    size = np.linalg.norm(np.fmax.reduce(a, axis=1) - np.fmin.reduce(a, axis=1), axis=-1)
+    both, near = np.isfinite(apart).sum(axis=1), (apart < _DOUBLE * size[:, None]).sum(axis=1)
+    return np.asarray((both >= _FEWEST_POINTS) & (near > both / 2))
 
 
 def write_people(path: Path, people: People) -> None:

@@ -61,3 +61,12 @@ def test_scattered_points_are_no_person(tmp_path: Path) -> None:
     uv[:, :3] = 100.0
     with pytest.raises(InvalidInputError, match="no person was found in the video: film the whole person"):
         people_in(write_keypoints(tmp_path / "none.npz", uv))
+
+
+def test_a_person_whom_the_detector_found_twice_is_one(tmp_path: Path) -> None:
+    uv = walker()
+    again = uv + np.random.default_rng(0).normal(0, 4.0, uv.shape)
+    again[::3] = np.nan
+    people = people_in(write_keypoints(tmp_path / "twice.npz", uv, again))
+    assert len(people) == 1
+    assert people.detections.present.all()
