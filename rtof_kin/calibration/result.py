@@ -170,9 +170,7 @@ class SelfCalibration:
         if imus is not None and calibration is not None:
             imus = self._imus(imus, calibration)
             calibration = self._calibration(calibration)
-        recording = replace(
-            recording, keypoints=keypoints, views=views, imus=imus, calibration=calibration
-        )
+        recording = replace(recording, keypoints=keypoints, views=views, imus=imus, calibration=calibration)
         if bones := self.of_kind("bones"):
             offsets = self._offsets(recording.skeleton, bones)
             recording = replace(recording, joint_offsets=offsets, bone_lengths=None)

@@ -28,7 +28,7 @@ from rtof_kin.data.poses import Provenance
 from rtof_kin.reconstruction.lift import Lifted
 
 _JOINT: Final = np.array([0.03, 0.08])
-"""[m] Standard deviations across and along the ray of a lifter that states none, of a joint about the root."""
+"""[m] Standard deviations across and along the ray of a joint about the root where a lifter states none."""
 _ROOT: Final = np.array([0.03, 0.3])
 """[m] The same of the root."""
 _RAD: Final = 0.2
@@ -94,7 +94,7 @@ def _sigma_rad(lift: Lifted) -> Array:
 
 
 def _mean_rotations(R: Array, sigma: Array) -> Array:
-    """Mean (T, J, 3, 3) of rotations (C, T, J, 3, 3) with standard deviations (C, T, J); NaN where all are."""
+    """Mean (T, J, 3, 3) of rotations (C, T, J, 3, 3) with sigmas (C, T, J); NaN where all are."""
     known = np.isfinite(R[..., 0, 0])
     weight = np.where(known, 1 / sigma**2, 0.0)[..., None, None]
     total = (weight * np.where(known[..., None, None], R, 0.0)).sum(axis=0)

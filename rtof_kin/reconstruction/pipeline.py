@@ -140,8 +140,8 @@ def reconstruct(
     The video is lifted once, and once more where the recording is calibrated first.
 
     Args:
-        recording: keypoints of one or several cameras and, for sf2 and rtof, IMUs with their calibration; mode imu
-            needs the IMUs only.
+        recording: keypoints of one camera or several and, for sf2 and rtof, IMUs with their calibration; mode
+            imu needs the IMUs only.
         skeleton: the subject's. Default: that of the recording.
         mode: lift, sf2, rto, rtof or imu (`rtof_kin.core.choices.Mode`).
         lifter: keypoints to 3D, and a pose prior if it has one. Default: the shipped one, loaded only now.

@@ -1,9 +1,10 @@
 """Bundle adjustment of two cameras with a moving person.
 
-Unknowns are the second camera's pose, both focal lengths, the delay of the second video, the size of the body
-and the joints in world; the first camera's pose is the world's. Residuals are the joints' images with a Cauchy
-loss, the lengths of the bones, and weak priors. The joints of a frame are eliminated (Triggs et al. 2000,
-section 6.1), so a step solves ten unknowns.
+Unknowns are the second camera's pose, both focal lengths, the delay of the second video, the size of the
+body and the joints in world; the first camera's pose is the world's. Residuals are the joints' images with a
+Cauchy loss, their shape as each video alone shows it, the lengths of the bones, and priors. From images
+alone, the angle between two cameras far away is hardly known (the bas-relief ambiguity). The joints of a
+frame are eliminated (Triggs et al. 2000, section 6.1), so a step solves ten unknowns.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera
 
 TURN, MOVE, FOCAL, DELAY, SIZE = slice(0, 3), slice(3, 6), slice(6, 8), 8, 9
-"""Unknowns of all frames: the second camera's rotation vector in world, rad, and movement, m; logarithms of the
-focal lengths' factors; seconds; logarithm of the size's factor."""
+"""Unknowns of all frames: the second camera's rotation vector in world, rad, and movement, m; logarithms of
+the focal lengths' factors; seconds; logarithm of the size's factor."""
 _UNKNOWNS: Final = 10
 _UNKNOWN: Final = 1e3
 """[rad, m] Prior standard deviation of the second camera's heading and position."""
@@ -43,8 +44,8 @@ class BundleSettings:
     sigma_tilt: float = np.radians(3.0)
     """[rad] of the second camera's tilt as given, about each horizontal axis."""
     sigma_image: float = 0.006
-    """[1] of a joint in an image per axis, relative to the focal length: with the joints free, residuals do not
-    tell it."""
+    """[1] of a joint in an image per axis, relative to the focal length; residuals do not tell it where the
+    joints are free."""
     sigma_shapes: tuple[float, float] = (0.06, 0.06)
     """[m] of a joint of each shape about the mean of all, per axis."""
     sigma_bone: float = 0.025
@@ -136,7 +137,8 @@ class _System:
     """Normal equations at one state, with the joints eliminated.
 
     Attributes:
-        size: of the residuals at this state relative to the focal length. information: (10, 10) of the unknowns, without prior.
+        size: of the residuals at this state relative to the focal length.
+        information: (10, 10) of the unknowns, without prior.
     """
 
     def __init__(
@@ -147,7 +149,8 @@ class _System:
         self._x, self._shape = x, p.shape
         self._H_pp = np.zeros((F, n, 3, n, 3))
         self._H_cp = np.zeros((F, _UNKNOWNS, n, 3))
-        self._H_cc, self._g_c, self._g_p = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS), np.zeros(p.shape)
+        self._H_cc, self._g_c = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
+        self._g_p = np.zeros(p.shape)
         s = settings.sigma_image
         errors = np.concatenate([self._add_image(c, cameras[c], images, p, s) for c in (0, 1)])
         self.size = float(np.median(np.abs(errors))) / _NORMAL_MEDIAN * _lost(images)
@@ -200,7 +203,7 @@ class _System:
         self._H_cp += np.einsum("fnka,fnki,fn->fani", J, J_p, w)
         self._H_cc += np.einsum("fnka,fnkb,fn->ab", J, J, w)
         self._g_c += np.einsum("fnka,fnk,fn->a", J, r, w)
-        return np.ravel(r[seen]) / camera.K[0, 0]
+        return np.asarray(np.ravel(r[seen]) / camera.K[0, 0])
 
     def _add_shape(self, c: int, given: Array, p: Array, sigma: float) -> None:
         """Add the joints about their mean; those of the second camera turn with it."""

@@ -75,7 +75,6 @@ class SecondCamera:
     doubt: str
     """What may be wrong, in a sentence; empty where sure."""
 
-
     def apply(self, recording: Recording) -> Recording:
         """Return the recording with the second camera as a further view.
 
@@ -123,7 +122,7 @@ def find_second_camera(
     found = adjust(
         (first.camera, camera),
         _images(first, view, frames, skeleton, (poses, own)),
-        poses.p_world_joint[np.ix_(frames, skeleton.index(*JOINTS))],
+        poses.p_world_joint[frames][:, skeleton.index(*JOINTS)],
         BundleSettings(
             sigma_focal=(float(sigma_focal[0]), float(sigma_focal[1])),
             sigma_shapes=(_SENSED if sensed else _SEEN, _LIFTED),
@@ -159,8 +158,9 @@ def _placed(camera: Camera, first: PoseSequence, second: PoseSequence) -> tuple[
     d = np.median(p[:, 0] - q[:, 0] @ R.T, axis=0)
     R_camera_world = camera.R_camera_world @ R.T
     t = camera.t_camera_world - R_camera_world @ d
-    poses = replace(second, p_world_joint=second.p_world_joint @ R.T + d, R_world_bone=R @ second.R_world_bone)
-    return replace(camera, R_camera_world=R_camera_world, t_camera_world=t), poses
+    p = second.p_world_joint @ R.T + d
+    moved = replace(second, p_world_joint=p, R_world_bone=R @ second.R_world_bone)
+    return replace(camera, R_camera_world=R_camera_world, t_camera_world=t), moved
 
 
 def _frames(first: KeypointSequence, seen: KeypointSequence) -> Index:

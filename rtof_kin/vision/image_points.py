@@ -9,9 +9,9 @@ What moves them beside their segment, a second segment and the direction of view
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -91,19 +91,19 @@ class ImagePoints:
         return np.asarray(J @ R_world_bone[:, [j for j, _ in self.on]])
 
 
-def joined(parts: Sequence[ImagePoints]) -> ImagePoints:
+def joined_points(parts: Sequence[ImagePoints]) -> ImagePoints:
     """Return the points of several cameras, one after the other.
 
     Args:
         parts: at least one, of the same skeleton.
     """
-    if len(parts) == 1:
-        return parts[0]
-    each = {f.name: [getattr(part, f.name) for part in parts] for f in fields(ImagePoints)}
-    each["R_bone_pelvis"] = [parts[0].R_bone_pelvis]
-    return ImagePoints(
-        **{k: np.concatenate(v) if isinstance(v[0], np.ndarray) else sum(v, ()) for k, v in each.items()}
-    )
+    joined: dict[str, Any] = {
+        field: tuple(item for part in parts for item in getattr(part, field))
+        for field in ("names", "on", "anchors", "seconds")
+    }
+    for field in ("places", "sizes", "independent", "place_covariance", "second_places", "views"):
+        joined[field] = np.concatenate([getattr(part, field) for part in parts])
+    return replace(parts[0], **joined)
 
 
 class _Point(NamedTuple):

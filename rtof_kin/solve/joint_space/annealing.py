@@ -92,8 +92,8 @@ class Annealing:
         the initial guess and of the prior's mean are constant over a fragment; their weights per frame
         decrease where the errors of vision average out.
         """
-        sigma = np.array([picture.sigma for picture in self._pictures])[self._camera]
-        self._problem.reweigh("w_visual", self._confidence * self._seen / sigma**2)
+        variance = np.array([picture.sigma**2 for picture in self._pictures])[self._camera]
+        self._problem.reweigh("w_visual", self._confidence * self._seen / variance)
         knees = [self._settings.robust_reprojection / picture.factor for picture in self._pictures]
         self._problem.reweigh("knee_visual", np.tile(knees, (len(self._seen), 1)))
         largest = self._settings.largest_correlation_factor

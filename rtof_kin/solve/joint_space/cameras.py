@@ -11,9 +11,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.solve.energy.frame_energy import camera_names
 
 
-def camera_data(
-    seen: Sequence[KeypointSequence], frames: int
-) -> tuple[dict[str, Array], dict[str, Array]]:
+def camera_data(seen: Sequence[KeypointSequence], frames: int) -> tuple[dict[str, Array], dict[str, Array]]:
     """Undistorted landmarks by frame, and the cameras; a camera that sees nothing where there is none.
 
     Args:
@@ -22,11 +20,11 @@ def camera_data(
     rows = {"uv_px": np.zeros((frames, 0, 2)), "w_visual": np.zeros((frames, 0))}
     if not seen:
         return rows, {"K": np.eye(3), "R_camera_world": np.eye(3), "t_camera_world": np.zeros(3)}
-    constant = {}
-    for which, keypoints in enumerate(seen):
-        camera = keypoints.camera
-        uv = camera.normalise(keypoints.uv_px) @ camera.K[:2, :2].T + camera.K[:2, 2]
-        own = {"uv_px": np.where(keypoints.seen[..., None], uv, 0.0), "w_visual": keypoints.seen.astype(float)}
+    constant: dict[str, Array] = {}
+    for which, view in enumerate(seen):
+        camera = view.camera
+        uv = camera.normalise(view.uv_px) @ camera.K[:2, :2].T + camera.K[:2, 2]
+        own = {"uv_px": np.where(view.seen[..., None], uv, 0.0), "w_visual": view.seen.astype(float)}
         rows = {name: np.concatenate([rows[name], own[name]], axis=1) for name in rows}
         values = camera.K, camera.R_camera_world, camera.t_camera_world
         constant |= dict(zip(camera_names(which), values, strict=True))

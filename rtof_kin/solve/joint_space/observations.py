@@ -28,7 +28,7 @@ from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.limits import Limits
 from rtof_kin.solve.joint_space.places import estimated_places
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-from rtof_kin.vision.image_points import image_points, joined, measurements
+from rtof_kin.vision.image_points import image_points, joined_points, measurements
 
 _ROOT_BESIDE_SENSORS: Final = 2.0
 """Factor on sigma_root where there are both landmarks and sensors."""
@@ -96,7 +96,8 @@ class Observations:
         self.rate_hz = start.rate_hz
         seen = [measurements(k, skeleton) for k in (keypoints, *views) if k is not None]
         self.names: tuple[str, ...] = sum((k.names for k in seen), ())
-        self.points = joined([image_points(skeleton, k.names) for k in seen] or [image_points(skeleton, ())])
+        named = [k.names for k in seen] or [()]
+        self.points = joined_points([image_points(skeleton, names) for names in named])
         stops = np.cumsum([len(k.names) for k in seen]).tolist()
         parts = map(slice, [0, *stops], stops)
         self._cameras = [(k.camera, part) for k, part in zip(seen, parts, strict=False)]
