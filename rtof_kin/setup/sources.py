@@ -18,7 +18,8 @@ from rtof_kin.formats.sensors.files import format_of, holds_sensors
 from rtof_kin.formats.sensors.sensor_map import is_sensor_map, read_sensor_map
 from rtof_kin.inertial.segment_names import segment_of
 from rtof_kin.recording.recording import INDEX
-from rtof_kin.vision.keypoint_files import ARRAY_NAMES, is_keypoint_header
+from rtof_kin.vision.keypoint_files import ARRAY_NAMES
+from rtof_kin.vision.keypoint_tables import is_keypoint_header
 
 _HEAD_BYTES: Final = 2**14
 _LARGEST_MAP: Final = 2**18
@@ -139,6 +140,8 @@ def _of_text(path: Path, head: str) -> SourceKind:
         return SourceKind.RECORDING
     if _CAMERA_TOML.search(head) or _CAMERA_YAML.search(head):
         return SourceKind.CAMERA
+    if start.startswith("PathFileType") and "_px" in path.stem:
+        return SourceKind.KEYPOINTS
     if is_keypoint_header(start.split("\n", 1)[0]):
         return SourceKind.KEYPOINTS
     return SourceKind.SENSOR_MAP if _is_map(path, head) else SourceKind.UNKNOWN
