@@ -252,8 +252,7 @@ def _people(path: Path, frame: Any, where: str) -> list[Person]:
         found = next((frame[key] for key in _POINTS if key in frame), None)
         if not found and any(key in frame for key in _POINTS):
             return []
-        several = isinstance(found, list) and isinstance(found[0], list) and not _is_person(found)
-        if several:
+        if isinstance(found, list) and isinstance(found[0], list) and not _is_person(found):
             return _people_listed(path, _with_scores(found, frame), where)
         return [_person(path, frame, where)]
     if isinstance(frame, list):
