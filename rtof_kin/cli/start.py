@@ -159,6 +159,7 @@ def _set_up(options: argparse.Namespace, folder: Path, name: str) -> Findings:
 
     told = (path for path in (options.camera, options.map) if path is not None)
     sources = Sources.of((*options.files, *told))
+    options.phone_log = options.phone_log or sources.phone
     settings = _settings(options)
     inputs = _fingerprints(sources, options)
     before = made_from(folder)

@@ -15,10 +15,12 @@ from rtof_kin.core.files.arrays import npz_names
 from rtof_kin.formats.opencap import read_opencap
 from rtof_kin.formats.opencv_yaml import MATRIX_NAMES
 from rtof_kin.formats.sensors.files import format_of, holds_sensors
+from rtof_kin.formats.sensors.phone import phone_files
 from rtof_kin.formats.sensors.sensor_map import is_sensor_map, read_sensor_map
 from rtof_kin.inertial.segment_names import segment_of
 from rtof_kin.recording.recording import INDEX
-from rtof_kin.vision.keypoint_files import ARRAY_NAMES, is_keypoint_header
+from rtof_kin.vision.keypoint_files import ARRAY_NAMES
+from rtof_kin.vision.keypoint_tables import is_keypoint_header
 
 _HEAD_BYTES: Final = 2**14
 _LARGEST_MAP: Final = 2**18
@@ -52,6 +54,7 @@ class SourceKind(Enum):
     SENSORS = "files of sensors"
     CAMERA = "a camera calibration"
     SENSOR_MAP = "a map of sensors"
+    PHONE = "a log of the phone that filmed"
     RECORDING = "a recording folder"
     UNKNOWN = "unknown"
 
@@ -59,7 +62,8 @@ class SourceKind(Enum):
 _KNOWN: Final = (
     "a video (MP4, MOV, AVI, MKV, ...), a detector's keypoints (a folder of OpenPose's .json; .json, .csv, "
     ".npz, .npy), files of inertial sensors (docs/sensors.md), a camera calibration (.toml, .yml, .json, "
-    "OpenCap's .pickle), a map of sensors (two columns: serial number, segment)"
+    "OpenCap's .pickle), a map of sensors (two columns: serial number, segment), a log of the phone that "
+    "filmed (phyphox, Sensor Logger)"
 )
 
 
@@ -94,6 +98,8 @@ def recognise_source(path: str | Path) -> SourceKind:
         return SourceKind.SENSORS
     if b"\0" in head:
         return SourceKind.UNKNOWN
+    if phone_files(path):
+        return SourceKind.PHONE
     return _of_text(path, head.decode("utf-8-sig", errors="replace"))
 
 
@@ -125,7 +131,9 @@ def _of_folder(folder: Path) -> SourceKind:
     found = min(folder.glob("*.json"), default=None)
     if found is not None and recognise_source(found) is SourceKind.KEYPOINTS:
         return SourceKind.KEYPOINTS
-    return SourceKind.SENSORS if holds_sensors(folder) else SourceKind.UNKNOWN
+    if holds_sensors(folder):
+        return SourceKind.SENSORS
+    return SourceKind.PHONE if phone_files(folder) else SourceKind.UNKNOWN
 
 
 def _of_text(path: Path, head: str) -> SourceKind:
@@ -139,6 +147,8 @@ def _of_text(path: Path, head: str) -> SourceKind:
         return SourceKind.RECORDING
     if _CAMERA_TOML.search(head) or _CAMERA_YAML.search(head):
         return SourceKind.CAMERA
+    if start.startswith("PathFileType") and "_px" in path.stem:
+        return SourceKind.KEYPOINTS
     if is_keypoint_header(start.split("\n", 1)[0]):
         return SourceKind.KEYPOINTS
     return SourceKind.SENSOR_MAP if _is_map(path, head) else SourceKind.UNKNOWN
@@ -169,6 +179,8 @@ class Sources:
     """A calibration, see `rtof_kin.formats.cameras`."""
     sensor_map: Path | None = None
     """Which sensor is where, see `rtof_kin.formats.sensors.sensor_map`."""
+    phone: Path | None = None
+    """Gyroscope and accelerometer of the phone that filmed, see `rtof_kin.formats.sensors.phone`."""
 
     @classmethod
     def of(cls, paths: Iterable[str | Path]) -> Sources:
@@ -194,13 +206,13 @@ class Sources:
         one = {kind: _only(kind, files) for kind, files in found.items() if kind is not SourceKind.SENSORS}
         return cls(
             one[SourceKind.VIDEO], one[SourceKind.KEYPOINTS], tuple(found[SourceKind.SENSORS]),
-            one[SourceKind.CAMERA], one[SourceKind.SENSOR_MAP],
+            one[SourceKind.CAMERA], one[SourceKind.SENSOR_MAP], one[SourceKind.PHONE],
         )  # fmt: skip
 
     @property
     def paths(self) -> tuple[Path, ...]:
         """All files and folders."""
-        single = (self.video, self.keypoints, self.camera, self.sensor_map)
+        single = (self.video, self.keypoints, self.camera, self.sensor_map, self.phone)
         return (*(path for path in single if path is not None), *self.sensors)
 
     @property

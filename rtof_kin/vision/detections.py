@@ -18,6 +18,8 @@ NO_IDENTITY: Final = -1
 _LARGEST_RELATIVE = 3.0  # coordinates of which none is larger are fractions of the image size
 _MOST_PEOPLE, _MOST_NUMBERS = 500, 2**27
 _HIGHEST_CONFIDENCE = 10.0
+_BODY_OF_WHOLE: Final = {133: 23, 136: 26}
+"""Points of a whole body (COCO's, Halpe's) -> of its body and feet, which come first."""
 
 
 @dataclass(frozen=True)
@@ -135,3 +137,16 @@ class Detections:
                 "width_px and height_px are needed"
             )
         return replace(self, uv_px=self.uv_px * [width_px, height_px])
+
+
+def of_body(found: Detections) -> Detections:
+    """Return detections without face and hands, where they are of a whole body; else unchanged.
+
+    Args:
+        found: in any layout.
+    """
+    K = _BODY_OF_WHOLE.get(found.uv_px.shape[2])
+    if K is None:
+        return found
+    names = None if found.names is None else found.names[:K]
+    return replace(found, uv_px=found.uv_px[:, :, :K], confidence=found.confidence[:, :, :K], names=names)

@@ -5,16 +5,20 @@ OpenPose                    folder of ``*_keypoints.json``, one a frame, or one 
 AlphaPose, COCO results     one JSON: a list of ``image_id`` ("12.jpg" or 12: frame 12) and ``keypoints``
 COCO annotations            one JSON with ``images``, ``annotations``, ``categories``
 MMPose                      one JSON with ``instance_info``, or a list of frames with ``instances``
+rtmlib                      what its models return, per frame: ``keypoints`` (P, K, 2) and ``scores`` (P, K)
 MediaPipe                   one JSON: frames of ``x``, ``y``, ``visibility``; or CSV
 CSV                         a header of ``<point>_x``, ``<point>_y``, - ``<point>_confidence`` (or
                             ``_visibility``, ``_score``; ``_u_px`` and ``_v_px`` too), or ``x0``, ``y0``,
                             ``v0``, ...; - ``time`` (s) or ``timestamp_ms``
+CSV, a row for each point   ``frame``, ``point_id``, ``x``, ``y``, - ``visibility``, - ``time``; Caliscope's
+TRC in pixels               Sports2D's ``*_px_*.trc``
 NPZ                         ``uv_px`` or ``keypoints`` (T, K, 2 or 3) or (T, P, K, 2 or 3),
                             - ``confidence`` or ``scores``, - ``times``, - ``identity`` (T, P)
 NPY                         one array like that
 ==========================  ====================================================================
 
-Coordinates that are fractions of the image need its size. Confidences are clipped to 1, and are 1 if missing.
+Of a whole body (133 points of COCO, 136 of Halpe) face and hands are left out. Coordinates that are fractions
+of the image need its size. Confidences are clipped to 1, and are 1 if missing.
 """
 
 from __future__ import annotations
@@ -30,25 +34,20 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.core.files.arrays import read_csv, read_npy, read_npz
+from rtof_kin.core.files.arrays import read_npy, read_npz
 from rtof_kin.core.files.text import load_json
-from rtof_kin.vision.detections import NO_IDENTITY, Detections, Person
+from rtof_kin.vision.detections import NO_IDENTITY, Detections, Person, of_body
+from rtof_kin.vision.keypoint_tables import TIMES, read_csv_table, read_pixel_trc
 
-FORMATS = (".json", ".npz", ".npy", ".csv")
+FORMATS = (".json", ".npz", ".npy", ".csv", ".trc")
 ARRAY_NAMES = ("uv_px", "keypoints", "keypoints_2d")
 """Names of the array of points in an .npz."""
-_ENDINGS = {
-    "_u_px": "x", "_v_px": "y", "_x": "x", "_y": "y", "_z": "", "_presence": "",
-    "_confidence": "c", "_visibility": "c", "_score": "c", "_likelihood": "c", "_c": "c", "_v": "c",
-}  # fmt: skip
-_NUMBERED = re.compile(r"(x|y|z|v|c|visibility|confidence|score|presence)_?(\d{1,4})")
-_TIMES = {"time": 1.0, "time_s": 1.0, "timestamp": 1.0, "timestamp_ms": 1e-3}
-_NO_POINTS = {"frame", "frame_id", "index", ""}
 _LARGEST_JSON = 256 * 2**20  # bytes
 _WHAT = "JSON of moderate size; write one file a frame, or .npz"
 _PEOPLE = ("people", "bodies", "instances")
 _POINTS = ("pose_keypoints_2d", "pose_keypoints", "joints", "keypoints", "pose_landmarks", "landmarks")
 _SCORES = ("keypoint_scores", "visibility", "confidence", "score", "presence")
+_FRAME_SCORES = ("keypoint_scores", "scores")
 _IDENTITY = ("idx", "track_id", "person_id", "instance_id")
 _MOST_FRAMES_EACH = 100  # largest mean distance between frame numbers
 
@@ -67,7 +66,7 @@ def read_detector_file(
     """
     path = Path(path)
     try:
-        return _read(path).in_pixels(width_px, height_px)
+        return of_body(_read(path)).in_pixels(width_px, height_px)
     except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
@@ -84,8 +83,10 @@ def _read(path: Path) -> Detections:
         raise FileFormatError(path, "there is no such file or folder")
     if suffix == ".json":
         return _read_json(path)
+    if suffix == ".trc":
+        return read_pixel_trc(path)
     if suffix == ".csv":
-        return _of_columns(path)
+        return read_csv_table(path)
     return _of_arrays(path, {"keypoints": read_npy(path)} if suffix == ".npy" else read_npz(path))
 
 
@@ -120,67 +121,6 @@ def _one_of(path: Path, arrays: dict[str, Array], names: tuple[str, ...]) -> Arr
     if len(found) > 1:
         raise FileFormatError(path, f"has {' and '.join(found)}; leave only one of them")
     return arrays[found[0]] if found else None
-
-
-def _of_columns(path: Path) -> Detections:
-    columns = read_csv(path)
-    times = None
-    parts: dict[str, dict[str, Array]] = {}
-    for header, values in columns.items():
-        name = header.strip().lower()
-        if name in _TIMES and times is None:
-            times = values * _TIMES[name]
-        elif name not in _NO_POINTS:
-            point, part = _meaning(path, header)
-            if part in parts.setdefault(point, {}):
-                raise FileFormatError(path, f"column {header!r}: a second {part} of {point}", 1)
-            parts[point][part] = values
-    points = {name: part for name, part in parts.items() if "x" in part or "y" in part}
-    if not points:
-        raise FileFormatError(path, "no column ends in _x or _y", 1)
-    for name, has in points.items():
-        if not {"x", "y"} <= set(has):
-            other = "y" if "x" in has else "x"
-            raise FileFormatError(path, f"point {name}: has no column of {other}", 1)
-    names = list(points)
-    numbered = all(name.isdigit() for name in names)
-    if numbered:
-        names.sort(key=int)
-    uv = np.stack([[points[n]["x"], points[n]["y"]] for n in names]).transpose(2, 0, 1)
-    seen = np.isfinite(uv).all(axis=-1).astype(float)
-    confidence = np.stack([points[n].get("c", seen[:, i]) for i, n in enumerate(names)], axis=1)
-    return Detections(uv[:, None], confidence[:, None], times, None if numbered else tuple(names))
-
-
-def is_keypoint_header(line: str) -> bool:
-    """Return whether the first line of a .csv names the columns of detected points.
-
-    Args:
-        line: of comma-separated names.
-    """
-    parts: dict[str, set[str]] = {}
-    for header in line.split(","):
-        name = header.strip().lower()
-        if name not in _TIMES and name not in _NO_POINTS:
-            try:
-                point, part = _meaning(Path(), header)
-            except FileFormatError:
-                return False
-            parts.setdefault(point, set()).add(part)
-    return any({"x", "y"} <= has for has in parts.values())
-
-
-def _meaning(path: Path, header: str) -> tuple[str, str]:
-    """Return the point of a column and its part: x, y, c, or '' if unused."""
-    numbered = _NUMBERED.fullmatch(header.strip().lower())
-    if numbered:
-        part = numbered[1]
-        return str(int(numbered[2])), part if part in "xy" else "" if part in ("z", "presence") else "c"
-    for ending, part in _ENDINGS.items():
-        if header.strip().lower().endswith(ending):
-            return header.strip()[: -len(ending)], part
-    known = f"time, or a point's name and one of {', '.join(_ENDINGS)}"
-    raise FileFormatError(path, f"column {header!r}: expected {known}", 1)
 
 
 def _read_json_folder(folder: Path) -> Detections:
@@ -226,7 +166,7 @@ def _of_list(path: Path, entries: Sequence[Any]) -> Detections:
 
 def _time(frame: Any) -> float | None:
     """Return the time of a frame, s, if it has one."""
-    for key, unit in _TIMES.items() if isinstance(frame, dict) else ():
+    for key, unit in TIMES.items() if isinstance(frame, dict) else ():
         value = frame.get(key)
         if isinstance(value, int | float) and not isinstance(value, bool):
             return float(value) * unit
@@ -312,11 +252,21 @@ def _people(path: Path, frame: Any, where: str) -> list[Person]:
         found = next((frame[key] for key in _POINTS if key in frame), None)
         if not found and any(key in frame for key in _POINTS):
             return []
-        several = isinstance(found, list) and isinstance(found[0], list) and not _is_person(found)
-        return _people_listed(path, found, where) if several else [_person(path, frame, where)]
+        if isinstance(found, list) and isinstance(found[0], list) and not _is_person(found):
+            return _people_listed(path, _with_scores(found, frame), where)
+        return [_person(path, frame, where)]
     if isinstance(frame, list):
         return _people_listed(path, [frame] if _is_person(frame) else frame, where)
     raise FileFormatError(path, f"{where}: holds {_kind(frame)}, not people")
+
+
+def _with_scores(people: list[Any], frame: Mapping[str, Any]) -> list[Any]:
+    """Return people's points with their scores, where the frame has a list of those beside them."""
+    scores = next((frame[key] for key in _FRAME_SCORES if key in frame), None)
+    if not isinstance(scores, list) or len(scores) != len(people):
+        return people
+    pairs = zip(people, scores, strict=True)
+    return [{"keypoints": points, "keypoint_scores": own} for points, own in pairs]
 
 
 def _people_listed(path: Path, entries: Any, where: str) -> list[Person]:
@@ -370,7 +320,8 @@ def _points(values: Sequence[Any], entry: Mapping[str, Any]) -> Array | None:
         return None
     if array.shape[1] == 3:
         return array
-    scores = np.array(entry.get("keypoint_scores", np.ones(len(array))), dtype=np.float64)
+    scores = next((entry[key] for key in _FRAME_SCORES if key in entry), np.ones(len(array)))
+    scores = np.array(scores, dtype=np.float64)
     return None if scores.shape != (len(array),) else np.column_stack([array, scores])
 
 

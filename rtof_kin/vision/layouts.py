@@ -23,6 +23,8 @@ from rtof_kin.data.keypoints import layout_and_point
 
 OWN_LAYOUTS: Final = ("joints", "landmarks")
 """Layouts of the skeleton's own points, not of a detector."""
+FEWEST_NAMED: Final = 12
+"""Fewest points of a layout by which it is recognised where others are missing."""
 _SIDES = {"l": "Left", "left": "Left", "r": "Right", "right": "Right"}
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
@@ -79,6 +81,25 @@ class DetectorTable:
         if name not in self.layouts:
             raise UnknownNameError("layout of keypoints", [name], list(self.layouts))
         return self.layouts[name]
+
+    def nearest(self, names: Sequence[str]) -> tuple[Layout | None, tuple[int | None, ...]]:
+        """Return the layout of which most points are named, and the index of each, None where it is not.
+
+        Args:
+            names: of points; those that a layout lacks are ignored.
+
+        Returns:
+            None and () where no layout has `FEWEST_NAMED` of its points among them.
+        """
+        given = [_canonical(name).lower() for name in names]
+
+        def order(form: Layout) -> tuple[int | None, ...]:
+            words = (_canonical(name).lower() for name in form.names)
+            return tuple(given.index(word) if word in given else None for word in words)
+
+        found = [(form, order(form)) for name, form in self.layouts.items() if name not in OWN_LAYOUTS]
+        best = max(found, key=lambda pair: (sum(i is not None for i in pair[1]), -len(pair[0])))
+        return best if sum(i is not None for i in best[1]) >= FEWEST_NAMED else (None, ())
 
 
 def _canonical(name: str) -> str:

@@ -53,6 +53,15 @@ def test_camera_has_opencvs_convention(tmp_path: Path) -> None:
     np.testing.assert_allclose(camera.undistorted().project(p), [1681 * x / z + 533, 1680 * y / z + 948])
 
 
+def test_caliscope_has_its_cameras_in_a_table(tmp_path: Path) -> None:
+    named = read_camera_toml(written(tmp_path, POSE2SIM))["left"]
+    table = POSE2SIM[: POSE2SIM.index("[metadata]")].replace("[cam_01]", "[cameras.3]")
+    text = "\n".join(line for line in table.splitlines() if not line.startswith("name"))
+    cameras = read_camera_toml(written(tmp_path, text + "\ncam_id = 3\nrotation_count = 0\nerror = 0.4\n"))
+    assert list(cameras) == ["3"]
+    assert_same(cameras["3"], named)
+
+
 @pytest.mark.parametrize(
     "old, new",
     [

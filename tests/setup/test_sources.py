@@ -42,6 +42,12 @@ OF_ONE_FILE = {
     # maps of sensors
     "n.csv": (MAP, SourceKind.SENSOR_MAP),
     "o.txt": (b"00B42279 pelvis\n00B4227D right shank\n", SourceKind.SENSOR_MAP),
+    # the phone that filmed
+    "x.csv": (
+        b'"Time (s)","Gyroscope x (rad/s)","Gyroscope y (rad/s)","Gyroscope z (rad/s)"\n',
+        SourceKind.PHONE,
+    ),
+    "Gyroscope.csv": (b"time,seconds_elapsed,z,y,x\n1,0,1,2,3\n", SourceKind.PHONE),
     # others
     "p.pickle": (pickle.dumps({"a": 1}), SourceKind.UNKNOWN),
     "q.txt": (b"A license\nof two words a\nline perhaps\n", SourceKind.UNKNOWN),
@@ -77,10 +83,12 @@ def test_arrays_and_folders(tmp_path: Path) -> None:
     write_files(tmp_path / "json", {f"p_{i}_keypoints.json": OPENPOSE for i in range(3)})
     recording(tmp_path)
     (tmp_path / "empty").mkdir()
+    write_files(tmp_path / "phone", {"Gyroscope.csv": OF_ONE_FILE["Gyroscope.csv"][0]})
     kinds = {
         "a.npz": SourceKind.KEYPOINTS, "b.npz": SourceKind.UNKNOWN, "c.npy": SourceKind.KEYPOINTS,
         "d.toml": SourceKind.CAMERA, "json": SourceKind.KEYPOINTS, "take": SourceKind.RECORDING,
         "take/recording.toml": SourceKind.RECORDING, "empty": SourceKind.UNKNOWN,
+        "phone": SourceKind.PHONE,
     }  # fmt: skip
     assert {name: recognise_source(tmp_path / name) for name in kinds} == kinds
 
@@ -101,11 +109,12 @@ def test_the_files_of_a_take_are_sorted_in_any_order(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(OF_ONE_FILE[name][0])
     write_files(tmp_path / "mtw", sensor_file("Xsens MT Manager text"))
     write_files(tmp_path / "dot", sensor_file("Movella DOT CSV"))
-    names = ("mtw", "a.mp4", "n.csv", "dot", "k.yml", "f.json")
+    write_files(tmp_path / "phone", {"Gyroscope.csv": OF_ONE_FILE["Gyroscope.csv"][0]})
+    names = ("mtw", "a.mp4", "n.csv", "phone", "dot", "k.yml", "f.json")
     found = Sources.of(tmp_path / name for name in names)
     assert found == Sources(
         video=tmp_path / "a.mp4", keypoints=tmp_path / "f.json", sensors=(tmp_path / "mtw", tmp_path / "dot"),
-        camera=tmp_path / "k.yml", sensor_map=tmp_path / "n.csv",
+        camera=tmp_path / "k.yml", sensor_map=tmp_path / "n.csv", phone=tmp_path / "phone",
     )  # fmt: skip
     assert set(found.paths) == {tmp_path / name for name in names}
     assert found.name == "a"

@@ -149,6 +149,14 @@ T: [ 0.5, 1.5, 4. ]
 """
 
 
+_HALPE = detector_table().layout("halpe26").names[5:19]
+PIXEL_TRC = "\n".join([
+    "PathFileType\t4\t(X/Y/Z)\ta.trc", "DataRate\tNumFrames\tNumMarkers\tUnits", "30\t1\t14\tm",
+    "Frame#\tTime\t" + "\t\t\t".join(_HALPE) + "\t\t",
+    "\t\t" + "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, 15)), "0\t0.0" + "\t151.5\t212.5\t0" * 14, "",
+]).encode()  # fmt: skip
+
+
 def sensor_file(title: str) -> Files:
     """Six samples of a sensor or two in a format of `sensor_files.WRITERS`."""
     truths = [sensor_files.truth(seed, T=6) for seed in (0, 1)]
@@ -296,6 +304,12 @@ READERS = (
         "detector csv", "a.csv", b"time,nose_x,nose_y,nose_score\n0.0,151.5,212.5,0.5\n0.1,,,0\n",
         read_detector_file,
     ),
+    given(
+        "rows of points", "a.csv",
+        b"frame,time,landmark,x,y,visibility\n0,0.0,0,151.5,212.5,0.5\n0,0.0,1,153,,0\n1,0.1,0,150,1,1\n",
+        read_detector_file,
+    ),
+    given("markers in pixels", "a_px.trc", PIXEL_TRC, read_detector_file),
     # --- tables of this package
     given("skeleton table", "a.toml", _model("skeleton.toml"), read_skeleton_table),
     given("detector table", "a.toml", _model("detectors.toml"), read_detector_table),
