@@ -28,13 +28,14 @@ UNKNOWNS: Final = ("focal length", "pitch", "roll", "height over the floor", "di
 COLUMNS: Final = ("camera", "assumed", "found", "sd remaining", "verdict")
 """Headings of `CameraEstimate.table`."""
 FOCAL, PITCH, ROLL, HEIGHT, DISTORTION = range(5)
+_DEGREES: Final = (float(np.degrees(1.0)), "deg")
 _SHARE_FOUND: Final = 0.7
 """Remaining share of a standard deviation from which an unknown counts as not found."""
 _STEP: Final = 0.5
 """[prior sigma] of finite differences."""
 _LARGEST: Final = 1.5
 """[prior sigma] Largest step of one round."""
-_ROUNDS: Final = 4
+_ROUNDS: Final = 3
 _ENOUGH: Final = 0.15
 """[sigma] Step below which the estimate has converged."""
 _HALVINGS: Final = 3
@@ -65,8 +66,6 @@ class CameraEstimate:
     """(5,) corrections of `UNKNOWNS`, SI units."""
     covariance: Array
     """(5, 5) what remains."""
-    walked: float = np.nan
-    """[m] to and from the camera, in standing phases; NaN without sensors on the legs."""
 
     def __post_init__(self) -> None:
         freeze(self, "camera estimate", value=(5,), covariance=(5, 5))
@@ -90,28 +89,30 @@ class CameraEstimate:
         """
         scale = np.maximum(prior_sigma(self.assumed), 1e-12)
         values, axes = np.linalg.eigh(self.covariance / np.outer(scale, scale))
-        steps = [scale * axis * np.sqrt(v) for v, axis in zip(values, axes.T, strict=True) if v > 1e-4]
+        steps = [scale * axis * np.sqrt(v) for v, axis in zip(values, axes.T, strict=True) if v > 1e-3]
         return [corrected(self.assumed, self.value + step) for step in steps]
 
     def table(self) -> list[tuple[str, ...]]:
         """Return rows of `COLUMNS`: unknown, assumed and found with their standard deviations, verdict."""
         prior, left, rows = prior_sigma(self.assumed), self.sigma, list[tuple[str, ...]]()
-        units = ((self.assumed.K[0, 0], "px"), _DEGREES, _DEGREES, (1.0, "m"), (1.0, ""))
+        units: tuple[tuple[float, str], ...]
+        units = (self.assumed.K[0, 0], "px"), _DEGREES, _DEGREES, (1.0, "m"), (1.0, "")
         before, after = _values(self.assumed), _values(self.found)
         for i, (unit, word) in enumerate(units):
             if prior[i] > 0:
                 pairs = (before[i], unit * prior[i]), (after[i], unit * left[i])
-                texts = (f"{value:.4g} ± {sigma:.2g} {word}".strip() for value, sigma in pairs)
+                texts = tuple(f"{value:.4g} ± {sigma:.2g} {word}".strip() for value, sigma in pairs)
                 share = left[i] / prior[i]
                 verdict = "found" if share < _SHARE_FOUND else "hardly found, as assumed"
-                rows.append((UNKNOWNS[i], *texts, f"{100 * share:.0f} %", verdict))
+                rows.append((UNKNOWNS[i], texts[0], texts[1], f"{100 * share:.0f} %", verdict))
         return rows
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """What was assumed, what was found, and what the person can do about the rest."""
         found = "; ".join(f"{name} {was} assumed, {now} found" for name, was, now, *_ in self.table())
-        out = (f"the camera is not calibrated ({found}); what remains is in the stated uncertainty",)
+        text = f"the camera is not calibrated ({found}); what remains is in the stated uncertainty"
+        out: tuple[str, ...] = (text,)
         prior = prior_sigma(self.assumed)
         off = np.abs(self.value) > 3 * np.where(prior > 0, prior, np.inf)
         for i in np.flatnonzero(off):
@@ -124,9 +125,6 @@ class CameraEstimate:
                 " with sensors on thighs and shanks, or calibrate it once with a chessboard",
             )
         return out
-
-
-_DEGREES: Final = (float(np.degrees(1.0)), "deg")
 
 
 def prior_sigma(camera: Camera) -> Array:

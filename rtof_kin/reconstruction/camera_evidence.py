@@ -54,6 +54,8 @@ SIZE: Final = 0.015
 """[1] Standard deviation of the size of the skeleton in the image; it moves a foot along its ray."""
 UNEVEN: Final = 0.035
 """[m] Standard deviation of the mean height of feet in one place, relative to another."""
+SLOPE: Final = 0.01
+"""[rad] Standard deviation of a slope over any distance."""
 LEAN: Final = Usual(0.0, np.radians(2.6)), Usual(0.0, np.radians(2.3))
 """[rad] of the body in the mean, forwards and to the right as seen from the camera."""
 TURN: Final = Usual(0.0, np.radians(2.4)), Usual(0.0, np.radians(1.8))
@@ -137,7 +139,7 @@ def _floor(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
     ridge = np.diag([0.0, *(len(away) * 0.05**2,) * 2])
     mean, depth, across = np.linalg.solve(A.T @ A + ridge, A.T @ height)
     over = abs(float(camera.center_world[2]) - scene.floor_height)
-    slopes = UNEVEN / np.maximum(spread, 0.05)
+    slopes = np.hypot(UNEVEN / np.maximum(spread, 0.05), SLOPE)
     return Evidence(
         np.array([mean - HEIGHT.mean, depth, across]),
         np.array([np.hypot(HEIGHT.sigma, SIZE * over), *slopes]),

@@ -209,12 +209,14 @@ def _from_video(
 
 
 def _found_camera(job: _Job, mode: Mode) -> CameraEstimate:
-    """Estimate the camera, always by solved poses."""
+    """Estimate the camera; with sensors by solved poses, without by lifted ones."""
     how: Mode = "rtof" if mode in ("sf2", "rtof") and job.recording.imus is not None else "rto"
     solver = job.with_solver(None)
 
     def solve(recording: Recording) -> tuple[Prepared, PoseSequence]:
         prepared = replace(solver, recording=recording, progress=lambda *_: None).prepare(how)
+        if how == "rto":
+            return prepared, prepared.start
         return prepared, solver.solve(prepared, confidence=False).poses
 
     return find_camera(

@@ -16,14 +16,16 @@ from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import FEET
-from rtof_kin.reconstruction.camera_evidence import Scene, evidence, standing_in_image, walked
+from rtof_kin.reconstruction.camera_evidence import Scene, evidence, standing_in_image
 from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.uncertainty.disagreement import disagreement
 
-_MOST_SECONDS: Final = 60.0
+_MOST_SECONDS: Final = 40.0
 """[s] of a longer recording that are used: those in which the person comes and goes most."""
+_ENOUGH_HZ: Final = 25.0
+"""Frames per second that are enough; of faster videos, every second, third ... frame is used."""
 _STEP: Final = 5.0
 """[s] between the beginnings of excerpts that are compared."""
 
@@ -72,13 +74,13 @@ def find_camera(
             by_image = lift(own.video, skeleton, lifter, None, recording.floor_height).poses
         return evidence(scene, own.video, by_image, poses)
 
-    found = estimate_camera(assumed, seen_by, progress)
-    legs = walked(scene, assumed, poses)[1]
-    return replace(found, walked=float(np.abs(legs).sum()))
+    return estimate_camera(assumed, seen_by, progress)
 
 
 def _excerpt(keypoints: KeypointSequence) -> KeypointSequence:
-    """The part of a long video in which the person's size in the image changes most."""
+    """The part of a long video in which the person's size in the image changes most, at a lower rate."""
+    rate_hz = 1 / float(np.median(np.diff(keypoints.times))) if len(keypoints) > 1 else 0.0
+    keypoints = keypoints[:: max(1, int(rate_hz / _ENOUGH_HZ))]
     times = keypoints.times
     if times[-1] - times[0] <= _MOST_SECONDS:
         return keypoints
