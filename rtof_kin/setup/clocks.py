@@ -8,8 +8,8 @@ image, w_s of the sensor and sums over the common time at an offset, the best he
 
 so all offsets at once take a few FFTs. The sensor then explains ``2 g c - g^2 sum |w_s|^2`` of the image's
 sum of squares, with a factor g = c / sum |w_s|^2, limited as the image cannot show more than there is. The
-gain of an offset is the log-likelihood ratio of this regression to none, the image's whole duration counted at
-every offset.
+gain of an offset is the log-likelihood ratio of this regression to none, the image's whole duration counted
+at every offset.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from scipy import fft
 from scipy.optimize import linear_sum_assignment
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.checks import indices_of
@@ -68,7 +67,7 @@ _WINDOW: Final = 20.0
 """[s] of the recording for one offset of the drift, of which `_WINDOWS` at least are needed."""
 _WINDOWS: Final = 3
 _WINDOW_REACH: Final = 0.2
-_SIGMA_DRIFT: Final = 50e-6
+_SIGMA_DRIFT: Final = 60e-6
 """[s/s] Standard deviation of clocks' drifts."""
 _SIGMA_FACTOR: Final = 1.5
 """[1] Actual errors of offsets relative to the width of the likelihood's peak."""
@@ -253,8 +252,8 @@ def _within(log: SensorLog, start: float, stop: float) -> SensorLog:
         a, b = np.searchsorted(stream.times, [start, stop])
         if b - a < 2:
             raise CalibrationError(
-                f"sensor {stream.name} has no samples from {start:.0f} to {stop:.0f} s, where the video could "
-                "be: search further (reach), or check that video and sensors are of the same time"
+                f"sensor {stream.name} has no samples from {start:.0f} to {stop:.0f} s, where the video "
+                "could be: search further (reach), or check that both are of the same time"
             )
         arrays = {name: getattr(stream, name)[a:b] for name in ("times", *stream.holds)}
         kept.append(replace(stream, **arrays, quaternion_norm=None))
@@ -289,9 +288,7 @@ class _Scan:
     """[1] Mean part of the image's motion explained at the best offset."""
 
     @classmethod
-    def of(
-        cls, seen: Turning, sensed: Turning, around: float, reach: float, pairs: Index | None
-    ) -> _Scan:
+    def of(cls, seen: Turning, sensed: Turning, around: float, reach: float, pairs: Index | None) -> _Scan:
         """Scan offsets.
 
         Args:
@@ -352,9 +349,7 @@ def _assigned(table: Array) -> Index:
     return out
 
 
-def _offsets(
-    seen: Turning, sensed: Turning, around: float, reach: float, every: int
-) -> tuple[Array, Index]:
+def _offsets(seen: Turning, sensed: Turning, around: float, reach: float, every: int) -> tuple[Array, Index]:
     """Offsets within reach with enough overlap, and their places in the result of `_gains`."""
     Tv, Ts = len(seen.w_world[::every]), len(sensed.w_world[::every])
     lags = np.arange(-(Tv - 1), Ts)  # video frame i beside sensor sample i + lag
@@ -373,7 +368,7 @@ def _offsets(
 def _gains(seen: Array, sensed: Array, step: float) -> tuple[Array, Array]:
     """Gain and part explained (n, N) at each lag (modulo n) of seen (Tv, N, 3) by sensed (Ts, 1 or N, 3)."""
     n = fft.next_fast_len(len(seen) + len(sensed))
-    known_v, known_s = (np.isfinite(w).all(axis=-1).astype(float) for w in (seen, sensed))
+    known_v = np.isfinite(seen).all(axis=-1).astype(float)
     v, s = np.nan_to_num(seen), np.nan_to_num(sensed)
 
     def sums(a: Array, b: Array) -> Array:
@@ -469,8 +464,8 @@ def _doubt(scan: _Scan, around: float, reach: float) -> str:
     if rivals:
         return (
             f"the motion repeats itself: offsets of {', '.join(rivals)} explain it nearly as well as "
-            f"{scan.best:+.2f} s; give the start times of video and sensors (around, reach), or record a turn "
-            "or an arm raise"
+            f"{scan.best:+.2f} s; give the start times of video and sensors (around, reach), or record a "
+            "turn or an arm raise"
         )
     if scan.margin < SURE:
         return (
