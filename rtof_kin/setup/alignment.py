@@ -1,7 +1,7 @@
 """Heading and mounting of sensors from an image, without a calibration pose.
 
-The image gives the orientation of a segment, noisy and biased, the sensor its own, exact but for the heading h
-of its reference and its mounting on the segment. They are found from
+The image gives the orientation of a segment, noisy and biased, the sensor its own, exact but for the
+heading h of its reference and its mounting on the segment. They are found from
 
     R_world_bone(t) = Rz(h) R_inertial_sensor(t) R_sensor_bone,
 
@@ -92,7 +92,14 @@ class Alignment:
     """True if the sensors' headings agree, as those of magnetometers do."""
     warnings: tuple[str, ...] = ()
     refined: SelfCalibration | None = None
-    """The self-calibration that refined heading and mounting, with the delay left; None without one."""
+    """The self-calibration that refined heading and mounting; None without one."""
+
+    @property
+    def delay(self) -> float:
+        """[s] By which the video is still late, as found with the rest: to be added to a clock's offset."""
+        if self.refined is None or self.refined["delay", "video"].doubt:
+            return 0.0
+        return float(self.refined["delay", "video"].value[0])
 
 
 @dataclass(frozen=True)
@@ -190,8 +197,8 @@ def _together(poses: PoseSequence, stream: SensorStream, joint: int, frames: Ind
     known = np.isfinite(sensed).all(axis=(1, 2)) & np.isfinite(seen).all(axis=(1, 2))
     if known.sum() < _LEAST_SECONDS * _RATE_HZ / 2:
         raise CalibrationError(
-            f"sensor {stream.name}: its segment is seen for less than {_LEAST_SECONDS:g} s while it measures; "
-            "leave it out, or use a longer video"
+            f"sensor {stream.name}: its segment is seen for less than {_LEAST_SECONDS:g} s while it "
+            "measures; leave it out, or use a longer video"
         )
     return seen[known], sensed[known]
 
@@ -295,18 +302,18 @@ def _judged(
         doubt = ""
         if start.margin < _MARGIN:
             doubt = (
-                "its motion hardly determines its heading, which may be wrong by any angle; record a turn, an "
-                "arm raise or a deep bend of this segment"
+                "its motion hardly determines its heading, which may be wrong by any angle; record a turn, "
+                "an arm raise or a deep bend of this segment"
             )
         elif sigma > SURE:
             doubt = (
-                f"its heading is known to {np.degrees(sigma):.0f} degrees only; record a turn, an arm raise or "
-                "a longer video"
+                f"its heading is known to {np.degrees(sigma):.0f} degrees only; record a turn, an arm raise "
+                "or a longer video"
             )
         elif abs(wrapped(heading - start.heading)) > 3 * float(np.hypot(start.sigma, _SWING)):
             doubt = (
-                "image and joints disagree about its heading; check that it sits on the segment named and did "
-                "not slip"
+                "image and joints disagree about its heading; check that it sits on the segment named and "
+                "did not slip"
             )
         out.append(SensorAlignment(sensor, joint, heading, sigma, mounting, doubt))
     return tuple(out)

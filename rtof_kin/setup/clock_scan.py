@@ -1,0 +1,179 @@
+"""Gains of all offsets between the clocks of a video and of sensors.
+
+The angular velocity of a sensor in its own reference is that of its segment in world but for the heading h,
+unknown but constant. With w_v of the image, w_s of the sensor and sums over the common time at an offset, the
+best heading gives
+
+    c = max_h sum w_v . Rz(h) w_s = |sum conj(x_v + i y_v) (x_s + i y_s)| + sum z_v z_s,
+
+so all offsets at once take a few FFTs. The sensor then explains ``2 g c - g^2 sum |w_s|^2`` of the image's
+sum of squares, with a factor g = c / sum |w_s|^2, limited as the image cannot show more than there is. The
+gain of an offset is the log-likelihood ratio of this regression to none, the image's whole duration counted
+at every offset.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from scipy import fft
+from scipy.optimize import linear_sum_assignment
+
+from rtof_kin.core.array_types import Array, Index
+from rtof_kin.core.errors import CalibrationError
+from rtof_kin.setup.turning import STEP, Turning
+
+APART: Final = 0.35
+"""[s] Least distance of another offset."""
+_COARSE: Final = 2
+"""Samples per step where segments are unknown."""
+_LEAST_COMMON: Final = 2.0
+"""[s] Least overlap, or half of the shorter recording."""
+_LARGEST_FACTOR: Final = 1.3
+_MEMORY: Final = 0.25
+"""[s] Correlation time of the image's errors."""
+_UNSEEN: Final = 0.15
+"""[rad/s] per axis: motion that the image cannot tell from none."""
+_CANDIDATES: Final = 5
+_ASSIGNED: Final = 40
+"""Offsets for which sensors of unknown places are assigned one to one."""
+_BELIEF: Final = 0.1
+"""[1] Weight of a log-likelihood, as errors are autocorrelated and model errors common to all offsets."""
+_SIGMA_FACTOR: Final = 1.5
+"""[1] Actual errors of offsets relative to the width of the likelihood's peak."""
+SIGMA_LEAST: Final = 0.002
+"""[s] Least standard deviation of an offset."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Gains of all offsets."""
+
+    offsets: Array
+    """(K,) [s]."""
+    gains: Array
+    """(K,) [nats] of all sensors."""
+    segments: Index
+    """(S,) segment of each sensor at the best offset; -1 for none, where there are more sensors."""
+    peaks: tuple[tuple[float, float], ...]
+    """Best offsets, `APART` from each other, and their gains, the best first."""
+    explained: float
+    """[1] Mean part of the image's motion explained at the best offset."""
+
+    @classmethod
+    def of(cls, seen: Turning, sensed: Turning, around: float, reach: float, known: bool = True) -> Self:
+        """Scan the offsets from around - reach to around + reach.
+
+        Args:
+            seen: (T, N) segments. sensed: (T', S) sensors. around, reach: s.
+            known: sensors are on the segments in their order; else on the best ones at each offset.
+
+        Raises:
+            CalibrationError: no offset has enough overlap.
+        """
+        S, every = sensed.w_world.shape[1], 1 if known else _COARSE
+        offsets, lags = _offsets(seen, sensed, around, reach, every)
+        tables = []
+        for s in range(S):
+            own = [s] if known else slice(None)
+            v, w = seen.w_world[::every, own], sensed.w_world[::every, [s]]
+            tables.append(_gains(v, w, every * STEP)[:, lags].astype(np.float32))
+        total = np.sum([gain.max(axis=-1) for gain, _ in tables], axis=0, dtype=float)
+        found = []
+        for k in _peaks(offsets, total, _CANDIDATES if known else _ASSIGNED):
+            table = np.array([gain[k] for gain, _ in tables], dtype=float)
+            segments = np.zeros(S, dtype=np.intp) if known else _assigned(table)
+            worn = np.flatnonzero(segments >= 0)
+            found.append((float(table[worn, segments[worn]].sum()), k, segments))
+        found.sort(key=lambda peak: -peak[0])
+        _, best, segments = found[0]
+        parts = [tables[s][1][best, j] for s, j in enumerate(segments) if j >= 0]
+        peaks = tuple((float(offsets[k]), gain) for gain, k, _ in found[:_CANDIDATES])
+        segments = np.arange(S) if known else segments
+        return cls(offsets, total, segments, peaks, float(np.mean(parts)))
+
+    @property
+    def best(self) -> float:
+        """[s] Best offset on the grid."""
+        return self.peaks[0][0]
+
+    @property
+    def margin(self) -> float:
+        """[nats] of the best offset to the next one; see `ClockEstimate.margin`."""
+        gains = [gain for _, gain in self.peaks] + [0.0]
+        return float(_BELIEF * (gains[0] - gains[1]) / np.sqrt(np.sum(self.segments >= 0)))
+
+    def rivals(self, share: float) -> tuple[float, ...]:
+        """Return other offsets, s, the best first.
+
+        Args:
+            share: least gain relative to that of the best offset.
+        """
+        return tuple(offset for offset, gain in self.peaks[1:] if gain > share * self.peaks[0][1])
+
+    def vertex(self) -> tuple[float, float]:
+        """Return the best offset by a parabola and its standard deviation, s."""
+        k = int(np.argmin(np.abs(self.offsets - self.best)))
+        if not 0 < k < len(self.gains) - 1:
+            return float(self.offsets[k]), STEP
+        before, most, after = self.gains[k - 1 : k + 2]
+        step = float(self.offsets[k + 1] - self.offsets[k])
+        curvature = min(float(before - 2 * most + after), -1e-6)
+        vertex = self.offsets[k] + step * np.clip((before - after) / (2 * curvature), -1, 1)
+        sigma = _SIGMA_FACTOR * abs(step) / np.sqrt(-curvature)
+        return float(vertex), float(np.hypot(sigma, SIGMA_LEAST))
+
+
+def _assigned(table: Array) -> Index:
+    """Segment (S,) of each sensor with the largest sum of gains (S, N), each taken once; -1 for none."""
+    out = np.full(len(table), -1, dtype=np.intp)
+    rows, columns = linear_sum_assignment(-table)
+    out[rows] = columns
+    return out
+
+
+def _offsets(seen: Turning, sensed: Turning, around: float, reach: float, every: int) -> tuple[Array, Index]:
+    """Offsets within reach with enough overlap, and their places in the result of `_gains`."""
+    Tv, Ts = len(seen.w_world[::every]), len(sensed.w_world[::every])
+    lags = np.arange(-(Tv - 1), Ts)  # video frame i beside sensor sample i + lag
+    common = every * STEP * (np.minimum(Tv + lags, Ts) - np.maximum(lags, 0))
+    offsets = seen.start - sensed.start - every * STEP * lags
+    least = min(_LEAST_COMMON, every * STEP * min(Tv, Ts) / 2)
+    kept = (common >= least) & (np.abs(offsets - around) <= reach)
+    if not kept.any():
+        raise CalibrationError(
+            f"video and sensors have no {least:.1f} s in common at any offset within {reach:g} s of "
+            f"{around:g} s; search further (reach), or check that they are of the same time"
+        )
+    return offsets[kept], lags[kept]
+
+
+def _gains(seen: Array, sensed: Array, step: float) -> Array:
+    """Gain and part explained (2, n, N) at each lag, modulo n, of seen (Tv, N, 3) by sensed (Ts, 1, 3)."""
+    n = fft.next_fast_len(len(seen) + len(sensed))
+    known_v = np.isfinite(seen).all(axis=-1).astype(float)
+    v, s = np.nan_to_num(seen), np.nan_to_num(sensed)
+
+    def sums(a: Array, b: Array) -> Array:
+        return np.asarray(fft.ifft(np.conj(fft.fft(a, n, axis=0)) * fft.fft(b, n, axis=0), axis=0))
+
+    level = sums(v[..., 0] + 1j * v[..., 1], s[..., 0] + 1j * s[..., 1])
+    alike = np.abs(level) + sums(v[..., 2], s[..., 2]).real
+    own = np.maximum(sums(known_v, (s**2).sum(axis=-1)).real, 1e-3)
+    factor = np.clip(alike / own, 0, _LARGEST_FACTOR)
+    count = known_v.sum(axis=0)
+    whole = (v**2).sum(axis=(0, 2)) + 3 * _UNSEEN**2 * count + 1e-9
+    explained = np.clip((2 * factor * alike - factor**2 * own) / whole, 0, 0.999)
+    return np.stack([-1.5 * count * step / _MEMORY * np.log1p(-explained), explained])
+
+
+def _peaks(offsets: Array, gains: Array, most: int) -> list[int]:
+    """Places of the largest gains, `APART` from each other."""
+    left, out = gains.copy(), list[int]()
+    while len(out) < most and np.isfinite(left.max()):
+        k = int(np.argmax(left))
+        out.append(k)
+        left[np.abs(offsets - offsets[k]) < APART] = -np.inf
+    return out
