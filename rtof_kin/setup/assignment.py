@@ -8,7 +8,7 @@ image or without. A motion that is the same in a mirror, such as a squat, does n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -23,7 +23,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.setup.image_evidence import image_scores
-from rtof_kin.setup.matching import Labels, Matching, match
+from rtof_kin.setup.matching import Labels, Matching, Score, match
 from rtof_kin.setup.motion_score import shipped_score
 from rtof_kin.setup.sensor_motion import RATE_HZ, SensorMotions, sensor_motions
 
@@ -100,7 +100,7 @@ def match_sensors(
     poses: PoseSequence | None = None,
     *,
     allowed: NDArray[np.bool_] | None = None,
-    prior: Callable[[Labels], Array] | None = None,
+    prior: Score | None = None,
 ) -> Matching:
     """Return the posterior of assignments of sensors to segments.
 
