@@ -307,14 +307,14 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=HERE / "results" / "assignment.json")
     options = parser.parse_args()
     rows: list[dict[str, Any]] = [] if options.real is None else list(real_trials(options.real))
-    for clip in sessions(options.corpus, split()[options.subset]):
+    clips = sorted(sessions(options.corpus, split()[options.subset]), key=lambda clip: len(clip.poses))
+    for clip in clips:
         rows += judge(clip, options.seed)
         mine = [r for r in rows if r["recording"] == clip.name and r.get("told") is False]
         shares = [_percent([_right(r) for r in mine if r["image"] == image]) for image in (True, False)]
         print(f"{clip.name}: {shares[0]} % right with the image, {shares[1]} % without", flush=True)
-    text = tables(rows)
-    write_results(options.out, {"rows": rows}, text)
-    print(text)
+        write_results(options.out, {"rows": rows}, tables(rows))  # a part is a result too
+    print(tables(rows))
     return 0
 
 
