@@ -58,6 +58,11 @@ FAULTS: dict[str, dict[str, str]] = {
     "shank declared as foot": {"RightLeg": "RightFoot"},
 }
 """Declared segments by true ones."""
+REAL_FAULTS: dict[str, dict[str, str]] = {
+    "nothing": {},
+    "left thigh and shank exchanged": {"LeftUpLeg": "LeftLeg", "LeftLeg": "LeftUpLeg"},
+    "all sides exchanged": FAULTS["all sides exchanged"] | {"LeftFoot": "RightFoot", "RightFoot": "LeftFoot"},
+}
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.01)
 
 
@@ -140,7 +145,7 @@ def planted(
     poses: PoseSequence | None,
 ) -> Iterator[dict[str, Any]]:
     """A row for each planted error of the map: whether sensors are named, and whether rightly."""
-    for fault, other in FAULTS.items():
+    for fault, other in (REAL_FAULTS if about.get("real") else FAULTS).items():
         joints = dict(zip(log.names, (other.get(joint, joint) for joint in truth), strict=True))
         found = check_assignment(log, joints, skeleton, poses)
         right = found.joints == dict(zip(log.names, truth, strict=True))
@@ -156,14 +161,17 @@ def real_trials(folder: Path) -> Iterator[dict[str, Any]]:
         if log is None:
             continue
         truth = {sensor: joint for sensor, joint in facts["joints"].items() if joint in usual}
+        log = log.select(list(truth))
+        about = {"recording": name, "image": False, "real": True}
+        yield from planted(about, log, list(truth.values()), skeleton, None)
         for told in (False, True):
             candidates = sorted(truth.values()) if told else None
-            found = assign_sensors(log.select(list(truth)), skeleton, candidates=candidates)
+            found = assign_sensors(log, skeleton, candidates=candidates)
             for sensor, joint in truth.items():
                 yield {
-                    "recording": name, "sensors": len(truth), "image": False, "told": told, "truth": joint,
+                    **about, "sensors": len(truth), "told": told, "truth": joint,
                     "found": found.joints[sensor], "probability": found.probabilities[sensor],
-                    "doubt": found.doubt, "real": True,
+                    "doubt": found.doubt,
                 }  # fmt: skip
 
 
@@ -182,7 +190,9 @@ def _read(folder: Path, facts: dict[str, Any]) -> SensorLog | None:
 
 def tables(rows: list[dict[str, Any]]) -> str:
     """Markdown of the results."""
-    faults, real = [r for r in rows if "fault" in r], [r for r in rows if r.get("real")]
+    faults = [r for r in rows if "fault" in r and not r.get("real")]
+    real = [r for r in rows if "told" in r and r.get("real")]
+    real_faults = [r for r in rows if "fault" in r and r.get("real")]
     simulated = [r for r in rows if "told" in r and not r.get("real")]
     untold = [r for r in simulated if not r["told"]]
     walking = [r for r in untold if r["walk"]]
@@ -193,7 +203,8 @@ def tables(rows: list[dict[str, Any]]) -> str:
     out += ["", "## By rig, 8 to 13 sensors", "", *_by_rig([r for r in untold if r["sensors"] >= 8])]
     out += ["", "## Stated probability of a sensor's segment, and share right", "", *_reliability(untold)]
     out += ["", "## Planted errors of the map, 10 sensors", "", *_faults(faults)]
-    out += ["", "## Real sensors, without an image", "", *_real(real)] if real else []
+    if real:
+        out += ["", "## Real sensors, without an image", "", *_real(real), "", *_faults(real_faults)]
     return "\n".join(out) + "\n"
 
 
@@ -270,8 +281,8 @@ def _reliability(rows: list[dict[str, Any]]) -> list[str]:
 def _faults(rows: list[dict[str, Any]]) -> list[str]:
     out = ["| planted | image | recordings | sensors named % | corrected rightly % | doubt alone % |"]
     out.append("|---" * 6 + "|")
-    for fault in FAULTS:
-        for image in (True, False):
+    for fault in dict.fromkeys(r["fault"] for r in rows):
+        for image in sorted({r["image"] for r in rows}, reverse=True):
             own = [r for r in rows if r["fault"] == fault and r["image"] == image]
             alone = [bool(r["doubt"]) and not r["named"] for r in own]
             cells = [
