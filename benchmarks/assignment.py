@@ -41,8 +41,10 @@ from rtof_kin.simulation.simulate import SimulationSettings, low_passed, simulat
 
 HERE = Path(__file__).parent
 TRIALS = HERE.parent / "examples" / "sensor_trials.toml"
-SECONDS = {10.0: 3, 20.0: 2, 40.0: 1, 60.0: 1}
+SECONDS = {10.0: 2, 20.0: 1, 40.0: 1, 60.0: 1}
 """Recordings of a person by length, where there is motion for them."""
+RERIGGED = 20.0
+"""[s] Length of those that are also on the other rig."""
 EVERY = tuple(SkeletonModel.default().sensors)
 SETS = {**SENSOR_SETS, "13": EVERY}
 FAULTS: dict[str, dict[str, str]] = {
@@ -53,15 +55,19 @@ FAULTS: dict[str, dict[str, str]] = {
         for a, b in (("Left", "Right"), ("Right", "Left"))
         for joint in ("Arm", "ForeArm", "UpLeg", "Leg")
     },
-    "upper arm and forearm exchanged": {"LeftArm": "LeftForeArm", "LeftForeArm": "LeftArm"},
     "shank declared as foot": {"RightLeg": "RightFoot"},
 }
 """Declared segments by true ones."""
+REAL_FAULTS: dict[str, dict[str, str]] = {
+    "nothing": {},
+    "left thigh and shank exchanged": {"LeftUpLeg": "LeftLeg", "LeftLeg": "LeftUpLeg"},
+    "all sides exchanged": FAULTS["all sides exchanged"] | {"LeftFoot": "RightFoot", "RightFoot": "LeftFoot"},
+}
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.01)
 
 
 def sessions(corpus: Path, subjects: list[str]) -> Iterator[MocapClip]:
-    """Recordings of each person, the first of each length on the other rig too."""
+    """Recordings of each person, one of 20 s on the other rig too."""
     people: dict[str, list[MocapClip]] = {}
     for clip in read_corpus(corpus, subjects, output_rate_hz=120.0, min_seconds=2.0):
         if "GLITCH" not in clip.quality and len(clip.poses) >= 2.0 * clip.poses.rate_hz:
@@ -76,7 +82,7 @@ def sessions(corpus: Path, subjects: list[str]) -> Iterator[MocapClip]:
             session = joined([clips[i] for i in order], seconds, name)
             walks = "walk" if all("walk" in clips[i].category.lower() for i in order) else ""
             yield replace(session, category=walks)
-            if again == 0 and subject.startswith("CMU"):
+            if seconds == RERIGGED and subject.startswith("CMU"):
                 yield replace(rerigged(session), name=f"{name}, rerigged", category=walks)
 
 
@@ -116,7 +122,8 @@ def judge(clip: MocapClip, seed: int) -> Iterator[dict[str, Any]]:
         sensors = tuple(some[i] for i in order)
         truth = [skeleton.sensors[sensor][0] for sensor in sensors]
         log = as_log(recording, sensors)
-        for image, told in ((True, False), (False, False), (True, True), (False, True)):
+        ways = [(True, False), (False, False)]
+        for image, told in ways + ([(True, True), (False, True)] if number == "8" else []):
             candidates = sorted(truth) if told else None
             found = assign_sensors(log, skeleton, poses if image else None, candidates=candidates)
             for name, joint in zip(log.names, truth, strict=True):
@@ -138,7 +145,7 @@ def planted(
     poses: PoseSequence | None,
 ) -> Iterator[dict[str, Any]]:
     """A row for each planted error of the map: whether sensors are named, and whether rightly."""
-    for fault, other in FAULTS.items():
+    for fault, other in (REAL_FAULTS if about.get("real") else FAULTS).items():
         joints = dict(zip(log.names, (other.get(joint, joint) for joint in truth), strict=True))
         found = check_assignment(log, joints, skeleton, poses)
         right = found.joints == dict(zip(log.names, truth, strict=True))
@@ -154,14 +161,17 @@ def real_trials(folder: Path) -> Iterator[dict[str, Any]]:
         if log is None:
             continue
         truth = {sensor: joint for sensor, joint in facts["joints"].items() if joint in usual}
+        log = log.select(list(truth))
+        about = {"recording": name, "image": False, "real": True}
+        yield from planted(about, log, list(truth.values()), skeleton, None)
         for told in (False, True):
             candidates = sorted(truth.values()) if told else None
-            found = assign_sensors(log.select(list(truth)), skeleton, candidates=candidates)
+            found = assign_sensors(log, skeleton, candidates=candidates)
             for sensor, joint in truth.items():
                 yield {
-                    "recording": name, "sensors": len(truth), "image": False, "told": told, "truth": joint,
+                    **about, "sensors": len(truth), "told": told, "truth": joint,
                     "found": found.joints[sensor], "probability": found.probabilities[sensor],
-                    "doubt": found.doubt, "real": True,
+                    "doubt": found.doubt,
                 }  # fmt: skip
 
 
@@ -180,18 +190,21 @@ def _read(folder: Path, facts: dict[str, Any]) -> SensorLog | None:
 
 def tables(rows: list[dict[str, Any]]) -> str:
     """Markdown of the results."""
-    faults, real = [r for r in rows if "fault" in r], [r for r in rows if r.get("real")]
+    faults = [r for r in rows if "fault" in r and not r.get("real")]
+    real = [r for r in rows if "told" in r and r.get("real")]
+    real_faults = [r for r in rows if "fault" in r and r.get("real")]
     simulated = [r for r in rows if "told" in r and not r.get("real")]
     untold = [r for r in simulated if not r["told"]]
     walking = [r for r in untold if r["walk"]]
     out = ["# Which sensor is where", "", "Of 13 segments:", "", *_shares(untold)]
     out += ["", "Where the segments that have a sensor are told:", ""]
-    out += _shares([r for r in simulated if r["told"] and r["sensors"] < len(EVERY)])
+    out += _shares([r for r in simulated if r["told"]])
     out += ["", "## Walking alone, of 13 segments", "", *_shares(walking)] if walking else []
     out += ["", "## By rig, 8 to 13 sensors", "", *_by_rig([r for r in untold if r["sensors"] >= 8])]
     out += ["", "## Stated probability of a sensor's segment, and share right", "", *_reliability(untold)]
     out += ["", "## Planted errors of the map, 10 sensors", "", *_faults(faults)]
-    out += ["", "## Real sensors, without an image", "", *_real(real)] if real else []
+    if real:
+        out += ["", "## Real sensors, without an image", "", *_real(real), "", *_faults(real_faults)]
     return "\n".join(out) + "\n"
 
 
@@ -268,8 +281,8 @@ def _reliability(rows: list[dict[str, Any]]) -> list[str]:
 def _faults(rows: list[dict[str, Any]]) -> list[str]:
     out = ["| planted | image | recordings | sensors named % | corrected rightly % | doubt alone % |"]
     out.append("|---" * 6 + "|")
-    for fault in FAULTS:
-        for image in (True, False):
+    for fault in dict.fromkeys(r["fault"] for r in rows):
+        for image in sorted({r["image"] for r in rows}, reverse=True):
             own = [r for r in rows if r["fault"] == fault and r["image"] == image]
             alone = [bool(r["doubt"]) and not r["named"] for r in own]
             cells = [
@@ -287,8 +300,9 @@ def _real(rows: list[dict[str, Any]]) -> list[str]:
         first, wrong = group[0], [r for r in group if not _right(r)]
         named = [f"{r['truth']} as {r['found']} ({100 * r['probability']:.0f} %)" for r in wrong]
         cells = [
-            first["recording"], "yes" if first["told"] else "no",
-            str(len(group)), str(len(group) - len(wrong)), str(sum(map(_right_but_side, group))), ", ".join(named) or "-", "yes" if first["doubt"] else "no",
+            first["recording"], "yes" if first["told"] else "no", str(len(group)),
+            str(len(group) - len(wrong)), str(sum(map(_right_but_side, group))),
+            ", ".join(named) or "-", "yes" if first["doubt"] else "no",
         ]  # fmt: skip
         out.append("| " + " | ".join(cells) + " |")
     return out
@@ -304,14 +318,14 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=HERE / "results" / "assignment.json")
     options = parser.parse_args()
     rows: list[dict[str, Any]] = [] if options.real is None else list(real_trials(options.real))
-    for clip in sessions(options.corpus, split()[options.subset]):
+    clips = sorted(sessions(options.corpus, split()[options.subset]), key=lambda clip: len(clip.poses))
+    for clip in clips:
         rows += judge(clip, options.seed)
         mine = [r for r in rows if r["recording"] == clip.name and r.get("told") is False]
         shares = [_percent([_right(r) for r in mine if r["image"] == image]) for image in (True, False)]
         print(f"{clip.name}: {shares[0]} % right with the image, {shares[1]} % without", flush=True)
-    text = tables(rows)
-    write_results(options.out, {"rows": rows}, text)
-    print(text)
+        write_results(options.out, {"rows": rows}, tables(rows))  # a part is a result too
+    print(tables(rows))
     return 0
 
 

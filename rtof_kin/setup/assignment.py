@@ -8,9 +8,8 @@ image or without. A motion that is the same in a mirror, such as a squat, does n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +22,13 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.setup.image_evidence import image_scores
-from rtof_kin.setup.matching import Labels, Matching, match
+from rtof_kin.setup.matching import Labels, Matching, Score, match
 from rtof_kin.setup.motion_score import shipped_score
 from rtof_kin.setup.sensor_motion import RATE_HZ, SensorMotions, sensor_motions
 
 Candidates = Sequence[str] | Mapping[str, Sequence[str]]
 _SURE = 0.95  # [-] probability from which a sensor's segment is not doubted
-POSSIBLE: Final = 0.02
-"""Probability from which an alternative is named."""
+_POSSIBLE = 0.02  # [-] probability from which an alternative is named
 _STILL = 0.05  # [rad/s] RMS angular speed of a sensor that does not move
 _SHORT = 8.0  # [s] of motion alone, below which nothing is sure
 _IMAGE_WEIGHT, _VIEW_MEMORY = 0.25, 10.0  # [-] of the image's log-likelihood; [s] beyond which it hardly
@@ -100,7 +98,7 @@ def match_sensors(
     poses: PoseSequence | None = None,
     *,
     allowed: NDArray[np.bool_] | None = None,
-    prior: Callable[[Labels], Array] | None = None,
+    prior: Score | None = None,
 ) -> Matching:
     """Return the posterior of assignments of sensors to segments.
 
@@ -202,7 +200,7 @@ def _assignment(found: Matching, motions: SensorMotions, segments: Sequence[str]
     for sensor, k, row in zip(motions.names, found.best, found.probability, strict=True):
         joints[sensor] = segments[k]
         probabilities[sensor] = min(float(row[k]), _MOST_PROBABLE)
-        others = [int(i) for i in np.argsort(-row) if i != k and row[i] >= POSSIBLE]
+        others = [int(i) for i in np.argsort(-row) if i != k and row[i] >= _POSSIBLE]
         alternatives[sensor] = tuple((segments[i], float(row[i])) for i in others)
     sure = Assignment(joints, probabilities, alternatives, "")
     return replace(

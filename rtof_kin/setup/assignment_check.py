@@ -31,7 +31,7 @@ from rtof_kin.inertial.setup_diagnosis import setup_log_likelihood
 from rtof_kin.reconstruction.lift import lift
 from rtof_kin.reconstruction.prepare import evenly_spaced
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.assignment import POSSIBLE, match_sensors, usual_segments
+from rtof_kin.setup.assignment import match_sensors, usual_segments
 from rtof_kin.setup.matching import Labels
 from rtof_kin.setup.sensor_motion import sensor_motions
 
@@ -111,7 +111,7 @@ def check_assignment(
         if k != own and row[k] >= _SURE:
             wrong.append(WrongSensor(name, segments[own], segments[k], float(min(row[k], 0.999))))
             corrected[name] = segments[k]
-        elif 1 - row[own] > POSSIBLE:
+        elif row[own] < _SURE:
             other = max((i for i in range(len(segments)) if i != own), key=lambda i: float(row[i]))
             unsure.append(f"{name} may be on {segments[other]} ({100 * row[other]:.0f} %)")
     if len(set(corrected.values())) < len(corrected):  # a part of an exchange alone is no correction

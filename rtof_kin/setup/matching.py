@@ -20,6 +20,8 @@ from scipy.special import logsumexp
 from rtof_kin.core.array_types import Array
 
 Labels = NDArray[np.intp]
+Score = Callable[[Labels], Array]
+"""Log-probabilities (C,) of assignments (C, S)."""
 _CHAINS, _COOLING, _SAMPLING = 32, 300, 400  # chains, steps of each
 _HOTTEST = 10.0  # [-] temperature at the start
 _IMPOSSIBLE = -1e4  # [nats]
@@ -41,7 +43,7 @@ def match(
     *,
     allowed: NDArray[np.bool_] | None = None,
     mirrors: Sequence[Labels] = (),
-    prior: Callable[[Labels], Array] | None = None,
+    prior: Score | None = None,
 ) -> Matching:
     """Sample assignments of each sensor to a segment of its own.
 
@@ -66,7 +68,7 @@ def match(
     counts, seen = np.zeros((S, K)), set[tuple[int, ...]]()
     temperatures = np.append(np.geomspace(_HOTTEST, 1.0, _COOLING), np.ones(_SAMPLING))
     for step, temperature in enumerate(temperatures):
-        at = _placed(rng, at, step % S, K, lambda labels, t=temperature: score(labels) / t)
+        at = _placed(rng, at, step % S, K, score, float(temperature))
         if len(mirrors) and step % S == 0:
             sides = np.asarray(mirrors)[rng.integers(len(mirrors), size=len(at))[:, None], at]
             better = np.log(rng.uniform(size=len(at))) < (score(sides) - score(at)) / temperature
@@ -88,23 +90,22 @@ def _starts(rng: np.random.Generator, single: Array) -> Labels:
     return np.array(starts)
 
 
-def _placed(rng: np.random.Generator, at: Labels, s: int, K: int, score: Callable[[Labels], Array]) -> Labels:
+def _placed(rng: np.random.Generator, at: Labels, s: int, K: int, score: Score, temperature: float) -> Labels:
     """Return assignments (C, S) after a step that places sensor s."""
-    chains = np.arange(len(at))
-    ways, total = _ways(at, s, K, score)
-    share = np.exp(ways[1] - total[:, None]).cumsum(axis=1)
+
+    def ways(of: Labels) -> tuple[Labels, Array]:
+        """Return assignments (C, K, S) with sensor s on each segment, whose sensor takes its place, and their
+        scores (C, K).
+        """
+        new = np.repeat(of[:, None], K, axis=1)
+        new = np.where(new == np.arange(K)[:, None], of[:, s, None, None], new)
+        new[:, :, s] = np.arange(K)
+        return new, score(new.reshape(-1, of.shape[1])).reshape(-1, K) / temperature
+
+    there, scores = ways(at)
+    total = logsumexp(scores, axis=1)
+    share = np.exp(scores - total[:, None]).cumsum(axis=1)
     drawn = np.minimum((share < rng.uniform(size=(len(at), 1))).sum(axis=1), K - 1)
-    new = ways[0][chains, drawn]
-    accepted = np.log(rng.uniform(size=len(at))) < total - _ways(new, s, K, score)[1]
+    new = there[np.arange(len(at)), drawn]
+    accepted = np.log(rng.uniform(size=len(at))) < total - logsumexp(ways(new)[1], axis=1)
     return np.where(accepted[:, None], new, at)
-
-
-def _ways(at: Labels, s: int, K: int, score: Callable[[Labels], Array]) -> tuple[tuple[Labels, Array], Array]:
-    """Return assignments (C, K, S) with sensor s on each segment, whose sensor takes its place; their scores
-    (C, K); and the log of the sum of their exponentials (C,).
-    """
-    new = np.repeat(at[:, None], K, axis=1)
-    new = np.where(new == np.arange(K)[:, None], at[:, s, None, None], new)
-    new[:, :, s] = np.arange(K)
-    scores = score(new.reshape(-1, at.shape[1])).reshape(-1, K)
-    return (new, scores), np.asarray(logsumexp(scores, axis=1))

@@ -139,7 +139,7 @@ def _relative_turning(motions: SensorMotions, heading: Array) -> list[Array]:
     """Return log share and planarity (S, S) of the relative angular velocity at those headings."""
     S = len(motions.names)
     share, plane = np.zeros((2, S, S))
-    every = motions.select(np.arange(0, len(motions), 2))
+    every = motions.select(slice(None, None, 2))
     power = np.sum(every.w**2, axis=-1).mean(axis=0)
     for a in range(S):
         for b in range(a + 1, S):

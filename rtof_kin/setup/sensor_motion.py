@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
@@ -54,11 +55,11 @@ class SensorMotions:
     def __len__(self) -> int:
         return len(self.times)
 
-    def select(self, rows: Array) -> SensorMotions:
+    def select(self, rows: slice | NDArray[Any]) -> SensorMotions:
         """Return only some times.
 
         Args:
-            rows: mask or indices.
+            rows: slice, mask or indices.
         """
         cut = {name: getattr(self, name)[rows] for name in ("times", "R", "w", "a", "D")}
         return replace(self, **cut)
@@ -134,7 +135,7 @@ def _motion(stream: SensorStream, times: Array) -> tuple[Array, Array, Array, Ar
 def _in_inertial(stream: SensorStream) -> Array:
     assert stream.R_inertial_sensor is not None
     assert stream.f_sensor is not None
-    return np.einsum("tij,tj->ti", stream.R_inertial_sensor, stream.f_sensor)
+    return np.asarray(np.einsum("tij,tj->ti", stream.R_inertial_sensor, stream.f_sensor))
 
 
 def joined(parts: Sequence[SensorMotions]) -> SensorMotions:
