@@ -23,6 +23,7 @@ from rtof_kin.inertial.segment_names import known_segment, segments_of
 from rtof_kin.recording.sensor_files import imus_of_log
 from rtof_kin.setup.alignment import Alignment, align_sensors
 from rtof_kin.setup.assignment import assign_sensors
+from rtof_kin.setup.assignment_check import check_assignment
 from rtof_kin.setup.clocks import ClockEstimate, find_clock
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 
@@ -86,6 +87,10 @@ def set_up_sensors(
         log = log.select(list(told))
         clock = _refined(clock, log, told, take)
         doubts += unsure
+    else:
+        checked = check_assignment(clock.apply(log), told, skeleton, poses)
+        doubts += [f"sensor {wrong}; correct the map, or the name" for wrong in checked.wrong]
+        doubts += [f"which sensor is where: {checked.doubt}"] if checked.doubt else []
     found = align_sensors(poses, keypoints, clock.apply(log), told, skeleton)
     doubts += found.warnings
     clock = _delayed(clock, found)
