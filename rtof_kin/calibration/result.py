@@ -216,11 +216,7 @@ class SelfCalibration:
 
     def _view(self, view: KeypointSequence, first: Camera) -> KeypointSequence:
         """A further camera's keypoints; its pose relative to the first one stays."""
-        camera, moved = view.camera, self._camera(first)
-        relative = camera.R_camera_world @ first.R_camera_world.T
-        R = so3.nearest_rotation(relative @ moved.R_camera_world)
-        t = camera.t_camera_world + relative @ (moved.t_camera_world - first.t_camera_world)
-        camera = replace(camera, R_camera_world=R, t_camera_world=t)
+        camera = view.camera.carried(first, self._camera(first))
         return replace(view, times=self._times(view.times), camera=camera)
 
     def _times(self, times: Array) -> Array:

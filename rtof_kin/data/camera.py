@@ -145,6 +145,17 @@ class Camera:
         rays = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
         return so3.unit(rays @ self.R_camera_world)
 
+    def carried(self, before: Camera, after: Camera) -> Camera:
+        """Return the camera with its pose relative to another one kept while that one is corrected.
+
+        Args:
+            before, after: the other camera.
+        """
+        relative = self.R_camera_world @ before.R_camera_world.T
+        R = so3.nearest_rotation(relative @ after.R_camera_world)
+        t = self.t_camera_world + relative @ (after.t_camera_world - before.t_camera_world)
+        return replace(self, R_camera_world=R, t_camera_world=t)
+
     def undistorted(self) -> Camera:
         """Return the camera without distortion."""
         return replace(self, distortion=np.zeros(5))

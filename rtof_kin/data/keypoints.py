@@ -84,17 +84,15 @@ class KeypointSequence:
             self, times=self.times[frames], uv_px=self.uv_px[frames], confidence=self.confidence[frames]
         )
 
-    def resample(self, times: Array, max_gap: float | None = None) -> Self:
-        """Return the landmarks interpolated linearly to other times.
+    def resample(self, times: Array) -> Self:
+        """Return the landmarks interpolated linearly to other times; missing frames stay missing.
 
         Args:
-            times: (T',) s. max_gap: longest interval between detections that is interpolated, s; by default
-                one and a half frames, so that missing frames stay missing.
+            times: (T',) s.
         """
         if np.array_equal(times, self.times):
             return self
-        if max_gap is None:
-            max_gap = _LONGEST_GAP * float(np.median(np.diff(self.times))) if len(self) > 1 else 0.0
+        max_gap = _LONGEST_GAP * float(np.median(np.diff(self.times))) if len(self) > 1 else 0.0
         uv = signals.interpolate(self.times, self.uv_px, times, max_gap)
         confidence = signals.interpolate(self.times, self.confidence, times, max_gap)
         return replace(self, times=times, uv_px=uv, confidence=np.clip(np.nan_to_num(confidence), 0, 1))

@@ -34,19 +34,21 @@ Solve = Callable[[Recording], tuple[Prepared, PoseSequence]]
 
 
 def with_camera(recording: Recording, camera: Camera) -> Recording:
-    """Return a recording with another camera.
+    """Return a recording with another first camera, those of further views carried along.
 
     Args:
         recording: with keypoints. camera: of the same images.
     """
-    return replace(recording, keypoints=replace(recording.video, camera=camera))
+    before, views = recording.video.camera, recording.views
+    views = tuple(replace(view, camera=view.camera.carried(before, camera)) for view in views)
+    return replace(recording, keypoints=replace(recording.video, camera=camera), views=views)
 
 
 def find_camera(
     recording: Recording, skeleton: SkeletonModel, solve: Solve, lifter: LifterLike | None,
     progress: Callable[[int, int], None] | None = None,
 ) -> CameraEstimate:  # fmt: skip
-    """Estimate the unknowns of a camera from its recording.
+    """Estimate the unknowns of the first camera from its recording, without further views.
 
     Args:
         recording: whose camera has an uncertainty. skeleton: the subject's.
@@ -57,7 +59,7 @@ def find_camera(
         Errors of the stages, with the camera as declared.
     """
     assumed = recording.video.camera
-    recording = replace(recording, keypoints=_excerpt(recording.video), truth=None)
+    recording = replace(recording, keypoints=_excerpt(recording.video), views=(), truth=None)
     prepared, poses = solve(recording)
     clean, imus = prepared.recording, prepared.bone_imus
     depth = assumed.to_camera(poses.p_world_joint[:, 0])[:, 2]

@@ -43,7 +43,7 @@ class BundleSettings:
     """[1] of the body's size."""
     sigma_tilt: float = np.radians(3.0)
     """[rad] of the second camera's tilt as given, about each horizontal axis."""
-    sigma_image: float = 0.006
+    sigma_image: float = 0.004
     """[1] of a joint in an image per axis, relative to the focal length; residuals do not tell it where the
     joints are free."""
     sigma_shapes: tuple[float, float] = (0.06, 0.06)
@@ -102,7 +102,7 @@ def adjust(
     now = cameras
     for _ in range(settings.iterations):
         system = _System(now, x, images, p, p_world_joint, settings)
-        step, dp = system.step(prior)
+        step, dp = system.step(prior * settings.frames_as_one)
         x, p = x + step, p + dp
         now = now[0], _moved(now[1], step[TURN], step[MOVE])
         if np.all(np.abs(step) < 1e-6):
@@ -172,7 +172,7 @@ class _System:
         """Gauss-Newton step (10,), and that of the joints (F, n, 3).
 
         Args:
-            prior: (10,) inverse variances.
+            prior: (10,) inverse variances, relative to one frame.
         """
         step = -np.linalg.solve(self.information + np.diag(prior), self._force + prior * self._x)
         dp = -self._solved[..., _UNKNOWNS] - self._solved[..., :_UNKNOWNS] @ step

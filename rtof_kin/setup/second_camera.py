@@ -42,7 +42,9 @@ _MOST_FRAMES: Final = 240
 _SENSED, _SEEN, _LIFTED = 0.03, 0.05, 0.06
 """[m] Standard deviations per axis of a joint about the mean of all: by the first camera with sensors, by the
 first camera alone, by a lift."""
-_MEMORY: Final = 1.0
+_USUAL_FOCAL: Final = 0.1
+"""[1] Relative standard deviation of a focal length where a camera states none."""
+_MEMORY: Final = 3.0
 """[s] for which a detector's errors count as one."""
 _STEP: Final = 0.1
 """[s] of the difference that gives a joint's velocity in the image."""
@@ -91,7 +93,7 @@ def find_second_camera(
     lifter: LifterLike | None = None,
     *,
     around: float | None = None,
-    sigma_focal: Sequence[float] = (0.1, 0.1),
+    sigma_focal: tuple[float, float] | None = None,
 ) -> SecondCamera:
     """Estimate a second camera, which stands anywhere, from the moving person.
 
@@ -102,7 +104,8 @@ def find_second_camera(
             degrees, and its position is not used.
         lifter: default: the shipped one.
         around: [s] offset of the clocks that is known within a second; None searches everywhere.
-        sigma_focal: relative standard deviation of each focal length as given; 0 where it is calibrated.
+        sigma_focal: relative standard deviation of each focal length as given, 0 where it is calibrated; by
+            default as the cameras state (`Camera.uncertainty`), and 10 % where they state nothing.
 
     Raises:
         CalibrationError: the two have too little in common.
@@ -124,7 +127,7 @@ def find_second_camera(
         _images(first, view, frames, skeleton, (poses, own)),
         poses.p_world_joint[frames][:, skeleton.index(*JOINTS)],
         BundleSettings(
-            sigma_focal=(float(sigma_focal[0]), float(sigma_focal[1])),
+            sigma_focal=sigma_focal or (_focal(recording.video.camera), _focal(camera)),
             sigma_shapes=(_SENSED if sensed else _SEEN, _LIFTED),
             frames_as_one=max(1.0, _MEMORY * len(frames) / float(np.ptp(first.times[frames]))),
         ),
@@ -135,9 +138,13 @@ def find_second_camera(
 def _result(found: Adjusted, view: KeypointSequence, clock: VideoOffset) -> SecondCamera:
     sigma, delay = np.sqrt(np.diag(found.covariance)), float(found.x[DELAY])
     words = (*view.camera.assumed, "pose of the second camera, from the moving person")
-    camera = replace(found.cameras[1], assumed=tuple(dict.fromkeys(words)))
+    camera = replace(found.cameras[1], assumed=tuple(dict.fromkeys(words)), uncertainty=None)
+    first = found.cameras[0]
+    if first.uncertainty is not None:
+        left = replace(first.uncertainty, focal=float(sigma[FOCAL][0]))
+        first = replace(first, uncertainty=left)
     return SecondCamera(
-        first=found.cameras[0],
+        first=first,
         view=replace(view, camera=camera, times=view.times + delay),
         offset=clock.offset + delay,
         sigma_offset=float(sigma[DELAY]),
@@ -147,6 +154,11 @@ def _result(found: Adjusted, view: KeypointSequence, clock: VideoOffset) -> Seco
         residual=found.sigma,
         doubt=clock.doubt or _doubt(found, sigma),
     )
+
+
+def _focal(camera: Camera) -> float:
+    """Relative standard deviation of a focal length."""
+    return _USUAL_FOCAL if camera.uncertainty is None else camera.uncertainty.focal
 
 
 def _placed(camera: Camera, first: PoseSequence, second: PoseSequence) -> tuple[Camera, PoseSequence]:

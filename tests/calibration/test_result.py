@@ -10,6 +10,7 @@ import calibration_support as cs
 import numpy as np
 import planted
 import pytest
+from numpy.typing import NDArray
 
 from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
 from rtof_kin.calibration.result import Detector, Quantity, SelfCalibration, Verdict, bone_groups
@@ -221,3 +222,19 @@ def test_invalid_files_are_refused(tmp_path: Path, old: str, new: str, message: 
     path.write_text(text.replace(old, new))
     with pytest.raises((FileFormatError, UnknownNameError), match=message):
         read_self_calibration_toml(path)
+
+
+def test_further_views_keep_clock_and_pose_beside_the_first_camera() -> None:
+    one = recording()
+    side = planted.keypoints(cs.motion(20).poses)
+    camera = replace(side.camera, R_camera_world=side.camera.R_camera_world @ so3.about_axis("z", 1.0))
+    before = replace(one, views=(replace(side, camera=camera),))
+    turn, delay = quantity("camera tilt", "video", 0.02, -0.01, 0.01), quantity("delay", "video", 0.05)
+    after = SelfCalibration((turn, delay)).apply(before)
+
+    def relative(r: Recording) -> NDArray[np.float64]:
+        return np.asarray(r.views[0].camera.R_camera_world @ r.video.camera.R_camera_world.T)
+
+    np.testing.assert_allclose(relative(after), relative(before), atol=1e-12)
+    assert np.abs(after.views[0].camera.R_camera_world - camera.R_camera_world).max() > 1e-3
+    np.testing.assert_allclose(after.views[0].times, after.video.times, atol=1e-12)

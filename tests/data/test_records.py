@@ -177,3 +177,14 @@ def test_defaults_of_poses_claim_no_observation_and_a_missing_position_is_invali
 def test_frame_rate_follows_the_median_step() -> None:
     assert poses(times=np.array([0, 0.02, 0.04, 0.5, 0.52, 0.54])).rate_hz == pytest.approx(50)
     assert poses()[:1].rate_hz == 60
+
+
+def test_keypoints_are_resampled_but_not_over_missing_frames() -> None:
+    uv = np.stack([np.arange(T, dtype=float), 2.0 * np.arange(T)], axis=-1)[:, None]
+    uv[3] = np.nan
+    given = KeypointSequence(camera(), TIMES, uv, np.full((T, 1), 0.5), ("Hips",))
+    other = given.resample(TIMES[:-1] + 0.25 / 60)
+    np.testing.assert_allclose(other.uv_px[[0, 1, 4], 0], [[0.25, 0.5], [1.25, 2.5], [4.25, 8.5]])
+    np.testing.assert_array_equal(other.seen[:, 0], [True, True, False, False, True])
+    assert given.resample(TIMES) is given
+    assert not given.resample(TIMES + 10.0).seen.any()

@@ -114,3 +114,18 @@ def test_distortion_is_modelled_and_other_landmarks_are_ignored(truth: MotionSeq
     np.testing.assert_array_equal(out.p_world_joint, same.p_world_joint)
     shift = out.p_world_joint - start.p_world_joint
     np.testing.assert_allclose(shift, np.broadcast_to(shift[:, :1], shift.shape), atol=1e-12)
+
+
+def test_a_second_camera_gives_the_depth(truth: MotionSequence) -> None:
+    side = Camera.looking_at([0.5, -4.0, 1.2], [0.0, 0.0, 1.0], focal_px=900.0)
+    first = planted.keypoints(truth.poses, sigma_px=5.0)
+    uv = side.project(truth.poses.p_world_joint)
+    second = replace(first, camera=side, uv_px=uv + 5.0 * np.random.default_rng(1).normal(size=uv.shape))
+    start = moved(truth.poses, offsets())
+    one, two = refit_root(start, first), refit_root(start, first, (second,))
+    errors = [planted.mpjpe_mm(p.p_world_joint, truth.poses.p_world_joint) for p in (one, two)]
+    assert errors[1] < 0.15 * errors[0]
+    np.testing.assert_allclose(
+        refit_root(start, planted.unseen(first, slice(None)), (second,)).p_world_joint,
+        refit_root(start, second).p_world_joint, atol=1e-6,
+    )  # fmt: skip

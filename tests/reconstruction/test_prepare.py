@@ -213,3 +213,29 @@ def test_video_with_jitter_and_dropped_frames_is_reconstructed() -> None:
     assert result.stage_metrics["rtof"]["mpjpe_rr_mm"] < 30
     assert result.solution is not None
     assert result.solution.status is SolverStatus.CONVERGED
+
+
+def test_further_views_are_cleaned_resampled_lifted_and_fused(case: Case) -> None:
+    video = case.recording.video
+    half = video.times[::2] + 0.001
+    late = replace(video, times=half, uv_px=video.uv_px[::2], confidence=video.confidence[::2])
+    lifter = case.lifter()
+    two = case.changed(views=(late,)).prepare("rto", lifter)
+    assert len(lifter.asked) == 2
+    (view,) = two.views
+    np.testing.assert_array_equal(view.times, two.keypoints.times)
+    assert view.seen[1:-1].all()
+    # Both lifts are alike, so their mean is each of them.
+    one = case.prepare("rto")
+    p, expected = two.stages["lift"].p_world_joint, one.stages["lift"].p_world_joint
+    np.testing.assert_allclose(p, expected, atol=1e-9)
+
+
+def test_another_person_in_a_view_is_left_out_and_named(case: Case) -> None:
+    video = case.recording.video
+    uv = video.uv_px.copy()
+    uv[15:20] += 400.0
+    two = case.changed(views=(replace(video, uv_px=uv),)).prepare("rto")
+    assert ["keypoints of view 1" in fault.what for fault in two.outliers] == [True]
+    assert not two.views[0].seen[15:20].any()
+    assert two.keypoints.seen.all()
