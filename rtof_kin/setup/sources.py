@@ -16,7 +16,7 @@ from rtof_kin.formats.opencap import read_opencap
 from rtof_kin.formats.opencv_yaml import MATRIX_NAMES
 from rtof_kin.formats.sensors.files import format_of, holds_sensors
 from rtof_kin.formats.sensors.phone import phone_files
-from rtof_kin.formats.sensors.sensor_map import is_sensor_map, read_sensor_map
+from rtof_kin.formats.sensors.sensor_map import read_sensor_map
 from rtof_kin.inertial.segment_names import segment_of
 from rtof_kin.recording.recording import INDEX
 from rtof_kin.vision.keypoint_files import ARRAY_NAMES
@@ -151,12 +151,12 @@ def _of_text(path: Path, head: str) -> SourceKind:
         return SourceKind.KEYPOINTS
     if is_keypoint_header(start.split("\n", 1)[0]):
         return SourceKind.KEYPOINTS
-    return SourceKind.SENSOR_MAP if _is_map(path, head) else SourceKind.UNKNOWN
+    return SourceKind.SENSOR_MAP if _is_map(path) else SourceKind.UNKNOWN
 
 
-def _is_map(path: Path, head: str) -> bool:
+def _is_map(path: Path) -> bool:
     """Return whether a text has two columns, of which the second names segments."""
-    if not is_sensor_map(head) or path.stat().st_size > _LARGEST_MAP:
+    if path.stat().st_size > _LARGEST_MAP:
         return False
     try:
         places = read_sensor_map(path).values()

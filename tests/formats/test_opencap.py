@@ -12,6 +12,7 @@ import planted
 import pytest
 from scipy.spatial.transform import Rotation
 
+from rtof_kin import Recording
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.cameras import read_camera
@@ -72,6 +73,19 @@ def test_a_pose2sim_export_has_its_world_again(tmp_path: Path) -> None:
     camera = read_opencap(path)["Cam0"]
     assert np.allclose((camera.R_camera_world.T @ CAMERA.R_camera_world)[2], [0, 0, 1])
     assert camera.center_world[2] == pytest.approx(CAMERA.center_world[2])
+
+
+def test_a_recording_names_it_as_its_camera(tmp_path: Path) -> None:
+    write(tmp_path / "Cam0", content(BOARDS["-y"]))
+    points = np.random.default_rng(1).uniform(-0.5, 0.5, (4, 2, 3))
+    uv = CAMERA.project(points + np.array([0, 0, 1]))
+    np.savez(tmp_path / "keypoints.npz", uv_px=uv)
+    (tmp_path / "recording.toml").write_text(
+        'schema_version = 1\n[camera]\nfile = "Cam0/cameraIntrinsicsExtrinsics.pickle"\n'
+        '[keypoints]\nfile = "keypoints.npz"\nrate_hz = 30\nlandmarks = ["Hips", "Head"]\n'
+    )
+    camera = Recording.load(tmp_path).video.camera
+    np.testing.assert_allclose(camera.center_world[2], CAMERA.center_world[2])
 
 
 def test_a_board_between_two_axes_needs_to_be_told(tmp_path: Path) -> None:

@@ -35,18 +35,6 @@ _SHORTEST_END: Final = 3
 """Fewest characters of a serial number that name a sensor."""
 
 
-def is_sensor_map(text: str) -> bool:
-    """Return whether a text looks like a map of sensors.
-
-    Args:
-        text: the file's content.
-    """
-    try:
-        return len(_entries(Path(), text)) > 0
-    except FileFormatError:
-        return False
-
-
 def read_sensor_map(path: str | Path) -> dict[str, str]:
     """Read the place of each sensor.
 
@@ -57,13 +45,7 @@ def read_sensor_map(path: str | Path) -> dict[str, str]:
         FileFormatError: unreadable, a line without two columns, or a sensor or place twice; names the line.
     """
     path = Path(path)
-    entries = _entries(path, read_text(path, "a map of sensors", LARGEST_BYTES))
-    if not entries:
-        raise FileFormatError(path, "names no sensor; write lines such as '00B42279, pelvis'")
-    return entries
-
-
-def _entries(path: Path, text: str) -> dict[str, str]:
+    text = read_text(path, "a map of sensors", LARGEST_BYTES)
     rows = _of_xml(path, text) if text.lstrip().startswith("<") else _of_lines(path, text)
     places: dict[str, str] = {}
     for number, (sensor, place) in rows:
@@ -71,6 +53,8 @@ def _entries(path: Path, text: str) -> dict[str, str]:
             twice = sensor if sensor in places else place
             raise FileFormatError(path, f"{twice!r} stands there twice; give each its own line", number)
         places[sensor] = place
+    if not places:
+        raise FileFormatError(path, "names no sensor; write lines such as '00B42279, pelvis'")
     return places
 
 
