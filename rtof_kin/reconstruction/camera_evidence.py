@@ -8,7 +8,7 @@ walk      logarithm of the path of the body over standing feet, by the image, pe
 ========  ===================================================================================  ==========
 
 Heights follow from the size of the person in the image. Standard deviations are those with the true camera
-on recordings of other people (`benchmarks/uncalibrated_camera.py --fit`).
+on recordings of other people (`docs/calibration.md`).
 """
 
 from __future__ import annotations
@@ -63,7 +63,9 @@ TURN: Final = Usual(0.0, np.radians(2.4)), Usual(0.0, np.radians(1.8))
 WALK: Final = Usual(np.log(1.05), 0.03)
 """[1] for a long walk."""
 WALK_LEG: Final = 0.08
-"""[m] Standard deviation of a path by the legs, per root of the number of contacts."""
+"""[m] Standard deviation of the root of the sum of squares of all contacts' paths."""
+LEAST_WALK: Final = 2.0
+"""[m^2] Sum of squares of the legs' paths below which nothing follows from them: some five steps."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,7 @@ def _walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
     """Path of the body over standing feet, along the view, per that of its legs."""
     body, legs = walked(scene, camera, poses)
     total = float(legs @ legs)
-    if total == 0 or not body @ legs > 0.2 * total:
+    if total < LEAST_WALK or not body @ legs > 0.2 * total:
         return Evidence(np.full(1, np.nan), np.ones(1))
     value = np.log(body @ legs / total) - WALK.mean
     sigma = np.hypot(WALK.sigma, WALK_LEG / np.sqrt(total))
