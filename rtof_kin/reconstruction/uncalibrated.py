@@ -33,12 +33,20 @@ Solve = Callable[[Recording], tuple[Prepared, PoseSequence]]
 
 
 def with_camera(recording: Recording, camera: Camera) -> Recording:
-    """Return a recording with another camera.
+    """Return a recording with another first camera; further ones move rigidly with it.
 
     Args:
         recording: with keypoints. camera: of the same images.
     """
-    return replace(recording, keypoints=replace(recording.video, camera=camera))
+    before = recording.video.camera
+
+    def moved(other: Camera) -> Camera:
+        R_other_first = other.R_camera_world @ before.R_camera_world.T
+        t = R_other_first @ (camera.t_camera_world - before.t_camera_world) + other.t_camera_world
+        return replace(other, R_camera_world=R_other_first @ camera.R_camera_world, t_camera_world=t)
+
+    views = tuple(replace(view, camera=moved(view.camera)) for view in recording.views)
+    return replace(recording, keypoints=replace(recording.video, camera=camera), views=views)
 
 
 def find_camera(

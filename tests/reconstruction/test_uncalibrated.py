@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.calibration.camera_estimate import FOCAL, corrected, prior_sigma
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import CameraUncertainty
 from rtof_kin.data.confidence import WORLD
@@ -142,3 +143,17 @@ def test_the_report_shows_the_camera() -> None:
     assert "not calibrated" in page
     assert "focal length" in page
     assert _camera(None) == ""
+
+
+def test_further_cameras_move_rigidly_with_the_first() -> None:
+    video = demo().video
+    second = replace(video.camera, R_camera_world=so3.about_axis("y", 1.0) @ video.camera.R_camera_world)
+    recording = replace(demo(), views=(replace(video, camera=second),))
+    moved = with_camera(recording, corrected(video.camera, np.array([0.1, 0.05, -0.02, 0.3, 0.0])))
+
+    def between(one: Recording) -> np.ndarray:
+        points = np.random.default_rng(0).normal(size=(5, 3))
+        first, other = one.video.camera, one.views[0].camera
+        return other.to_camera((points - first.t_camera_world) @ first.R_camera_world)
+
+    np.testing.assert_allclose(between(moved), between(recording), atol=1e-12)
