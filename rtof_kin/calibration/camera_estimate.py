@@ -27,6 +27,7 @@ from rtof_kin.data.camera import Camera, CameraUncertainty
 UNKNOWNS: Final = ("focal length", "pitch", "roll", "height over the floor", "distortion k1")
 COLUMNS: Final = ("camera", "assumed", "found", "sd remaining", "verdict")
 """Headings of `CameraEstimate.table`."""
+FOUND, NOT_FOUND = "found", "hardly found"
 FOCAL, PITCH, ROLL, HEIGHT, DISTORTION = range(5)
 _DEGREES: Final = (float(np.degrees(1.0)), "deg")
 _SHARE_FOUND: Final = 0.7
@@ -92,9 +93,9 @@ class CameraEstimate:
         steps = [scale * axis * np.sqrt(v) for v, axis in zip(values, axes.T, strict=True) if v > 1e-3]
         return [corrected(self.assumed, self.value + step) for step in steps]
 
-    def table(self) -> list[tuple[str, ...]]:
+    def table(self) -> list[tuple[str, str, str, str, str]]:
         """Return rows of `COLUMNS`: unknown, assumed and found with their standard deviations, verdict."""
-        prior, left, rows = prior_sigma(self.assumed), self.sigma, list[tuple[str, ...]]()
+        prior, left, rows = prior_sigma(self.assumed), self.sigma, list[tuple[str, str, str, str, str]]()
         units: tuple[tuple[float, str], ...]
         units = (self.assumed.K[0, 0], "px"), _DEGREES, _DEGREES, (1.0, "m"), (1.0, "")
         before, after = _values(self.assumed), _values(self.found)
@@ -103,7 +104,7 @@ class CameraEstimate:
                 pairs = (before[i], unit * prior[i]), (after[i], unit * left[i])
                 texts = tuple(f"{value:.4g} ± {sigma:.2g} {word}".strip() for value, sigma in pairs)
                 share = left[i] / prior[i]
-                verdict = "found" if share < _SHARE_FOUND else "hardly found, as assumed"
+                verdict = FOUND if share < _SHARE_FOUND else NOT_FOUND
                 rows.append((UNKNOWNS[i], texts[0], texts[1], f"{100 * share:.0f} %", verdict))
         return rows
 

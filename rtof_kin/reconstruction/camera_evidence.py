@@ -8,13 +8,12 @@ walk      logarithm of the path of the body over standing feet, by the image, pe
 ========  ===================================================================================  ==========
 
 Heights follow from the size of the person in the image. Standard deviations are those with the true camera
-on recordings of other people (`benchmarks/uncalibrated_camera.py --fit`).
+on recordings of other people (``python -m benchmarks.uncalibrated_camera --fit``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -24,11 +23,12 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.camera_estimate import Evidence
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.inertial.contacts import Contacts, detect_contacts
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.reconstruction.scale_checks import ANKLE_HEIGHT, LEGS
 
@@ -60,10 +60,12 @@ LEAN: Final = Usual(0.0, np.radians(2.6)), Usual(0.0, np.radians(2.3))
 """[rad] of the body in the mean, forwards and to the right as seen from the camera."""
 TURN: Final = Usual(0.0, np.radians(2.4)), Usual(0.0, np.radians(1.8))
 """[rad] of bones with sensors by the image alone, about the camera's x and z axes."""
-WALK: Final = Usual(np.log(1.05), 0.045)
+WALK: Final = Usual(np.log(1.05), 0.03)
 """[1] for a long walk."""
-WALK_LEG: Final = 0.12
-"""[m] Standard deviation of a path by the legs, per root of the number of contacts."""
+WALK_LEG: Final = 0.08
+"""[m] Standard deviation of the root of the sum of squares of all contacts' paths."""
+LEAST_WALK: Final = 2.0
+"""[m^2] Sum of squares of the legs' paths below which nothing follows from them: some five steps."""
 
 
 @dataclass(frozen=True)
@@ -72,31 +74,30 @@ class Scene:
 
     skeleton: SkeletonModel
     floor_height: float | None
-    feet: tuple[str, ...]
-    """Those of `FEET` that the skeleton has."""
-    standing: Mask
-    """(T, n) which of them hardly move in the image."""
+    contacts: Contacts
+    """`standing_feet`."""
     bone_imus: BoneImuSequence | None
     """At the keypoints' times."""
 
 
-def standing_in_image(keypoints: KeypointSequence, feet: Sequence[str], distance: Array) -> Mask:
-    """Return which feet (T, n) hardly move in the image.
+def standing_feet(keypoints: KeypointSequence, poses: PoseSequence, skeleton: SkeletonModel) -> Contacts:
+    """Return the feet that hardly move in the image and move little in the poses.
 
     Args:
-        keypoints: evenly spaced. feet: names. distance: (T,) of the person along the camera's axis, m.
+        keypoints: evenly spaced. poses: at their times, with about the right camera. skeleton: the subject's.
     """
-    xy = keypoints.camera.normalise(keypoints.select(feet).uv_px)
-    rate_hz = 1 / float(np.median(np.diff(keypoints.times)))
-    standing = np.zeros(xy.shape[:2], dtype=bool)
-    for i in range(len(feet)):
+    found = detect_contacts(poses, None, skeleton, from_poses=True)
+    xy = keypoints.camera.normalise(keypoints.select(found.joints).uv_px)
+    depth = keypoints.camera.to_camera(poses.p_world_joint[:, 0])[:, 2]
+    standing, rate_hz = found.standing.copy(), poses.rate_hz
+    for i in range(len(found.joints)):
         smooth = signals.low_pass_known(keypoints.times, xy[:, i], _CUTOFF_HZ)
-        speed = np.linalg.norm(np.gradient(smooth, axis=0), axis=-1) * rate_hz * distance
-        standing[:, i] = speed < _STILL  # false for NaN
+        speed = np.linalg.norm(np.gradient(smooth, axis=0), axis=-1) * rate_hz * depth
+        standing[:, i] &= speed < _STILL  # false for NaN
         for start, stop in signals.runs(standing[:, i]):
             if stop - start < _SHORTEST * rate_hz:
                 standing[start:stop, i] = False
-    return standing
+    return replace(found, standing=standing)
 
 
 def evidence(
@@ -127,7 +128,7 @@ def _level_axes(camera: Camera) -> Array:
 
 def _floor(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
     """Height of standing ankles and its slopes: of the mean, in depth and across."""
-    p = poses.p_world_joint[:, scene.skeleton.index(*scene.feet)][scene.standing]
+    p = poses.p_world_joint[:, scene.skeleton.index(*scene.contacts.joints)][scene.contacts.standing]
     if scene.floor_height is None or len(p) < 10:
         return Evidence(np.full(3, np.nan), np.ones(3))
     places = (p - camera.center_world) @ _level_axes(camera).T
@@ -150,7 +151,7 @@ def _tilt(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
     """Rotation of the body by the image alone against the sensors; without them, its mean lean."""
     skeleton, p = scene.skeleton, poses.p_world_joint
     if scene.bone_imus is None:
-        below = skeleton.index(*(scene.feet or skeleton.names[:1]))
+        below = skeleton.index(*(scene.contacts.joints or skeleton.names[:1]))
         above = p[:, skeleton.names.index("Neck")] - p[:, below].mean(axis=1)
         up = so3.unit(np.median(so3.unit(above), axis=0))
         value, usual = _level_axes(camera) @ up, LEAN
@@ -171,7 +172,7 @@ def _walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
     """Path of the body over standing feet, along the view, per that of its legs."""
     body, legs = walked(scene, camera, poses)
     total = float(legs @ legs)
-    if total == 0 or not body @ legs > 0.2 * total:
+    if total < LEAST_WALK or not body @ legs > 0.2 * total:
         return Evidence(np.full(1, np.nan), np.ones(1))
     value = np.log(body @ legs / total) - WALK.mean
     sigma = np.hypot(WALK.sigma, WALK_LEG / np.sqrt(total))
@@ -188,8 +189,8 @@ def walked(scene: Scene, camera: Camera, poses: PoseSequence) -> tuple[Array, Ar
         return np.zeros(0), np.zeros(0)
     ahead, root = _level_axes(camera)[0], poses.p_world_joint[:, 0]
     body, legs = [], []
-    for i, foot in enumerate(scene.skeleton.index(*scene.feet)):
-        for start, stop in signals.runs(scene.standing[:, i]):
+    for i, foot in enumerate(scene.skeleton.index(*scene.contacts.joints)):
+        for start, stop in signals.runs(scene.contacts.standing[:, i]):
             since = np.arange(stop - start) - (stop - start - 1) / 2
             slope = since / (since @ since) * (stop - start)  # a regression line's rise
             path = np.stack([root, root - poses.p_world_joint[:, foot]])[:, start:stop] @ ahead

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 
 from rtof_kin.body.metrics import stage_metrics
 from rtof_kin.body.skeleton import SkeletonModel
@@ -111,6 +112,15 @@ class _Job:
             views=prepared.views,
         )  # fmt: skip
 
+    def solved_again(
+        self, recording: Recording, mode: Mode, rejected: tuple[StreamFault, ...] = (),
+        calibration: SelfCalibration | None = None,
+    ) -> tuple[Prepared, PoseSequence]:  # fmt: skip
+        """Prepare and solve another version of the recording, without covariances."""
+        own = replace(self, recording=recording)
+        prepared = own.prepare(mode, rejected, calibration)
+        return prepared, own.solve(prepared, confidence=False).poses
+
     def _sensor_places(self, skeleton: SkeletonModel) -> tuple[str, ...]:
         """Segments for which the problem has room for a sensor: those that the recording or the settings
         name, used in this mode or not, so that all modes share one compilation.
@@ -201,40 +211,28 @@ def _from_video(
             calibration = known.followed_by(calibration)
         own = job.calibrated(calibration)
         prepared, poses, solution = _optimised(own, mode, rejected, calibration)
-        others = (
-            [] if camera is None or solution is None else _with_other_cameras(own, mode, prepared, camera)
-        )
+        others = list[PoseSequence]()
+        if camera is not None and solution is not None and solution.confidence is not None:
+            cameras = (with_camera(own.recording, other) for other in camera.deviations())
+            silent = replace(own, progress=lambda *_: None)
+            others = [silent.solved_again(one, mode, prepared.rejected, calibration)[1] for one in cameras]
     result = _result(job, own, mode, prepared, poses, solution, calibration, warnings, choices, others)
     return replace(result, camera=camera)
 
 
 def _found_camera(job: _Job, mode: Mode) -> CameraEstimate:
     """Estimate the camera; with sensors by solved poses, without by lifted ones."""
-    how: Mode = "rtof" if mode in ("sf2", "rtof") and job.recording.imus is not None else "rto"
-    solver = job.with_solver(None)
+    sensed = mode in ("sf2", "rtof") and job.recording.imus is not None
+    solver = replace(job.with_solver(None), progress=lambda *_: None)
 
     def solve(recording: Recording) -> tuple[Prepared, PoseSequence]:
-        prepared = replace(solver, recording=recording, progress=lambda *_: None).prepare(how)
-        if how == "rto":
-            return prepared, prepared.start
-        return prepared, solver.solve(prepared, confidence=False).poses
+        if sensed:
+            return solver.solved_again(recording, "rtof")
+        prepared = replace(solver, recording=recording).prepare("rto")
+        return prepared, prepared.start
 
-    return find_camera(
-        job.recording, job.subject, solve, job.lifter, lambda done, n: job.progress("camera", done, n)
-    )
-
-
-def _with_other_cameras(
-    job: _Job, mode: Mode, prepared: Prepared, camera: CameraEstimate
-) -> list[PoseSequence]:
-    """Poses with cameras one standard deviation from the one found."""
-    others, cameras = [], camera.deviations()
-    for done, other in enumerate(cameras):
-        job.progress("camera uncertainty", done, len(cameras))
-        own = replace(job, recording=with_camera(job.recording, other), progress=lambda *_: None)
-        again = own.prepare(mode, prepared.rejected, prepared.calibration)
-        others.append(own.solve(again, confidence=False).poses)
-    return others
+    report = partial(job.progress, "camera")
+    return find_camera(job.recording, job.subject, solve, job.lifter, report)
 
 
 def _optimised(

@@ -142,6 +142,8 @@ def check_walk(
     """
     if bone_imus is None or not {*LEGS} <= {*bone_imus.joints}:
         return Check.unknown(_WALK, "the feet", "times", "needs sensors on thighs and shanks")
+    if keypoints.camera.uncertainty is not None:
+        return Check.unknown(_WALK, "the feet", "times", "the focal length is estimated by it")
     contacts = detect_contacts(poses, bone_imus, skeleton)
     ahead = keypoints.camera.R_camera_world[2] * [1, 1, 0]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)

@@ -15,8 +15,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import FEET
-from rtof_kin.reconstruction.camera_evidence import Scene, evidence, standing_in_image
+from rtof_kin.reconstruction.camera_evidence import Scene, evidence, standing_feet
 from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.recording.recording import Recording
@@ -59,14 +58,12 @@ def find_camera(
         Errors of the stages, with the camera as declared.
     """
     assumed = recording.video.camera
-    recording = replace(recording, keypoints=_excerpt(recording.video), views=(), truth=None)
+    recording = replace(recording, keypoints=excerpt(recording.video), views=(), truth=None)
     prepared, poses = solve(recording)
     clean, imus = prepared.recording, prepared.bone_imus
-    depth = assumed.to_camera(poses.p_world_joint[:, 0])[:, 2]
-    feet = tuple(foot for foot in FEET if foot in skeleton.names)
-    standing = standing_in_image(clean.video, feet, depth)
+    contacts = standing_feet(clean.video, poses, skeleton)
     sensed = imus is not None and np.isfinite(imus.R_world_bone).any()
-    scene = Scene(skeleton, recording.floor_height, feet, standing, imus if sensed else None)
+    scene = Scene(skeleton, recording.floor_height, contacts, imus if sensed else None)
 
     def seen_by(camera: Camera) -> Evidence:
         own = with_camera(clean, camera)
@@ -79,8 +76,12 @@ def find_camera(
     return estimate_camera(assumed, seen_by, progress)
 
 
-def _excerpt(keypoints: KeypointSequence) -> KeypointSequence:
-    """The part of a long video in which the person's size in the image changes most, at a lower rate."""
+def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
+    """Return the part of a long video in which the person's size in the image changes most.
+
+    Args:
+        keypoints: evenly spaced; of a fast video, some frames are left out.
+    """
     rate_hz = 1 / float(np.median(np.diff(keypoints.times))) if len(keypoints) > 1 else 0.0
     keypoints = keypoints[:: max(1, int(rate_hz / _ENOUGH_HZ))]
     times = keypoints.times

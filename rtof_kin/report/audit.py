@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.metrics import hinges
+from rtof_kin.calibration.camera_estimate import FOUND, UNKNOWNS, CameraEstimate, prior_sigma
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.clinical.angle_table import clinical_name
 from rtof_kin.data.poses import Provenance
@@ -50,6 +51,7 @@ def audit(result: Reconstruction) -> tuple[AuditResult, ...]:
     return (
         *(found for section in before for found in section(result)),
         *calibration_results(result.calibration),
+        *camera_results(result.camera),
         *(found for section in (_solver, _confidence, _truth) for found in section(result)),
     )
 
@@ -212,6 +214,25 @@ def calibration_results(found: SelfCalibration | None) -> Iterator[AuditResult]:
             "calibration", f"{quantity.kind}, correction in standard deviations of the prior",
             quantity.item, size, "", 3.0, 6.0, "3 and 6 standard deviations", quantity.verdict.value,
             weak=quantity.verdict is not Verdict.OBSERVED,
+        )  # fmt: skip
+
+
+def camera_results(found: CameraEstimate | None) -> Iterator[AuditResult]:
+    """Yield the unknowns of a camera that is not calibrated, in the section calibration.
+
+    Args:
+        found: None for a calibrated camera.
+    """
+    if found is None:
+        return
+    sizes = dict(zip(UNKNOWNS, np.abs(found.value), strict=True))
+    priors = dict(zip(UNKNOWNS, prior_sigma(found.assumed), strict=True))
+    for name, assumed, now, left, verdict in found.table():
+        yield AuditResult(
+            "calibration", f"{name}, correction in standard deviations of the prior", "camera",
+            float(sizes[name] / priors[name]), "", 3.0, 6.0, "3 and 6 standard deviations",
+            f"{assumed} assumed, {now} found ({left} of the standard deviation remain)",
+            weak=verdict != FOUND,
         )  # fmt: skip
 
 
