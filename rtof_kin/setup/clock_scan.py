@@ -60,7 +60,7 @@ class Scan:
     peaks: tuple[tuple[float, float], ...]
     """Best offsets, `APART` from each other, and their gains, the best first."""
     explained: float
-    """[1] Mean part of the image's motion explained at the best offset."""
+    """[1] Mean part of the image's motion explained at the best offset, of the common time."""
 
     @classmethod
     def of(cls, seen: Turning, sensed: Turning, around: float, reach: float, known: bool = True) -> Self:
@@ -151,9 +151,10 @@ def _offsets(seen: Turning, sensed: Turning, around: float, reach: float, every:
 
 
 def _gains(seen: Array, sensed: Array, step: float) -> Array:
-    """Gain and part explained (2, n, N) at each lag, modulo n, of seen (Tv, N, 3) by sensed (Ts, 1, 3)."""
+    """Gain of seen (Tv, N, 3) by sensed (Ts, 1, 3) and the part of the common motion explained, (2, n, N) at
+    each lag modulo n."""
     n = fft.next_fast_len(len(seen) + len(sensed))
-    known_v = np.isfinite(seen).all(axis=-1).astype(float)
+    known_v, known_s = (np.isfinite(w).all(axis=-1).astype(float) for w in (seen, sensed))
     v, s = np.nan_to_num(seen), np.nan_to_num(sensed)
 
     def sums(a: Array, b: Array) -> Array:
@@ -163,10 +164,11 @@ def _gains(seen: Array, sensed: Array, step: float) -> Array:
     alike = np.abs(level) + sums(v[..., 2], s[..., 2]).real
     own = np.maximum(sums(known_v, (s**2).sum(axis=-1)).real, 1e-3)
     factor = np.clip(alike / own, 0, _LARGEST_FACTOR)
-    count = known_v.sum(axis=0)
-    whole = (v**2).sum(axis=(0, 2)) + 3 * _UNSEEN**2 * count + 1e-9
-    explained = np.clip((2 * factor * alike - factor**2 * own) / whole, 0, 0.999)
-    return np.stack([-1.5 * count * step / _MEMORY * np.log1p(-explained), explained])
+    shown = (v**2).sum(axis=-1) + 3 * _UNSEEN**2 * known_v
+    explained = 2 * factor * alike - factor**2 * own
+    of_all = np.clip(explained / (shown.sum(axis=0) + 1e-9), 0, 0.999)
+    of_common = explained / np.maximum(sums(shown, known_s).real, 1e-3)
+    return np.stack([-1.5 * known_v.sum(axis=0) * step / _MEMORY * np.log1p(-of_all), of_common])
 
 
 def _peaks(offsets: Array, gains: Array, most: int) -> list[int]:

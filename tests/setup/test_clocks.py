@@ -1,0 +1,130 @@
+"""Tests of `rtof_kin.setup.clocks`."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import planted
+import pytest
+from clocks_support import cut, filmed, joints, shifted, skeleton, worn
+
+from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.core.errors import CalibrationError, UnknownNameError
+from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.setup.clocks import ClockEstimate, find_clock
+
+
+@cache
+def session(seconds: int = 90, rate_hz: float = 100.0) -> tuple[MotionSequence, SensorLog, ImuCalibration]:
+    motion = planted.moving(skeleton(), round(seconds * planted.RATE_HZ))
+    return (motion, *worn(motion, rate_hz))
+
+
+@pytest.mark.parametrize("offset", [-587.3, -3.21, 0.0, 412.345])
+@pytest.mark.parametrize("known", [True, False])
+def test_an_offset_of_up_to_ten_minutes_is_found_to_ten_milliseconds(offset: float, known: bool) -> None:
+    motion, log, calibration = session()
+    start = 41.37
+    poses, keypoints = filmed(motion, start, 12.0)
+    start = round(start * planted.RATE_HZ) / planted.RATE_HZ
+    wanted = joints(calibration) if known else None
+    found = find_clock(poses, keypoints, shifted(log, start + offset), skeleton(), wanted)
+    assert found.offset == pytest.approx(offset, abs=0.01)
+    assert found.doubt == ""
+    assert found.joints == joints(calibration)
+
+
+@pytest.mark.parametrize("rate_hz", [60.0, 120.0])
+def test_the_sensors_rate_does_not_matter(rate_hz: float) -> None:
+    motion, log, calibration = session(40, rate_hz)
+    poses, keypoints = filmed(motion, 20.0, 10.0)
+    found = find_clock(poses, keypoints, log, skeleton(), joints(calibration))
+    assert found.offset == pytest.approx(-20.0, abs=0.01)
+
+
+def test_a_log_shorter_than_the_video_is_found_in_it() -> None:
+    motion, log, calibration = session()
+    poses, keypoints = filmed(motion, 10.0, 70.0)
+    short = cut(log, 30.0, 42.0)
+    found = find_clock(poses, keypoints, shifted(short, 100.0), skeleton(), joints(calibration))
+    assert found.offset == pytest.approx(90.0, abs=0.01)
+    assert found.doubt == ""
+
+
+def test_drift_is_found_in_a_long_recording_and_taken_off() -> None:
+    motion = planted.moving(skeleton(), round(180 * planted.RATE_HZ))
+    log, calibration = worn(motion)
+    poses, keypoints = filmed(motion, 0.0, 180.0)
+    found = find_clock(poses, keypoints, shifted(log, 5.0, 80e-6), skeleton(), joints(calibration))
+    assert found.drift == pytest.approx(80e-6, abs=25e-6)
+    assert found.sigma_drift < 25e-6
+    moved = found.apply(shifted(log, 5.0, 80e-6))
+    assert moved.streams[0].times == pytest.approx(log.streams[0].times, abs=0.01)
+
+
+def test_a_short_recording_has_no_drift_but_its_standard_deviation() -> None:
+    motion, log, calibration = session()
+    found = find_clock(*filmed(motion, 30.0, 12.0), log, skeleton(), joints(calibration))
+    assert found.drift == 0.0
+    assert found.sigma_drift == pytest.approx(60e-6)
+
+
+def test_equal_strides_are_in_doubt_and_name_the_other_offsets() -> None:
+    motion, _ = planted.walking(skeleton(), 60.0)
+    log, calibration = worn(motion)
+    poses, keypoints = filmed(motion, 20.0, 6.0, radians=0.0)
+    found = find_clock(poses, keypoints, log, skeleton(), joints(calibration))
+    assert "repeats itself" in found.doubt
+    assert found.candidates
+
+
+def test_sensors_of_another_motion_are_in_doubt() -> None:
+    motion, *_ = session()
+    log, calibration = worn(planted.moving(skeleton(), round(90 * planted.RATE_HZ), seed=50))
+    found = find_clock(*filmed(motion, 30.0, 20.0), log, skeleton(), joints(calibration))
+    assert "move differently" in found.doubt
+
+
+def test_sensors_that_do_not_move_are_named_as_such() -> None:
+    motion, *_ = session()
+    log, calibration = worn(planted.standing(skeleton(), round(60 * planted.RATE_HZ)))
+    with pytest.raises(CalibrationError, match="they do not move"):
+        find_clock(*filmed(motion, 30.0, 10.0), log, skeleton(), joints(calibration))
+
+
+def test_no_overlap_within_reach_says_so() -> None:
+    motion, log, calibration = session()
+    with pytest.raises(CalibrationError, match="search further"):
+        find_clock(
+            *filmed(motion, 30.0, 10.0), shifted(log, 5000.0), skeleton(), joints(calibration), reach=60.0
+        )
+
+
+def test_a_person_seen_for_a_moment_is_too_short() -> None:
+    motion, log, calibration = session()
+    with pytest.raises(CalibrationError, match=r"shows a person for 1\.0 s"):
+        find_clock(*filmed(motion, 30.0, 1.0), log, skeleton(), joints(calibration))
+
+
+def test_an_unknown_segment_is_an_error() -> None:
+    motion, log, _ = session()
+    with pytest.raises(UnknownNameError, match="Tail"):
+        find_clock(*filmed(motion, 30.0, 5.0), log, skeleton(), {"L_LowArm": "Tail"})
+
+
+def test_a_start_time_decides_between_repetitions() -> None:
+    motion, _ = planted.walking(skeleton(), 60.0)
+    log, calibration = worn(motion)
+    poses, keypoints = filmed(motion, 20.0, 6.0, radians=0.0)
+    found = find_clock(poses, keypoints, log, skeleton(), joints(calibration), around=-20.1, reach=0.3)
+    assert found.offset == pytest.approx(-20.0, abs=0.01)
+    assert not found.candidates
+
+
+def test_applying_follows_the_formula() -> None:
+    _, log, _ = session()
+    moved = ClockEstimate(3.0, 1e-4, 0.01, 9.0, middle=50.0).apply(log)
+    t = log.streams[0].times
+    assert np.array_equal(moved.streams[0].times, t + 3.0 + 1e-4 * (t - 50.0))
