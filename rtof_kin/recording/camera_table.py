@@ -54,7 +54,7 @@ def read_camera(section: Section) -> Camera:
         distortion = section.array("distortion", (5,)) if section.has("distortion") else np.zeros(5)
         assumed = section.optional_names("assumed") or ()
         stabilised = section.flag("stabilised")
-        drift = np.radians(section.number("heading_drift_deg_s", 0.0))
+        drift = float(np.radians(section.number("heading_drift_deg_s", 0.0)))
         camera = Camera(K, R, t, width, height, distortion, assumed, uncertainty, stabilised, drift)
     if K[0, 0] < _SHORTEST_FOCAL * width:
         raise section.error(
