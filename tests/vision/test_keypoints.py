@@ -100,7 +100,7 @@ def test_loading_a_recording_logs_the_tracked_person(
         loaded = Recording.load(recording(tmp_path, text))
     assert loaded.keypoints.names[0] == "Hips"
     (record,) = [r for r in caplog.records if "followed" in r.message]
-    assert record.levelno == logging.WARNING
+    assert record.levelno == logging.INFO  # as the person was told
     assert "person 1 in frame 3" in record.message
     loaded.save(tmp_path / "copy")
     again = Recording.load(tmp_path / "copy")
