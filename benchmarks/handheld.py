@@ -215,7 +215,7 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
             lines.append((name, len(case), *means, float(np.mean(change)), f"{low:+.0f} to {high:+.0f}"))
         columns = ("camera", "recordings", *FIGURES.values(), "in view %", "rr change %", "95 %")
         title = ("Sessions of 20 s, " if long else "") + (
-            f"{count} sensors" if count != "0" else "no sensors"
+            f"{count} sensors" if count != "0" else "No sensors"
         )
         found.append(Table(f"sensors_{count}_{long}", title, columns, (0, 0, 1, 1, 1, 0, 0, 0), tuple(lines)))
     return found
