@@ -27,6 +27,12 @@ def run(name: str, *arguments: object, monkeypatch: pytest.MonkeyPatch) -> None:
     runpy.run_path(str(EXAMPLES / name))
 
 
+@pytest.fixture(autouse=True)
+def _no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rtof_kin.report.figures.write_figures", lambda *_: [])
+    monkeypatch.setattr("rtof_kin.setup.init.write_frames_picture", lambda path, *_: path.write_bytes(b""))
+
+
 def test_a_phone_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
