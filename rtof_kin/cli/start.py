@@ -50,6 +50,11 @@ def add_commands(commands: Any) -> None:
     )  # fmt: skip
     _add_setup(parser, "folder for the recording, the motion, the angles and the report")
     add_reconstruction(parser)
+    parser.set_defaults(calibrate=True)
+    parser.add_argument(
+        "--no-calibrate", dest="calibrate", action="store_false",
+        help="use mounting, headings and bones as init found them, without self-calibration",
+    )  # fmt: skip
     add_analysis(parser)
     parser = command(
         commands, "init", _init, "make a recording from a video and sensors",
@@ -144,6 +149,8 @@ def _run(options: argparse.Namespace) -> None:
     motion = read_motion_npz(folder / MOTION / "motion.npz")
     _print_findings(found)
     summary = read_summary(folder / MOTION / SUMMARY)
+    for number, sentence in enumerate(_camera_found(summary)):
+        _line("" if number else "camera", sentence)
     _line("accuracy", accuracy(None, motion.confidence, mode))
     _line("caution", _headline(summary))
     _line("report", f"{folder / PAGE} ({time.monotonic() - started:.0f} s); open it in a browser")
@@ -265,6 +272,12 @@ def _print_findings(found: Findings) -> None:
 
 def _line(name: str, text: str, style: str = "") -> None:
     out.print(Text(f"{name:9} ", "bold"), Text(text, style), soft_wrap=True, sep="")
+
+
+def _camera_found(summary: Any) -> list[str]:
+    """Return what the motion told of a camera that is not calibrated, by unknown."""
+    rows = (summary.inputs.get("camera_estimate") or {}).get("rows", [])
+    return [f"{name}: {now} by the motion, {was} assumed" for name, was, now, *_ in rows]
 
 
 def _headline(summary: Any) -> str:

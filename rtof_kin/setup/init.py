@@ -183,10 +183,7 @@ def make_recording(
     doubts = [*_doubts(settings, detected.keypoints, people, number), *filming.doubts]
     doubts += sensors.doubts if sensors else ()
     found = _findings(tables, doubts)
-    what = sources if settings.keep_video else replace(sources, video=None)
-    title = (
-        f"Recording, set up by rtof-kin init from {', '.join(path.name for path in what.paths) or 'a video'}"
-    )
+    title = f"Recording, set up by rtof-kin init from {', '.join(path.name for path in sources.paths)}"
     with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
         for kept in (KEYPOINTS, PICTURE):
             shutil.copyfile(folder / kept, fresh / kept)
@@ -196,10 +193,19 @@ def make_recording(
             write_npz(fresh / SENSORS, {**arrays, "times": imus.times})
         if filming.motion is not None:
             write_camera_motion(fresh / MOTION, filming.motion)
-        write_text(fresh / FINDINGS, json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n")
-        write_text(fresh / INDEX, recording_text(tables, title))
+        texts = {
+            FINDINGS: json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n",
+            INDEX: recording_text(tables, title),
+        }
+        for file, text in texts.items():
+            write_text(fresh / file, text if settings.keep_video else _unnamed(text, sources.video))
         Recording.load(fresh)
     return found
+
+
+def _unnamed(text: str, video: Path | None) -> str:
+    """Return a text without the name of the video."""
+    return text if video is None else text.replace(str(video), "the video").replace(video.name, "the video")
 
 
 def read_findings(folder: str | Path) -> Findings:
@@ -227,8 +233,7 @@ def _described(sources: Sources, settings: SetupSettings) -> _Video:
         )
     if sources.video is not None:
         meta = read_video_metadata(sources.video)
-        note = f"{sources.video.name}, upright" if settings.keep_video else "the video, upright"
-        size = Field(None, Origin.FILE, note)
+        size = Field(None, Origin.FILE, f"{sources.video.name}, upright")
         return _Video((meta.width_px, meta.height_px), size, meta.rate_hz, meta)
     if settings.size_px is not None:
         return _Video(settings.size_px, Field(None, Origin.GIVEN), settings.rate_hz, None)

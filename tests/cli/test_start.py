@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from detector_support import walking, watching
 from setup_support import SIZE, beside, pair, walker, write_keypoints
 
 from rtof_kin.core.files.manifest import MANIFEST
+from rtof_kin.formats.camera_toml import write_camera_toml
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +23,11 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def options(given: Path, out: Path) -> list[object]:
-    return ["run", given, "--size", SIZE, "--height", 1.72, "--no-figures", "-o", out]
+    """With the camera calibrated, as its estimation takes longest and is tested elsewhere."""
+    calibration = Path(given).parent / "calib.toml"
+    if not calibration.exists():
+        write_camera_toml(calibration, {"camera": watching(walking())})
+    return ["run", given, calibration, "--height", 1.72, "--no-figures", "-o", out]
 
 
 @pytest.fixture(scope="module")

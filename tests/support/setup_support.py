@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.people import People, number_people
 from rtof_kin.vision.keypoint_files import read_detector_file
@@ -67,15 +68,23 @@ def write_demo(folder: Path, first: int, last: int, begun: float = 37.0) -> tupl
         folder / "keypoints.npz", uv_px=keypoints.uv_px[frames], confidence=keypoints.confidence[frames],
         times=keypoints.times[frames],
     )  # fmt: skip
-    rng = np.random.default_rng(0)
-    columns, segments = {"time": imus.times + begun}, dict[str, str]()
+    rng, near = np.random.default_rng(0), (imus.times >= first - 3) & (imus.times <= last + 3)
+    turns = so3.about_axis("z", rng.uniform(-np.pi, np.pi, len(imus.names)))
+    serials = tuple(f"00B4{22000 + 7 * s}" for s in range(len(imus.names)))
+    turned = ImuSequence(
+        imus.times[near] + begun, turns @ imus.R_inertial_sensor[near], imus.f_sensor[near], serials
+    )
+    segments = dict(zip(serials, demo.calibration.select(imus.names).joints, strict=True))
+    return folder / "keypoints.npz", write_sensors(folder / "sensors.csv", turned), segments
+
+
+def write_sensors(path: Path, imus: ImuSequence) -> Path:
+    """A CSV of sensors."""
+    columns = {"time": imus.times}
     for s, name in enumerate(imus.names):
-        serial = f"00B4{22000 + 7 * s}"
-        segments[serial] = demo.calibration.joints[demo.calibration.sensors.index(name)]
-        R = so3.about_axis("z", rng.uniform(-np.pi, np.pi)) @ imus.R_inertial_sensor[:, s]
-        columns |= {f"{serial}_q{a}": q for a, q in zip("wxyz", so3.to_quat_wxyz(R).T, strict=True)}
-        columns |= {f"{serial}_f{a}": f for a, f in zip("xyz", imus.f_sensor[:, s].T, strict=True)}
-    near = (imus.times >= first - 3) & (imus.times <= last + 3)
-    rows = np.stack(list(columns.values()), axis=1)[near]
-    np.savetxt(folder / "sensors.csv", rows, delimiter=",", header=",".join(columns), comments="", fmt="%.7g")
-    return folder / "keypoints.npz", folder / "sensors.csv", segments
+        quat = so3.to_quat_wxyz(imus.R_inertial_sensor[:, s])
+        columns |= {f"{name}_q{a}": q for a, q in zip("wxyz", quat.T, strict=True)}
+        columns |= {f"{name}_f{a}": f for a, f in zip("xyz", imus.f_sensor[:, s].T, strict=True)}
+    rows = np.stack(list(columns.values()), axis=1)
+    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.7g")
+    return path
