@@ -14,7 +14,16 @@ from rtof_kin.cli.clinical import add_analysis, analyse_and_write
 from rtof_kin.cli.detection import add_detector, detector_of
 from rtof_kin.cli.recordings import add_reconstruction, lifter_of, reconstruct_and_export
 from rtof_kin.cli.solver_options import use_threads
-from rtof_kin.cli.terminal import accuracy, add_output, command, err, out, progress, warnings_in_summary
+from rtof_kin.cli.terminal import (
+    accuracy,
+    add_model,
+    add_output,
+    command,
+    err,
+    out,
+    progress,
+    warnings_in_summary,
+)
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.files.manifest import fingerprint, made_from
 
@@ -23,8 +32,8 @@ if TYPE_CHECKING:
     from rtof_kin.setup.sources import Sources
     from rtof_kin.vision.detections import Detections
 
-RECORDING, MOTION, ANGLES = "recording", "motion", "angles"
-"""Folders that `run` writes, beside the report."""
+RECORDING, SECOND, JOINED, MOTION, ANGLES = "recording", "second", "joined", "motion", "angles"
+"""Folders that `run` writes, beside the report; the second and third where there are two cameras."""
 _KINDS: Final = {"given": "", "file": "", "found": "green", "assumed": "yellow", "doubtful": "bold red"}
 _OF_KEYPOINTS: Final = "rtof_kin.recording.files"
 """Logger of how the person was followed, which the findings say."""
@@ -56,6 +65,23 @@ def add_commands(commands: Any) -> None:
         help="use mounting, headings and bones as init found them, without self-calibration",
     )  # fmt: skip
     add_analysis(parser)
+    parser.add_argument(
+        "--second", nargs="+", metavar="FILE",
+        help="video or keypoints of a second camera (or both) that saw the same; its place is found",
+    )  # fmt: skip
+    parser.add_argument("--second-person", type=int, metavar="N", help="number in second/frames.png")
+    parser.add_argument("--second-camera", metavar="NAME", help="of it, in the calibration of --camera")
+    _add_synchronised(parser)
+    parser = command(
+        commands, "join", _join, "join the recordings of two cameras that saw the same",
+        "Finds the second camera's clock, place and focal length from the person who moves before both (of "
+        "two calibrated cameras the clock alone) and writes one recording with two views.",
+    )  # fmt: skip
+    parser.add_argument("first", metavar="FIRST", help="folder of the recording with the sensors, if any")
+    parser.add_argument("second", metavar="SECOND", help="folder of the other camera's recording")
+    add_output(parser, None, "folder of the joined recording")
+    add_model(parser)
+    _add_synchronised(parser)
     parser = command(
         commands, "init", _init, "make a recording from a video and sensors",
         "Writes the folder that reconstruct takes: recording.toml with a comment on every value that was "
@@ -100,6 +126,12 @@ def _add_setup(parser: argparse.ArgumentParser, what: str) -> None:
     )  # fmt: skip
 
 
+def _add_synchronised(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--synchronised", action="store_true", help="both cameras have one clock; default: it is found"
+    )
+
+
 def _size(text: str) -> tuple[int, int]:
     width, cross, height = text.lower().partition("x")
     if not (cross and width.isdigit() and height.isdigit()):
@@ -131,9 +163,18 @@ def _run(options: argparse.Namespace) -> None:
         )
     folder = Path(options.output)
     started = time.monotonic()
-    found = _set_up(options, folder / RECORDING, folder.resolve().name)
+    found, own = _set_up(options, folder / RECORDING, folder.resolve().name), folder / RECORDING
+
+    def join(of_step: argparse.Namespace, inputs: Mapping[str, str]) -> None:
+        of_step.first, of_step.second = folder / RECORDING, folder / SECOND
+        _join(of_step, inputs)
+
+    if options.second:
+        _set_up(_of_second(options), folder / SECOND, f"{folder.resolve().name}, second camera")
+        _step(options, JOINED, (own, folder / SECOND, *_values(options, ("model", "synchronised"))), join)
+        own = folder / JOINED
     with warnings_in_summary(_OF_KEYPOINTS):
-        recording = Recording.load(folder / RECORDING)
+        recording = Recording.load(own)
     mode: Mode = "rto" if recording.imus is None else "rtof"
 
     def reconstruct(own: argparse.Namespace, inputs: Mapping[str, str]) -> None:
@@ -143,11 +184,13 @@ def _run(options: argparse.Namespace) -> None:
         own.motion, own.height = folder / MOTION, None
         analyse_and_write(own, inputs)
 
-    _step(options, MOTION, (folder / RECORDING, mode, *_values(options, _OF_MOTION)), reconstruct)
+    _step(options, MOTION, (own, mode, *_values(options, _OF_MOTION)), reconstruct)
     _step(options, ANGLES, (folder / MOTION, *_values(options, _OF_ANGLES)), analyse)
     _write_page(folder, options)
     motion = read_motion_npz(folder / MOTION / "motion.npz")
     _print_findings(found)
+    if options.second:
+        _line("two views", recording.notes.replace("\n", "; "))
     summary = read_summary(folder / MOTION / SUMMARY)
     for number, sentence in enumerate(_camera_found(summary)):
         _line("" if number else "camera", sentence)
@@ -171,7 +214,7 @@ def _set_up(options: argparse.Namespace, folder: Path, name: str) -> Findings:
     inputs = _fingerprints(sources, options)
     before = made_from(folder)
     if before.get("recording") == inputs["recording"]:
-        _kept(RECORDING)
+        _kept(folder.name)
         return read_findings(folder)
     if before and before.get("files") != inputs["files"] and not options.overwrite:
         raise OutputExistsError(
@@ -183,6 +226,28 @@ def _set_up(options: argparse.Namespace, folder: Path, name: str) -> Findings:
         find_people(sources, settings, folder, lambda video: _detect(video, options), begun)
     with progress() as update, warnings_in_summary(_OF_KEYPOINTS):
         return make_recording(sources, settings, folder, name=name, inputs=inputs, progress=update)
+
+
+def _of_second(options: argparse.Namespace) -> argparse.Namespace:
+    """Return the options for the second camera's recording."""
+    own = {"files": options.second, "person": options.second_person, "camera_name": options.second_camera}
+    return argparse.Namespace(**vars(options) | own | {"map": None, "phone_log": None})
+
+
+def _join(options: argparse.Namespace, inputs: Mapping[str, str] | None = None) -> None:
+    from rtof_kin.core.files.folder import check_replaceable
+    from rtof_kin.recording.recording import INDEX, Recording
+    from rtof_kin.setup.join import join_recordings
+
+    check_replaceable(options.output, INDEX, options.overwrite)
+    first, second = Recording.load(options.first), Recording.load(options.second)
+    joined = join_recordings(first, second, lifter_of(options), synchronised=options.synchronised)
+    joined.recording.save(options.output, options.overwrite, inputs)
+    if inputs is None:
+        _line("found", joined.found)
+        if joined.doubt:
+            _line("doubtful", joined.doubt, _KINDS["doubtful"])
+        out.print(f"wrote {options.output}", soft_wrap=True)
 
 
 def _detect(video: Path, options: argparse.Namespace) -> Detections:

@@ -247,17 +247,20 @@ class Recording:
             section.close()
         return cls(**fields)
 
-    def save(self, folder: str | Path, overwrite: bool = False) -> None:
+    def save(
+        self, folder: str | Path, overwrite: bool = False, inputs: Mapping[str, str] | None = None
+    ) -> None:
         """Write the folder that `load` reads back exactly, or nothing at all.
 
         Args:
             folder: to write. overwrite: replace a recording that was saved here and not changed since.
+            inputs: fingerprints of what it is made from, for its manifest.
 
         Raises:
             OutputExistsError: the folder exists and may not be replaced. RtofError: it cannot be written.
         """
         keypoints, imus = self.keypoints, self.imus
-        with new_folder(Path(folder).resolve(), INDEX, overwrite) as fresh:
+        with new_folder(Path(folder).resolve(), INDEX, overwrite, inputs) as fresh:
             for i, seen in enumerate((keypoints, *self.views) if keypoints is not None else ()):
                 arrays = {"uv_px": seen.uv_px, "confidence": seen.confidence}
                 write_npz(fresh / keypoint_file(i), {**arrays, "times": seen.times})

@@ -1,0 +1,82 @@
+"""Two recordings of one take, each with a camera of its own, become one with two views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.data.camera import Camera
+from rtof_kin.reconstruction.lift import LifterLike, lift
+from rtof_kin.recording.recording import Recording
+from rtof_kin.setup.second_camera import find_second_camera
+from rtof_kin.setup.video_offset import find_video_offset
+
+
+@dataclass(frozen=True)
+class Joined:
+    """A recording with a second view."""
+
+    recording: Recording
+    """The first one, with the second camera's keypoints on its clock and that camera in its world."""
+    found: str
+    """What was estimated, in a sentence with standard deviations."""
+    doubt: str
+    """Why it may be wrong; empty where sure."""
+
+
+def join_recordings(
+    first: Recording, second: Recording, lifter: LifterLike | None = None, *, synchronised: bool = False
+) -> Joined:
+    """Join the videos of two cameras that saw the same person at the same time.
+
+    Clocks are found from the movement. Two calibrated cameras are in one world already; of others the second
+    one's pose, and both focal lengths, are found too (`find_second_camera`).
+
+    Args:
+        first: with sensors or without; its camera defines the world. second: of the other camera.
+        lifter: default: the shipped one. synchronised: whether both recordings have one clock already.
+
+    Raises:
+        InvalidInputError: the second one has sensors, or no keypoints, or the clocks have too little in
+            common. CalibrationError: the cameras do not see the person together for long enough.
+    """
+    if second.imus is not None:
+        raise InvalidInputError(
+            f"recording {second.name}: has sensors; give the one with sensors as the first"
+        )
+    if _is_calibrated(first.video.camera) and _is_calibrated(second.video.camera):
+        offset, sigma, doubt = 0.0, 0.0, ""
+        if not synchronised:
+            poses, others = (lift(k, first.skeleton, lifter).poses for k in (first.video, second.video))
+            clock = find_video_offset(poses, others)
+            offset, sigma, doubt = clock.offset, clock.sigma, clock.doubt
+        view = replace(second.video, times=second.video.times + offset)
+        joined, pose = replace(first, views=(*first.views, view)), "as calibrated"
+    else:
+        camera = find_second_camera(first, second.video, lifter, around=0.0 if synchronised else None)
+        offset, sigma, doubt = camera.offset, camera.sigma_offset, camera.doubt
+        joined = camera.apply(first)
+        pose = (
+            f"{_apart(camera.first, camera.view.camera)}, position ± {_rms(camera.sigma_position):.2f} m, "
+            f"orientation ± {np.degrees(_rms(camera.sigma_turn)):.1f} degrees"
+        )
+    found = f"second camera: {pose}; the times of its video were moved by {offset:+.3f} ± {sigma:.3f} s"
+    notes = "\n".join(filter(None, (first.notes, found, doubt)))
+    return Joined(replace(joined, notes=notes), found, doubt)
+
+
+def _is_calibrated(camera: Camera) -> bool:
+    return camera.uncertainty is None and not camera.assumed
+
+
+def _apart(first: Camera, second: Camera) -> str:
+    metres = float(np.linalg.norm(second.center_world - first.center_world))
+    cosine = float(np.clip(first.R_camera_world[2] @ second.R_camera_world[2], -1.0, 1.0))
+    return f"{metres:.1f} m from the first one, looking {np.degrees(np.arccos(cosine)):.0f} degrees apart"
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
