@@ -27,8 +27,7 @@ from benchmarks.harness import SENSOR_SETS, split, write_results
 from benchmarks.rerigged import rerigged
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import RtofError
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.reconstruction.lift import lift
@@ -101,12 +100,8 @@ def recorded(clip: MocapClip, seed: int) -> tuple[Recording, PoseSequence]:
 def as_log(recording: Recording, sensors: tuple[str, ...]) -> SensorLog:
     """Unnamed sensors."""
     assert recording.imus is not None
-    imus = recording.imus.select(sensors)
-    streams = [
-        SensorStream(f"{s}", imus.times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
-        for s in range(len(sensors))
-    ]
-    return SensorLog(Path(recording.name), "simulated", tuple(streams), Declaration())
+    log = SensorLog.of_imus(recording.imus.select(sensors), recording.name)
+    return log.renamed({name: str(s) for s, name in enumerate(sensors)})
 
 
 def judge(clip: MocapClip, seed: int) -> Iterator[dict[str, Any]]:

@@ -23,8 +23,7 @@ from torch import Tensor, nn
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.setup.motion_features import pair_features, single_features
 from rtof_kin.setup.sensor_motion import RATE_HZ, SensorMotions, joined, sensor_motions
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
@@ -101,11 +100,7 @@ def simulated(clip: MocapClip, speed: float, moved: Array, seed: int) -> SensorM
     imus, _ = simulate_imus(
         np.random.default_rng(seed), poses, skeleton, list(skeleton.sensors), times, ImuNoise()
     )
-    streams = [
-        SensorStream(name, times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
-        for s, name in enumerate(imus.names)
-    ]
-    return sensor_motions(SensorLog(Path(clip.name), "simulated", tuple(streams), Declaration()))
+    return sensor_motions(SensorLog.of_imus(imus, clip.name))
 
 
 def mirrored(motions: SensorMotions) -> SensorMotions:

@@ -102,6 +102,19 @@ class SensorLog:
             raise InvalidInputError(f"start_utc of {self.path}: {self.start_utc} is not in UTC")
         checked_names(f"sensors of {self.path}", self.names)
 
+    @classmethod
+    def of_imus(cls, imus: ImuSequence, path: str | Path) -> Self:
+        """Return the sensors of a recording.
+
+        Args:
+            imus: of the recording. path: its folder, or a name for messages.
+        """
+        streams = tuple(
+            SensorStream(name, imus.times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
+            for s, name in enumerate(imus.names)
+        )
+        return cls(Path(path), "IMUs of a recording", streams, Declaration())
+
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks on the file, then on each sensor by name."""

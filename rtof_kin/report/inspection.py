@@ -19,7 +19,6 @@ from rtof_kin.core.files.arrays import npz_names
 from rtof_kin.core.plausibility import Check
 from rtof_kin.core.signals import interpolate
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.datasets.total_capture_files import CAMERA_FILE
 from rtof_kin.formats.articulated import ArticulatedMotion
@@ -155,11 +154,7 @@ def _recording(path: Path) -> Inspection:
         checks += bodies.check_camera("of the recording", keypoints.camera)
     if imus is not None:
         contents.append(("IMUs", f"{_span(imus.times)}: {', '.join(imus.names)}"))
-        streams = tuple(
-            SensorStream(name, imus.times, imus.f_sensor[:, i], imus.R_inertial_sensor[:, i])
-            for i, name in enumerate(imus.names)
-        )
-        log = SensorLog(path, "IMUs of a recording", streams, Declaration())
+        log = SensorLog.of_imus(imus, path)
         checks += check_log(log)
     if truth is not None:
         contents.append(("truth", f"{_span(truth.times)}: {len(truth.names)} joints"))

@@ -68,7 +68,7 @@ def assign_sensors(
 
     Args:
         log: the sensors; with poses, on their clock. skeleton: the subject's.
-        poses: lifted from a video; None: motion alone, which often leaves left and right open.
+        poses: lifted from a video; None: motion alone.
         candidates: segments that may have a sensor, of all or by sensor (others: all); by default those of
             the skeleton's usual sensors. There may be fewer sensors than segments.
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -20,10 +19,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.plausibility import Check
-from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.pose_calibration import usual_lever
 from rtof_kin.inertial.poses import pose_rotations
@@ -144,7 +141,7 @@ def check_recording(recording: Recording) -> tuple[AssignmentCheck, Recording]:
     if poses is not None:
         clocks = check_clocks(recording.video, calibration.apply(imus), poses, skeleton)
         poses = None if clocks.failed else poses
-    check = check_assignment(_log(imus, recording.name), joints, skeleton, poses)
+    check = check_assignment(SensorLog.of_imus(imus, recording.name), joints, skeleton, poses)
     if not check.wrong:
         return check, recording
     scores = [
@@ -156,14 +153,6 @@ def check_recording(recording: Recording) -> tuple[AssignmentCheck, Recording]:
         doubt = f"{'; '.join(map(str, check.wrong))}; but the calibration agrees with the declared places"
         return replace(check, joints=joints, wrong=(), doubt=doubt), recording
     return check, replace(recording, calibration=way)
-
-
-def _log(imus: ImuSequence, name: str) -> SensorLog:
-    streams = tuple(
-        SensorStream(sensor, imus.times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
-        for s, sensor in enumerate(imus.names)
-    )
-    return SensorLog(Path(name), "IMUs of a recording", streams, Declaration())
 
 
 def _corrections(

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from clinical_support import WALK
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import read_mocap, resample_clip
@@ -33,11 +31,7 @@ def walking_log(sensors: tuple[str, ...] | None = None) -> SensorLog:
     """Its sensors, all or some."""
     imus = walk().imus
     assert imus is not None
-    streams = tuple(
-        SensorStream(name, imus.times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
-        for s, name in enumerate(imus.names)
-    )
-    log = SensorLog(Path("walk"), "simulated", streams, Declaration())
+    log = SensorLog.of_imus(imus, "walk")
     return log if sensors is None else log.select(sensors)
 
 
