@@ -125,7 +125,7 @@ def judge(clip: MocapClip, seed: int) -> Iterator[dict[str, Any]]:
                 yield {
                     **about, "sensors": int(number), "image": image, "told": told, "truth": joint,
                     "found": found.joints[name], "probability": found.probabilities[name],
-                    "doubt": found.doubt,
+                    "doubt": bool(found.doubt),
                 }  # fmt: skip
         if number == "10":
             for image in (True, False):
@@ -144,7 +144,13 @@ def planted(
         joints = dict(zip(log.names, (other.get(joint, joint) for joint in truth), strict=True))
         found = check_assignment(log, joints, skeleton, poses)
         right = found.joints == dict(zip(log.names, truth, strict=True))
-        yield {**about, "fault": fault, "named": bool(found.wrong), "right": right, "doubt": found.doubt}
+        yield {
+            **about,
+            "fault": fault,
+            "named": bool(found.wrong),
+            "right": right,
+            "doubt": bool(found.doubt),
+        }
 
 
 def real_trials(folder: Path) -> Iterator[dict[str, Any]]:
@@ -166,7 +172,7 @@ def real_trials(folder: Path) -> Iterator[dict[str, Any]]:
                 yield {
                     **about, "sensors": len(truth), "told": told, "truth": joint,
                     "found": found.joints[sensor], "probability": found.probabilities[sensor],
-                    "doubt": found.doubt,
+                    "doubt": bool(found.doubt),
                 }  # fmt: skip
 
 
@@ -279,7 +285,7 @@ def _faults(rows: list[dict[str, Any]]) -> list[str]:
     for fault in dict.fromkeys(r["fault"] for r in rows):
         for image in sorted({r["image"] for r in rows}, reverse=True):
             own = [r for r in rows if r["fault"] == fault and r["image"] == image]
-            alone = [bool(r["doubt"]) and not r["named"] for r in own]
+            alone = [r["doubt"] and not r["named"] for r in own]
             cells = [
                 fault, "yes" if image else "no", str(len(own)), _percent([r["named"] for r in own]),
                 _percent([r["right"] for r in own]), _percent(alone),
