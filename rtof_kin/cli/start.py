@@ -342,7 +342,8 @@ def _line(name: str, text: str, style: str = "") -> None:
 def _camera_found(summary: Any) -> list[str]:
     """Return what the motion told of a camera that is not calibrated, by unknown."""
     rows = (summary.inputs.get("camera_estimate") or {}).get("rows", [])
-    return [f"{name}: {now} by the motion, {was} assumed" for name, was, now, *_ in rows]
+    return [f"{name}: {now} by the motion, {was} assumed" for name, was, now, *_, verdict in rows
+            if verdict == "found"]  # fmt: skip
 
 
 def _headline(summary: Any) -> str:

@@ -157,12 +157,12 @@ def make_recording(
     """
     folder, progress = Path(folder), progress or (lambda *_: None)
     people, video = read_people(folder / KEYPOINTS), _described(sources, settings)
+    number = choose_person(people, settings.person, str(folder / PICTURE))
     seen = replace(people.detections, times=people.times)
     filming = filming_camera(
         sources.video, seen, _camera(sources, settings, video), settings.phone_log, progress
     )
     camera = filming.camera
-    number = choose_person(people, settings.person, str(folder / PICTURE))
     detected = keypoints_from_detections(
         people.detections, people.times, camera.camera, None, number - 1, people.first_frame(number)
     )
