@@ -129,7 +129,7 @@ def find_second_camera(
         _images(first, view, frames, skeleton, (poses, own)),
         poses.p_world_joint[frames][:, skeleton.index(*JOINTS)],
         BundleSettings(
-            sigma_focal=sigma_focal or (_focal(recording.video.camera), _focal(camera)),
+            sigma_focal=sigma_focal or (_focal(first.camera), _focal(camera)),
             sigma_tilt=float(np.hypot(_tilt(first.camera, 0.0), _tilt(camera, _USUAL_TILT))),
             sigma_shapes=(_SENSED if sensed else _SEEN, _LIFTED),
             frames_as_one=max(1.0, _MEMORY * len(frames) / float(np.ptp(first.times[frames]))),
