@@ -182,6 +182,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     wanted = options.motions.split(",") if options.motions else [clip.name for clip in chosen]
     rows: list[dict[str, Any]] = []
     command = f"python -m benchmarks.two_cameras --corpus DIR --seconds {options.seconds:g}"
+    command += f" --motions {options.motions}" if options.motions else ""
     for clip in chosen:
         if clip.name in wanted and clip.poses.times[-1] >= SHORTEST:
             rows += measure(clip, options.seed)

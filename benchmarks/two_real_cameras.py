@@ -1,9 +1,9 @@
 """One real camera against two, without sensors, on the clips of ``benchmarks.real_clips``.
 
 ``python -m benchmarks.two_real_cameras --data DIR``. The reference is the triangulation of the points
-that were detected, from all four cameras. Every camera is the first one once; the second is the next of the four with a direction
-of view 50 to 130 degrees away, as it is calibrated, or found from the person with its heading, position and
-clock unknown (`rtof_kin.setup.second_camera`).
+that were detected, from all four cameras. Every camera is the first one once; the second is the next of the
+four with a direction of view 50 to 130 degrees away, as it is calibrated, or found from the person with its
+heading, position and clock unknown (`rtof_kin.setup.second_camera`).
 """
 
 from __future__ import annotations

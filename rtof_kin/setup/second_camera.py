@@ -44,11 +44,13 @@ _SENSED, _SEEN, _LIFTED = 0.03, 0.05, 0.06
 first camera alone, by a lift."""
 _USUAL_FOCAL: Final = 0.1
 """[1] Relative standard deviation of a focal length where a camera states none."""
+_USUAL_TILT: Final = np.radians(3.0)
+"""[rad] Standard deviation of the second camera's pitch and roll, likewise."""
 _MEMORY: Final = 3.0
 """[s] for which a detector's errors count as one."""
 _STEP: Final = 0.1
 """[s] of the difference that gives a joint's velocity in the image."""
-_LARGEST_TURN_DEG: Final = 3.0
+_LARGEST_TURN_DEG: Final = 5.0
 """[deg] Standard deviation of the camera's orientation from which it is in doubt."""
 _LARGEST_RESIDUAL: Final = 0.03
 """[1] Size of the residuals relative to the focal length, likewise."""
@@ -101,7 +103,7 @@ def find_second_camera(
         recording: of the first camera, whose pose is the world's, with sensors or without; its skeleton,
             from the height, gives the scale.
         second: what the second camera sees; its orientation is known up to the heading, within some
-            degrees, and its position is not used.
+            degrees (`Camera.uncertainty`, or 3), and its position is not used.
         lifter: default: the shipped one.
         around: [s] offset of the clocks that is known within a second; None searches everywhere.
         sigma_focal: relative standard deviation of each focal length as given, 0 where it is calibrated; by
@@ -127,7 +129,8 @@ def find_second_camera(
         _images(first, view, frames, skeleton, (poses, own)),
         poses.p_world_joint[frames][:, skeleton.index(*JOINTS)],
         BundleSettings(
-            sigma_focal=sigma_focal or (_focal(recording.video.camera), _focal(camera)),
+            sigma_focal=sigma_focal or (_focal(first.camera), _focal(camera)),
+            sigma_tilt=float(np.hypot(_tilt(first.camera, 0.0), _tilt(camera, _USUAL_TILT))),
             sigma_shapes=(_SENSED if sensed else _SEEN, _LIFTED),
             frames_as_one=max(1.0, _MEMORY * len(frames) / float(np.ptp(first.times[frames]))),
         ),
@@ -159,6 +162,11 @@ def _result(found: Adjusted, view: KeypointSequence, clock: VideoOffset) -> Seco
 def _focal(camera: Camera) -> float:
     """Relative standard deviation of a focal length."""
     return _USUAL_FOCAL if camera.uncertainty is None else camera.uncertainty.focal
+
+
+def _tilt(camera: Camera, usual: float) -> float:
+    """Standard deviation of a camera's pitch and roll, rad."""
+    return usual if camera.uncertainty is None else camera.uncertainty.tilt
 
 
 def _placed(camera: Camera, first: PoseSequence, second: PoseSequence) -> tuple[Camera, PoseSequence]:

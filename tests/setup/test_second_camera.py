@@ -86,7 +86,7 @@ def test_it_becomes_a_view_of_the_recording(found: SecondCamera) -> None:
     np.testing.assert_array_equal(with_view.video.uv_px, recording().video.uv_px)
 
 
-def test_prior_focal_lengths_are_those_that_the_cameras_state(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_priors_are_those_that_the_cameras_state(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
     monkeypatch.setattr(second_camera, "adjust", lambda *given: asked.append(given[-1]) or 1 / 0)
     other = second()
@@ -94,6 +94,7 @@ def test_prior_focal_lengths_are_those_that_the_cameras_state(monkeypatch: pytes
     with pytest.raises(ZeroDivisionError):
         find_second_camera(recording(), replace(other, camera=known), LIFTER)
     assert asked[0].sigma_focal == (0.1, 0.0)
+    assert asked[0].sigma_tilt == pytest.approx(0.05)
 
 
 def test_cameras_that_never_see_the_person_together_are_refused() -> None:
