@@ -36,7 +36,9 @@ _STEP: Final = 0.5
 """[prior sigma] of finite differences."""
 _LARGEST: Final = 1.5
 """[prior sigma] Largest step of one round."""
-_ROUNDS: Final = 3
+_ROUNDS: Final = 4
+_SLOPES: Final = 2
+"""Rounds that compute the derivatives again."""
 _ENOUGH: Final = 0.15
 """[sigma] Step below which the estimate has converged."""
 _HALVINGS: Final = 3
@@ -186,18 +188,18 @@ def estimate_camera(
     moving = [i for i in range(DISTORTION) if prior[i] > 0]
     report = progress or (lambda *_: None)
     y, precision = np.zeros(5), np.diag(1 / np.where(prior > 0, prior, 1.0) ** 2)[np.ix_(moving, moving)]
-    total, hessian = _ROUNDS * (len(moving) + 1), precision
+    total, hessian = _SLOPES * (len(moving) + 1) + 1, precision
     now = evidence(camera)
-    for done in range(_ROUNDS):
-        columns = []
-        for k, i in enumerate(moving):
-            report(done * (len(moving) + 1) + k, total)
-            columns.append(_slope(camera, evidence, now, y, i, _STEP * prior[i]))
-        J, r = np.nan_to_num(np.column_stack(columns)), np.where(now.known, now.value, 0.0)
+    for done in range(_ROUNDS if moving else 0):
+        if done < _SLOPES:
+            report(done * (len(moving) + 1), total)
+            slopes = (_slope(camera, evidence, now, y, i, _STEP * prior[i]) for i in moving)
+            J = np.nan_to_num(np.column_stack(list(slopes)))
+        r = np.where(now.known, now.value, 0.0)
         weight = np.where(now.known, 1 / np.where(now.known, now.sigma, 1.0) ** 2, 0.0)
         hessian = (J.T * weight) @ J + precision
         step = -np.linalg.solve(hessian, J.T @ (weight * r) + precision @ y[moving])
-        step *= min(1.0, _LARGEST / max(float(np.abs(step / prior[moving]).max(initial=0.0)), 1e-9))
+        step *= min(1.0, _LARGEST / max(float(np.abs(step / prior[moving]).max()), 1e-9))
         y, now = _moved(camera, evidence, now, y, moving, step)
         if np.all(np.abs(step) < _ENOUGH / np.sqrt(np.diag(hessian))):
             break

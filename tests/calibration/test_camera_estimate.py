@@ -128,3 +128,9 @@ def test_deviations_have_the_covariance_that_remains() -> None:
 def test_an_estimate_far_from_the_declared_camera_is_a_warning() -> None:
     far = CameraEstimate(LEVEL, np.array([0.0, 4 * UNSURE.tilt, 0, 0, 0]), np.diag(prior_sigma(LEVEL) ** 2))
     assert any(f"the {UNKNOWNS[PITCH]} found is more than three" in text for text in far.sentences)
+
+
+def test_a_distortion_alone_stays_as_assumed() -> None:
+    found = estimate_camera(replace(LEVEL, uncertainty=CameraUncertainty(k1=0.05)), of_points)
+    np.testing.assert_array_equal(found.value, 0)
+    np.testing.assert_array_equal(found.sigma, [0, 0, 0, 0, 0.05])
