@@ -4,8 +4,8 @@
 examples/sensor_trials.toml (see README.md here). No recording at hand has a video and sensors of one motion,
 so the motion is that of the real sensors, calibrated by the N-pose at their start; segments without a sensor
 follow their parents and the pelvis stays in place. A camera films `SECONDS` of it with realistic 2D. The
-clock is planted, the headings are those of the calibration. Movement of sensors on the skin is part of the motion
-here and costs nothing: the benchmark that counts is `clocks_headings`.
+clock is planted, the headings are those of the calibration. Movement of sensors on the skin is part of the
+motion here and costs nothing: the benchmark that counts is `clocks_headings`.
 """
 
 from __future__ import annotations

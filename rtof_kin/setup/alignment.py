@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
-from rtof_kin.calibration.result import SelfCalibration
+from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
@@ -95,11 +95,10 @@ class Alignment:
     """The self-calibration that refined heading and mounting; None without one."""
 
     @property
-    def delay(self) -> float:
-        """[s] By which the video is still late, as found with the rest: to be added to a clock's offset."""
-        if self.refined is None or self.refined["delay", "video"].doubt:
-            return 0.0
-        return float(self.refined["delay", "video"].value[0])
+    def delay(self) -> Quantity | None:
+        """Delay of the video that is left, to be added to the clock's offset; None if in doubt or not found."""
+        delay = None if self.refined is None else self.refined["delay", "video"]
+        return None if delay is None or delay.doubt else delay
 
 
 @dataclass(frozen=True)
