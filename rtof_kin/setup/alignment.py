@@ -96,7 +96,7 @@ class Alignment:
 
     @property
     def delay(self) -> Quantity | None:
-        """Delay of the video that is left, to be added to the clock's offset; None if in doubt or not found."""
+        """Delay of the video that is left, to be added to the clock's offset; None where in doubt."""
         delay = None if self.refined is None else self.refined["delay", "video"]
         return None if delay is None or delay.doubt else delay
 
