@@ -263,11 +263,17 @@ def _refined(
     calibration: ImuCalibration, keypoints: KeypointSequence, log: SensorLog, skeleton: SkeletonModel,
     priors: CalibrationPriors,
 ) -> tuple[ImuCalibration, SelfCalibration | None, tuple[str, ...]]:  # fmt: skip
+    """Refine the sensors on segments that the solver takes sensors on."""
     from rtof_kin.reconstruction.pipeline import calibrate_recording
 
-    imus = ImuSequence.joined([_imu(stream) for stream in log.streams])
+    carriers = {joint for joint, _ in skeleton.sensors.values()}
+    used = [s for s, joint in enumerate(calibration.joints) if joint in carriers]
+    if not used:
+        return calibration, None, ("heading and mounting are not refined: no sensor is on a usual segment",)
+    names = tuple(calibration.sensors[s] for s in used)
     recording = Recording(
-        name="alignment", keypoints=keypoints, imus=imus, calibration=calibration,
+        name="alignment", keypoints=keypoints, calibration=calibration.select(names),
+        imus=ImuSequence.joined([_imu(stream) for stream in log.select(names).streams]),
         skeleton_table=skeleton.name, joint_offsets=skeleton.joint_offsets,
     )  # fmt: skip
     try:
@@ -276,7 +282,10 @@ def _refined(
         return calibration, None, (f"heading and mounting are not refined: {error}",)
     refined = found.apply(recording).calibration
     assert refined is not None
-    return refined, found, ()
+    R_world_inertial, R_sensor_bone = calibration.R_world_inertial.copy(), calibration.R_sensor_bone.copy()
+    R_world_inertial[used], R_sensor_bone[used] = refined.R_world_inertial, refined.R_sensor_bone
+    whole = replace(calibration, R_world_inertial=R_world_inertial, R_sensor_bone=R_sensor_bone)
+    return whole, found, ()
 
 
 def _imu(stream: SensorStream) -> ImuSequence:
@@ -295,7 +304,7 @@ def _judged(
     ):
         heading = float(so3.heading(calibration.R_world_inertial[s]))
         sigma, mounting = start.sigma, float(np.hypot(_SWING, _TWIST))
-        if refined is not None:
+        if refined is not None and joint in refined.of_kind("heading"):
             sigma = float(refined["heading", joint].sigma[0])
             mounting = float(refined["mounting", joint].sigma.max())
         doubt = ""
