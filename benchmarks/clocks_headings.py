@@ -290,7 +290,8 @@ def clock_row(rng: Generator, own: Session, video: Video, known: bool, log: Sens
 def heading_rows(own: Session, video: Video, log: SensorLog, clock: dict[str, Any]) -> list[dict[str, Any]]:
     """What is found of headings and mountings, with the clock that was found."""
     found = align_sensors(video.poses, video.keypoints, log, own.joints, own.skeleton)
-    clock["refined_ms"] = clock["error_ms"] + 1e3 * found.delay
+    delay = 0.0 if found.delay is None else float(found.delay.value[0])
+    clock["refined_ms"] = clock["error_ms"] + 1e3 * delay
     truth, rows = own.calibration, []
     for s, sensor in enumerate(found.sensors):
         off = float(wrapped(sensor.heading - so3.heading(truth.R_world_inertial[s])))

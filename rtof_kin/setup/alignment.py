@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
-from rtof_kin.calibration.result import SelfCalibration
+from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
@@ -95,11 +95,10 @@ class Alignment:
     """The self-calibration that refined heading and mounting; None without one."""
 
     @property
-    def delay(self) -> float:
-        """[s] By which the video is still late, as found with the rest: to be added to a clock's offset."""
-        if self.refined is None or self.refined["delay", "video"].doubt:
-            return 0.0
-        return float(self.refined["delay", "video"].value[0])
+    def delay(self) -> Quantity | None:
+        """Delay of the video that is left, to be added to the clock's offset; None where in doubt."""
+        delay = None if self.refined is None else self.refined["delay", "video"]
+        return None if delay is None or delay.doubt else delay
 
 
 @dataclass(frozen=True)
@@ -264,11 +263,17 @@ def _refined(
     calibration: ImuCalibration, keypoints: KeypointSequence, log: SensorLog, skeleton: SkeletonModel,
     priors: CalibrationPriors,
 ) -> tuple[ImuCalibration, SelfCalibration | None, tuple[str, ...]]:  # fmt: skip
+    """Refine the sensors on segments that the solver takes sensors on."""
     from rtof_kin.reconstruction.pipeline import calibrate_recording
 
-    imus = ImuSequence.joined([_imu(stream) for stream in log.streams])
+    carriers = {joint for joint, _ in skeleton.sensors.values()}
+    used = [s for s, joint in enumerate(calibration.joints) if joint in carriers]
+    if not used:
+        return calibration, None, ("heading and mounting are not refined: no sensor is on a usual segment",)
+    names = tuple(calibration.sensors[s] for s in used)
     recording = Recording(
-        name="alignment", keypoints=keypoints, imus=imus, calibration=calibration,
+        name="alignment", keypoints=keypoints, calibration=calibration.select(names),
+        imus=ImuSequence.joined([_imu(stream) for stream in log.select(names).streams]),
         skeleton_table=skeleton.name, joint_offsets=skeleton.joint_offsets,
     )  # fmt: skip
     try:
@@ -277,7 +282,10 @@ def _refined(
         return calibration, None, (f"heading and mounting are not refined: {error}",)
     refined = found.apply(recording).calibration
     assert refined is not None
-    return refined, found, ()
+    R_world_inertial, R_sensor_bone = calibration.R_world_inertial.copy(), calibration.R_sensor_bone.copy()
+    R_world_inertial[used], R_sensor_bone[used] = refined.R_world_inertial, refined.R_sensor_bone
+    whole = replace(calibration, R_world_inertial=R_world_inertial, R_sensor_bone=R_sensor_bone)
+    return whole, found, ()
 
 
 def _imu(stream: SensorStream) -> ImuSequence:
@@ -296,7 +304,7 @@ def _judged(
     ):
         heading = float(so3.heading(calibration.R_world_inertial[s]))
         sigma, mounting = start.sigma, float(np.hypot(_SWING, _TWIST))
-        if refined is not None:
+        if refined is not None and joint in refined.of_kind("heading"):
             sigma = float(refined["heading", joint].sigma[0])
             mounting = float(refined["mounting", joint].sigma.max())
         doubt = ""

@@ -151,8 +151,10 @@ def _offsets(seen: Turning, sensed: Turning, around: float, reach: float, every:
 
 
 def _gains(seen: Array, sensed: Array, step: float) -> Array:
-    """Gain of seen (Tv, N, 3) by sensed (Ts, 1, 3) and the part of the common motion explained, (2, n, N) at
-    each lag modulo n."""
+    """Gain and part of the common motion explained (2, n, N) of seen (Tv, N, 3) by sensed (Ts, 1, 3).
+
+    The places along n are lags modulo n.
+    """
     n = fft.next_fast_len(len(seen) + len(sensed))
     known_v, known_s = (np.isfinite(w).all(axis=-1).astype(float) for w in (seen, sensed))
     v, s = np.nan_to_num(seen), np.nan_to_num(sensed)

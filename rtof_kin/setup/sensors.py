@@ -192,9 +192,9 @@ def _refined(clock: ClockEstimate, log: SensorLog, joints: Mapping[str, str], ta
 
 def _delayed(clock: ClockEstimate, found: Alignment) -> ClockEstimate:
     """Return the clock with the delay of the video that the self-calibration has left."""
-    if found.refined is None:
+    delay = found.delay
+    if delay is None:
         return clock
-    delay = found.refined["delay", "video"]
     return replace(clock, offset=clock.offset + float(delay.value[0]), sigma=float(delay.sigma[0]))
 
 

@@ -106,7 +106,7 @@ def test_without_refinement_everything_is_in_doubt_and_a_warning_says_why(
     log, truth = worn(motion)
     found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton())
     assert found.refined is None
-    assert found.delay == 0.0
+    assert found.delay is None
     assert "not refined: the person is behind the camera" in found.warnings[0]
     assert all(sensor.doubt for sensor in found.sensors)
 
@@ -116,11 +116,15 @@ def test_headings_mountings_and_their_errors_are_those_of_the_self_calibration(
 ) -> None:
     motion = planted.moving(skeleton(), 600, radians=0.5)
     log, truth = worn(motion)
+    extra = replace(log.streams[0], name="on the shoulder")  # where the solver takes no sensor
+    log = replace(log, streams=(extra, *log.streams))
+    places = {"on the shoulder": "LeftShoulder"} | joints(truth)
     video = filmed(motion, 0.0, 9.0)
-    before = align_sensors(*video, log, joints(truth), skeleton(), refine=False)
+    before = align_sensors(*video, log, places, skeleton(), refine=False)
 
     def finds(recording: Recording, priors: CalibrationPriors) -> SelfCalibration:
-        assert priors.sigma_heading is not None
+        assert recording.calibration is not None
+        assert recording.calibration.sensors == truth.sensors
         found = [Quantity("delay", "video", np.array([0.004]), np.array([0.002]), np.array([0.05]), 0.99)]
         for joint, sigma_deg in zip(truth.joints, (1.0, 2.0, 3.0, 9.0), strict=True):
             sigma = np.radians([sigma_deg])
@@ -131,10 +135,12 @@ def test_headings_mountings_and_their_errors_are_those_of_the_self_calibration(
         return SelfCalibration(tuple(found), (), 4.5, True)
 
     monkeypatch.setattr(pipeline, "calibrate_recording", finds)
-    after = align_sensors(*video, log, joints(truth), skeleton())
-    for old, new in zip(before.sensors, after.sensors, strict=True):
+    after = align_sensors(*video, log, places, skeleton())
+    assert after.sensors[0].heading == before.sensors[0].heading
+    for old, new in zip(before.sensors[1:], after.sensors[1:], strict=True):
         assert abs(wrapped(new.heading - old.heading)) == pytest.approx(np.radians(5.0))
-    assert np.degrees([s.sigma_heading for s in after.sensors]) == pytest.approx([1.0, 2.0, 3.0, 9.0])
-    assert [bool(s.doubt) for s in after.sensors] == [False, False, False, True]
+    assert np.degrees([s.sigma_heading for s in after.sensors[1:]]) == pytest.approx([1.0, 2.0, 3.0, 9.0])
+    assert [bool(s.doubt) for s in after.sensors] == [True, False, False, False, True]
     assert "to 9 degrees only" in after.sensors[-1].doubt
-    assert after.delay == pytest.approx(0.004)
+    assert after.delay is not None
+    assert after.delay.value[0] == pytest.approx(0.004)
