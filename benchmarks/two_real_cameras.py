@@ -86,7 +86,8 @@ def tables(rows: Sequence[dict[str, Any]]) -> str:
     for clip, mode in dict.fromkeys((row["clip"], row["mode"]) for row in rows):
         own = [r for r in rows if (r["clip"], r["mode"]) == (clip, mode) and "error" not in r]
         values = [[row[figure] for row in own] for figure in FIGURES]
-        cells.append((clip, mode, len(own), *(float(np.mean(v)) if own else None for v in values)))
+        means = (None if not own or None in v else float(np.mean(v)) for v in values)
+        cells.append((clip, mode, len(own), *means))
         cameras += [
             (clip, row["camera"], row["second"], *(row[name] for name in ("turn_deg", "sigma_turn_deg",
              "moved_m", "sigma_moved_m", "clock_ms")), row["doubt"] or "-")
@@ -115,8 +116,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, clip in clips(options.data):
         rows += measure(name, clip)
         print(name, len(rows), file=sys.stderr, flush=True)
-    result = {"command": "python -m benchmarks.two_real_cameras --data DIR", "rows": rows}
-    write_results(options.out, result, tables(rows))
+        result = {"command": "python -m benchmarks.two_real_cameras --data DIR", "rows": rows}
+        write_results(options.out, result, tables(rows))
     print(tables(rows))
     return 0
 

@@ -60,6 +60,9 @@ LEAN: Final = Usual(0.0, np.radians(2.6)), Usual(0.0, np.radians(2.3))
 """[rad] of the body in the mean, forwards and to the right as seen from the camera."""
 TURN: Final = Usual(0.0, np.radians(2.4)), Usual(0.0, np.radians(1.8))
 """[rad] of bones with sensors by the image alone, about the camera's x and z axes."""
+LASTING, SECONDS = 0.4, 20.0
+"""[1] Share of those standard deviations' squares that a longer recording does not reduce, and [s] the length of
+the recordings that they were measured on: postures of the rest average out."""
 WALK: Final = Usual(np.log(1.05), 0.03)
 """[1] for a long walk."""
 WALK_LEG: Final = 0.08
@@ -165,7 +168,9 @@ def _tilt(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
             products += seen[known].T @ sensed[known]
         turn = camera.R_camera_world @ so3.log(so3.nearest_rotation(products))
         value, usual = turn[[0, 2]], TURN
-    return Evidence(value - [u.mean for u in usual], np.array([u.sigma for u in usual]))
+    shorter = max(1.0, SECONDS / max(float(poses.times[-1] - poses.times[0]), 0.1))
+    sigma = np.array([u.sigma for u in usual]) * np.sqrt(LASTING + (1 - LASTING) * shorter)
+    return Evidence(value - [u.mean for u in usual], sigma)
 
 
 def _walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:

@@ -19,8 +19,8 @@ from rtof_kin.vision.lens_prior import LensPrior
 
 HEIGHT, SIGMA_HEIGHT = 1.2, 0.4
 """Height of an assumed camera over the floor and its standard deviation, m."""
-SIGMA_TILT_DEG: Final = 5.0
-"""Standard deviation of pitch and roll of an assumed camera, degrees."""
+SIGMA_TILT_DEG: Final = 10.0
+"""Standard deviation of pitch and roll of an assumed camera, degrees: tripods and shelves look down."""
 _POSE: Final = "pose"
 
 

@@ -23,6 +23,7 @@ from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.files.text import load_json, write_text
 from rtof_kin.data.camera_motion import stabilised
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.camera_motion_npz import write_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
@@ -166,41 +167,41 @@ def make_recording(
     detected = keypoints_from_detections(
         people.detections, people.times, camera.camera, None, number - 1, people.first_frame(number)
     )
-    still = detected.keypoints
-    if filming.motion is not None:
-        still = stabilised(still, filming.motion)
+    turned, still = filming.motion, detected.keypoints
+    still = still if turned is None else stabilised(still, turned)
     sensors = _sensors(sources, settings, still, camera, progress)
-    tables: dict[str, Field | Tables] = {
-        "schema_version": Field(SCHEMA_VERSION),
-        "name": Field(name or sources.name),
-        **_session(video),
-        "subject": _subject(settings),
-        **_scene(camera),
-        "camera": camera.fields,
+    about = {
+        **_session(video), "subject": _subject(settings), **_scene(camera), "camera": camera.fields,
         "keypoints": _keypoints(sources, settings, detected, people, number),
-        **({} if sensors is None else {"imus": sensors.fields}),
-    }
+    }  # fmt: skip
+    top = {"schema_version": Field(SCHEMA_VERSION), "name": Field(name or sources.name)}
+    tables: Tables = top | about | ({} if sensors is None else {"imus": sensors.fields})
     doubts = [*_doubts(settings, detected.keypoints, people, number), *filming.doubts]
     doubts += sensors.doubts if sensors else ()
     found = _findings(tables, doubts)
     title = f"Recording, set up by rtof-kin init from {', '.join(path.name for path in sources.paths)}"
+    texts = {
+        FINDINGS: json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n",
+        INDEX: recording_text(tables, title),
+    }
+    if not settings.keep_video:
+        texts = {file: _unnamed(text, sources.video) for file, text in texts.items()}
     with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
         for kept in (KEYPOINTS, PICTURE):
             shutil.copyfile(folder / kept, fresh / kept)
+        if turned is not None:
+            write_camera_motion(fresh / MOTION, turned)
         if sensors is not None:
-            imus = sensors.imus
-            arrays = {"R_inertial_sensor": imus.R_inertial_sensor, "f_sensor": imus.f_sensor}
-            write_npz(fresh / SENSORS, {**arrays, "times": imus.times})
-        if filming.motion is not None:
-            write_camera_motion(fresh / MOTION, filming.motion)
-        texts = {
-            FINDINGS: json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n",
-            INDEX: recording_text(tables, title),
-        }
+            _write_sensors(fresh / SENSORS, sensors.imus)
         for file, text in texts.items():
-            write_text(fresh / file, text if settings.keep_video else _unnamed(text, sources.video))
+            write_text(fresh / file, text)
         Recording.load(fresh)
     return found
+
+
+def _write_sensors(path: Path, imus: ImuSequence) -> None:
+    arrays = {"R_inertial_sensor": imus.R_inertial_sensor, "f_sensor": imus.f_sensor}
+    write_npz(path, {**arrays, "times": imus.times})
 
 
 def _unnamed(text: str, video: Path | None) -> str:

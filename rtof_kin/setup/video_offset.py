@@ -28,7 +28,7 @@ RATE_HZ: Final = 30.0
 """[Hz] of the comparison."""
 _CUTOFF_HZ: Final = 5.0
 """[Hz] Low-pass of the velocities against jitter."""
-LEAST_COMMON: Final = 2.0
+LEAST_COMMON: Final = 1.0
 """[s] Least time that both videos have in common, with `_COMMON_SHARE` of the shorter one."""
 _COMMON_SHARE: Final = 0.3
 _SAMPLES_HZ: Final = 10.0

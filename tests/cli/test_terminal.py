@@ -18,5 +18,4 @@ def test_accuracy_without_truth_is_that_of_the_covariances_or_unknown(sigma: flo
         relative_sigma=covariance[..., 0, 0],
         position_sigma=covariance[..., 0, 0],
     )
-    result = SimpleNamespace(metrics=None, mode="rto", motion=SimpleNamespace(confidence=known))
-    assert words in terminal._accuracy(result)
+    assert words in terminal.accuracy(None, known, "rto")

@@ -105,6 +105,6 @@ def test_a_camera_is_carried_along_with_another_ones_correction() -> None:
     second = Camera.looking_at([0.5, -4.0, 1.2], [0.0, 0.0, 1.0], 900.0)
     moved = Camera.looking_at([3.0, 1.0, 2.0], [0.2, 0.0, 1.1], 1250.0)
     carried = second.carried(first, moved)
-    p = np.random.default_rng(0).normal(size=(5, 3)) + [0.0, 0.0, 1.0]
+    p = np.random.default_rng(0).normal(size=(5, 3)) + np.array([0.0, 0.0, 1.0])
     same = (first.to_camera(p) - moved.t_camera_world) @ moved.R_camera_world  # as the first camera sees it
     np.testing.assert_allclose(carried.project(same), second.project(p), atol=1e-8)

@@ -55,7 +55,7 @@ def test_an_assumed_camera_is_level_over_the_floor_and_says_how_unsure_it_is() -
     said = [sentence for origin, sentence in summaries(found.fields) if origin is Origin.ASSUMED]
     assert said == [
         "focal length 1480 px ± 10 % (a phone's lens)",
-        "the camera is 1.2 ± 0.4 m over the floor, and level ± 5 degrees",
+        "the camera is 1.2 ± 0.4 m over the floor, and level ± 10 degrees",
     ]
 
 

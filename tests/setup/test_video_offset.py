@@ -64,7 +64,7 @@ def test_a_motion_that_repeats_itself_is_doubted_unless_the_time_is_known() -> N
 
 
 def test_too_short_videos_are_refused() -> None:
-    with pytest.raises(InvalidInputError, match="shorter than 2 s"):
-        find_video_offset(MOTION.poses, MOTION.poses[:60])
+    with pytest.raises(InvalidInputError, match="shorter than 1 s"):
+        find_video_offset(MOTION.poses, MOTION.poses[:45])
     with pytest.raises(InvalidInputError, match="in common"):
         find_video_offset(MOTION.poses, elsewhere(MOTION.poses, 0.0, 50.0), around=0.0)
