@@ -42,6 +42,10 @@ _SLOPES: Final = 2
 _ENOUGH: Final = 0.15
 """[sigma] Step below which the estimate has converged."""
 _HALVINGS: Final = 3
+_PITCHES: Final = (-1.0, 0.0, 1.0, 2.0)
+"""[prior sigma] Pitches that are tried as a start."""
+_FURTHEST: Final = 3.0
+"""[prior sigma] Largest height that is tried with them."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,9 @@ class CameraEstimate:
     def found(self) -> Camera:
         """The corrected camera, with what remains as its uncertainty."""
         f, pitch, roll, height, k1 = self.sigma
-        left = CameraUncertainty(float(f), float(max(pitch, roll)), float(height), float(k1))
+        left = CameraUncertainty(
+            float(f), float(pitch), float(height), float(k1), float(roll), of_motion=True
+        )
         return replace(corrected(self.assumed, self.value), uncertainty=left)
 
     def deviations(self) -> list[Camera]:
@@ -137,7 +143,8 @@ def prior_sigma(camera: Camera) -> Array:
         camera: with or without an uncertainty.
     """
     own = camera.uncertainty or CameraUncertainty()
-    return np.array([own.focal, own.tilt, own.tilt, own.height, own.k1])
+    roll = own.tilt if own.roll is None else own.roll
+    return np.array([own.focal, own.tilt, roll, own.height, own.k1], dtype=np.float64)
 
 
 def corrected(camera: Camera, y: Array) -> Camera:
@@ -185,20 +192,23 @@ def estimate_camera(
         ViewError: with the declared camera the person is behind it.
     """
     prior = prior_sigma(camera)
-    moving = [i for i in range(DISTORTION) if prior[i] > 0]
+    moving = [i for i in (HEIGHT, FOCAL, PITCH, ROLL) if prior[i] > 0]
     report = progress or (lambda *_: None)
     y, precision = np.zeros(5), np.diag(1 / np.where(prior > 0, prior, 1.0) ** 2)[np.ix_(moving, moving)]
-    total, hessian = _SLOPES * (len(moving) + 1) + 1, precision
-    now = evidence(camera)
-    for done in range(_ROUNDS if moving else 0):
+    searched = len(_PITCHES) if {PITCH, HEIGHT} <= {*moving} else 0
+    total, hessian = _SLOPES * (len(moving) + 1) + searched + 1, precision
+    now, J = evidence(camera), np.zeros((0, 0))
+    for done in range(_ROUNDS if moving and now.known.any() else 0):
         if done < _SLOPES:
-            report(done * (len(moving) + 1), total)
-            slopes = (_slope(camera, evidence, now, y, i, _STEP * prior[i]) for i in moving)
-            J = np.nan_to_num(np.column_stack(list(slopes)))
-        r = np.where(now.known, now.value, 0.0)
-        weight = np.where(now.known, 1 / np.where(now.known, now.sigma, 1.0) ** 2, 0.0)
+            report(done * (len(moving) + 1 + searched), total)
+            J = _slopes(camera, evidence, now, y, moving, _STEP * prior, J)
+        if done == 0 and searched:
+            y, now = _best_pitch(camera, evidence, now, moving, prior, J)
+        r, weight = _weighted(now)
         hessian = (J.T * weight) @ J + precision
-        step = -np.linalg.solve(hessian, J.T @ (weight * r) + precision @ y[moving])
+        if done == 0 and y.any():
+            continue  # the slopes are those of another place
+        step = np.asarray(-np.linalg.solve(hessian, J.T @ (weight * r) + precision @ y[moving]), dtype=float)
         step *= min(1.0, _LARGEST / max(float(np.abs(step / prior[moving]).max()), 1e-9))
         y, now = _moved(camera, evidence, now, y, moving, step)
         if np.all(np.abs(step) < _ENOUGH / np.sqrt(np.diag(hessian))):
@@ -209,13 +219,76 @@ def estimate_camera(
     return CameraEstimate(camera, y, covariance)
 
 
+def _weighted(now: Evidence) -> tuple[Array, Array]:
+    """The evidence (n,) and its weights, 0 where the recording has none."""
+    weight = np.where(now.known, 1 / np.where(now.known, now.sigma, 1.0) ** 2, 0.0)
+    return np.where(now.known, now.value, 0.0), weight
+
+
+def _level(J: Array, moving: Sequence[int]) -> float:
+    """[m/rad] Height per pitch that leaves the floor where it is: its height is the first evidence."""
+    if not J.size or not {PITCH, HEIGHT} <= {*moving} or abs(J[0, moving.index(HEIGHT)]) < 1e-6:
+        return 0.0
+    return float(-J[0, moving.index(PITCH)] / J[0, moving.index(HEIGHT)])
+
+
+def _slopes(
+    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, y: Array, moving: Sequence[int],
+    steps: Array, before: Array,
+) -> Array:  # fmt: skip
+    """Derivatives (n, m) of the evidence by the m moving unknowns, of which the height is the first.
+
+    Where the floor sinks away from the feet, lifted bodies lean: pitch is varied together with the height, by
+    the derivatives known before.
+    """
+    J, rise = np.zeros((len(now.value), len(moving))), _level(before, moving)
+    for k, i in enumerate(moving):
+        with_height = rise if i == PITCH else 0.0
+        direction = 1.0 * (np.arange(5) == i)
+        direction[HEIGHT] += with_height
+        J[:, k] = np.nan_to_num(_slope(camera, evidence, now, y, direction, steps[i]))
+        if with_height:
+            J[:, k] -= with_height * J[:, 0]
+    return J
+
+
+def _best_pitch(
+    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, moving: Sequence[int],
+    prior: Array, J: Array,
+) -> tuple[Array, Evidence]:  # fmt: skip
+    """The likeliest of some pitches, each at the height at which the feet stand on the floor."""
+    rise, slope = _level(J, moving), J[0, moving.index(HEIGHT)] if J.size else 0.0
+    best = _unlikely(now, np.zeros(5), prior), np.zeros(5), now
+    if not rise or not now.known[0]:
+        return best[1:]
+    for share in _PITCHES:
+        y = np.zeros(5)
+        y[PITCH] = share * prior[PITCH]
+        y[HEIGHT] = rise * y[PITCH] - now.value[0] / slope
+        if not abs(y[HEIGHT]) < _FURTHEST * prior[HEIGHT]:
+            continue
+        try:
+            other = evidence(corrected(camera, y))
+        except ViewError:
+            continue
+        best = min(best, (_unlikely(other, y, prior), y, other), key=lambda found: found[0])
+    return best[1:]
+
+
+def _unlikely(now: Evidence, y: Array, prior: Array) -> float:
+    """Twice the negative logarithm of the posterior."""
+    r, weight = _weighted(now)
+    return float(weight @ r**2 + np.sum((y / np.where(prior > 0, prior, 1.0)) ** 2))
+
+
 def _slope(
-    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, y: Array, i: int, step: float
-) -> Array:
-    """Derivative (n,) of the evidence by an unknown, to that side on which the person is in view."""
+    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, y: Array, direction: Array,
+    step: float,
+) -> Array:  # fmt: skip
+    """Derivative (n,) of the evidence along a direction, to that side on which the person is in view."""
     for signed in (step, -step):
         try:
-            other = evidence(corrected(camera, y + signed * (np.arange(5) == i)))
+            other = evidence(corrected(camera, y + signed * direction))
         except ViewError:
             continue
         return np.asarray((other.value - now.value) / signed)

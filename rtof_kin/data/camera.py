@@ -25,10 +25,14 @@ class CameraUncertainty:
     """[m] Of the camera's centre along the world's z axis."""
     k1: float = 0.0
     """[1] Of the first radial distortion coefficient."""
+    roll: float | None = None
+    """[rad] Of roll, where it is not that of `tilt`."""
+    of_motion: bool = False
+    """Whether floor and posture of the recording were used for it already; only walking narrows it then."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not 0 <= value < np.inf:
+            if not (value is None or 0 <= value < np.inf):
                 raise InvalidInputError(f"camera uncertainty {name}: {value} is no standard deviation")
 
 

@@ -61,8 +61,8 @@ LEAN: Final = Usual(0.0, np.radians(2.6)), Usual(0.0, np.radians(2.3))
 TURN: Final = Usual(0.0, np.radians(2.4)), Usual(0.0, np.radians(1.8))
 """[rad] of bones with sensors by the image alone, about the camera's x and z axes."""
 LASTING, SECONDS = 0.4, 20.0
-"""[1] Share of those standard deviations' squares that a longer recording does not reduce, and [s] the length of
-the recordings that they were measured on: postures of the rest average out."""
+"""[1] Share of the squares of `LEAN` and `TURN` that does not depend on a recording's length, and [s] that of
+the recordings that they were measured on: postures average out."""
 WALK: Final = Usual(np.log(1.05), 0.03)
 """[1] for a long walk."""
 WALK_LEG: Final = 0.08
@@ -81,6 +81,8 @@ class Scene:
     """`standing_feet`."""
     bone_imus: BoneImuSequence | None
     """At the keypoints' times."""
+    floor_and_tilt: bool = True
+    """Whether to use them; walking is used always."""
 
 
 def standing_feet(keypoints: KeypointSequence, poses: PoseSequence, skeleton: SkeletonModel) -> Contacts:
@@ -118,9 +120,10 @@ def evidence(
         _tilt(scene, camera, by_image),
         _walk(scene, camera, poses),
     )
-    return Evidence(
-        np.concatenate([part.value for part in parts]), np.concatenate([part.sigma for part in parts])
-    )
+    value = np.concatenate([part.value for part in parts])
+    if not scene.floor_and_tilt:
+        value[: -len(parts[-1].value)] = np.nan
+    return Evidence(value, np.concatenate([part.sigma for part in parts]))
 
 
 def _level_axes(camera: Camera) -> Array:

@@ -63,7 +63,8 @@ def find_camera(
     clean, imus = prepared.recording, prepared.bone_imus
     contacts = standing_feet(clean.video, poses, skeleton)
     sensed = imus is not None and np.isfinite(imus.R_world_bone).any()
-    scene = Scene(skeleton, recording.floor_height, contacts, imus if sensed else None)
+    fresh = assumed.uncertainty is None or not assumed.uncertainty.of_motion
+    scene = Scene(skeleton, recording.floor_height, contacts, imus if sensed else None, fresh)
 
     def seen_by(camera: Camera) -> Evidence:
         own = with_camera(clean, camera)

@@ -14,10 +14,10 @@ from rtof_kin.formats.cameras import read_camera as read_camera_file
 from rtof_kin.recording.files import data_path, naming
 
 _SHORTEST_FOCAL: Final = 0.1  # of the image's width; a shorter focal length is in another unit
-_UNCERTAINTY: Final = "uncertainty"
+_UNCERTAINTY, _OF_MOTION = "uncertainty", "of_motion"
 _FIELDS: Final = {
     "focal": ("focal", 1.0), "tilt": ("tilt_deg", float(np.radians(1.0))), "height": ("height_m", 1.0),
-    "k1": ("k1", 1.0),
+    "k1": ("k1", 1.0), "roll": ("roll_deg", float(np.radians(1.0))),
 }  # fmt: skip
 """Field of `CameraUncertainty` -> field in the table and its unit."""
 
@@ -71,10 +71,12 @@ def _uncertainty(section: Section) -> CameraUncertainty | None:
     if not section.has(_UNCERTAINTY):
         return None
     table = section.table(_UNCERTAINTY)
-    values = {name: table.number(field, 0.0) * unit for name, (field, unit) in _FIELDS.items()}
+    given = {name: (table.optional_number(field), unit) for name, (field, unit) in _FIELDS.items()}
+    values = {name: value * unit for name, (value, unit) in given.items() if value is not None}
+    of_motion = table.flag(_OF_MOTION)
     table.close()
     with naming(section.path):
-        return CameraUncertainty(**values)
+        return CameraUncertainty(**values, of_motion=of_motion)
 
 
 def _intrinsics(section: Section, width: int, height: int) -> Array:
@@ -99,7 +101,10 @@ def camera_table(camera: Camera) -> dict[str, Any]:
         more["heading_drift_deg_s"] = float(np.degrees(camera.heading_drift))
     if camera.uncertainty is not None:
         own = vars(camera.uncertainty)
-        more[_UNCERTAINTY] = {field: own[name] / unit for name, (field, unit) in _FIELDS.items()}
+        given = {name: pair for name, pair in _FIELDS.items() if own[name] is not None}
+        more[_UNCERTAINTY] = {field: own[name] / unit for name, (field, unit) in given.items()}
+        if camera.uncertainty.of_motion:
+            more[_UNCERTAINTY][_OF_MOTION] = True
     return more | {
         "width_px": int(camera.width_px),
         "height_px": int(camera.height_px),

@@ -11,16 +11,23 @@ from typing import Final
 
 import numpy as np
 
+from rtof_kin.calibration.camera_estimate import pitch_and_roll
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera, CameraUncertainty
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.cameras import read_camera
+from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.prepare import Progress
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 from rtof_kin.vision.lens_prior import LensPrior
 
 HEIGHT, SIGMA_HEIGHT = 1.2, 0.4
 """Height of an assumed camera over the floor and its standard deviation, m."""
-SIGMA_TILT_DEG: Final = 10.0
-"""Standard deviation of pitch and roll of an assumed camera, degrees: tripods and shelves look down."""
+SIGMA_PITCH_DEG, SIGMA_ROLL_DEG = 10.0, 4.0
+"""Standard deviations of pitch and roll of an assumed camera, degrees: tripods and shelves look down."""
 _POSE: Final = "pose"
 
 
@@ -101,25 +108,72 @@ def _placed(
 ) -> SetupCamera:
     """Return a camera with the assumed pose and its standard deviations."""
     unsure = Origin.ASSUMED
-    sigma = CameraUncertainty(sigma_focal, float(np.radians(SIGMA_TILT_DEG)), SIGMA_HEIGHT, sigma_k1)
+    pitch, roll = (float(np.radians(deg)) for deg in (SIGMA_PITCH_DEG, SIGMA_ROLL_DEG))
+    sigma = CameraUncertainty(sigma_focal, pitch, SIGMA_HEIGHT, sigma_k1, roll)
     fields: dict[str, Field | Tables] = {
         **_size(camera, size), **optics,
         "position_m": Field(
             [0.0, 0.0, HEIGHT], unsure,
             f"± {SIGMA_HEIGHT:g} m over the floor; measure the height of the lens, write it in both lines",
             f"the camera is {HEIGHT:g} ± {SIGMA_HEIGHT:g} m over the floor, and level ± "
-            f"{SIGMA_TILT_DEG:.0f} degrees",
+            f"{SIGMA_PITCH_DEG:.0f} degrees (roll {SIGMA_ROLL_DEG:.0f})",
         ),
-        "target_m": Field([1.0, 0.0, HEIGHT], unsure, f"level, ± {SIGMA_TILT_DEG:.0f} degrees"),
+        "target_m": Field([1.0, 0.0, HEIGHT], unsure, f"level, ± {SIGMA_PITCH_DEG:.0f} degrees"),
         "assumed": Field(list(camera.assumed), note="named in reports; take out what you have measured"),
         "uncertainty": {
             "focal": Field(sigma.focal, note="standard deviations: relative,"),
-            "tilt_deg": Field(SIGMA_TILT_DEG, note="of pitch and of roll,"),
+            "tilt_deg": Field(SIGMA_PITCH_DEG, note="of pitch,"),
+            "roll_deg": Field(SIGMA_ROLL_DEG),
             "height_m": Field(sigma.height, note="over the floor (0.01 where it is measured),"),
             "k1": Field(sigma.k1, note="before the motion; reconstruct estimates the four"),
         },
     }  # fmt: skip
     return SetupCamera(replace(camera, uncertainty=sigma), fields)
+
+
+def seen_camera(
+    camera: SetupCamera, keypoints: KeypointSequence, height: float | None, lifter: LifterLike | None,
+    progress: Progress,
+) -> SetupCamera:  # fmt: skip
+    """Return an assumed camera as the person before it shows it; sensors are aligned with this one.
+
+    Sensors whose mounting is found with the image do not tell its tilt any more, so what floor and posture
+    say is used here, before them.
+
+    Args:
+        camera: assumed. keypoints: as it saw them. height: of the person, m.
+        lifter: default: the shipped one. progress: called with (stage, steps done, in all).
+
+    Raises:
+        Errors of the lift.
+    """
+    recording = Recording("camera", keypoints, floor_height=0.0, height=height)
+    settings = ReconstructionSettings(confidence=False)
+    result = reconstruct(recording, mode="lift", lifter=lifter, settings=settings, progress=progress)
+    assert result.camera is not None
+    found, own = result.camera.found, result.camera.found.uncertainty
+    assert own is not None
+    assert own.roll is not None
+    down, right = (float(np.degrees(angle)) for angle in pitch_and_roll(found))
+    note = (
+        f"looks down by {down:.1f} ± {np.degrees(own.tilt):.1f} degrees, turned by {right:.1f} ± "
+        f"{np.degrees(own.roll):.1f}, {found.center_world[2]:.2f} ± {own.height:.2f} m over the floor"
+    )
+    fields: Tables = {
+        **{name: field for name, field in camera.fields.items() if name not in ("position_m", "target_m")},
+        "focal_px": Field(float(found.K[0, 0]), Origin.FOUND, f"± {100 * own.focal:.0f} %"),
+        "R_camera_world": Field(found.R_camera_world.tolist(), Origin.FOUND, note, f"the camera {note}"),
+        "t_camera_world_m": Field(found.t_camera_world.tolist()),
+        "uncertainty": {
+            "focal": Field(own.focal, note="what remains: relative,"),
+            "tilt_deg": Field(float(np.degrees(own.tilt)), note="of pitch,"),
+            "roll_deg": Field(float(np.degrees(own.roll))),
+            "height_m": Field(own.height),
+            "k1": Field(own.k1),
+            "of_motion": Field(True, note="floor and posture of this recording are in these already"),
+        },
+    }
+    return SetupCamera(found, fields)
 
 
 def _size(camera: Camera, size: Field) -> dict[str, Field]:

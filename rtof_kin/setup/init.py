@@ -30,7 +30,7 @@ from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Progress, evenly_spaced
 from rtof_kin.recording.recording import INDEX, SCHEMA_VERSION, Recording
-from rtof_kin.setup.camera_prior import SetupCamera, assumed_camera, calibrated_camera
+from rtof_kin.setup.camera_prior import SetupCamera, assumed_camera, calibrated_camera, seen_camera
 from rtof_kin.setup.frames_picture import PICTURE, write_frames_picture
 from rtof_kin.setup.handheld import MOTION, filming_camera
 from rtof_kin.setup.people import People, choose_person, number_people, read_people, write_people
@@ -169,6 +169,9 @@ def make_recording(
     )
     turned, still = filming.motion, detected.keypoints
     still = still if turned is None else stabilised(still, turned)
+    if sources.sensors and not camera.placed:
+        camera = seen_camera(camera, still, settings.height, settings.lifter, progress)
+        still = replace(still, camera=camera.camera)
     sensors = _sensors(sources, settings, still, camera, progress)
     about = {
         **_session(video), "subject": _subject(settings), **_scene(camera), "camera": camera.fields,

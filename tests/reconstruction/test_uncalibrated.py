@@ -47,7 +47,7 @@ def test_a_planted_tilt_is_found_within_what_is_stated(mode: str) -> None:
     off = found.camera.value + PLANTED
     assert (np.abs(off)[:4] < 3 * found.camera.sigma[:4]).all()
     assert (np.abs(off)[1:3] < np.radians(4.0)).all()
-    assert (found.camera.sigma[1:3] < 0.6 * UNSURE.tilt).all()
+    assert (found.camera.sigma[1:3] < 0.75 * UNSURE.tilt).all()
 
 
 @pytest.mark.parametrize("mode", ["rtof", "rto"])

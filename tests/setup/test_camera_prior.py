@@ -17,7 +17,8 @@ from rtof_kin.recording.camera_table import read_camera
 from rtof_kin.setup.camera_prior import (
     HEIGHT,
     SIGMA_HEIGHT,
-    SIGMA_TILT_DEG,
+    SIGMA_PITCH_DEG,
+    SIGMA_ROLL_DEG,
     SetupCamera,
     assumed_camera,
     calibrated_camera,
@@ -50,12 +51,19 @@ def test_an_assumed_camera_is_level_over_the_floor_and_says_how_unsure_it_is() -
     uncertainty = read_back(found).uncertainty
     assert uncertainty is not None
     assert vars(uncertainty) == pytest.approx(
-        {"focal": 0.1, "tilt": np.radians(SIGMA_TILT_DEG), "height": SIGMA_HEIGHT, "k1": 0.05}
+        {
+            "focal": 0.1,
+            "tilt": np.radians(SIGMA_PITCH_DEG),
+            "height": SIGMA_HEIGHT,
+            "k1": 0.05,
+            "roll": np.radians(SIGMA_ROLL_DEG),
+            "of_motion": False,
+        }
     )
     said = [sentence for origin, sentence in summaries(found.fields) if origin is Origin.ASSUMED]
     assert said == [
         "focal length 1480 px ± 10 % (a phone's lens)",
-        "the camera is 1.2 ± 0.4 m over the floor, and level ± 10 degrees",
+        "the camera is 1.2 ± 0.4 m over the floor, and level ± 10 degrees (roll 4)",
     ]
 
 
