@@ -3,12 +3,12 @@
 ``python -m benchmarks.from_raw --corpus DIR``: recordings of 20 s of held-out people and rigs, 30 images a
 second with a simulated detector's 33 points, eight sensors at 60 Hz and none. *given* has the true camera,
 bones, clock, segments, and the sensors' usual errors of mounting and heading; *given, usual bones* has the
-person's height instead of the bones, as *raw* does: rigs put the root elsewhere (up to 10 cm), which is most of
-root-relative errors. *raw* has the files that a user
-has: the detector's points, a CSV of sensors without names on a clock up to ten minutes off, each with a heading
-of its own and turned in its case at random, and the person's height (1 % off). `rtof_kin.setup.init` makes the
-recording, and it is reconstructed as ``rtof-kin run`` does. *raw, map* has a map of the sensors too. Errors of
-raw recordings are in the world of the true camera's place and heading.
+person's height instead of the bones, as *raw* does: rigs put the root elsewhere (up to 10 cm), which is
+most of root-relative errors. *raw* has the files that a user has: the detector's points, a CSV of sensors
+without names on a clock up to ten minutes off, each with a heading of its own and turned in its case at
+random, and the person's height (1 % off). `rtof_kin.setup.init` makes the recording, and it is
+reconstructed as ``rtof-kin run`` does. *raw, map* has a map of the sensors too. Errors of raw recordings
+are in the world of the true camera's place and heading.
 """
 
 from __future__ import annotations

@@ -90,6 +90,25 @@ def test_without_evidence_all_is_as_assumed() -> None:
     assert any("walk two metres towards the camera" in text for text in found.sentences)
 
 
+def test_a_large_pitch_is_found_where_bodies_lean_off_a_wrong_floor() -> None:
+    """A lean that saturates, as a lifted body's does, and that a floor below or above the feet turns."""
+    unsure = replace(LEVEL, uncertainty=CameraUncertainty(0.0, np.radians(10.0), 0.4, 0.0, np.radians(4.0)))
+    pitch, height, distance = np.radians(18.0), 1.9, 4.0
+
+    def leaning(camera: Camera) -> Evidence:
+        down, right = pitch_and_roll(camera)
+        floor = camera.center_world[2] - height - distance * (down - pitch)
+        lean = np.tanh(2 * (down - pitch)) + 0.3 * np.sin(6 * floor)
+        return Evidence(np.array([floor, lean, right]), np.array([0.03, 0.03, 0.03]))
+
+    found = estimate_camera(unsure, leaning)
+    assert pitch_and_roll(found.found)[0] == pytest.approx(pitch, abs=2.5 * found.sigma[PITCH])
+    assert found.found.center_world[2] == pytest.approx(height, abs=2.5 * found.sigma[HEIGHT])
+    assert found.sigma[PITCH] < np.radians(3.0)
+    assert found.found.uncertainty.of_motion
+    assert found.found.uncertainty.roll == pytest.approx(found.sigma[2])
+
+
 def test_what_is_known_stays_and_is_not_listed() -> None:
     camera = replace(LEVEL, uncertainty=CameraUncertainty(focal=0.1))
     found = estimate_camera(camera, of_points)

@@ -109,3 +109,18 @@ def test_a_lean_is_not_a_turn_about_the_vertical() -> None:
     poses = replace(WALK.poses, p_world_joint=WALK.poses.p_world_joint @ turned.T)
     found = evidence(scene(), replace(seen(), camera=camera), poses, poses)
     np.testing.assert_allclose(found.value[3:5], of_wrong(np.zeros(5)).value[3:5], atol=1e-6)
+
+
+def test_where_the_motion_was_used_before_only_walking_is_left() -> None:
+    own = scene(sensors=True)
+    before = evidence(own, seen(), WALK.poses, WALK.poses)
+    after = evidence(replace(own, floor_and_tilt=False), seen(), WALK.poses, WALK.poses)
+    assert before.known[:5].all()
+    assert not after.known[:5].any()
+    np.testing.assert_array_equal(after.value[5:], before.value[5:])
+
+
+def test_posture_says_less_in_a_short_recording() -> None:
+    short = evidence(scene(), seen(), WALK.poses[:60], WALK.poses)
+    long = evidence(scene(), seen(), WALK.poses, WALK.poses)
+    assert (short.sigma[3:5] > 1.5 * long.sigma[3:5]).all()

@@ -273,9 +273,11 @@ def test_the_camera_may_be_given_by_its_matrices(tmp_path: Path) -> None:
 
 
 def test_an_uncertain_camera_is_read_and_written(tmp_path: Path) -> None:
-    table = "[camera.uncertainty]\nfocal = 0.1\ntilt_deg = 5.0\nheight_m = 0.02\n[keypoints]"
-    recording = Recording.load(write(tmp_path, "[keypoints]", table))
-    assert recording.video.camera.uncertainty == CameraUncertainty(0.1, np.radians(5.0), 0.02, 0.0)
+    table = "[camera.uncertainty]\nfocal = 0.1\ntilt_deg = 5.0\nheight_m = 0.02\n"
+    more = "roll_deg = 3.0\nof_motion = true\n[keypoints]"
+    recording = Recording.load(write(tmp_path, "[keypoints]", table + more))
+    expected = CameraUncertainty(0.1, np.radians(5.0), 0.02, 0.0, np.radians(3.0), of_motion=True)
+    assert recording.video.camera.uncertainty == expected
     recording.save(tmp_path.with_name("again"))
     again = Recording.load(tmp_path.with_name("again")).video.camera.uncertainty
     assert vars(again) == pytest.approx(vars(recording.video.camera.uncertainty))
