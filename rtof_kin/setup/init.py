@@ -172,7 +172,7 @@ def make_recording(
     if sources.sensors and not camera.placed:
         camera = seen_camera(camera, still, settings.height, settings.lifter, progress)
         still = replace(still, camera=camera.camera)
-    sensors = _sensors(sources, settings, still, camera, progress)
+    sensors = _sensors(sources, settings, still, camera, video.metadata, progress)
     about = {
         **_session(video), "subject": _subject(settings), **_scene(camera), "camera": camera.fields,
         "keypoints": _keypoints(sources, settings, detected, people, number),
@@ -278,7 +278,7 @@ def _camera(sources: Sources, settings: SetupSettings, video: _Video) -> SetupCa
 
 def _sensors(
     sources: Sources, settings: SetupSettings, keypoints: KeypointSequence, camera: SetupCamera,
-    progress: Progress,
+    metadata: VideoMetadata | None, progress: Progress,
 ) -> SetupSensors | None:  # fmt: skip
     if not sources.sensors:
         return None
@@ -292,7 +292,8 @@ def _sensors(
     poses = lift(keypoints, skeleton, settings.lifter, None, None if camera.placed else 0.0).poses
     progress("lift", 1, 1)
     progress("sensors", 0, 1)
-    found = set_up_sensors(log, sources.sensor_map, poses, keypoints, skeleton)
+    start_utc = None if metadata is None else metadata.start_utc
+    found = set_up_sensors(log, sources.sensor_map, poses, keypoints, skeleton, start_utc)
     progress("sensors", 1, 1)
     return found
 

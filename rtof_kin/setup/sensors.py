@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -11,7 +14,7 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
@@ -32,8 +35,10 @@ _STILL: Final = np.radians(8.0)
 """[rad/s] 95th percentile of the angular speed below which a sensor does not move."""
 _STEP: Final = 0.1
 """[s] over which that speed is measured, so that noise is no motion."""
-_SURE: Final = 0.8
-"""Probability of a segment below which a sensor is left out."""
+_SURE: Final = 0.95
+"""Probability of a segment below which a sensor is left out: lower ones are stated too high."""
+_USUAL_REACH, _NEAR = 600.0, 60.0
+"""[s] Offsets that are searched: at least, and, beside the video's length, about the one that files state."""
 _LEAST_COMMON: Final = 2.0
 """[s] Least time that video and sensors have in common."""
 
@@ -59,7 +64,7 @@ class _Take:
 
 def set_up_sensors(
     log: SensorLog, sensor_map: Path | None, poses: PoseSequence, keypoints: KeypointSequence,
-    skeleton: SkeletonModel,
+    skeleton: SkeletonModel, start_utc: datetime | None = None,
 ) -> SetupSensors:  # fmt: skip
     """Find clock, segments, headings and mounting of the sensors of a video.
 
@@ -67,6 +72,7 @@ def set_up_sensors(
         log: sensors on their own clock.
         sensor_map: file of two columns, sensor and segment; None: the sensors' names say it, or their motion.
         poses: lifted from the keypoints, at their times. keypoints: of the video. skeleton: of the poses.
+        start_utc: when the video began, if known.
 
     Raises:
         InvalidInputError: no sensor moves, or video and sensors have nothing in common.
@@ -78,7 +84,7 @@ def set_up_sensors(
     log, still = _moving(log_with_orientation(log))
     log = _from_zero(log)
     told = None if places is None else {name: str(places[name].value) for name in log.names}
-    clock = find_clock(poses, keypoints, log, skeleton, told)
+    clock = _clock(log, take, told, start_utc)
     _check_overlap(clock.apply(log), keypoints.times)
     doubts = [*still, clock.doubt]
     if places is None or told is None:
@@ -97,6 +103,21 @@ def set_up_sensors(
     imus = imus_of_log(_drifted(log, clock))
     fields = _fields(imus, clock, found, places)
     return SetupSensors(imus, fields, tuple(dict.fromkeys(doubt for doubt in doubts if doubt)))
+
+
+def _clock(
+    log: SensorLog, take: _Take, told: dict[str, str] | None, start_utc: datetime | None
+) -> ClockEstimate:
+    """Find the clock by the motion; where video and sensors state when they began, near that first."""
+    search = partial(find_clock, take.poses, take.keypoints, log, take.skeleton, told)
+    if start_utc is not None and log.start_utc is not None:
+        seconds = float(take.poses.times[-1] - take.poses.times[0])
+        stated = (log.start_utc - start_utc).total_seconds()
+        with suppress(CalibrationError):
+            near = search(around=stated, reach=_NEAR + seconds)
+            if not near.doubt:
+                return near
+    return search(reach=max(_USUAL_REACH, *(float(stream.times[-1]) for stream in log.streams)))
 
 
 def _told(log: SensorLog, sensor_map: Path | None, skeleton: SkeletonModel) -> dict[str, Field] | None:

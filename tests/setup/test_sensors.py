@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
 
@@ -143,3 +144,31 @@ def test_a_file_that_ended_before_the_video_is_refused(take: Take, monkeypatch: 
     )
     with pytest.raises(InvalidInputError, match=sentence):
         take.set_up(take.log, take.map)
+
+
+@pytest.mark.parametrize(
+    ("begun", "doubt", "searched"),
+    [
+        (None, "", [(0.0, 600.0)]),
+        (-40.0, "", [(-40.0, 68.0)]),
+        (3600.0, "the movements agree nowhere", [(3600.0, 68.0), (0.0, 600.0)]),
+    ],
+)
+def test_the_clock_is_searched_first_where_the_files_say_that_they_began(
+    take: Take, monkeypatch: pytest.MonkeyPatch, begun: float | None, doubt: str, searched: list[object]
+) -> None:
+    """A time zone that was forgotten is no harm: all offsets are searched then."""
+    asked = list[tuple[float, float]]()
+
+    def find(*_: object, around: float = 0.0, reach: float) -> ClockEstimate:
+        asked.append((around, round(reach)))
+        right = ClockEstimate(-3.0, 0.0, 0.01, 50.0, "")
+        return replace(right, doubt=doubt) if around == begun else right
+
+    monkeypatch.setattr(sensors, "find_clock", find)
+    start = datetime(2026, 1, 31, 12, tzinfo=UTC)
+    log = take.log if begun is None else replace(take.log, start_utc=start + timedelta(seconds=begun))
+    skeleton = take.recording.skeleton
+    found = set_up_sensors(log, take.map, take.poses, take.keypoints, skeleton, start)
+    assert asked == searched
+    assert not any(doubt and doubt in sentence for sentence in found.doubts)
