@@ -90,6 +90,7 @@ def _page(
         "headline": f"{badge(overall.grade)} {escape(overall.text)}",
         "clinical_verdicts": ", ".join(f"{v.title.lower()}: {v.grade.value}" for v in own),
         "header": definitions(_header(motion, summary, session, made)),
+        "notes": _notes(str(inputs.get("notes") or "")),
         "verdicts": _verdicts(section_verdict(section, results) for section in checked),
         "ranges": _ranges(analysis.ranges),
         "bands": _BANDS if bands else f"There are no bands: {NO_BANDS}.",
@@ -109,6 +110,13 @@ def _page(
         "bands": bands,
     }
     return fill_template(parts, plots)
+
+
+def _notes(text: str) -> str:
+    """Section with the notes of the recording, e.g. what `init` assumed and found; nothing without notes."""
+    if not text.strip():
+        return ""
+    return f'<section id="notes"><h2>How the recording was made</h2>{bullets(text.splitlines())}</section>'
 
 
 def _header(motion: MotionSequence, summary: Summary, session: Session, made: str) -> list[list[str]]:

@@ -96,6 +96,12 @@ class Findings:
     assumed: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
 
+    @property
+    def text(self) -> str:
+        """All of them, a line each; notes of the recording, which the report shows."""
+        kinds = reversed(vars(self).items())
+        return "\n".join(f"{kind}: {sentence}" for kind, sentences in kinds for sentence in sentences)
+
 
 @dataclass(frozen=True)
 class _Video:
@@ -182,6 +188,7 @@ def make_recording(
     doubts = [*_doubts(settings, detected.keypoints, people, number), *filming.doubts]
     doubts += sensors.doubts if sensors else ()
     found = _findings(tables, doubts)
+    tables = {**tables, "notes": {"text": Field(found.text)}}
     title = f"Recording, set up by rtof-kin init from {', '.join(path.name for path in sources.paths)}"
     texts = {
         FINDINGS: json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n",

@@ -97,6 +97,15 @@ def test_the_header_has_session_body_sensors_and_headline(html: str, page: Page)
     assert "gait: " in top
 
 
+def test_notes_of_the_recording_are_shown_line_by_line(html: str, tmp_path: Path) -> None:
+    assert "How the recording was made" not in html
+    inputs = INPUTS | {"notes": "doubtful: <b>its heading\nassumed: the floor is flat"}
+    folder = folder_of(walk(), tmp_path / "out", inputs=inputs)
+    written = report(folder, made=TODAY)
+    assert "<li>doubtful: &lt;b&gt;its heading</li><li>assumed: the floor is flat</li>" in written
+    assert Page(written).wrong == []
+
+
 def test_the_header_has_options_and_settings(tmp_path: Path) -> None:
     settings = {"space": "cartesian", "backend": "ipopt", "energy": "as printed", "frames": 20,
                 "lifter": "causal", "lift_with_sensors": False, "calibrate": "no", "threads": 1,

@@ -56,6 +56,9 @@ def test_keypoints_become_a_recording_with_every_assumption_said(tmp_path: Path)
     assert [sentence.split()[0] for sentence in found.assumed] == ["the", "focal", "the"]
     assert found.doubtful == ("the take lasts 1.6 s; 20 s with walking and turning tell camera and sensors",)
     assert read_findings(tmp_path / "out") == found
+    assert recording.notes == found.text
+    assert found.text.startswith("doubtful: the take lasts 1.6 s")
+    assert found.text.endswith("given: the person is 1.72 m tall")
     assert (tmp_path / "out" / "frames.png").stat().st_size > 1000
 
 
