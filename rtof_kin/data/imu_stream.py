@@ -65,6 +65,18 @@ class SensorStream:
         """Sampling rate, Hz, from the median step; NaN for fewer than two samples."""
         return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else float("nan")
 
+    def between(self, start: float, stop: float) -> SensorStream | None:
+        """Return the samples from start to before stop; None where there are fewer than two.
+
+        Args:
+            start, stop: s.
+        """
+        a, b = np.searchsorted(self.times, [start, stop])
+        if b - a < 2:
+            return None
+        arrays = {name: getattr(self, name)[a:b] for name in ("times", *self.holds)}
+        return replace(self, **arrays, quaternion_norm=None)
+
     def imu(self) -> ImuSequence:
         """Return orientation and specific force for a recording.
 

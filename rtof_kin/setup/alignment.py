@@ -170,14 +170,13 @@ def _near(log: SensorLog, start: float, stop: float) -> SensorLog:
     """The samples during the video and a second around it."""
     kept = []
     for stream in log.streams:
-        a, b = np.searchsorted(stream.times, [start - 1.0, stop + 1.0])
-        if b - a < 2 or stream.times[b - 1] - stream.times[a] < _LEAST_SECONDS:
+        part = stream.between(start - 1.0, stop + 1.0)
+        if part is None or part.times[-1] - part.times[0] < _LEAST_SECONDS:
             raise CalibrationError(
                 f"sensor {stream.name} and the video have less than {_LEAST_SECONDS:g} s in common; find the "
                 "clock first, or leave the sensor out"
             )
-        arrays = {name: getattr(stream, name)[a:b] for name in ("times", *stream.holds)}
-        kept.append(replace(stream, **arrays, quaternion_norm=None))
+        kept.append(part)
     return replace(log, streams=tuple(kept))
 
 

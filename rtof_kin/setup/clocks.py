@@ -132,14 +132,13 @@ def _within(log: SensorLog, start: float, stop: float) -> SensorLog:
     """The part of a log that can overlap with the video."""
     kept = []
     for stream in log.streams:
-        a, b = np.searchsorted(stream.times, [start, stop])
-        if b - a < 2:
+        part = stream.between(start, stop)
+        if part is None:
             raise CalibrationError(
                 f"sensor {stream.name} has no samples from {start:.0f} to {stop:.0f} s, where the video "
                 "could be: search further (reach), or check that both are of the same time"
             )
-        arrays = {name: getattr(stream, name)[a:b] for name in ("times", *stream.holds)}
-        kept.append(replace(stream, **arrays, quaternion_norm=None))
+        kept.append(part)
     return replace(log, streams=tuple(kept))
 
 
