@@ -189,8 +189,9 @@ def _run(options: argparse.Namespace) -> None:
     _write_page(folder, options)
     motion = read_motion_npz(folder / MOTION / "motion.npz")
     _print_findings(found)
-    if options.second:
-        _line("two views", recording.notes.replace("\n", "; "))
+    for kind, _, sentence in (note.partition(": ") for note in recording.notes.splitlines()):
+        if options.second and sentence.startswith("second camera"):
+            _line(kind, sentence, _KINDS.get(kind, ""))
     summary = read_summary(folder / MOTION / SUMMARY)
     for number, sentence in enumerate(_camera_found(summary)):
         _line("" if number else "camera", sentence)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.second_camera import find_second_camera
 from rtof_kin.setup.video_offset import find_video_offset
+
+SECOND: Final = "second camera"
+"""What sentences on it begin with."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +67,10 @@ def join_recordings(
             f"{_apart(camera.first, camera.view.camera)}, position ± {_rms(camera.sigma_position):.2f} m, "
             f"orientation ± {np.degrees(_rms(camera.sigma_turn)):.1f} degrees"
         )
-    found = f"second camera: {pose}; the times of its video were moved by {offset:+.3f} ± {sigma:.3f} s"
-    notes = "\n".join(filter(None, (first.notes, found, doubt)))
-    return Joined(replace(joined, notes=notes), found, doubt)
+    found = f"{SECOND}: {pose}; the times of its video were moved by {offset:+.3f} ± {sigma:.3f} s"
+    notes = [f"doubtful: {SECOND}: {doubt}"] if doubt else []
+    notes += [first.notes] if first.notes else []
+    return Joined(replace(joined, notes="\n".join([*notes, f"found: {found}"])), found, doubt)
 
 
 def _is_calibrated(camera: Camera) -> bool:

@@ -86,7 +86,8 @@ def test_an_uncalibrated_camera_is_found_and_its_place_is_told(monkeypatch: pyte
     assert "position ± 0.10 m, orientation ± 2.0 degrees" in joined.found
     assert "moved by -7.300 ± 0.004 s" in joined.found
     assert joined.doubt == "look at it"
-    assert joined.recording.notes.endswith("look at it")
+    assert joined.recording.notes.splitlines()[0] == "doubtful: second camera: look at it"
+    assert joined.recording.notes.splitlines()[-1] == f"found: {joined.found}"
     join_recordings(unsure, second(), synchronised=True)
     assert asked == [None, 0.0]
 
