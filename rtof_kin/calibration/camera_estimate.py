@@ -110,7 +110,7 @@ class CameraEstimate:
         for i, (unit, word) in enumerate(units):
             if prior[i] > 0:
                 pairs = (before[i], unit * prior[i]), (after[i], unit * left[i])
-                texts = tuple(f"{value:.4g} ± {sigma:.2g} {word}".strip() for value, sigma in pairs)
+                texts = tuple(f"{value:.4g} ± {_short(sigma)} {word}".strip() for value, sigma in pairs)
                 share = left[i] / prior[i]
                 verdict = FOUND if share < _SHARE_FOUND else NOT_FOUND
                 rows.append((UNKNOWNS[i], texts[0], texts[1], f"{100 * share:.0f} %", verdict))
@@ -175,6 +175,11 @@ def _values(camera: Camera) -> tuple[float, ...]:
     """Values of `UNKNOWNS`: px, degrees, m, 1."""
     pitch, roll = np.degrees(pitch_and_roll(camera))
     return camera.K[0, 0], pitch, roll, camera.center_world[2], camera.distortion[0]
+
+
+def _short(sigma: float) -> str:
+    """Two digits, or whole numbers from 100 on."""
+    return f"{sigma:.2g}" if sigma < 99.5 else f"{sigma:.0f}"
 
 
 def estimate_camera(
