@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 from rtof_kin.body.metrics import stage_metrics
@@ -21,8 +21,9 @@ from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.inertial.outlier_rejection import find_disagreements, mask_faults
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
 from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
+from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned, prepare
+from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
 from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Choices, Reconstruction
 from rtof_kin.reconstruction.sensor_checks import (
@@ -35,101 +36,13 @@ from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.reconstruction.uncalibrated import find_camera, with_camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
 
 _MISALIGNED_FRACTION = 0.8
 """Minimum fraction of the recording over which a sensor must disagree to count as misaligned."""
-_LOWEST_ANKLE = 0.02
-"""[m] Lowest ankle over a floor; a lower estimate has another cause."""
 WARNINGS_LOGGER = f"{__name__}.warnings"
 """Logger of failed checks, stream faults and warnings, which the audit of a result lists too."""
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What `reconstruct` was called with; the bodies have the lifter's pose prior if it has one."""
-
-    recording: Recording
-    skeleton: SkeletonModel | None
-    lifter: LifterLike | None
-    settings: ReconstructionSettings
-    progress: Progress
-
-    @classmethod
-    def of(
-        cls, recording: Recording, skeleton: SkeletonModel | None, lifter: LifterLike | None,
-        settings: ReconstructionSettings | None, progress: Progress | None,
-    ) -> _Job:  # fmt: skip
-        """Return the job for the arguments of `reconstruct`."""
-        prior = getattr(lifter, "prior", None)
-        if prior is not None:
-            recording = replace(recording, model_prior=prior)
-            skeleton = None if skeleton is None else skeleton.with_prior(prior)
-        progress = progress or (lambda *_: None)
-        return cls(recording, skeleton, lifter, settings or ReconstructionSettings(), progress)
-
-    @property
-    def subject(self) -> SkeletonModel:
-        """The skeleton that was given, else that of the recording."""
-        return self.skeleton or self.recording.skeleton
-
-    def prepare(
-        self, mode: Mode, rejected: tuple[StreamFault, ...] = (), calibration: SelfCalibration | None = None
-    ) -> Prepared:
-        return prepare(
-            self.recording, self.subject, mode, self.lifter, self.settings, self.progress,
-            rejected=rejected, calibration=calibration,
-        )  # fmt: skip
-
-    def calibrated(self, calibration: SelfCalibration | None) -> _Job:
-        """Return the job on the calibrated recording, with the settings of its fragment solver."""
-        job = self
-        if calibration is not None:
-            skeleton = None if calibration.of_kind("bones") else self.skeleton
-            job = replace(self, recording=calibration.apply(self.recording), skeleton=skeleton)
-        return job.with_solver(calibration)
-
-    def with_solver(self, calibration: SelfCalibration | None) -> _Job:
-        """Return the job with the settings of the fragment solver, on the recording's floor if it has one."""
-        solver = self.settings.solver(self.subject)
-        if isinstance(solver, JointSpaceSettings) and solver.floor_height is None:
-            higher = 0.0 if calibration is None else calibration.ankle_height
-            ankles = max(solver.ankle_height + higher, _LOWEST_ANKLE)
-            solver = replace(solver, floor_height=self.recording.floor_height, ankle_height=ankles)
-        return replace(self, settings=self.settings.with_fragment(solver))
-
-    def solve(self, prepared: Prepared, confidence: bool, stage: str = "") -> FragmentSolution:
-        """Optimise the prepared poses; progress is reported where the stage has a name."""
-        places = None  # Cartesian space: all segments that may carry a sensor
-        if isinstance(self.settings.fragment, JointSpaceSettings):
-            places = self._sensor_places(prepared.skeleton)
-        solver = FragmentSolver(prepared.skeleton, self.settings.frames, self.settings.fragment, places)
-        report = (lambda i, n: self.progress(stage, i, n)) if stage else None
-        return solver.solve(
-            prepared.guess, prepared.keypoints, prepared.bone_imus, report, confidence=confidence,
-            views=prepared.views,
-        )  # fmt: skip
-
-    def solved_again(
-        self, recording: Recording, mode: Mode, rejected: tuple[StreamFault, ...] = (),
-        calibration: SelfCalibration | None = None,
-    ) -> tuple[Prepared, PoseSequence]:  # fmt: skip
-        """Prepare and solve another version of the recording, without covariances."""
-        own = replace(self, recording=recording)
-        prepared = own.prepare(mode, rejected, calibration)
-        return prepared, own.solve(prepared, confidence=False).poses
-
-    def _sensor_places(self, skeleton: SkeletonModel) -> tuple[str, ...]:
-        """Segments for which the problem has room for a sensor: those that the recording or the settings
-        name, used in this mode or not, so that all modes share one compilation.
-        """
-        places, imus = {*self.settings.sensor_joints}, self.recording.imus
-        if self.recording.calibration is not None and imus is not None:
-            pairs = zip(self.recording.calibration.sensors, self.recording.calibration.joints, strict=True)
-            places |= {joint for sensor, joint in pairs if sensor in imus.names}
-        return tuple(joint for joint, _ in skeleton.sensors.values() if joint in places)
 
 
 def reconstruct(
@@ -174,7 +87,7 @@ def reconstruct(
         raise UnknownNameError("mode", [mode], MODES)
     if priors is not None and (calibration is not None or not calibrate):
         raise InvalidInputError("priors: of a calibration that is not made; give calibrate=True alone")
-    job = _Job.of(recording, skeleton, lifter, settings, progress)
+    job = Job.of(recording, skeleton, lifter, settings, progress)
     with naming_wrong_samples(recording):
         if mode == "imu":
             return _from_sensors(job)
@@ -182,7 +95,7 @@ def reconstruct(
 
 
 def _from_video(
-    job: _Job, mode: Mode, calibrate: bool, priors: CalibrationPriors | None,
+    job: Job, mode: Mode, calibrate: bool, priors: CalibrationPriors | None,
     calibration: SelfCalibration | None, known: SelfCalibration | None,
 ) -> Reconstruction:  # fmt: skip
     """Every mode but imu; arguments as for `reconstruct`."""
@@ -220,7 +133,7 @@ def _from_video(
     return replace(result, camera=camera)
 
 
-def _found_camera(job: _Job, mode: Mode) -> CameraEstimate:
+def _found_camera(job: Job, mode: Mode) -> CameraEstimate:
     """Estimate the camera; with sensors by solved poses, without by lifted ones."""
     sensed = mode in ("sf2", "rtof") and job.recording.imus is not None
     solver = replace(job.with_solver(None), progress=lambda *_: None)
@@ -236,7 +149,7 @@ def _found_camera(job: _Job, mode: Mode) -> CameraEstimate:
 
 
 def _optimised(
-    job: _Job, mode: Mode, rejected: tuple[StreamFault, ...], calibration: SelfCalibration | None
+    job: Job, mode: Mode, rejected: tuple[StreamFault, ...], calibration: SelfCalibration | None
 ) -> tuple[Prepared, PoseSequence, FragmentSolution | None]:
     """Prepare and solve; once more without the sensors that contradict the motion."""
     prepared = job.prepare(mode, rejected, calibration)
@@ -252,7 +165,7 @@ def _optimised(
 
 
 def _result(
-    declared: _Job, job: _Job, mode: Mode, prepared: Prepared, poses: PoseSequence,
+    declared: Job, job: Job, mode: Mode, prepared: Prepared, poses: PoseSequence,
     solution: FragmentSolution | None, calibration: SelfCalibration | None, warnings: tuple[str, ...],
     choices: Choices, others: Iterable[PoseSequence] = (),
 ) -> Reconstruction:  # fmt: skip
@@ -293,6 +206,22 @@ def _warn(recording: Recording, sentences: Iterable[object]) -> None:
         logging.getLogger(WARNINGS_LOGGER).warning("%s: %s", recording.name, sentence)
 
 
+def calibrate_camera(
+    recording: Recording, *, lifter: LifterLike | None = None, progress: Progress | None = None
+) -> CameraEstimate:
+    """Find an uncalibrated camera by the image alone; see `rtof_kin.reconstruction.uncalibrated`.
+
+    Args:
+        recording: with keypoints of a camera that has an uncertainty. lifter, progress: as for `reconstruct`.
+
+    Raises:
+        ViewError: the person is behind the camera. Errors of the stages.
+    """
+    job = Job.of(recording, None, lifter, None, progress)
+    with explained(job.recording, job.subject, job.lifter):
+        return _found_camera(job, "lift")
+
+
 def calibrate_recording(
     recording: Recording,
     skeleton: SkeletonModel | None = None,
@@ -319,12 +248,12 @@ def calibrate_recording(
             f"recording {recording.name}: has no IMUs, and self-calibration needs them; "
             "add them, or reconstruct it as it is with mode 'rto'"
         )
-    job = _Job.of(recording, skeleton, lifter, settings, progress)
+    job = Job.of(recording, skeleton, lifter, settings, progress)
     return _calibrate(job, priors, None)[0]
 
 
 def _estimated(
-    job: _Job, priors: CalibrationPriors | None, known: SelfCalibration | None
+    job: Job, priors: CalibrationPriors | None, known: SelfCalibration | None
 ) -> tuple[SelfCalibration | None, tuple[StreamFault, ...], tuple[str, ...]]:
     """Self-calibration, intervals of sensors that it excluded, and warnings."""
     try:
@@ -337,7 +266,7 @@ def _estimated(
 
 
 def _calibrate(
-    job: _Job, priors: CalibrationPriors | None, known: SelfCalibration | None
+    job: Job, priors: CalibrationPriors | None, known: SelfCalibration | None
 ) -> tuple[SelfCalibration, tuple[StreamFault, ...]]:
     """Self-calibration, joined with what is known, and the intervals of sensors that it excluded."""
     recording = job.recording
@@ -369,7 +298,7 @@ def _calibrate(
     return (found if known is None else known.followed_by(found)), slipped
 
 
-def _slipped(job: _Job, prepared: Prepared) -> tuple[StreamFault, ...]:
+def _slipped(job: Job, prepared: Prepared) -> tuple[StreamFault, ...]:
     """Intervals in which a sensor contradicts the motion solved with all of them, but for those of nearly
     the whole recording, which a constant mounting error explains.
     """
@@ -381,7 +310,7 @@ def _slipped(job: _Job, prepared: Prepared) -> tuple[StreamFault, ...]:
     return tuple(fault for fault in wrong if fault.stop - fault.start < most)
 
 
-def _from_sensors(job: _Job) -> Reconstruction:
+def _from_sensors(job: Job) -> Reconstruction:
     """Mode imu."""
     settings, skeleton = job.settings, job.subject
     if settings.space == "cartesian" or isinstance(settings.fragment, CartesianSettings):

@@ -17,9 +17,8 @@ from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.cameras import read_camera
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.pipeline import calibrate_camera
 from rtof_kin.reconstruction.prepare import Progress
-from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 from rtof_kin.vision.lens_prior import LensPrior
@@ -148,10 +147,8 @@ def seen_camera(
         Errors of the lift.
     """
     recording = Recording("camera", keypoints, floor_height=0.0, height=height)
-    settings = ReconstructionSettings(confidence=False)
-    result = reconstruct(recording, mode="lift", lifter=lifter, settings=settings, progress=progress)
-    assert result.camera is not None
-    found, own = result.camera.found, result.camera.found.uncertainty
+    found = calibrate_camera(recording, lifter=lifter, progress=progress).found
+    own = found.uncertainty
     assert own is not None
     assert own.roll is not None
     down, right = (float(np.degrees(angle)) for angle in pitch_and_roll(found))

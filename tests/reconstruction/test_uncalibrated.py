@@ -13,7 +13,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import CameraUncertainty
 from rtof_kin.data.confidence import WORLD
-from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.pipeline import calibrate_camera, reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.uncalibrated import excerpt, with_camera, with_camera_uncertainty
 from rtof_kin.recording.recording import Recording
@@ -87,6 +87,15 @@ def test_it_is_told_what_was_assumed_found_and_remains() -> None:
     assert all(len(row) == len(table["columns"]) for row in table["rows"])
     assert found.recording.video.camera.uncertainty.tilt < UNSURE.tilt
     assert not [check.message for check in found.checks if check.failed]
+
+
+def test_the_camera_alone_is_what_a_lift_finds() -> None:
+    wrong = replace(corrected(demo().video.camera, PLANTED), uncertainty=UNSURE)
+    recording = with_camera(demo(), wrong)
+    alone, lifted = calibrate_camera(recording), reconstruct(recording, mode="lift").camera
+    assert lifted is not None
+    np.testing.assert_array_equal(alone.value, lifted.value)
+    np.testing.assert_array_equal(alone.covariance, lifted.covariance)
 
 
 def test_a_known_camera_is_not_touched() -> None:
