@@ -14,6 +14,7 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.bone_images import STEP, BoneImages, bone_images, exchanged_sides
+from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence
@@ -55,9 +56,7 @@ class ClockScan:
         k = int(np.argmax(self.gains))
         if not 0 < k < len(self.gains) - 1:
             return float(self.offsets[k])
-        before, most, after = self.gains[k - 1 : k + 2]
-        curvature = before - 2 * most + after
-        return float(self.offsets[k] + STEP * (before - after) / (2 * min(curvature, -1e-9)))
+        return float(self.offsets[k] + STEP * signals.vertex(*self.gains[k - 1 : k + 2]))
 
     @property
     def gain(self) -> float:

@@ -156,6 +156,7 @@ def _run(options: argparse.Namespace) -> None:
     from rtof_kin.recording.recording import Recording
     from rtof_kin.report.page import PAGE
     from rtof_kin.report.summary_file import SUMMARY, read_summary
+    from rtof_kin.setup.join import ABOUT
 
     if options.height is None:
         raise InvalidInputError(
@@ -190,7 +191,7 @@ def _run(options: argparse.Namespace) -> None:
     motion = read_motion_npz(folder / MOTION / "motion.npz")
     _print_findings(found)
     for kind, _, sentence in (note.partition(": ") for note in recording.notes.splitlines()):
-        if options.second and sentence.startswith("second camera"):
+        if options.second and sentence.startswith(ABOUT):
             _line(kind, sentence, _KINDS.get(kind, ""))
     summary = read_summary(folder / MOTION / SUMMARY)
     for number, sentence in enumerate(_camera_found(summary)):

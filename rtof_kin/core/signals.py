@@ -135,6 +135,15 @@ def low_pass_known(times: Array, values: Array, cutoff_hz: float) -> Array:
     return out
 
 
+def vertex(before: float, most: float, after: float) -> float:
+    """Return where the parabola through three values has its maximum, in steps from the middle one.
+
+    Args:
+        before, most, after: at -1, 0 and 1; the middle one is the largest.
+    """
+    return float((before - after) / (2 * min(before - 2 * most + after, -1e-9)))
+
+
 def runs(mask: ArrayLike) -> list[tuple[int, int]]:
     """Return half-open index ranges [start, stop) in which a mask is true.
 

@@ -110,8 +110,9 @@ def segment_motions(bone_imus: BoneImuSequence) -> tuple[SegmentMotion, ...]:
     motions = []
     for s, joint in enumerate(even.joints):
         R = even.R_world_bone[:, s]
-        w_world = np.einsum("tij,tj->ti", R, orientation_rate(times, R))
-        motions.append(SegmentMotion(joint, R, w_world, even.a_world[:, s], even.p_bone_sensor[s]))
+        motions.append(
+            SegmentMotion(joint, R, angular_velocity(times, R), even.a_world[:, s], even.p_bone_sensor[s])
+        )
     return tuple(motions)
 
 
@@ -132,6 +133,15 @@ def seen_bones(poses: PoseSequence, skeleton: SkeletonModel, times: Array) -> di
         for j, own in children.items()
         if own and np.isfinite(p[:, [*own, j]]).all(axis=(1, 2)).any()
     }
+
+
+def angular_velocity(times: Array, R: Array) -> Array:
+    """Return the angular velocity (T, 3), rad/s, in the reference of the orientations.
+
+    Args:
+        times, R: as for `orientation_rate`.
+    """
+    return np.asarray(np.einsum("tij,tj->ti", R, orientation_rate(times, R)))
 
 
 def orientation_rate(times: Array, R: Array) -> Array:

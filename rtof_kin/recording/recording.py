@@ -31,7 +31,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording import files
 from rtof_kin.recording.camera_motion_files import read_filmed
-from rtof_kin.recording.sensor_files import read_imus
+from rtof_kin.recording.sensor_files import IMUS, read_imus, write_imus
 from rtof_kin.recording.session import Session, read_session
 from rtof_kin.recording.views import camera_and_keypoints, keypoint_file, read_views
 from rtof_kin.vision.layouts import is_detector_point
@@ -265,8 +265,7 @@ class Recording:
                 arrays = {"uv_px": seen.uv_px, "confidence": seen.confidence}
                 write_npz(fresh / keypoint_file(i), {**arrays, "times": seen.times})
             if imus is not None:
-                arrays = {"R_inertial_sensor": imus.R_inertial_sensor, "f_sensor": imus.f_sensor}
-                write_npz(fresh / "imus.npz", {**arrays, "times": imus.times})
+                write_imus(fresh / IMUS, imus)
             if self.truth is not None:
                 write_npz(fresh / "truth.npz", {name: getattr(self.truth, name) for name in files.TRUTH})
             (fresh / INDEX).write_text(tomli_w.dumps(self._index()), encoding="utf-8")
@@ -296,7 +295,7 @@ class Recording:
         if self.imus is not None or self.calibration is not None:
             index["imus"] = {"sensors": calibration_table(self.calibration) if self.calibration else {}}
         if self.imus is not None:
-            index["imus"] |= {"file": "imus.npz", "names": list(self.imus.names)}
+            index["imus"] |= {"file": IMUS, "names": list(self.imus.names)}
         if self.posture is not None:
             pairs = zip(self.posture.joints, self.posture.quat_wxyz.tolist(), strict=True)
             index["posture"] = {"quat_wxyz": dict(pairs)}

@@ -17,7 +17,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
-from rtof_kin.core.files.arrays import read_csv
+from rtof_kin.core.files.arrays import read_csv, write_npz
 from rtof_kin.core.files.section import Section
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
@@ -31,6 +31,8 @@ from rtof_kin.inertial.orientation import log_with_orientation
 from rtof_kin.inertial.segment_names import known_segment
 from rtof_kin.recording.files import csv_names, data_path, naming, needed, read_arrays, times_of
 
+IMUS: Final = "imus.npz"
+"""File of a recording's sensors that this package writes."""
 _QUATERNION_TOLERANCE: Final = 1e-3
 _IMU_COLUMNS: Final = ("_qw", "_qx", "_qy", "_qz", "_fx", "_fy", "_fz")
 _LARGEST_DRIFT: Final = 0.01
@@ -187,6 +189,16 @@ def _with_force(stream: SensorStream) -> SensorStream:
 
 
 # --- this package's own files --------------------------------------------------------------------
+
+
+def write_imus(path: Path, imus: ImuSequence) -> None:
+    """Write sensors as `read_imus` reads them back exactly, with their names in the table.
+
+    Args:
+        path: .npz file. imus: the sensors.
+    """
+    arrays = {"R_inertial_sensor": imus.R_inertial_sensor, "f_sensor": imus.f_sensor}
+    write_npz(path, {**arrays, "times": imus.times})
 
 
 def _is_own_csv(path: Path) -> bool:

@@ -28,7 +28,6 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import CalibrationError, RtofError
-from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
@@ -37,6 +36,7 @@ from rtof_kin.inertial.headings import wrapped
 from rtof_kin.inertial.orientation import log_with_orientation
 from rtof_kin.inertial.pose_calibration import usual_lever
 from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.sensor_files import imus_of_log
 
 _RATE_HZ: Final = 20.0
 _LEAST_SECONDS: Final = 2.0
@@ -272,7 +272,7 @@ def _refined(
     names = tuple(calibration.sensors[s] for s in used)
     recording = Recording(
         name="alignment", keypoints=keypoints, calibration=calibration.select(names),
-        imus=ImuSequence.joined([_imu(stream) for stream in log.select(names).streams]),
+        imus=imus_of_log(log.select(names)),
         skeleton_table=skeleton.name, joint_offsets=skeleton.joint_offsets,
     )  # fmt: skip
     try:
@@ -285,13 +285,6 @@ def _refined(
     R_world_inertial[used], R_sensor_bone[used] = refined.R_world_inertial, refined.R_sensor_bone
     whole = replace(calibration, R_world_inertial=R_world_inertial, R_sensor_bone=R_sensor_bone)
     return whole, found, ()
-
-
-def _imu(stream: SensorStream) -> ImuSequence:
-    """Orientation and specific force; NaN where there is no accelerometer."""
-    assert stream.R_inertial_sensor is not None
-    f = np.full((len(stream), 3), np.nan) if stream.f_sensor is None else stream.f_sensor
-    return ImuSequence(stream.times, stream.R_inertial_sensor[:, None], f[:, None], (stream.name,))
 
 
 def _judged(

@@ -19,7 +19,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.likelihood import orientation_rate
+from rtof_kin.inertial.likelihood import angular_velocity
 from rtof_kin.setup.sensor_motion import RATE_HZ, SensorMotions
 
 _FACTORS: Final = {"Foot": (1.5, 0.8), "Head": (0.9, 1.1), "": (1.0, 1.6)}
@@ -87,8 +87,7 @@ def _sigma(poses: PoseSequence, index: Sequence[int], segments: Sequence[str], t
 
 def _turning(times: Array, R: Array) -> Array:
     """Return the low-passed angular velocity (T, 3) in world."""
-    w = np.einsum("tij,tj->ti", R, orientation_rate(times, R))
-    return signals.low_pass_known(times, w, _CUTOFF_HZ)
+    return signals.low_pass_known(times, angular_velocity(times, R), _CUTOFF_HZ)
 
 
 def _scores(R_bone: Array, w_bone: Array, sigma: Array, R_sensor: Array, w_sensor: Array) -> Array:

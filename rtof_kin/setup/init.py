@@ -19,17 +19,16 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.files.text import load_json, write_text
 from rtof_kin.data.camera_motion import stabilised
-from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.camera_motion_npz import write_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Progress, evenly_spaced
 from rtof_kin.recording.recording import INDEX, SCHEMA_VERSION, Recording
+from rtof_kin.recording.sensor_files import IMUS, write_imus
 from rtof_kin.setup.camera_prior import SetupCamera, assumed_camera, calibrated_camera, seen_camera
 from rtof_kin.setup.frames_picture import PICTURE, write_frames_picture
 from rtof_kin.setup.handheld import MOTION, filming_camera
@@ -47,10 +46,8 @@ if TYPE_CHECKING:
     from rtof_kin.setup.sensors import SetupSensors
 
 KEYPOINTS: Final = "keypoints.npz"
-SENSORS: Final = "imus.npz"
 FINDINGS: Final = "findings.json"
-"""Files of the folder beside `INDEX`, `PICTURE` and `SENSORS`."""
-DOUBTFUL: Final = "doubtful"
+"""Files of the folder beside `INDEX`, `PICTURE` and `IMUS`."""
 _LEAST_SEEN: Final = 0.7
 """Share of the frames below which it is said that the person is seen rarely."""
 _SHORTEST: Final = 5.0
@@ -188,30 +185,29 @@ def make_recording(
     doubts = [*_doubts(settings, detected.keypoints, people, number), *filming.doubts]
     doubts += sensors.doubts if sensors else ()
     found = _findings(tables, doubts)
-    tables = {**tables, "notes": {"text": Field(found.text)}}
-    title = f"Recording, set up by rtof-kin init from {', '.join(path.name for path in sources.paths)}"
-    texts = {
-        FINDINGS: json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n",
-        INDEX: recording_text(tables, title),
-    }
-    if not settings.keep_video:
-        texts = {file: _unnamed(text, sources.video) for file, text in texts.items()}
     with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
         for kept in (KEYPOINTS, PICTURE):
             shutil.copyfile(folder / kept, fresh / kept)
         if turned is not None:
             write_camera_motion(fresh / MOTION, turned)
         if sensors is not None:
-            _write_sensors(fresh / SENSORS, sensors.imus)
-        for file, text in texts.items():
+            write_imus(fresh / IMUS, sensors.imus)
+        for file, text in _texts(found, tables, sources, settings).items():
             write_text(fresh / file, text)
         Recording.load(fresh)
     return found
 
 
-def _write_sensors(path: Path, imus: ImuSequence) -> None:
-    arrays = {"R_inertial_sensor": imus.R_inertial_sensor, "f_sensor": imus.f_sensor}
-    write_npz(path, {**arrays, "times": imus.times})
+def _texts(found: Findings, tables: Tables, sources: Sources, settings: SetupSettings) -> dict[str, str]:
+    """Return the texts of the folder by file; without the name of a video that is not kept."""
+    title = f"Recording, set up by rtof-kin init from {', '.join(path.name for path in sources.paths)}"
+    texts = {
+        FINDINGS: json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n",
+        INDEX: recording_text({**tables, "notes": {"text": Field(found.text)}}, title),
+    }
+    if settings.keep_video:
+        return texts
+    return {file: _unnamed(text, sources.video) for file, text in texts.items()}
 
 
 def _unnamed(text: str, video: Path | None) -> str:

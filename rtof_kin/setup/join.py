@@ -15,7 +15,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.second_camera import find_second_camera
 from rtof_kin.setup.video_offset import find_video_offset
 
-SECOND: Final = "second camera"
+ABOUT: Final = "second camera"
 """What sentences on it begin with."""
 
 
@@ -67,8 +67,8 @@ def join_recordings(
             f"{_apart(camera.first, camera.view.camera)}, position ± {_rms(camera.sigma_position):.2f} m, "
             f"orientation ± {np.degrees(_rms(camera.sigma_turn)):.1f} degrees"
         )
-    found = f"{SECOND}: {pose}; the times of its video were moved by {offset:+.3f} ± {sigma:.3f} s"
-    notes = [f"doubtful: {SECOND}: {doubt}"] if doubt else []
+    found = f"{ABOUT}: {pose}; the times of its video were moved by {offset:+.3f} ± {sigma:.3f} s"
+    notes = [f"doubtful: {ABOUT}: {doubt}"] if doubt else []
     notes += [first.notes] if first.notes else []
     return Joined(replace(joined, notes="\n".join([*notes, f"found: {found}"])), found, doubt)
 

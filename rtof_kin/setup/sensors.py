@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.imu import ImuSequence
@@ -23,14 +24,13 @@ from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
 from rtof_kin.inertial.orientation import log_with_orientation
 from rtof_kin.inertial.segment_names import known_segment, segments_of
-from rtof_kin.recording.sensor_files import imus_of_log
+from rtof_kin.recording.sensor_files import IMUS, imus_of_log
 from rtof_kin.setup.alignment import Alignment, align_sensors
 from rtof_kin.setup.assignment import assign_sensors
 from rtof_kin.setup.assignment_check import check_assignment
 from rtof_kin.setup.clocks import ClockEstimate, find_clock
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 
-ARRAYS: Final = "imus.npz"
 _STILL: Final = np.radians(8.0)
 """[rad/s] 95th percentile of the angular speed below which a sensor does not move."""
 _STEP: Final = 0.1
@@ -156,8 +156,7 @@ def _speed(stream: SensorStream) -> float:
     assert stream.R_inertial_sensor is not None
     every = max(1, round(_STEP * stream.rate_hz))
     R, times = stream.R_inertial_sensor[::every], stream.times[::every]
-    trace = np.einsum("tij,tij->t", R[1:], R[:-1])
-    speed = np.arccos(np.clip((trace - 1) / 2, -1, 1)) / np.diff(times)
+    speed = so3.angle_between(R[1:], R[:-1]) / np.diff(times)
     return float(np.nanpercentile(speed, 95)) if np.isfinite(speed).any() else 0.0
 
 
@@ -230,13 +229,13 @@ def _fields(
 ) -> dict[str, Field | Tables]:
     """Return the table ``[imus]``."""
     start = clock.offset - clock.drift * clock.middle
-    drift = f"; {1e6 * clock.drift:+.0f} ppm of their clock are in {ARRAYS}" if clock.drift else ""
+    drift = f"; {1e6 * clock.drift:+.0f} ppm of their clock are in {IMUS}" if clock.drift else ""
     fields: dict[str, Field | Tables] = {
-        "file": Field(ARRAYS),
+        "file": Field(IMUS),
         "names": Field(list(imus.names)),
         "start_s": Field(
             round(start, 5), Origin.FOUND,
-            f"± {1000 * clock.sigma:.0f} ms, by their motion; {ARRAYS} is on the sensors' clock{drift}",
+            f"± {1000 * clock.sigma:.0f} ms, by their motion; {IMUS} is on the sensors' clock{drift}",
             f"the sensors began {abs(start):.3f} s {'after' if start >= 0 else 'before'} the video, "
             f"± {1000 * clock.sigma:.0f} ms",
         ),

@@ -18,7 +18,7 @@ from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.likelihood import orientation_rate
+from rtof_kin.inertial.likelihood import angular_velocity
 
 STEP: Final = 0.02
 """[s] between samples."""
@@ -98,9 +98,7 @@ def _turning(times: Array, R: Array, grid: Array | None = None) -> Turning:
     """Angular velocities of orientations (T, N, 3, 3) on a grid."""
     grid = np.arange(times[0], times[-1] + STEP / 2, STEP) if grid is None else grid
     R = signals.interpolate_rotations(times, R, grid, _LONGEST_GAP)
-    w = np.stack(
-        [np.einsum("tij,tj->ti", one, orientation_rate(grid, one)) for one in R.swapaxes(0, 1)], axis=1
-    )
+    w = np.stack([angular_velocity(grid, one) for one in R.swapaxes(0, 1)], axis=1)
     w *= np.minimum(1.0, _FASTEST / np.maximum(np.linalg.norm(w, axis=-1, keepdims=True), 1e-9))
     smooth = [signals.low_pass_known(grid, one, _CUTOFF_HZ) for one in w.swapaxes(0, 1)]
     return Turning(float(grid[0]), np.stack(smooth, axis=1))

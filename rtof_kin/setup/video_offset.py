@@ -122,5 +122,4 @@ def _peak(offsets: Array, gains: Array, k: int) -> float:
     """Offset of a maximum, by a parabola through it and its neighbours."""
     if not 0 < k < len(gains) - 1 or not np.isfinite(gains[k - 1 : k + 2]).all():
         return float(offsets[k])
-    before, most, after = gains[k - 1 : k + 2]
-    return float(offsets[k] + (before - after) / (2 * min(before - 2 * most + after, -1e-9)) / RATE_HZ)
+    return float(offsets[k] + signals.vertex(*gains[k - 1 : k + 2]) / RATE_HZ)

@@ -172,3 +172,9 @@ def test_low_rates_and_short_intervals_are_not_filtered(frames: int, cutoff_hz: 
 )
 def test_runs_are_the_intervals_where_a_mask_is_true(mask: str, expected: list[tuple[int, int]]) -> None:
     assert signals.runs([c == "1" for c in mask]) == expected
+
+
+def test_the_vertex_of_a_parabola_is_found_between_samples() -> None:
+    values = [5.0 - 2.0 * (x - 0.3) ** 2 for x in (-1, 0, 1)]
+    assert signals.vertex(*values) == pytest.approx(0.3)
+    assert signals.vertex(1.0, 2.0, 1.0) == 0.0
