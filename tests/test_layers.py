@@ -28,13 +28,14 @@ FOLDERS = {
     "setup": "raw files to a recording",
     "clinical": "angles, gait, repetitions, torques",
     "report": "figures, report, audit, export",
+    "live": "sources, online estimator, monitoring, outputs",
     "protocols": "the papers' protocols",
     "cli": "the command line",
 }
 """The folders of `rtof_kin`; each imports only from itself and from those above it here."""
 LIFTING_USES = {"core", "data", "body", "simulation", "datasets"}
 """Folders that `lifting` may import from."""
-LIFTING_USERS = {"reconstruction", "setup", "protocols", "cli"}
+LIFTING_USERS = {"reconstruction", "setup", "live", "protocols", "cli"}
 """Folders that may import `lifting`, in functions or for type checking: the package does not load torch."""
 HEAVY = {"torch", "matplotlib", "yourdfpy", "casadi", "pinocchio"}
 

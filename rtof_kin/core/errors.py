@@ -75,3 +75,7 @@ class CalibrationError(RtofError, ValueError):
 
 class SolverError(RtofError, RuntimeError):
     """An optimisation problem cannot be posed or solved."""
+
+
+class SourceError(RtofError, RuntimeError):
+    """A live stream does not exist, does not exist once, or gives what cannot be used."""
