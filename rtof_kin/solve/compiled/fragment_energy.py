@@ -68,6 +68,9 @@ class FragmentEnergy(Protocol):
     def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
         """Add to entries of the diagonal blocks of the Hessian; the arguments broadcast."""
 
+    def add_to_first(self, matrix: Array) -> None:
+        """Add a symmetric matrix (k D, k D), k <= 3, to the blocks of the Hessian of the first k frames."""
+
     def lower_block(self, k: int) -> Array:
         """Return the Hessian's blocks (N - k, D, D) k frames below the diagonal: [t, r, c]."""
 

@@ -83,6 +83,8 @@ class SimdProblem:
         self._bind_functions()
         self._known: tuple[Array, list[float]] | None = None
         self._inverse_known = False
+        self._filled = 0
+        """Columns to which `add_to_first` has added."""
 
     def _bind_functions(self) -> None:
         """Bind arrays to functions; frames are numbered as in `stencils`."""
@@ -173,6 +175,8 @@ class SimdProblem:
     def linearise(self, x: Array) -> tuple[float, Array]:
         """Return energy and gradient (N, D); keep the Hessian."""
         terms = self._turned(x)
+        self._matrix.entries[: self._filled] = 0.0  # entries that no term has are not written below
+        self._filled = 0
         self._run["linear"]()
         self._run["coupled"]()
         return sum(terms), self._columns.rows(self._gradient_now)
@@ -204,6 +208,14 @@ class SimdProblem:
         chosen = np.broadcast_to(lower, shape)
         places, values = np.broadcast_to(places, shape), np.broadcast_to(values, shape)
         np.add.at(band, places[chosen], values[chosen])
+
+    def add_to_first(self, matrix: Array) -> None:
+        """Add a symmetric matrix (k D, k D), k <= 3, to the blocks of the Hessian of the first k frames."""
+        self._filled = len(matrix)
+        flat = self._matrix.entries.reshape(-1)
+        word = flat.itemsize
+        first = np.lib.stride_tricks.as_strided(flat, matrix.shape, (word, self._matrix.step * word))
+        first += np.tril(matrix)  # elsewhere the view shows other columns, to which nothing is added
 
     def lower_block(self, k: int) -> Array:
         """Return the Hessian's blocks (N - k, D, D) k frames below the diagonal: [t, r, c]."""

@@ -129,6 +129,13 @@ class JointProblem:
         """Add to entries of the diagonal blocks of the Hessian."""
         np.add.at(self._band, (frames, columns, rows), values)
 
+    def add_to_first(self, matrix: Array) -> None:
+        """Add a symmetric matrix (k D, k D), k <= 3, to the blocks of the Hessian of the first k frames."""
+        D = self.space.size
+        for t in range(len(matrix) // D):
+            below = matrix[t * D :, t * D : (t + 1) * D]
+            self._band[t, :, : len(below)] += below.T
+
     def lower_block(self, k: int) -> Array:
         """Return the Hessian's blocks (N - k, D, D) k frames below the diagonal: [t, r, c]."""
         D = self.space.size
