@@ -74,6 +74,9 @@ class FragmentEnergy(Protocol):
     def lower_block(self, k: int) -> Array:
         """Return the Hessian's blocks (N - k, D, D) k frames below the diagonal: [t, r, c]."""
 
+    def hessian(self) -> Array:
+        """Return the whole Hessian (N D, N D), for a few frames."""
+
     def factorise(self, damping: float) -> Factor | StoredFactor:
         """Return the Cholesky factor of the Hessian plus `damping` on its diagonal.
 

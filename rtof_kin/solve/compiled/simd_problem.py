@@ -212,10 +212,8 @@ class SimdProblem:
     def add_to_first(self, matrix: Array) -> None:
         """Add a symmetric matrix (k D, k D), k <= 3, to the blocks of the Hessian of the first k frames."""
         self._filled = len(matrix)
-        flat = self._matrix.entries.reshape(-1)
-        word = flat.itemsize
-        first = np.lib.stride_tricks.as_strided(flat, matrix.shape, (word, self._matrix.step * word))
-        first += np.tril(matrix)  # elsewhere the view shows other columns, to which nothing is added
+        first = self._as_square(len(matrix))
+        first += np.tril(matrix)  # above the diagonal the view shows other columns: nothing is added there
 
     def lower_block(self, k: int) -> Array:
         """Return the Hessian's blocks (N - k, D, D) k frames below the diagonal: [t, r, c]."""
@@ -225,6 +223,19 @@ class SimdProblem:
         rows = band.reshape(self.frames, D, -1)[: self.frames - k, c, np.clip(place, 0, step)]
         block = np.where((place >= 0) & (place <= self._matrix.band), rows, 0.0)
         return np.asarray(block + np.swapaxes(np.tril(block, -1), 1, 2) if k == 0 else block)
+
+    def hessian(self) -> Array:
+        """Return the whole Hessian (N D, N D), for a few frames."""
+        rows, columns = np.ogrid[: self._matrix.size, : self._matrix.size]
+        stored = (rows >= columns) & (rows - columns <= self._matrix.band)
+        lower = np.where(stored, self._as_square(self._matrix.size), 0.0)
+        return np.asarray(lower + np.tril(lower, -1).T)
+
+    def _as_square(self, size: int) -> Array:
+        """Writable view of the first columns in which only entries of the band are those of the matrix."""
+        flat = self._matrix.entries.reshape(-1)
+        steps = (flat.itemsize, self._matrix.step * flat.itemsize)
+        return np.lib.stride_tricks.as_strided(flat, (size, size), steps)
 
     def factorise(self, damping: float) -> StoredFactor:
         """Return the Cholesky factor of the Hessian plus `damping` on its diagonal."""

@@ -26,7 +26,7 @@ from rtof_kin.core.numerics.banded import Factor, factorise
 from rtof_kin.core.numerics.c_compiler import Buffered
 from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.energy import frame_energy
-from rtof_kin.solve.energy.jerk import Jerk
+from rtof_kin.solve.energy.jerk import LAGS, Jerk
 from rtof_kin.solve.energy.state import StateSpace
 
 TERMS: Final = (*frame_energy.TERMS, "acceleration", "smooth")
@@ -141,6 +141,16 @@ class JointProblem:
         D = self.space.size
         block = np.swapaxes(self._band[: self.frames - k, :, k * D : (k + 1) * D], 1, 2)
         return np.tril(block) + np.swapaxes(np.tril(block, -1), 1, 2) if k == 0 else block
+
+    def hessian(self) -> Array:
+        """Return the whole Hessian (N D, N D), for a few frames."""
+        N, D = self.frames, self.space.size
+        lower = np.zeros((N, D, N, D))
+        for k in range(min(LAGS, N)):
+            t = np.arange(N - k)
+            lower[t + k, :, t] = self.lower_block(k)
+        square = np.tril(lower.reshape(N * D, N * D))
+        return np.asarray(square + np.tril(square, -1).T)
 
     def factorise(self, damping: float) -> Factor:
         """Return the Cholesky factor of the Hessian plus `damping` on its diagonal."""

@@ -79,7 +79,7 @@ class FixedLagSmoother:
             x: (3 + 4A,) initial state. rows: name -> (...) observations; those left out have no weight.
             a_world: (S, 3) m/s^2. w_acceleration: (S,).
         """
-        if self._appended == 0:
+        if not self.inside[-1]:
             self.x[:] = x
         prior = MarginalPrior.none(self.space, self.x[1:LAGS])
         if self.inside[0]:
@@ -99,13 +99,23 @@ class FixedLagSmoother:
         self.x = np.concatenate([self.x[1:], x[None]])
         self._appended += 1
 
+    def restart(self, x: Array) -> None:
+        """Forget all frames and begin at a state (3 + 4A,); estimates of the landmarks' errors are kept."""
+        self.x = np.repeat(x[None], self.frames, axis=0)
+        self.inside[:] = False
+        self._multipliers = np.zeros_like(self._multipliers)
+        for name in self.rows.keys() & {*_WEIGHTS}:
+            self.rows[name][:] = 0.0
+        self.w_acceleration[:] = 0.0
+        self.prior = MarginalPrior.none(self.space, self.x[: LAGS - 1])
+
     def predicted(self, damping: float = 1.0) -> Array:
         """Return the state (3 + 4A,) of the next frame at the speed of the last two.
 
         Args:
             damping: factor on the speed.
         """
-        if self._appended < 2:
+        if not self.inside[-2:].all():
             return np.array(self.x[-1])
         step = self.space.difference(self.x[-2:-1], self.x[-1:])
         return np.asarray(self.space.retract(self.x[-1:], damping * step)[0])

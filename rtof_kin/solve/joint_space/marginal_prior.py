@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cholesky, solve_triangular
 
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core.array_types import Array, Index
@@ -52,8 +52,8 @@ class MarginalPrior:
         size = MEMORY * space.size
         return cls(x, np.zeros((size, size)), np.zeros(size))
 
-    def at(self, space: StateSpace, x: Array) -> tuple[float, Array, Array]:
-        """Return the energy, its gradient (3D,) by tangents at x and the offset d (3D,).
+    def at(self, space: StateSpace, x: Array) -> tuple[float, Array]:
+        """Return the energy and its gradient (3, D) by tangents at x.
 
         Args:
             space: of the states. x: (3, 3 + 4A).
@@ -65,7 +65,7 @@ class MarginalPrior:
         torque = (force[:, 3:] @ space.expand.T).reshape(turns.shape)
         torque = np.einsum("taij,tai->taj", quat.right_jacobian_inverse(turns), torque)
         gradient = np.concatenate([force[:, :3], torque.reshape(MEMORY, -1) @ space.expand], axis=1)
-        return float(d @ (self.slope + pulled / 2)), gradient.ravel(), d
+        return float(d @ (self.slope + pulled / 2)), gradient
 
 
 def marginalised(
@@ -80,22 +80,20 @@ def marginalised(
     space = leaving.space
     D, kept = space.size, MEMORY * space.size
     gradient = leaving.linearise(x)[1].ravel()
-    H = np.zeros((kept + D, kept + D))
-    for k in range(LAGS):
-        for t, block in enumerate(leaving.lower_block(k)):
-            H[(t + k) * D : (t + k + 1) * D, t * D : (t + 1) * D] = block
-    H = np.tril(H) + np.tril(H, -1).T
+    H = leaving.hessian()
     H[:kept, :kept] += prior.precision
-    gradient[:kept] += prior.at(space, x[:MEMORY])[1]
+    gradient[:kept] += prior.at(space, x[:MEMORY])[1].ravel()
     if limits is not None:
         excess = limits.excess(limits.values(x[:1]) + multipliers[:1] / STIFFNESS)
         gradient[:D] += STIFFNESS * limits.force(x[:1], excess)[0]
         _, rows, columns, values = limits.curvature(x[:1], excess != 0)
         H[rows, columns] += STIFFNESS * values
     H[:D, :D] += _DAMPING * np.eye(D)
-    solved = cho_solve(cho_factor(H[:D, :D], lower=True), np.column_stack([H[:D, D:], gradient[:D]]))
-    precision = H[D:, D:] - H[D:, :D] @ solved[:, :-1]
-    slope = gradient[D:] - H[D:, :D] @ solved[:, -1]
+    factor = cholesky(H[:D, :D], lower=True, check_finite=False)
+    right = np.column_stack([H[:D, D:], gradient[:D]])
+    half = solve_triangular(factor, right, lower=True, check_finite=False)
+    precision = H[D:, D:] - half[:, :-1].T @ half[:, :-1]
+    slope = gradient[D:] - half[:, :-1].T @ half[:, -1]
     return MarginalPrior(x[1:].copy(), (precision + precision.T) / 2, slope)
 
 
@@ -108,6 +106,7 @@ class WindowEnergy:
 
     def __init__(self, energy: FragmentEnergy, prior: MarginalPrior) -> None:
         self.energy, self.prior, self.space = energy, prior, energy.space
+        self._known: tuple[Array, float, Array] | None = None
 
     def retract(self, x: Array, step: Array) -> Array:
         """Return the states after a step (N, D)."""
@@ -115,21 +114,27 @@ class WindowEnergy:
 
     def total(self, x: Array) -> float:
         """Return the energy."""
-        return self.energy.total(x) + self.prior.at(self.space, x[:MEMORY])[0]
+        return self.energy.total(x) + self._at(x)[0]
 
     def gradient(self, x: Array) -> Array:
         """Return the gradient (N, D)."""
         gradient = self.energy.gradient(x)
-        gradient[:MEMORY] += self.prior.at(self.space, x[:MEMORY])[1].reshape(MEMORY, -1)
+        gradient[:MEMORY] += self._at(x)[1]
         return gradient
 
     def linearise(self, x: Array) -> tuple[float, Array]:
         """Return energy and gradient (N, D); keep the Hessian."""
         energy, gradient = self.energy.linearise(x)
-        own, slope, _ = self.prior.at(self.space, x[:MEMORY])
+        own, slope = self._at(x)
         self.energy.add_to_first(self.prior.precision)
-        gradient[:MEMORY] += slope.reshape(MEMORY, -1)
+        gradient[:MEMORY] += slope
         return energy + own, gradient
+
+    def _at(self, x: Array) -> tuple[float, Array]:
+        """The prior's energy and gradient, kept until another array is given."""
+        if self._known is None or self._known[0] is not x:
+            self._known = (x, *self.prior.at(self.space, x[:MEMORY]))
+        return self._known[1:]
 
     def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
         """Add to entries of the diagonal blocks of the Hessian."""
