@@ -46,7 +46,7 @@ def test_angles_are_on_the_turn_within_the_limits() -> None:
     q = BODY.n_pose()
     q[7 + BODY.dof_names.index("RightLeg_y")] += 2 * np.pi + 0.3
     p, R = BODY.forward_kinematics(q[None])
-    message = JointStates(BODY).message(estimate(0, PoseSequence([1.0], p, R, BODY.names)))
+    message = JointStates(BODY).message(estimate(0, PoseSequence(np.array([1.0]), p, R, BODY.names)))
     low, high = BODY.limits.T
     assert np.all(low - 1e-9 <= message["position"])
     assert np.all(message["position"] <= high + 1e-9)
@@ -66,7 +66,7 @@ def test_velocity_does_not_jump_by_whole_turns() -> None:
     q = np.tile(BODY.t_pose(), (2, 1))
     q[:, dof] = BODY.limits[dof - 7].mean() + np.pi + np.array([-0.01, 0.01])
     p, R = BODY.forward_kinematics(q)
-    poses = PoseSequence([0.0, 0.1], p, R, BODY.names)
+    poses = PoseSequence(np.array([0.0, 0.1]), p, R, BODY.names)
     states = JointStates(BODY)
     first, second = (states.message(estimate(frame, poses)) for frame in (0, 1))
     assert abs(second["position"][dof - 7] - first["position"][dof - 7]) > 6
