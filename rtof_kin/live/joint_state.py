@@ -50,22 +50,23 @@ class JointStates:
         self._last: tuple[float, Array] | None = None
 
     def description(self) -> Data:
-        """Return what the messages refer to: joints and their parents, revolutes with clinical names, the
-        meaning of the numbers of `provenance`.
+        """Return what the messages refer to: joints and their parents; revolutes with the joint they are of,
+        clinical name and its sign relative to the revolute; the meaning of the numbers of `provenance`.
         """
         skeleton = self._skeleton
-        dofs = {dof.urdf: dof.clinical for joint in skeleton.table.joints for dof in joint.dofs}
+        dofs = {dof.urdf: (joint.name, dof) for joint in skeleton.table.joints for dof in joint.dofs}
         return {
             "name": skeleton.name,
             "height_m": skeleton.height,
             "joints": list(skeleton.names),
             "parents": [int(parent) for parent in skeleton.parents],
             "angles": [
-                {"name": name, "clinical": dofs[name].lstrip("-"), "sign": -1 if dofs[name][:1] == "-" else 1}
-                for name in skeleton.dof_names
+                {"name": name, "joint": joint, "clinical": dof.clinical.lstrip("-"),
+                 "sign": -1 if dof.clinical.startswith("-") else 1}
+                for name, (joint, dof) in ((name, dofs[name]) for name in skeleton.dof_names)
             ],
             "provenance": [member.name.lower().replace("_", " ") for member in Provenance],
-        }
+        }  # fmt: skip
 
     def message(self, estimate: OnlineEstimate) -> Data:
         """Return the message of an estimate, see the module.
