@@ -57,7 +57,7 @@ class PersonPoints:
         self._image_px = image_px
         self._checked: deque[tuple[Array, Array]] | None = deque()
         self._chosen, self._ambiguous = 0, 32
-        self.notices: list[str] = []
+        self.notices: deque[str] = deque()
         """Sentences that are not told yet."""
 
     def _layout(self, detector: PersonDetector, layout: str | None) -> Layout:
@@ -127,9 +127,14 @@ class PersonPoints:
         if outside.mean() > MOST_OUTSIDE:
             self.notices.append(f"{100 * outside.mean():.0f} % of the points lie outside of the image")
         try:
-            recognise(points, sure, layout=self._form.name, regression=self._regression)
+            likeliest = recognise(points, sure, regression=self._regression).layout
         except InvalidInputError as error:
             self.notices.append(f"the detector's points are doubtful: {error}")
+            return
+        if likeliest is not self._form:
+            self.notices.append(
+                f"the detector's points are taken as {self._form.title}, but look like {likeliest.title}"
+            )
 
 
 def _scale(image_px: tuple[int, int], camera_px: tuple[int, int] | None) -> float:
@@ -140,7 +145,7 @@ def _scale(image_px: tuple[int, int], camera_px: tuple[int, int] | None) -> floa
     if abs(wide / high - 1) > 0.01:
         raise SourceError(
             f"the images have {image_px[0]} x {image_px[1]} px, those of the calibrated camera "
-            f"{camera_px[0]} x {camera_px[1]} px, which is another form: give the camera that was calibrated, "
-            "held the same way, or make a setup with this one (rtof-kin init)"
+            f"{camera_px[0]} x {camera_px[1]} px, which is another form: give the camera that was "
+            "calibrated, held the same way, or make a setup with this one (rtof-kin init)"
         )
     return wide

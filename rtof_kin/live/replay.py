@@ -183,7 +183,7 @@ class RecordingReplay:
         here = np.isfinite(stream.R_inertial_sensor).all(axis=(1, 2))
         if stream.f_sensor is not None:
             here |= np.isfinite(stream.f_sensor).all(axis=1)
-        return stream.times, here
+        return stream.times, np.asarray(here)
 
     @property
     def name(self) -> str:

@@ -52,8 +52,8 @@ class _Slot:
     """Place of one image between two threads; `every`: a full one waits, else it is replaced."""
 
     def __init__(self, every: bool):
-        self._every, self._image, self._ended = every, None, False
-        self._image: _Image | None
+        self._every, self._ended = every, False
+        self._image: _Image | None = None
         self._changed = threading.Condition()
         self.dropped = 0
 
@@ -117,7 +117,7 @@ class VideoSource:
         self._samples: deque[FrameSample] = deque()
         self._latency: deque[float] = deque(maxlen=_RECENT)
         self._detection: deque[float] = deque(maxlen=_RECENT)
-        self._notices: list[str] = []
+        self._notices: deque[str] = deque()
         self._tell_dropped, self._tell_late = _FIRST_TOLD, _SLOW
         self._points: PersonPoints | None = None
         self._threads: list[threading.Thread] = []
@@ -195,7 +195,7 @@ class VideoSource:
         self._run(self._detect, chosen, self._points)
 
     def _run(self, target: Callable[..., None], *args: Any) -> None:
-        thread = threading.Thread(target=target, args=args, name=f"{self.name} {target.__name__}", daemon=True)
+        thread = threading.Thread(target=target, args=args, name=self.name, daemon=True)
         self._threads.append(thread)
         thread.start()
 
@@ -216,21 +216,22 @@ class VideoSource:
 
     def notices(self) -> list[str]:
         """Return what was dropped or doubtful since the last call."""
-        told, self._notices = self._notices, []
-        if self._points is not None:
-            told += [f"{self.name}: {sentence}" for sentence in self._points.notices]
-            self._points.notices.clear()
+        told = []
+        while self._notices:
+            told.append(self._notices.popleft())
+        while self._points is not None and self._points.notices:
+            told.append(f"{self.name}: {self._points.notices.popleft()}")
         if self.dropped >= self._tell_dropped:
             self._tell_dropped = 2 * self.dropped
             told.append(
-                f"{self.name}: {self.dropped} of {self.dropped + self._examined} images were not examined, as "
-                f"detection takes {1000 * self.detection_s:.0f} ms"
+                f"{self.name}: {self.dropped} of {self.dropped + self._examined} images were not examined, "
+                f"as detection takes {1000 * self.detection_s:.0f} ms"
             )
         if not self._live and self._replay.paced and self.latency_s >= self._tell_late:
             self._tell_late = 2 * self.latency_s
             told.append(
-                f"{self.name}: its points are {self.latency_s:.1f} s late and will be later, as detection takes "
-                f"{1000 * self.detection_s:.0f} ms an image; lower the speed, or take a faster detector"
+                f"{self.name}: its points are {self.latency_s:.1f} s late and will be later, as detection "
+                f"takes {1000 * self.detection_s:.0f} ms an image; lower the speed, or take a faster detector"
             )
         return told
 
@@ -243,6 +244,7 @@ class VideoSource:
             self._ready.notify_all()
         for thread in self._threads:
             thread.join(_PATIENCE)
+        self._samples.clear()
 
     # --- threads -----------------------------------------------------------------------------------
 

@@ -149,7 +149,8 @@ def test_a_seed_gives_the_same_losses_and_delays() -> None:
 
 def test_faults_are_where_they_were_asked_for() -> None:
     name = recording().calibration.sensors[2]  # type: ignore[union-attr]
-    samples = replayed(Faults(dead=((name, 1.0, 2.0), (VIDEO, 3.0, 3.5)), frozen=(1.5, 2.5), video_delay_s=0.2))
+    dead = ((name, 1.0, 2.0), (VIDEO, 3.0, 3.5))
+    samples = replayed(Faults(dead=dead, frozen=(1.5, 2.5), video_delay_s=0.2))
     assert not [s for s in of_sensor(samples, name) if 1.0 <= s.time < 2.0]
     assert [s for s in of_sensor(samples, name) if s.time >= 2.0]
     seen = frames(samples)
@@ -180,7 +181,7 @@ def test_faults_of_unknown_sensors_and_empty_replays_are_refused() -> None:
 def test_a_sensor_file_is_replayed_with_estimated_orientations(tmp_path: Path) -> None:
     times = np.arange(300) / 100
     rows = [f"{t:.3f},0,0,9.81,0,0,0.1,0,0,9.81,0,0,0.1" for t in times]
-    names = [f"{sensor}_{what}" for sensor in ("chest", "hip") for what in ("fx", "fy", "fz", "wx", "wy", "wz")]
+    names = [f"{sensor}_{what}{axis}" for sensor in ("chest", "hip") for what in "fw" for axis in "xyz"]
     file = tmp_path / "walk.csv"
     file.write_text("\n".join([",".join(["time", *names]), *rows]))
     replay = RecordingReplay.of_sensor_file(file, ReplayClock(INF), clock=Clock.OWN)
