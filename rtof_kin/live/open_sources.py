@@ -1,4 +1,4 @@
-"""Sources and sinks by the words of a command line: ``0``, ``walk.mp4``, ``lsl:NAME``, ``udp:9000``, ``ws``."""
+"""Sources and sinks by the words of a command line: ``0``, ``walk.mp4``, ``lsl:NAME``, ``udp:9000``."""
 
 from __future__ import annotations
 
@@ -164,12 +164,12 @@ def _camera(word: str, opening: _Opening) -> Source:
         raise SourceError(f"camera {word}: there is no such file or folder; give {CAMERAS}")
     if setup.skeleton_table != _SKELETON:
         raise SourceError(
-            f"camera {word}: what a detector sees is for the skeleton {_SKELETON}; the setup {setup.name} has "
-            f"{setup.skeleton_table}"
+            f"camera {word}: what a detector sees is for the skeleton {_SKELETON}; the setup {setup.name} "
+            f"has {setup.skeleton_table}"
         )
     return VideoSource(
         int(word) if word.isdecimal() else path if not webcam else word,
-        opening.detector(),
+        opening.detector,
         camera_px=(camera.width_px, camera.height_px),
         replay=opening.replay,
         clock=Clock.COMMON if webcam else opening.clock,

@@ -217,6 +217,7 @@ class RecordingReplay:
             SourceError: the times are those of another clock than another replay's.
         """
         times = [self._times(s)[0] for s in range(len(self._streams) + (self._frames is not None))]
+        self._closed = False
         self._replay.cover(self._name, min(t[0] for t in times), max(t[-1] for t in times))
 
     def poll(self) -> list[Sample]:
