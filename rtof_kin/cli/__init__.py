@@ -50,6 +50,7 @@ def _parser() -> argparse.ArgumentParser:
         detection,
         inspection,
         lifters,
+        live,
         protocols,
         recordings,
         reporting,
@@ -71,8 +72,10 @@ def _parser() -> argparse.ArgumentParser:
         clinical,
         reporting,
         detection,
+        live,
         training,
         lifters,
+        live,
         protocols,
     ):
         module.add_commands(commands)

@@ -56,6 +56,14 @@ class ReplayClock:
         """Earliest time of any source, s."""
         return min((start for start, _ in self._spans.values()), default=0.0)
 
+    @property
+    def time(self) -> float:
+        """Time that was reached, s; asking does not move it on."""
+        with self._lock:
+            if self.paced:
+                return self.first if self._begun is None else self._paced(self._begun)
+            return self.first + self._round * self._step
+
     def cover(self, name: str, first: float, last: float) -> None:
         """Take part: the replay begins at the earliest time of all sources.
 
