@@ -96,8 +96,11 @@ class SensorChannels:
         Args:
             times: (T,) s. values: (T, C) of the stream.
         """
-        columns = (self.acceleration, self.gyroscope, self.magnetometer, self.quaternions)
-        return Readings(self.name, times, *(None if c is None else values[:, c] for c in columns))
+        acceleration, gyroscope, magnetometer, quaternions = (
+            None if columns is None else np.asarray(values[:, columns], dtype=float)
+            for columns in (self.acceleration, self.gyroscope, self.magnetometer, self.quaternions)
+        )
+        return Readings(self.name, times, acceleration, gyroscope, magnetometer, quaternions)
 
 
 @dataclass(frozen=True)

@@ -103,6 +103,11 @@ class FrameChannels:
     """Name, for messages."""
     channels: PointChannels
 
+    @property
+    def landmarks(self) -> tuple[str, ...]:
+        """Names of the L points."""
+        return self.channels.names
+
     @classmethod
     def of(cls, stream: str, labels: Sequence[str], units: Sequence[str] = ()) -> FrameChannels:
         """Return what the channels of a stream hold: ``<landmark>_x``, ``_y`` in px, ``_confidence``.

@@ -51,7 +51,7 @@ def test_wrong_number_of_values_names_the_stream(values: object) -> None:
 
 def test_frames() -> None:
     channels = FrameChannels.of("s", ["Nose_x", "Nose_y", "Nose_confidence"])
-    seen, unseen = channels.samples([0.0, 0.04], [[3, 4, 0.8], [3, 4, 0]])
+    seen, unseen = channels.samples([0.0, 0.04], [[3.0, 4.0, 0.8], [3.0, 4.0, 0.0]])
     assert (seen.uv_px.tolist(), seen.confidence.tolist()) == ([[3, 4]], [0.8])
     assert (unseen.time, unseen.confidence.tolist()) == (0.04, [0])
     assert np.isnan(unseen.uv_px).all()
